@@ -5,14 +5,18 @@ SHELL := /bin/bash
 BIN := .venv/bin
 READY := .venv/.ready
 RUNTIME := .venv/.runtime
+# Test processes: most of the time of a test that starts programs is waiting.
+WORKERS ?= 2
 
-.PHONY: help demo test attacks check static cover bench man ros format clean
+.PHONY: help demo quick test attacks check static cover report bench man ros format clean
 help:
 	@echo "make demo    the main job, end to end, in under 30 s (no ROS needed)"
-	@echo "make test    the whole suite and its coverage gates (installs Debian's ROS packages and Chromium when it can)"
+	@echo "make quick   formatting, lint, types and the fast unit tests: for the desk, without apt and ROS"
+	@echo "make test    the whole suite (installs Debian's ROS packages and Chromium when it can)"
 	@echo "make attacks the attacks of docs/threat-model.md alone"
 	@echo "make static  formatting, lint, types, import contracts, wheel contents"
 	@echo "make cover   the unit tests with their coverage gates"
+	@echo "make report  after make cover: which modules the tests of their own folder cover least"
 	@echo "make check   make static and make cover"
 	@echo "make man     the manual pages, in build/man (the wheel has them)"
 	@echo "make bench   measurements beside plain TCPROS and TLS (BENCH=name for one)"
@@ -32,21 +36,36 @@ demo: $(RUNTIME)
 	@$(BIN)/rossec demo
 	@echo "(here: $(BIN)/pip install -e '.[console]' and $(BIN)/rossec console --demo)"
 
-# The venv is looked at after the ROS packages: installing them may bring a better Python for it.
-# Unit tests alone must cover the packages; integration tests only add confidence, a worker a file.
-test: cover
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile $(ARGS) --ignore tests/ca --ignore tests/grants --ignore tests/rossec
+# Not in it: what needs ROS, a browser or a network of its own, and the slowest files (tests/slow.txt).
+quick: $(READY)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -q -n $(WORKERS) --quick $(ARGS) tests/ca tests/grants tests/rossec
+
+# The venv is looked at after the ROS packages: installing them may bring a better Python for it. CI measures coverage
+# besides (COVER=1): unit tests alone must cover the packages, integration tests only add confidence.
+test: ros
+	@tools/venv.sh
+ifdef COVER
+	$(MAKE) cover
+else
+	$(BIN)/python -m pytest -q -n $(WORKERS) $(ARGS) tests/ca tests/grants tests/rossec
+endif
+	$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile $(ARGS) --ignore tests/ca --ignore tests/grants --ignore tests/rossec
 
 attacks: ros
 	@tools/venv.sh
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile $(ARGS) tests/attacks
+	$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile $(ARGS) tests/attacks
 
 cover: ros
 	@tools/venv.sh
 	$(BIN)/coverage erase
-	$(BIN)/coverage run -m pytest -q -n 2 $(ARGS) tests/ca tests/grants tests/rossec
+	$(BIN)/coverage run -m pytest -q -n $(WORKERS) $(ARGS) tests/ca tests/grants tests/rossec
 	$(BIN)/coverage combine -q
 	$(BIN)/coverage report
+
+report: $(READY)
 	$(BIN)/python tools/own_tests.py
 
 static: ros

@@ -10,14 +10,15 @@ import tempfile
 import time
 from pathlib import Path
 
-from ca.certificates import build_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 from grants.document import grant_id
 from grants.model import ID_SIZE
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import NAME, read_policy
-from rossec.authority.service import AuthorityService, MasterCall
+from rossec.authority.service import AuthorityService
+from rossec.authority.session import StatementCall
 from rossec.authority.signing import SigningAuthority, certificate_row
 
 SIZES = (30, 300, 3000)
@@ -70,7 +71,7 @@ class SilentMaster:
     def __init__(self) -> None:
         self._known: set[bytes] = set()
 
-    def __call__(self, call: MasterCall) -> object:
+    def __call__(self, call: StatementCall) -> object:
         (items, *_) = call.statement
         if not isinstance(items, list):
             return 0  # the revocation list
@@ -87,9 +88,9 @@ def _write(root: Path, changed: str) -> None:
 
 
 def _apply(root: Path, service: AuthorityService) -> None:
-    plan = service.plan_policy(read_policy(root, None, signs=True))
+    plan = service.policy.plan(read_policy(root, None, signs=True))
     if not plan.is_empty:
-        service.apply_policy(plan)
+        service.policy.apply(plan)
 
 
 def _timed(root: Path, service: AuthorityService) -> float:

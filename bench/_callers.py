@@ -9,7 +9,7 @@ from bench._lines import Call
 from bench._masters import EnrolledNode, Master
 from ca.certificates import TrustAnchor
 from rossec.net.aio import SecureContext, WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 
 _BLOCKS, _EACH = 9, 60
 
@@ -24,11 +24,7 @@ async def _block(client: RpcClient, call: Call, each: int) -> float:
 
 
 async def _ratios(
-    master: Master,
-    member: EnrolledNode,
-    anchor: TrustAnchor,
-    calls: Mapping[str, Call],
-    nodes: int,
+    master: Master, member: EnrolledNode, anchor: TrustAnchor, calls: Mapping[str, Call], nodes: int
 ) -> dict[str, float]:
     own = SecureContext(member.credentials, anchor.verify)
     clients = [
@@ -48,11 +44,7 @@ async def _ratios(
 
 
 def caller_cpu(
-    master: Master,
-    member: EnrolledNode,
-    anchor: TrustAnchor,
-    calls: Mapping[str, Call],
-    nodes: int,
+    master: Master, member: EnrolledNode, anchor: TrustAnchor, calls: Mapping[str, Call], nodes: int
 ) -> dict[str, float]:
     """By operation: processor time of a caller in the compact form through that in XML-RPC.
 

@@ -25,7 +25,7 @@ from grants import document
 from grants.model import Draft, Permission, Right
 from rossec.errors import AnswerRefused
 from rossec.net.aio import SecureContext, WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.node import Node
 from rossec.ros.names import AUTHORITY
 from tests.support.site import DAY, Site
@@ -74,10 +74,15 @@ def _nodes(names: Sequence[str], environ: dict[str, str], arrivals: "Queue[Arriv
 def _grant(site: Site, name: str, pattern: str) -> bytes:
     now = site.now()
     draft = Draft(
-        domain=site.anchor.domain, subject=name, holder=site.identity(name).thumbprint,
-        not_before=now - 60, expires=now + DAY, cap=now + DAY, serial=secrets.token_bytes(16),
+        domain=site.anchor.domain,
+        subject=name,
+        holder=site.identity(name).thumbprint,
+        not_before=now - 60,
+        expires=now + DAY,
+        cap=now + DAY,
+        serial=secrets.token_bytes(16),
         permissions=(Permission(pattern, Right.PUBLISH),),
-    )  # fmt: skip
+    )
     return document.sign(site.authority.signer, draft)
 
 
@@ -124,13 +129,12 @@ def running(nodes: int) -> Iterator[Fleet]:
             site.enroll(name)
         with ours(site) as master:
             environ = {
-                "ROSSEC_HOME": str(site.root), "ROS_IP": "127.0.0.1",
+                "ROSSEC_HOME": str(site.root),
+                "ROS_IP": "127.0.0.1",
                 "ROS_MASTER_URI": f"http://127.0.0.1:{master.port}/",
-            }  # fmt: skip
+            }
             arrivals: Queue[Arrival] = multiprocessing.Queue()
-            process = multiprocessing.Process(
-                target=_nodes, args=(names, environ, arrivals), daemon=True
-            )
+            process = multiprocessing.Process(target=_nodes, args=(names, environ, arrivals), daemon=True)
             process.start()
             try:
                 arrivals.get(timeout=120)

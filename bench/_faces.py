@@ -33,14 +33,12 @@ def faces(size: int, tried: int, pictures: Sequence[int], count: int = COUNT) ->
     rng = np.random.default_rng(6)
     room = _smooth(rng, (HIGH, WIDE), 12) * 30 + 120
     places = [
-        (int(rng.integers(0, WIDE - size)), int(rng.integers(0, HIGH - size)))
-        for _ in range(max(pictures))
+        (int(rng.integers(0, WIDE - size)), int(rng.integers(0, HIGH - size))) for _ in range(max(pictures))
     ]
     expected = [
-        np.array([[_part(_lit(room, face, at, light), at, size) for light in _LIGHTS]
-                  for face in gallery])
+        np.array([[_part(_lit(room, face, at, light), at, size) for light in _LIGHTS] for face in gallery])
         for at in places
-    ]  # fmt: skip
+    ]
     found = {(name, number): 0.0 for name in ("naive", "attacker") for number in pictures}
     for number in range(tried):
         who = number % count
@@ -56,9 +54,7 @@ def faces(size: int, tried: int, pictures: Sequence[int], count: int = COUNT) ->
     return {f"{each}_pictures": _scores(found, each, tried, prior) for each in pictures}
 
 
-def _scores(
-    found: dict[tuple[str, int], float], pictures: int, tried: int, prior: float
-) -> dict[str, float]:
+def _scores(found: dict[tuple[str, int], float], pictures: int, tried: int, prior: float) -> dict[str, float]:
     shares = {name: round(found[name, pictures] / tried, 3) for name in ("naive", "attacker")}
     return {**shares, "prior": prior, "best": max(*shares.values(), prior)}
 

@@ -36,9 +36,7 @@ class Side:
         return x0 + across * (x1 - x0), y0 + up * (y1 - y0)
 
 
-ROOMS: Final = tuple(
-    Side((x0, y0), (x1, y1)) for y0, y1 in pairwise(WALLS_Y) for x0, x1 in pairwise(WALLS_X)
-)
+ROOMS: Final = tuple(Side((x0, y0), (x1, y1)) for y0, y1 in pairwise(WALLS_Y) for x0, x1 in pairwise(WALLS_X))
 PLAN: Final = {
     name: f"{room.low[0]} {room.low[1]}, {room.high[0]} {room.high[1]}"
     for name, room in zip(NAMES, ROOMS, strict=True)

@@ -11,18 +11,16 @@ from functools import partial
 
 from bench.grants import shortest_us
 from ca.authority import Authority, create_root
-from ca.certificates import build_request
-from ca.domains.anchors import Anchors
-from ca.domains.lists import DomainList, ForeignDomain, sign_domains
-from ca.keys import key_files
-from ca.keys.publickey import thumbprint
-from ca.keys.signer import KeySigner
+from ca.domains.trust import Anchors, DomainList, ForeignDomain, sign_domains
+from ca.keys import private_keys
+from ca.keys.signing import KeySigner, thumbprint
+from ca.svid import build_request
 from grants.document import sign
 from grants.model import Draft, Permission, Right
-from grants.narrowing import sign_narrowing
-from grants.token import Verifier, pack_chain, peek
+from grants.token import Verifier, pack_chain, peek, sign_narrowing
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials
+from rossec.channel.edhoc.handshake import EdhocConfig
 
 DAY = 86400
 LISTED = 16  # foreign domains that the server trusts
@@ -70,10 +68,8 @@ def handshakes(seconds: float) -> dict[str, float]:
     server = home.enroll("/robot", now)
 
     def handshake(client: Credentials, anchors: Anchors) -> None:
-        left = Connection.initiator(client, anchors.verify, random=secrets.token_bytes, now=now)
-        right = Connection.responder(
-            server, home.anchors.verify, random=secrets.token_bytes, now=now
-        )
+        left = Connection.initiator(EdhocConfig(client, anchors.verify, secrets.token_bytes), now=now)
+        right = Connection.responder(EdhocConfig(server, home.anchors.verify, secrets.token_bytes), now=now)
         events = 0
         while data := left.data_to_send():
             events += len(right.receive_data(bytes(data), now))
@@ -82,9 +78,7 @@ def handshakes(seconds: float) -> dict[str, float]:
 
     own, foreign = home.enroll("/viewer", now), others[-1].enroll("/viewer", now)
     times = shortest_us(
-        seconds,
-        lambda: handshake(own, home.anchors),
-        lambda: handshake(foreign, others[-1].anchors),
+        seconds, lambda: handshake(own, home.anchors), lambda: handshake(foreign, others[-1].anchors)
     )
     return {
         "own_handshake_us": round(times[0], 1),
@@ -105,9 +99,7 @@ def chains(seconds: float) -> dict[str, float]:
         parent = peek(tokens[-1])
     verifier = Verifier(authority.public_key, "home", (), 0, _nothing_is_revoked)
     one, _, three, longest = tokens
-    times = shortest_us(
-        seconds, *(partial(verifier.open, token, now) for token in (one, three, longest))
-    )
+    times = shortest_us(seconds, *(partial(verifier.open, token, now) for token in (one, three, longest)))
     return {
         "verify_grant_us": round(times[0], 1),
         "verify_chain3_vs_grant": round(times[1] / times[0], 2),
@@ -116,16 +108,21 @@ def chains(seconds: float) -> dict[str, float]:
 
 
 def _signer() -> KeySigner:
-    return KeySigner(key_files.generate())
+    return KeySigner(private_keys.generate())
 
 
 def _draft(holder: KeySigner, may_narrow: int, now: int) -> Draft:
     return Draft(
-        domain="home", subject="/remote/hospital/rounds/robot3",
-        holder=thumbprint(holder.public_key), not_before=now - 60, expires=now + DAY,
-        cap=now + DAY, serial=secrets.token_bytes(16),
-        permissions=(Permission("/robot/pose", Right.SUBSCRIBE),), may_narrow=may_narrow,
-    )  # fmt: skip
+        domain="home",
+        subject="/remote/hospital/rounds/robot3",
+        holder=thumbprint(holder.public_key),
+        not_before=now - 60,
+        expires=now + DAY,
+        cap=now + DAY,
+        serial=secrets.token_bytes(16),
+        permissions=(Permission("/robot/pose", Right.SUBSCRIBE),),
+        may_narrow=may_narrow,
+    )
 
 
 def _nothing_is_revoked(_entry: bytes, _now: int) -> None:

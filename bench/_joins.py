@@ -18,15 +18,15 @@ from typing import NamedTuple
 
 from bench._applied import SilentMaster, enroll
 from bench._masters import Master, free_port, running
-from ca.certificates import build_request
 from ca.enrollment.invitation import InvitationCode
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 from rossec import clock
 from rossec.authority.invitations import invite
 from rossec.authority.policyfile import NAME, read_policy
 from rossec.authority.service import AuthorityService
-from rossec.enrollment.join_node import join
+from rossec.enrollment.join import join
 from tests.support.commands import PASSPHRASE
 from tests.support.serviceprocess import ServiceProcess, children_of
 
@@ -128,7 +128,7 @@ def _fill(process: ServiceProcess) -> None:
             for number in range(IDENTITIES):
                 name = f"/fleet/site{number % _SITES}/robot{number}"
                 enroll(authority, name, clock.now())
-        service.apply_policy(service.plan_policy(read_policy(process.root, None, signs=True)))
+        service.policy.apply(service.policy.plan(read_policy(process.root, None, signs=True)))
 
 
 def _policy() -> str:

@@ -19,12 +19,12 @@ from grants.document import grant_id
 from grants.model import Right
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
-from rossec.net.rpc.client import RpcClient, serve_calls
+from rossec.net.rpc.calls import RpcClient, serve_calls
 from rossec.node import Node
 from rossec.participant.access import FIELD
+from rossec.participant.handshakes import TopicEndpoint
 from rossec.participant.message_types import message_type
-from rossec.participant.topic_handshake import TopicEndpoint
-from rossec.ros import header
+from rossec.ros import tcpros
 from tests.support.site import Site
 
 TOPIC = "/shared/t"
@@ -105,10 +105,7 @@ async def secure_updates(site: Site, master: Master, dead: int) -> float:
     async def client(name: str) -> tuple[EnrolledNode, RpcClient]:
         member = enroll(site, name, {TOPIC: Right.PUBLISH | Right.SUBSCRIBE})
         stream = await connect(
-            "127.0.0.1",
-            master.port,
-            SecureContext(member.credentials, site.anchor.verify),
-            WireProtocol.HTTP,
+            "127.0.0.1", master.port, SecureContext(member.credentials, site.anchor.verify), WireProtocol.HTTP
         )
         found = RpcClient(stream)
         await found.ask("rossec.presentGrants", name, [member.grant])
@@ -121,11 +118,7 @@ async def secure_updates(site: Site, master: Master, dead: int) -> float:
             await one.ask("registerSubscriber", name, TOPIC, TYPE, where)
         live, first = await client("/live")
         server = serve(
-            slave,
-            "127.0.0.1",
-            0,
-            SecureContext(live.credentials, site.anchor.verify),
-            WireProtocol.HTTP,
+            slave, "127.0.0.1", 0, SecureContext(live.credentials, site.anchor.verify), WireProtocol.HTTP
         )
         uri = f"http://127.0.0.1:{server.port}/"
         await first.ask("registerSubscriber", "/live", TOPIC, TYPE, uri)
@@ -160,9 +153,7 @@ async def revocation(site: Site, environ: dict[str, str], count: int) -> list[fl
             ends.append(time.perf_counter())
 
         async def join(member: EnrolledNode) -> SecureStream[Identity]:
-            stream = await connect(
-                host, port, SecureContext(member.credentials, site.anchor.verify)
-            )
+            stream = await connect(host, port, SecureContext(member.credentials, site.anchor.verify))
             fields: dict[str, str | bytes] = {
                 "callerid": member.name,
                 "topic": endpoint.topic,
@@ -170,7 +161,7 @@ async def revocation(site: Site, environ: dict[str, str], count: int) -> list[fl
                 "md5sum": kind.md5sum,
                 FIELD: encode([member.grant]),
             }
-            await stream.send(header.encode(fields))
+            await stream.send(tcpros.encode(fields))
             return stream
 
         async with asyncio.TaskGroup() as group:
@@ -222,6 +213,7 @@ def percentile(values: list[float], share: float) -> float:
 def node_environ(site: Site, master: Master) -> dict[str, str]:
     """What a node of this site runs in."""
     return {
-        "ROSSEC_HOME": str(Path(site.root)), "ROS_IP": "127.0.0.1",
+        "ROSSEC_HOME": str(Path(site.root)),
+        "ROS_IP": "127.0.0.1",
         "ROS_MASTER_URI": f"http://127.0.0.1:{master.port}/",
-    }  # fmt: skip
+    }

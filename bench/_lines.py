@@ -14,11 +14,12 @@ from collections.abc import Iterable, Sequence
 from ca.certificates import Identity
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials, Verify
+from rossec.channel.edhoc.handshake import EdhocConfig
+from rossec.channel.negotiation import Authenticated, UnitReceived
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import HEADER, Frame
-from rossec.channel.states import Authenticated, UnitReceived
-from rossec.ros import compact, xmlrpc
-from rossec.ros.callclient import CallClient
+from rossec.ros import calls, xmlrpc
+from rossec.ros.calls import CallClient
 
 _HEAD = (
     b"POST / HTTP/1.1\r\nHost: 127.0.0.1:11311\r\n"
@@ -93,9 +94,8 @@ class SecureLine(Line):
 
     def __init__(self, port: int, own: Credentials, verify: Verify[Identity]) -> None:
         super().__init__(port)
-        self._core = Connection[Identity].initiator(
-            own, verify, random=secrets.token_bytes, now=int(time.time()), opening=WireProtocol.HTTP
-        )
+        config = EdhocConfig(own, verify, secrets.token_bytes)
+        self._core = Connection[Identity].initiator(config, now=int(time.time()), opening=WireProtocol.HTTP)
         authenticated = False
         while not authenticated:
             self.sock.sendall(self._core.data_to_send())
@@ -138,14 +138,14 @@ class CompactLine(SecureLine):
     def write(self, call: Call) -> bytes:
         method, *params = call
         self._written += 1
-        return compact.dump_call(self._written % compact.TURNS, method, params)
+        return calls.dump_compact_call(self._written % calls.TURNS, method, params)
 
     def body(self, answer: bytes) -> bytes:
         return self.unit(answer)
 
     def check(self, body: bytes) -> None:
         self._answered += 1
-        answer = compact.load_answer(body, self._answered % compact.TURNS, "")
+        answer = calls.load_compact_answer(body, self._answered % calls.TURNS, "")
         assert isinstance(answer, list), answer
         assert answer[0] == 1, answer
 

@@ -96,10 +96,7 @@ def _parts(message: bytes) -> list[tuple[int, bytes]]:
 
 
 def _agreement(
-    told: Sequence[Sequence[Sequence[tuple[int, bytes]]]],
-    names: Sequence[Sequence[bytes]],
-    *,
-    ordered: bool,
+    told: Sequence[Sequence[Sequence[tuple[int, bytes]]]], names: Sequence[Sequence[bytes]], *, ordered: bool
 ) -> Floats:
     """How often two labels had the same level, or the same place in the array."""
     series = []

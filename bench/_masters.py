@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ca.authority import Authority
-from ca.certificates import Identity, build_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
+from ca.certificates import Identity
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 from grants import document
 from grants.model import Draft, Permission, Right
 from rossec.channel.edhoc.credentials import Credentials
@@ -62,10 +63,15 @@ def enroll(site: Site, name: str, rights: Mapping[str, Right] | None = None) -> 
     certificate = authority.issue(request, now=now, serial=secrets.randbits(127), lifetime=DAY)
     identity = site.anchor.verify([certificate], now)
     draft = Draft(
-        domain=site.anchor.domain, subject=name, holder=identity.thumbprint,
-        not_before=now - 60, expires=now + DAY, cap=now + DAY, serial=secrets.token_bytes(16),
+        domain=site.anchor.domain,
+        subject=name,
+        holder=identity.thumbprint,
+        not_before=now - 60,
+        expires=now + DAY,
+        cap=now + DAY,
+        serial=secrets.token_bytes(16),
         permissions=tuple(Permission(pattern, right) for pattern, right in held.items()),
-    )  # fmt: skip
+    )
     grant = document.sign(site.authority.signer, draft)
     return EnrolledNode(name, Credentials(signer, (certificate,)), identity, grant)
 
@@ -102,9 +108,11 @@ def stock(folder: Path) -> Iterator[Master]:
     """Debian's rosmaster, plain."""
     port = free_port()
     environ = {
-        "ROS_MASTER_URI": f"http://127.0.0.1:{port}/", "ROS_IP": "127.0.0.1",
-        "ROS_HOME": str(folder), "ROS_LOG_DIR": str(folder),
-    }  # fmt: skip
+        "ROS_MASTER_URI": f"http://127.0.0.1:{port}/",
+        "ROS_IP": "127.0.0.1",
+        "ROS_HOME": str(folder),
+        "ROS_LOG_DIR": str(folder),
+    }
     with running(["/usr/bin/rosmaster", "--core", "-p", str(port)], environ, port) as master:
         yield master
 
@@ -116,9 +124,10 @@ def ours(site: Site) -> Iterator[Master]:
     site.enroll(MASTER)
     site.enroll(MASTER).save_revocations(site.authority.store.newest_list() or b"")
     environ = {
-        "ROS_MASTER_URI": f"http://127.0.0.1:{port}/", "ROS_IP": "127.0.0.1",
+        "ROS_MASTER_URI": f"http://127.0.0.1:{port}/",
+        "ROS_IP": "127.0.0.1",
         "ROSSEC_HOME": str(site.root),
-    }  # fmt: skip
+    }
     command = [sys.executable, "-I", "-m", "rossec", "master"]
     with running(command, environ, port) as master:
         yield master

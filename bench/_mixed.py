@@ -65,9 +65,7 @@ def _fitted(days: Sequence[tuple[Sequence[Floats], Floats]]) -> _Mix:
     return _Mix(min(_WEIGHTS, key=error), max(range(3), key=right))
 
 
-def reading(
-    told: Callable[[Floats], Floats], naive: Callable[[Floats], Floats], known: Habits
-) -> Reading:
+def reading(told: Callable[[Floats], Floats], naive: Callable[[Floats], Floats], known: Habits) -> Reading:
     """A reading of these two and of the habit."""
 
     def read(path: Floats) -> tuple[Floats, Floats, Floats]:

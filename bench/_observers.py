@@ -1,6 +1,6 @@
 """Who sees only the network: how long each record is, and no content, without any grant.
 
-What a subscriber wishes is carried out as the product does (`rossec.participant.wishes`). The
+What a subscriber wishes is carried out as the product does (`rossec.participant.delivery`). The
 observer has watched another day with the truth, and takes for each length the room it was most
 often in. Beside it stands what lengths would tell if the publisher deflated what it filters.
 """
@@ -12,8 +12,7 @@ from typing import Any, Final
 
 from bench._flat import RATE, room_of, walk
 from bench._views import by_preset, poses, received
-from rossec.participant.deflating import deflated
-from rossec.participant.wishes import Wishes, carried_out
+from rossec.participant.delivery import Wishes, carried_out, deflated
 
 _POSE: Final = "geometry_msgs/PoseStamped"
 Lengths = list[tuple[int, int]]  # the length of each record, and the room
@@ -38,16 +37,15 @@ def _scored(seeds: Sequence[int], seconds: int, *, deflates: bool) -> dict[str, 
         rooms[room] += 1
     usual = rooms.most_common(1)[0][0]
     found = [pair for seed in seeds for pair in _lengths(seed, seconds, deflates=deflates)]
-    guessed = [
-        learned[length].most_common(1)[0][0] if length in learned else usual for length, _ in found
-    ]
+    guessed = [learned[length].most_common(1)[0][0] if length in learned else usual for length, _ in found]
     right = sum(guess == room for guess, (_, room) in zip(guessed, found, strict=True))
     prior = sum(room == usual for _, room in found)
     count = len(found)
     return {
-        "attacker": round(right / count, 3), "prior": round(prior / count, 3),
+        "attacker": round(right / count, 3),
+        "prior": round(prior / count, 3),
         "best": round(max(right, prior) / count, 3),
-    }  # fmt: skip
+    }
 
 
 def _lengths(seed: int, seconds: int, *, deflates: bool) -> Lengths:

@@ -15,9 +15,8 @@ from bench._views import NOW, Publisher, by_preset, header, layout, poses, recei
 from bench._watchers import day, first_messages
 from grants.filters.layout import Layout
 from grants.model import Restriction
-from grants.vocabulary.describe import describe
-from grants.vocabulary.resolve import resolve
-from grants.vocabulary.words import DataWord
+from grants.vocabulary.contents import DataWord, describe
+from grants.vocabulary.levels import resolve
 
 _FIX: Final = "sensor_msgs/NavSatFix"
 _JOINTS: Final = "sensor_msgs/JointState"
@@ -42,9 +41,12 @@ def driven(level: str, seeds: range, hours: int) -> dict[str, float]:
     )
     best = min(naive, attacker, prior)
     return {
-        "naive": naive, "prior": prior, "attacker": attacker, "best": best,
+        "naive": naive,
+        "prior": prior,
+        "attacker": attacker,
+        "best": best,
         "where_a_cell_is_left": crossing,
-    }  # fmt: skip
+    }
 
 
 def _seen(level: str) -> Restriction:
@@ -71,11 +73,10 @@ def _told(restriction: Restriction, way: Floats) -> list[tuple[int, float]]:
     messages = (
         (
             float(second),
-            header(second, second) + bytes(3) + _PLACE.pack(48 + metres / _METRES, 11.0, 500.0)
-            + bytes(73),
+            header(second, second) + bytes(3) + _PLACE.pack(48 + metres / _METRES, 11.0, 500.0) + bytes(73),
         )
         for second, metres in enumerate(way.tolist())
-    )  # fmt: skip
+    )
     return [
         (int(at), (_PLACE.unpack_from(message, len(message) - 73 - _PLACE.size)[0] - 48) * _METRES)
         for at, message in received(_FIX, restriction, messages)
@@ -92,9 +93,7 @@ def _errors(told: list[tuple[int, float]], way: Floats) -> tuple[list[float], ..
     for (before, left), (at, entered) in pairwise(told):
         if left != entered:
             # With hysteresis of half a step a cell is left one step from its middle.
-            border = left + (entered - left) / abs(entered - left) * min(
-                abs(entered - left), 0.02 * _METRES
-            )
+            border = left + (entered - left) / abs(entered - left) * min(abs(entered - left), 0.02 * _METRES)
             middle = (before + at) // 2
             marks.append((middle, border))
             crossing.append(float(abs(way[middle] - border)))
@@ -102,10 +101,7 @@ def _errors(told: list[tuple[int, float]], way: Floats) -> tuple[list[float], ..
     if marks:
         line = np.interp(seconds, [at for at, _ in marks], [place for _, place in marks])
     truth = way[seconds[0] :]
-    return (
-        list(np.abs(held - truth)), list(np.abs(line - truth)), crossing,
-        list(np.abs(truth - _AREA / 2)),
-    )  # fmt: skip
+    return (list(np.abs(held - truth)), list(np.abs(line - truth)), crossing, list(np.abs(truth - _AREA / 2)))
 
 
 def wheels(seconds: int) -> dict[str, float]:
@@ -119,9 +115,12 @@ def wheels(seconds: int) -> dict[str, float]:
     for number, metres in enumerate(way.tolist()):
         at = number / 10
         message = (
-            header(number, at) + struct.pack("<I", 1) + text(b"wheel")
-            + struct.pack("<Id", 1, metres / _RADIUS) + bytes(8)
-        )  # fmt: skip
+            header(number, at)
+            + struct.pack("<I", 1)
+            + text(b"wheel")
+            + struct.pack("<Id", 1, metres / _RADIUS)
+            + bytes(8)
+        )
         pieces = guard.apply(message, NOW + at)
         if pieces is not None:
             sent = b"".join(pieces)
@@ -131,9 +130,7 @@ def wheels(seconds: int) -> dict[str, float]:
         gone.append(abs(last - metres))
         prior.append(abs(0.05 * number - metres))
     found = {"naive": float(np.median(gone)), "prior": float(np.median(prior))}
-    return {name: round(value, 2) for name, value in found.items()} | {
-        "best": round(min(found.values()), 2)
-    }
+    return {name: round(value, 2) for name, value in found.items()} | {"best": round(min(found.values()), 2)}
 
 
 def movements(seconds: int) -> dict[str, float]:

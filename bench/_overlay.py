@@ -23,17 +23,14 @@ from bench import _site
 from ca.certificates import Identity
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureContext, SecureStream, serve
-from rossec.net.aio.dial import dial
-from rossec.overlay.endpoint import LinkListener, dial_link
-from rossec.overlay.link_transport import idle_round_trip
-from rossec.overlay.mailboxes import mailbox
-from rossec.overlay.mux import Role
-from rossec.overlay.mux_units import NODE, Target
-from rossec.overlay.pump import Pump
-from rossec.overlay.routers import OPEN_SEAT, Routers
-from rossec.overlay.streams import Streams
+from rossec.net.aio.client import dial
+from rossec.overlay.documents import OPEN_SEAT, Routers
+from rossec.overlay.endpoint import LinkListener, dial_link, idle_round_trip
+from rossec.overlay.link_frames import mailbox
+from rossec.overlay.mux import NODE, Role, StreamTarget
+from rossec.overlay.router_settings import COMMON, client_settings
+from rossec.overlay.streams import Pump, Streams
 from rossec.overlay.zenoh_carrier import Carrier, open_session
-from rossec.overlay.zenoh_settings import COMMON, client_settings
 from tests.support.contexts import unlimited
 from tests.support.ports import free_port
 
@@ -170,7 +167,7 @@ def _router_process(locator: str, joined: Sequence[str], ready: Connection) -> N
 def _called_relay_process(folder: Path, router: str, port: int, ready: Connection) -> None:
     """A relay that leads every stream to `port`, instead of asking a master."""
 
-    async def dial_node(_target: Target, _pump: Pump) -> socket.socket:
+    async def dial_node(_target: StreamTarget, _pump: Pump) -> socket.socket:
         return await dial("127.0.0.1", port, 10)
 
     async def serve_streams(stream: SecureStream[Identity]) -> None:
@@ -202,7 +199,7 @@ def _calling_relay_process(folder: Path, router: str, ready: Connection) -> None
             carried = []
             while not running.done():
                 connection, _ = await loop.sock_accept(door)
-                carrying = streams.carry(Target(NODE, "/far"), connection)
+                carrying = streams.carry(StreamTarget(NODE, "/far"), connection)
                 carried.append(asyncio.ensure_future(carrying))
 
     asyncio.run(main())

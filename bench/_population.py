@@ -14,7 +14,7 @@ from bench._masters import EnrolledNode
 from ca.certificates import Identity, TrustAnchor
 from rossec.errors import RossecError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
-from rossec.net.rpc.client import RpcClient, serve_calls
+from rossec.net.rpc.calls import RpcClient, serve_calls
 
 TYPE = "std_msgs/String"
 _ATTEMPTS = 10
@@ -31,9 +31,7 @@ async def _slave(stream: SecureStream[Identity]) -> None:
 
 async def join(member: EnrolledNode, port: int, anchor: TrustAnchor) -> RpcClient:
     """One node: a control connection that stays, a slave API, three registrations, a parameter."""
-    slave = serve(
-        _slave, "127.0.0.1", 0, SecureContext(member.credentials, anchor.verify), WireProtocol.HTTP
-    )
+    slave = serve(_slave, "127.0.0.1", 0, SecureContext(member.credentials, anchor.verify), WireProtocol.HTTP)
     uri = f"http://127.0.0.1:{slave.port}/"
     for _ in range(_ATTEMPTS):  # as nodes do: a machine that is busy with others may be too slow
         with contextlib.suppress(RossecError):
@@ -96,9 +94,7 @@ def _wait(process: multiprocessing.Process, ready: "Queue[int]") -> None:
 def secure(members: Sequence[EnrolledNode], port: int, anchor: bytes) -> Iterator[None]:
     """Nodes at our master."""
     ready: Queue[int] = multiprocessing.Queue()
-    process = multiprocessing.Process(
-        target=_nodes, args=(members, port, anchor, ready), daemon=True
-    )
+    process = multiprocessing.Process(target=_nodes, args=(members, port, anchor, ready), daemon=True)
     process.start()
     try:
         _wait(process, ready)

@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 
 from bench._watchers import NEAR, Span, day
+from grants.decision import Reach
 from grants.model import Permission, Restriction, Right
-from grants.reach import Reach
-from rossec.master.rights.alias_publishers import AliasPublishers
-from rossec.master.rights.caller import Caller, Peer
+from rossec.master.rights.caller import Caller, CertifiedPeer
+from rossec.master.rights.publisher_views import AliasPublishers
 from rossec.master.state.graph import Graph
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry
@@ -50,7 +50,7 @@ def _told(spans: list[Span], slot: int | None, seconds: int) -> list[float]:
     registry = Registry()
     callers = {caller.name: caller for caller in (watcher, sensor)}
 
-    def caller_of(peer: Peer, _now: int) -> Caller | None:
+    def caller_of(peer: CertifiedPeer, _now: int) -> Caller | None:
         return callers.get(peer.name)
 
     aliases = AliasPublishers(Graph(registry, Imports(registry)), caller_of)

@@ -9,8 +9,9 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.authority import Authority, create_root
-from ca.certificates import TrustAnchor, build_request, from_pem, to_pem
-from ca.keys.signer import KeySigner
+from ca.certificates import TrustAnchor, from_pem, to_pem
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 from rossec.channel.edhoc.credentials import Credentials
 
 _DAY = 86400
@@ -29,9 +30,7 @@ def build(folder: Path) -> None:
         serial = secrets.randbits(127) + 1
         certificate = authority.issue(request, now=now, serial=serial, lifetime=_DAY)
         private = key.private_bytes(
-            serialization.Encoding.PEM,
-            serialization.PrivateFormat.PKCS8,
-            serialization.NoEncryption(),
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )
         (folder / f"{name}.pem").write_bytes(private + to_pem(certificate))
 

@@ -8,10 +8,10 @@ from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 
 from bench._masters import OWN, SHARED, EnrolledNode, Master, enroll, free_port, running
 from ca.certificates import Identity
-from ca.domains.lists import DomainList, sign_domains
-from ca.keys.publickey import to_coordinates
+from ca.domains.trust import DomainList, sign_domains
+from ca.keys.signing import to_coordinates
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
-from rossec.net.rpc.client import RpcClient, serve_calls
+from rossec.net.rpc.calls import RpcClient, serve_calls
 from rossec.ros.names import MASTER
 from tests.support.site import DAY, Site
 
@@ -33,10 +33,7 @@ def enroll_masters(site: Site, names: Sequence[str]) -> None:
 
 @contextlib.contextmanager
 def master(
-    site: Site,
-    name: str = MASTER,
-    follows: Mapping[str, tuple[str, int]] | None = None,
-    port: int = 0,
+    site: Site, name: str = MASTER, follows: Mapping[str, tuple[str, int]] | None = None, port: int = 0
 ) -> Iterator[Master]:
     """A master that follows others: by label, the name and port of each."""
     port = port or free_port()
@@ -47,9 +44,11 @@ def master(
     ]
     config.write_text("federation:\n  sites:\n" + "".join(lines) if lines else "log: text\n")
     environ = {
-        "ROS_MASTER_URI": f"http://127.0.0.1:{port}/", "ROS_IP": "127.0.0.1",
-        "ROSSEC_HOME": str(site.root), "ROSSEC_MASTER": name,
-    }  # fmt: skip
+        "ROS_MASTER_URI": f"http://127.0.0.1:{port}/",
+        "ROS_IP": "127.0.0.1",
+        "ROSSEC_HOME": str(site.root),
+        "ROSSEC_MASTER": name,
+    }
     command = [sys.executable, "-I", "-m", "rossec", "master", "--config", str(config)]
     named = [] if name == MASTER else ["--name", name]
     with running([*command, *named], environ, port) as started:

@@ -67,9 +67,11 @@ def habits(seconds: int = TRAINING, seed: int = 1) -> Habits:
     rooms = np.bincount(room_of(path[:, 0], path[:, 1]), minlength=6)
     x, y = path.mean(axis=0)
     return Habits(
-        occupied / occupied.sum(), moves / moves.sum(axis=1, keepdims=True),
-        (float(x), float(y)), int(rooms.argmax()),
-    )  # fmt: skip
+        occupied / occupied.sum(),
+        moves / moves.sum(axis=1, keepdims=True),
+        (float(x), float(y)),
+        int(rooms.argmax()),
+    )
 
 
 def _cells(path: Floats) -> npt.NDArray[np.intp]:
@@ -116,9 +118,7 @@ def rooms(reach: float) -> Likelihood:
     return likelihood
 
 
-def track(
-    streams: Sequence[tuple[Sequence[Told], Likelihood]], seconds: int, known: Habits
-) -> Floats:
+def track(streams: Sequence[tuple[Sequence[Told], Likelihood]], seconds: int, known: Habits) -> Floats:
     """For each second: x, y, and the number of the room, as an attacker believes afterwards.
 
     Of two streams that say the same at the same time one is used.

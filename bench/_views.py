@@ -7,10 +7,9 @@ from types import SimpleNamespace
 from typing import Any, Final
 
 from grants.decision import Decision
+from grants.filters.compile import preset
 from grants.filters.layout import Layout, parse
-from grants.filters.presets import preset
-from grants.guard import Guard
-from grants.memory import MemoryScope, MemoryStore
+from grants.guard import Guard, MemoryScope, MemoryStore
 from grants.model import Restriction, Right
 from rossec.participant.message_types import message_type
 

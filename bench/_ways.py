@@ -46,26 +46,24 @@ class Ways:
         self.site.enroll(MASTER).save_revocations(newest)
         self.plain, self.beyond = self.stock_master()[1], self.stock_master()[1]
         self.secure = self._master(_ROSSEC, "master")[1]
-        self._topics = {
-            **{f"/s{size}": (size, 0) for size in SIZES.values()},
-            "/slow": (100, _SLOW),
-        }
+        self._topics = {**{f"/s{size}": (size, 0) for size in SIZES.values()}, "/slow": (100, _SLOW)}
         self._tunnels: dict[tuple[str, str], list[int]] = {}
         for topic, (size, rate) in self._topics.items():
             self._talk(topic, size, rate)
         for topic in self._topics:
             self._tunnel(topic)
         masters = (self.plain, self.beyond, self.secure)
-        self._listeners = {
-            way: self._listen(way, uri) for way, uri in zip(WAYS, masters, strict=True)
-        }
+        self._listeners = {way: self._listen(way, uri) for way, uri in zip(WAYS, masters, strict=True)}
 
     def _env(self, uri: str) -> dict[str, str]:
         kept = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
         return kept | {
-            "ROS_MASTER_URI": uri, "ROS_IP": "127.0.0.1", "ROSSEC_HOME": str(self.site.root),
-            "ROS_HOME": str(self._directory), "ROS_LOG_DIR": str(self._directory),
-        }  # fmt: skip
+            "ROS_MASTER_URI": uri,
+            "ROS_IP": "127.0.0.1",
+            "ROSSEC_HOME": str(self.site.root),
+            "ROS_HOME": str(self._directory),
+            "ROS_LOG_DIR": str(self._directory),
+        }
 
     def start(self, uri: str, *command: str, pipes: bool = False) -> "subprocess.Popen[bytes]":
         """Run until the end of the benchmark."""
@@ -137,9 +135,7 @@ class Ways:
             process = self.start(self.beyond, shutil.which("stunnel4") or "stunnel", str(config))
             self._tunnels.setdefault(("stunnel", topic), []).append(process.pid)
         server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False, allow_none=True)
-        server.register_function(
-            lambda *_: [1, "ready", ["TCPROS", "127.0.0.1", near]], "requestTopic"
-        )
+        server.register_function(lambda *_: [1, "ready", ["TCPROS", "127.0.0.1", near]], "requestTopic")
         threading.Thread(target=server.serve_forever, daemon=True).start()
         self._stack.callback(server.shutdown)
         own_uri = f"http://127.0.0.1:{server.server_address[1]}/"
@@ -193,8 +189,24 @@ def _used(process: int) -> float:
 
 def _certificate(directory: Path) -> None:
     subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256",
-         "-nodes", "-subj", "/CN=bench", "-keyout", f"{directory}/key.pem",
-         "-out", f"{directory}/cert.pem", "-days", "2"],
-        check=True, capture_output=True,
-    )  # fmt: skip
+        [
+            "openssl",
+            "req",
+            "-x509",
+            "-newkey",
+            "ec",
+            "-pkeyopt",
+            "ec_paramgen_curve:P-256",
+            "-nodes",
+            "-subj",
+            "/CN=bench",
+            "-keyout",
+            f"{directory}/key.pem",
+            "-out",
+            f"{directory}/cert.pem",
+            "-days",
+            "2",
+        ],
+        check=True,
+        capture_output=True,
+    )

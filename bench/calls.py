@@ -22,8 +22,8 @@ from ca.certificates import TrustAnchor
 from grants.model import Right
 from rossec.errors import ChannelError, RossecError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
-from rossec.ros.callclient import CallClient
+from rossec.net.rpc.calls import RpcClient
+from rossec.ros.calls import CallClient
 from tests.support.site import Site
 
 WITHOUT: Final = {"/none": Right.SUBSCRIBE}
@@ -42,9 +42,7 @@ def _body(name: str) -> bytes:
     return calls.request("setParam", (name, f"{name}/big", [1] * (SIZE // 31)))
 
 
-async def _flood_one(
-    master: Master, node: EnrolledNode, anchor: TrustAnchor, *, shown: bool
-) -> None:
+async def _flood_one(master: Master, node: EnrolledNode, anchor: TrustAnchor, *, shown: bool) -> None:
     body = _body(node.name)
     while True:
         with contextlib.suppress(RossecError, OSError):
@@ -59,18 +57,14 @@ async def _flood_one(
 
 
 def _flood(
-    master: Master, nodes: list[EnrolledNode], anchor: TrustAnchor, count: int, shown: bool,
-    begun: Event,
-) -> None:  # fmt: skip
+    master: Master, nodes: list[EnrolledNode], anchor: TrustAnchor, count: int, shown: bool, begun: Event
+) -> None:
     os.nice(5)  # a real attacker has a computer of its own
 
     async def main() -> None:
         asyncio.get_running_loop().call_later(1, begun.set)
         await asyncio.gather(
-            *(
-                _flood_one(master, nodes[number % len(nodes)], anchor, shown=shown)
-                for number in range(count)
-            )
+            *(_flood_one(master, nodes[number % len(nodes)], anchor, shown=shown) for number in range(count))
         )
 
     asyncio.run(main())
@@ -87,9 +81,7 @@ async def _round_trips(client: RpcClient, name: str, seconds: float) -> list[flo
     return took
 
 
-async def _cut(
-    site: Site, stream: SecureStream[Any], node: EnrolledNode, sender: RpcClient
-) -> float:
+async def _cut(site: Site, stream: SecureStream[Any], node: EnrolledNode, sender: RpcClient) -> float:
     """Milliseconds from handing in the list that revokes `node` to the end of its connection."""
     revoked = site.revoke(node.identity.thumbprint)
     began = time.monotonic()

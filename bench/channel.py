@@ -24,7 +24,8 @@ from typing import Any, TypeAlias
 from bench import _site
 from ca.certificates import Identity
 from rossec.channel.connection import Connection
-from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.credentials import KnownCertificates
+from rossec.channel.edhoc.handshake import EdhocConfig
 from rossec.channel.edhoc.suites import HYBRID, POST_QUANTUM
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureContext, SecureStream, connect, serve
@@ -177,11 +178,7 @@ async def _measure(folder: Path, ports: tuple[int, int, int], seconds: float) ->
     async def request_x5t() -> Pipe:
         return Pipe(await connect("127.0.0.1", ports[2], SecureContext(own, verify, known=known)))
 
-    makers: Makers = {
-        "plain": plain,
-        "tls": secured,
-        "rossec": rossec,
-    }
+    makers: Makers = {"plain": plain, "tls": secured, "rossec": rossec}
     pipes = {name: await make() for name, make in makers.items()}
     others = {"hybrid": hybrid, "x5t": request_x5t}
     await _round(pipes, makers, others, defaultdict(list))
@@ -230,12 +227,9 @@ def _one_handshake(
 ) -> int:
     verify, now, random = _site.anchor(folder).verify, int(time.time()), secrets.token_bytes
     client, server = _site.credentials(folder, "client"), _site.credentials(folder, "server")
-    left = Connection[Identity].initiator(
-        client, verify, random=random, now=now, suites=suites, known=ours, request_x5t=request_x5t
-    )
-    right = Connection[Identity].responder(
-        server, verify, random=random, now=now, suites=suites, known=theirs
-    )
+    calling = EdhocConfig(client, verify, random, suites, known=ours, request_x5t=request_x5t)
+    left = Connection[Identity].initiator(calling, now=now)
+    right = Connection[Identity].responder(EdhocConfig(server, verify, random, suites, known=theirs), now=now)
     total = 0
     for _ in range(2):
         for sender, receiver in ((left, right), (right, left)):

@@ -96,9 +96,7 @@ def _medians(rounds: list[dict[str, float]]) -> dict[str, float]:
     return {key: round(statistics.median(each[key] for each in rounds)) for key in rounds[0]}
 
 
-def _shares(
-    site: ConsoleSite, count: int, cookies: dict[str, str], seconds: float
-) -> dict[str, float]:
+def _shares(site: ConsoleSite, count: int, cookies: dict[str, str], seconds: float) -> dict[str, float]:
     """Processor time of each process over the time that passed, while `count` pages are open."""
     named = {
         "authority": [site.authority.process.pid, *children_of(site.authority.process.pid)],
@@ -111,11 +109,7 @@ def _shares(
 
 
 async def _watched(
-    site: ConsoleSite,
-    named: dict[str, list[int]],
-    count: int,
-    cookies: dict[str, str],
-    seconds: float,
+    site: ConsoleSite, named: dict[str, list[int]], count: int, cookies: dict[str, str], seconds: float
 ) -> dict[str, float]:
     async with asyncio.TaskGroup() as group:
         streams = [group.create_task(_stream(site, cookies)) for _ in range(count)]

@@ -13,13 +13,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ca.authority import Authority, create_root
-from ca.certificates import build_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
 from ca.revocation import merkle
 from ca.revocation.merkle import Tree
-from ca.store.log_entries import digest_of
 from ca.store.record import Store
+from ca.store.values import digest_of
+from ca.svid import build_request
 from rossec.authority.signing import SigningAuthority
 
 NOW = 1_800_000_000
@@ -71,9 +71,7 @@ def rounds(authority: BenchAuthority, seconds: float) -> dict[str, list[float]]:
                 timed(lambda: authority.authority.issue(request, now=NOW, serial=serial))  # noqa: B023
             )
             taken["issue"].append(timed(lambda: authority.open.issue(request, NOW)))  # noqa: B023
-            taken["log"].append(
-                timed(lambda: authority.store.log_event("bench", "/a", "entry", NOW))
-            )
+            taken["log"].append(timed(lambda: authority.store.log_event("bench", "/a", "entry", NOW)))
     return taken
 
 

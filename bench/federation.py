@@ -20,7 +20,7 @@ from bench._foreign import chains, handshakes
 from bench._latency import percentile
 from bench._masters import Master
 from bench._sites import TYPE, Meter, Slave, enroll_masters, master, register_facts, slave
-from rossec.participant.graph_view import METHOD, GraphView
+from rossec.participant.registrations import WATCH_GRAPH, GraphView
 from rossec.ros.names import MASTER
 from tests.support.site import Site
 
@@ -118,7 +118,7 @@ async def _watched(tool: Slave, facts: int) -> float:
     """When a watcher knows so many facts."""
     view = GraphView()
     while len(view.facts) < facts:
-        view.take(await tool.ask(METHOD, *view.next_params))
+        view.take(await tool.ask(WATCH_GRAPH, *view.next_params))
     return time.perf_counter()
 
 
@@ -131,9 +131,7 @@ async def memory(site: Site) -> float:
             for number, other in enumerate(others.values()):
                 node = await stack.enter_async_context(slave(site, f"/m{number}", other.port))
                 await register_facts(node, 1000)
-            follows = {
-                name.rpartition("/")[2]: (name, other.port) for name, other in others.items()
-            }
+            follows = {name.rpartition("/")[2]: (name, other.port) for name, other in others.items()}
             alone = await _memory_with(site, {}, 0)
             return (await _memory_with(site, follows, SITES * 1000) - alone) / 1000
 

@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
 from bench import policy
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
 from grants.conditions.compile import compile_condition
 from grants.document import open_grant, sign
 from grants.filters.compile import compile_filter
@@ -40,9 +40,7 @@ def measure(seconds: float) -> dict[str, object]:
     first, verify, raw, signing = _verify(each)
     return {
         "filter_us": {name: round(wire, 3) for name, (wire, _) in figures.items()},
-        "filter_vs_genpy": {
-            name: round(genpy / wire, 2) for name, (wire, genpy) in figures.items()
-        },
+        "filter_vs_genpy": {name: round(genpy / wire, 2) for name, (wire, genpy) in figures.items()},
         "condition_us": {name: round(us, 3) for name, us in _conditions(each).items()},
         "verify_us": round(verify, 1),
         "verify_vs_raw": round(verify / raw, 3),
@@ -78,9 +76,7 @@ def _serialized(message: Any) -> bytes:
     return buffer.getvalue()
 
 
-def _filter(
-    message: Any, rules: Rules, change: Callable[[Any], None], seconds: float
-) -> tuple[float, float]:
+def _filter(message: Any, rules: Rules, change: Callable[[Any], None], seconds: float) -> tuple[float, float]:
     kind, data = type(message), _serialized(message)
     compiled = compile_filter(_layout(kind), filter_rules(rules))
 
@@ -142,11 +138,7 @@ def _cases() -> dict[str, Case]:
             change_odometry,
         ),
         "Image 1 MiB": (image, {"header.frame_id": clear}, clear_frame),
-        "DiagnosticArray": (
-            _diagnostics(),
-            {"status[*].values": {"drop": True}},
-            drop_values,
-        ),
+        "DiagnosticArray": (_diagnostics(), {"status[*].values": {"drop": True}}, drop_values),
         "Path 200": (
             _message("nav_msgs/Path", poses=[pose] * 200),
             {"poses[*].pose.position": half},
@@ -209,14 +201,20 @@ def _verify(seconds: float) -> tuple[float, float, float, float]:
     )
     drafts = [
         Draft(
-            "home", "/heating", bytes(32), NOW - 60, NOW + 60, NOW + 60, n.to_bytes(16),
+            "home",
+            "/heating",
+            bytes(32),
+            NOW - 60,
+            NOW + 60,
+            NOW + 60,
+            n.to_bytes(16),
             (
                 Permission(f"/robot{n}/pose", Right.SUBSCRIBE, coarse),
                 Permission("/heating/**", Right.PUBLISH),
             ),
         )
         for n in range(600)
-    ]  # fmt: skip
+    ]
     tokens = [sign(signer, draft) for draft in drafts]
     new = itertools.cycle(tokens)  # more scopes than are remembered: every one is read anew
     data, draft = tokens[0], drafts[0]

@@ -45,9 +45,7 @@ def _server(folder: Path, ports: "Queue[int]") -> None:
 
     async def main() -> None:
         own = _site.credentials(folder, "server")
-        async with serve(
-            echo, "127.0.0.1", 0, SecureContext(own, _site.anchor(folder).verify)
-        ) as server:
+        async with serve(echo, "127.0.0.1", 0, SecureContext(own, _site.anchor(folder).verify)) as server:
             ports.put(server.port)
             await asyncio.Event().wait()
 

@@ -23,13 +23,7 @@ from typing import Any
 
 from bench import _population
 from bench._callers import caller_cpu
-from bench._latency import (
-    node_environ,
-    percentile,
-    plain_updates,
-    revocation,
-    secure_updates,
-)
+from bench._latency import node_environ, percentile, plain_updates, revocation, secure_updates
 from bench._lines import Call, CompactLine, Line, SecureLine, drive, request
 from bench._masters import EnrolledNode, Master, enroll, ours, stock
 from rossec.master.server.server import TIMESTAMP_EVERY
@@ -56,18 +50,14 @@ def works(names: list[str], count: int) -> dict[str, Work]:
         return f"/n{(37 * i + k) % count}"
 
     return {
-        "registerPublisher": lambda k, i: (
-            "registerPublisher", names[k], f"{names[k]}/t{i}", TYPE, uri(k)
-        ),
-        "unregisterPublisher": lambda k, i: (
-            "unregisterPublisher", names[k], f"{names[k]}/t{i}", uri(k)
-        ),
+        "registerPublisher": lambda k, i: ("registerPublisher", names[k], f"{names[k]}/t{i}", TYPE, uri(k)),
+        "unregisterPublisher": lambda k, i: ("unregisterPublisher", names[k], f"{names[k]}/t{i}", uri(k)),
         "lookupNode": lambda k, i: ("lookupNode", names[k], other(k, i)),
         "lookupService": lambda k, i: ("lookupService", names[k], f"{other(k, i)}/reset"),
         "setParam": lambda k, i: ("setParam", names[k], f"{names[k]}/p{i % 20}", i),
         "getParam": lambda k, i: ("getParam", names[k], f"{other(k, i)}/rate"),
         "getSystemState": lambda k, _: ("getSystemState", names[k]),
-    }  # fmt: skip
+    }
 
 
 class Side:
@@ -81,9 +71,7 @@ class Side:
 
     def run(self, name: str, work: Work, each: int) -> None:
         """One block: calls per second of wall clock and of the master's processor time."""
-        requests = [
-            [line.write(work(k, i)) for i in range(each)] for k, line in enumerate(self.lines)
-        ]
+        requests = [[line.write(work(k, i)) for i in range(each)] for k, line in enumerate(self.lines)]
         calls, used = each * len(self.lines), self.master.cpu()
         self.wall[name].append(calls / drive(self.lines, requests))
         self.cpu[name].append((self.master.cpu() - used) / calls)
@@ -159,9 +147,7 @@ def operations(site: Site, folder: Path, count: int, seconds: float) -> dict[str
             "compact_cpu_vs_xmlrpc": _rounded(
                 {name: sum(used) / sum(xml.cpu[name]) for name, used in small.cpu.items()}
             ),
-            "compact_bytes": {
-                name: sizes(lines, work) for name, work in works(names, count).items()
-            },
+            "compact_bytes": {name: sizes(lines, work) for name, work in works(names, count).items()},
             "compact_caller_cpu_vs_xmlrpc": caller_cpu(
                 secured,
                 callers[0],
@@ -217,9 +203,7 @@ def revocations(site: Site) -> dict[str, Any]:
             taken = asyncio.run(revocation(site, node_environ(site, master), count))
         figures = {"p50": 0.5, "p90": 0.9, "p99": 0.99, "max": 1.0}
         found[count] = {name: percentile(taken, share) for name, share in figures.items()}
-    return {
-        "revoke_ms": found, "revoke_ms_p50": found[100]["p50"], "revoke_ms_p99": found[100]["p99"],
-    }  # fmt: skip
+    return {"revoke_ms": found, "revoke_ms_p50": found[100]["p50"], "revoke_ms_p99": found[100]["p99"]}
 
 
 def measure(seconds: float) -> dict[str, Any]:

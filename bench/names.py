@@ -9,13 +9,13 @@ import statistics
 import time
 from typing import Any, Final
 
-from rossec.naming import shipped
-from rossec.naming.metadata import Kind
-from rossec.naming.runner import RuleRunner
+from rossec.naming import rule_runner
+from rossec.naming.requests import NameKind
+from rossec.naming.rule_runner import RuleRunner
 
 GOAL: Final = 10.0  # milliseconds, the median of a warm name
 _WAYS: Final = 5
-_TOPIC: Final = (Kind.TOPIC, "accelerometer")
+_TOPIC: Final = (NameKind.TOPIC, "accelerometer")
 
 
 def measure(seconds: float) -> dict[str, Any]:
@@ -24,11 +24,11 @@ def measure(seconds: float) -> dict[str, Any]:
 
 
 async def _measure(seconds: float) -> dict[str, Any]:
-    rules, phone = shipped.rules(), shipped.example("phone.xml")
+    rules, phone = rule_runner.shipped_rules(), rule_runner.shipped_example("phone.xml")
     result: dict[str, Any] = {"start_and_one_name": await _cold(rules, phone, seconds)}
     async with RuleRunner(rules, children=4) as runner:
         warm = await _repeat(lambda: runner.name(phone, *_TOPIC), seconds)
-        every = [(Kind.NODE, ""), _TOPIC, (Kind.TOPIC, "temperature")]
+        every = [(NameKind.NODE, ""), _TOPIC, (NameKind.TOPIC, "temperature")]
         result |= {
             "warm": warm,
             "three_names_of_one_node": await _repeat(lambda: runner.names(phone, every), seconds),
@@ -49,9 +49,7 @@ async def _cold(rules: bytes, phone: bytes, seconds: float) -> dict[str, float]:
 async def _four(runner: RuleRunner, phone: bytes, seconds: float) -> dict[str, float]:
     """Each of four asks as soon as it was answered."""
     started = time.perf_counter()
-    found = await asyncio.gather(
-        *(_repeat(lambda: runner.name(phone, *_TOPIC), seconds) for _ in range(4))
-    )
+    found = await asyncio.gather(*(_repeat(lambda: runner.name(phone, *_TOPIC), seconds) for _ in range(4)))
     passed = time.perf_counter() - started
     return {
         "median": statistics.median(each["median"] for each in found),

@@ -24,10 +24,10 @@ from bench._overlay import ECHO, ONE_ROUTER, RAW, RAW_BACK, SINK, TWO_ROUTERS, P
 from ca.certificates import Identity
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureStream, connect
+from rossec.overlay.documents import OPEN_SEAT, Routers
 from rossec.overlay.endpoint import dial_link
-from rossec.overlay.routers import OPEN_SEAT, Routers
+from rossec.overlay.router_settings import client_settings
 from rossec.overlay.zenoh_carrier import Carrier, open_session
-from rossec.overlay.zenoh_settings import client_settings
 
 SIZES: Final = {100: 200, 10_000: 200, 1_000_000: 20}  # and how many echoes are a sample
 VOLUME: Final = {100: 200_000, 10_000: 8_000_000, 1_000_000: 64_000_000}  # bytes of a sample
@@ -147,9 +147,7 @@ async def compare(seconds: float) -> dict[str, Any]:
     return _report(latencies, throughputs, handshakes)
 
 
-def _report(
-    latencies: Samples, throughputs: Samples, handshakes: dict[str, float]
-) -> dict[str, Any]:
+def _report(latencies: Samples, throughputs: Samples, handshakes: dict[str, float]) -> dict[str, Any]:
     sealed, raw = latencies["router1"], latencies["raw_router1"]
     return {
         "latency_us": {

@@ -4,15 +4,7 @@ import time
 
 from grants.model import Right
 from grants.policy.decision import Decider
-from grants.policy.model import (
-    Clause,
-    Defaults,
-    Effect,
-    Policy,
-    PolicyRule,
-    Subject,
-    SubjectPattern,
-)
+from grants.policy.model import Clause, Defaults, Effect, Policy, PolicyRule, Subject, SubjectPattern
 
 SIZES = (10, 1_000, 10_000)
 _QUESTIONS = 10  # the same number for every size: caches of the processor are not the subject
@@ -21,10 +13,14 @@ _QUESTIONS = 10  # the same number for every size: caches of the processor are n
 def policy(rules: int) -> Policy:
     """One rule for each of so many nodes and topics, and a denial for every node."""
     made = [
-        PolicyRule(f"r{n}", Effect.ALLOW, (SubjectPattern("w", f"/node{n}"),),
-             (Clause(Right.SUBSCRIBE, f"/robot{n}/pose"),))
+        PolicyRule(
+            f"r{n}",
+            Effect.ALLOW,
+            (SubjectPattern("w", f"/node{n}"),),
+            (Clause(Right.SUBSCRIBE, f"/robot{n}/pose"),),
+        )
         for n in range(rules)
-    ]  # fmt: skip
+    ]
     deny = PolicyRule(
         "d", Effect.DENY, (SubjectPattern("*", "/**"),), (Clause(Right.SUBSCRIBE, "/camera/**"),)
     )

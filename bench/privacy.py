@@ -86,8 +86,7 @@ def measure(seconds: float, *, quick: bool = False) -> dict[str, object]:
     days = DAYS[:2] if quick else DAYS
     return {
         **positions(3600, TRAINING, days=days),
-        "outdoors": {level: driven(level, range(2, 4 if quick else 12), 8)
-                     for level in ("room", "area")},
+        "outdoors": {level: driven(level, range(2, 4 if quick else 12), 8) for level in ("room", "area")},
         "joints-of-wheels": wheels(3600),
         "sends-when-it-moves": movements(8 * 3600),
         "presence-only": watched(by_preset("presence-only", "std_msgs/String"), 8 * 3600),
@@ -98,18 +97,14 @@ def measure(seconds: float, *, quick: bool = False) -> dict[str, object]:
             for size in ((64,) if quick else (64, 96, 128, 192))
         },
         "network": observed(days, 3600),
-    }  # fmt: skip
+    }
 
 
 def positions(
-    seconds: int, training: int, names: Sequence[str] = tuple(POSITIONS),
-    days: Sequence[int] = DAYS,
-) -> dict[str, Scores]:  # fmt: skip
+    seconds: int, training: int, names: Sequence[str] = tuple(POSITIONS), days: Sequence[int] = DAYS
+) -> dict[str, Scores]:
     """The error in metres and the share of right rooms, by name."""
-    return {
-        name: compared(_reading(POSITIONS[name], seconds, training), days, seconds)
-        for name in names
-    }
+    return {name: compared(_reading(POSITIONS[name], seconds, training), days, seconds) for name in names}
 
 
 def _reading(view: View, seconds: int, training: int) -> Reading:

@@ -160,9 +160,12 @@ class Pair:
 async def talking(env: dict[str, str], source: str, *arguments: str) -> AsyncIterator[Program]:
     """A program that reads commands on its standard input."""
     process = await asyncio.create_subprocess_exec(
-        *stock.python(source, *arguments), env=env, stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE, limit=1 << 20,
-    )  # fmt: skip
+        *stock.python(source, *arguments),
+        env=env,
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        limit=1 << 20,
+    )
     try:
         yield Program(process)
     finally:
@@ -189,10 +192,7 @@ def tunnel(folder: Path, inner: int, outer: int) -> Any:
     middle = _free_port()
     common = _COMMON
     verify = f"CAfile = {folder}/root.pem\nverifyChain = yes\n"
-    sides = {
-        "server": _service(middle, inner),
-        "client": _service(outer, middle) + "client = yes\n",
-    }
+    sides = {"server": _service(middle, inner), "client": _service(outer, middle) + "client = yes\n"}
     running = []
     try:
         for side, service in sides.items():
@@ -210,9 +210,7 @@ def tunnel(folder: Path, inner: int, outer: int) -> Any:
 def _plan(step: float | None) -> Restriction | None:
     if step is None:
         return None
-    rules = filter_rules(
-        {"pose.position": {"round": {"step": step}}, "header.frame_id": {"clear": True}}
-    )
+    rules = filter_rules({"pose.position": {"round": {"step": step}}, "header.frame_id": {"clear": True}})
     return Restriction(type="geometry_msgs/PoseStamped", filters=rules)
 
 

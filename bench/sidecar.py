@@ -119,13 +119,9 @@ def measure(seconds: float) -> dict[str, Any]:
         "throughput_vs_stunnel": heard.throughput_versus("stunnel"),
         "throughput_vs_plain": heard.throughput_versus("plain"),
         "spread": {
-            f"{label} vs {other}": heard.spread(label, other)
-            for label in SIZES
-            for other in WAYS[:2]
+            f"{label} vs {other}": heard.spread(label, other) for label in SIZES for other in WAYS[:2]
         },
-        "cpu_us": {
-            way: {label: heard.middle(way, label, "cpu_us") for label in topics} for way in WAYS[1:]
-        },
+        "cpu_us": {way: {label: heard.middle(way, label, "cpu_us") for label in topics} for way in WAYS[1:]},
         "latency_us_p50": {way: heard.middle(way, "slow", "age_us") for way in WAYS},
         "latency_added_us_p50": heard.added("sidecar"),
         "latency_added_by_stunnel_us_p50": heard.added("stunnel"),

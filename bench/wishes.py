@@ -23,9 +23,9 @@ from typing import Any, Final
 
 from grants.model import Right
 from rossec.node import Node
-from rossec.participant.deflating import deflated
+from rossec.participant.delivery import deflated
 from rossec.participant.message_types import message_type
-from rossec.sidecar.processes import descendants, parents
+from rossec.sidecar.callers import descendants, parents
 from tests.integration.sidecarworld import ROSSEC
 from tests.support.fleet import SECURE, Program, entitle, environment
 from tests.support.kinds import KINDS, command
@@ -33,8 +33,11 @@ from tests.support.site import Site
 from tests.support.witness import until
 
 WISHES: Final[dict[str, dict[str, Any]]] = {
-    "none": {}, "rate": {"rate": 10_000}, "newest": {"newest": True}, "deflate": {"deflate": True},
-}  # fmt: skip
+    "none": {},
+    "rate": {"rate": 10_000},
+    "newest": {"newest": True},
+    "deflate": {"deflate": True},
+}
 SIZES: Final = {"100 B": 100, "10 kB": 10_000, "1 MB": 1_000_000}
 MESSAGES: Final = {"100 B": 200, "10 kB": 200, "1 MB": 20}  # of a turn
 _PAUSE: Final = 0.0005  # seconds between messages: below the rate that is wished
@@ -81,9 +84,11 @@ async def _publishers(site: Site, logs: Path) -> AsyncIterator[dict[str, Program
             entitle(site, f"/{kind}_bench", {Right.PUBLISH: (f"/{kind}/*",)})
             line = command(kind, sys.executable, ROSSEC, PUBLISHERS[kind])
             process = await asyncio.create_subprocess_exec(
-                *line, env=environment(site, logs),
-                stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
-            )  # fmt: skip
+                *line,
+                env=environment(site, logs),
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+            )
             stack.push_async_callback(_end, process)
             found[kind] = Program(process)
         for program in found.values():
@@ -98,9 +103,7 @@ async def _end(process: asyncio.subprocess.Process) -> None:
     await process.communicate()
 
 
-async def _turn(
-    node: Node, kind: str, program: Program, size: str, wish: str
-) -> tuple[float, float]:
+async def _turn(node: Node, kind: str, program: Program, size: str, wish: str) -> tuple[float, float]:
     """Seconds for each message until it has arrived, and of processors for it."""
     subscriber = await node.subscriber(f"/{kind}/bench", TYPE, **WISHES[wish])
     arrived = subscriber.raw()
@@ -129,10 +132,7 @@ async def _turn(
 async def _sample(folder: Path, seconds: float) -> dict[str, Any]:
     times: dict[tuple[str, str, str], list[float]] = defaultdict(list)
     work: dict[tuple[str, str, str], list[float]] = defaultdict(list)
-    async with (
-        Site(folder / "site").running() as site,
-        _publishers(site, folder) as publishers,
-    ):
+    async with Site(folder / "site").running() as site, _publishers(site, folder) as publishers:
         site.subscribe("/listener", "/*/bench")
         async with site.node("/listener") as node:
             end, rounds = time.monotonic() + seconds, 0
@@ -159,8 +159,7 @@ Samples = dict[tuple[str, str, str], list[float]]
 
 def _table(samples: Samples, wish: str) -> dict[str, dict[str, float]]:
     return {
-        kind: {size: round(median(samples[kind, size, wish]) * 1e6, 1) for size in SIZES}
-        for kind in KINDS
+        kind: {size: round(median(samples[kind, size, wish]) * 1e6, 1) for size in SIZES} for kind in KINDS
     }
 
 

@@ -1,36 +1,44 @@
 """The authority: creates a trust domain's root, and issues certificates to its nodes.
 
 It issues exactly what a request shows (name and key) and nothing the approver did not see; a
-wildcard tail only if the approver asks for it. Time and randomness are arguments: `now`, and
-serials of 128 random bits. Whether an identity may be issued is decided by the store and the
-operator.
+wildcard tail only if the approver asks for it. Time and randomness are arguments. What a signer is
+given is read before the key signs it: of the bytes of a TBSCertificate (RFC 5280 section 4.1) only
+the two forms that an authority issues are accepted, for its own trust domain and issuer.
 """
 
 from datetime import UTC, datetime
-from typing import Final
+from typing import Final, NamedTuple
 
 from cryptography import x509
-from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
 
-from ca.certificates import Identity, TrustAnchor
-from ca.errors import IssueRefused
-from ca.intermediates import Intermediate, check_intermediate_request, policy
-from ca.keys.publickey import require_p256, thumbprint
-from ca.keys.signer import Signer
-from ca.keys.x509signer import X509Signer
-from ca.names import check_domain, check_wildcard, spiffe_id
-from ca.renewal import BACKDATE, Renewal
-from ca.requests import check_request
-from ca.svid import SCHEME, WILDCARD, WILDCARD_VALUE
+from ca import svid
+from ca.certificates import (
+    BACKDATE,
+    Identity,
+    Intermediate,
+    Renewal,
+    TrustAnchor,
+    check_intermediate_request,
+    policy,
+)
+from ca.errors import CertificateRefused, IssueRefused, NameRefused
+from ca.keys.passphrases import SEQUENCE, der
+from ca.keys.signing import Signer, require_p256, thumbprint
+from ca.names import SCHEME, check_domain, check_wildcard, parse_spiffe_id, spiffe_id
+from ca.svid import WILDCARD, WILDCARD_VALUE, check_request
 
 DAY: Final = 86_400
 LIFETIME: Final = 30 * DAY
 MAX_LIFETIME: Final = 366 * DAY
 ROOT_LIFETIME: Final = 3650 * DAY
 _SERIAL_LIMIT: Final = 1 << 128
+
+# AlgorithmIdentifier: ecdsa-with-SHA256, without parameters (RFC 5758 section 3.2).
+_ECDSA_WITH_SHA256: Final = bytes.fromhex("300a06082a8648ce3d040302")
+# A BIT STRING of no unused bits with an ECDSA-Sig-Value of r = s = 1: nothing verifies it.
+_NO_SIGNATURE: Final = bytes.fromhex("0309003006020101020101")
 
 
 class Authority:
@@ -39,21 +47,16 @@ class Authority:
     `anchor` is the root that nodes trust, `chain` follows each leaf (empty, or the intermediate).
     """
 
-    def __init__(
-        self, signer: Signer, certificate: bytes, intermediate: bytes | None = None
-    ) -> None:
-        """Combine the key with the root's certificate (DER), or with an intermediate's below it.
-
-        Raises:
-            CertificateRefused: not an authority's certificate.
-            IssueRefused: it belongs to another key.
-        """
+    def __init__(self, signer: Signer, certificate: bytes, intermediate: bytes | None = None) -> None:
+        """Combine the key with the root's certificate (DER), or with an intermediate's below it."""
         self.anchor = TrustAnchor.load(certificate)
         self.issuer: TrustAnchor | Intermediate = self.anchor
         self.chain: tuple[bytes, ...] = ()
         self.may_enroll = True
         if intermediate is not None:
-            self._load_intermediate(intermediate)
+            # Its validity is checked at each use, by `_period`.
+            found = self.anchor.read_intermediate(intermediate)
+            self.issuer, self.chain, self.may_enroll = found, (intermediate,), found.may_enroll
         if thumbprint(signer.public_key) != self.issuer.thumbprint:
             raise IssueRefused(
                 "the authority's certificate belongs to another key",
@@ -61,35 +64,18 @@ class Authority:
             )
         self.signer = signer
 
-    def _load_intermediate(self, der: bytes) -> None:
-        # Its validity is checked at each use, by `_period`.
-        found = self.anchor.read_intermediate(der)
-        self.issuer, self.chain, self.may_enroll = found, (der,), found.may_enroll
-
     @property
     def is_root(self) -> bool:
-        """Whether this is the trust domain's root, which alone can revoke."""
         return self.issuer is self.anchor
 
     def issue(
-        self,
-        csr: bytes,
-        *,
-        now: int,
-        serial: int,
-        lifetime: int = LIFETIME,
-        wildcard: bool = False,
+        self, csr: bytes, *, now: int, serial: int, lifetime: int = LIFETIME, wildcard: bool = False
     ) -> bytes:
         """Return the certificate (DER) that `csr` requests, valid for `lifetime` seconds.
 
         It is backdated by an hour and ends with the authority's own certificate at the latest.
         `serial` is 128 random bits. With `wildcard` the identity also covers the names of
         anonymous nodes (`ca.names.covers`), whether the request asks for that or not.
-
-        Raises:
-            RequestRefused: the request is invalid.
-            NameRefused: this name cannot have a wildcard tail.
-            IssueRefused: serial or lifetime out of range, or the authority itself is not valid now.
         """
         if not self.may_enroll:
             raise IssueRefused(
@@ -97,16 +83,10 @@ class Authority:
                 "enroll at the root, or make an intermediate that may enroll",
             )
         request = check_request(csr, self.anchor.domain, wildcard=wildcard)
-        return self._issue(
-            request.name, request.public_key, now, serial, lifetime, wildcard=wildcard
-        )
+        return self._issue(request.name, request.public_key, now, serial, lifetime, wildcard=wildcard)
 
     def renew(self, renewal: Renewal, *, now: int, serial: int, lifetime: int = LIFETIME) -> bytes:
-        """Return the successor (DER) of an identity, with at most the same lifetime.
-
-        Raises:
-            IssueRefused: as `issue`, but an intermediate needs no permission to enroll.
-        """
+        """Return the successor (DER) of an identity, with at most the same lifetime."""
         key, longest = renewal.request.public_key, min(lifetime, renewal.max_lifetime)
         return self.reissue(renewal.identity, key, now=now, serial=serial, lifetime=longest)
 
@@ -119,22 +99,13 @@ class Authority:
         serial: int,
         lifetime: int = LIFETIME,
     ) -> bytes:
-        """Return a successor (DER) of `identity` for `key`; the caller has authorized it.
-
-        Raises:
-            IssueRefused: as `issue`, but an intermediate needs no permission to enroll.
-        """
+        """Return a successor (DER) of `identity` for `key`; the caller has authorized it."""
         return self._issue(identity.name, key, now, serial, lifetime, wildcard=identity.wildcard)
 
     def issue_intermediate(
         self, csr: bytes, *, now: int, serial: int, may_enroll: bool, lifetime: int
     ) -> bytes:
-        """Return the certificate (DER) of an intermediate; `may_enroll` sets its policy.
-
-        Raises:
-            RequestRefused: the request is invalid.
-            IssueRefused: this is not a root, or its form has no intermediates, or as `issue`.
-        """
+        """Return the certificate (DER) of an intermediate; `may_enroll` sets its policy."""
         key = check_intermediate_request(csr, self.anchor.domain)
         if not self.is_root or self.anchor.path_length == 0:
             raise IssueRefused(
@@ -144,7 +115,7 @@ class Authority:
         _check_serial(serial)
         start, end = self._period(now, lifetime)
         builder = _authority(key, serial, start, end, self.anchor.domain, below=0)
-        return _sign(
+        return svid.sign(
             builder.issuer_name(self.anchor.subject)
             .add_extension(policy(may_enroll=may_enroll), critical=False)
             .add_extension(_issuer_key(self.anchor.public_key), critical=False),
@@ -163,7 +134,7 @@ class Authority:
     ) -> bytes:
         _check_serial(serial)
         start, end = self._period(now, lifetime)
-        uri = spiffe_id(self.anchor.domain, name)
+        uri = svid.alternative_name(spiffe_id(self.anchor.domain, name))
         builder = (
             _builder(key, serial, start, end)
             .subject_name(x509.Name([]))
@@ -171,14 +142,15 @@ class Authority:
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
             .add_extension(_usage(authority=False), critical=True)
             # Critical because the subject is empty (RFC 5280 section 4.1.2.6).
-            .add_extension(_name(uri), critical=True)
+            .add_extension(uri, critical=True)
             .add_extension(_issuer_key(self.issuer.public_key), critical=False)
         )
         if wildcard:
             check_wildcard(name)
-            tail = x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE)
-            builder = builder.add_extension(tail, critical=False)
-        return _sign(builder, self.signer)
+            builder = builder.add_extension(
+                x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE), critical=False
+            )
+        return svid.sign(builder, self.signer)
 
     def _period(self, now: int, lifetime: int) -> tuple[int, int]:
         if not 0 < lifetime <= MAX_LIFETIME:
@@ -197,44 +169,33 @@ class Authority:
 
 
 def create_root(signer: Signer, domain: str, *, now: int, serial: int) -> bytes:
-    """Return a new root certificate (DER) for `domain`, valid for ten years.
-
-    Raises:
-        NameRefused: `domain` is not a trust domain.
-        IssueRefused: the serial is out of range.
-    """
     check_domain(domain)
     _check_serial(serial)
     key = require_p256(signer.public_key)
     builder = _authority(key, serial, now - BACKDATE, now + ROOT_LIFETIME, domain, below=1)
-    return _sign(builder.issuer_name(_subject_name(key)), signer)
+    return svid.sign(builder.issuer_name(_subject_name(key)), signer)
 
 
 def _authority(
     key: ec.EllipticCurvePublicKey, serial: int, start: int, end: int, domain: str, *, below: int
 ) -> x509.CertificateBuilder:
-    """The common part of a root and an intermediate."""
     return (
         _builder(key, serial, start, end)
         .subject_name(_subject_name(key))
         .add_extension(x509.BasicConstraints(ca=True, path_length=below), critical=True)
         .add_extension(_usage(authority=True), critical=True)
-        .add_extension(_name(f"{SCHEME}{domain}"), critical=False)
+        .add_extension(svid.alternative_name(f"{SCHEME}{domain}"), critical=False)
         .add_extension(x509.SubjectKeyIdentifier(_key_identifier(key)), critical=False)
     )
 
 
 def _subject_name(key: ec.EllipticCurvePublicKey) -> x509.Name:
-    """A name that differs for every key, so that a foreign issuer is recognized by its name."""
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"rossec {_short(key)}")])
-
-
-def _short(key: ec.EllipticCurvePublicKey) -> str:
-    return thumbprint(key)[:8].hex()
+    # A name that differs for every key, so that a foreign issuer is recognized by its name.
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"rossec {thumbprint(key)[:8].hex()}")])
 
 
 def _key_identifier(key: ec.EllipticCurvePublicKey) -> bytes:
-    """RFC 7093 allows any short digest of the key; ours is the start of its thumbprint."""
+    # RFC 7093 allows any short digest of the key; ours is the start of its thumbprint.
     return thumbprint(key)[:20]
 
 
@@ -247,9 +208,7 @@ def _check_serial(serial: int) -> None:
         raise IssueRefused("a serial is a positive number of 128 bits", "use secrets.randbits(128)")
 
 
-def _builder(
-    key: ec.EllipticCurvePublicKey, serial: int, start: int, end: int
-) -> x509.CertificateBuilder:
+def _builder(key: ec.EllipticCurvePublicKey, serial: int, start: int, end: int) -> x509.CertificateBuilder:
     return (
         x509.CertificateBuilder()
         .serial_number(serial)
@@ -257,14 +216,6 @@ def _builder(
         .not_valid_before(datetime.fromtimestamp(start, UTC))
         .not_valid_after(datetime.fromtimestamp(end, UTC))
     )
-
-
-def _sign(builder: x509.CertificateBuilder, signer: Signer) -> bytes:
-    return builder.sign(X509Signer(signer), hashes.SHA256()).public_bytes(Encoding.DER)
-
-
-def _name(uri: str) -> x509.SubjectAlternativeName:
-    return x509.SubjectAlternativeName([x509.UniformResourceIdentifier(uri)])
 
 
 def _usage(*, authority: bool) -> x509.KeyUsage:
@@ -279,3 +230,34 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
         encipher_only=False,
         decipher_only=False,
     )
+
+
+class UnsignedCertificate(NamedTuple):
+    name: str
+    is_intermediate: bool
+
+
+def read_unsigned(content: bytes, issuer: x509.Name, domain: str) -> UnsignedCertificate:
+    """Read a TBSCertificate (DER) that `issuer`, an authority of `domain`, is to sign."""
+    # Completed with an empty signature, it is parsed as every certificate is.
+    certificate = svid.parse(der(SEQUENCE, content, _ECDSA_WITH_SHA256, _NO_SIGNATURE))
+    found = svid.certificate_signature(certificate, issuer)
+    if found is None or found.content != content:
+        raise CertificateRefused("a certificate of another issuer, algorithm or form")
+    svid.key_of(certificate)
+    svid.validity(certificate)
+    extensions = svid.extensions(certificate)
+    if svid.is_authority(extensions):
+        svid.check_intermediate(extensions)
+        if svid.trust_domain(extensions) != domain:
+            raise CertificateRefused("an intermediate of another trust domain")
+        return UnsignedCertificate(domain, is_intermediate=True)
+    svid.check_leaf(extensions)
+    svid.has_wildcard(extensions)
+    try:
+        of_domain, name = parse_spiffe_id(svid.only_uri(extensions))
+    except NameRefused as error:
+        raise CertificateRefused(f"a certificate whose name is invalid: {error}") from error
+    if of_domain != domain:
+        raise CertificateRefused("an identity of another trust domain")
+    return UnsignedCertificate(name, is_intermediate=False)

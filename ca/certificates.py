@@ -1,15 +1,16 @@
 """Certificates: from untrusted bytes to the verified identity of a peer, or a refusal.
 
-The form is the X.509-SVID of SPIFFE without its options: P-256 and SHA-256 only, exactly one
-URI name, not a CA, one key usage, issued by the trust anchor or by one intermediate of it.
-A chain is one or two certificates in this order: there is no path building, where verifiers
-have most of their bugs. The signature is checked before any content is trusted; size before
-parsing.
+The form is the X.509-SVID of SPIFFE without its options (`ca.svid`), issued by the trust anchor or
+by one intermediate. A chain is one or two certificates in this order: there is no path building,
+where verifiers have most of their bugs. The signature is checked before any content is trusted;
+size before parsing. A valid identity requests its successor without operator action: the CSR proves
+possession of the new key, the old key's signature around it the right to the name.
 """
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from typing import Final, NamedTuple, Self
 
 from cryptography import x509
@@ -17,65 +18,198 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from ca import svid
-from ca.domains.aliases import refuse_alias
+from ca.encoding import Value
 from ca.errors import (
+    CertificateExpired,
+    CertificateNotYetValid,
     CertificateRefused,
+    EncodingError,
     ForeignCertificate,
     NameRefused,
+    RenewalRefused,
+    RequestRefused,
+    SignatureError,
 )
-from ca.intermediates import Intermediate, read_intermediate
-from ca.keys.publickey import thumbprint
-from ca.names import check_wildcard, covers, parse_spiffe_id
-from ca.requests import MAX_REQUEST, IdentityRequest, build_request, check_request
-from ca.svid import MAX_CERTIFICATE
-from ca.validity import check_time, way_back
+from ca.keys.signing import Profile, Signer, thumbprint
+from ca.names import SCHEME, check_domain, check_wildcard, covers, parse_spiffe_id, refuse_alias
+from ca.svid import (
+    MAX_CERTIFICATE,
+    MAX_REQUEST,
+    IdentityRequest,
+    check_request,
+    read_request,
+    request_builder,
+)
 
-__all__ = [
-    "MAX_CERTIFICATE", "MAX_REQUEST", "Identity", "IdentityRequest", "TrustAnchor",
-    "build_request", "check_request", "from_pem", "to_pem",
-]  # fmt: skip
+SET_CLOCK: Final = "set this host's clock, or synchronize it (NTP)"
+_SECONDS: Final = 180  # up to which a span is given in seconds
+_DAY: Final = 86_400
+_PLAUSIBLE: Final = 2 * _DAY  # that a host was off, or nothing was signed
+
+# Private policies, from UUIDs (ITU-T X.667): what an intermediate's host may do, as its own tools
+# (`ca.authority`) enforce. They do not bind an attacker: the holder of an intermediate's key can sign
+# any name until the root revokes it.
+MAY_RENEW: Final = x509.ObjectIdentifier("2.25.283421307419275216482910536471209357741")
+MAY_ENROLL: Final = x509.ObjectIdentifier("2.25.140372948105529641730282947561038846219")
+_HINT: Final = "make it on the host with `rossec ca intermediate request`"
 
 _MAX_PEM: Final = 16 * 1024
+
+CACHE_SIZE: Final = 256
+
+PROFILE: Final = Profile("rossec-renewal+cwt")
+MAX_CHAIN: Final = 2
+MAX_RENEWAL: Final = MAX_REQUEST + MAX_CHAIN * MAX_CERTIFICATE + 512
+MAX_AGE: Final = 300  # seconds: two clocks and a slow network
+# Certificates are backdated by this much: the clock of robots without a battery-backed one may be
+# behind after a start.
+BACKDATE: Final = 3600
+_IAT, _CSR, _CHAIN = 6, -70021, -70022
+
+
+def utc(seconds: int) -> str:
+    """Seconds since the epoch as `2026-11-20 18:00:00 UTC`; the number if out of range."""
+    try:
+        return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    except (ValueError, OverflowError, OSError):
+        return f"second {seconds}"
+
+
+def span(seconds: int) -> str:
+    """A span in one unit: `59 s`, `7 min`, `5 h`, `400 days`."""
+    if seconds < _SECONDS:
+        return f"{seconds} s"
+    for size, unit, least in ((_DAY, "days", 2 * _DAY), (3600, "h", 7200)):
+        if seconds >= least:
+            return f"{seconds // size} {unit}"
+    return f"{seconds // 60} min"
+
+
+def way_back(name: str) -> str:
+    if name == "/ca":
+        return "rossec ca renew /ca"
+    return f"rossec ca renew --expired {name}, then on its machine: rossec node install FILE"
+
+
+def check_time(what: str, start: int, end: int, now: int, back: str) -> None:
+    # The moment is that of the host's clock, which may be wrong: so the hint has both cases. What is not
+    # valid yet is always a matter of clocks, as all certificates begin an hour early.
+    if now < start:
+        raise CertificateNotYetValid(
+            f"the {what} becomes valid in {span(start - now)}",
+            f"check this computer's clock: it says {utc(now)}",
+        )
+    if now > end:
+        raise CertificateExpired(
+            f"the {what} expired {span(now - end)} ago, on {utc(end)}",
+            f"this host's clock says {utc(now)}: if that is wrong, {SET_CLOCK}; else {back}",
+        )
+
+
+def own_end(name: str, end: int, now: int, seen: int) -> CertificateExpired:
+    """The refusal of this host's own identity `name`, which was valid until `end`.
+
+    `seen` is the latest time that is known by anything else than the clock, such as the time of
+    the newest signature here. If it is after the end, or not long ago, the clock is not in doubt.
+    """
+    back = f"where the authority is: {way_back(name)}"
+    if seen >= end or now - seen <= _PLAUSIBLE:
+        return CertificateExpired(f"the identity of {name} ended on {utc(end)}", back)
+    return CertificateExpired(
+        f"by this host's clock, which says {utc(now)}, the identity of {name} ended on {utc(end)};"
+        f" nothing here is newer than {utc(seen)}",
+        f"is the clock right? if not, {SET_CLOCK}; if it is, {back}",
+    )
+
+
+def everything_ended(domain: str, end: int, now: int) -> CertificateExpired:
+    return CertificateExpired(
+        f"by this host's clock, which says {utc(now)}, everything of {domain!r} is over, the"
+        f" authority's own certificate too, since {utc(end)}",
+        f"the clock is wrong, or the authority is ten years old: {SET_CLOCK}",
+    )
+
+
+@dataclass(frozen=True)
+class Intermediate:
+    """A verified intermediate. Times are inclusive, in seconds."""
+
+    public_key: ec.EllipticCurvePublicKey
+    thumbprint: bytes
+    not_before: int
+    not_after: int
+    certificate: bytes
+    subject: x509.Name
+    serial: int
+    may_enroll: bool
+
+
+def read_intermediate(certificate: x509.Certificate, der: bytes, domain: str) -> Intermediate:
+    """Read an intermediate whose signature was verified; its validity is not checked here."""
+    # Its name is the domain. X.509 name constraints could say that of its leaves, but `cryptography`'s
+    # verifier refuses chains that have them.
+    extensions = svid.extensions(certificate)
+    svid.check_intermediate(extensions)
+    found = svid.trust_domain(extensions)
+    if found != domain:
+        raise CertificateRefused(f"the intermediate is for trust domain {found!r}, not {domain!r}")
+    key = svid.key_of(certificate)
+    times = svid.validity(certificate)
+    policies = svid.policies(extensions)
+    if policies not in ({MAY_RENEW}, {MAY_ENROLL}):
+        raise CertificateRefused("the intermediate has no policy to renew or enroll", "make a new one")
+    subject, serial = svid.subject(certificate), certificate.serial_number
+    return Intermediate(key, thumbprint(key), *times, der, subject, serial, MAY_ENROLL in policies)
+
+
+def policy(*, may_enroll: bool) -> x509.CertificatePolicies:
+    power = MAY_ENROLL if may_enroll else MAY_RENEW
+    return x509.CertificatePolicies([x509.PolicyInformation(power, None)])
+
+
+def build_intermediate_request(signer: Signer, domain: str) -> bytes:
+    builder = request_builder(f"{SCHEME}{check_domain(domain)}")
+    return svid.sign(builder, signer)
+
+
+def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePublicKey:
+    """Return the key of a request for an intermediate of `domain`; possession is proven."""
+    key, *asked = read_request(csr, _HINT)
+    if asked != [f"{SCHEME}{domain}", False]:
+        raise RequestRefused(f"this is not a request for an intermediate of {domain!r}", _HINT)
+    return key
 
 
 @dataclass(frozen=True)
 class Identity:
     """The identity in a verified certificate. Times are inclusive, in seconds.
 
-    `thumbprint` names the key (32 bytes, RFC 9679), `certificate` is the DER as received, `issuers`
-    are the thumbprints of the intermediates in the chain: when one is revoked, so is this identity.
-    `not_after` is the earliest one of the chain below the anchor.
-    Grants and rules are for `name`; with `wildcard` it also covers anonymous nodes (`covers`).
     For a node of a foreign domain `name` is its alias here, `/remote/LABEL/...`, so that no
-    comparison of names can take it for a node of the own domain; `certified` is then the name in
-    its certificate, `root` the thumbprint of the foreign root (`ca.domains.anchors` sets them).
+    comparison of names can take it for a node of the own domain (`ca.domains.trust` sets that).
     """
 
     domain: str
-    name: str
+    name: str  # which grants and rules are for
     public_key: ec.EllipticCurvePublicKey
-    thumbprint: bytes
+    thumbprint: bytes  # of the key (RFC 9679)
     not_before: int
-    not_after: int
+    not_after: int  # the earliest one of the chain below the anchor
     serial: int
-    certificate: bytes
-    wildcard: bool = False
-    issuers: tuple[bytes, ...] = ()
-    certified: str = ""
-    root: bytes = b""
+    certificate: bytes  # DER, as received
+    wildcard: bool = False  # it also covers anonymous nodes (`covers`)
+    issuers: tuple[bytes, ...] = ()  # thumbprints of intermediates: when one is revoked, so is this identity
+    certified: str = ""  # the name in a foreign node's certificate
+    root: bytes = b""  # the thumbprint of the foreign root
 
     @property
     def certified_name(self) -> str:
-        """The name in the certificate, by which the node calls itself."""
         return self.certified or self.name
 
     @property
     def is_foreign(self) -> bool:
-        """Whether it is a node of a foreign domain."""
         return self.certified != ""
 
     def covers(self, name: str) -> bool:
-        """Whether the holder may call itself `name`: as certified, or with a certified tail."""
         return covers(self.certified_name, name, wildcard=self.wildcard)
 
     def renews(self, other: "Identity") -> bool:
@@ -87,7 +221,6 @@ class Identity:
 
     @property
     def keys(self) -> tuple[bytes, ...]:
-        """Every key whose revocation revokes this identity: its own first."""
         return (self.thumbprint, *self.issuers)
 
 
@@ -106,11 +239,7 @@ class TrustAnchor:
 
     @classmethod
     def load(cls, der: bytes) -> Self:
-        """Return the anchor in `der`, a self-signed root certificate. Its validity is not checked.
-
-        Raises:
-            CertificateRefused: not an authority's certificate of rossec's form.
-        """
+        """Return the anchor in `der`, a self-signed root certificate. Its validity is not checked."""
         certificate = svid.parse(der)
         key, subject = svid.key_of(certificate), svid.subject(certificate)
         if not svid.is_signed_by(certificate, subject, key):
@@ -121,17 +250,10 @@ class TrustAnchor:
         extensions = svid.extensions(certificate)
         svid.check_authority(extensions)
         domain, below = svid.trust_domain(extensions), svid.path_length(extensions)
-        start, end = svid.validity(certificate)
-        return cls(domain, key, thumbprint(key), start, end, der, subject, below)
+        return cls(domain, key, thumbprint(key), *svid.validity(certificate), der, subject, below)
 
     def verify(self, chain: Sequence[bytes], now: int) -> Identity:
-        """Return the identity of `chain`: a leaf, or a leaf and its intermediate, as DER.
-
-        Raises:
-            ForeignCertificate: signed by another authority.
-            CertificateExpired, CertificateNotYetValid: one of them, or the authority's.
-            CertificateRefused: any other defect; the message says which.
-        """
+        """Return the identity of `chain`: a leaf, or a leaf and its intermediate, as DER."""
         match chain:
             case [leaf]:
                 issuer: TrustAnchor | Intermediate = self
@@ -145,20 +267,19 @@ class TrustAnchor:
         identity = self._identity(leaf, issuer)
         self.check_time(now)
         check_time(
-            f"certificate of {identity.name}", identity.not_before, identity.not_after, now,
+            f"certificate of {identity.name}",
+            identity.not_before,
+            identity.not_after,
+            now,
             f"where its authority is: {way_back(identity.name)}",
-        )  # fmt: skip
+        )
         if issuer is self:
             return identity
         end = min(identity.not_after, issuer.not_after)
         return replace(identity, issuers=(issuer.thumbprint,), not_after=end)
 
     def read_intermediate(self, der: bytes) -> Intermediate:
-        """Return the intermediate in `der`. Its validity is not checked here.
-
-        Raises:
-            CertificateRefused: as `verify`, or this authority may have none.
-        """
+        """Return the intermediate in `der`. Its validity is not checked here."""
         if self.path_length == 0:
             raise CertificateRefused(
                 "this authority may have no intermediates", "its root is of an older form"
@@ -169,32 +290,27 @@ class TrustAnchor:
         return read_intermediate(certificate, der, self.domain)
 
     def check_intermediate(self, der: bytes, now: int) -> Intermediate:
-        """Return the intermediate in `der`, if it is valid at `now`.
-
-        Raises:
-            CertificateExpired, CertificateNotYetValid: it is not.
-            CertificateRefused: as `read_intermediate`.
-        """
+        """Return the intermediate in `der`, if it is valid at `now`."""
         found = self.read_intermediate(der)
         check_time(
-            "intermediate's certificate", found.not_before, found.not_after, now,
+            "intermediate's certificate",
+            found.not_before,
+            found.not_after,
+            now,
             "at the root: rossec ca intermediate sign FILE --may renew",
-        )  # fmt: skip
+        )
         return found
 
     def check_time(self, now: int) -> None:
-        """Return if the authority's own certificate is valid at `now`.
-
-        Raises:
-            CertificateExpired, CertificateNotYetValid: otherwise, which is a matter of clocks.
-        """
         check_time(
-            "authority's certificate", self.not_before, self.not_after, now,
+            "authority's certificate",
+            self.not_before,
+            self.not_after,
+            now,
             "the authority is ten years old, and must be replaced by a new one",
-        )  # fmt: skip
+        )
 
     def _foreign(self, what: str, certificate: x509.Certificate) -> ForeignCertificate:
-        """What it claims is no proof, but tells the operator which of two mistakes it is."""
         text = f"the {what} is not signed by the authority of trust domain {self.domain!r}"
         hint = "enroll the node with this authority, or use the ca.pem that fits"
         try:
@@ -208,7 +324,6 @@ class TrustAnchor:
         return ForeignCertificate(f"{text}, but names {claimed!r}" if claimed else text, hint)
 
     def _identity(self, der: bytes, issuer: "TrustAnchor | Intermediate") -> Identity:
-        """The identity in a leaf; its signature is verified each time, also of a cached one."""
         known = _cache.get((issuer.certificate, der))
         if known is not None and known.signed.verifies(issuer.public_key):
             return known.identity
@@ -224,8 +339,6 @@ class TrustAnchor:
 
 
 class _CachedLeaf(NamedTuple):
-    """The parsed parts of a leaf."""
-
     signed: svid.CertificateSignature
     identity: Identity
 
@@ -234,50 +347,33 @@ class _CachedLeaf(NamedTuple):
 # certificate is a pure function of its bytes, so the result is cached once it has verified.
 # The decision is never cached: signature and validity times are checked each time.
 _cache: Final[OrderedDict[tuple[bytes, bytes], _CachedLeaf]] = OrderedDict()
-CACHE_SIZE: Final = 256
 
 
 def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:
     extensions = svid.extensions(certificate)
     svid.check_leaf(extensions)
     wildcard = svid.has_wildcard(extensions)
-    name = _name(domain, svid.only_uri(extensions), wildcard=wildcard)
+    try:
+        found, name = parse_spiffe_id(svid.only_uri(extensions))
+        refuse_alias(name)
+        if wildcard:
+            check_wildcard(name)
+    except NameRefused as error:
+        raise CertificateRefused(f"the certificate's name is invalid: {error}") from error
+    if found != domain:
+        raise CertificateRefused(f"the certificate is for trust domain {found!r}, not {domain!r}")
     key = svid.key_of(certificate)
     start, end = svid.validity(certificate)
     serial = certificate.serial_number
     return Identity(domain, name, key, thumbprint(key), start, end, serial, der, wildcard)
 
 
-def _name(expected: str, uri: str, *, wildcard: bool) -> str:
-    try:
-        domain, name = parse_spiffe_id(uri)
-        refuse_alias(name)
-        if wildcard:
-            check_wildcard(name)
-    except NameRefused as error:
-        raise CertificateRefused(f"the certificate's name is invalid: {error}") from error
-    if domain != expected:
-        raise CertificateRefused(
-            f"the certificate is for trust domain {domain!r}, not {expected!r}"
-        )
-    return name
-
-
 def to_pem(*certificates: bytes) -> bytes:
-    """Return DER certificates as one PEM bundle.
-
-    Raises:
-        CertificateRefused: one of them is not a certificate.
-    """
     return b"".join(svid.parse(der).public_bytes(Encoding.PEM) for der in certificates)
 
 
 def from_pem(data: bytes) -> tuple[bytes, ...]:
-    """Return the DER certificates of a PEM bundle, in its order; at least one.
-
-    Raises:
-        CertificateRefused: too large, or not PEM certificates.
-    """
+    """Return the DER certificates of a PEM bundle, in its order; at least one."""
     if len(data) > _MAX_PEM:
         raise CertificateRefused(
             f"{len(data)} bytes of PEM where at most {_MAX_PEM} are allowed",
@@ -290,3 +386,100 @@ def from_pem(data: bytes) -> tuple[bytes, ...]:
             "this is not a PEM certificate", "name the file that `rossec ca sign` wrote"
         ) from error
     return tuple(certificate.public_bytes(Encoding.DER) for certificate in certificates)
+
+
+@dataclass(frozen=True)
+class Renewal:
+    identity: Identity
+    request: IdentityRequest
+    csr: bytes
+
+    @property
+    def max_lifetime(self) -> int:
+        """The lifetime (seconds) of the identity, which the successor's may not exceed."""
+        return self.identity.not_after - signed_at(self.identity.not_before, self.identity.not_after)
+
+
+def signed_at(not_before: int, not_after: int) -> int:
+    """When an identity was signed: the backdated hour is not part of its lifetime.
+
+    Otherwise each successor would live an hour longer, and a short one would be due at once.
+    """
+    began = not_before + BACKDATE
+    return began if began < not_after else not_before
+
+
+def renew_at(not_before: int, not_after: int) -> int:
+    """When to renew: after two thirds of an identity's lifetime."""
+    began = signed_at(not_before, not_after)
+    return began + (not_after - began) * 2 // 3
+
+
+def retry_delay(not_before: int, not_after: int, longest: int) -> int:
+    """Seconds to wait after a refusal, at most `longest`; a twentieth of a short lifetime."""
+    life = not_after - signed_at(not_before, not_after)
+    return max(1, min(longest, life // 20))
+
+
+def sign_renewal(old: Signer, chain: Sequence[bytes], csr: bytes, now: int) -> bytes:
+    """Sign, with the old key, the request that `csr` succeed `chain` (DER, leaf first).
+
+    A node writes its new key to the disk *before* it sends this, and repeats the same bytes until it
+    has the answer: the authority answers one request always with the same certificate.
+    """
+    certificates: list[Value] = [*chain]
+    return PROFILE.sign(old, {_IAT: now, _CSR: csr, _CHAIN: certificates})
+
+
+def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[bytes, int], None]) -> Renewal:
+    """Return the renewal in `data`, if it is valid.
+
+    `check(entry, now)` raises when a key's thumbprint is revoked, or its status is unknown
+    (`Revocations.check`).
+    """
+    # 1. The chain in it says whose signature to verify; nothing else of it is used before that.
+    try:
+        _, _, chain = _read_renewal(PROFILE.peek(data, limit=MAX_RENEWAL))
+    except (SignatureError, EncodingError) as error:
+        raise RenewalRefused(f"this is not a renewal: {error}") from error
+    identity = anchor.verify(chain, now)
+    try:
+        issued, csr, _ = _read_renewal(PROFILE.open(data, identity.public_key, limit=MAX_RENEWAL))
+    except (SignatureError, EncodingError) as error:
+        raise RenewalRefused(
+            f"the renewal is not signed by {identity.name}: {error}", "renew on the node that has the key"
+        ) from error
+    # 2. The old identity counts, now, and asks for its own name.
+    for key in identity.keys:
+        check(key, now)
+    if not now - MAX_AGE <= issued <= now + MAX_AGE:
+        raise RenewalRefused("the renewal is too old, or from the future", "check both clocks")
+    request = check_request(csr, anchor.domain, wildcard=identity.wildcard)
+    if request.name != identity.name:
+        raise RenewalRefused(
+            f"{identity.name} requests the identity of {request.name}",
+            "a node renews its own name; for another one it must be enrolled",
+        )
+    # 3. At least half of its lifetime is over.
+    began = signed_at(identity.not_before, identity.not_after)
+    half = began + (identity.not_after - began) // 2
+    if now < half:
+        raise RenewalRefused(
+            f"the identity of {identity.name} is not due for renewal for {half - now} s",
+            "possible after half its lifetime; before that, where the authority is:"
+            f" rossec ca renew {identity.name}",
+        )
+    return Renewal(identity, request, csr)
+
+
+def _read_renewal(value: Value) -> tuple[int, bytes, tuple[bytes, ...]]:
+    match value:
+        case {6: int() as issued, -70021: bytes() as csr, -70022: list() as items, **rest} if (
+            not rest and not isinstance(issued, bool) and 1 <= len(items) <= MAX_CHAIN
+        ):
+            chain = tuple(item for item in items if isinstance(item, bytes))
+        case _:
+            raise RenewalRefused("the renewal has missing or unknown fields")
+    if len(chain) != len(items):
+        raise RenewalRefused("the renewal's chain is not a list of certificates")
+    return issued, csr, chain

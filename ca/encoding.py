@@ -1,16 +1,15 @@
 """Strict deterministic CBOR (RFC 8949): one value, one encoding, nothing else accepted.
 
 `cbor2` decodes; the strict checks are here. A value is accepted only if encoding it again gives
-the same bytes, which refuses in one comparison long integers, long floats, unsorted maps and
-trailing bytes. Map keys are sorted length-first (RFC 8949 section 4.2.3), floats take their
-shortest form. Tags are refused before `cbor2` interprets them (its decoder of tag 35 would
-compile an attacker's regular expression).
+the same bytes. Map keys are sorted length-first (RFC 8949 section 4.2.3), floats take their
+shortest form. Tags are refused before `cbor2` interprets them (its decoder of tag 35 would compile
+an attacker's regular expression).
 """
 
 import math
 from collections.abc import Iterable
 from io import BytesIO
-from typing import Any, Final, NoReturn, TypeAlias
+from typing import Any, Final, NoReturn, TypeAlias, TypeGuard
 
 import cbor2
 
@@ -20,6 +19,7 @@ Value: TypeAlias = "int | float | str | bytes | bool | list[Value] | dict[int | 
 
 MAX_SIZE: Final = 16 * 1024
 MAX_DEPTH: Final = 16
+NUMBER_LIMIT: Final = 1 << 53  # of the numbers in statements: exact also where numbers are floats
 _INT_LIMIT: Final = 1 << 64  # from here on cbor2 writes a bignum, which is a tag
 _PLAIN: Final = frozenset({str, bytes, bool, type(None)})  # these need no check
 # Tuples, made once: `isinstance` with a union costs three times as much.
@@ -32,27 +32,39 @@ _HEADS: Final = ((24, 1), (24, 1), (25, 2), *2 * ((26, 4),), *4 * ((27, 8),))
 
 # The tags cbor2 6 decodes by itself; every other one reaches `tag_hook`.
 _BUILT_IN_TAGS: Final = (
-    *range(6), 25, 28, 29, 30, 35, 36, 37, 52, 54,
-    100, 256, 258, 260, 261, 1004, 43000, 55799,
-)  # fmt: skip
+    *range(6),
+    25,
+    28,
+    29,
+    30,
+    35,
+    36,
+    37,
+    52,
+    54,
+    100,
+    256,
+    258,
+    260,
+    261,
+    1004,
+    43000,
+    55799,
+)
+
+
+def is_number(value: object) -> TypeGuard[int]:
+    """Whether `value` may be a number of a statement: no boolean, not negative, below 2^53."""
+    return type(value) is int and 0 <= value < NUMBER_LIMIT
 
 
 def encode(value: Value) -> bytes:
-    """Encode `value` in its one deterministic form.
-
-    Raises:
-        EncodingError: the value holds a type, number or key outside the subset.
-    """
     _check(value, MAX_DEPTH)
     return cbor2.dumps(value, canonical=True)
 
 
 def decode(data: bytes, *, limit: int = MAX_SIZE) -> Value:
-    """Decode exactly one value that fills `data`; `limit` is checked before parsing.
-
-    Raises:
-        EncodingError: too long, malformed, not deterministic, or outside the subset.
-    """
+    """Decode exactly one value that fills `data`; `limit` is checked before parsing."""
     items = decode_sequence(data, limit=limit)
     if len(items) != 1:
         raise EncodingError(f"expected one CBOR item, found {len(items)}")
@@ -64,19 +76,12 @@ def parse(data: bytes) -> Value:
 
     Only for callers that encode the value again and compare it with all of `data`; tags, duplicate
     keys and indefinite lengths are refused here too, and the caller has limited the size of `data`.
-
-    Raises:
-        EncodingError: malformed.
     """
     return _decode_item(BytesIO(data))
 
 
 def head(major: int, value: int) -> bytes:
-    """The deterministic head of an item (RFC 8949 section 3): `major` is its type shifted left.
-
-    Raises:
-        EncodingError: `value` is not within 64 bits.
-    """
+    """The deterministic head of an item (RFC 8949 section 3): `major` is its type shifted left."""
     if 0 <= value < 24:
         return bytes((major | value,))
     if not 0 <= value < _INT_LIMIT:
@@ -86,11 +91,7 @@ def head(major: int, value: int) -> bytes:
 
 
 def decode_sequence(data: bytes, *, limit: int = MAX_SIZE) -> list[Value]:
-    """Decode a CBOR sequence (RFC 8742) that fills `data`; the empty sequence is allowed.
-
-    Raises:
-        EncodingError: as for `decode`.
-    """
+    """Decode a CBOR sequence (RFC 8742) that fills `data`; the empty sequence is allowed."""
     if len(data) > limit:
         raise EncodingError(f"{len(data)} bytes of CBOR where at most {limit} are allowed")
     items: list[Value] = []
@@ -126,10 +127,8 @@ _REFUSED_TAGS: Final = dict.fromkeys(_BUILT_IN_TAGS, _refuse_tag)
 
 
 def _check(value: Any, depth: int) -> None:
-    """Raise unless `value` is in the subset: `encode` and `decode` share this check.
-
-    Exact classes are checked first: nearly every value has one, and the check is cheap.
-    """
+    # Raise unless `value` is in the subset: `encode` and `decode` share this check.
+    # Exact classes are checked first: nearly every value has one, and the check is cheap.
     if not isinstance(value, _CONTAINERS):
         _check_leaf(value)
         return
@@ -140,16 +139,12 @@ def _check(value: Any, depth: int) -> None:
         items = value.values()
         for key in value:
             if type(key) is not str:
-                _check_key(key)
+                if isinstance(key, bool) or not isinstance(key, _KEYS):
+                    raise EncodingError("map key that is neither integer nor text")
+                _check_leaf(key)
     for item in items:
         if type(item) not in _PLAIN:
             _check(item, depth - 1)
-
-
-def _check_key(key: object) -> None:
-    if isinstance(key, bool) or not isinstance(key, _KEYS):
-        raise EncodingError("map key that is neither integer nor text")
-    _check_leaf(key)
 
 
 def _check_leaf(value: object) -> None:

@@ -1,15 +1,10 @@
 """How many messages a right admits: a rate, counted exactly, and slots of time. Pure.
 
-A rate of whole seconds and of sums of floats gives less than it says: 0.1 a second came every 11 s,
-0.7 every 2 s. So what a bucket holds is counted in nanoseconds, of a clock read to the microsecond.
-
-A rate hides nothing of when something begins: its first message passes at once. With a slot the
-time is divided into slots of so many seconds, at the same moments for everybody. A message passes
-in the beginning of a slot, one in each, and only if there was one in the slot before. So what
-begins, ends or happens once is known to a slot, and what happens seldom not at all.
-
-Padding hides from who watches the network how long a message is: what is sent for the right has,
-encrypted, a multiple of so many bytes (docs/spec/channel.md section 5).
+A rate hides nothing of when something begins: its first message passes at once. With a slot the time is
+divided into slots of so many seconds, at the same moments for everybody. A message passes in the beginning of
+a slot, one in each, and only if there was one in the slot before. So what begins, ends or happens once is
+known to a slot, and what happens seldom not at all. Padding hides from who watches the network how long a
+message is (docs/spec/channel.md section 5).
 """
 
 import re
@@ -39,11 +34,8 @@ def rate_text(rate: float) -> str:
     return f"at most {rate:g} message{'' if rate == 1 else 's'} a second"
 
 
-def _nanoseconds(now: float) -> int:
-    """A time in whole microseconds: floats of seconds since the epoch have a quarter of one."""
-    return round(now * _MICROSECONDS) * 1000
-
-
+# A rate of whole seconds and of sums of floats gives less than it says: 0.1 a second came every 11 s, 0.7
+# every 2 s. So what a bucket holds is counted in nanoseconds, of a clock read to the microsecond.
 class RateBucket:
     """`rate` messages a second, and bursts of at most `max(1, rate)`.
 
@@ -61,25 +53,23 @@ class RateBucket:
 
     @property
     def tokens(self) -> float:
-        """How many messages it would admit at once."""
         return self.left / self.interval
 
     def refill(self, now: float) -> bool:
-        """Add the time since then, none if the clock was set back; whether a message fits."""
-        moment = _nanoseconds(now)
+        # Add the time since then, none if the clock was set back; whether a message fits.
+        # A time in whole microseconds: floats of seconds since the epoch have a quarter of one.
+        moment = round(now * _MICROSECONDS) * 1000
         if self._refilled_at is not None and moment > self._refilled_at:
             self.left = min(self.left + moment - self._refilled_at, self.capacity)
         self._refilled_at = moment
         return self.left >= self.interval
 
     def charge(self, message_id: object) -> None:
-        """Count a message admitted by this rate or by another of the same key."""
         if self.left >= self.interval:
             self.last_message = message_id
         self.left = max(self.left - self.interval, 0)
 
     def is_full(self, now: float) -> bool:
-        """Whether it equals a new one."""
         self.refill(now)
         return self.left >= self.capacity
 
@@ -98,10 +88,7 @@ class SlotGate:
         self._passed: object = None
 
     def note(self, message_id: object, now: float) -> bool:
-        """Note that there is this message; whether it may pass, or has passed already.
-
-        One that is tried again, for a connection that is new, is no other message.
-        """
+        # One that is tried again, for a connection that is new, is no other message.
         if message_id is self._noted:
             return message_id is self._passed
         self._noted = message_id
@@ -114,7 +101,6 @@ class SlotGate:
         return message_id is self._passed or (self._follows and self._is_open(now))
 
     def ready(self, now: float) -> bool:
-        """Whether a new message could pass."""
         slot = int(now // self.seconds)
         if slot == self._slot:
             return self._follows and self._is_open(now)
@@ -127,14 +113,33 @@ class SlotGate:
         return now % self.seconds * _PARTS < self.seconds
 
     def charge(self, message_id: object) -> None:
-        """Count a message that passed."""
         if message_id is not self._passed:
             self._used, self._passed = True, message_id
 
     def is_fresh(self, now: float) -> bool:
-        """Whether it equals a new one."""
         return self._slot is None or now // self.seconds > self._slot + 1
 
     def is_in_use(self, now: float) -> bool:
-        """Whether there was a message in this slot or in one beside it."""
         return self._slot is not None and abs(now // self.seconds - self._slot) <= 1
+
+
+class TokenBucket:
+    """`rate` tokens a second, at most `capacity` at once; full at first, and the caller takes from `tokens`.
+
+    The clock is the caller's, in seconds since any beginning, but always the same one.
+    """
+
+    __slots__ = ("_rate", "_refilled_at", "capacity", "tokens")
+
+    def __init__(self, rate: float, capacity: float, tokens: float | None = None) -> None:
+        self.capacity = capacity
+        self.tokens = capacity if tokens is None else min(tokens, capacity)
+        self._rate = rate
+        self._refilled_at: float | None = None
+
+    def refill(self, now: float) -> float:
+        """Add the tokens since the last refill; how many there are. A clock set back adds none."""
+        if self._refilled_at is not None and now > self._refilled_at:
+            self.tokens = min(self.tokens + (now - self._refilled_at) * self._rate, self.capacity)
+        self._refilled_at = now
+        return self.tokens

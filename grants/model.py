@@ -1,19 +1,20 @@
 """The content of a grant as values: rights over names, and the restrictions on them.
 
-Every value is checked when it is constructed, so a value that exists is well-formed: no unknown
-right, operator or parameter can be represented. Whether a restriction fits a *message type* can
-only be checked with its definition (`grants.guard`).
+Every value is checked when it is constructed, so a value that exists is well-formed: no unknown right,
+operator or parameter can be represented. Whether a restriction fits a *message type* can only be checked with
+its definition (`grants.guard`). A grant is valid while `not_before <= now < expires`, by the host's clock,
+never ROS time.
 """
 
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from enum import IntFlag
 from typing import Any, Final, Self, TypeAlias
 
-from ca.names import check_name
-from ca.patterns import check_tail_pattern, covers, covers_tree, tail_base
-from grants.errors import FilterRefused, GrantMalformed
+from ca.names import check_name, check_tail_pattern, covers_tree, pattern_covers, tail_base
+from grants.errors import FilterRefused, GrantExpired, GrantMalformed, GrantNotYetValid
 from grants.limits import MAX_PAD, MAX_SLOT, MIN_PAD, MIN_SLOT, is_body, rate_text
 
 Scalar: TypeAlias = bool | int | float | str
@@ -45,7 +46,6 @@ class Right(IntFlag):
 
     @property
     def label(self) -> str:
-        """The right as text: `publish`, `param-get`, `publish, subscribe`."""
         return ", ".join(str(right.name).lower().replace("_", "-") for right in self)
 
 
@@ -56,23 +56,16 @@ TREE_RIGHTS: Final = Right.PARAM_GET | Right.PARAM_SET
 
 @dataclass(frozen=True, order=True)
 class FilterRule:
-    """One field (or subtree) of a message and the operator applied to it.
+    """One field (or subtree) of a message and the operator applied to it."""
 
-    Args:
-        path: field names joined by dots; `[*]` after an array of messages enters its elements.
-        operator: a name in `grants.filters.operators`, for example `round`.
-        parameters: the operator's parameters by name, sorted.
-    """
-
-    path: str
-    operator: str
-    parameters: tuple[tuple[str, Scalar], ...] = ()
+    path: str  # field names joined by dots; `[*]` after an array of messages enters its elements
+    operator: str  # a name in `grants.filters.operators`, for example `round`
+    parameters: tuple[tuple[str, Scalar], ...] = ()  # by name, sorted
 
     def __post_init__(self) -> None:
         if _PATH.fullmatch(self.path) is None:
             raise FilterRefused(
-                f"not a field path: {self.path[:80]!r}",
-                "for example pose.position or status[*].name",
+                f"not a field path: {self.path[:80]!r}", "for example pose.position or status[*].name"
             )
 
     def __str__(self) -> str:
@@ -85,9 +78,6 @@ def filter_rules(rules: Mapping[Any, Any]) -> tuple[FilterRule, ...]:
 
     The parameter is `True` for an operator without parameters, else a map of scalars:
     `{"header.frame_id": {"clear": True}, "pose.position": {"round": {"step": 0.5}}}`.
-
-    Raises:
-        FilterRefused: anything else.
     """
     read = [_filter_rule(path, treatment) for path, treatment in rules.items()]
     return tuple(sorted(read, key=lambda rule: rule.path))
@@ -107,45 +97,29 @@ def _filter_rule(path: Any, treatment: Any) -> FilterRule:
         return FilterRule(path, operator)
     if not isinstance(parameter, Mapping) or len(parameter) == 0:
         raise FilterRefused(f"{path}: parameters of {operator} must be named", "{round: {step: 1}}")
-    return FilterRule(path, operator, _parameters(path, parameter))
-
-
-def _parameters(path: str, named: Mapping[object, object]) -> tuple[tuple[str, Scalar], ...]:
-    pairs: list[tuple[str, Scalar]] = []
-    for name, value in named.items():
+    for name, value in parameter.items():
         if not isinstance(name, str) or not isinstance(value, Scalar):
             raise FilterRefused(f"{path}: parameter {name!r} is not a number, text or boolean")
-        pairs.append((name, value))
-    return tuple(sorted(pairs))
+    return FilterRule(path, operator, tuple(sorted(parameter.items())))
 
 
 @dataclass(frozen=True)
 class Restriction:
-    """The conditions, filters and rate under which a right is granted.
+    """The conditions, filters and limits under which a right is granted."""
 
-    Args:
-        type: the message type it is for; None if no condition reads the message and nothing is
-            filtered. The right is not granted for any other type.
-        conditions: texts in `grants.conditions.compile`; all of them must hold.
-        filters: the operators applied to the fields of each message.
-        rate: at most so many messages a second, on average.
-        slot: one message in each slot of so many seconds, in its beginning (`grants.limits`).
-        keep_when_stale: an established connection may stay open while revocation data is stale.
-        layer: in a decision, how many links of a chain stand before its own: it is applied to what
-            the restrictions of these let through. 0 as signed.
-        body: what shows the same thing as other topics of the publisher (`grants.common_state`).
-        pad: what is sent for the right has, encrypted, a multiple of so many bytes.
-    """
-
+    # The right is granted for no other message type; None if no condition reads the message and nothing is
+    # filtered.
     type: str | None = None
-    conditions: tuple[str, ...] = ()
+    conditions: tuple[str, ...] = ()  # texts in `grants.conditions.compile`; all of them must hold
     filters: tuple[FilterRule, ...] = ()
-    rate: float | None = None
-    keep_when_stale: bool = False
+    rate: float | None = None  # at most so many messages a second, on average
+    keep_when_stale: bool = False  # an open connection may stay while revocation data is stale
+    # In a decision, how many links of a chain stand before its own: it is applied to what the restrictions
+    # of these let through. 0 as signed.
     layer: int = 0
-    slot: int | None = None
-    body: str | None = None
-    pad: int | None = None
+    slot: int | None = None  # one message in each slot of so many seconds, in its beginning (`grants.limits`)
+    body: str | None = None  # shows the same as other topics of the publisher (`grants.filters.coarsening`)
+    pad: int | None = None  # what is sent has, encrypted, a multiple of so many bytes
 
     def __post_init__(self) -> None:
         if self.type is not None and _TYPE.fullmatch(self.type) is None:
@@ -169,7 +143,6 @@ class Restriction:
 
     @property
     def restricts_messages(self) -> bool:
-        """Whether it applies to messages; a caller without messages has nothing to apply."""
         limited = (self.rate, self.slot, self.pad) != (None, None, None)
         return bool(self.conditions or self.filters) or limited
 
@@ -204,52 +177,35 @@ class Permission:
         check_tail_pattern(self.pattern)
         if not 0 < int(self.rights) <= int(ALL_RIGHTS):
             raise GrantMalformed(f"unknown or no right: {int(self.rights)}")
+        what = f"{self.rights.label} on {self.pattern} cannot be"
         if self.restriction is not None and self.rights & ~MESSAGE_RIGHTS:
-            raise GrantMalformed(
-                f"{self.rights.label} on {self.pattern} cannot be restricted by message content",
-                "put these rights into a separate permission",
-            )
+            hint = "put these rights into a separate permission"
+            raise GrantMalformed(f"{what} restricted by message content", hint)
         padded = self.restriction is not None and self.restriction.pad is not None
         if padded and self.rights != Right.SUBSCRIBE:
-            raise GrantMalformed(
-                f"{self.rights.label} on {self.pattern} cannot be padded",
-                "only what is sent to a subscriber is",
-            )
+            raise GrantMalformed(f"{what} padded", "only what is sent to a subscriber is")
 
     def matches(self, name: str, right: Right) -> bool:
         """Whether the pattern covers `name`; for parameters also if it covers a parent of it."""
-        return (
-            covers_tree(self.pattern, name) if right & TREE_RIGHTS else covers(self.pattern, name)
-        )
+        return covers_tree(self.pattern, name) if right & TREE_RIGHTS else pattern_covers(self.pattern, name)
 
     def covers(self, right: Right, name: str) -> bool:
-        """Whether this permission gives `right` on `name` (restricted or not)."""
         return right in self.rights and self.matches(name, right)
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A grant before it is signed.
+    """A grant before it is signed."""
 
-    Args:
-        domain: the trust domain in which it is valid (`home`).
-        subject: the node it is issued to, an absolute name; informational.
-        holder: thumbprint of the node's public key, 32 bytes; the grant is bound to it.
-        not_before, expires, cap: seconds since the epoch; it is valid while
-            `not_before <= now < expires`; no renewal extends beyond `cap`.
-        serial: 16 random bytes.
-        permissions: at least one.
-        may_narrow: how many narrowings may follow, each signed by the holder of the link before.
-    """
-
-    domain: str
-    subject: str
-    holder: bytes
-    not_before: int
+    domain: str  # the trust domain in which it is valid (`home`)
+    subject: str  # the node it is issued to, an absolute name; informational
+    holder: bytes  # thumbprint of the node's public key, to which it is bound
+    not_before: int  # seconds since the epoch, as `expires` and `cap`
     expires: int
-    cap: int
-    serial: bytes
+    cap: int  # no renewal extends beyond it
+    serial: bytes  # random
     permissions: tuple[Permission, ...]
+    # How many narrowings may follow, each signed by the holder of the link before.
     may_narrow: int = field(default=0, kw_only=True)
 
     def __post_init__(self) -> None:
@@ -282,7 +238,6 @@ class Draft:
         return any(tail_base(permission.pattern) for permission in self.permissions)
 
     def covers(self, right: Right, name: str) -> bool:
-        """Whether one of its permissions gives `right` on `name` (restricted or not)."""
         return any(permission.covers(right, name) for permission in self.permissions)
 
 
@@ -291,7 +246,7 @@ class Grant(Draft):
     """A grant as signed: `id` identifies it for revocation, `issuer` is the authority's thumbprint.
 
     `via` is set by renewal: the delegation's id and its holder's key. Both may be revoked.
-    A chain (`grants.narrowing`) is one grant too: the first link's, with the id, subject and holder
+    A chain (`grants.token`) is one grant too: the first link's, with the id, subject and holder
     of the last, valid while every link is; `chain` is all of them, and each must authorize.
     """
 
@@ -302,12 +257,10 @@ class Grant(Draft):
 
     @classmethod
     def of(cls, draft: Draft, *, id: bytes, issuer: bytes) -> Self:  # noqa: A002 - the field has that name
-        """The signed form of `draft`."""
         return cls(**vars(draft), id=id, issuer=issuer)
 
     @property
     def links(self) -> tuple["Grant", ...]:
-        """The grant as signed, then its narrowings in order; `(self,)` if there are none."""
         return self.chain or (self,)
 
     @property
@@ -320,20 +273,15 @@ class Grant(Draft):
 
     def covers(self, right: Right, name: str) -> bool:
         """Whether every link gives `right` on `name` (restricted or not)."""
-        return all(
-            any(permission.covers(right, name) for permission in link.permissions)
-            for link in self.links
-        )
+        return all(any(each.covers(right, name) for each in link.permissions) for link in self.links)
 
     @property
     def short_id(self) -> str:
-        """The first 8 hexadecimal digits of the id."""
         return self.id.hex()[:8]
 
 
 def merge(restrictions: Iterable[Restriction | None]) -> tuple[Restriction, ...]:
-    """All restrictions that apply together, each once, layer by layer; the order of one layer does
-    not depend on the input's.
+    """All restrictions that apply together, each once, layer by layer, in an order of their own.
 
     Restrictions of messages only: `keep_when_stale` is less strict, and the caller combines it.
     """
@@ -343,3 +291,25 @@ def merge(restrictions: Iterable[Restriction | None]) -> tuple[Restriction, ...]
         if restriction is not None and restriction.restricts_messages
     }
     return tuple(sorted(unique, key=lambda each: (each.layer, repr(each))))
+
+
+def check_time(grant: Grant, now: int) -> None:
+    """Return if `grant` is valid at `now` (seconds since the epoch)."""
+    if now < grant.not_before:
+        raise GrantNotYetValid(
+            f"grant {grant.short_id} is not valid before {format_time(grant.not_before)}",
+            "check this host's clock",
+        )
+    if now >= grant.expires:
+        raise GrantExpired(
+            f"grant {grant.short_id} expired at {format_time(grant.expires)}",
+            "ask the authority to renew it, or check this host's clock",
+        )
+
+
+def format_time(seconds: int) -> str:
+    """Seconds since the epoch as `2026-11-20 18:00:00 UTC`; the number if out of range."""
+    try:
+        return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S} UTC"
+    except (ValueError, OverflowError, OSError):
+        return f"second {seconds}"

@@ -13,12 +13,10 @@ from typing import Any, Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.cose import Profile
 from ca.encoding import Value, decode
 from ca.errors import EncodingError, HintedError, SignatureError
-from ca.keys.publickey import thumbprint
-from ca.keys.signer import Signer
-from grants.claims import issuer_uri, read_issuer
+from ca.keys.signing import Profile, Signer, thumbprint
+from grants.document import issuer_uri, read_issuer
 from grants.errors import (
     GrantMalformed,
     GrantRevoked,
@@ -29,8 +27,7 @@ from grants.errors import (
     RenewalNotInTime,
     RenewalTooWide,
 )
-from grants.model import ID_SIZE, KEY_SIZE, Grant
-from grants.validity import format_time
+from grants.model import ID_SIZE, KEY_SIZE, Grant, format_time
 
 DELEGATION: Final = Profile("rossec-delegation+cwt")
 TICKET: Final = Profile("rossec-ticket+cwt")
@@ -42,9 +39,7 @@ MAX_TICKET: Final = 7 * 86400  # maximum lifetime of a ticket, seconds
 MIN_TICKET: Final = 60
 
 _MAX_TIME: Final = 1 << 53
-_ID_PREFIX: Final = (
-    b"rossec-delegation-id\0" + len(DELEGATION.protected).to_bytes(4) + DELEGATION.protected
-)
+_ID_PREFIX: Final = b"rossec-delegation-id\0" + len(DELEGATION.protected).to_bytes(4) + DELEGATION.protected
 
 # RFC 8392 section 3.1, RFC 8747; below -65536 for private use.
 _ISS, _AUD, _EXP, _NBF, _CTI, _CNF, _CKT = 1, 3, 4, 5, 7, 8, 5
@@ -55,22 +50,14 @@ RevocationCheck = Callable[[bytes, int], None]
 
 @dataclass(frozen=True)
 class Delegation:
-    """Authorizes one key to renew grants of one authority in one domain.
-
-    Args:
-        domain: the trust domain.
-        holder: thumbprint of the key that may sign tickets, 32 bytes.
-        not_before, expires: seconds since the epoch; at most 90 days apart.
-        max_ttl: maximum lifetime of a ticket in seconds, at most 7 days.
-        serial: 16 random bytes.
-    """
+    """Authorizes one key to renew grants of one authority in one domain."""
 
     domain: str
-    holder: bytes
-    not_before: int
+    holder: bytes  # thumbprint of the key that may sign tickets
+    not_before: int  # seconds since the epoch, as `expires`; at most 90 days apart
     expires: int
-    max_ttl: int
-    serial: bytes
+    max_ttl: int  # maximum lifetime of a ticket in seconds, at most 7 days
+    serial: bytes  # random
 
     def __post_init__(self) -> None:
         if not 0 < len(self.domain.encode()) <= 255:
@@ -126,33 +113,27 @@ def sign_delegation(signer: Signer, delegation: Delegation) -> bytes:
 def sign_ticket(signer: Signer, ticket: Ticket) -> bytes:
     """Sign as the holder of a delegation."""
     return TICKET.sign(
-        signer,
-        {
-            _EXP: ticket.expires,
-            _NBF: ticket.not_before,
-            _SEQ: ticket.seq,
-            _GRANT: ticket.grant,
-        },
+        signer, {_EXP: ticket.expires, _NBF: ticket.not_before, _SEQ: ticket.seq, _GRANT: ticket.grant}
     )
 
 
 def open_delegation(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> OpenDelegation:
-    """Verify and read a delegation; its validity is checked when it is used.
-
-    Raises:
-        RenewalForged: not signed by `ca_key`, or another kind of statement.
-        RenewalMalformed: outside the closed schema.
-    """
+    """Verify and read a delegation; its validity is checked when it is used."""
     body = _open(DELEGATION, data, ca_key)
     match _decode(body):
         case {
-            1: str() as iss, 3: str() as aud, 4: exp, 5: nbf, 7: bytes() as cti,
-            8: {5: bytes() as ckt, **more}, -70010: ttl, **rest,
-        } if not rest and not more:  # fmt: skip
-            opened = OpenDelegation(
-                aud, ckt, _number(nbf), _number(exp), _number(ttl), cti,
-                hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE], _issuer(iss),
-            )  # fmt: skip
+            1: str() as iss,
+            3: str() as aud,
+            4: exp,
+            5: nbf,
+            7: bytes() as cti,
+            8: {5: bytes() as ckt, **more},
+            -70010: ttl,
+            **rest,
+        } if not rest and not more:
+            delegation_id = hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE]
+            times = (_number(nbf), _number(exp), _number(ttl))
+            opened = OpenDelegation(aud, ckt, *times, cti, delegation_id, _issuer(iss))
         case _:
             raise RenewalMalformed("the delegation has missing or unknown claims")
     if opened.issuer != thumbprint(ca_key):
@@ -161,12 +142,6 @@ def open_delegation(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> OpenDeleg
 
 
 def open_ticket(data: bytes, key: ec.EllipticCurvePublicKey) -> Ticket:
-    """Verify and read a ticket signed by `key`.
-
-    Raises:
-        RenewalForged: not signed by `key`, or another kind of statement.
-        RenewalMalformed: outside the closed schema.
-    """
     match _decode(_open(TICKET, data, key)):
         case {4: exp, 5: nbf, -70002: seq, -70011: bytes() as grant, **rest} if not rest:
             return Ticket(grant, _number(nbf), _number(exp), _number(seq))
@@ -184,27 +159,6 @@ def renew(
     seq: int,
     check: RevocationCheck,
 ) -> Grant:
-    """The same grant, valid until the ticket ends.
-
-    Args:
-        grant: from `document.verify`; it may have expired.
-        ticket: as received.
-        delegation: from `open_delegation`.
-        key: the delegate's, authenticated by its identity.
-        now: seconds since the epoch.
-        seq: number of the newest revocation list the verifier holds.
-        check: called as `check(entry, now)` for the ids of grant and delegation, and for the
-            delegate's key; raises when revoked.
-
-    Raises:
-        RenewalForged, RenewalMalformed: as `open_ticket` does.
-        RenewalForOther: the delegation is for another key, domain or authority, or the ticket for
-            another grant.
-        RenewalTooWide: beyond the grant's cap, the delegation's end or its `max_ttl`.
-        RenewalNotInTime: ticket or delegation are not valid at `now`.
-        RenewalAhead: the ticket was made with a newer revocation list.
-        GrantRevoked: the grant, the delegation or its holder is revoked.
-    """
     if delegation.holder != thumbprint(key):
         raise RenewalForOther("the delegation is for another key than this one")
     if (grant.issuer, grant.domain) != (delegation.issuer, delegation.domain):
@@ -217,8 +171,7 @@ def renew(
         _check_time(what, statement, now)
     if opened.seq > seq:
         raise RenewalAhead(
-            f"the ticket requires revocation list {opened.seq}, this host has {seq}",
-            "fetch the list first",
+            f"the ticket requires revocation list {opened.seq}, this host has {seq}", "fetch the list first"
         )
     via = (delegation.id, delegation.holder)
     for what, entry in zip(("grant", "delegation", "delegate"), (grant.id, *via), strict=True):
@@ -232,12 +185,9 @@ def renew(
 def _check_bounds(grant: Grant, ticket: Ticket, delegation: Delegation) -> None:
     if grant.cap <= grant.expires:
         raise RenewalTooWide(f"grant {grant.short_id} is not renewable", "ask for a new grant")
-    if ticket.expires > grant.cap:
-        raise RenewalTooWide(f"the ticket extends beyond {format_time(grant.cap)}, the grant's cap")
-    if ticket.expires > delegation.expires:
-        raise RenewalTooWide(
-            f"the ticket extends beyond {format_time(delegation.expires)}, the delegation's end"
-        )
+    for end, whose in ((grant.cap, "grant's cap"), (delegation.expires, "delegation's end")):
+        if ticket.expires > end:
+            raise RenewalTooWide(f"the ticket extends beyond {format_time(end)}, the {whose}")
     if ticket.expires - ticket.not_before > delegation.max_ttl:
         raise RenewalTooWide(f"a ticket for more than {delegation.max_ttl} s")
 
@@ -245,14 +195,12 @@ def _check_bounds(grant: Grant, ticket: Ticket, delegation: Delegation) -> None:
 def _check_time(what: str, statement: Delegation | Ticket | Grant, now: int) -> None:
     if now < statement.not_before:
         raise RenewalNotInTime(
-            f"the {what} is not valid before {format_time(statement.not_before)}",
-            "check this host's clock",
+            f"the {what} is not valid before {format_time(statement.not_before)}", "check this host's clock"
         )
     # The grant's own end is what the ticket replaces.
     if not isinstance(statement, Grant) and now >= statement.expires:
         raise RenewalNotInTime(
-            f"the {what} expired at {format_time(statement.expires)}",
-            "ask the master for a new ticket",
+            f"the {what} expired at {format_time(statement.expires)}", "ask the master for a new ticket"
         )
 
 

@@ -1,43 +1,233 @@
-"""What a node presents: a grant as signed, one with a ticket that renews it, or a chain.
+"""What a node presents: a grant as signed, one with a ticket that renews it, or a chain of narrowings.
 
-A renewed grant is sent as the deterministic CBOR array [grant, ticket, delegation], each as signed;
-a chain as [one of these, [narrowing, ...]]. The verifier also needs the key of the delegate, its
-master. That key is not in the token, so a peer cannot choose who renewed its grant.
+A renewed grant is sent as the deterministic CBOR array [grant, ticket, delegation], each as signed; a chain
+as [one of these, [narrowing, ...]]. The key of the delegate is not in the token, so a peer cannot choose who
+renewed its grant. A narrowing hands a grant on to another key of its domain, signed by the holder of the link
+before. Every link must authorize alone, and all restrictions add up (`grants.decision`), so a link that
+"grants" more has no effect; conditions and filters of a narrowing see what the links before let through, and
+a rate counts for the first holder, whomever it hands the right to. Pure; docs/spec/domains.md section 4.
 """
 
+import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Final, NamedTuple
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, Final, NamedTuple
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.encoding import MAX_SIZE as MAX_GRANT
-from ca.encoding import decode, encode
-from ca.errors import EncodingError
-from ca.keys.publickey import thumbprint
+from ca.encoding import MAX_SIZE, Value, decode, encode
+from ca.errors import CAError, EncodingError, KeyRefused, SignatureError
+from ca.keys.signing import Profile, Signer, from_coordinates, thumbprint, thumbprint_of, to_coordinates
+from ca.names import split_alias
 from grants import document
-from grants.document import open_grant, verify
-from grants.errors import GrantMalformed, RenewalForOther
-from grants.model import MAX_NARROWINGS, Grant
-from grants.narrowing import MAX_NARROWING, follow, peek_chain
+from grants.document import issuer_uri, open_grant, read_issuer, read_scope, scope_of, verify
+from grants.errors import (
+    GrantMalformed,
+    NarrowingForged,
+    NarrowingForOther,
+    NarrowingNotAllowed,
+    NarrowingOutsideDomain,
+    RenewalForOther,
+)
+from grants.model import ID_SIZE, MAX_NARROWINGS, Draft, Grant, check_time
 from grants.renewal import MAX_STATEMENT, open_delegation, renew
 
-MAX_SINGLE: Final = MAX_GRANT + 2 * MAX_STATEMENT + 16
+NARROWING: Final = Profile("rossec-narrowing+cwt")
+MAX_NARROWING: Final = MAX_SIZE
+MAX_SINGLE: Final = MAX_SIZE + 2 * MAX_STATEMENT + 16  # a grant with what renews it
 MAX_TOKEN: Final = 64 * 1024
+COORDINATE: Final = 32
 _ARRAY_OF_2: Final = b"\x82"
 _ARRAY_OF_3: Final = b"\x83"  # a grant begins with its tag, 0xd2
+_ID_PREFIX: Final = b"rossec-narrowing-id\0" + len(NARROWING.protected).to_bytes(4) + NARROWING.protected
+
+# As in `grants.document`; these three are private use.
+_ISS, _SUB, _AUD, _EXP, _NBF, _CTI, _CNF, _SCOPE, _CKT = 1, 2, 3, 4, 5, 7, 8, 9, 5
+_PARENT, _KEY, _MAY_NARROW = -70032, -70033, -70034
+
+
+def sign_narrowing(signer: Signer, draft: Draft, parent: Grant) -> bytes:
+    """Sign `draft` as the holder of `parent`, a grant or a chain; `draft.cap` is its end."""
+    from grants.conditions.compile import check_syntax  # noqa: PLC0415 - not loaded to read grants
+
+    for permission in draft.permissions:
+        for text in permission.restriction.conditions if permission.restriction else ():
+            check_syntax(text)
+    key = to_coordinates(signer.public_key)
+    data = NARROWING.sign(
+        signer,
+        {
+            _ISS: issuer_uri(thumbprint(signer.public_key)),
+            _SUB: draft.subject,
+            _AUD: draft.domain,
+            _EXP: draft.expires,
+            _NBF: draft.not_before,
+            _CTI: draft.serial,
+            _CNF: {_CKT: draft.holder},
+            _SCOPE: scope_of(draft.permissions),
+            _PARENT: parent.id,
+            _KEY: [key[:COORDINATE], key[COORDINATE:]],
+            _MAY_NARROW: draft.may_narrow,
+        },
+    )
+    _open_link(data, parent.links[-1])  # nothing is signed that verifiers refuse
+    return data
+
+
+def peek_chain(grant: Grant, narrowings: Sequence[bytes]) -> Grant:
+    read = (_read(claims, body)[0] for body, claims in map(_unverified, narrowings))
+    return _joined((grant, *read))
+
+
+def follow(grant: Grant, narrowings: Sequence[bytes], now: int) -> Grant:
+    chain = _links(grant, narrowings)
+    for link in chain:
+        check_time(link, now)
+    return _joined(chain)
+
+
+def verify_chain(grant: Grant, narrowings: Sequence[bytes]) -> Grant:
+    return _joined(_links(grant, narrowings))
+
+
+def check_one_domain(grant: Grant, label: str, peer: str) -> None:
+    """Return if a chain stays in the domain of its first holder; a single grant always does.
+
+    Args:
+        label: what the domain that the grant is of is called here; empty: it is the own one.
+        peer: the name of the peer here, an alias if it is a foreigner.
+    """
+    if not grant.chain:
+        return
+    try:
+        first, found = split_alias(grant.links[0].subject), split_alias(peer)
+    except CAError as error:
+        raise NarrowingOutsideDomain(f"a chain for nobody: {error}", error.hint) from error
+    found_label = "" if found is None else found[0]
+    expected = label if first is None else ("" if label else first[0])
+    if found_label != expected:
+        raise NarrowingOutsideDomain(
+            f"grant {grant.short_id} was narrowed for a node of another domain",
+            "a right is handed on within one domain; ask for a grant of your own",
+        )
+
+
+def _links(grant: Grant, narrowings: Sequence[bytes]) -> tuple[Grant, ...]:
+    if not 0 < len(narrowings) <= min(grant.may_narrow, MAX_NARROWINGS):
+        raise NarrowingNotAllowed(
+            f"grant {grant.short_id} allows {grant.may_narrow} narrowings, not {len(narrowings)}",
+            "at the authority: rossec grant sign NODE --may-narrow N",
+        )
+    links = [grant]
+    for data in narrowings:
+        links.append(_open_link(data, links[-1]))
+    return tuple(links)
+
+
+def _joined(chain: tuple[Grant, ...]) -> Grant:
+    # One grant that stands for the chain; it cannot be renewed.
+    first, last = chain[0], chain[-1]
+    expires = min(link.expires for link in chain)
+    return replace(
+        first,
+        subject=last.subject,
+        holder=last.holder,
+        id=last.id,
+        may_narrow=last.may_narrow,
+        not_before=max(link.not_before for link in chain),
+        expires=expires,
+        cap=expires,
+        via=(),
+        chain=chain,
+    )
+
+
+def _open_link(data: bytes, before: Grant) -> Grant:
+    body, claims = _unverified(data)
+    try:
+        match claims:
+            case {-70033: [bytes() as x, bytes() as y]} if len(x) == len(y) == COORDINATE:
+                named = x + y
+            case _:
+                raise GrantMalformed("a narrowing without the key that signed it")
+        if thumbprint_of(named) != before.holder:
+            raise NarrowingForged("a narrowing by another key than the one that holds the grant")
+        NARROWING.open_body(data, _key(named), limit=MAX_NARROWING)
+    except (KeyRefused, SignatureError) as error:
+        raise NarrowingForged(f"a narrowing is refused: {error}") from None
+    link, parent = _read(claims, body)
+    if link.issuer != before.holder:
+        raise NarrowingForged("a narrowing whose iss is not the key that signed it")
+    if parent != before.id or link.domain != before.domain:
+        raise NarrowingForOther(
+            f"the narrowing {link.short_id} follows another grant than {before.short_id}",
+            "present it with the grant it was made from",
+        )
+    if link.may_narrow >= before.may_narrow:
+        raise NarrowingNotAllowed(
+            f"{before.short_id} allows {before.may_narrow} narrowings, the one after it as many",
+            "each narrowing must allow fewer than the link before",
+        )
+    return link
+
+
+@lru_cache(maxsize=64)
+def _key(coordinates: bytes) -> ec.EllipticCurvePublicKey:
+    # Only keys that a verified link names come here, so a stranger drives none out.
+    return from_coordinates(coordinates)
+
+
+def _unverified(data: bytes) -> tuple[bytes, Value]:
+    try:
+        body = NARROWING.peek_body(data, limit=MAX_NARROWING)
+        return body, decode(body)
+    except (SignatureError, EncodingError) as error:
+        raise GrantMalformed(f"not a narrowing: {error}") from None
+
+
+def _read(claims: Value, body: bytes) -> tuple[Grant, bytes]:
+    match claims:
+        case {
+            1: str() as iss,
+            2: str() as sub,
+            3: str() as aud,
+            4: exp,
+            5: nbf,
+            7: bytes() as cti,
+            8: {5: bytes() as ckt, **more},
+            9: bytes() as scope,
+            -70032: bytes() as parent,
+            -70033: _,
+            -70034: count,
+            **rest,
+        } if not rest and not more and len(parent) == ID_SIZE:
+            pass
+        case _:
+            raise GrantMalformed("a narrowing has missing or unknown claims")
+    begin, end = _number(nbf), _number(exp)
+    try:
+        link_id = hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE]
+        of = (aud, sub, ckt, begin, end, end, cti, read_scope(scope), link_id, read_issuer(iss))
+        link = Grant(*of, may_narrow=_number(count))
+    except CAError as error:
+        raise GrantMalformed(f"in a narrowing: {error}", error.hint) from None
+    if link.has_tail_patterns:
+        raise GrantMalformed("a narrowing with a tail pattern", "name the anonymous node")
+    return link, parent
+
+
+def _number(value: Any) -> int:
+    if type(value) is not int:
+        raise GrantMalformed("a number of a narrowing is of a wrong type")
+    return value
 
 
 class TokenParts(NamedTuple):
-    """The parts of a token; `ticket` and `delegation` are empty for a grant without renewal.
-
-    `narrowings` are those of a chain, in order.
-    """
-
     grant: bytes
-    ticket: bytes = b""
+    ticket: bytes = b""  # empty for a grant without renewal, as `delegation`
     delegation: bytes = b""
-    narrowings: tuple[bytes, ...] = ()
+    narrowings: tuple[bytes, ...] = ()  # of a chain, in order
 
 
 @dataclass(frozen=True)
@@ -60,29 +250,22 @@ class Verifier:
     def open(self, token: bytes, now: int) -> Grant:
         """Verify a token and return the grant, with the expiry of its ticket if renewed.
 
-        That a chain stays in one domain is checked by who knows the peer
-        (`narrowing.check_one_domain`).
-
-        Raises:
-            GrantError: as `document.open_grant`, for a renewed one as `renewal.renew`, for a chain
-                as `narrowing.follow`.
+        That a chain stays in one domain is checked by who knows the peer (`check_one_domain`).
         """
         parts = unpack(token)
-        grant = self._open_single(parts, now)
-        return follow(grant, parts.narrowings, now) if parts.narrowings else grant
-
-    def _open_single(self, parts: TokenParts, now: int) -> Grant:
         if not parts.ticket:
-            return open_grant(parts.grant, self.ca_key, now, domain=self.domain)
-        if not self.delegates:
+            grant = open_grant(parts.grant, self.ca_key, now, domain=self.domain)
+        elif not self.delegates:
             raise RenewalForOther(
                 "a renewed grant, but the master's key is not known", "connect to the master first"
             )
-        grant = verify(parts.grant, self.ca_key, domain=self.domain)
-        delegation = open_delegation(parts.delegation, self.ca_key)
-        of_holder = (key for key in self.delegates if thumbprint(key) == delegation.holder)
-        key = next(of_holder, self.delegates[0])  # another one's: refused as such
-        return renew(grant, parts.ticket, delegation, key, now=now, seq=self.seq, check=self.check)
+        else:
+            grant = verify(parts.grant, self.ca_key, domain=self.domain)
+            delegation = open_delegation(parts.delegation, self.ca_key)
+            of_holder = (key for key in self.delegates if thumbprint(key) == delegation.holder)
+            key = next(of_holder, self.delegates[0])  # another one's: refused as such
+            grant = renew(grant, parts.ticket, delegation, key, now=now, seq=self.seq, check=self.check)
+        return follow(grant, parts.narrowings, now) if parts.narrowings else grant
 
 
 def pack(grant: bytes, ticket: bytes, delegation: bytes) -> bytes:
@@ -91,11 +274,7 @@ def pack(grant: bytes, ticket: bytes, delegation: bytes) -> bytes:
 
 
 def pack_chain(token: bytes, narrowings: Sequence[bytes]) -> bytes:
-    """The token of a chain: `token` is that of its grant, or of a shorter chain.
-
-    Raises:
-        GrantMalformed: larger than a token may be, or too many narrowings.
-    """
+    """The token of a chain: `token` is that of its grant, or of a shorter chain."""
     parts = unpack(token)
     if parts.narrowings:
         token, narrowings = _split_chain(token)[0], (*parts.narrowings, *narrowings)
@@ -105,12 +284,7 @@ def pack_chain(token: bytes, narrowings: Sequence[bytes]) -> bytes:
 
 
 def unpack(token: bytes) -> TokenParts:
-    """Split a token; nothing is verified. Sizes are checked before anything is parsed.
-
-    Raises:
-        GrantMalformed: too large, or an array other than [grant, ticket, delegation] or
-            [token, [narrowing, ...]].
-    """
+    """Split a token; nothing is verified. Sizes are checked before anything is parsed."""
     if token.startswith(_ARRAY_OF_2):
         single, narrowings = _split_chain(token)
         return _unpack_single(single)._replace(narrowings=narrowings)
@@ -118,11 +292,7 @@ def unpack(token: bytes) -> TokenParts:
 
 
 def peek(token: bytes) -> Grant:
-    """The content of a token *without* verifying it: to show or to hold it, or to find its key.
-
-    Raises:
-        GrantMalformed: not a token, or outside the closed schemas.
-    """
+    """The content of a token *without* verifying it: to show or to hold it, or to find its key."""
     parts = unpack(token)
     grant = document.peek(parts.grant)
     return peek_chain(grant, parts.narrowings) if parts.narrowings else grant

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 
 def _check_python() -> None:
-    """This file alone is read by an older Python, as that of Ubuntu 20.04 with Noetic."""
     if _sys.version_info < (3, 11):  # noqa: UP036 - it is imported where pip never was asked
         version = ".".join(map(str, _sys.version_info[:2]))
         _sys.exit(

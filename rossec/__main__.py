@@ -15,7 +15,6 @@ COMPLETE: Final = "_ROSSEC_COMPLETE"  # set by the scripts of `rossec completion
 
 
 def main() -> NoReturn:
-    """Entry point: run the command line and exit with its code."""
     heard = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # else it is ignored
     if heard:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -35,7 +34,6 @@ def main() -> NoReturn:
 
 
 def complete() -> NoReturn:
-    """Answer one press of Tab; whatever happens, nothing appears on the person's terminal."""
     with contextlib.suppress(Exception):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
         from rossec.cli.main import complete as completed  # noqa: PLC0415 - as above

@@ -3,13 +3,9 @@
 Grants, certificates, timestamps and deadlines are checked against the host's clock, and that can be
 set back (by its operator, by NTP, by an attacker of NTP): what has expired would be valid again. So
 the time is that of the host's clock, or the latest it ever showed plus the seconds counted since,
-whichever is later. The seconds come from CLOCK_BOOTTIME, which cannot be set and which runs while
-the machine is suspended. They count `DRIFT` slower, since counters and clocks differ (adjtimex(2)
-corrects 500 ppm at most): a small step back is caught up.
-
-A clock that went back by more than `SKEW` is a *setback*: it is counted, and revocation data is not
-relied on until it is confirmed (`rossec.participant.revocation_watch`). If the clock was wrong
-before and is right now, a trusted clock shows it: `correct` then follows the host's clock again.
+whichever is later. A clock that went back by more than `SKEW` is a *setback*: it is counted, and
+revocation data is not relied on until it is confirmed (`rossec.participant.connections`). If the
+clock was wrong before and is right now, a trusted clock shows it: `correct` then follows it again.
 """
 
 import time as _time
@@ -17,37 +13,35 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from ca.revocation.state import SKEW
+from ca.revocation.trust_status import SKEW
 
+# The counted seconds run slower, since counters and clocks differ (adjtimex(2) corrects 500 ppm at
+# most): a small step back is caught up.
 DRIFT: Final = 500e-6
 
 Seconds = Callable[[], float]
 
 
 def counter() -> Seconds:
-    """A counter of seconds, including those in which the machine was suspended."""
+    # CLOCK_BOOTTIME cannot be set, and runs while the machine is suspended.
     if hasattr(_time, "CLOCK_BOOTTIME"):
         return partial(_time.clock_gettime, _time.CLOCK_BOOTTIME)
     return _time.monotonic
 
 
 class Clock:
-    """A host's clock; threads may share it, as its state is replaced in one step.
-
-    Args:
-        host: seconds since the epoch, as the host has them.
-        elapsed: seconds of a clock that cannot be set; this machine's.
-    """
+    """A host's clock; threads may share it, as its state is replaced in one step."""
 
     def __init__(self, host: Seconds = _time.time, elapsed: Seconds | None = None) -> None:
-        self._host = host
+        self._host = host  # seconds since the epoch, as the host has them
+        # seconds of a clock that cannot be set; this machine's
         self._elapsed = counter() if elapsed is None else elapsed
         self._latest = host(), self._elapsed()
         self._behind = 0.0  # by how much the host's clock is known to be behind
         self.setbacks = 0
 
     def time(self) -> float:
-        """Seconds since the epoch."""
+        # Seconds since the epoch.
         host, elapsed = self._host(), self._elapsed()
         latest, then = self._latest
         counted = latest + (elapsed - then) * (1 - DRIFT)
@@ -60,10 +54,7 @@ class Clock:
         return counted
 
     def correct(self, moment: int) -> bool:
-        """Compare with `moment`, the time of a trusted clock; whether this one is corrected.
-
-        It is where the host's clock agrees with the other, and was set back.
-        """
+        # It is where the host's clock agrees with the other, and was set back.
         host, elapsed = self._host(), self._elapsed()
         corrects = abs(host - moment) <= SKEW and host < self.time()
         if corrects:
@@ -106,7 +97,6 @@ def seconds_left_today(now: int) -> int:
 
 
 def correct(moment: int) -> bool:
-    """As of `Clock`."""
     return HOST.correct(moment)
 
 

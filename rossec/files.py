@@ -31,36 +31,23 @@ _NO_EXCHANGE: Final = {errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EXDEV
 
 @dataclass(frozen=True)
 class Owned:
-    """What the part that owns files in a directory says of them.
+    """What the part that owns files in a directory says of them."""
 
-    Args:
-        pattern: of their paths below it, a regular expression of the whole.
-        kept: whether they are in a backup.
-        public: whether others may read them.
-        stays: where a backup replaces the home they are in, they are newer than those of the
-            backup, and an older one would bring back what was taken away.
-    """
-
-    pattern: str
-    kept: bool = True
-    public: bool = False
+    pattern: str  # of their paths below it, a regular expression of the whole
+    kept: bool = True  # whether they are in a backup
+    public: bool = False  # whether others may read them
+    # where a backup replaces the home they are in, they are newer than those of the backup, and an older
+    # one would bring back what was taken away
     stays: bool = False
 
     def below(self, directory: str) -> "Owned":
-        """The same in `directory`."""
         return changed(self, pattern=f"{re.escape(directory)}/(?:{self.pattern})")
 
     def names(self, path: str) -> bool:
-        """Whether it speaks of the file at `path`."""
         return re.fullmatch(self.pattern, path) is not None
 
 
 def make_private_directory(path: Path) -> None:
-    """Create `path` and missing parents, for the owner alone; an existing one is kept.
-
-    Raises:
-        PathRefused: others can write there.
-    """
     if not path.parent.is_dir():  # mkdir(parents=True) would ignore the mode for those above
         make_private_directory(path.parent)
     path.mkdir(mode=0o700, exist_ok=True)
@@ -68,12 +55,7 @@ def make_private_directory(path: Path) -> None:
 
 
 def create(path: Path, data: bytes, mode: int = 0o600) -> None:
-    """Write a new file, durable on return.
-
-    Raises:
-        ConfigurationError: the file exists already.
-        NotWritten: the disk refused it; nothing is left behind.
-    """
+    """Write a new file, durable on return."""
     with _disk_errors(path):
         _create(path, data, mode)
 
@@ -82,10 +64,6 @@ def replace(path: Path, data: bytes, mode: int = 0o600, *, keep: bool = False) -
     """Write or replace a file in one step: a reader or a crash sees the old or the new content.
 
     With `keep` a file that is there keeps its mode, its owner and its group.
-
-    Raises:
-        ConfigurationError: the path is a link, a device or the like, which is not replaced.
-        NotWritten: the disk refused it; the old content is unchanged.
     """
     if path.is_symlink() or (path.exists() and not path.is_file() and not path.is_dir()):
         raise ConfigurationError(
@@ -128,7 +106,6 @@ def _create(path: Path, data: bytes, mode: int) -> None:
 
 @contextmanager
 def _disk_errors(path: Path) -> Iterator[None]:
-    """Raise `NotWritten` for disk errors. A peer may read its first line: no path in it."""
     try:
         yield
     except OSError as error:
@@ -141,11 +118,6 @@ def _disk_errors(path: Path) -> Iterator[None]:
 
 
 def commit_directory(temporary: Path, path: Path) -> None:
-    """Rename a finished directory to `path`, durable on return: all of it or nothing.
-
-    Raises:
-        ConfigurationError: `path` exists; it is not changed.
-    """
     sync_directory(temporary)
     try:
         temporary.rename(path)
@@ -162,15 +134,10 @@ def exchange(one: Path, other: Path) -> None:
     """Give each of two directories the path of the other in one step, durable on return.
 
     A crash leaves both as they were, or both exchanged: at no moment is there nothing at a path.
-
-    Raises:
-        ConfigurationError: this file system cannot; nothing was changed.
     """
     library = ctypes.CDLL(None, use_errno=True)
     try:
-        done = library.renameat2(
-            _AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE
-        )
+        done = library.renameat2(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE)
         number = ctypes.get_errno() if done else 0
     except AttributeError:  # a C library without it
         number = errno.ENOSYS
@@ -190,9 +157,6 @@ def replace_directory(new: Path, target: Path, aside: Path) -> None:
 
     The last step is an exchange: after a crash nothing is left to do, and what was replaced is
     where it belongs. A crash before it leaves `new` at `aside`.
-
-    Raises:
-        ConfigurationError, OSError: as `exchange`; `new` is where it was.
     """
     made = new.stat().st_ino
     new.rename(aside)
@@ -205,11 +169,6 @@ def replace_directory(new: Path, target: Path, aside: Path) -> None:
 
 
 def lock_file(path: Path, busy: ConfigurationError) -> int:
-    """Lock `path` for this process until the descriptor returned is closed, or it exits.
-
-    Raises:
-        ConfigurationError: `busy`, when another process holds it.
-    """
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
     descriptor = os.open(path, flags, 0o600)
     try:
@@ -222,7 +181,6 @@ def lock_file(path: Path, busy: ConfigurationError) -> int:
 
 @contextmanager
 def locked_directory(directory: Path) -> Iterator[None]:
-    """Lock `directory` against other callers of this: for reading, then writing."""
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
@@ -232,11 +190,7 @@ def locked_directory(directory: Path) -> Iterator[None]:
 
 
 def read(path: Path, limit: int, missing: ConfigurationError | None = None) -> bytes:
-    """Content of a file of at most `limit` bytes.
-
-    Raises:
-        ConfigurationError: `missing` when there is no file (without it, a plain one); too large.
-    """
+    """Content of a file of at most `limit` bytes."""
     try:
         with path.open("rb") as file:
             return _bounded(file, path, limit)
@@ -254,13 +208,7 @@ def _bounded(file: BinaryIO, path: Path, limit: int) -> bytes:
 def read_own(path: Path, limit: int, missing: ConfigurationError, *, link: bool = False) -> bytes:
     """As `read`, of a file that is trusted: only its owner may have written it.
 
-    Args:
-        path, limit, missing: as for `read`.
-        link: it may be a symbolic link, as the operator's own files are; its target is checked.
-
-    Raises:
-        ConfigurationError: as for `read`.
-        PathRefused: see `ca.keys.ownership`.
+    With `link` it may be a symbolic link, as the operator's own files are; its target is checked.
     """
     try:
         descriptor = ownership.open_trusted(path, link=link)
@@ -271,12 +219,6 @@ def read_own(path: Path, limit: int, missing: ConfigurationError, *, link: bool 
 
 
 def append_own(path: Path) -> int:
-    """Open a log to append to, created for its owner alone; returns its descriptor.
-
-    Raises:
-        PathRefused: not a plain file, or of another owner, who could read it.
-        OSError: it cannot be opened.
-    """
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
     descriptor = os.open(path, flags, 0o600)
     try:
@@ -288,11 +230,7 @@ def append_own(path: Path) -> int:
 
 
 def open_text(path: Path, missing: ConfigurationError) -> TextIO:
-    """Open a text file of any length; invalid characters are replaced.
-
-    Raises:
-        ConfigurationError: `missing` when there is no file, another when it is not a regular one.
-    """
+    """Open a text file of any length; invalid characters are replaced."""
     try:  # without O_NONBLOCK a FIFO blocks the caller until it is written to
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except FileNotFoundError:
@@ -309,7 +247,6 @@ def lines(file: TextIO, longest: int) -> Iterator[str]:
 
 
 def sync_directory(path: Path) -> None:
-    """Make what was renamed or made in a directory durable."""
     descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)

@@ -1,36 +1,42 @@
-"""The directory of a node below ROSSEC_HOME, and its files.
+"""The directory of a node below ROSSEC_HOME, and its files. A shell.
 
-A shell. Keys are written by `ca.keys.key_files`, everything else by `rossec.files`; content is
-verified by the module of its format. The hints of errors name the next command.
+Keys are written by `ca.keys.private_keys`, everything else by `rossec.files`; content is verified by
+the module of its format. The hints of errors name the next command. When the own identity is over, a
+node says that it ended, or that the clock is in doubt: what was signed, and the times of the files,
+show how late it is at least. A host whose clock is years ahead has nothing of that time; neither has
+one that was off for as long, so that both are told.
 """
 
-from collections.abc import Iterator
+import secrets
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, Self
 
 from ca import svid
-from ca.certificates import (
-    Identity,
-    IdentityRequest,
-    TrustAnchor,
-    build_request,
-    check_request,
-    from_pem,
-    to_pem,
+from ca.certificates import Identity, TrustAnchor, everything_ended, from_pem, own_end, to_pem
+from ca.errors import (
+    CertificateExpired,
+    HintedError,
+    KeyRefused,
+    PathRefused,
+    RequestRefused,
+    RevocationRefused,
 )
-from ca.errors import CertificateExpired, HintedError, KeyRefused, RequestRefused
-from ca.keys import key_files
-from ca.keys.signer import KeySigner
+from ca.keys import private_keys
+from ca.keys.signing import KeySigner, thumbprint
 from ca.names import check_name
-from ca.revocation.state import NO_FLOOR, open_statement
-from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE
-from rossec import files, home_hints
+from ca.revocation.lists import MAX_TREE_ENTRIES_SIZE
+from ca.revocation.trust_status import NO_FLOOR, open_statement
+from ca.svid import IdentityRequest, build_request, check_request
+from grants.filters.hashing import FILTER_KEY_SIZE, check_key_name
+from rossec import environment, files
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.errors import ConfigurationError
-from rossec.filter_keys import DIRECTORY as FILTERS
-from rossec.filter_keys import filter_key
-from rossec.own_validity import ended, has_key, seen_in
 
+_FILES: Final = ("node.pem", "ca.pem", "revocations.cose", "grants")
+FILTERS: Final = "filters"  # of a node
+FILTER_KEYS: Final = (files.Owned(r"[a-z][a-z0-9_-]{0,31}\.key"),)
 _SIZE_LIMIT: Final = 256 * 1024
 REVOCATIONS: Final = "revocations.cose"  # the newest list that the node has seen
 OWNED: Final = (
@@ -41,6 +47,60 @@ OWNED: Final = (
     files.Owned(r"revocations\.(?:cose|entries)", stays=True),
     files.Owned(r"delegation\.cose", stays=True),
 )
+
+
+def ended(name: str, chain: Iterable[bytes], anchor: TrustAnchor, now: int, seen: int) -> CertificateExpired:
+    """The refusal of the own identity `name`, whose `chain` is not valid any more at `now`.
+
+    `seen`: how late it is at least, as far as is known without the clock.
+    """
+    if now > anchor.not_after:
+        return everything_ended(anchor.domain, anchor.not_after, now)
+    end = min(svid.validity(svid.parse(der))[1] for der in chain)
+    return own_end(name, end, now, seen)
+
+
+def seen_in(directory: Path, anchor: TrustAnchor, revocations: bytes | None) -> int:
+    times = [anchor.not_before]
+    for name in _FILES:
+        path = directory / name
+        if path.exists():
+            times.append(int(path.stat().st_mtime))
+    if revocations is not None:
+        with suppress(RevocationRefused):  # of another authority
+            times.append(open_statement(revocations, anchor.public_key).issued)
+    return max(times)
+
+
+def has_key(name: str, directory: Path) -> str:
+    anew = "for a new key, without the grants of this one, move that directory away first"
+    if (directory / "node.pem").exists():
+        renew = f"rossec ca renew --expired {name}, then here: rossec node install FILE"
+        return f"if its identity is over, where the authority is: {renew}; {anew}"
+    return f"its request is {directory / 'node.csr'}; {anew}"
+
+
+def filter_key(directory: Path, name: str) -> bytes:
+    """The key `name`, 32 random bytes; created on first use."""
+    path = directory / f"{check_key_name(name)}.key"
+    files.make_private_directory(directory)
+    with files.locked_directory(directory):
+        if not path.exists():
+            files.create(path, secrets.token_bytes(FILTER_KEY_SIZE))
+    missing = ConfigurationError(f"there is no filter key {name} any more", f"it was {path}")
+    try:
+        key = files.read_own(path, FILTER_KEY_SIZE, missing)
+    except PathRefused as error:  # a peer may read this: no path in it
+        raise ConfigurationError(
+            f"others could have written the filter key {name}", f"{error}: {error.hint}"
+        ) from error
+    if len(key) != FILTER_KEY_SIZE:
+        raise ConfigurationError(
+            # A peer may read this: no path in it.
+            f"the filter key {name} is not a key of {FILTER_KEY_SIZE} bytes",
+            f"move {path} away: a new one is made, and pseudonyms change",
+        )
+    return key
 
 
 class NodeHome:
@@ -65,40 +125,30 @@ class NodeHome:
         own = cls.of(home, name)
         if own.path.exists():
             return own
-        candidates = (cls.of(home, base) for base in _shortened(name))
-        return next((found for found in candidates if found.is_wildcard()), own)
+        for end in range(len(name) - 2, name.rindex("/") + 1, -1):
+            if name[end] == "_" and (found := cls.of(home, name[:end])).is_wildcard():
+                return found
+        return own
 
     @classmethod
     def for_bundle(cls, home: Path, bundle: bytes, now: int) -> tuple[Self, TrustAnchor]:
-        """The directory of the node a signed identity is for, and the authority that signed it.
-
-        Raises:
-            CertificateRefused: not a valid identity.
-        """
+        """The directory of the node a signed identity is for, and the authority that signed it."""
         chain, root = _split(bundle)
         anchor = TrustAnchor.load(root)
         return cls.of(home, anchor.verify(chain, now).name), anchor
 
     @property
     def request_path(self) -> Path:
-        """The request for an identity, to carry to the authority."""
         return self.path / "node.csr"
 
     def create_request(self, domain: str, *, wildcard: bool = False) -> IdentityRequest:
-        """Make the key and the request for an identity; with `wildcard`, for anonymous nodes too.
-
-        Raises:
-            NameRefused: not a trust domain, or a name that cannot have a tail.
-            KeyRefused: the node has a key already.
-        """
+        """Make the key and the request for an identity; with `wildcard`, for anonymous nodes too."""
         if (self.path / "node.key").exists():
-            raise KeyRefused(
-                f"{self.name} has a key already, in {self.path}", has_key(self.name, self.path)
-            )
+            raise KeyRefused(f"{self.name} has a key already, in {self.path}", has_key(self.name, self.path))
         files.make_private_directory(self.path)
-        key = key_files.generate()
+        key = private_keys.generate()
         request = build_request(KeySigner(key), domain, self.name, wildcard=wildcard)
-        key_files.write_private(self.path / "node.key", key)
+        private_keys.write_private(self.path / "node.key", key)
         files.replace(self.request_path, request, 0o644)
         return check_request(request, domain, wildcard=wildcard)
 
@@ -113,16 +163,11 @@ class NodeHome:
         return build_request(self.signer(), domain, self.name, wildcard=wildcard)
 
     def label_request(self, domain: str, *, wildcard: bool = False) -> bytes:
-        """The request (DER) on disk, made if there is none: the one a printed label is for.
-
-        Raises:
-            RequestRefused: it is for another domain, or invalid.
-            ConfigurationError: it is for another key than the one here.
-        """
+        """The request (DER) on disk, made if there is none: the one a printed label is for."""
         if not (self.path / "node.key").exists():
             self.create_request(domain, wildcard=wildcard)
         request = self.request()
-        own = key_files.thumbprint(self.signer().public_key)
+        own = thumbprint(self.signer().public_key)
         if check_request(request, domain, wildcard=wildcard).thumbprint != own:
             raise ConfigurationError(
                 f"{self.request_path} is for another key than {self.name} has here",
@@ -144,7 +189,6 @@ class NodeHome:
         return self.label_request(domain, wildcard=wildcard)
 
     def _is_open(self, domain: str, *, wildcard: bool) -> bool:
-        """Whether there is a request that fits, and no identity yet: one request gets one."""
         if not self.request_path.exists() or (self.path / "node.pem").exists():
             return False
         try:
@@ -154,43 +198,38 @@ class NodeHome:
         return found.wildcard == wildcard
 
     def signer(self) -> KeySigner:
-        """This node's key."""
-        return KeySigner(key_files.load_private(self.path / "node.key"))
+        return KeySigner(private_keys.load_private(self.path / "node.key"))
 
     def request(self) -> bytes:
-        """The request (DER)."""
         return self._read("node.csr", f"next: rossec node request {self.name}")
 
     def install(self, bundle: bytes, now: int) -> Identity:
-        """Store a signed identity and trust its authority.
-
-        Raises:
-            CertificateRefused: not a valid identity.
-            ConfigurationError: of another node, for another key, or of another authority than
-                this node trusts already.
-        """
+        """Store a signed identity and trust its authority."""
         chain, root = _split(bundle)
         anchor = TrustAnchor.load(root)
         identity = anchor.verify(chain, now)
-        self._check_is_ours(identity)
-        self._check_same_authority(anchor)
+        own = thumbprint(self.signer().public_key)
+        if identity.name != self.name or identity.thumbprint != own:
+            raise ConfigurationError(
+                f"this identity is for {identity.name} with another key than {self.name} has here",
+                f"sign the request in {self.request_path}",
+            )
+        if (self.path / "ca.pem").exists() and self.anchor().thumbprint != anchor.thumbprint:
+            raise ConfigurationError(
+                f"{self.name} trusts another authority already",
+                f"to change it, move {self.path} away and enroll the node anew",
+            )
         files.replace(self.path / "ca.pem", to_pem(root), 0o644)
         files.replace(self.path / "node.pem", bundle, 0o644)
         files.make_private_directory(self.path / "grants")
         return identity
 
     def anchor(self) -> TrustAnchor:
-        """The authority this node trusts."""
         (der,) = from_pem(self._read("ca.pem", self._enroll))
         return TrustAnchor.load(der)
 
     def identity(self, now: int) -> Identity:
-        """This node's own identity, verified.
-
-        Raises:
-            CertificateRefused: it is expired, or invalid.
-            ConfigurationError: another node's, or another key's: files were copied or renamed.
-        """
+        """This node's own identity, verified."""
         anchor, own = self.anchor(), self.credentials()
         try:
             identity = anchor.verify(own.chain, now)
@@ -202,7 +241,7 @@ class NodeHome:
                 f"{self.path} holds the identity of {identity.name}, not of {self.name}",
                 f"next: rossec node request {self.name}",
             )
-        if identity.thumbprint != key_files.thumbprint(own.signer.public_key):
+        if identity.thumbprint != thumbprint(own.signer.public_key):
             raise ConfigurationError(
                 f"the key and the certificate in {self.path} do not belong together",
                 "restore the key; without it move the directory away and enroll the node anew",
@@ -217,12 +256,10 @@ class NodeHome:
         return svid.is_wildcard(chain[0])
 
     def credentials(self) -> Credentials:
-        """This node's key and certificate, with the intermediate's if there is one."""
         chain, _ = _split(self._read("node.pem", self._enroll))
         return Credentials(self.signer(), chain, shared=svid.is_wildcard(chain[0]))
 
     def grants(self) -> list[bytes]:
-        """The grants this node holds, as signed; unverified."""
         return [self.read_grant(path) for path in self.grant_files()]
 
     def grant_files(self) -> list[Path]:
@@ -230,25 +267,17 @@ class NodeHome:
         return sorted((self.path / "grants").glob("*.grant"))
 
     def read_grant(self, path: Path) -> bytes:
-        """One of `grant_files`.
-
-        Raises:
-            ConfigurationError: it is gone, or too large.
-            PathRefused: not a file, or others could have written it.
-        """
+        """One of `grant_files`."""
         return files.read_own(path, _SIZE_LIMIT, self._missing(path, ""))
 
     def add_grant(self, grant_id: bytes, data: bytes) -> None:
-        """Store a grant; adding it twice changes nothing."""
         files.make_private_directory(self.path / "grants")
         files.replace(self.grant_file(grant_id), data)
 
     def grant_file(self, grant_id: bytes) -> Path:
-        """Where `add_grant` stores a grant."""
         return self.path / "grants" / f"{grant_id.hex()}.grant"
 
     def load_revocations(self) -> bytes | None:
-        """The newest revocation list this node has seen, if any."""
         return self._read_if_present(REVOCATIONS, _SIZE_LIMIT)
 
     def save_revocations(self, data: bytes) -> None:
@@ -262,36 +291,30 @@ class NodeHome:
                 files.replace(self.path / REVOCATIONS, data)
 
     def _number(self, data: bytes) -> tuple[int, int]:
-        """The number of a list or tree of this node's authority; the lowest if it is invalid."""
         try:
             return open_statement(data, self.anchor().public_key).number
         except HintedError:
             return NO_FLOOR
 
     def load_entries(self) -> bytes | None:
-        """The entries of the revocation tree, in the master's home, if there are any."""
         return self._read_if_present("revocations.entries", MAX_TREE_ENTRIES_SIZE)
 
     def save_entries(self, data: bytes) -> None:
-        """Store the entries of a revocation tree; durable on return."""
         files.replace(self.path / "revocations.entries", data)
 
     def load_delegation(self) -> bytes | None:
-        """The authority's delegation to renew grants, in the master's home, if there is one."""
         return self._read_if_present("delegation.cose", _SIZE_LIMIT)
 
     def save_delegation(self, data: bytes) -> None:
-        """Store a delegation; durable on return."""
         files.replace(self.path / "delegation.cose", data)
 
     def filter_key(self, name: str) -> bytes:
-        """The key `name` for pseudonyms; raises as `rossec.filter_keys.filter_key`."""
         return filter_key(self.path / FILTERS, name)
 
     @property
     def _enroll(self) -> str:
         if not (self.path / "node.key").exists():
-            return home_hints.missing_node(self.path.parent.parent, self.name)
+            return environment.missing_node(self.path.parent.parent, self.name)
         return (
             f"next: rossec ca sign {self.request_path}, then rossec node install FILE;"
             " or go on with an invitation: rossec node join"
@@ -308,31 +331,9 @@ class NodeHome:
     def _missing(self, path: Path, hint: str) -> ConfigurationError:
         return ConfigurationError(f"{self.name} has no {path.name} in {path.parent}", hint)
 
-    def _check_is_ours(self, identity: Identity) -> None:
-        own = key_files.thumbprint(self.signer().public_key)
-        if identity.name != self.name or identity.thumbprint != own:
-            raise ConfigurationError(
-                f"this identity is for {identity.name} with another key than {self.name} has here",
-                f"sign the request in {self.request_path}",
-            )
-
-    def _check_same_authority(self, anchor: TrustAnchor) -> None:
-        if (self.path / "ca.pem").exists() and self.anchor().thumbprint != anchor.thumbprint:
-            raise ConfigurationError(
-                f"{self.name} trusts another authority already",
-                f"to change it, move {self.path} away and enroll the node anew",
-            )
-
-
-def _shortened(name: str) -> Iterator[str]:
-    """The names whose wildcard tail covers `name`, the longest first."""
-    for end in range(len(name) - 2, name.rindex("/") + 1, -1):
-        if name[end] == "_":
-            yield name[:end]
-
 
 def _split(bundle: bytes) -> tuple[tuple[bytes, ...], bytes]:
-    """The chain that a node sends, and the root, which it does not send."""
+    # The chain that a node sends, and the root, which it does not send.
     match from_pem(bundle):
         case (leaf, root):
             return (leaf,), root

@@ -1,15 +1,10 @@
 """The output of the command line: lower case, no full stop, an error and then its hint.
 
-Results go to stdout, everything else to stderr. Exit codes: 0 done, 1 refused, 2 wrong usage,
-3 done here but not delivered (the master or the node was out of reach), 4 done, but grants made by
-hand allow what the policy denies, 5 waiting for the authority or for a person (run it again), 130
-interrupted. Of several names, 1 says that one or more were refused; the others are done.
-
-With `--json` a command that acts prints its facts (`record`) as one document, and what it says to
-people goes to stderr, where a question can still be understood (docs/spec/results.md).
-
-Every command prints through these functions, and they escape whatever they are given: names of
-peers and files, reasons in a policy and arguments reach a terminal as text, wherever they are from.
+Results go to stdout, everything else to stderr. With `--json` a command that acts prints its facts
+(`record`) as one document, and what it says to people goes to stderr, where a question can still be
+understood (docs/spec/results.md). Every command prints through these functions, and they escape
+whatever they are given: names of peers and files, reasons in a policy and arguments reach a terminal
+as text, wherever they are from. Colour stands only beside words that say the same, never alone.
 """
 
 import io
@@ -18,20 +13,66 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextvars import ContextVar
 from typing import Any, Final, TextIO
 
-from rossec import colour
-from rossec.ros.text import printable as text_on_one_line
+from rossec.peer_limits import printable as text_on_one_line
 
+# Exit codes; of several names, 1 says that one or more were refused, and the others are done.
 REFUSED = 1
 USAGE = 2
-UNDELIVERED = 3
-CONTRADICTED = 4
-WAITING = 5
+UNDELIVERED = 3  # done here, but the master or the node was out of reach
+CONTRADICTED = 4  # done, but grants made by hand allow what the policy denies
+WAITING = 5  # for the authority or for a person: run it again
 INCOMPLETE = 6
 INTERRUPTED = 130
+
+RED: Final = "31"
+GREEN: Final = "32"
+YELLOW: Final = "33"
+BOLD: Final = "1"
+
+STATES: Final = {
+    "ok": GREEN,
+    "held": GREEN,
+    "delivered": GREEN,
+    "valid": GREEN,
+    "in force": GREEN,
+    "not ok": RED,
+    "revoked": RED,
+    "denied": RED,
+    "refused": RED,
+    "expired": YELLOW,
+    "stale": YELLOW,
+    "waiting": YELLOW,
+    "unknown": YELLOW,
+}
+
+PAINTED: Final = re.compile(
+    "(\x1b\\[(?:{})m *(?:{}) *\x1b\\[0m)".format("|".join({*STATES.values()}), "|".join(STATES))
+)
+"""A state as `state` paints it, and no other sequence that steers a terminal."""
+
+
+def is_wanted(stream: TextIO, environ: Mapping[str, str] | None = None) -> bool:
+    # No colour with NO_COLOR (https://no-color.org), for a dumb terminal, and where there is none.
+    found = os.environ if environ is None else environ
+    return (
+        not found.get("NO_COLOR")
+        and found.get("TERM", "dumb") != "dumb"
+        and not stream.closed
+        and stream.isatty()
+    )
+
+
+def paint(text: str, colour: str, stream: TextIO) -> str:
+    return f"\x1b[{colour}m{text}\x1b[0m" if colour and is_wanted(stream) else text
+
+
+def painted_state(word: str, stream: TextIO) -> str:
+    return paint(word, STATES.get(word.strip(), ""), stream)
+
 
 _SURROGATE: Final = re.compile("[\ud800-\udfff]")
 
@@ -120,7 +161,6 @@ def json_text(value: Any, indent: int | None = None, *, sort_keys: bool = False)
 
 
 def _whole(value: Any) -> Any:
-    """`value` without halves of surrogate pairs in its texts."""
     match value:
         case str():
             return _SURROGATE.sub(lambda found: printable(found[0]), value)
@@ -140,20 +180,19 @@ def note(text: str) -> None:
 def fail(message: str, hint: str = "") -> None:
     """An error and what to do about it; what a peer said begins with `rossec: ` already."""
     message = message.removeprefix("rossec: ")
-    error = colour.paint("error:", colour.RED, sys.stderr)
+    error = paint("error:", RED, sys.stderr)
     _write(sys.stderr, f"rossec: {error} {printable(message)}\n")
     if hint:
-        remedy = colour.paint("hint:", colour.BOLD, sys.stderr)
+        remedy = paint("hint:", BOLD, sys.stderr)
         _write(sys.stderr, f"rossec: {remedy} {printable(hint)}\n")
 
 
 def state(word: str) -> str:
     """A state as results show it: the word, and on a terminal its colour."""
-    return colour.state(word, sys.stdout if FACTS.get() is None else sys.stderr)
+    return painted_state(word, sys.stdout if FACTS.get() is None else sys.stderr)
 
 
 def _write(stream: TextIO, text: str) -> None:
-    """Write `text`, with escapes for what the stream's encoding has not."""
     for take_away in TEMPORARY:
         take_away()
     encoding = stream.encoding or "utf-8"
@@ -161,13 +200,9 @@ def _write(stream: TextIO, text: str) -> None:
 
 
 def _painted(line: str, stream: TextIO) -> str:
-    """`line` escaped, but for states that `state` has painted for this stream."""
-    if not colour.is_wanted(stream):
+    if not is_wanted(stream):
         return printable(line)
-    return "".join(
-        part if place % 2 else printable(part)
-        for place, part in enumerate(colour.PAINTED.split(line))
-    )
+    return "".join(part if place % 2 else printable(part) for place, part in enumerate(PAINTED.split(line)))
 
 
 def printable(text: str) -> str:

@@ -16,8 +16,8 @@ import coverage
 import pytest
 from hypothesis import HealthCheck, settings
 
-from rossec.log_limits import LogRateLimit
-from rossec.net import withheld_log
+from rossec.participant import delivery
+from rossec.peer_limits import LogRateLimit
 
 # A loaded machine is slow, not wrong: no example is judged by the time it takes.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -43,7 +43,7 @@ _NEEDED: Final = {
 @pytest.fixture(autouse=True)
 def _empty_rate_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lines that a process logs once a minute are logged in every test."""
-    monkeypatch.setattr(withheld_log, "RATE_LIMIT", LogRateLimit())
+    monkeypatch.setattr(delivery, "RATE_LIMIT", LogRateLimit())
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -61,7 +61,24 @@ def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
     return argname if isinstance(val, bytes) else None
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--quick", action="store_true", help="leave out what needs ROS or a browser, and slow files"
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.getoption("--quick"):
+        slow = set((config.rootpath / "tests" / "slow.txt").read_text().split())
+        left_out = [
+            item
+            for item in items
+            if item.path.relative_to(config.rootpath).as_posix() in slow
+            or any(item.get_closest_marker(marker) for marker in _NEEDED)
+        ]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in set(left_out)]
+        return
     for marker, (what, is_there) in _NEEDED.items():
         if is_there:
             continue

@@ -21,12 +21,16 @@ def test_the_demo_asks_for_no_package_of_development() -> None:
 def test_the_demo_imports_nothing_but_run_time_packages() -> None:
     """Neither an extra nor what tests need: it would fail where only those are installed."""
     allowed = {re.split(r"[^a-z0-9-]", each)[0] for each in PROJECT["dependencies"]}
-    extras = {
-        re.split(r"[^a-z0-9-]", each)[0].replace("-", "_")
-        for name, group in PROJECT["optional-dependencies"].items()
-        if name != "all"
-        for each in group
-    } - allowed - {"rossec"}  # fmt: skip
+    extras = (
+        {
+            re.split(r"[^a-z0-9-]", each)[0].replace("-", "_")
+            for name, group in PROJECT["optional-dependencies"].items()
+            if name != "all"
+            for each in group
+        }
+        - allowed
+        - {"rossec"}
+    )
     program = (
         "import sys\n"
         f"blocked = {sorted(extras | {'zenoh', 'fido2', 'PIL', 'zxingcpp', 'lxml', 'lakers'})!r}\n"

@@ -12,10 +12,37 @@ FILES: Final = {path.name: path.read_text() for path in MODEL.glob("*.pv*")}
 MAIN: Final = {"handshake.pv": "edhoc.pvl", "secrecy.pv": "edhoc.pvl", "records.pv": ""}
 BUILT_IN: Final = {"out": 2, "in": 2, "event": 1, "inj-event": 1, "attacker": 1}
 LANGUAGE: Final = {
-    "set", "free", "const", "type", "fun", "reduc", "equation", "forall", "event", "table", "query",
-    "let", "in", "out", "new", "if", "then", "else", "process", "insert", "get", "phase", "private",
-    "data", "bitstring", "channel", "attacker", "inj-event", "false", "ignoreTypes",
-}  # fmt: skip
+    "set",
+    "free",
+    "const",
+    "type",
+    "fun",
+    "reduc",
+    "equation",
+    "forall",
+    "event",
+    "table",
+    "query",
+    "let",
+    "in",
+    "out",
+    "new",
+    "if",
+    "then",
+    "else",
+    "process",
+    "insert",
+    "get",
+    "phase",
+    "private",
+    "data",
+    "bitstring",
+    "channel",
+    "attacker",
+    "inj-event",
+    "false",
+    "ignoreTypes",
+}
 LABEL: Final = re.compile(r"\(\* \[([\w-]+)\]")
 WORD: Final = r"[A-Za-z_][A-Za-z0-9_'-]*"
 
@@ -115,9 +142,7 @@ def test_the_initiators_events_say_whom_it_wanted() -> None:
 def test_the_table_names_every_query_and_lines_that_are_there() -> None:
     rows = re.findall(r"^\| `([\w-]+)` \| ([\w.]+) \|.*\| true \| (.+) \|$", README, re.MULTILINE)
     asked = {
-        (query, name)
-        for name, text in FILES.items()
-        for query in re.findall(r"\(\* \{([\w-]+)\}", text)
+        (query, name) for name, text in FILES.items() for query in re.findall(r"\(\* \{([\w-]+)\}", text)
     }
     assert {(query, name) for query, name, _ in rows} == asked
     assert len(rows) == len(asked) == 11

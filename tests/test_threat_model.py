@@ -71,9 +71,7 @@ def test_a_test_that_is_named_exists(path: str) -> None:
 
 
 def test_an_attack_has_one_row() -> None:
-    twice = {
-        name: count for name, count in Counter(name for name, _ in rows()).items() if count > 1
-    }
+    twice = {name: count for name, count in Counter(name for name, _ in rows()).items() if count > 1}
     assert not twice
 
 

@@ -105,9 +105,11 @@ class Suite:
         """What makes ROS find the tests, and `python` ours."""
         work, rostest = self.work, self.work / "debian" / "usr"
         python = (
-            work / "site", work / "gen", rostest / "lib" / "python3" / "dist-packages",
+            work / "site",
+            work / "gen",
+            rostest / "lib" / "python3" / "dist-packages",
             self.package / "src",
-        )  # fmt: skip
+        )
         paths = (self.package.parent, Path("/usr/share"), rostest / "share")
         programs = (Path(sys.executable).parent, rostest / "bin")
         return {
@@ -162,22 +164,35 @@ class Form:
         rostest = self._suite.work / "debian" / "usr" / "bin" / "rostest"
         with tempfile.TemporaryDirectory() as directory:
             command = [
-                *self._prefix("--as", OPERATOR, "--each", "--"), sys.executable, str(rostest),
-                *options, "--results-base-dir", directory, str(path),
-            ]  # fmt: skip
+                *self._prefix("--as", OPERATOR, "--each", "--"),
+                sys.executable,
+                str(rostest),
+                *options,
+                "--results-base-dir",
+                directory,
+                str(path),
+            ]
             logs = str(self._suite.work / "logs" / self.name / f"{path.name}.d")
             env = {**self._env, "ROS_LOG_DIR": logs, "ROS_HOME": directory}
             await self._command(path.name, command, env, str(path.parent), Path(directory))
 
     async def _command(
-        self, name: str, command: Sequence[str], env: Mapping[str, str], where: str,
+        self,
+        name: str,
+        command: Sequence[str],
+        env: Mapping[str, str],
+        where: str,
         reports: Path | Sequence[Path],
-    ) -> None:  # fmt: skip
+    ) -> None:
         process = await asyncio.create_subprocess_exec(
-            *command, env=dict(env), cwd=where, stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT,
+            *command,
+            env=dict(env),
+            cwd=where,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
             start_new_session=True,
-        )  # fmt: skip
+        )
         said = b""
         try:
             async with asyncio.timeout(DEADLINE):
@@ -247,9 +262,7 @@ def report(found: Mapping[str, Results]) -> str:
     failing = Counter(name for each in found.values() for name in each.said)
     for name in sorted(failing):
         lines.append(f"- {name}")
-        lines += [
-            f"    {form}: {each.said[name]}" for form, each in found.items() if name in each.said
-        ]
+        lines += [f"    {form}: {each.said[name]}" for form, each in found.items() if name in each.said]
     return "\n".join(lines)
 
 

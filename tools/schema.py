@@ -2,6 +2,6 @@
 
 from pathlib import Path
 
-from grants.policy import schema
+from grants.policy import read
 
-Path(schema.__file__).with_name("policy.schema.json").write_text(schema.text())
+Path(read.__file__).with_name("policy.schema.json").write_text(read.schema_text())

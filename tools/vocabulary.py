@@ -4,10 +4,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-from grants.vocabulary.contents import MEANINGS, Content
+from grants.vocabulary.contents import MEANINGS, TYPES, Content, DataWord
 from grants.vocabulary.levels import LEVEL_TABLE, Level, Treatment
-from grants.vocabulary.types import TYPES
-from grants.vocabulary.words import DataWord
 
 SPEC: Final = Path(__file__).parents[1] / "docs" / "spec" / "vocabulary.md"
 _BEGIN, _END = "<!-- {}: python -m tools.vocabulary -->\n", "<!-- end -->\n"
@@ -52,7 +50,7 @@ def levels() -> str:
 def types() -> str:
     """The contents of the fields of each type."""
     rows = ["```"]
-    for name, fields in TYPES.items():
+    for name, fields in sorted(TYPES.items()):
         by_content: dict[Content, list[str]] = {}
         for field, content in fields.items():
             by_content.setdefault(content, []).append(field)

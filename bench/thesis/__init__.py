@@ -19,23 +19,23 @@ from bench.thesis.claims import failed, judged
 from bench.thesis.table import setup
 
 EXPERIMENTS: Final = {
-    "5.1": (), "5.2.1": ("direct_100m", "plain_100m"), "5.2.2": ("gateway_100m", "relay_100m"),
-    "5.2.3": ("direct_300k",), "5.2.4": ("gateway_300k", "relay_300k"),
-    "failures": ("relay_100m", "gateway_100m"), "mesh": (),
-}  # fmt: skip
+    "5.1": (),
+    "5.2.1": ("direct_100m", "plain_100m"),
+    "5.2.2": ("gateway_100m", "relay_100m"),
+    "5.2.3": ("direct_300k",),
+    "5.2.4": ("gateway_300k", "relay_300k"),
+    "failures": ("relay_100m", "gateway_100m"),
+    "mesh": (),
+}
 SHORT_MESHES: Final = (2, 3, 4)
 WHOLE_MESHES: Final = (2, 3, 4, 6, 8, 10)
 
 PARSER: Final = argparse.ArgumentParser(prog="python -m bench thesis", description=__doc__)
 PARSER.add_argument("experiments", nargs="*", choices=[[], *EXPERIMENTS], help="default: all")
-PARSER.add_argument(
-    "--sweep", action="store_true", help="powers of ten of sizes and rates: half an hour"
-)
+PARSER.add_argument("--sweep", action="store_true", help="powers of ten of sizes and rates: half an hour")
 PARSER.add_argument("--full", action="store_true", help="all sizes, rates and meshes: hours")
 PARSER.add_argument("--plot", metavar="DIR", type=Path, help="draw the figures (extra bench)")
-PARSER.add_argument(
-    "--saved", metavar="FILE", type=Path, help="what --json printed, instead of measuring"
-)
+PARSER.add_argument("--saved", metavar="FILE", type=Path, help="what --json printed, instead of measuring")
 PARSER.add_argument("--check", action="store_true", help="fail unless the statements hold")
 
 text = report.text
@@ -79,9 +79,7 @@ def _draw() -> Any:
     try:
         from bench.thesis.plots import draw  # noqa: PLC0415 - with the extra only
     except ImportError as error:
-        raise SystemExit(
-            "rossec: error: plots need matplotlib\nhint: pip install rossec[bench]"
-        ) from error
+        raise SystemExit("rossec: error: plots need matplotlib\nhint: pip install rossec[bench]") from error
     return draw
 
 
@@ -104,9 +102,7 @@ def _measured(chosen: list[str], extent: str) -> dict[str, Any]:
     return combined({name: row for name, row in rows.items() if row}, result)
 
 
-def _set_up(
-    name: str, *, climbs: bool, fails: bool, extent: str
-) -> tuple[dict[str, Any], dict[str, Any]]:
+def _set_up(name: str, *, climbs: bool, fails: bool, extent: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """The figures of a set-up, and what fails in it if it is the one for that."""
     with tempfile.TemporaryDirectory() as folder, setup(name, Path(folder)) as made:
         ladders = latency.EXTENTS[extent](name)

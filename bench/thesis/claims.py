@@ -13,9 +13,11 @@ from typing import Any, Final
 from bench.thesis.results import Measured
 
 LARGEST: Final = {  # bytes at 1 Hz, thesis 5.2.1 to 5.2.4
-    "direct_100m": 1_000_000, "gateway_100m": 2_000_000,
-    "direct_300k": 5_000, "gateway_300k": 20_000,
-}  # fmt: skip
+    "direct_100m": 1_000_000,
+    "gateway_100m": 2_000_000,
+    "direct_300k": 5_000,
+    "gateway_300k": 20_000,
+}
 LATENCY: Final = {
     "direct_100m": "at least 2 ms, from 1000 bytes 10 ms",
     "gateway_100m": "at least 7 ms, from 10 kB over 10 ms",
@@ -23,13 +25,12 @@ LATENCY: Final = {
     "gateway_300k": "below 2000 bytes 10 to 20 ms, smaller variance",
 }
 MEMORY: Final = {  # MB, and kB for each node; thesis 5.1
-    "full": (54.5, 4.5), "proxy": (8.9, 0.0),
-}  # fmt: skip
+    "full": (54.5, 4.5),
+    "proxy": (8.9, 0.0),
+}
 MEASURED: Final = {"full": "full", "sidecar": "proxy"}
 """Which program of ours takes the part of which of the thesis."""
-EQUIVALENT: Final = {
-    "plain_100m": "direct_100m", "relay_100m": "gateway_100m", "relay_300k": "gateway_300k",
-}  # fmt: skip
+EQUIVALENT: Final = {"plain_100m": "direct_100m", "relay_100m": "gateway_100m", "relay_300k": "gateway_300k"}
 """The experiment of the thesis that a set-up of ours repeats in another way."""
 
 Rows = Mapping[str, Mapping[str, Any]]
@@ -57,30 +58,54 @@ def statements(routed: str) -> dict[str, Statement]:
     found = {
         "larger_300k": Statement(
             "routed sends larger messages by radio",
-            "largest", f"{routed}_300k", "direct_300k", lambda x: x > 1, "> 1",
+            "largest",
+            f"{routed}_300k",
+            "direct_300k",
+            lambda x: x > 1,
+            "> 1",
         ),
         "radio_no_slower": Statement(
             "by radio no additional latency is seen",
-            "mean", f"{routed}_300k", "direct_300k", lambda x: x <= 1.25, "<= 1.25",
+            "mean",
+            f"{routed}_300k",
+            "direct_300k",
+            lambda x: x <= 1.25,
+            "<= 1.25",
         ),
         "radio_variance": Statement(
             "by radio the variance of the latency is smaller",
-            "spread", f"{routed}_300k", "direct_300k", lambda x: x < 1, "< 1",
+            "spread",
+            f"{routed}_300k",
+            "direct_300k",
+            lambda x: x < 1,
+            "< 1",
         ),
         "ethernet_slower": Statement(
             "by Ethernet there is an additional latency",
-            "low", f"{routed}_100m", "direct_100m", lambda x: x > 1, "> 1",
+            "low",
+            f"{routed}_100m",
+            "direct_100m",
+            lambda x: x > 1,
+            "> 1",
         ),
         "less_at_the_origin": Statement(
             "less data at the interface of the publisher's site",
-            "copies", f"{routed}_300k", "direct_300k", lambda x: x < 1, "< 1",
+            "copies",
+            f"{routed}_300k",
+            "direct_300k",
+            lambda x: x < 1,
+            "< 1",
         ),
-    }  # fmt: skip
+    }
     if routed == "gateway":
         found["larger_100m"] = Statement(
             "routed sends larger messages by Ethernet",
-            "largest", "gateway_100m", "direct_100m", lambda x: x > 1, "> 1",
-        )  # fmt: skip
+            "largest",
+            "gateway_100m",
+            "direct_100m",
+            lambda x: x > 1,
+            "> 1",
+        )
     return found
 
 
@@ -94,16 +119,16 @@ def judged(rows: Rows, routed: str) -> dict[str, dict[str, Any]]:
 
 
 def _judge(rows: Rows, statement: Statement) -> dict[str, Any]:
-    over, under = (
-        rows.get(row, {}).get(statement.figure) for row in (statement.over, statement.under)
-    )
+    over, under = (rows.get(row, {}).get(statement.figure) for row in (statement.over, statement.under))
     if not over or not under:
         return {"says": statement.text, "ratio": None, "bound": statement.bound, "holds": None}
     ratio = over / under
     return {
-        "says": statement.text, "ratio": round(ratio, 2), "bound": statement.bound,
+        "says": statement.text,
+        "ratio": round(ratio, 2),
+        "bound": statement.bound,
         "holds": statement.holds(ratio),
-    }  # fmt: skip
+    }
 
 
 def failed(result: Mapping[str, Any]) -> list[str]:

@@ -65,9 +65,7 @@ def router_death(made: Relayed) -> dict[str, Any]:
     """Kill the router in use; the longest silence at a site, and what was lost."""
     _begin(made, _NUMBERS[1])
     used = made.router_of["s2"]
-    next(program for end, program in made.routers.items() if used.endswith(end)).signal(
-        signal.SIGKILL
-    )
+    next(program for end, program in made.routers.items() if used.endswith(end)).signal(signal.SIGKILL)
     found = _arrivals(made, _NUMBERS[1])[1:3]  # both are at s2, and may receive
     return {
         "router_gap_ms": round(max(map(longest_gap, found)) * 1000, 1),

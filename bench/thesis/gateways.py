@@ -82,12 +82,13 @@ class Gatewayed(Setup):
 
     def _start_master(self, name: str, reached: Mapping[str, str]) -> Program:
         config = Path(self.programs.directory / f"{name}.yaml")
-        others = {ORIGIN: reached[name]} if name != ORIGIN else {
-            each: self.network[each].ipv4 for each in SITES[1:]
-        }  # fmt: skip
+        others = (
+            {ORIGIN: reached[name]}
+            if name != ORIGIN
+            else {each: self.network[each].ipv4 for each in SITES[1:]}
+        )
         lines = [
-            f"    {each}: {{uri: 'http://{at}:{PORT}', domain: {each}}}\n"
-            for each, at in others.items()
+            f"    {each}: {{uri: 'http://{at}:{PORT}', domain: {each}}}\n" for each, at in others.items()
         ]
         config.write_text("federation:\n  sites:\n" + "".join(lines))
         words = ("master", "--json", "-p", str(PORT), "--config", str(config))

@@ -21,9 +21,9 @@ from bench.thesis.gateways import GATEWAY
 from bench.thesis.programs import Program, Programs, programs
 from bench.thesis.talk import TOPIC
 from grants.model import Right
-from rossec.overlay.routers import OPEN_SEAT, Routers
+from rossec.overlay.documents import OPEN_SEAT, Routers
 from rossec.ros.names import MASTER
-from rossec.sidecar.processes import descendants, parents
+from rossec.sidecar.callers import descendants, parents
 from tests.support.hosts import Host
 from tests.support.ports import free_port
 from tests.support.site import Site
@@ -46,9 +46,7 @@ def pss(text: str) -> int:
 def used(*programs: Program) -> float:
     """MB of programs, and of all that they started."""
     known = parents()
-    processes = {
-        each for program in programs for each in (program.pid, *descendants(known, program.pid))
-    }
+    processes = {each for program in programs for each in (program.pid, *descendants(known, program.pid))}
     total = sum(pss(Path(f"/proc/{each}/smaps_rollup").read_text()) for each in processes)
     return round(total / 1000, 2)
 
@@ -66,9 +64,7 @@ def _stock(running: Programs) -> dict[str, Any]:
     """`full`: roscore with rosmaster and rosout."""
     port, folder = free_port(), str(running.directory)
     uri = uri_at(port)
-    environ = {
-        "ROS_MASTER_URI": uri, "ROS_IP": "127.0.0.1", "ROS_HOME": folder, "ROS_LOG_DIR": folder,
-    }  # fmt: skip
+    environ = {"ROS_MASTER_URI": uri, "ROS_IP": "127.0.0.1", "ROS_HOME": folder, "ROS_LOG_DIR": folder}
     core = running.start("roscore", _HERE, environ, "/usr/bin/roscore", "-p", str(port))
     master = xmlrpc.client.ServerProxy(uri)
     _wait_for_rosout(master)
@@ -99,10 +95,7 @@ def _ours(running: Programs) -> dict[str, Any]:
     enroll_masters(site, [MASTER])
     site.enroll("/relay")
     _trust_other(site, running.directory)
-    environ = {
-        "ROSSEC_HOME": str(site.root), "ROS_IP": "127.0.0.1",
-        "ROS_MASTER_URI": uri_at(port),
-    }  # fmt: skip
+    environ = {"ROSSEC_HOME": str(site.root), "ROS_IP": "127.0.0.1", "ROS_MASTER_URI": uri_at(port)}
     master = running.rossec(_HERE, environ, "master", "--json", "-p", str(port))
     master.line()
     relay = _relay(running, environ)
@@ -158,9 +151,7 @@ def _relay(running: Programs, environ: dict[str, str]) -> Program:
     """A relay with a session at a router, and no links."""
     locator = f"tcp/127.0.0.1:{free_port()}"
     home = str(running.directory / "router")
-    router = running.rossec(
-        _HERE, {}, "router", "--home", home, "--listen", locator, "--open", "--json"
-    )
+    router = running.rossec(_HERE, {}, "router", "--home", home, "--listen", locator, "--open", "--json")
     router.line()
     seat = running.directory / "seat.json"
     seat.write_bytes(Routers((locator,), OPEN_SEAT).write())

@@ -101,9 +101,7 @@ async def _during(meters: list[Meter], work: Any) -> tuple[float, float, float]:
     return after[0] - before[0], after[1] - before[1], time.perf_counter() - begin
 
 
-def _less_silence(
-    busy: tuple[float, float, float], quiet: tuple[float, float, float], figure: int
-) -> float:
+def _less_silence(busy: tuple[float, float, float], quiet: tuple[float, float, float], figure: int) -> float:
     """Of one change; a registration and its end are two."""
     idle = quiet[figure] / quiet[2] * busy[2]
     return round((busy[figure] - idle) / (2 * CHANGES), 1)

@@ -34,9 +34,7 @@ def latency(name: str, rows: Sequence[Mapping[str, Any]]) -> Figure:
         points = sorted(group, key=lambda row: row["size"])
         sizes = [max(_SMALLEST, row["size"]) for row in points]
         axes.plot(sizes, [row["mean"] for row in points], marker="o", label=f"{rate:g} Hz")
-        axes.fill_between(
-            sizes, [row["low"] for row in points], [row["high"] for row in points], alpha=0.2
-        )
+        axes.fill_between(sizes, [row["low"] for row in points], [row["high"] for row in points], alpha=0.2)
     same = EQUIVALENT.get(name, name)
     axes.axvline(LARGEST[same], label="largest at 1 Hz in the thesis", color=_GREY, linestyle="--")
     axes.set(xscale="log", yscale="log", xlabel="bytes", ylabel="ms")
@@ -61,9 +59,7 @@ def memory(found: Mapping[str, float]) -> Figure:
     return _bars(names, [found[name] for name in names], said, "MB")
 
 
-def _bars(
-    names: Sequence[str], own: Sequence[float], said: Sequence[float], unit: str
-) -> Figure:  # fmt: skip
+def _bars(names: Sequence[str], own: Sequence[float], said: Sequence[float], unit: str) -> Figure:
     figure = Figure(_SIZE, layout="constrained")
     axes = figure.subplots()
     axes.bar(names, own, width=0.5, label="here")

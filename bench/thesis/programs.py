@@ -79,10 +79,14 @@ class Programs:
         own = {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1", "PYTHONWARNINGS": "ignore"}
         with log.open("wb") as errors:
             process = subprocess.Popen(
-                host.at(*command), env={**kept, **own, **environ}, bufsize=0,
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors,
+                host.at(*command),
+                env={**kept, **own, **environ},
+                bufsize=0,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=errors,
                 start_new_session=True,
-            )  # fmt: skip
+            )
         self._stack.callback(_end, process)
         return Program(process, log)
 

@@ -27,8 +27,7 @@ def _memory(result: Mapping[str, Any]) -> Iterator[str]:
         return
     yield "5.1 memory, MB (Pss; RAM in the thesis), and kB for each node"
     said = {
-        ours: f"{MEMORY[theirs][0]} ({theirs}), {MEMORY[theirs][1]} kB"
-        for ours, theirs in MEASURED.items()
+        ours: f"{MEMORY[theirs][0]} ({theirs}), {MEMORY[theirs][1]} kB" for ours, theirs in MEASURED.items()
     }
     for name in (each for each in found if not each.endswith("_a_node")):
         node = found.get(f"{name}_kb_a_node")

@@ -51,18 +51,14 @@ class Measured:
         return {**asdict(self), "holds": self.holds}
 
 
-def measured(
-    point: Point, sent: Sequence[float], receivers: Sequence[Mapping[int, float]]
-) -> Measured:
+def measured(point: Point, sent: Sequence[float], receivers: Sequence[Mapping[int, float]]) -> Measured:
     """What became of a point.
 
     Args:
         sent: when each message was sent, in seconds.
         receivers: when each message arrived at each of them, by its number.
     """
-    taken = sorted(
-        at - sent[number] for receiver in receivers for number, at in receiver.items()
-    )  # fmt: skip
+    taken = sorted(at - sent[number] for receiver in receivers for number, at in receiver.items())
     if not taken:
         return Measured(point.size, point.rate, 0, 0, 0, 0, 0, 0)
     by_message = {
@@ -73,11 +69,15 @@ def measured(
     lasts = [max(each) for each in by_message.values() if len(each) == len(receivers)]
     edge = (1 - SPAN) / 2
     return Measured(
-        point.size, point.rate,
-        _ms(sum(taken) / len(taken)), _ms(quantile(taken, edge)), _ms(quantile(taken, 1 - edge)),
+        point.size,
+        point.rate,
+        _ms(sum(taken) / len(taken)),
+        _ms(quantile(taken, edge)),
+        _ms(quantile(taken, 1 - edge)),
         _ms(sum(lasts) / len(lasts)) if lasts else 0.0,
-        round(len(taken) / (len(sent) * len(receivers)), 4), round(growth(means), 3),
-    )  # fmt: skip
+        round(len(taken) / (len(sent) * len(receivers)), 4),
+        round(growth(means), 3),
+    )
 
 
 def quantile(ordered: Sequence[float], part: float) -> float:

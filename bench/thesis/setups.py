@@ -16,10 +16,9 @@ from bench._sites import enroll_masters
 from bench.thesis.network import ETHERNET, Device, Testbed
 from bench.thesis.programs import Program, Programs
 from bench.thesis.talk import TOPIC
-from rossec.overlay.mailboxes import BOX, mailbox
-from rossec.overlay.peers import Peer
-from rossec.overlay.relay_files import RelayFiles
-from rossec.overlay.routers import OPEN_SEAT, Routers
+from rossec.overlay.documents import OPEN_SEAT, Peer, Routers
+from rossec.overlay.homes import RelayFiles
+from rossec.overlay.link_frames import BOX, mailbox
 from rossec.ros.names import MASTER
 from tests.support.site import Site
 
@@ -119,9 +118,11 @@ class PlainDirect(Direct):
     def environ(self, host: str) -> Mapping[str, str]:
         folder = str(self.programs.directory)
         return {
-            "ROS_IP": self.network[host].ipv4, "ROS_HOME": folder, "ROS_LOG_DIR": folder,
+            "ROS_IP": self.network[host].ipv4,
+            "ROS_HOME": folder,
+            "ROS_LOG_DIR": folder,
             "ROS_MASTER_URI": f"http://{self.network['s1'].ipv4}:{PORT}/",
-        }  # fmt: skip
+        }
 
 
 class Relayed(Setup):
@@ -137,9 +138,7 @@ class Relayed(Setup):
         self.masters = {each: MASTER if each == "s1" else f"{MASTER}/{each}" for each in SITES}
         self.join_domain(*self.masters.values())
         reached = self._links(kbit)
-        self.routers = {
-            f":{_ROUTER_PORT + number}": self._router(number) for number in range(2)
-        }  # fmt: skip
+        self.routers = {f":{_ROUTER_PORT + number}": self._router(number) for number in range(2)}
         for each in SITES:
             self._join(each, reached[each])
         for master in [self._start_master(each) for each in SITES]:
@@ -161,9 +160,7 @@ class Relayed(Setup):
         home = str(self.programs.directory / f"router{number}")
         words = ["--home", home, "--listen", f"tcp/0.0.0.0:{_ROUTER_PORT + number}", "--open"]
         join = ["--join", f"tcp/127.0.0.1:{_ROUTER_PORT}"] if number else []
-        started = self.programs.rossec(
-            self.network["s1"], {}, "router", *words, *join, "--json"
-        )  # fmt: skip
+        started = self.programs.rossec(self.network["s1"], {}, "router", *words, *join, "--json")
         started.line()
         return started
 
@@ -215,9 +212,7 @@ class Relayed(Setup):
 
 def environ_of(site: Site, own: str, master: str) -> dict[str, str]:
     """The environment of a program of a site: addresses of its host and of its master."""
-    return {
-        "ROSSEC_HOME": str(site.root), "ROS_IP": own, "ROS_MASTER_URI": f"http://{master}:{PORT}/",
-    }  # fmt: skip
+    return {"ROSSEC_HOME": str(site.root), "ROS_IP": own, "ROS_MASTER_URI": f"http://{master}:{PORT}/"}
 
 
 def site_of(host: str) -> str:

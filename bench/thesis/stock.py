@@ -38,9 +38,8 @@ def main(name: str, role: str) -> None:
                 await asyncio.sleep(0.02)
             return None
         return await send(
-            lambda data: publisher.publish(Serialized(data)),
-            order["number"], Point(**order["point"]),
-        )  # fmt: skip
+            lambda data: publisher.publish(Serialized(data)), order["number"], Point(**order["point"])
+        )
 
     tell("ready")
     for line in sys.stdin:

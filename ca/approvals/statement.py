@@ -11,7 +11,7 @@ from enum import IntEnum
 from hashlib import sha256
 from typing import Final, NamedTuple, Self, TypeAlias
 
-from ca.encoding import Value, decode, encode
+from ca.encoding import Value, decode, encode, is_number
 from ca.errors import EncodingError, StatementRefused
 from ca.names import MASTER, is_master_name
 
@@ -23,11 +23,10 @@ MAX_CREDENTIAL: Final = 1023  # Web Authentication section 4, "Credential ID"
 MAX_PAYLOAD: Final = 1024 * 1024
 _DIGEST_SIZE: Final = 32
 _MAX_TEXT: Final = 1024  # bytes of UTF-8
-_INT_LIMIT: Final = 1 << 53
 _HINT: Final = "ask again: the statement may come from another version of rossec"
 
 
-class Kind(IntEnum):
+class StatementKind(IntEnum):
     """What is approved. `FOREIGN_DOMAIN` is reserved: nothing asks for it yet."""
 
     ENROLL = 1
@@ -52,7 +51,7 @@ class Enroll(NamedTuple):
     replaces: bool  # the name's other key, which is revoked
 
 
-class Grant(NamedTuple):
+class GrantStatement(NamedTuple):
     """An answer to the request with the id `request`; `payload`: digest of what will be signed."""
 
     request: bytes
@@ -60,17 +59,14 @@ class Grant(NamedTuple):
 
 
 class PolicyChange(NamedTuple):
-    """A policy file put in force: digests of the one before (zeros: none) and of the new one.
+    """A policy file put in force, by digests."""
 
-    `effect`: digest of the grants that it makes and revokes (`rossec.authority.policy_plan`).
-    """
-
-    old: bytes
+    old: bytes  # of the file before; zeros: none
     new: bytes
-    effect: bytes
+    effect: bytes  # of the grants that it makes and revokes (`rossec.authority.policyfile`)
 
 
-class Delegate(NamedTuple):
+class DelegateStatement(NamedTuple):
     """Leave for the master with the key `holder` to renew grants, by `max_ttl` seconds each."""
 
     holder: bytes
@@ -78,7 +74,7 @@ class Delegate(NamedTuple):
     max_ttl: int
 
 
-class Intermediate(NamedTuple):
+class IntermediateStatement(NamedTuple):
     """An intermediate, by the digest of its request; `enrolls`: new nodes, not only known ones."""
 
     csr: bytes
@@ -103,9 +99,7 @@ class Invitation(NamedTuple):
     wildcard: bool
 
 
-class ForeignDomain(NamedTuple):
-    """Reserved for trust in another domain."""
-
+class ForeignDomainStatement(NamedTuple):
     digest: bytes
 
 
@@ -117,9 +111,16 @@ class RevokeMaster(NamedTuple):
 
 
 What: TypeAlias = (
-    Enroll | Grant | PolicyChange | Delegate | Intermediate | NewPasskey | Invitation
-    | ForeignDomain | RevokeMaster
-)  # fmt: skip
+    Enroll
+    | GrantStatement
+    | PolicyChange
+    | DelegateStatement
+    | IntermediateStatement
+    | NewPasskey
+    | Invitation
+    | ForeignDomainStatement
+    | RevokeMaster
+)
 
 
 def _is_text(value: object) -> bool:
@@ -131,10 +132,6 @@ def _is_text(value: object) -> bool:
 
 def _is_name(value: object) -> bool:
     return _is_text(value) and value != ""
-
-
-def _is_number(value: object) -> bool:
-    return type(value) is int and 0 <= value < _INT_LIMIT
 
 
 def _is_flag(value: object) -> bool:
@@ -158,38 +155,32 @@ def _is_master(value: object) -> bool:
 
 
 class _Form(NamedTuple):
-    """The form of a kind: its fields' checks, which field names what it is about, and which
-    is the digest of a payload.
-
-    A last field that equals `default` is left out, as before there was one.
-    """
-
     build: Callable[..., What]
-    fields: tuple[Callable[[object], bool], ...]
-    subject: int | None = None
-    payload: int | None = None
-    default: str | None = None
+    fields: tuple[Callable[[object], bool], ...]  # checks
+    subject: int | None = None  # which field names what it is about
+    payload: int | None = None  # which one is the digest of a payload
+    default: str | None = None  # a last field that equals it is left out
 
 
-_FORMS: Final[Mapping[Kind, _Form]] = {
-    Kind.ENROLL: _Form(
-        Enroll, (_is_digest, _is_name, _is_digest, _is_flag, _is_number, _is_flag), 0, 0
+_FORMS: Final[Mapping[StatementKind, _Form]] = {
+    StatementKind.ENROLL: _Form(
+        Enroll, (_is_digest, _is_name, _is_digest, _is_flag, is_number, _is_flag), 0, 0
     ),
-    Kind.GRANT: _Form(Grant, (_is_id, _is_digest), 0, 1),
-    Kind.POLICY: _Form(PolicyChange, (_is_digest, _is_digest, _is_digest), 1, 1),
-    Kind.DELEGATE: _Form(Delegate, (_is_digest, _is_number, _is_number), 0),
-    Kind.INTERMEDIATE: _Form(Intermediate, (_is_digest, _is_flag, _is_number), 0, 0),
-    Kind.PASSKEY: _Form(NewPasskey, (_is_credential, _is_digest, _is_name), 0),
-    Kind.INVITATION: _Form(Invitation, (_is_name, _is_number, _is_number, _is_flag)),
-    Kind.FOREIGN_DOMAIN: _Form(ForeignDomain, (_is_digest,), 0),
-    Kind.REVOKE_MASTER: _Form(RevokeMaster, (_is_text, _is_master), default=MASTER),
+    StatementKind.GRANT: _Form(GrantStatement, (_is_id, _is_digest), 0, 1),
+    StatementKind.POLICY: _Form(PolicyChange, (_is_digest, _is_digest, _is_digest), 1, 1),
+    StatementKind.DELEGATE: _Form(DelegateStatement, (_is_digest, is_number, is_number), 0),
+    StatementKind.INTERMEDIATE: _Form(IntermediateStatement, (_is_digest, _is_flag, is_number), 0, 0),
+    StatementKind.PASSKEY: _Form(NewPasskey, (_is_credential, _is_digest, _is_name), 0),
+    StatementKind.INVITATION: _Form(Invitation, (_is_name, is_number, is_number, _is_flag)),
+    StatementKind.FOREIGN_DOMAIN: _Form(ForeignDomainStatement, (_is_digest,), 0),
+    StatementKind.REVOKE_MASTER: _Form(RevokeMaster, (_is_text, _is_master), default=MASTER),
 }
 
 
 class Statement(NamedTuple):
     """One act, to be approved between `made` and `until`; the log of the record had this head."""
 
-    kind: Kind
+    kind: StatementKind
     id: bytes
     domain: str
     made: int
@@ -199,32 +190,33 @@ class Statement(NamedTuple):
     what: What
 
     def to_bytes(self) -> bytes:
-        """Its one encoding.
-
-        Raises:
-            StatementRefused: a field is not of its form.
-        """
         _check(self)
         log: Value = [self.log_size, self.log_root]
         head: list[Value] = [VERSION, int(self.kind), self.id, self.domain, self.made, self.until]
-        return encode([*head, log, _fields(self.kind, self.what)])
+        fields: list[Value] = [*self.what]
+        return encode([*head, log, fields[:-1] if fields[-1] == _FORMS[self.kind].default else fields])
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Read a statement.
-
-        Raises:
-            StatementRefused: too long, or anything but exactly the encoding of a statement.
-        """
         try:
             value = decode(data, limit=MAX_STATEMENT)
         except EncodingError as error:
             raise StatementRefused(f"this is not a statement: {error}", _HINT) from error
         match value:
-            case [str(version), int(kind), bytes(id_), str(domain), int(made), int(until),
-                  [int(size), bytes(root)], [*fields]] if version == VERSION:  # fmt: skip
-                what = _what(_kind(kind), fields)
-                found = cls(_kind(kind), id_, domain, made, until, size, root, what)
+            case [
+                str(version),
+                int(kind),
+                bytes(id_),
+                str(domain),
+                int(made),
+                int(until),
+                [int(size), bytes(root)],
+                [*fields],
+            ] if version == VERSION:
+                if isinstance(kind, bool) or kind not in _FORMS:  # True equals 1, and is encoded otherwise
+                    raise StatementRefused("a statement of an unknown kind", _HINT)
+                what = _what(StatementKind(kind), fields)
+                found = cls(StatementKind(kind), id_, domain, made, until, size, root, what)
                 _check(found)
                 return found
             case _:
@@ -232,20 +224,14 @@ class Statement(NamedTuple):
 
     @property
     def challenge(self) -> bytes:
-        """The 32 bytes that the passkey signs."""
         return sha256(self.to_bytes()).digest()
 
     @property
     def subject(self) -> bytes:
-        """What the act is about, such as the request it answers; may be empty."""
         return self._field(_FORMS[self.kind].subject) or b""
 
     def check_payload(self, payload: bytes) -> None:
-        """Return if `payload` is the one whose digest was approved; without a digest, it is empty.
-
-        Raises:
-            StatementRefused: it is another.
-        """
+        """Return if `payload` is the one whose digest was approved; without a digest, it is empty."""
         digest = self._field(_FORMS[self.kind].payload)
         if len(payload) > MAX_PAYLOAD:
             raise StatementRefused("the payload of the approval is too large", "approve less")
@@ -262,13 +248,7 @@ class Statement(NamedTuple):
         return found
 
 
-def _kind(number: int) -> Kind:
-    if isinstance(number, bool) or number not in _FORMS:  # True equals 1, and is encoded otherwise
-        raise StatementRefused("a statement of an unknown kind", _HINT)
-    return Kind(number)
-
-
-def _what(kind: Kind, fields: list[Value]) -> What:
+def _what(kind: StatementKind, fields: list[Value]) -> What:
     form = _FORMS[kind]
     if form.default is not None and len(fields) == len(form.fields) - 1:
         fields = [*fields, form.default]
@@ -277,28 +257,17 @@ def _what(kind: Kind, fields: list[Value]) -> What:
     return form.build(*fields)
 
 
-def _fields(kind: Kind, what: What) -> list[Value]:
-    fields: list[Value] = list(what)
-    return fields[:-1] if fields[-1] == _FORMS[kind].default else fields
-
-
 def _check(statement: Statement) -> None:
     form = _FORMS[statement.kind]
     if type(statement.what) is not form.build:
         raise StatementRefused(f"a statement of kind {statement.kind} about another", _HINT)
-    fields = (*zip(form.fields, statement.what, strict=True), *_head_of(statement))
-    if not all(is_right(field) for is_right, field in fields):
+    head = (
+        (_is_id, statement.id),
+        (_is_name, statement.domain),
+        (_is_digest, statement.log_root),
+        *((is_number, each) for each in (statement.made, statement.until, statement.log_size)),
+    )
+    if not all(check(field) for check, field in (*zip(form.fields, statement.what, strict=True), *head)):
         raise StatementRefused("a field of the statement is not of its form", _HINT)
     if not statement.made < statement.until <= statement.made + LIFETIME:
         raise StatementRefused(f"a statement is valid for at most {LIFETIME} seconds", _HINT)
-
-
-def _head_of(statement: Statement) -> tuple[tuple[Callable[[object], bool], object], ...]:
-    return (
-        (_is_id, statement.id),
-        (_is_name, statement.domain),
-        (_is_number, statement.made),
-        (_is_number, statement.until),
-        (_is_number, statement.log_size),
-        (_is_digest, statement.log_root),
-    )

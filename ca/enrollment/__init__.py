@@ -7,7 +7,5 @@ step, is docs/spec/enrollment.md.
 
 from typing import Final
 
-WINDOW: Final = (
-    300  # seconds: lifetime of a screen code, and time for a person to compare the digits
-)
+WINDOW: Final = 300  # seconds: lifetime of a screen code, and time for a person to compare the digits
 NONCE_SIZE: Final = 16

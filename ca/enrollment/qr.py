@@ -1,21 +1,23 @@
-"""The text in a node's QR code, and its rendering.
+"""The text in a node's QR code, its rendering, sheets of labels, and the code of a domain's card.
 
 A code authenticates a request that is sent over an untrusted network: it holds the request's
 SHA-256. A *label code* holds nothing else and may be printed. A *screen code* adds a one-time
 secret, its expiry, and the address the request can be fetched from. The text is `ROSSEC:` + base45
 (RFC 9285) of fixed binary, so that it stays in the QR alphanumeric mode; it is never a URL, which
-a phone's camera app would open.
+a phone's camera app would open. The code of a card holds the card's digest.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
 from hmac import compare_digest
+from html import escape
 from io import BytesIO
 from typing import Final
 
 import segno
 
-from ca.errors import CodeExpired, CodeRefused
+from ca.errors import CardRefused, CodeExpired, CodeRefused
 
 PREFIX: Final = "ROSSEC:"
 MAX_TEXT: Final = 512
@@ -35,6 +37,28 @@ _HALF_BLOCKS: Final = {(0, 0): " ", (1, 0): "\u2580", (0, 1): "\u2584", (1, 1): 
 _BORDER: Final = 2
 _PRINTED_BORDER: Final = 4
 
+# A sheet: that of the common A4 sheets of 24 labels; all is drawn in SVG, so that browsers do not
+# change the layout. A label holds no secret, so it may stay on the robot.
+COLUMNS, ROWS = 3, 8
+PER_PAGE: Final = COLUMNS * ROWS
+_WIDTH, _HEIGHT = 63.5, 33.9  # millimetres
+_STEP: Final = 66.0  # from label to label, sideways
+_LEFT, _TOP = 7.25, 12.9
+_CODE: Final = 33.0  # with its quiet zone: 0.8 mm a module
+_LINE: Final = 17  # characters of a name that fit beside the code
+_LINES: Final = 5
+_PAGE: Final = (
+    '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>rossec labels</title>\n'
+    '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
+    "style-src 'unsafe-inline'\">\n"
+    "<style>@page {{ size: A4; margin: 0 }} body {{ margin: 0 }} "
+    "svg.page {{ display: block; break-after: page }}</style></head>\n<body>\n{}</body></html>\n"
+)
+
+_CARD: Final = 0x51  # the low half is the version
+_MAX_CARD_TEXT: Final = 64
+_CARD_HINT: Final = "scan or paste what `rossec domain card --qr` shows, beginning with ROSSEC:"
+
 
 @dataclass(frozen=True)
 class Code:
@@ -46,32 +70,20 @@ class Code:
     address: str = ""
 
     def matches(self, request: bytes) -> bool:
-        """Whether the code was made for `request` (a CSR, DER)."""
         return compare_digest(self.digest, sha256(request).digest())
 
     def check_time(self, now: int) -> None:
-        """Return if the code has not expired; a label code does not expire.
-
-        Raises:
-            CodeExpired: a screen code after its expiry.
-        """
+        # Return if the code has not expired; a label code does not expire.
         if self.secret and now > self.expires:
-            raise CodeExpired(
-                f"the code expired {now - self.expires} s ago", "have the node show a new one"
-            )
+            raise CodeExpired(f"the code expired {now - self.expires} s ago", "have the node show a new one")
 
 
 def label_code(request: bytes) -> str:
-    """Text of a code that only authenticates `request`."""
-    return _text(bytes([_LABEL]) + sha256(request).digest())
+    return PREFIX + encode_base45(bytes([_LABEL]) + sha256(request).digest())
 
 
 def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> str:
-    """Text of a code that also carries a one-time `secret`, its expiry and the node's address.
-
-    Raises:
-        CodeRefused: a secret of another length than 16 bytes, or an address that does not fit.
-    """
+    """Text of a code that also carries a one-time `secret`, its expiry and the node's address."""
     if len(secret) != SECRET_SIZE or not 0 < len(address) <= _MAX_ADDRESS or not address.isascii():
         raise CodeRefused(
             "a screen code needs 16 bytes of secret and an address of 1 to 64 ASCII characters",
@@ -79,18 +91,11 @@ def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> st
         )
     if not 0 <= expires < 1 << 32:
         raise CodeRefused("the expiry of a screen code is out of range")
-    encoded_address = address.encode()
-    return _text(
-        bytes([_SCREEN]) + sha256(request).digest() + secret + expires.to_bytes(4) + encoded_address
-    )
+    head = bytes([_SCREEN]) + sha256(request).digest()
+    return PREFIX + encode_base45(head + secret + expires.to_bytes(4) + address.encode())
 
 
 def parse(text: str) -> Code:
-    """Parse the text of a code as scanned or pasted; surrounding whitespace is ignored.
-
-    Raises:
-        CodeRefused: not a rossec code, truncated, or of an unknown version.
-    """
     stripped = text.strip()
     if len(stripped) > MAX_TEXT or not stripped.startswith(PREFIX):
         raise CodeRefused("this is not the text of a rossec code", _HINT)
@@ -98,20 +103,20 @@ def parse(text: str) -> Code:
     if len(data) == 1 + _DIGEST_SIZE and data[0] == _LABEL:
         return Code(data[1:])
     if len(data) > _SCREEN_MINIMUM and data[0] == _SCREEN:
-        return _screen(data)
+        digest, rest = data[1 : 1 + _DIGEST_SIZE], data[1 + _DIGEST_SIZE :]
+        encoded_address = rest[SECRET_SIZE + 4 :]
+        if not encoded_address.isascii() or len(encoded_address) > _MAX_ADDRESS:
+            raise CodeRefused("the address in the code is invalid", _HINT)
+        expires = int.from_bytes(rest[SECRET_SIZE : SECRET_SIZE + 4])
+        return Code(digest, rest[:SECRET_SIZE], expires, encoded_address.decode())
     if data and data[0] & 0x0F != _VERSION:
-        raise CodeRefused(
-            "a code of another version of rossec", "update the older of the two sides"
-        )
+        raise CodeRefused("a code of another version of rossec", "update the older of the two sides")
     raise CodeRefused("the code is incomplete or damaged", _HINT)
 
 
 def terminal(text: str) -> str:
-    """The code as half blocks with explicit colours: two modules per line, 19 lines for a label."""
-    rows = [
-        list(row)
-        for row in segno.make_qr(text, error="l", boost_error=False).matrix_iter(border=_BORDER)
-    ]
+    code = segno.make_qr(text, error="l", boost_error=False)
+    rows = [list(row) for row in code.matrix_iter(border=_BORDER)]
     rows.append([0] * len(rows[0]))  # a QR code has an odd number of rows
     lines = (
         "".join(_HALF_BLOCKS[int(above), int(below)] for above, below in zip(*pair, strict=True))
@@ -121,21 +126,18 @@ def terminal(text: str) -> str:
 
 
 def svg(text: str) -> bytes:
-    """The code as an SVG image, for printing."""
     out = BytesIO()
     _printed(text).save(out, kind="svg", scale=4, border=_PRINTED_BORDER)
     return out.getvalue()
 
 
 def png(text: str) -> bytes:
-    """The code as a PNG image, for a screen that shows pictures."""
     out = BytesIO()
     _printed(text).save(out, kind="png", scale=8, border=_PRINTED_BORDER)
     return out.getvalue()
 
 
 def inline_svg(text: str) -> str:
-    """The code as an SVG element that fills the viewport it is put into."""
     element: str = _printed(text).svg_inline(border=_PRINTED_BORDER, omitsize=True, light="white")
     return element
 
@@ -153,11 +155,6 @@ def encode_base45(data: bytes) -> str:
 
 
 def decode_base45(text: str) -> bytes:
-    """Decode base45 strictly.
-
-    Raises:
-        CodeRefused: an invalid character, an incomplete group, or a value out of range.
-    """
     out = bytearray()
     for start in range(0, len(text), 3):
         digits = [_ALPHABET.find(char) for char in text[start : start + 3]]
@@ -170,18 +167,66 @@ def decode_base45(text: str) -> bytes:
 
 
 def _printed(text: str) -> segno.QRCode:
-    """Error correction level M, as paper gets dirty (docs/spec/enrollment.md)."""
     return segno.make_qr(text, error="m", boost_error=False)
 
 
-def _text(data: bytes) -> str:
-    return PREFIX + encode_base45(data)
+@dataclass(frozen=True)
+class Label:
+    name: str
+    fingerprint: str
+    text: str
 
 
-def _screen(data: bytes) -> Code:
-    digest, rest = data[1 : 1 + _DIGEST_SIZE], data[1 + _DIGEST_SIZE :]
-    encoded_address = rest[SECRET_SIZE + 4 :]
-    if not encoded_address.isascii() or len(encoded_address) > _MAX_ADDRESS:
-        raise CodeRefused("the address in the code is invalid", _HINT)
-    expires = int.from_bytes(rest[SECRET_SIZE : SECRET_SIZE + 4])
-    return Code(digest, rest[:SECRET_SIZE], expires, encoded_address.decode())
+def sheet(labels: Sequence[Label]) -> str:
+    pages = []
+    for start in range(0, len(labels), PER_PAGE):
+        drawn = (_label(at, label) for at, label in enumerate(labels[start : start + PER_PAGE]))
+        pages.append(
+            '<svg class="page" xmlns="http://www.w3.org/2000/svg" width="210mm" height="297mm" '
+            f'viewBox="0 0 210 297"><rect width="210" height="297" fill="white"/>{"".join(drawn)}</svg>\n'
+        )
+    return _PAGE.format("".join(pages))
+
+
+def _label(position: int, label: Label) -> str:
+    row, column = divmod(position, COLUMNS)
+    left, top = _LEFT + column * _STEP, _TOP + row * _HEIGHT
+    return (
+        f'<svg x="{left}" y="{top}" width="{_WIDTH}" height="{_HEIGHT}">'
+        f'<svg width="{_CODE}" height="{_CODE}">{inline_svg(label.text)}</svg>'
+        f"{''.join(_lines(label))}</svg>"
+    )
+
+
+def _lines(label: Label) -> Iterator[str]:
+    name = [label.name[start : start + _LINE] for start in range(0, len(label.name), _LINE)]
+    if len(name) > _LINES:
+        name = [*name[: _LINES - 1], "..."]
+    digits = label.fingerprint
+    groups = [digits[start : start + 10] for start in range(0, len(digits), 10)]  # two groups of four a line
+    for number, text in enumerate([*name, *groups]):
+        weight = ' font-weight="bold"' if number < len(name) else ""
+        yield (
+            f'<text x="{_CODE}" y="{5 + 3 * number}" font-family="monospace" font-size="2.6"'
+            f"{weight}>{escape(text)}</text>"
+        )
+
+
+def card_code(data: bytes) -> str:
+    """The text of a code that fits this card alone: `ROSSEC:` and 50 characters."""
+    return PREFIX + encode_base45(bytes([_CARD]) + sha256(data).digest())
+
+
+def check_code(text: str, data: bytes) -> None:
+    """Return if the code `text`, as scanned or pasted, is that of the card `data`."""
+    stripped = text.strip()
+    if not stripped.startswith(PREFIX) or len(stripped) > _MAX_CARD_TEXT:
+        raise CodeRefused("this is not the code of a card", _CARD_HINT)
+    found = decode_base45(stripped.removeprefix(PREFIX))
+    if len(found) != 1 + _DIGEST_SIZE or found[0] != _CARD:
+        raise CodeRefused("this is not the code of a card", _CARD_HINT)
+    if not compare_digest(found[1:], sha256(data).digest()):
+        raise CardRefused(
+            "the card does not fit the code: it was changed on its way, or is another one",
+            "take the file and the code of the same `rossec domain card`",
+        )

@@ -1,15 +1,11 @@
 """Owner and mode of files and directories that are trusted without a signature. Does I/O.
 
-Files decide which peers a node trusts, so a user that can change them can decide that as well. A
-file is trusted only if it belongs to the user rossec runs as, or to root, and no other user can
-write it; it is opened first, and the open file is checked (the path may be replaced meanwhile). The
-same holds for its directory and all above it, up to the root and through every symbolic link. A
-directory above may be writable by others if it is sticky, as /tmp is: then other users cannot
-remove or rename its entries (stat(2) S_ISVTX). OpenSSH does the same (StrictModes, sshd_config(5)).
-
-A user private group counts as its owner, as on systems with umask 002. It has its owner's name
-(pam_umask(8) usergroups), since a directory service need not list all members of a group. The same
-checks hold for root: files in a user's directory were written by that user.
+A file is trusted only if it belongs to the user rossec runs as, or to root, and no other user can
+write it; it is opened first, and the open file is checked. The same holds for its directory and all
+above it, through every symbolic link; one above may be writable by others if it is sticky, as /tmp
+is (stat(2) S_ISVTX). OpenSSH does the same (StrictModes, sshd_config(5)). A user private group
+counts as its owner, as on systems with umask 002. Root is held to the same: files in a user's
+directory were written by that user.
 """
 
 import grp
@@ -33,9 +29,6 @@ def check_directory(path: Path) -> None:
     """Return if no other user can write to the directory `path`, or replace it.
 
     Components that do not exist yet are not checked.
-
-    Raises:
-        PathRefused: another user can.
     """
     for part, status, is_last in _walk(path):
         _check_owner(part, status)
@@ -45,11 +38,6 @@ def check_directory(path: Path) -> None:
 
 
 def check_file(path: Path, status: os.stat_result) -> None:
-    """Check the `status` of an opened file.
-
-    Raises:
-        PathRefused: it is not a regular file, or another user can write it.
-    """
     if not stat.S_ISREG(status.st_mode):
         raise PathRefused(f"{path} is not a regular file", "is it the right one?")
     _check_owner(path, status)
@@ -61,10 +49,6 @@ def check_trusted(path: Path) -> None:
 
     Closing a file drops every lock its process has on it (fcntl(2)), those of SQLite too. The
     path will be the same file when opened: no other user can change names in its directory.
-
-    Raises:
-        FileNotFoundError: there is none.
-        PathRefused: another user could have written it.
     """
     check_directory(path.parent)
     status = os.lstat(path)
@@ -74,16 +58,6 @@ def check_trusted(path: Path) -> None:
 
 
 def open_trusted(path: Path, *, link: bool = False) -> int:
-    """Open a trusted file for reading; returns its descriptor.
-
-    Args:
-        path: of the file.
-        link: allow a symbolic link; its target is checked.
-
-    Raises:
-        FileNotFoundError: there is none.
-        PathRefused: another user could have written it.
-    """
     check_directory(path.parent)
     if not link and path.is_symlink():
         raise PathRefused(f"{path} is a symbolic link", "put the file itself there")
@@ -97,10 +71,7 @@ def open_trusted(path: Path, *, link: bool = False) -> int:
 
 
 def _walk(path: Path) -> Iterator[tuple[Path, os.stat_result, bool]]:
-    """Yield every directory and link from the root to `path`, in the order of the kernel.
-
-    The boolean is true for `path` itself, which is not reached if it does not exist.
-    """
+    # The boolean is true for `path` itself, which is not reached if it does not exist.
     here, links = Path("/"), 0
     rest = [*reversed(path.absolute().parts[1:])]
     yield here, os.lstat(here), not rest
@@ -145,13 +116,11 @@ def _check_writers(path: Path, status: os.stat_result) -> None:
         if status.st_mode & stat.S_ISVTX:
             raise PathRefused(f"{path} can be written by others", "use a directory of yours in it")
         raise PathRefused(
-            f"{path} can be written by others",
-            f"check its content; if it was not changed: chmod go-w {path}",
+            f"{path} can be written by others", f"check its content; if it was not changed: chmod go-w {path}"
         )
 
 
 def _is_private_group(path: Path, status: os.stat_result) -> bool:
-    """Whether the group of the file has no other member than its owner."""
     try:
         os.getxattr(path, _ACL)
     except OSError:
@@ -161,7 +130,6 @@ def _is_private_group(path: Path, status: os.stat_result) -> bool:
 
 @lru_cache(maxsize=64)
 def _is_user_private_group(group: int, owner: int) -> bool:
-    """Whether `group` is the user private group of `owner`; root may be in it."""
     try:
         found, name = grp.getgrgid(group), pwd.getpwuid(owner).pw_name
     except KeyError:
@@ -172,7 +140,6 @@ def _is_user_private_group(group: int, owner: int) -> bool:
 
 
 def _user(number: int) -> tuple[str, str]:
-    """The name of a user for a message, and for sudo."""
     try:
         name = pwd.getpwuid(number).pw_name
     except KeyError:

@@ -1,25 +1,26 @@
-"""The two signed statements of revocation, and their bytes.
+"""The signed statements of revocation, their bytes, and proofs of single entries.
 
 The authority signs the *list*: everything revoked, numbered by (epoch, seq), valid for some weeks.
 The master signs the *timestamp*: "the list with this digest was the newest at this time", valid
-for at most 30 seconds. These are the snapshot and timestamp roles of TUF: the authority's key
-stays offline, and a stolen master key can delay revocations but not undo one. Both are maps
-without other fields; claims 4 (exp) and 6 (iat) are CWT's (RFC 8392), the negative ones are from
-its private range. Entries are sorted, so one set of entries has one encoding.
+for at most 30 seconds (the snapshot and timestamp roles of TUF): a stolen master key can delay
+revocations but not undo one. Where the entries are too many, the authority signs a Merkle *tree*
+over them instead, sorted, and the master proves that an entry is present, or absent because it
+would be between two adjacent leaves: it can hide nothing, and a node asks for what it needs.
 """
 
 import hashlib
+from bisect import bisect_left
+from collections.abc import Collection, Generator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Final, TypeVar
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.cose import Profile
-from ca.encoding import Value
-from ca.errors import EncodingError, RevocationRefused, SignatureError
-from ca.keys.publickey import THUMBPRINT_SIZE
-from ca.keys.signer import Signer
+from ca.encoding import Value, decode, encode, head, is_number
+from ca.errors import EncodingError, ProofRefused, RevocationRefused, SignatureError
+from ca.keys.signing import THUMBPRINT_SIZE, Profile, Signer
+from ca.revocation.merkle import HASH_SIZE, Tree, verify_inclusion
 
 GRANT_ID_SIZE: Final = 16
 DIGEST_SIZE: Final = 32
@@ -33,8 +34,24 @@ TIMESTAMP_PROFILE: Final = Profile("rossec-timestamp+cwt")
 
 _EXP, _IAT = 4, 6
 _EPOCH, _SEQ, _ENTRIES, _DIGEST, _MAX_AGE = -70001, -70002, -70003, -70004, -70005
-_INT_LIMIT: Final = 1 << 53  # also exact where numbers are floats
 _SIZES: Final = (GRANT_ID_SIZE, THUMBPRINT_SIZE)
+
+TREE: Final = Profile("rossec-revocation-tree+cwt")
+MAX_TREE: Final = 512  # bytes of the statement
+MAX_LEAVES: Final = 32 * 1024  # what fits in one call to the master
+MAX_TREE_ENTRIES_SIZE: Final = MAX_LEAVES * 34 + 16
+MAX_PROOF: Final = 4096
+
+_SIZE, _ROOT = -70006, -70007
+_ARRAY: Final = 4 << 5
+_SHORT: Final = 17, b"\x50"  # octets of an encoded grant id, and its head
+_LONG: Final = 34, b"\x58\x20"  # of a thumbprint
+_STEP: Final = 256  # entries; a millisecond
+_NO_ENTRIES: Final = "not the entries of a revocation tree"
+_NOT_THOSE: Final = ("the entries are not those of the signed tree", "deliver it again: rossec ca publish")
+_T = TypeVar("_T")
+
+_FRAME: Final = b"\xd2\x84" + encode(TREE.protected)
 
 
 @dataclass(frozen=True)
@@ -52,7 +69,6 @@ class RevocationList:
 
     @property
     def number(self) -> tuple[int, int]:
-        """The order of lists: (epoch, seq)."""
         return self.epoch, self.seq
 
 
@@ -67,16 +83,11 @@ class Timestamp:
 
 
 def digest(data: bytes) -> bytes:
-    """Return the digest of a list in a timestamp: SHA-256 of its bytes as received."""
+    """The digest of a list in a timestamp: SHA-256 of its bytes as received."""
     return hashlib.sha256(data).digest()
 
 
 def sign_list(signer: Signer, revocations: RevocationList) -> bytes:
-    """Sign `revocations` with the authority's key.
-
-    Raises:
-        RevocationRefused: an invalid list, as for `open_list`.
-    """
     _check_list(revocations)
     entries: list[Value] = [*sorted(revocations.entries)]
     return LIST_PROFILE.sign(
@@ -92,18 +103,14 @@ def sign_list(signer: Signer, revocations: RevocationList) -> bytes:
 
 
 def open_list(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList:
-    """Verify and read a list; its age is not checked here.
-
-    Raises:
-        RevocationRefused: not signed by the authority, malformed, or not a valid list.
-    """
+    """Verify and read a list; its age is not checked here."""
     match _open(LIST_PROFILE, data, ca_key, MAX_LIST):
-        case {4: exp, 6: iat, -70001: epoch, -70002: seq, -70003: list() as items, **rest} if (
-            not rest
-        ):
-            revocations = RevocationList(
-                _number(epoch), _number(seq), _number(iat), _number(exp), _read_entries(items)
-            )
+        case {4: exp, 6: iat, -70001: epoch, -70002: seq, -70003: list() as items, **rest} if not rest:
+            entries = [check_entry(item) for item in items]
+            if any(first >= second for first, second in pairwise(entries)):
+                raise RevocationRefused("the entries of the revocation list are not sorted")
+            epoch, seq, iat, exp = map(_number, (epoch, seq, iat, exp))
+            revocations = RevocationList(epoch, seq, iat, exp, frozenset(entries))
         case _:
             raise RevocationRefused("the revocation list has missing or unknown fields")
     _check_list(revocations)
@@ -111,33 +118,17 @@ def open_list(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList:
 
 
 def sign_timestamp(signer: Signer, timestamp: Timestamp) -> bytes:
-    """Sign `timestamp` with the master's key.
-
-    Raises:
-        RevocationRefused: an invalid timestamp.
-    """
     _check_timestamp(timestamp)
     return TIMESTAMP_PROFILE.sign(
         signer,
-        {
-            _IAT: timestamp.issued,
-            _SEQ: timestamp.seq,
-            _DIGEST: timestamp.digest,
-            _MAX_AGE: timestamp.max_age,
-        },
+        {_IAT: timestamp.issued, _SEQ: timestamp.seq, _DIGEST: timestamp.digest, _MAX_AGE: timestamp.max_age},
     )
 
 
 def open_timestamp(data: bytes, key: ec.EllipticCurvePublicKey) -> Timestamp:
-    """Verify and read a timestamp; its age is not checked here. `key` is the master's.
-
-    Raises:
-        RevocationRefused: not signed by `key`, malformed, or not a valid timestamp.
-    """
+    """Verify and read a timestamp; its age is not checked here. `key` is the master's."""
     match _open(TIMESTAMP_PROFILE, data, key, MAX_TIMESTAMP):
-        case {6: iat, -70002: seq, -70004: bytes() as list_digest, -70005: max_age, **rest} if (
-            not rest
-        ):
+        case {6: iat, -70002: seq, -70004: bytes() as list_digest, -70005: max_age, **rest} if not rest:
             timestamp = Timestamp(_number(seq), list_digest, _number(iat), _number(max_age))
         case _:
             raise RevocationRefused("the timestamp has missing or unknown fields")
@@ -171,21 +162,9 @@ def _check_list(revocations: RevocationList) -> None:
 
 
 def check_entry(entry: object) -> bytes:
-    """Return `entry` if it has the form of a grant id or a key thumbprint.
-
-    Raises:
-        RevocationRefused: anything else.
-    """
     if not isinstance(entry, bytes) or len(entry) not in _SIZES:
         raise RevocationRefused("an entry is a grant id of 16 bytes or a key thumbprint of 32")
     return entry
-
-
-def _read_entries(items: list[Value]) -> frozenset[bytes]:
-    entries = [check_entry(item) for item in items]
-    if any(first >= second for first, second in pairwise(entries)):
-        raise RevocationRefused("the entries of the revocation list are not sorted")
-    return frozenset(entries)
 
 
 def _check_timestamp(timestamp: Timestamp) -> None:
@@ -200,6 +179,199 @@ def _check_timestamp(timestamp: Timestamp) -> None:
 
 
 def _number(value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _INT_LIMIT:
+    if not is_number(value):
         raise RevocationRefused("a number in the statement is out of range")
     return value
+
+
+@dataclass(frozen=True)
+class RevocationTree:
+    """All revocations, as the size and the root of their tree; numbered like a list."""
+
+    epoch: int
+    seq: int
+    issued: int
+    expires: int
+    size: int
+    root: bytes
+
+    def __post_init__(self) -> None:
+        if not all(map(is_number, (*self.number, self.issued, self.expires, self.size))):
+            raise RevocationRefused("a number of the revocation tree is out of range")
+        if self.expires <= self.issued or not 0 < self.size <= MAX_LEAVES:
+            raise RevocationRefused("a revocation tree that is empty, too large, or never valid")
+        if len(self.root) != HASH_SIZE:
+            raise RevocationRefused(f"the root of the revocation tree does not have {HASH_SIZE} bytes")
+
+    @property
+    def number(self) -> tuple[int, int]:
+        return self.epoch, self.seq
+
+
+def is_tree(data: bytes) -> bool:
+    """Whether the type of `data` is a tree, not a list; nothing is verified."""
+    return data.startswith(_FRAME)
+
+
+def sign_tree(signer: Signer, tree: RevocationTree) -> bytes:
+    return TREE.sign(
+        signer,
+        {
+            _EXP: tree.expires,
+            _IAT: tree.issued,
+            _EPOCH: tree.epoch,
+            _SEQ: tree.seq,
+            _SIZE: tree.size,
+            _ROOT: tree.root,
+        },
+    )
+
+
+def open_tree(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationTree:
+    """Verify and read a tree; its age is not checked here."""
+    try:
+        value = TREE.open(data, ca_key, limit=MAX_TREE)
+    except (SignatureError, EncodingError) as error:
+        raise RevocationRefused(
+            f"the revocation tree is refused: {error}", "take it from the authority or the master"
+        ) from error
+    match value:
+        case {
+            4: int() as exp,
+            6: int() as iat,
+            -70001: int() as epoch,
+            -70002: int() as seq,
+            -70006: int() as size,
+            -70007: bytes() as root,
+            **rest,
+        } if not rest:
+            return RevocationTree(epoch, seq, iat, exp, size, root)
+        case _:
+            raise RevocationRefused("the revocation tree has missing or unknown fields")
+
+
+def finished(steps: Generator[None, None, _T]) -> _T:
+    """What the steps return, all of them done at once."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            result: _T = end.value
+            return result
+
+
+def _count(data: bytes) -> tuple[int, int]:
+    if len(data) > MAX_TREE_ENTRIES_SIZE:
+        raise RevocationRefused("too many entries for a revocation tree")
+    for length in (1, 2, 3):
+        size = data[0] & 31 if length == 1 and data else int.from_bytes(data[1:length])
+        room = len(data) - length
+        if size <= MAX_LEAVES and data[:length] == head(_ARRAY, size):
+            if room % _SHORT[0] or not size * _SHORT[0] <= room <= size * _LONG[0]:
+                break  # the long form has twice the room of the short one
+            return size, length
+    raise RevocationRefused(_NO_ENTRIES)
+
+
+def _entry(data: bytes, position: int) -> tuple[bytes, int]:
+    for size, form in (_SHORT, _LONG):
+        end = position + size
+        if data.startswith(form, position) and end <= len(data):
+            return data[position + len(form) : end], end
+    raise RevocationRefused(_NO_ENTRIES)
+
+
+class TreeEntries:
+    """All entries of a tree; creates the proofs."""
+
+    def __init__(self, entries: Collection[bytes]) -> None:
+        self._entries = sorted({check_entry(entry) for entry in entries})
+        self._tree = Tree(self._entries)
+
+    @classmethod
+    def read(cls, data: bytes) -> "TreeEntries":
+        return finished(cls.reading(data))
+
+    @classmethod
+    def reading(cls, data: bytes, tree: RevocationTree | None = None) -> Generator[None, None, "TreeEntries"]:
+        """As `read` and `check` with `tree`, in steps that each cost little: anybody may send it.
+
+        The number of entries, and what room they take, is compared before any of them is read.
+        """
+        size, position = _count(data)
+        if tree is not None and tree.size != size:
+            raise RevocationRefused(*_NOT_THOSE)
+        found = cls(())
+        for number in range(size):
+            entry, position = _entry(data, position)
+            if found._entries and entry <= found._entries[-1]:
+                raise RevocationRefused("the entries of a revocation tree are not sorted")
+            found._entries.append(entry)
+            found._tree.append(entry)
+            if number % _STEP == _STEP - 1:
+                yield
+        if position != len(data):
+            raise RevocationRefused(_NO_ENTRIES)
+        if tree is not None:
+            found.check(tree)
+        return found
+
+    def encoded(self) -> bytes:
+        entries: list[Value] = [*self._entries]
+        return encode(entries)
+
+    @property
+    def entries(self) -> frozenset[bytes]:
+        return frozenset(self._entries)
+
+    @property
+    def size_and_root(self) -> tuple[int, bytes]:
+        return len(self._entries), self._tree.root()
+
+    def check(self, tree: RevocationTree) -> None:
+        if self.size_and_root != (tree.size, tree.root):
+            raise RevocationRefused(*_NOT_THOSE)
+
+    def prove(self, entry: bytes) -> bytes:
+        """The proof that `entry` is in the tree, or that it is not."""
+        position = bisect_left(self._entries, entry)
+        if position < len(self._entries) and self._entries[position] == entry:
+            indexes = [position]
+        else:
+            indexes = [at for at in (position - 1, position) if 0 <= at < len(self._entries)]
+        return encode([[at, self._entries[at], [*self._tree.inclusion(at)]] for at in indexes])
+
+
+def is_revoked(tree: RevocationTree, entry: bytes, proof: bytes) -> bool:
+    try:
+        parts = decode(proof, limit=MAX_PROOF)
+    except EncodingError as error:
+        raise RevocationRefused(f"not a proof: {error}") from error
+    if not isinstance(parts, list):
+        raise RevocationRefused("a proof is a list of leaves")
+    match [_leaf(tree, part) for part in parts]:
+        case [(_, leaf)] if leaf == entry:
+            return True
+        case [(0, first)] if entry < first:
+            return False
+        case [(index, last)] if index == tree.size - 1 and last < entry:
+            return False
+        case [(left, below), (right, above)] if right == left + 1 and below < entry < above:
+            return False
+        case _:
+            raise RevocationRefused("the proof does not show the status of this entry")
+
+
+def _leaf(tree: RevocationTree, part: Value) -> tuple[int, bytes]:
+    match part:
+        case [int() as index, bytes() as leaf, list() as hashes] if type(index) is int:
+            path = [item for item in hashes if isinstance(item, bytes)]
+        case _:
+            raise RevocationRefused("a leaf of a proof is [index, entry, hashes]")
+    if len(path) != len(hashes):
+        raise RevocationRefused("the hashes of a proof are bytes")
+    try:
+        verify_inclusion(leaf, index, tree.size, path, tree.root)
+    except ProofRefused as error:
+        raise RevocationRefused(f"a proof is invalid: {error}") from error
+    return index, leaf

@@ -1,7 +1,7 @@
 """Merkle trees as in Certificate Transparency: roots, and short proofs that a verifier can check.
 
 RFC 6962 section 2.1 defines the hashes (the prefixes 0x00 and 0x01 separate leaves from inner
-nodes), RFC 9162 section 2.1 the two verifications. This module only knows hashes: the meaning of
+nodes), RFC 9162 section 2.1 the verification. This module only knows hashes: the meaning of
 a leaf, and the signature and age of a root, are the callers'. An *inclusion* proof shows that a
 leaf is at an index; with sorted leaves, the proofs of two adjacent leaves show that an entry
 between them is absent. A *consistency* proof shows that a tree extends an older one. Verification
@@ -20,12 +20,10 @@ EMPTY_ROOT: Final = hashlib.sha256().digest()
 
 
 def leaf_hash(data: bytes) -> bytes:
-    """The hash of a leaf with the content `data`."""
     return hashlib.sha256(b"\0" + data).digest()
 
 
 def node_hash(left: bytes, right: bytes) -> bytes:
-    """The hash of an inner node."""
     return hashlib.sha256(b"\1" + left + right).digest()
 
 
@@ -33,7 +31,6 @@ class Tree:
     """An append-only tree that stores all hashes; earlier sizes can be queried too."""
 
     def __init__(self, leaves: Iterable[bytes] = ()) -> None:
-        """Start with the contents `leaves`."""
         self._levels: list[list[bytes]] = [[]]  # hashes of complete subtrees of 1, 2, 4 ... leaves
         for data in leaves:
             self.append(data)
@@ -42,7 +39,6 @@ class Tree:
         return len(self._levels[0])
 
     def append(self, data: bytes) -> None:
-        """Add a leaf with the content `data`."""
         digest = leaf_hash(data)
         for level in self._levels:
             level.append(digest)
@@ -52,31 +48,19 @@ class Tree:
         self._levels.append([digest])
 
     def root(self, size: int | None = None) -> bytes:
-        """The root over the first `size` leaves, by default over all.
-
-        Raises:
-            ProofRefused: the tree is smaller.
-        """
+        """The root over the first `size` leaves, by default over all."""
         size = self._size(size)
         return self._hash(0, size) if size else EMPTY_ROOT
 
     def inclusion(self, index: int, size: int | None = None) -> list[bytes]:
-        """The proof that leaf `index` is in the tree of the first `size` leaves.
-
-        Raises:
-            ProofRefused: it is not.
-        """
+        """The proof that leaf `index` is in the tree of the first `size` leaves."""
         size = self._size(size)
         if not 0 <= index < size:
             raise ProofRefused(f"there is no leaf {index} in a tree of {size}")
         return self._path(index, 0, size)
 
     def consistency(self, first: int, second: int | None = None) -> list[bytes]:
-        """The proof that the tree of `second` leaves extends the one of `first`.
-
-        Raises:
-            ProofRefused: it does not, or `first` is 0, for which there is no proof.
-        """
+        """The proof that the tree of `second` leaves extends the one of `first`."""
         second = self._size(second)
         if not 0 < first <= second:
             raise ProofRefused(f"a tree of {second} leaves does not extend one of {first}")
@@ -90,7 +74,6 @@ class Tree:
         return size
 
     def _hash(self, start: int, end: int) -> bytes:
-        """MTH(D[start:end]); complete subtrees are stored, and `start` is aligned to them."""
         width = end - start
         if width & (width - 1) == 0:
             return self._levels[width.bit_length() - 1][start // width]
@@ -98,7 +81,7 @@ class Tree:
         return node_hash(self._hash(start, middle), self._hash(middle, end))
 
     def _path(self, index: int, start: int, end: int) -> list[bytes]:
-        """PATH(index, D[start:end]), RFC 6962 section 2.1.1."""
+        # PATH(index, D[start:end]), RFC 6962 section 2.1.1.
         if end - start == 1:
             return []
         middle = start + _split(end - start)
@@ -107,7 +90,7 @@ class Tree:
         return [*self._path(index, middle, end), self._hash(start, middle)]
 
     def _subproof(self, first: int, start: int, end: int, *, whole: bool) -> list[bytes]:
-        """SUBPROOF(first, D[start:end], whole), RFC 6962 section 2.1.2; `first` counts from 0."""
+        # SUBPROOF(first, D[start:end], whole), RFC 6962 section 2.1.2; `first` counts from 0.
         if first == end:
             return [] if whole else [self._hash(start, end)]
         middle = start + _split(end - start)
@@ -119,7 +102,6 @@ class Tree:
 
 
 def _split(width: int) -> int:
-    """The largest power of two below `width`, which is at least 2."""
     return 1 << ((width - 1).bit_length() - 1)
 
 
@@ -128,9 +110,6 @@ def extend(peaks: Sequence[bytes], size: int, data: bytes) -> tuple[bytes, ...]:
 
     The *peaks* of a tree of `size` leaves are the roots of its complete subtrees, the largest
     first: enough to append to it.
-
-    Raises:
-        ProofRefused: a tree of `size` leaves has another number of peaks.
     """
     if len(peaks) != size.bit_count():
         raise ProofRefused(f"a tree of {size} leaves does not have {len(peaks)} peaks")
@@ -142,7 +121,6 @@ def extend(peaks: Sequence[bytes], size: int, data: bytes) -> tuple[bytes, ...]:
 
 
 def root_of(peaks: Sequence[bytes]) -> bytes:
-    """The root of the tree with these peaks."""
     if not peaks:
         return EMPTY_ROOT
     *rest, root = peaks
@@ -151,15 +129,9 @@ def root_of(peaks: Sequence[bytes]) -> bytes:
     return root
 
 
-def verify_inclusion(
-    data: bytes, index: int, size: int, proof: Sequence[bytes], root: bytes
-) -> None:
-    """Return if `proof` shows a leaf with the content `data` at `index` (RFC 9162, 2.1.3.2).
-
-    Raises:
-        ProofRefused: it does not.
-    """
-    _check_form(proof)
+def verify_inclusion(data: bytes, index: int, size: int, proof: Sequence[bytes], root: bytes) -> None:
+    """Return if `proof` shows a leaf with the content `data` at `index` (RFC 9162, 2.1.3.2)."""
+    check_form(proof)
     if not 0 <= index < size:
         raise ProofRefused(f"there is no leaf {index} in a tree of {size}")
     number, last, digest = index, size - 1, leaf_hash(data)
@@ -177,49 +149,6 @@ def verify_inclusion(
         raise ProofRefused("the inclusion proof does not lead to the root")
 
 
-def verify_consistency(
-    first: int, second: int, proof: Sequence[bytes], first_root: bytes, second_root: bytes
-) -> None:
-    """Return if `proof` shows that the second tree extends the first (RFC 9162, 2.1.4.2).
-
-    Raises:
-        ProofRefused: it does not.
-    """
-    _check_form(proof)
-    if not 0 < first <= second:
-        raise ProofRefused(f"a tree of {second} leaves does not extend one of {first}")
-    if first == second:
-        if proof or first_root != second_root:
-            raise ProofRefused("two trees of the same size have different roots")
-        return
-    _check_growth(first, second, proof, first_root, second_root)
-
-
-def _check_growth(
-    first: int, second: int, proof: Sequence[bytes], first_root: bytes, second_root: bytes
-) -> None:
-    # The old root is not in the proof: it is prepended when the old tree is a complete subtree.
-    path = [first_root, *proof] if first & (first - 1) == 0 else list(proof)
-    if not path:
-        raise ProofRefused("the consistency proof is empty")
-    number, last = first - 1, second - 1
-    while number & 1:
-        number, last = number >> 1, last >> 1
-    old = new = path[0]
-    for sibling in path[1:]:
-        if last == 0:
-            raise ProofRefused("the consistency proof is too long")
-        if number & 1 or number == last:
-            old, new = node_hash(sibling, old), node_hash(sibling, new)
-            while number and not number & 1:
-                number, last = number >> 1, last >> 1
-        else:
-            new = node_hash(new, sibling)
-        number, last = number >> 1, last >> 1
-    if last != 0 or old != first_root or new != second_root:
-        raise ProofRefused("the consistency proof does not lead from the old root to the new one")
-
-
-def _check_form(proof: Sequence[bytes]) -> None:
+def check_form(proof: Sequence[bytes]) -> None:
     if len(proof) > MAX_PROOF or any(len(digest) != HASH_SIZE for digest in proof):
         raise ProofRefused(f"a proof is at most {MAX_PROOF} hashes of {HASH_SIZE} bytes")

@@ -1,22 +1,200 @@
 """The database file of the authority's record: SQLite, private to its owner, durable transactions.
 
-Does I/O. `ca.store.schema` defines the tables. This module opens the file, refusing a foreign,
-damaged or missing one without changing it, and runs transactions, which are on the disk when the
-call returns. What is read to decide a change must be read inside `transaction`, which excludes
-every other command until the change is made.
+All tables but that of requests for identities are append-only: triggers refuse every change. Such a
+request follows `ca.store.values.TRANSITIONS`, also by triggers, and is deleted at its end. Every
+table in `LOGGED_TABLES` has its rows in the log. A foreign, damaged or missing file is refused
+without changing it, an older version is brought up and loses nothing. What is read to decide a
+change must be read inside `transaction`, which excludes every other command until it is made.
 """
 
 import os
+import re
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, Self
 
-from ca.errors import StoreError
+from ca.errors import LogDamaged, RecordUnusable, StoreError
 from ca.keys import ownership
-from ca.store import migration, schema
-from ca.store.faults import fault
+from ca.store.values import TRANSITIONS, LogEntry, RequestState, digest_of, extend_peaks
+
+_FULL_HINT: Final = "make room and run the command again; do not restore a backup"
+_MIN_FREE: Final = 128 * 1024  # bytes of free space that SQLite needs to open a record
+_DAMAGED: Final = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
+_FAULTS: Final[dict[int, tuple[str, str]]] = {
+    sqlite3.SQLITE_FULL: ("the disk is full, nothing was changed", _FULL_HINT),
+    sqlite3.SQLITE_BUSY: (
+        "another command is using it, nothing was changed",
+        "run the command again when that one has ended",
+    ),
+    sqlite3.SQLITE_READONLY: (
+        "it is read-only, nothing was changed",
+        "is the file system mounted read-only, or the file another user's?",
+    ),
+    sqlite3.SQLITE_IOERR: (
+        "the disk reports an error, nothing was changed",
+        "is it full or failing? see: df, dmesg; check the record: rossec ca log verify",
+    ),
+}
+
+APPLICATION_ID: Final = 0x524F5343  # "ROSC"
+VERSION: Final = 6
+_RESTORE_HINT: Final = "restore a backup of your own, and find out who made this one"
+_APPROVAL: Final = (
+    "id, kind, subject, statement, payload, passkey, client_data, authenticator_data, signature, at"
+)
+# For each kind of log entry: the table, and the columns in the order of the digest.
+LOGGED_TABLES: Final = {
+    "certificate": ("certificate", "serial, name, thumbprint, der, not_before, not_after"),
+    "grant": ("grant_", "id, name, data, not_before, expires"),
+    "revocation": ("revocation", "entry, reason"),
+    "list": ("list", "epoch, seq, data"),
+    "grant request": ("grant_request", "id, name, data, at"),
+    "decision": ("decision", "request, right, pattern, answer, reason, at"),
+    "policy grant": ("policy_grant", "id, rules"),
+    "invitation": ("invitation", "id, key, pattern, uses, wildcard, expires, at"),
+    "join": ("invitation_use", "invitation, request, name, thumbprint, at"),
+    "invitation ended": ("invitation_end", "invitation, reason, at"),
+    "passkey": ("passkey", "id, name, cose_key, aaguid, rp_id, origin, approval, at"),
+    "passkey ended": ("passkey_end", "passkey, reason, at"),
+    "approval": ("approval", _APPROVAL),
+    "approval ended": ("approval_end", "approval, state, result, at"),
+    "domain": ("foreign_domain", "number, domain, label, root, terms, at"),
+    "domain ended": ("foreign_domain_end", "number, reason, at"),
+    "domain list": ("domain_list", "epoch, seq, data"),
+    "foreign certificate": ("foreign_certificate", "thumbprint, root, name, der, at"),
+    "thing": ("thing", "id, name, border, data, not_before, expires"),
+}
+
+VERSION_1: Final = (  # unchanged since version 1
+    """CREATE TABLE certificate (
+        serial BLOB PRIMARY KEY, name TEXT NOT NULL, thumbprint BLOB NOT NULL, der BLOB NOT NULL,
+        not_before INTEGER NOT NULL, not_after INTEGER NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    "CREATE INDEX certificate_name ON certificate (name, not_after)",
+    """CREATE TABLE grant_ (
+        id BLOB PRIMARY KEY, name TEXT NOT NULL, data BLOB NOT NULL,
+        not_before INTEGER NOT NULL, expires INTEGER NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE revocation (entry BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL)
+        STRICT""",
+    """CREATE TABLE list (
+        epoch INTEGER NOT NULL, seq INTEGER NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL,
+        PRIMARY KEY (epoch, seq)
+    ) STRICT""",
+)
+VERSION_2: Final = (
+    """CREATE TABLE log (
+        number INTEGER PRIMARY KEY, at INTEGER NOT NULL, what TEXT NOT NULL, subject TEXT NOT NULL,
+        detail TEXT NOT NULL, digest BLOB NOT NULL, peaks BLOB NOT NULL
+    ) STRICT""",
+    "CREATE TABLE head (data BLOB PRIMARY KEY, at INTEGER NOT NULL) STRICT",
+    """CREATE TABLE csr (
+        digest BLOB PRIMARY KEY, name TEXT NOT NULL, thumbprint BLOB NOT NULL, der BLOB NOT NULL,
+        source TEXT NOT NULL, arrived INTEGER NOT NULL,
+        state TEXT NOT NULL, reason TEXT NOT NULL, changed INTEGER NOT NULL,
+        replaces INTEGER NOT NULL, wildcard INTEGER NOT NULL
+    ) STRICT""",
+    # One request, one certificate: also when two commands run at once, or one was killed.
+    """CREATE TABLE answer (
+        request BLOB PRIMARY KEY, serial BLOB NOT NULL UNIQUE, at INTEGER NOT NULL
+    ) STRICT""",
+)
+VERSION_3: Final = (
+    """CREATE TABLE grant_request (
+        id BLOB PRIMARY KEY, name TEXT NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE decision (
+        request BLOB NOT NULL, right INTEGER NOT NULL, pattern TEXT NOT NULL,
+        answer TEXT NOT NULL, reason TEXT NOT NULL, at INTEGER NOT NULL,
+        PRIMARY KEY (request, right, pattern)
+    ) STRICT""",
+    # The grants that `policy apply` signed, and the rules they came from; all others are by hand.
+    "CREATE TABLE policy_grant (id BLOB PRIMARY KEY, rules TEXT NOT NULL) STRICT",
+    """CREATE TABLE invitation (
+        id BLOB PRIMARY KEY, key BLOB NOT NULL, pattern TEXT NOT NULL, uses INTEGER NOT NULL,
+        wildcard INTEGER NOT NULL, expires INTEGER NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    # A request uses one invitation, once.
+    """CREATE TABLE invitation_use (
+        invitation BLOB NOT NULL, request BLOB PRIMARY KEY, name TEXT NOT NULL,
+        thumbprint BLOB NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE invitation_end (
+        invitation BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+)
+VERSION_4: Final = (
+    """CREATE TABLE passkey (
+        id BLOB PRIMARY KEY, name TEXT NOT NULL, cose_key BLOB NOT NULL, aaguid BLOB NOT NULL,
+        rp_id TEXT NOT NULL, origin TEXT NOT NULL, approval BLOB NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE passkey_end (
+        passkey BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    # The id is that of the statement: one statement is approved once.
+    """CREATE TABLE approval (
+        id BLOB PRIMARY KEY, kind INTEGER NOT NULL, subject BLOB NOT NULL,
+        statement BLOB NOT NULL, payload BLOB NOT NULL, passkey BLOB NOT NULL,
+        client_data BLOB NOT NULL, authenticator_data BLOB NOT NULL, signature BLOB NOT NULL,
+        at INTEGER NOT NULL
+    ) STRICT""",
+    "CREATE INDEX approval_subject ON approval (kind, subject)",
+    "CREATE INDEX approval_passkey ON approval (passkey)",
+    """CREATE TABLE approval_end (
+        approval BLOB PRIMARY KEY, state TEXT NOT NULL, result TEXT NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+)
+VERSION_5: Final = (
+    # Each acceptance, and each change of its terms, is a row: the newest one of a domain counts.
+    """CREATE TABLE foreign_domain (
+        number INTEGER PRIMARY KEY, domain TEXT NOT NULL, label TEXT NOT NULL,
+        root BLOB NOT NULL, terms BLOB NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE foreign_domain_end (
+        number INTEGER NOT NULL UNIQUE, reason TEXT NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE domain_list (
+        epoch INTEGER NOT NULL, seq INTEGER NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL,
+        PRIMARY KEY (epoch, seq)
+    ) STRICT""",
+    # The keys of foreign nodes that grants were signed for, as proved by their certificates.
+    """CREATE TABLE foreign_certificate (
+        thumbprint BLOB NOT NULL, root BLOB NOT NULL, name TEXT NOT NULL, der BLOB NOT NULL UNIQUE,
+        at INTEGER NOT NULL
+    ) STRICT""",
+)
+VERSION_6: Final = (
+    # Statements about constrained things; `border` is the name of the router that serves it.
+    """CREATE TABLE thing (
+        id BLOB PRIMARY KEY, name TEXT NOT NULL, border TEXT NOT NULL, data BLOB NOT NULL,
+        not_before INTEGER NOT NULL, expires INTEGER NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+)
+_TABLES: Final = (*VERSION_1, *VERSION_2, *VERSION_3, *VERSION_4, *VERSION_5, *VERSION_6)
+_MIGRATIONS: Final = {4: VERSION_4, 5: VERSION_5, 6: VERSION_6}  # that only add tables
+_NO_CHANGE: Final = """
+CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
+BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;
+"""
+_NEW_REQUEST: Final = f"""
+CREATE TRIGGER csr_begins BEFORE INSERT ON csr WHEN NEW.state <> '{RequestState.PENDING}'
+BEGIN SELECT RAISE(ABORT, 'a request begins pending'); END;
+"""
+_REQUEST_IMMUTABLE: Final = """
+CREATE TRIGGER csr_fixed
+BEFORE UPDATE OF digest, name, thumbprint, der, source, arrived ON csr
+BEGIN SELECT RAISE(ABORT, 'a request does not change'); END;
+"""
+_REQUEST_TRANSITIONS: Final = """
+CREATE TRIGGER csr_moves BEFORE UPDATE OF state, reason, changed, replaces, wildcard ON csr
+WHEN (OLD.state || '>' || NEW.state) NOT IN ({allowed})
+BEGIN SELECT RAISE(ABORT, 'a request does not go this way'); END;
+"""
+_SET: Final = re.compile(r"in \(([^()]*)\)")
+
+_OF_VERSION_1: Final = ("certificate", "grant", "revocation", "list")  # kinds of log entries
 
 BUSY_TIMEOUT: Final = 30.0  # seconds; other commands hold the lock for milliseconds
 # The statements that begin, commit and roll back a transaction, and a nested one.
@@ -24,9 +202,182 @@ _TRANSACTION: Final = ("BEGIN IMMEDIATE", "COMMIT", ("ROLLBACK",))
 _SAVEPOINT: Final = ("SAVEPOINT part", "RELEASE part", ("ROLLBACK TO part", "RELEASE part"))
 
 
-class Database:
-    """An open database. Create it with `create` or `open`."""
+def fault(path: Path, error: sqlite3.Error) -> StoreError:
+    # Only what SQLite reports as corrupt is called damaged, and must be restored: a backup lacks the
+    # revocations made since (https://sqlite.org/rescode.html).
+    code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF  # the primary code
+    if code in _DAMAGED:
+        return RecordUnusable(f"{path} is damaged: {error}", "restore it from a backup, with --list")
+    if code == sqlite3.SQLITE_CONSTRAINT:
+        return StoreError(f"the record refuses the entry: {error}")
+    if code in {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN} and _is_full(path.parent):
+        code = sqlite3.SQLITE_FULL
+    what, hint = _FAULTS.get(code, (f"{error}, nothing was changed", "run the command again"))
+    return RecordUnusable(f"{path} cannot be used: {what}", hint)
 
+
+def _is_full(directory: Path) -> bool:
+    with suppress(OSError):
+        found = os.statvfs(directory)
+        return found.f_bavail * found.f_frsize < _MIN_FREE
+    return False
+
+
+def create(db: sqlite3.Connection) -> None:
+    _create_tables(db, _TABLES)
+    for statement in request_triggers():
+        db.execute(statement)
+    db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    db.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def check_no_foreign_objects(db: sqlite3.Connection) -> None:
+    """Return if this file has no other tables, triggers and views than those created here.
+
+    A trigger could drop an inserted row, a view or a virtual table could replace a table.
+    """
+    expected_db = sqlite3.connect(":memory:")
+    create(expected_db)
+    expected, found = _objects(expected_db), _objects(db)
+    expected_db.close()
+    for name, created in found.items():
+        if expected.get(name) != created:
+            raise StoreError(f"the record holds a {created[0]} that is not rossec's: {name!a}", _RESTORE_HINT)
+    if missing := expected.keys() - found.keys():
+        raise StoreError(f"the record lacks {min(missing)}", _RESTORE_HINT)
+
+
+def _objects(db: sqlite3.Connection) -> dict[str, tuple[str, str, str]]:
+    rows = db.execute("SELECT name, type, tbl_name, sql FROM sqlite_master WHERE sql IS NOT NULL")
+    return {name: (kind, table, _canonical(text)) for name, kind, table, text in rows}
+
+
+def _canonical(text: str) -> str:
+    # A statement in canonical form: whitespace, case, quotes and IF NOT EXISTS do not matter.
+    # Nor does the order of a set: until 0.1.0 that of `csr_moves` differed in each process.
+    words = text.lower().replace('"', "").replace("if not exists ", "").replace(";", " ").split()
+    return _SET.sub(lambda found: str(sorted(found[1].split(", "))), " ".join(words))
+
+
+def version(db: sqlite3.Connection) -> int:
+    """The schema version of this file; 0 if it is not a record."""
+    (number,) = db.execute("PRAGMA user_version").fetchone()
+    return int(number)
+
+
+def check(db: sqlite3.Connection) -> None:
+    rows = db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'")
+    found = {name: sql.split() for name, sql in rows}
+    for statement in _TABLES:
+        kind, name = statement.split()[1:3]
+        if kind == "TABLE" and found.get(name) != statement.split():
+            raise StoreError(
+                f"the table {name} of the record differs from rossec's schema",
+                "restore it from a backup of your own, and find out who changed it",
+            )
+
+
+def append_entry(
+    db: sqlite3.Connection, at: int, what: str, subject: str, detail: str, digest: bytes
+) -> None:
+    """Append an entry to the log, inside the transaction of the change it describes."""
+    last = db.execute("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1").fetchone()
+    number, peaks = (0, b"") if last is None else (last[0] + 1, last[1])
+    entry = LogEntry(number, at, what, subject, detail, digest)
+    db.execute("INSERT INTO log VALUES (?, ?, ?, ?, ?, ?, ?)", (*entry, extend_peaks(peaks, entry)))
+
+
+def _create_tables(db: sqlite3.Connection, statements: Sequence[str]) -> None:
+    for statement in (*statements, *append_only_triggers(append_only(statements))):
+        db.execute(statement)
+
+
+def append_only(statements: Sequence[str]) -> list[str]:
+    """The tables among these that never change: all but that of requests for identities."""
+    made = [statement.split()[1:3] for statement in statements]
+    return [name for kind, name in made if kind == "TABLE" and name != "csr"]
+
+
+def append_only_triggers(tables: Iterable[str]) -> Iterator[str]:
+    for table in tables:
+        for verb in ("UPDATE", "DELETE"):
+            yield _NO_CHANGE.format(table=table, verb=verb)
+
+
+def request_triggers() -> tuple[str, str, str]:
+    transitions = ", ".join(
+        f"'{old}>{new}'" for old, following in TRANSITIONS.items() for new in sorted(following)
+    )
+    return _NEW_REQUEST, _REQUEST_IMMUTABLE, _REQUEST_TRANSITIONS.format(allowed=transitions)
+
+
+def migrate(db: sqlite3.Connection) -> None:
+    for new in range(version(db) + 1, VERSION + 1):
+        if new == 2:
+            _to_version_2(db)
+        elif new == 3:
+            _to_version_3(db)
+        else:
+            _create_tables(db, _MIGRATIONS[new])
+        (at,) = db.execute("SELECT coalesce(max(at), 0) FROM log").fetchone()
+        append_entry(db, at, "migrated", "record", f"{new - 1} to {new}", b"")
+        db.execute(f"PRAGMA user_version = {new}")
+
+
+def _to_version_2(db: sqlite3.Connection) -> None:
+    # It made a tree of the log.
+    old = db.execute("SELECT at, what, subject, detail FROM log ORDER BY number").fetchall()
+    db.execute("DROP TABLE log")  # and its triggers with it
+    if _has_table(db, "request"):  # requests for grants: the name is not theirs any more
+        db.execute("ALTER TABLE request RENAME TO grant_request")
+    _create_tables(db, VERSION_2)
+    for statement in request_triggers():
+        db.execute(statement)
+    rows: dict[str, Iterator[Any]] = {}
+    for what in _OF_VERSION_1:
+        table, columns = LOGGED_TABLES[what]
+        rows[what] = iter(db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall())  # noqa: S608  (constants)
+    for number, (at, what, subject, detail) in enumerate(old):
+        row = next(rows.get(what, iter(())), None)
+        if row is None:
+            raise LogDamaged(
+                f"line {number} of the log is about a {what} that is not recorded",
+                "restore a backup, and find out who changed the record",
+            )
+        append_entry(db, at, what, subject, detail, digest_of(row))
+
+
+def _to_version_3(db: sqlite3.Connection) -> None:
+    # It took the requests for grants and their answers into the log, which until then were tables of their
+    # own, and knows which grants came from a policy: those signed before count as made by hand.
+    requests = _taken(db, "grant_request", "id, name, data, at")
+    decisions = _taken(db, "decision", "request, right, pattern, answer, reason, at")
+    _create_tables(db, VERSION_3)
+    for row in requests:
+        db.execute("INSERT INTO grant_request VALUES (?, ?, ?, ?)", row)
+        append_entry(db, row[3], "grant request", row[1], row[0].hex(), digest_of(row))
+    names = {row[0]: row[1] for row in requests}
+    for row in decisions:
+        db.execute("INSERT INTO decision VALUES (?, ?, ?, ?, ?, ?)", row)
+        subject = names.get(row[0], "")
+        append_entry(db, row[5], "decision", subject, f"{row[3]} {row[2]}", digest_of(row))
+
+
+def _taken(db: sqlite3.Connection, table: str, columns: str) -> list[tuple[Any, ...]]:
+    # The rows of a table that may not be there, oldest first; the table is dropped.
+    if not _has_table(db, table):
+        return []
+    rows = db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall()  # noqa: S608  (constants)
+    db.execute(f"DROP TABLE {table}")  # and its triggers with it
+    return rows
+
+
+def _has_table(db: sqlite3.Connection, name: str) -> bool:
+    query = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?"
+    return db.execute(query, (name,)).fetchone() is not None
+
+
+class Database:
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
         self.connection = connection
         self._path = path.absolute()
@@ -35,11 +386,6 @@ class Database:
 
     @classmethod
     def create(cls, path: Path) -> Self:
-        """Create a new, empty record, readable only by its owner.
-
-        Raises:
-            StoreError: the file exists, or its directory does not.
-        """
         try:
             os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR | os.O_CLOEXEC, 0o600))
         except OSError as error:
@@ -50,24 +396,28 @@ class Database:
         except sqlite3.Error as error:
             raise fault(path, error) from error
         with database.transaction() as db:
-            schema.create(db)
+            create(db)
         return database
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open an existing record; an older version is migrated first.
-
-        Raises:
-            StoreError: no file, not a record of rossec, damaged, or of a newer version; or it
-                cannot be used now.
-            PathRefused: another user owns it, or could have written it.
-        """
-        _check_file(path)
+        if not path.is_file():
+            raise StoreError(f"there is no record at {path}", "restore it from a backup")
+        if path.stat().st_mode & 0o077:
+            raise StoreError(
+                f"{path} can be read or written by others",
+                f"it contains grants and identities: chmod 600 {path}",
+            )
+        with suppress(FileNotFoundError):  # SQLite reports it
+            ownership.check_trusted(path)
         database = cls(_connect(path), path)
         try:
             _check_kind(database.connection, path)
             _configure(database.connection)
-            database._migrate()
+            if version(database.connection) != VERSION:
+                with database.transaction() as db:
+                    migrate(db)
+            check(database.connection)
         except (sqlite3.Error, StoreError) as error:
             database.close()
             if isinstance(error, StoreError):
@@ -76,39 +426,30 @@ class Database:
         return database
 
     def close(self) -> None:
-        """Close the file."""
         self.connection.close()
 
     def snapshot(self) -> bytes:
-        """The whole file as of this moment, also while others write.
-
-        Raises:
-            StoreError: the file is damaged or closed.
-        """
+        """The whole file as of this moment, also while others write."""
         try:
             return self.connection.serialize()
         except sqlite3.Error as error:
             raise fault(self._path, error) from error
 
-    def rows(self, query: str, *values: object) -> list[Any]:
-        """The rows that `query` selects.
+    def logged(self, what: str, clause: str = "ORDER BY rowid", *values: object) -> list[Any]:
+        """The rows about which log entries of the kind `what` are, with the columns of the digest."""
+        table, columns = LOGGED_TABLES[what]
+        return self.rows(f"SELECT {columns} FROM {table} {clause}", *values)  # noqa: S608  (constants)
 
-        Raises:
-            StoreError: the file is damaged or closed.
-        """
+    def rows(self, query: str, *values: object) -> list[Any]:
         try:
             return self.connection.execute(query, values).fetchall()
         except sqlite3.Error as error:
             raise fault(self._path, error) from error
 
     def check(self) -> None:
-        """Return if the file is undamaged and has only the triggers and views of rossec.
-
-        Raises:
-            StoreError: see `ca.store.schema.check_no_foreign_objects`; or the file is damaged.
-        """
+        """Return if the file is undamaged and has only the triggers and views of rossec."""
         try:
-            schema.check_no_foreign_objects(self.connection)
+            check_no_foreign_objects(self.connection)
             found = self.connection.execute("PRAGMA quick_check").fetchall()
         except sqlite3.Error as error:
             raise fault(self._path, error) from error
@@ -120,15 +461,20 @@ class Database:
         """An exclusive transaction: all of it, durably, or nothing.
 
         A nested one is rolled back alone if it fails, and committed with the outer one.
-
-        Raises:
-            StoreError: an entry is refused, the file cannot be written, or it was replaced.
         """
         try:
             begin, commit, rollback = _SAVEPOINT if self.connection.in_transaction else _TRANSACTION
             self.connection.execute(begin)
             try:
-                self._check_not_replaced()
+                try:
+                    found = self._path.stat()
+                except OSError:
+                    found = None
+                if found is None or (found.st_dev, found.st_ino) != self._file:
+                    raise StoreError(
+                        f"{self._path} was replaced by another command, nothing was changed",
+                        "run the command again: it then uses the new record",
+                    )
                 yield self.connection
                 self.connection.execute(commit)
             except BaseException:
@@ -151,59 +497,26 @@ class Database:
         finally:
             self.connection.execute("ROLLBACK")
 
-    def _check_not_replaced(self) -> None:
-        """Refuse to write to a record that was moved away while this command waited."""
-        try:
-            found = self._path.stat()
-        except OSError:
-            found = None
-        if found is None or (found.st_dev, found.st_ino) != self._file:
-            raise StoreError(
-                f"{self._path} was replaced by another command, nothing was changed",
-                "run the command again: it then uses the new record",
-            )
-
-    def _migrate(self) -> None:
-        if schema.version(self.connection) != schema.VERSION:
-            with self.transaction() as db:
-                migration.migrate(db)
-        schema.check(self.connection)
-
-
-def _check_file(path: Path) -> None:
-    if not path.is_file():
-        raise StoreError(f"there is no record at {path}", "restore it from a backup")
-    if path.stat().st_mode & 0o077:
-        raise StoreError(
-            f"{path} can be read or written by others",
-            f"it contains grants and identities: chmod 600 {path}",
-        )
-    with suppress(FileNotFoundError):  # SQLite reports it
-        ownership.check_trusted(path)
-
 
 def _connect(path: Path) -> sqlite3.Connection:
     try:
         return sqlite3.connect(
-            f"{path.absolute().as_uri()}?mode=rw",
-            timeout=BUSY_TIMEOUT,
-            isolation_level=None,
-            uri=True,
+            f"{path.absolute().as_uri()}?mode=rw", timeout=BUSY_TIMEOUT, isolation_level=None, uri=True
         )
     except sqlite3.Error as error:
         raise fault(path, error) from error
 
 
 def _check_kind(db: sqlite3.Connection, path: Path) -> None:
-    """Before any PRAGMA is set: a database of another program must not be changed."""
+    # Before any PRAGMA is set: a database of another program must not be changed.
     (application,) = db.execute("PRAGMA application_id").fetchone()
-    if application == schema.APPLICATION_ID and schema.version(db) > schema.VERSION:
+    if application == APPLICATION_ID and version(db) > VERSION:
         raise StoreError(
             f"{path} was written by a newer version of rossec",
             "use that version; to go back, move the directory away and restore the backup from"
             " before the update: rossec ca restore FILE --list FILE",
         )
-    if application != schema.APPLICATION_ID or schema.version(db) < 1:
+    if application != APPLICATION_ID or version(db) < 1:
         raise StoreError(f"{path} is not a record of rossec", "restore it from a backup")
 
 

@@ -1,158 +1,202 @@
-"""The log in the authority's record: written with every change, and audited as a whole.
+"""The log in the authority's record, its audit, and what persons approved: passkeys and approvals.
 
-`audit` trusts no stored hash: it computes the tree from the entries, compares every row of the
-record with its log entry, replays the transitions of every request, the approvals of persons, the
-foreign domains and the things, and checks each signed head.
+`audit` trusts no stored hash: it computes the tree from the entries, compares every row with its
+log entry, replays the requests, the approvals, the foreign domains and the things, and checks each
+signed head. A passkey that has ended never comes back. A statement is approved once, by a passkey
+that was active then, and names a true head of this log from after the last restore: one from before
+says nothing about the record as it is now. An approval waits until one entry says how it ended.
 """
 
-from itertools import zip_longest
-from typing import Any, Final
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from enum import StrEnum
+from itertools import starmap, zip_longest
+from typing import Any, Final, NamedTuple
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.errors import LogDamaged
+from ca.approvals.passkeys import Approval, ApprovalVerifier, Passkey, counter_of, to_approve
+from ca.approvals.statement import Statement, StatementKind
+from ca.errors import (
+    ApprovalOutdated,
+    ApprovalOver,
+    ApprovalRefused,
+    ApprovalUsed,
+    LogDamaged,
+    PasskeyUnknown,
+    StoreError,
+)
 from ca.revocation.merkle import Tree, root_of
-from ca.store import schema
-from ca.store.approval_replay import RESTORED, replay_approvals
-from ca.store.database import Database
-from ca.store.domain_replay import KINDS, replay_domains
-from ca.store.lifecycle import TRANSITIONS, RequestState
-from ca.store.log_entries import (
+from ca.store import database
+from ca.store.database import Database, append_entry
+from ca.store.signed_statements import KIND, KINDS, replay_domains, replay_things
+from ca.store.values import (
+    REPLAY_HINT,
+    TRANSITIONS,
     Head,
     LogEntry,
+    RequestState,
     check_entries,
     check_head,
     digest_of,
     leaf,
     open_head,
+    replay,
+    require,
     split_peaks,
 )
-from ca.store.thing_replay import KIND, replay_things
+
+RESTORED: Final = "restored"
+Row = tuple[Any, ...]
 
 COLLECTED = "collected"
 _OF_APPROVALS: Final = ("passkey", "passkey ended", "approval", "approval ended")
-_HINT = "somebody changed the record: restore a backup, and find out who"
+
+_STATES = frozenset(RequestState)
+
+_AGAIN = "look at the page again, and approve that"
+
+
+def replay_approvals(entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], tree: Tree) -> None:
+    replay(entries, _ApprovalReplay(rows, tree).steps, ApprovalRefused)
+
+
+class _ApprovalReplay:
+    def __init__(self, rows: Mapping[str, Iterable[Row]], tree: Tree) -> None:
+        self._tree = tree
+        self._passkeys = starmap(Passkey, rows["passkey"])
+        self._passkey_ends: Iterator[Row] = iter(rows["passkey ended"])
+        self._approvals = starmap(Approval, rows["approval"])
+        self._ends: Iterator[Row] = iter(rows["approval ended"])
+        self._active: set[bytes] = set()
+        self._approved: dict[bytes, Statement] = {}
+        self._waiting: set[bytes] = set()
+        self._restored = -1
+        self._verifier = ApprovalVerifier(())
+        self.steps: Mapping[str, Callable[[LogEntry], None]] = {
+            RESTORED: self._restore,
+            "passkey": self._add_passkey,
+            "passkey ended": self._end_passkey,
+            "approval": self._approve,
+            "approval ended": self._end,
+        }
+
+    def _restore(self, entry: LogEntry) -> None:
+        self._restored = entry.number
+
+    def _add_passkey(self, entry: LogEntry) -> None:
+        passkey = next(self._passkeys)
+        if passkey.approval:
+            by = self._approved.get(passkey.approval)
+            require(by is not None and by.what == to_approve(passkey), entry)
+        self._active.add(passkey.id)
+        self._verifier.add_passkey(passkey)
+
+    def _end_passkey(self, entry: LogEntry) -> None:
+        ended = next(self._passkey_ends)[0]
+        require(ended in self._active, entry)
+        self._active.discard(ended)
+
+    def _approve(self, entry: LogEntry) -> None:
+        approval = next(self._approvals)
+        require(approval.passkey in self._active, entry)
+        statement = self._verifier.verify(approval)
+        require(self._restored < statement.log_size <= entry.number, entry)
+        require(self._tree.root(statement.log_size) == statement.log_root, entry)
+        self._approved[approval.id] = statement
+        self._waiting.add(approval.id)
+
+    def _end(self, entry: LogEntry) -> None:
+        ended = next(self._ends)[0]
+        require(ended in self._waiting, entry)
+        self._waiting.discard(ended)
 
 
 class AuthorityLog:
-    """The log of one record."""
-
     def __init__(self, database: Database) -> None:
         self._database = database
 
     def entries(self) -> list[LogEntry]:
-        """All entries, oldest first."""
-        rows = self._database.rows(
-            "SELECT number, at, what, subject, detail, digest FROM log ORDER BY number"
-        )
-        return [LogEntry(*row) for row in rows]
+        return self._find("ORDER BY number")
 
     def newest(self, count: int, before: int | None = None) -> list[LogEntry]:
-        """At most `count` entries, newest first; with `before`, older than that number."""
         clause, values = ("", ()) if before is None else ("WHERE number < ?", (before,))
-        rows = self._database.rows(
-            f"SELECT number, at, what, subject, detail, digest FROM log {clause}"  # noqa: S608  (constants)
-            " ORDER BY number DESC LIMIT ?",
-            *values, count,
-        )  # fmt: skip
-        return [LogEntry(*row) for row in rows]
+        return self._find(f"{clause} ORDER BY number DESC LIMIT ?", *values, count)
+
+    def _find(self, clause: str, *values: object) -> list[LogEntry]:
+        query = f"SELECT number, at, what, subject, detail, digest FROM log {clause}"  # noqa: S608  (constants)
+        return [LogEntry(*row) for row in self._database.rows(query, *values)]
 
     def head(self, now: int) -> Head:
-        """The current head of the log, to be signed."""
         rows = self._database.rows("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1")
         size, peaks = (rows[0][0] + 1, rows[0][1]) if rows else (0, b"")
         return Head(size, root_of(split_peaks(peaks)), now)
 
     def root_at(self, size: int) -> bytes | None:
-        """The root of the first `size` entries; None if there are not so many."""
+        # The root of the first `size` entries; None if there are not so many.
         if size == 0:
             return root_of(())
         rows = self._database.rows("SELECT peaks FROM log WHERE number = ?", size - 1)
         return root_of(split_peaks(rows[0][0])) if rows else None
 
     def subjects(self, what: str) -> frozenset[str]:
-        """The subjects of all entries of this kind."""
         rows = self._database.rows("SELECT DISTINCT subject FROM log WHERE what = ?", what)
         return frozenset(subject for (subject,) in rows)
 
     def last_restore(self) -> int:
-        """The number of the entry about the last restore from a backup; -1: there was none."""
         query = "SELECT number FROM log WHERE what = ? ORDER BY number DESC LIMIT 1"
         rows = self._database.rows(query, RESTORED)
         return int(rows[0][0]) if rows else -1
 
     def add_head(self, data: bytes, now: int) -> None:
-        """Store a signed head."""
         with self._database.transaction() as db:
             db.execute("INSERT INTO head VALUES (?, ?) ON CONFLICT DO NOTHING", (data, now))
 
     def heads(self) -> list[bytes]:
-        """Every signed head, oldest first."""
         rows = self._database.rows("SELECT data FROM head ORDER BY rowid")
         return [bytes(data) for (data,) in rows]
 
     def tree(self) -> Tree:
-        """The tree of all entries, for proofs."""
         return Tree(map(leaf, self.entries()))
 
     def audit(self, key: ec.EllipticCurvePublicKey, *more: bytes) -> Head:
-        """Verify the whole log; returns the newest signed head.
-
-        `key` is the authority's; `more` are heads stored elsewhere.
-
-        Raises:
-            LogDamaged: names the first difference.
-        """
+        # `key` is the authority's; `more` are heads stored elsewhere.
         with self._database.read_transaction():  # another command may be writing
-            return self._audit(key, more)
-
-    def _audit(self, key: ec.EllipticCurvePublicKey, more: tuple[bytes, ...]) -> Head:
-        tree = check_entries(self._stored_entries())
-        entries = self.entries()
-        for what in schema.LOGGED_TABLES:
-            self._check_rows(what, [entry for entry in entries if entry.what == what])
-        self._check_requests(entries)
-        replay_approvals(entries, {what: self._rows_of(what) for what in _OF_APPROVALS}, tree)
-        replay_domains(entries, {what: self._rows_of(what) for what in KINDS}, key)
-        replay_things(entries, self._rows_of(KIND), key)
-        newest = Head(0, root_of(()), 0)
-        for data in (*self.heads(), *more):
-            head = open_head(data, key)
-            check_head(tree, head)
-            newest = max(newest, head, key=lambda each: each.size)
-        return newest
-
-    def _stored_entries(self) -> list[tuple[LogEntry, bytes]]:
-        rows = self._database.rows(
-            "SELECT number, at, what, subject, detail, digest, peaks FROM log ORDER BY number"
-        )
-        return [(LogEntry(*row[:-1]), row[-1]) for row in rows]
+            # 1. The tree is computed, and no entry differs from it.
+            query = "SELECT number, at, what, subject, detail, digest, peaks FROM log ORDER BY number"
+            stored = [(LogEntry(*row[:-1]), row[-1]) for row in self._database.rows(query)]
+            tree, entries = check_entries(stored), [entry for entry, _ in stored]
+            # 2. Every row has its entry, and the other way round.
+            for what in database.LOGGED_TABLES:
+                self._check_rows(what, [entry for entry in entries if entry.what == what])
+            # 3. What was done one after the other was allowed.
+            states = _request_states(entries)
+            rows = self._database.rows("SELECT digest, state, der FROM csr")
+            found = {bytes(digest): RequestState(state) for digest, state, _ in rows}
+            if found != states:
+                raise LogDamaged("the states of the requests differ from the log", REPLAY_HINT)
+            replay_approvals(entries, {what: self._database.logged(what) for what in _OF_APPROVALS}, tree)
+            replay_domains(entries, {what: self._database.logged(what) for what in KINDS}, key)
+            replay_things(entries, self._database.logged(KIND), key)
+            # 4. Each signed head is of this tree.
+            newest = Head(0, root_of(()), 0)
+            for data in (*self.heads(), *more):
+                head = open_head(data, key)
+                check_head(tree, head)
+                newest = max(newest, head, key=lambda each: each.size)
+            return newest
 
     def _check_rows(self, what: str, entries: list[LogEntry]) -> None:
-        """Check that the rows of a table are those in the log, in the same order."""
-        for row, entry in zip_longest(self._rows_of(what), entries):
+        for row, entry in zip_longest(self._database.logged(what), entries):
             if entry is None:
-                raise LogDamaged(f"a {what} is recorded that is not in the log", _HINT)
+                raise LogDamaged(f"a {what} is recorded that is not in the log", REPLAY_HINT)
             if row is None or digest_of(row) != entry.digest:
                 raise LogDamaged(
-                    f"the {what} of log entry {entry.number} is missing or was changed", _HINT
+                    f"the {what} of log entry {entry.number} is missing or was changed", REPLAY_HINT
                 )
 
-    def _rows_of(self, what: str) -> list[Any]:
-        table, columns = schema.LOGGED_TABLES[what]
-        return self._database.rows(f"SELECT {columns} FROM {table} ORDER BY rowid")  # noqa: S608  (constants)
 
-    def _check_requests(self, entries: list[LogEntry]) -> None:
-        """Check that every request took allowed transitions, and is in the state the log says."""
-        states = _replay(entries)
-        rows = self._database.rows("SELECT digest, state, der FROM csr")
-        found = {bytes(digest): RequestState(state) for digest, state, _ in rows}
-        if found != states:
-            raise LogDamaged("the states of the requests differ from the log", _HINT)
-
-
-def _replay(entries: list[LogEntry]) -> dict[bytes, RequestState]:
-    """The states of all requests that were not collected, from the log."""
+def _request_states(entries: list[LogEntry]) -> dict[bytes, RequestState]:
+    # The states of all requests that were not collected, from the log.
     states: dict[bytes, RequestState] = {}
     for entry in entries:
         current = states.get(entry.digest)
@@ -160,14 +204,157 @@ def _replay(entries: list[LogEntry]) -> dict[bytes, RequestState]:
             del states[entry.digest]
         elif entry.what in _STATES:
             state = RequestState(entry.what)
-            if not (
-                state is RequestState.PENDING if current is None else state in TRANSITIONS[current]
-            ):
+            if not (state is RequestState.PENDING if current is None else state in TRANSITIONS[current]):
                 raise LogDamaged(
-                    f"log entry {entry.number} is not an allowed transition of a request", _HINT
+                    f"log entry {entry.number} is not an allowed transition of a request", REPLAY_HINT
                 )
             states[entry.digest] = state
     return states
 
 
-_STATES = frozenset(RequestState)
+class PasskeyTable:
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def add(self, passkey: Passkey) -> None:
+        with self._database.transaction() as db:
+            if any(known.name == passkey.name for known in self.active()):
+                raise StoreError(
+                    f"there is a passkey called {passkey.name!a}",
+                    "choose another name, or remove that one: rossec console phones remove NAME",
+                )
+            db.execute("INSERT INTO passkey VALUES (?, ?, ?, ?, ?, ?, ?, ?)", passkey)
+            append_entry(db, passkey.at, "passkey", passkey.name, passkey.id.hex(), digest_of(passkey))
+
+    def all(self) -> list[Passkey]:
+        return self._rows("ORDER BY rowid")
+
+    def active(self) -> list[Passkey]:
+        return self._rows("WHERE id NOT IN (SELECT passkey FROM passkey_end) ORDER BY rowid")
+
+    def get(self, id: bytes) -> Passkey:  # noqa: A002 - as in the row
+        for passkey in self.active():
+            if passkey.id == id:
+                return passkey
+        raise PasskeyUnknown(
+            "this passkey is not registered here, or was removed", "register the phone: rossec console phone"
+        )
+
+    def ended(self) -> dict[bytes, str]:
+        return dict(self._database.rows("SELECT passkey, reason FROM passkey_end"))
+
+    def end(self, id: bytes, reason: str, now: int) -> None:  # noqa: A002 - as in the row
+        with self._database.transaction() as db:
+            passkey, row = self.get(id), (id, reason, now)
+            db.execute("INSERT INTO passkey_end VALUES (?, ?, ?)", row)
+            append_entry(db, now, "passkey ended", passkey.name, reason, digest_of(row))
+
+    def end_all(self, reason: str, now: int) -> int:
+        with self._database.transaction():
+            active = self.active()
+            for passkey in active:
+                self.end(passkey.id, reason, now)
+        return len(active)
+
+    def _rows(self, clause: str) -> list[Passkey]:
+        return [Passkey(*row) for row in self._database.logged("passkey", clause)]
+
+
+class ApprovalState(StrEnum):
+    """What became of an approval; it waits until an `ApprovalEnd` says otherwise."""
+
+    WAITING = "waiting"
+    DONE = "done"
+    FAILED = "failed"
+    EXPIRED = "expired"
+
+
+class ApprovalEnd(NamedTuple):
+    approval: bytes
+    state: str
+    result: str
+    at: int
+
+
+class ApprovalTable:
+    def __init__(self, database: Database, passkeys: PasskeyTable, log: AuthorityLog) -> None:
+        self._database = database
+        self._passkeys = passkeys
+        self._log = log
+
+    def add(self, approval: Approval, counter: int = 0) -> Statement:
+        # `counter` is the largest of the passkey that is known besides the recorded ones, as from a login. To
+        # be called inside the transaction that carries it out, if it is carried out now.
+        with self._database.transaction() as db:
+            passkey = self._passkeys.get(approval.passkey)
+            last = max(counter, self.counter(passkey.id))
+            statement = ApprovalVerifier([passkey], [(passkey.id, last)]).verify(approval)
+            size, restored = statement.log_size, self._log.last_restore()
+            if self._log.root_at(size) != statement.log_root or size <= restored:
+                raise ApprovalOutdated("the record was restored or replaced since it was shown", _AGAIN)
+            if self._rows("WHERE id = ?", approval.id):
+                raise ApprovalUsed("this was approved already", _AGAIN)
+            db.execute("INSERT INTO approval VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", approval)
+            detail = f"{StatementKind(approval.kind).name.lower()} {approval.id.hex()}"
+            append_entry(db, approval.at, "approval", passkey.name, detail, digest_of(approval))
+        return statement
+
+    def get(self, id: bytes) -> Approval:  # noqa: A002 - as in the row
+        found = self._rows("WHERE id = ?", id)
+        if not found:
+            raise ApprovalOver("there is no such approval", "see: rossec console approvals")
+        return found[0]
+
+    def all(self) -> list[Approval]:
+        return self._rows("ORDER BY rowid")
+
+    def newest(self, count: int) -> list[Approval]:
+        return self._rows("ORDER BY rowid DESC LIMIT ?", count)
+
+    def last_used(self) -> dict[bytes, int]:
+        return dict(self._database.rows("SELECT passkey, max(at) FROM approval GROUP BY passkey"))
+
+    def approvers(self, kind: StatementKind) -> dict[bytes, bytes]:
+        query = "SELECT id, passkey FROM approval WHERE kind = ?"
+        return dict(self._database.rows(query, int(kind)))
+
+    def about(self, kind: StatementKind, subject: bytes) -> list[Approval]:
+        return self._rows("WHERE kind = ? AND subject = ? ORDER BY rowid", int(kind), subject)
+
+    def waiting(self) -> list[Approval]:
+        return self._rows("WHERE id NOT IN (SELECT approval FROM approval_end) ORDER BY rowid")
+
+    def ends(self) -> dict[bytes, ApprovalEnd]:
+        # How approvals ended, by their id; those that wait are not in it.
+        return {row[0]: ApprovalEnd(*row) for row in self._database.logged("approval ended")}
+
+    def state(self, id: bytes) -> ApprovalState:  # noqa: A002 - as in the row
+        query = "SELECT state FROM approval_end WHERE approval = ?"
+        rows = self._database.rows(query, self.get(id).id)
+        return ApprovalState(rows[0][0]) if rows else ApprovalState.WAITING
+
+    def end(self, id: bytes, state: ApprovalState, result: str, now: int) -> None:  # noqa: A002
+        if state is ApprovalState.WAITING:
+            raise ValueError("waiting is not an end")
+        with self._database.transaction() as db:
+            if (found := self.state(id)) is not ApprovalState.WAITING:
+                raise ApprovalOver(f"this approval has ended: {found}", "see: rossec console approvals")
+            row = ApprovalEnd(id, str(state), result, now)
+            db.execute("INSERT INTO approval_end VALUES (?, ?, ?, ?)", row)
+            append_entry(db, now, "approval ended", id.hex(), f"{state}: {result}", digest_of(row))
+
+    def end_waiting(self, reason: str, now: int) -> int:
+        with self._database.transaction():
+            waiting = self.waiting()
+            for approval in waiting:
+                self.end(approval.id, ApprovalState.FAILED, reason, now)
+        return len(waiting)
+
+    def counter(self, passkey: bytes) -> int:
+        rows = self._database.rows(
+            "SELECT authenticator_data FROM approval WHERE passkey = ? ORDER BY rowid DESC LIMIT 1", passkey
+        )
+        return counter_of(rows[0][0]) if rows else 0
+
+    def _rows(self, clause: str, *values: object) -> list[Approval]:
+        return [Approval(*row) for row in self._database.logged("approval", clause, *values)]

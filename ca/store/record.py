@@ -9,79 +9,45 @@ Callers that decide by the record and then change it do both inside `transaction
 import json
 import sqlite3
 from collections.abc import Collection
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Self
 
+from ca.certificates import utc
 from ca.errors import RequestClosed, StoreError
-from ca.store.approvals import ApprovalState, ApprovalTable
-from ca.store.database import Database
-from ca.store.domains import DomainTable
-from ca.store.identities import IdentityTable
-from ca.store.invitations import InvitationTable
-from ca.store.log import AuthorityLog
-from ca.store.log_entries import digest_of
-from ca.store.passkeys import PasskeyTable
-from ca.store.requests import RequestTable
-from ca.store.rows import CertificateRow, GrantRow, RevocationRow
-from ca.store.schema import append_entry
-from ca.store.things import ThingTable
-from ca.suggestions import closest
-from ca.validity import utc
-
-_OF_NODES = "name IN (SELECT value FROM json_each(?))"  # one pass, however many they are
+from ca.names import closest
+from ca.store.database import Database, append_entry
+from ca.store.identities import IdentityTable, InvitationTable, RequestTable
+from ca.store.log import ApprovalState, ApprovalTable, AuthorityLog, PasskeyTable
+from ca.store.signed_statements import DomainTable, ThingTable
+from ca.store.values import CertificateRow, GrantRow, RevocationRow, digest_of
 
 __all__ = ["CertificateRow", "GrantRow", "RevocationRow", "Store"]
 
+_OF_NODES = "name IN (SELECT value FROM json_each(?))"  # one pass, however many they are
+
 
 class Store:
-    """An open record. Create it with `create` or `open`.
-
-    `requests` are those for identities, `identities` what came of them, `log` what was done;
-    `passkeys` and `approvals` say who approved it; `domains` are the foreign ones that are trusted,
-    `things` the statements about constrained things.
-    """
-
     def __init__(self, database: Database) -> None:
         self.database = database
+        self.transaction, self.close = database.transaction, database.close
         self.identities = IdentityTable(database)
-        self.requests = RequestTable(database, self.identities)
+        self.requests = RequestTable(database, self.identities)  # for identities
         self.invitations = InvitationTable(database)
         self.log = AuthorityLog(database)
         self.passkeys = PasskeyTable(database)
         self.approvals = ApprovalTable(database, self.passkeys, self.log)
-        self.domains = DomainTable(database)
+        self.domains = DomainTable(database)  # the foreign ones that are trusted
         self.things = ThingTable(database)
 
     @classmethod
     def create(cls, path: Path) -> Self:
-        """Create a new, empty record, readable only by its owner.
-
-        Raises:
-            StoreError: the file exists, or its directory does not.
-        """
+        """Create a new, empty record, readable only by its owner."""
         return cls(Database.create(path))
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open an existing record; an older version is migrated first.
-
-        Raises:
-            StoreError: no file, not a record of rossec, damaged, or of a newer version.
-        """
+        """Open an existing record; an older version is migrated first."""
         return cls(Database.open(path))
-
-    def close(self) -> None:
-        """Close the file."""
-        self.database.close()
-
-    def transaction(self) -> AbstractContextManager[sqlite3.Connection]:
-        """A transaction: all steps or none, and no other command in between.
-
-        Raises:
-            StoreError: as `ca.store.database.Database.transaction`.
-        """
-        return self.database.transaction()
 
     def add_certificate(
         self,
@@ -97,19 +63,10 @@ class Store:
         `request` is the digest of the approved request it answers, or of the renewal; `replace_key`
         and `renews` allow another key (`ca.store.identities`). The key that `replace_key` replaces
         is revoked in the same transaction: no crash leaves two keys for one name.
-
-        Raises:
-            KeyChanged, RenewalRefused: the name has another key.
-            NameCovered: another valid identity has a wildcard tail that covers the name, or the
-                reverse.
-            RequestClosed: the request is not approved, or has its certificate already.
-            StoreError: the key is revoked, or the serial is taken.
         """
-        with self.database.transaction() as db:
+        with self.transaction() as db:
             self.identities.check_names(row.name, row.thumbprint, now, row.covers)
-            self.identities.check_key(
-                row.name, row.thumbprint, now, replace_key=replace_key, renews=renews
-            )
+            self.identities.check_key(row.name, row.thumbprint, now, replace_key=replace_key, renews=renews)
             if request is not None and self.identities.issued_for(request) is not None:
                 raise RequestClosed(
                     f"this request of {row.name} has its certificate already",
@@ -130,11 +87,7 @@ class Store:
         return frozenset(row.thumbprint for row in self.identities.unrevoked(name, now))
 
     def valid_certificate(self, name: str, now: int) -> CertificateRow:
-        """The newest identity of `name` that is still valid and not revoked.
-
-        Raises:
-            StoreError: there is none.
-        """
+        """The newest identity of `name` that is still valid and not revoked."""
         alive = self.identities.valid(name, now)
         if not alive:
             if self.identities.unrevoked(name, now):
@@ -168,11 +121,7 @@ class Store:
         return alive[-1]
 
     def renewable_certificate(self, name: str, now: int, *, expired: bool) -> CertificateRow:
-        """As `valid_certificate`; with `expired` also the newest one, if it is over.
-
-        Raises:
-            StoreError: there is none; its key was revoked, or that of its intermediate.
-        """
+        """As `valid_certificate`; with `expired` also the newest one, if it is over."""
         ended = self._newest_unrevoked(name) if expired else None
         if ended is None or self.identities.unrevoked(name, now):
             return self.valid_certificate(name, now)
@@ -184,10 +133,7 @@ class Store:
         return ended
 
     def _newest_unrevoked(self, name: str) -> CertificateRow | None:
-        """The newest identity of `name`, over or not; None: there is none, or its key is revoked.
-
-        An older key does not come back in its place.
-        """
+        # An older key does not come back in its place.
         rows = self.identities.by_name(name)
         if not rows or rows[-1].thumbprint in self.revoked_entries():
             return None
@@ -198,12 +144,8 @@ class Store:
         return "" if near is None else f"did you mean {near}? else "
 
     def add_grant(self, row: GrantRow, now: int, rules: str = "") -> None:
-        """Record a grant before it is delivered; `rules`: those of the policy it came from.
-
-        Raises:
-            StoreError: the id is taken.
-        """
-        with self.database.transaction() as db:
+        """Record a grant before it is delivered; `rules`: those of the policy it came from."""
+        with self.transaction() as db:
             db.execute("INSERT INTO grant_ VALUES (?, ?, ?, ?, ?, ?)", (*row, now))
             append_entry(db, now, "grant", row.name, row.id.hex(), digest_of(row))
             if rules:
@@ -223,11 +165,9 @@ class Store:
         return dict(self.database.rows(of_nodes, json.dumps([*names])))
 
     def grants(self) -> list[GrantRow]:
-        """Every grant signed, oldest first."""
         return self._grants("")
 
     def signed_at(self) -> dict[bytes, int]:
-        """When each grant was signed, by its id."""
         return dict(self.database.rows("SELECT id, at FROM grant_"))
 
     def unrevoked_grants(self, names: Collection[str] | None = None) -> list[GrantRow]:
@@ -238,42 +178,29 @@ class Store:
         return self._grants(f"{alive} AND {_OF_NODES}", json.dumps([*names]))
 
     def revoked_grants(self) -> list[GrantRow]:
-        """The revoked grants, oldest first."""
         return self._grants("WHERE id IN (SELECT entry FROM revocation)")
 
     def _grants(self, clause: str, *values: str) -> list[GrantRow]:
-        rows = self.database.rows(
-            f"SELECT id, name, data, not_before, expires FROM grant_ {clause} ORDER BY rowid",  # noqa: S608  (constants)
-            *values,
-        )
-        return [GrantRow(*row) for row in rows]
+        return [GrantRow(*row) for row in self.database.logged("grant", f"{clause} ORDER BY rowid", *values)]
 
     def revoke(self, entry: bytes, reason: str, now: int) -> None:
-        """Record that a grant id or key thumbprint is revoked; idempotent."""
-        with self.database.transaction() as db:
+        with self.transaction() as db:
             _revoke(db, entry, reason, now)
 
     def revocations(self) -> list[RevocationRow]:
-        """Everything revoked, oldest first."""
         rows = self.database.rows("SELECT entry, reason, at FROM revocation ORDER BY rowid")
         return [RevocationRow(*row) for row in rows]
 
     def count_revoked(self) -> int:
-        """How many entries are revoked; none is ever taken back."""
         ((count,),) = self.database.rows("SELECT COUNT(*) FROM revocation")
         return int(count)
 
     def revoked_entries(self) -> frozenset[bytes]:
-        """Everything revoked."""
         return frozenset(row.entry for row in self.revocations())
 
     def remove_passkey(self, id: bytes, reason: str, now: int) -> None:  # noqa: A002 - as in the row
-        """End a passkey, and every approval by it that was not carried out.
-
-        Raises:
-            PasskeyUnknown: there is none, or it has ended.
-        """
-        with self.database.transaction():
+        """End a passkey, and every approval by it that was not carried out."""
+        with self.transaction():
             self.passkeys.end(id, reason, now)
             for approval in self.approvals.waiting():
                 if approval.passkey == id:
@@ -281,30 +208,20 @@ class Store:
                     self.approvals.end(approval.id, ApprovalState.FAILED, why, now)
 
     def next_number(self) -> tuple[int, int]:
-        """Epoch and sequence number for the next revocation list."""
         number = self._newest("epoch, seq")
         return (1, 1) if number is None else (number[0], number[1] + 1)
 
     def save_list(self, number: tuple[int, int], data: bytes, now: int) -> None:
-        """Record a signed revocation list.
-
-        Raises:
-            StoreError: its number is taken.
-        """
-        with self.database.transaction() as db:
+        with self.transaction() as db:
             db.execute("INSERT INTO list VALUES (?, ?, ?, ?)", (*number, data, now))
-            append_entry(
-                db, now, "list", f"{number[0]}.{number[1]}", "", digest_of((*number, data))
-            )
+            append_entry(db, now, "list", f"{number[0]}.{number[1]}", "", digest_of((*number, data)))
 
     def newest_list(self) -> bytes | None:
-        """The signed revocation list with the highest number, if there is one."""
         found = self._newest("data")
         return None if found is None else bytes(found[0])
 
     def log_event(self, what: str, subject: str, detail: str, now: int) -> None:
-        """Append a log entry for an event that changes no table, such as a restore."""
-        with self.database.transaction() as db:
+        with self.transaction() as db:
             append_entry(db, now, what, subject, detail, b"")
 
     def _newest(self, columns: str) -> tuple[Any, ...] | None:
@@ -315,8 +232,6 @@ class Store:
 
 
 def _revoke(db: sqlite3.Connection, entry: bytes, reason: str, now: int) -> None:
-    done = db.execute(
-        "INSERT INTO revocation VALUES (?, ?, ?) ON CONFLICT DO NOTHING", (entry, reason, now)
-    )
+    done = db.execute("INSERT INTO revocation VALUES (?, ?, ?) ON CONFLICT DO NOTHING", (entry, reason, now))
     if done.rowcount:
         append_entry(db, now, "revocation", entry.hex(), reason, digest_of((entry, reason)))

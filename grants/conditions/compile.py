@@ -1,35 +1,60 @@
 """Conditions on messages and time: typed against the layout, compiled to read only what they name.
 
-A condition admits a message if its value is exactly True. An error denies, and so does a NaN in
-any field it names: implementations of CEL disagree on `!(x > 0.0)` for NaN, and ROS messages
-contain NaN routinely. Deviations from CEL: `false && error` and `true || error` deny when a named
-field cannot be read, because all named fields are read first; integers of all sizes are `int`;
-`int` and `double` may be compared, not added. `now` is the host's clock. Time stamps of messages
-cannot be read: the publisher sets them.
+A condition admits a message if its value is exactly True. An error denies, and so does a NaN in any field it
+names: implementations of CEL disagree on `!(x > 0.0)` for NaN, and ROS messages contain NaN routinely.
+Deviations from CEL: `false && error` and `true || error` deny when a named field cannot be read, because all
+named fields are read first; integers of all sizes are `int`; `int` and `double` may be compared, not added.
+`now` is the host's clock. Time stamps of messages cannot be read: the publisher sets them.
 """
 
 import math
+import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import datetime
+from functools import lru_cache
 from operator import contains
 from typing import Final
 
-from grants.conditions.calendar import FIELDS, clock_field, parse_timestamp
 from grants.conditions.syntax import (
     COMPARISONS,
     Binary,
     Expression,
     Literal,
-    Membership,
+    MembershipTest,
     Now,
     Path,
     Unary,
     parse_expression,
 )
 from grants.errors import ConditionRefused
-from grants.filters.codegen import LAYOUT_ERRORS, Buffer, Cursor, SourceWriter, expression
-from grants.filters.layout import Layout, Primitive, Struct, Text, Type
+from grants.filters.layout import (
+    LAYOUT_ERRORS,
+    Buffer,
+    Cursor,
+    Layout,
+    Primitive,
+    SourceWriter,
+    Struct,
+    Text,
+    Type,
+    expression,
+)
+
+# Months and days of the year count from 0 as in CEL, `getDate` from 1, Sunday is 0. Time zones come from
+# the system's database and are loaded when the condition is compiled, never later.
+FIELDS: Final[dict[str, Callable[[datetime], int]]] = {
+    "getFullYear": lambda time: time.year,
+    "getMonth": lambda time: time.month - 1,
+    "getDate": lambda time: time.day,
+    "getDayOfMonth": lambda time: time.day - 1,
+    "getDayOfWeek": lambda time: time.isoweekday() % 7,
+    "getDayOfYear": lambda time: time.timetuple().tm_yday - 1,
+    "getHours": lambda time: time.hour,
+    "getMinutes": lambda time: time.minute,
+    "getSeconds": lambda time: time.second,
+}
 
 _METHODS: Final[dict[str, Callable[[str, str], bool]]] = {
     "startsWith": str.startswith,
@@ -38,6 +63,43 @@ _METHODS: Final[dict[str, Callable[[str, str], bool]]] = {
 }
 _NUMBERS: Final = ("int", "double")
 _ERRORS: Final = (*LAYOUT_ERRORS, ArithmeticError, OSError)  # OSError: a time beyond the calendar
+_ZONE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_+-]*(?:/[A-Za-z0-9_+-]+)*", re.ASCII)
+_TIMESTAMP: Final = re.compile(
+    r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:Z|[+-]\d\d:\d\d)", re.ASCII
+)  # RFC 3339, whole seconds
+
+
+def clock_field(name: str, zone: str) -> Callable[[int], int]:
+    """The function from seconds since the epoch to the field `name` in `zone`."""
+    in_zone = _datetime_in(zone)
+    field = FIELDS[name]
+    return lambda now: field(in_zone(now))
+
+
+def parse_timestamp(text: str) -> int:
+    """Seconds since the epoch of an RFC 3339 time such as `2026-11-20T18:00:00Z`."""
+    try:
+        if _TIMESTAMP.fullmatch(text) is not None:
+            return int(datetime.fromisoformat(text).timestamp())
+    except (ValueError, OverflowError):
+        pass
+    raise ConditionRefused(f"not a time: {text[:40]!r}", "for example 2026-11-20T18:00:00Z")
+
+
+@lru_cache(maxsize=64)
+def _datetime_in(zone: str) -> Callable[[int], datetime]:
+    # Local time in a zone; the last second is cached, since most messages share it.
+    from zoneinfo import ZoneInfo, ZoneInfoNotFoundError  # noqa: PLC0415 - 0.3 MB, few conditions need it
+
+    # A name outside the database must not be used as a path.
+    matched = _ZONE.fullmatch(zone)
+    try:
+        info = ZoneInfo(zone if matched is not None else "")
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        raise ConditionRefused(
+            f"unknown time zone {zone[:40]!r}", "for example Europe/Zurich or UTC"
+        ) from None
+    return lru_cache(maxsize=1)(lambda now: datetime.fromtimestamp(now, info))
 
 
 @dataclass(frozen=True)
@@ -57,20 +119,12 @@ class Condition:
 
 
 def check_syntax(text: str) -> None:
-    """Check the syntax of `text`, not the fields it names.
-
-    Raises:
-        ConditionRefused: invalid syntax.
-    """
+    """Check the syntax of `text`, not the fields it names."""
     parse_expression(text)
 
 
 def compile_condition(layout: Layout | None, text: str) -> Condition:
-    """Compile `text` for messages of `layout`; None if there is no message.
-
-    Raises:
-        ConditionRefused: outside the language, unknown field, or types that do not fit.
-    """
+    """Compile `text` for messages of `layout`; None if there is no message."""
     compiler = _Compiler(layout)
     kind, code = compiler.compile(parse_expression(text))
     if kind != "bool":
@@ -79,8 +133,6 @@ def compile_condition(layout: Layout | None, text: str) -> Condition:
 
 
 class _Compiler:
-    """Turns the tree into one Python expression over variables; fields are read before it."""
-
     def __init__(self, layout: Layout | None) -> None:
         self._layout = layout
         self._source = SourceWriter("b,now")
@@ -93,7 +145,6 @@ class _Compiler:
         return self._source.compile()
 
     def compile(self, node: Expression) -> tuple[str, str]:  # noqa: PLR0911 - one per node
-        """The CEL type of `node` and its Python source, in parentheses where needed."""
         match node:
             case Literal(value):
                 return _type_of(value), self._source.bind(value)
@@ -103,7 +154,7 @@ class _Compiler:
                 return "timestamp", "now"
             case Unary():
                 return self._unary(node)
-            case Membership():
+            case MembershipTest():
                 return self._membership(node)
             case Binary():
                 return self._binary(node)
@@ -147,7 +198,7 @@ class _Compiler:
         check = _in_64_bits if kind == "int" else _finite
         return f"{self._source.bind(check)}({code})"
 
-    def _membership(self, node: Membership) -> tuple[str, str]:
+    def _membership(self, node: MembershipTest) -> tuple[str, str]:
         kind, code = self.compile(node.operand)
         compiled = [self.compile(item) for item in node.items]
         for other, _ in compiled:
@@ -159,13 +210,9 @@ class _Compiler:
         match arguments:
             case (Literal(str() as text),) if name == "timestamp":
                 return "timestamp", self._source.bind(parse_timestamp(text))
-        raise ConditionRefused(
-            f"unknown function {name}()", 'expected timestamp("2026-11-20T18:00:00Z")'
-        )
+        raise ConditionRefused(f"unknown function {name}()", 'expected timestamp("2026-11-20T18:00:00Z")')
 
-    def _method(
-        self, target: Expression, name: str, arguments: tuple[Expression, ...]
-    ) -> tuple[str, str]:
+    def _method(self, target: Expression, name: str, arguments: tuple[Expression, ...]) -> tuple[str, str]:
         kind, code = self.compile(target)
         if kind == "timestamp" and name in FIELDS:
             return "int", f"{self._source.bind(clock_field(name, _zone(arguments)))}({code})"
@@ -175,14 +222,11 @@ class _Compiler:
                 return "bool", f"{self._source.bind(_METHODS[name])}({code},{argument})"
         known = list(FIELDS if kind == "timestamp" else _METHODS if kind == "string" else ())
         raise ConditionRefused(
-            f"a {kind} has no method {name}()",
-            f"expected one of {', '.join(known)}" if known else "",
+            f"a {kind} has no method {name}()", f"expected one of {', '.join(known)}" if known else ""
         )
 
 
 class _FieldReader(Cursor):
-    """Reads the named fields into variables and skips the others, up to the last named one."""
-
     def __init__(self, source: SourceWriter, fields: dict[tuple[str, ...], str]) -> None:
         super().__init__(source)
         self._fields = fields
@@ -201,13 +245,10 @@ class _FieldReader(Cursor):
             if here in self._fields:
                 self._value(member, self._fields[here])
                 self._left -= 1
-            elif isinstance(member, Struct) and self._inside(here):
+            elif isinstance(member, Struct) and any(field[: len(here)] == here for field in self._fields):
                 self._struct(member, here)
             else:
                 self.skip(member)
-
-    def _inside(self, path: tuple[str, ...]) -> bool:
-        return any(field[: len(path)] == path for field in self._fields)
 
     def _value(self, kind: Type, variable: str) -> None:
         start = self.position
@@ -225,12 +266,14 @@ class _FieldReader(Cursor):
 
 
 def _field_type(root: Struct, names: tuple[str, ...]) -> str:
-    """The CEL type of the field at `names`."""
     kind: Type = root
     for n, name in enumerate(names):
         members = dict(kind.fields) if isinstance(kind, Struct) else {}
         if name not in members:
-            raise ConditionRefused(_missing(kind, names[:n], name))
+            where = ".".join(("msg", *names[:n]))
+            if isinstance(kind, Struct):
+                raise ConditionRefused(f"{where}.{name}: {kind.explain_missing(name)}")
+            raise ConditionRefused(f"{where} is a {kind.name} and has no fields")
         kind = members[name]
     if isinstance(kind, Text):
         return "string"
@@ -240,13 +283,6 @@ def _field_type(root: Struct, names: tuple[str, ...]) -> str:
             "name a field inside it" if isinstance(kind, Struct) else "",
         )
     return "bool" if kind.name == "bool" else "double" if kind.code in "fd" else "int"
-
-
-def _missing(kind: Type, above: tuple[str, ...], name: str) -> str:
-    where = ".".join(("msg", *above))
-    if isinstance(kind, Struct):
-        return f"{where}.{name}: {kind.explain_missing(name)}"
-    return f"{where} is a {kind.name} and has no fields"
 
 
 def _type_of(value: bool | float | str) -> str:
@@ -264,8 +300,7 @@ def _zone(arguments: tuple[Expression, ...]) -> str:
         case (Literal(str() as zone),):
             return zone
         case _:
-            pass
-    raise ConditionRefused("a time zone must be text", 'for example now.getHours("Europe/Zurich")')
+            raise ConditionRefused("a time zone must be text", 'for example now.getHours("Europe/Zurich")')
 
 
 def _in_64_bits(value: int) -> int:

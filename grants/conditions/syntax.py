@@ -1,17 +1,18 @@
 """The parser of conditions: text to tokens to a tree. Syntax only; no types, no evaluation.
 
-The language is a subset of CEL (the Common Expression Language, cel.dev) with CEL's syntax and
-precedence: literals, `msg.<path>`, `now`, `timestamp("...")`, `! && ||`, one comparison or `in`
-per operand, `+ - *`, and method calls. No macros, no regular expressions, no user functions: the
-cost of a condition is bounded by its text.
+The language is a subset of CEL (the Common Expression Language, cel.dev) with CEL's syntax and precedence:
+literals, `msg.<path>`, `now`, `timestamp("...")`, `! && ||`, one comparison or `in` per operand, `+ - *`, and
+method calls. No macros, no regular expressions, no user functions: the cost of a condition is bounded by its
+text.
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from operator import eq
 from typing import Final, NamedTuple, TypeAlias
 
-from grants.errors import ConditionRefused
+from grants.errors import ConditionRefused, GrantError
 from grants.model import MAX_CONDITION
 
 MAX_NODES: Final = 64
@@ -36,15 +37,11 @@ COMPARISONS: Final = ("==", "!=", "<", "<=", ">", ">=")
 
 @dataclass(frozen=True)
 class Literal:
-    """A literal value."""
-
     value: bool | int | float | str
 
 
 @dataclass(frozen=True)
 class Path:
-    """`msg.a.b`: a field of the message."""
-
     names: tuple[str, ...]
 
 
@@ -55,8 +52,6 @@ class Now:
 
 @dataclass(frozen=True)
 class FunctionCall:
-    """`target.name(arguments)`, or `name(arguments)` without a target."""
-
     target: "Expression | None"
     name: str
     arguments: tuple["Expression", ...]
@@ -64,46 +59,33 @@ class FunctionCall:
 
 @dataclass(frozen=True)
 class Unary:
-    """`!` or `-`."""
-
     operator: str
     operand: "Expression"
 
 
 @dataclass(frozen=True)
 class Binary:
-    """Two operands and the operator between them."""
-
     operator: str
     left: "Expression"
     right: "Expression"
 
 
 @dataclass(frozen=True)
-class Membership:
-    """`operand in [a, b]`."""
-
+class MembershipTest:
     operand: "Expression"
     items: tuple["Expression", ...]
 
 
-Expression: TypeAlias = Literal | Path | Now | FunctionCall | Unary | Binary | Membership
+Expression: TypeAlias = Literal | Path | Now | FunctionCall | Unary | Binary | MembershipTest
 
 
 class Token(NamedTuple):
-    """A token and its kind; the end of the text has kind "end"."""
-
     kind: str
     text: str
     at: int
 
 
 def parse_expression(text: str) -> Expression:
-    """Parse a condition.
-
-    Raises:
-        ConditionRefused: outside the language, or larger than its limits.
-    """
     if len(text) > MAX_CONDITION:
         raise ConditionRefused(f"a condition of more than {MAX_CONDITION} characters")
     return _Parser(_tokens(text)).parse()
@@ -115,9 +97,7 @@ def _tokens(text: str) -> list[Token]:
     while at < end:
         found = _TOKEN.match(text, at)
         if found is None or found.lastgroup is None:
-            raise ConditionRefused(
-                f"cannot read {text[at : at + 20].strip()!r} at character {at + 1}"
-            )
+            raise ConditionRefused(f"cannot read {text[at : at + 20].strip()!r} at character {at + 1}")
         token = Token(found.lastgroup, found[found.lastgroup], found.start(found.lastgroup) + 1)
         at = found.end()
         if token.kind in ("int", "float") and _NUMBER_END.match(text, at):
@@ -127,8 +107,6 @@ def _tokens(text: str) -> list[Token]:
 
 
 class _Parser:
-    """Recursive descent, one method per precedence level; depth and nodes are bounded."""
-
     def __init__(self, tokens: list[Token]) -> None:
         self._tokens = tokens
         self._position = 0
@@ -149,7 +127,6 @@ class _Parser:
         return ConditionRefused(f"unexpected {self._next.text!r} at character {self._next.at}")
 
     def _take(self, *operators: str) -> str | None:
-        """The next operator (or `in`) if it is one of these."""
         token = self._next
         if token.text in operators and token.kind in ("operator", "identifier"):
             self._position += 1
@@ -187,7 +164,7 @@ class _Parser:
         left = self._sum()
         if self._take("in"):
             self._expect("[")
-            return self._counted(Membership(left, self._items("]")))
+            return self._counted(MembershipTest(left, self._items("]")))
         if operator := self._take(*COMPARISONS):
             left = self._counted(Binary(operator, left, self._sum()))
         return left
@@ -246,8 +223,7 @@ class _Parser:
         if self._take("("):
             return FunctionCall(None, token.text, self._items(")"))
         raise ConditionRefused(
-            f"unknown name {token.text!r} at character {token.at}",
-            "expected msg, now or timestamp()",
+            f"unknown name {token.text!r} at character {token.at}", "expected msg, now or timestamp()"
         )
 
     def _items(self, end: str) -> tuple[Expression, ...]:
@@ -276,3 +252,46 @@ def _unescape(found: re.Match[str]) -> str:
     if "\ud800" <= character <= "\udfff":
         raise ConditionRefused(f"unknown escape {found[0]!r} in a text")
     return character
+
+
+def fields_read(text: str) -> list[str]:
+    """The paths of the fields that the condition `text` names, each once."""
+    return list(dict.fromkeys(_paths(parse_expression(text))))
+
+
+def _paths(node: Expression) -> Iterator[str]:
+    if isinstance(node, Path):
+        yield ".".join(node.names)
+    for below in _below(node):
+        yield from _paths(below)
+
+
+def _below(node: Expression) -> tuple[Expression, ...]:
+    match node:
+        case Unary(_, operand):
+            return (operand,)
+        case Binary(_, left, right):
+            return (left, right)
+        case MembershipTest(operand, items):
+            return (operand, *items)
+        case FunctionCall(target, _, arguments):
+            return arguments if target is None else (target, *arguments)
+        case _:
+            return ()
+
+
+def reads(text: str, field: str) -> bool:
+    """Whether the condition `text` reads the field at `field`, what it lies in, or a part of it.
+
+    A text that is no condition is taken to read everything.
+    """
+    try:
+        read = fields_read(text)
+    except GrantError:
+        return True
+    asked = _steps(field)
+    return any(all(map(eq, asked, _steps(path))) for path in read)
+
+
+def _steps(path: str) -> list[str]:
+    return path.replace("[*]", "").split(".")

@@ -1,22 +1,23 @@
-"""Field filters: from rules and a layout to a function on serialized messages.
+"""Field filters: from rules and a layout to a function on serialized messages; presets by name.
 
-The rules are matched against the layout here; the operators are in `grants.filters.operators`, the
-rewriting of bytes in `grants.filters.message_rewriter`. A message is filtered without being
-deserialized, so no message classes are needed, and previously unknown types can be filtered.
+A message is filtered without being deserialized, so no message classes are needed, and previously unknown
+types can be filtered. Rounding a position alone hides little, so a preset treats the field with its related
+fields. Every text of a preset is shown to the operator; `python -m bench privacy` attacks each,
+`docs/spec/grant.md` lists the attacks. A grant holds what its preset said when it was signed, so a preset may
+change.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
-from grants.common_state import CommonState, FieldKey, HysteresisState
 from grants.errors import FilterRefused
-from grants.filters.codegen import LAYOUT_ERRORS, Buffer, layout_mismatch
+from grants.filters.coarsening import CommonState, FieldKey, HysteresisState
 from grants.filters.hashing import Keys
-from grants.filters.layout import Array, Layout, Struct, Type
+from grants.filters.layout import LAYOUT_ERRORS, Array, Buffer, Layout, Struct, Type, layout_mismatch
 from grants.filters.message_rewriter import generate
-from grants.filters.operators import AFTER_OTHERS, treatment_for
-from grants.filters.treatments import (
+from grants.filters.operators import (
+    AFTER_OTHERS,
     DESCEND,
     ArrayTreatment,
     FieldTreatment,
@@ -28,8 +29,9 @@ from grants.filters.treatments import (
     StructTreatment,
     TreatmentForType,
     has_hysteresis,
+    treatment_for,
 )
-from grants.model import FilterRule
+from grants.model import FilterRule, Restriction, filter_rules
 
 _SMALL: Final = 2048  # bytes; below it a copy is cheaper than a view
 
@@ -42,11 +44,7 @@ class Filter:
     _rewrite: Callable[[Buffer], list[Buffer]]
 
     def __call__(self, message: Buffer) -> list[Buffer]:
-        """Return the filtered message in pieces; kept parts of a large one are views into it.
-
-        Raises:
-            MessageRefused: the message does not have the layout of the type.
-        """
+        """Return the filtered message in pieces; kept parts of a large one are views into it."""
         try:
             return self._rewrite(message if len(message) < _SMALL else memoryview(message))
         except LAYOUT_ERRORS:
@@ -63,10 +61,6 @@ def compile_filter(
 
     `keys` by name are for `hash`; without them the rules are only checked, and a message to be
     hashed is refused. `states` finds the state of a field with hysteresis; without it, it is new.
-
-    Raises:
-        FilterRefused: an unknown field or operator, a treatment that does not fit the field's
-            type, a key that is missing, or two rules for one field.
     """
     given = tuple(rules)
     last = [rule for rule in given if rule.operator in AFTER_OTHERS]
@@ -92,8 +86,6 @@ def _rewriter(
 
 @dataclass(frozen=True)
 class _Branch:
-    """Rules by field; a field written `name[*]` has its own entry."""
-
     children: dict[str, "_Branch | TreatmentForType"]
 
 
@@ -104,8 +96,11 @@ def _insert(branch: _Branch, rule: FilterRule, treat: TreatmentForType) -> None:
         if not isinstance(below, _Branch):
             raise _overlap(rule.path)
         branch = below
-    if last in branch.children or last.endswith("[*]"):
-        raise _overlap(rule.path) if last in branch.children else _no_element(rule.path)
+    if last in branch.children:
+        raise _overlap(rule.path)
+    if last.endswith("[*]"):
+        hint = f"{rule.path[:-3]} filters all of the elements"
+        raise FilterRefused(f"{rule.path}: [*] must be followed by a field", hint)
     branch.children[last] = treat
 
 
@@ -116,14 +111,7 @@ def _overlap(path: str) -> FilterRefused:
     )
 
 
-def _no_element(path: str) -> FilterRefused:
-    return FilterRefused(
-        f"{path}: [*] must be followed by a field", f"{path[:-3]} filters all of the elements"
-    )
-
-
 def _resolve(kind: Struct, branch: _Branch, path: str) -> Node:
-    """The treatment of a message, field by field."""
     fields = dict(kind.fields)
     for step in branch.children:
         if step.removesuffix("[*]") not in fields:
@@ -131,37 +119,29 @@ def _resolve(kind: Struct, branch: _Branch, path: str) -> Node:
         if step.endswith("[*]") and step[:-3] in branch.children:
             raise _overlap(path + step)
     parts = [_field(name, member, branch, path) for name, member in kind.fields]
-    for (name, _), part in zip(kind.fields, parts, strict=True):
-        if isinstance(part, FieldTreatment) and isinstance(part.treatment, SiblingTreatment):
-            _check_siblings(kind, name, part.treatment, path)
+    before: set[tuple[str, str]] = set()
+    for (name, member), part in zip(kind.fields, parts, strict=True):
+        # A field that needs others of its message: they must precede it and have the right types.
+        treatment = part.treatment if isinstance(part, FieldTreatment) else None
+        if isinstance(treatment, SiblingTreatment) and (
+            kind.name != treatment.message or not before.issuperset(treatment.siblings)
+        ):
+            raise FilterRefused(
+                f"{path}{name} of a {kind.name}: the operator needs the data of a {treatment.message}"
+            )
+        before.add((name, member.name))
     return _parts(kind, parts)
 
 
-def _check_siblings(kind: Struct, name: str, treatment: SiblingTreatment, path: str) -> None:
-    """The field needs others of its message: they must precede it and have the right types."""
-    before = [(field, member.name) for field, member in kind.fields]
-    before = before[: before.index((name, dict(kind.fields)[name].name))]
-    if kind.name != treatment.message or not set(treatment.siblings) <= set(before):
-        raise FilterRefused(
-            f"{path}{name} of a {kind.name}: the operator needs the data of a {treatment.message}"
-        )
-
-
-def _bind_hysteresis(
-    node: Node, states: Callable[[FieldKey], HysteresisState], path: FieldKey
-) -> Node:
-    """Bind every field with hysteresis to its state; a field of another type has another."""
+def _bind_hysteresis(node: Node, states: Callable[[FieldKey], HysteresisState], path: FieldKey) -> Node:
     match node:
-        case FieldTreatment(
-            kind, Numbers(hysteresis=HysteresisBinding(parameters, bind)) as numbers
-        ):
+        case FieldTreatment(kind, Numbers(hysteresis=HysteresisBinding(parameters, bind)) as numbers):
             state = states((*path, kind.name, *parameters))
             return FieldTreatment(kind, replace(numbers, scalar=bind(state)))
         case StructTreatment(kind, parts):
             fields = zip(kind.fields, parts, strict=True)
             return StructTreatment(
-                kind,
-                tuple(_bind_hysteresis(part, states, (*path, name)) for (name, _), part in fields),
+                kind, tuple(_bind_hysteresis(part, states, (*path, name)) for (name, _), part in fields)
             )
         case _:
             return node
@@ -184,31 +164,24 @@ def _field(name: str, kind: Type, branch: _Branch, path: str) -> Node:
     return _resolve(kind, below, f"{path}{name}.")
 
 
-_Memo: TypeAlias = dict[Type, Node]
-
-
-def _apply(treat: TreatmentForType, kind: Type, path: str, memo: _Memo) -> Node:
-    """One treatment for everything in `kind`; equal types share it, so arrays can merge them."""
+def _apply(treat: TreatmentForType, kind: Type, path: str, memo: dict[Type, Node]) -> Node:
+    # One treatment for everything in `kind`; equal types share it, so arrays can merge them.
     if kind not in memo:
         try:
             found = treat(kind)
         except FilterRefused as error:
             raise FilterRefused(f"{path}: {error}", error.hint) from None
-        if found == DESCEND:
-            memo[kind] = _descend(treat, kind, path, memo)
-        else:
+        if found != DESCEND:
             whole = found.kind if isinstance(found, Numbers) else None
             memo[kind] = FieldTreatment(whole or kind, found)
+        elif isinstance(kind, Array):
+            memo[kind] = _each(kind, _apply(treat, kind.element, path, memo))
+        elif isinstance(kind, Struct):
+            parts = [_apply(treat, member, f"{path}.{name}", memo) for name, member in kind.fields]
+            memo[kind] = _parts(kind, parts)
+        else:
+            raise FilterRefused(f"{path}: no treatment for {kind.name}")
     return memo[kind]
-
-
-def _descend(treat: TreatmentForType, kind: Type, path: str, memo: _Memo) -> Node:
-    if isinstance(kind, Array):
-        return _each(kind, _apply(treat, kind.element, path, memo))
-    if isinstance(kind, Struct):
-        parts = [_apply(treat, member, f"{path}.{name}", memo) for name, member in kind.fields]
-        return _parts(kind, parts)
-    raise FilterRefused(f"{path}: no treatment for {kind.name}")
 
 
 def _parts(kind: Struct, parts: list[Node]) -> Node:
@@ -219,9 +192,146 @@ def _parts(kind: Struct, parts: list[Node]) -> Node:
 def _each(kind: Array, element: Node) -> Node:
     if has_hysteresis(element):
         raise FilterRefused(
-            f"hysteresis cannot be used on {kind.name}",
-            "array elements have no identity between messages",
+            f"hysteresis cannot be used on {kind.name}", "array elements have no identity between messages"
         )
     if isinstance(element, Keep) or kind.size == 0 or kind.element.size == 0:
         return Keep(kind)  # elements without bytes have nothing to treat
     return ArrayTreatment(kind, element)
+
+
+_Rules: TypeAlias = dict[str, dict[str, object]]
+
+_OUTDOORS: Final = "sensor_msgs/NavSatFix"
+_CLEAR: Final[dict[str, object]] = {"clear": True}
+_DROP: Final[dict[str, object]] = {"drop": True}
+# 2 m with 0.5 m every 5 s left an attacker who knows the habits 1.05 m; this leaves 2.6 m.
+_POSITION: Final[dict[str, object]] = {"round": {"step": 4.0, "hysteresis": 2.0}}
+_DEGREES: Final[dict[str, object]] = {"round": {"step": 0.02, "hysteresis": 0.01}}  # 2.2 km north
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A restriction by name."""
+
+    name: str
+    hides: str  # what the receiver no longer learns
+    reveals: str  # what an attacker who keeps all messages still learns
+    _rules: Callable[[Layout], _Rules]
+    rate: float | None = None  # messages a second
+    slot: int | None = None  # seconds
+    outdoors: int | None = None  # the same for a NavSatFix, whose cells are as much larger
+
+    def restriction(self, layout: Layout) -> Restriction:
+        large = layout.type_name == _OUTDOORS and self.outdoors is not None
+        return Restriction(
+            type=layout.type_name,
+            filters=filter_rules(self._rules(layout)),
+            rate=self.rate,
+            slot=self.outdoors if large else self.slot,
+        )
+
+
+def _header(step: float) -> _Rules:
+    return {"header.seq": _CLEAR, "header.stamp": {"round": {"step": step}}}
+
+
+def _for(types: Mapping[str, _Rules]) -> Callable[[Layout], _Rules]:
+    def rules(layout: Layout) -> _Rules:
+        if layout.type_name not in types:
+            raise FilterRefused(
+                f"the preset does not support {layout.type_name}", f"it supports {', '.join(types)}"
+            )
+        return types[layout.type_name]
+
+    return rules
+
+
+def _everything(layout: Layout) -> _Rules:
+    # All fields cleared; only arrays of fixed length keep their length.
+    return {name: _CLEAR for name, _ in layout.root.fields}
+
+
+# A scan has no coarse form: walls to a metre are the position to a centimetre.
+_COARSE: Final[Mapping[str, _Rules]] = {
+    "geometry_msgs/PoseStamped": _header(60) | {"pose.position": _POSITION, "pose.orientation": _CLEAR},
+    "geometry_msgs/PoseWithCovarianceStamped": _header(60)
+    | {"pose.pose.position": _POSITION, "pose.pose.orientation": _CLEAR, "pose.covariance": _CLEAR},
+    "geometry_msgs/PointStamped": _header(60) | {"point": _POSITION},
+    "nav_msgs/Odometry": _header(60)
+    | {
+        "pose.pose.position": _POSITION,
+        "pose.pose.orientation": _CLEAR,
+        "pose.covariance": _CLEAR,
+        "twist": _CLEAR,
+    },
+    "sensor_msgs/NavSatFix": _header(60)
+    | {"latitude": _DEGREES, "longitude": _DEGREES}
+    | dict.fromkeys(("status", "altitude", "position_covariance", "position_covariance_type"), _CLEAR),
+    "sensor_msgs/JointState": _header(60)
+    # Of wheels, they are the way that was gone.
+    | {"position": _DROP, "velocity": _DROP, "effort": _DROP},
+}
+_DIAGNOSTICS: Final[Mapping[str, _Rules]] = {
+    "diagnostic_msgs/DiagnosticArray": _header(60)
+    | {
+        "status": {"sort": True},
+        "status[*].name": _CLEAR,
+        "status[*].message": _CLEAR,
+        "status[*].hardware_id": {"hash": {"key": "diagnostics", "length": 12, "per": "receiver"}},
+        "status[*].values": _DROP,
+    }
+}
+_CAMERA: Final[Mapping[str, _Rules]] = {
+    # Squares of 32 pixels hide a face at 320 x 240, and show everybody's at 1920 x 1080.
+    "sensor_msgs/Image": _header(10) | {"data": {"pixelate": {"across": 16, "block": 32, "levels": 8}}}
+}
+
+PRESETS: Final[dict[str, Preset]] = {
+    preset.name: preset
+    for preset in (
+        Preset(
+            "coarse-position",
+            "the place within cells of 4 m, of 2 km outdoors, joints, heading, speed, uncertainty"
+            " and the exact time",
+            "the part of the home, and often the room to somebody who knows the habits; that it"
+            " moves, to within a minute; the route of cells; of one that sends seldom, little"
+            " arrives",
+            _for(_COARSE),
+            slot=30,
+            outdoors=900,
+        ),
+        Preset(
+            "presence-only",
+            "all content, the moment at which something begins or ends, and what happens once",
+            "in which minutes the publisher is at work, if it sends more than once in 2 s;"
+            " of one that sends less, next to nothing arrives; when it registers, connects and"
+            " ends, to the moment",
+            _everything,
+            slot=60,
+        ),
+        Preset(
+            "anonymous-diagnostics",
+            "texts, values, names, hardware numbers, and which part is which for two receivers",
+            "how many parts there are and their levels, each part recognised by its pseudonym;"
+            " two receivers who compare levels for an hour know which are the same",
+            _for(_DIAGNOSTICS),
+            rate=0.1,
+        ),
+        Preset(
+            "blurred-camera",
+            "colours, and details smaller than a sixteenth of the picture or 32 pixels, such as the"
+            " face of somebody who is not close to the camera",
+            "light, that something moves and where; whatever is larger than some squares, as a"
+            " text; by many pictures of somebody who moves, which of a few known people it is",
+            _for(_CAMERA),
+            rate=1.0,
+        ),
+    )
+}
+
+
+def preset(name: str) -> Preset:
+    """The preset `name`."""
+    if name not in PRESETS:
+        raise FilterRefused(f"no preset {name[:40]!r}", f"expected one of {', '.join(PRESETS)}")
+    return PRESETS[name]

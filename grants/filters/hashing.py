@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from grants.errors import FilterRefused
 from grants.model import FilterRule
 
-if TYPE_CHECKING:  # a node's home does not load the compiler
-    from grants.filters.codegen import Buffer
+if TYPE_CHECKING:
+    from grants.filters.layout import Buffer
+
 
 Keys: TypeAlias = Mapping[str, bytes]
 
@@ -26,27 +27,16 @@ _KEY_NAME: Final = re.compile(r"[a-z][a-z0-9_-]{0,31}", re.ASCII)
 
 
 def check_key_name(name: object) -> str:
-    """Return `name` if it is a valid name of a filter key: it may become a file name.
-
-    Raises:
-        FilterRefused: not 1 to 32 lower case letters, digits, `-` and `_`, a letter first.
-    """
+    """Return `name` if it is a valid name of a filter key: it may become a file name."""
     if not isinstance(name, str) or _KEY_NAME.fullmatch(name) is None:
-        raise FilterRefused(
-            f"not a key name: {str(name)[:40]!r}", "for example {hash: {key: ward}}"
-        )
+        raise FilterRefused(f"not a key name: {str(name)[:40]!r}", "for example {hash: {key: ward}}")
     return name
 
 
 def key_names(rules: Iterable[FilterRule]) -> frozenset[str]:
     """The keys that `rules` need."""
-    return frozenset(
-        check_key_name(value)
-        for rule in rules
-        if rule.operator == "hash"
-        for name, value in rule.parameters
-        if name == "key"
-    )
+    hashes = (dict(rule.parameters) for rule in rules if rule.operator == "hash")
+    return frozenset(check_key_name(given["key"]) for given in hashes if "key" in given)
 
 
 def is_personal(rules: Iterable[FilterRule]) -> bool:
@@ -71,23 +61,14 @@ def _personal(name: str) -> str:
 def pseudonyms(
     name: object, length: int, keys: Keys | None, *, personal: bool = False
 ) -> "Callable[[Buffer], tuple[Buffer, int]]":
-    """The function from a text to the first `length` hexadecimal digits of its HMAC.
-
-    Raises:
-        FilterRefused: the key is not among `keys`, or too short.
-    """
     name = check_key_name(name)
-    if keys is None:
-        return _no_key
-    key = keys.get(_personal(name) if personal else name)
-    if key is None or len(key) != FILTER_KEY_SIZE:
+    key = None if keys is None else keys.get(_personal(name) if personal else name)
+    if keys is not None and (key is None or len(key) != FILTER_KEY_SIZE):
         raise FilterRefused(f"the publisher has no key {name!r} of {FILTER_KEY_SIZE} bytes")
 
     def rewrite(content: "Buffer") -> "tuple[Buffer, int]":
+        if key is None:
+            raise ValueError  # of `LAYOUT_ERRORS`: the message is refused
         return hmac.digest(key, bytes(content), "sha256").hex()[:length].encode(), length
 
     return rewrite
-
-
-def _no_key(_: "Buffer") -> "tuple[Buffer, int]":
-    raise ValueError  # of `codegen.LAYOUT_ERRORS`: the message is refused

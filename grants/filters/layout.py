@@ -1,19 +1,23 @@
-"""From the text of a message definition to the layout of its bytes.
+"""From the text of a message definition to the layout of its bytes, and generated readers of them.
 
-The text is the `message_definition` field of a TCPROS connection header: the definition, then
-each definition it needs after a line of 80 `=` and `MSG: package/Type`. It may come from a peer,
-so every size is checked before it is used. `Layout.md5` is computed as in genmsg
-(`genmsg/gentools.py`, `compute_md5_text`), which omits array brackets after the name of a message
-type: an md5 proves the layout only if `Layout.is_proven`. `Layout.digest` covers all of it.
+The text is the `message_definition` field of a TCPROS connection header. It may come from a peer, so every
+size is checked before it is used. `Layout.md5` is computed as in genmsg (`genmsg/gentools.py`,
+`compute_md5_text`), which omits array brackets after the name of a message type: an md5 proves the layout
+only if `Layout.is_proven`. `Layout.digest` covers all of it. Generated source contains only text made by this
+package: numbers, and names from a counter; values from outside are bound in the namespace, which has no
+builtins but the ones listed, and field names never appear at all.
 """
 
 import hashlib
 import re
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Final, TypeAlias, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
-from grants.errors import DefinitionIncomplete, DefinitionRefused
+from grants.errors import DefinitionIncomplete, DefinitionRefused, MessageRefused
 
 MAX_TEXT: Final = 256 * 1024  # characters; the largest definition in Debian has 13,000
 MAX_DEPTH: Final = 32
@@ -55,12 +59,11 @@ class Array:
 
     @property
     def name(self) -> str:
-        """The type as written in a definition."""
         return f"{self.element.name}[{'' if self.length is None else self.length}]"
 
     @cached_property
     def size(self) -> int | None:
-        """Bytes on the wire when always the same, else None."""
+        # Bytes on the wire when always the same, else None.
         if self.length == 0:
             # For any element type: a loop over many of these would read nothing and never fail.
             return 0
@@ -78,16 +81,11 @@ class Struct:
 
     @cached_property
     def size(self) -> int | None:
-        """Bytes on the wire when always the same, else None."""
-        total = 0
-        for _, kind in self.fields:
-            if kind.size is None:
-                return None
-            total += kind.size
-        return total
+        sizes = [kind.size for _, kind in self.fields]
+        known = [size for size in sizes if size is not None]
+        return sum(known) if len(known) == len(sizes) else None
 
     def explain_missing(self, name: str) -> str:
-        """One line for a missing field."""
         has = ", ".join(known for known, _ in self.fields) or "no fields"
         return f"no field {name!r} in {self.name} (has {has})"
 
@@ -98,12 +96,12 @@ _Sized = TypeVar("_Sized", Array, Struct)
 PRIMITIVES: Final = {
     name: Primitive(name, code, size)
     for name, code, size in (
-        ("bool", "B", 1), ("char", "B", 1), ("byte", "b", 1),
-        ("int8", "b", 1), ("uint8", "B", 1), ("int16", "h", 2), ("uint16", "H", 2),
-        ("int32", "i", 4), ("uint32", "I", 4), ("int64", "q", 8), ("uint64", "Q", 8),
-        ("float32", "f", 4), ("float64", "d", 8), ("time", "II", 8), ("duration", "ii", 8),
+        *(("bool", "B", 1), ("char", "B", 1), ("byte", "b", 1), ("int8", "b", 1), ("uint8", "B", 1)),
+        *(("int16", "h", 2), ("uint16", "H", 2), ("int32", "i", 4), ("uint32", "I", 4)),
+        *(("int64", "q", 8), ("uint64", "Q", 8), ("float32", "f", 4), ("float64", "d", 8)),
+        *(("time", "II", 8), ("duration", "ii", 8)),
     )
-}  # fmt: skip
+}
 _BUILT_IN: Final[dict[str, Type]] = {**PRIMITIVES, "string": Text()}
 _CONSTANT_TYPES: Final = _BUILT_IN.keys() - {"time", "duration"}
 
@@ -122,18 +120,18 @@ class Layout:
     md5_text: str
     digest: bytes
 
+    def leaves(self) -> "dict[str, Primitive | Text]":
+        """The fields without fields of their own by path, as in filters; an array as its element."""
+        return dict(_leaves(self.root, ""))
+
     @property
     def is_proven(self) -> bool:
-        """Whether the md5 proves the position of every field: no field has a message type."""
-        return not any(_contains_messages(kind) for _, kind in self.root.fields)
+        kinds = (kind.element if isinstance(kind, Array) else kind for _, kind in self.root.fields)
+        return not any(isinstance(kind, Struct) for kind in kinds)
 
 
 def parse(type_name: str, definition: str) -> Layout:
-    """Read a definition text with all it depends on.
-
-    Raises:
-        DefinitionRefused: malformed, recursive, incomplete or too large.
-    """
+    """Read a definition text with all it depends on."""
     if len(definition) > MAX_TEXT:
         raise DefinitionRefused(
             f"{len(definition)} characters of definition where at most {MAX_TEXT} are allowed"
@@ -146,30 +144,27 @@ def parse(type_name: str, definition: str) -> Layout:
     return Layout(type_name, built.md5, built.struct, built.md5_text, built.digest)
 
 
-def _contains_messages(kind: Type) -> bool:
-    return isinstance(kind.element if isinstance(kind, Array) else kind, Struct)
+def _leaves(kind: Type, path: str) -> Iterator[tuple[str, Primitive | Text]]:
+    inner = kind.element if isinstance(kind, Array) else kind
+    if isinstance(inner, Struct):
+        here = f"{path}[*]." if isinstance(kind, Array) else f"{path}." if path else ""
+        for name, member in inner.fields:
+            yield from _leaves(member, here + name)
+    elif not isinstance(inner, Array):
+        yield path, inner
 
 
 def dependencies(type_name: str, definition: str) -> frozenset[str]:
-    """The message types that the fields of one definition (a .msg file) use.
-
-    Raises:
-        DefinitionRefused: malformed.
-    """
     _, declared = _statements(type_name, definition.split("\n"))
     bases = ((_base(type_name, text)[0], text) for text in declared.values())
-    return frozenset(
-        _full_name(type_name, base, text) for base, text in bases if base not in _BUILT_IN
-    )
+    return frozenset(_full_name(type_name, base, text) for base, text in bases if base not in _BUILT_IN)
 
 
 def service_md5(request: Layout, response: Layout) -> str:
-    """ROS's checksum of a service: over both parts, concatenated (genmsg, `_compute_hash`)."""
     return _md5(request.md5_text + response.md5_text)
 
 
 def _sections(type_name: str, definition: str) -> dict[str, list[str]]:
-    """The lines of each definition in the text, by type name."""
     sections: dict[str, list[str]] = {type_name: []}
     lines = iter(definition.split("\n"))
     current = sections[type_name]
@@ -182,19 +177,15 @@ def _sections(type_name: str, definition: str) -> dict[str, list[str]]:
         if line != SEPARATOR:
             current.append(line)
             continue
-        name = _section_name(next(lines, ""))
+        head = next(lines, "")
+        name = head.removeprefix("MSG: ").strip()
+        if not head.startswith("MSG: ") or TYPE_NAME.fullmatch(name) is None:
+            raise DefinitionRefused(f"expected 'MSG: package/Type', found {head[:80]!r}")
         if name in sections:
             # genpy would use the last, others the first: two layouts for one text.
             raise DefinitionRefused(f"{name} is defined twice")
         current = sections[name] = []
     return sections
-
-
-def _section_name(line: str) -> str:
-    name = line.removeprefix("MSG: ").strip()
-    if not line.startswith("MSG: ") or TYPE_NAME.fullmatch(name) is None:
-        raise DefinitionRefused(f"expected 'MSG: package/Type', found {line[:80]!r}")
-    return name
 
 
 @dataclass(frozen=True)
@@ -208,43 +199,37 @@ class _Built:
 
 @dataclass
 class _Builder:
-    """Builds each message type once, even if used often (2^20 fields cost 20 steps)."""
-
     sections: dict[str, list[str]]
     built: dict[str, _Built] = field(default_factory=dict)
 
     def build(self, name: str, parents: tuple[str, ...]) -> _Built:
         if name not in self.built:
-            self.built[name] = self._build(name, parents)
+            if name not in self.sections:
+                raise DefinitionIncomplete(
+                    f"the definition of {name} is missing",
+                    "a definition has those of all types it uses, each behind a line of 80 =",
+                )
+            if name in parents or len(parents) >= MAX_DEPTH:
+                raise DefinitionRefused(f"{name} is nested in itself or deeper than {MAX_DEPTH}")
+            constants, declared = _statements(name, self.sections[name])
+            fields: list[tuple[str, Type]] = []
+            lines: list[str] = []
+            full_digest = hashlib.sha256(name.encode())
+            leaves = 0
+            for field_name, text in declared.items():
+                kind, digest, count = self._resolve(name, text, (*parents, name))
+                fields.append((field_name, kind))
+                lines.append(f"{digest} {field_name}")
+                full_digest.update(f"\n{self._full_type(kind)} {field_name}".encode())
+                leaves += count
+                if leaves > MAX_FIELDS:
+                    raise DefinitionRefused(f"{name} has more than {MAX_FIELDS} fields")
+            md5_text = "\n".join(constants + lines).strip()
+            struct = _bounded(Struct(name, tuple(fields)))
+            self.built[name] = _Built(struct, md5_text, _md5(md5_text), leaves, full_digest.digest())
         return self.built[name]
 
-    def _build(self, name: str, parents: tuple[str, ...]) -> _Built:
-        if name not in self.sections:
-            raise DefinitionIncomplete(
-                f"the definition of {name} is missing",
-                "a definition has those of all types it uses, each behind a line of 80 =",
-            )
-        if name in parents or len(parents) >= MAX_DEPTH:
-            raise DefinitionRefused(f"{name} is nested in itself or deeper than {MAX_DEPTH}")
-        constants, declared = _statements(name, self.sections[name])
-        fields: list[tuple[str, Type]] = []
-        lines: list[str] = []
-        full_digest = hashlib.sha256(name.encode())
-        leaves = 0
-        for field_name, text in declared.items():
-            kind, digest, count = self._resolve(name, text, (*parents, name))
-            fields.append((field_name, kind))
-            lines.append(f"{digest} {field_name}")
-            full_digest.update(f"\n{self._full_type(kind)} {field_name}".encode())
-            leaves += count
-            if leaves > MAX_FIELDS:
-                raise DefinitionRefused(f"{name} has more than {MAX_FIELDS} fields")
-        md5_text = "\n".join(constants + lines).strip()
-        struct = _bounded(Struct(name, tuple(fields)))
-        return _Built(struct, md5_text, _md5(md5_text), leaves, full_digest.digest())
-
     def _full_type(self, kind: Type) -> str:
-        """The type of a field with all nested types, as one string."""
         match kind:
             case Array(element, length):
                 return f"{self._full_type(element)}[{'' if length is None else length}]"
@@ -254,7 +239,6 @@ class _Builder:
                 return kind.name
 
     def _resolve(self, inside: str, text: str, parents: tuple[str, ...]) -> tuple[Type, str, int]:
-        """The type named by `text` in a message, its part of the checksum, and its leaf count."""
         base, length = _base(inside, text)
         digest, leaves = text, 1
         if base in _BUILT_IN:
@@ -268,7 +252,6 @@ class _Builder:
 
 
 def _base(inside: str, text: str) -> tuple[str, str | None]:
-    """A field's type without brackets, and their content; None without brackets."""
     matched = _FIELD_TYPE.fullmatch(text)
     if matched is None:
         raise DefinitionRefused(f"not a field type in {inside}: {text[:80]!r}")
@@ -284,13 +267,16 @@ def _full_name(inside: str, base: str, text: str) -> str:
 
 
 def _statements(name: str, lines: list[str]) -> tuple[list[str], dict[str, str]]:
-    """The constants in the form of the checksum, and the fields: type by name."""
     constants: list[str] = []
     fields: dict[str, str] = {}
     for line in lines:
         code = line.split("#", maxsplit=1)[0].strip()
         if "=" in code:
-            constants.append(_constant(line, code))
+            # A string constant runs to the end of the line: `#` is part of its value.
+            matched = _CONSTANT.fullmatch(line if code.startswith("string ") else code)
+            if matched is None or matched[1] not in _CONSTANT_TYPES:
+                raise DefinitionRefused(f"not a constant: {line[:80]!r}", "expected: type NAME=value")
+            constants.append(f"{matched[1]} {matched[2]}={matched[3].strip()}")
         elif code:
             kind, field_name = _field(code)
             if field_name in fields:
@@ -311,14 +297,6 @@ def _field(code: str) -> tuple[str, str]:
     raise DefinitionRefused(f"not a field: {code[:80]!r}", "expected: type name")
 
 
-def _constant(line: str, code: str) -> str:
-    # A string constant runs to the end of the line: `#` is part of its value.
-    matched = _CONSTANT.fullmatch(line if code.startswith("string ") else code)
-    if matched is None or matched[1] not in _CONSTANT_TYPES:
-        raise DefinitionRefused(f"not a constant: {line[:80]!r}", "expected: type NAME=value")
-    return f"{matched[1]} {matched[2]}={matched[3].strip()}"
-
-
 def _bounded(kind: _Sized) -> _Sized:
     if kind.size is not None and kind.size > MAX_FIXED:
         raise DefinitionRefused(f"{kind.name} is larger than {MAX_FIXED} bytes")
@@ -328,3 +306,152 @@ def _bounded(kind: _Sized) -> _Sized:
 def _md5(text: str) -> str:
     # ROS's checksum guards against mistakes, not against forgery.
     return hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()
+
+
+Buffer: TypeAlias = bytes | bytearray | memoryview
+Position: TypeAlias = tuple[str, int]  # a variable (or "" for none) and a constant
+
+MAX_LOOPS: Final = 12  # Python itself allows 20 nested blocks
+
+# What the generated code can raise for a message of another layout.
+LAYOUT_ERRORS: Final = (struct.error, ValueError, IndexError, OverflowError)
+
+
+class SourceWriter:
+    """Source text under construction, and the values bound to names in it."""
+
+    def __init__(self, arguments: str) -> None:
+        self._lines = [f"def generated({arguments}):"]
+        self._depth = 1
+        self._count = 0
+        self._namespace: dict[str, Any] = {
+            "__builtins__": {"len": len, "range": range, "ValueError": ValueError, "str": str},
+            "U": struct.Struct("<I").unpack_from,
+        }
+
+    def new(self, prefix: str) -> str:
+        self._count += 1
+        return f"{prefix}{self._count}"
+
+    def bind(self, value: object) -> str:
+        """A name for `value` inside the source."""
+        name = self.new("k")
+        self._namespace[name] = value
+        return name
+
+    def line(self, text: str) -> int:
+        self._lines.append(" " * self._depth + text)
+        return len(self._lines) - 1
+
+    def replace(self, number: int, text: str) -> None:
+        line = self._lines[number]
+        self._lines[number] = line[: len(line) - len(line.lstrip(" "))] + text
+
+    @property
+    def nested(self) -> bool:
+        return self._depth > 1
+
+    @contextmanager
+    def block(self, head: str) -> Iterator[None]:
+        """The statements under `head`, a loop or a branch."""
+        if self._depth > MAX_LOOPS:
+            raise DefinitionRefused(f"arrays nested deeper than {MAX_LOOPS}")
+        self.line(f"{head}:")
+        self._depth += 1
+        yield
+        self._depth -= 1
+
+    @property
+    def text(self) -> str:
+        return "\n".join(self._lines) + "\n"
+
+    def compile(self) -> Callable[..., Any]:
+        exec(compile(self.text, "<rossec layout>", "exec"), self._namespace)  # noqa: S102 - only names and offsets from here
+        function: Callable[..., Any] = self._namespace["generated"]
+        return function
+
+
+class Cursor:
+    """A position in the message `b` that moves over types, writing the code that computes it.
+
+    A position only ever grows, and reading a length beyond the end raises `struct.error`; so
+    loops end, and comparing the last position with the length of `b` checks all of them.
+    """
+
+    def __init__(self, source: SourceWriter) -> None:
+        self.source = source
+        self.position: Position = ("", 0)
+
+    def at(self, extra: int = 0) -> str:
+        return expression(self.position, extra)
+
+    def skip(self, kind: Type) -> None:
+        """Move past one value of `kind`."""
+        match kind:
+            case Struct(size=None, fields=fields):
+                for _, member in fields:
+                    self.skip(member)
+            case Text():
+                self.jump(f"{self.at(4)}+U(b,{self.at()})[0]")
+            case Array(size=None, element=element) if element.size is not None:
+                self.jump(f"{self.at(4)}+U(b,{self.at()})[0]*{element.size}")
+            case Array(size=None, element=element):
+                with self.each(kind):
+                    self.skip(element)
+            case _:
+                assert kind.size is not None  # noqa: S101 - for the type checker
+                self.position = (self.position[0], self.position[1] + kind.size)
+
+    def jump(self, target: str) -> None:
+        """Continue at `target`, an expression."""
+        name = self.source.new("o")
+        self.source.line(f"{name}={target}")
+        self.position = (name, 0)
+
+    def count(self, kind: Array) -> str:
+        """The number of elements as an expression; moves past the count."""
+        if kind.length is not None:
+            return str(kind.length)
+        name = self.source.new("n")
+        self.source.line(f"{name}=U(b,{self.at()})[0]")
+        self.position = (self.position[0], self.position[1] + 4)
+        return name
+
+    @contextmanager
+    def each(self, kind: Array) -> Iterator[None]:
+        """A loop over the elements; the cursor is at the element inside, past all of them after."""
+        count = self.count(kind)
+        with self.times(count, self.mark()):
+            yield
+
+    def mark(self) -> str:
+        """A variable that holds the position."""
+        name = self.source.new("p")
+        self.source.line(f"{name}={self.at()}")
+        self.position = (name, 0)
+        return name
+
+    @contextmanager
+    def times(self, count: str, name: str) -> Iterator[None]:
+        """A loop that runs `count` times and moves the position in the variable `name`."""
+        self.position = (name, 0)
+        with self.source.block(f"for _ in range({count})"):
+            yield
+            self.source.line(f"{name}={self.at()}")
+        self.position = (name, 0)
+
+
+def expression(position: Position, extra: int = 0) -> str:
+    """A position, moved by `extra` bytes, as an expression."""
+    base, offset = position[0], position[1] + extra
+    if not base:
+        return str(offset)
+    return f"{base}+{offset}" if offset else base
+
+
+def layout_mismatch(type_name: str) -> MessageRefused:
+    """The refusal of a message that does not have the layout of its type."""
+    return MessageRefused(
+        f"a message that is not a {type_name}: truncated, too long or malformed",
+        "the sender's message definition does not describe what it sends",
+    )

@@ -1,20 +1,30 @@
 """From a treated layout to a function on bytes: kept parts are sliced, treated parts are computed.
 
-The generated function returns the pieces of the new message in order, for scatter-gather
-sending: kept parts are slices of the message (an image is never copied), adjacent treated
-numbers go through one `struct` call, arrays of numbers and arrays of fixed-size messages through
-numpy. It raises one of `codegen.LAYOUT_ERRORS` if the message does not have the layout.
+The generated function returns the pieces of the new message in order, for scatter-gather sending: kept parts
+are slices of the message (an image is never copied), adjacent treated numbers go through one `struct` call,
+arrays of numbers and arrays of fixed-size messages through numpy, column by column in one copy. It raises one
+of `LAYOUT_ERRORS` if the message does not have the layout.
 """
 
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final
 
-from grants.filters.codegen import Buffer, Cursor, Position, SourceWriter, expression
-from grants.filters.fixed_arrays import table_rewriter
-from grants.filters.layout import Array, Primitive, Struct, Type
-from grants.filters.treatments import (
+from grants.filters.coarsening import Vector, np
+from grants.filters.layout import (
+    Array,
+    Buffer,
+    Cursor,
+    Position,
+    Primitive,
+    SourceWriter,
+    Struct,
+    Type,
+    expression,
+)
+from grants.filters.operators import (
     ArrayTreatment,
     Constant,
     ContentTreatment,
@@ -25,7 +35,182 @@ from grants.filters.treatments import (
     SiblingTreatment,
     StructTreatment,
 )
-from grants.filters.variable_arrays import ArrayCollector, preserves_sizes
+
+
+@dataclass(frozen=True)
+class Column:
+    offset: int
+    code: str
+    count: int
+    vector: Callable[[Vector], Vector]
+
+    def is_continued_by(self, other: "Column") -> bool:
+        end = self.offset + self.count * np.dtype(self.code).itemsize
+        return (end, self.code, self.vector) == (other.offset, other.code, other.vector)
+
+
+def columns(node: Node, offset: int) -> list[Column]:
+    match node:
+        case StructTreatment(kind, parts):
+            found = []
+            for (_, member), part in zip(kind.fields, parts, strict=True):
+                found += columns(part, offset)
+                offset += member.size or 0
+            return found
+        case ArrayTreatment(kind, element):
+            size = kind.element.size or 0
+            return [column for n in range(kind.length or 0) for column in columns(element, offset + n * size)]
+        case FieldTreatment(_, Constant(data)):
+            fill = np.frombuffer(data, np.uint8)
+            return [Column(offset, "<u1", len(data), lambda _: fill)]
+        case FieldTreatment(Primitive(code=code), Numbers(vector=vector)):
+            return [Column(offset, f"<{code[0]}", len(code), vector)]
+        case _:
+            return []
+
+
+@dataclass(frozen=True)
+class Table:
+    """The treated values of many elements, as columns; adjacent ones under one treatment are one column."""
+
+    dtype: "np.dtype[Any]"
+    treatments: tuple[tuple[str, Callable[[Vector], Vector]], ...]
+
+    def apply(self, elements: Vector) -> None:
+        for name, vector in self.treatments:
+            elements[name] = vector(elements[name])
+
+
+def table(found: list[Column], size: int) -> Table:
+    merged: list[Column] = []
+    for column in found:
+        if merged and merged[-1].is_continued_by(column):
+            last = merged.pop()
+            count = last.count + column.count
+            merged.append(Column(last.offset, last.code, count, last.vector))
+        else:
+            merged.append(column)
+    names = [f"f{n}" for n in range(len(merged))]
+    dtype: np.dtype[Any] = np.dtype(
+        {
+            "names": names,
+            "formats": [(column.code, (column.count,)) for column in merged],
+            "offsets": [column.offset for column in merged],
+            "itemsize": size,
+        }
+    )
+    return Table(dtype, tuple((n, column.vector) for n, column in zip(names, merged, strict=True)))
+
+
+def table_rewriter(element: Node, size: int) -> Callable[[Buffer, int, int], Buffer]:
+    # A function of message, start and count of the elements, to their new bytes. ValueError: the message is
+    # too short.
+    match element:
+        case FieldTreatment(Primitive(code=code), Numbers(vector=vector)):
+            dtype, values = f"<{code[0]}", len(code)
+        case _:
+            return _elements_rewriter(table(columns(element, 0), size))
+
+    def rewrite(message: Buffer, start: int, count: int) -> Buffer:
+        if count == 0:
+            return b""
+        numbers = np.frombuffer(message, dtype, count * values, start)
+        return vector(numbers).astype(dtype, copy=False).tobytes()
+
+    return rewrite
+
+
+def _elements_rewriter(table: Table) -> Callable[[Buffer, int, int], Buffer]:
+    size = table.dtype.itemsize
+
+    def rewrite(message: Buffer, start: int, count: int) -> Buffer:
+        end = start + count * size
+        if end > len(message):
+            raise ValueError
+        if count == 0:
+            return b""
+        copy = bytearray(message[start:end])
+        table.apply(np.frombuffer(copy, table.dtype))
+        return copy
+
+    return rewrite
+
+
+def preserves_sizes(node: Node) -> bool:
+    if isinstance(node, Keep) or node.kind.size is not None:
+        return True
+    if isinstance(node, StructTreatment):
+        return all(map(preserves_sizes, node.parts))
+    if isinstance(node, ArrayTreatment):
+        return node.kind.element.size is None and preserves_sizes(node.element)
+    return False
+
+
+@dataclass
+class _Region:
+    name: str
+    end: Position
+    size: int
+    columns: list[Column]
+
+
+# Treating an array of elements of different sizes value by value costs more than everything else a filter
+# does. Here the generated loop only records where the treated values are; they are then taken out of one
+# copy of the array, treated column by column with numpy, and put back. This requires treatments that
+# preserve every size: numbers, and constants of a fixed size.
+class ArrayCollector(Cursor):
+    def __init__(self, source: SourceWriter) -> None:
+        super().__init__(source)
+        self._declared = source.line("")
+        self._regions: list[_Region] = []
+
+    def collect(self, node: Node) -> None:
+        size = node.kind.size
+        match node:
+            case StructTreatment(_, parts) if size is None:
+                for part in parts:
+                    self.collect(part)
+            case ArrayTreatment(kind, element) if size is None:
+                with self.each(kind):
+                    self.collect(element)
+            case _ if isinstance(node, Keep) or not size:
+                self.skip(node.kind)
+            case _:
+                if not self._regions or self._regions[-1].end != self.position:
+                    name = self.source.new("g")
+                    self.source.line(f"{name}.append({self.at()})")
+                    self._regions.append(_Region(name, self.position, 0, []))
+                region = self._regions[-1]
+                region.columns += columns(node, region.size)
+                region.size += size
+                self.skip(node.kind)
+                region.end = self.position
+
+    def finish(self) -> str:
+        names = [region.name for region in self._regions]
+        self.source.replace(self._declared, ";".join(f"{name}=[]" for name in names))
+        tables = [table(region.columns, region.size) for region in self._regions]
+        patcher = self.source.bind(lambda positions: partial(_patch, tables, positions))
+        return f"{patcher}(({''.join(f'{name},' for name in names)}))"
+
+
+def _patch(
+    tables: list[Table], positions: tuple[list[int], ...], message: Buffer, start: int, end: int
+) -> Buffer:
+    if end > len(message):
+        raise ValueError
+    copy = bytearray(message[start:end])
+    for table, offsets in zip(tables, positions, strict=True):
+        if offsets:
+            size = table.dtype.itemsize
+            at = np.array(offsets, np.intp) - start
+            # One window at every position where `size` bytes fit; indexing copies the windows.
+            windows: Vector = np.ndarray((len(copy) - size + 1,), f"V{size}", copy, 0, (1,))
+            elements = windows[at]
+            table.apply(elements.view(table.dtype))
+            windows[at] = elements
+    return copy
+
 
 MAX_PIECES: Final = 64  # far below IOV_MAX (1024); more of them cost more than they save
 _UNROLL: Final = range(1, 9)  # fixed arrays of these lengths are cheaper without numpy
@@ -33,7 +218,6 @@ MIN_COLLECTED: Final = 24  # elements from which numpy is faster
 
 
 def generate(node: Node) -> Callable[[Buffer], list[Buffer]]:
-    """The function from a message to the pieces of the treated message."""
     source = SourceWriter("b")
     writer = _Writer(source)
     writer.write(node)
@@ -52,16 +236,12 @@ def _limit_pieces(pieces: list[Buffer]) -> list[Buffer]:
 
 @dataclass
 class _Run:
-    """Adjacent treated values: one unpack, one pack."""
-
     start: Position
     end: Position
     items: list[tuple[Primitive, Numbers] | bytes] = field(default_factory=list)
 
 
 class _Writer(Cursor):
-    """A cursor that collects pieces of the message, which are complete up to `_copied`."""
-
     def __init__(self, source: SourceWriter) -> None:
         super().__init__(source)
         self._copied: Position = ("", 0)
@@ -93,7 +273,6 @@ class _Writer(Cursor):
                 values[name] = self._value(member, start)
 
     def _value(self, kind: Type, start: Position) -> str:
-        """A variable with the value that begins at `start`, before the present position."""
         name = self.source.new("v")
         if isinstance(kind, Primitive):
             read = self.source.bind(struct.Struct(f"<{kind.code}").unpack_from)
@@ -103,7 +282,6 @@ class _Writer(Cursor):
         return name
 
     def finish(self) -> list[str]:
-        """All pieces as expressions, the rest of the message last."""
         self._flush()
         pieces, self._pieces = self._pieces, []
         if self._copied != self.position or not pieces:
@@ -126,15 +304,12 @@ class _Writer(Cursor):
                 self._content(kind, treatment.rewrite, [])
 
     def _replace(self, kind: Type, *pieces: str) -> None:
-        """Replace one value of `kind` by these pieces."""
         self._flush()
         self.skip(kind)
         self._pieces.extend(pieces)
         self._copied = self.position
 
-    def _content(
-        self, kind: Type, rewrite: Callable[..., tuple[Buffer, int]], siblings: list[str]
-    ) -> None:
+    def _content(self, kind: Type, rewrite: Callable[..., tuple[Buffer, int]], siblings: list[str]) -> None:
         start = self.position
         self._flush()
         self.skip(kind)
@@ -145,7 +320,6 @@ class _Writer(Cursor):
         self._copied = self.position
 
     def _extend(self, kind: Type, item: tuple[Primitive, Numbers] | bytes) -> None:
-        """Add a fixed-size value to the run, or begin one."""
         if self._run is None or self._run.end != self.position:
             self._close()
             self._run = _Run(self.position, self.position)
@@ -154,7 +328,6 @@ class _Writer(Cursor):
         self._run.end = self.position
 
     def _flush(self) -> None:
-        """Collect everything up to the current position."""
         self._close()
         self._keep_until(self.position)
 
@@ -164,7 +337,6 @@ class _Writer(Cursor):
             self._copied = end
 
     def _close(self) -> None:
-        """Write the run as one piece."""
         if self._run is None:
             return
         run, self._run = self._run, None
@@ -202,7 +374,6 @@ class _Writer(Cursor):
             self._table(kind, size, element)
 
     def _table(self, kind: Array, size: int, element: Node) -> None:
-        """All elements at once, by numpy."""
         count = self.count(kind)
         start = self.position
         self._flush()
@@ -214,7 +385,6 @@ class _Writer(Cursor):
         self._copied = self.position
 
     def _loop(self, kind: Array, element: Node) -> None:
-        """One element after another; a kept part may extend into the next element."""
         self._close()
         pieces, kept = self.source.new("l"), self.source.new("s")
         self.source.line(f"{pieces}=[]")
@@ -242,7 +412,7 @@ class _Writer(Cursor):
             self._pieces = []
 
     def _collected(self, element: Node, count: str, mark: str, pieces: str, kept: str) -> None:
-        """Only collect the positions in the loop; numpy then treats all of them in one copy."""
+        # Only collect the positions in the loop; numpy then treats all of them in one copy.
         collector = ArrayCollector(self.source)
         collector.position = (mark, 0)
         with collector.times(count, mark):
@@ -253,7 +423,6 @@ class _Writer(Cursor):
 
 
 def _siblings(node: Node) -> tuple[str, ...]:
-    """The fields whose values the treatment of `node` needs."""
     match node:
         case FieldTreatment(_, SiblingTreatment(siblings=siblings)):
             return tuple(name for name, _ in siblings)
@@ -261,9 +430,7 @@ def _siblings(node: Node) -> tuple[str, ...]:
             return ()
 
 
-def _prefixed(
-    rewrite: Callable[..., tuple[Buffer, int]],
-) -> Callable[..., tuple[bytes, Buffer]]:
+def _prefixed(rewrite: Callable[..., tuple[Buffer, int]]) -> Callable[..., tuple[bytes, Buffer]]:
     def rewritten(*values: Any) -> tuple[bytes, Buffer]:
         body, length = rewrite(*values)
         return length.to_bytes(4, "little"), body

@@ -1,59 +1,250 @@
 """The operators of filters: one entry in `OPERATORS` each.
 
-An operator reads its named parameters and returns a function from the type of a field to a
-treatment: a constant in its place, a function of its numbers, or a function of its bytes. An
-operator that does not treat a type itself returns `DESCEND`, and is then applied to a message's
-fields or an array's elements. Nothing here is source text: generated code only *calls* it.
+An operator reads its named parameters and returns a function from the type of a field to a treatment: a
+constant in its place, a function of its numbers, or a function of its bytes. An operator that does not treat
+a type itself returns `DESCEND`, and is then applied to a message's fields or an array's elements. Nothing
+here is source text: generated code only *calls* it. Parameters come from a signed grant or from a policy:
+exactly the operator's own, each of its type and in its range, or they are refused.
 """
 
 import difflib
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Final, TypeAlias
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal, TypeAlias
 
 from grants.errors import FilterRefused
-from grants.filters.codegen import Buffer
+from grants.filters.coarsening import (
+    MAX_SIDE,
+    SIBLINGS,
+    HysteresisState,
+    Vector,
+    np,
+    pixelation,
+    read_plan,
+    round_floats,
+    round_integers,
+    round_times,
+    snap_rows,
+    snapping,
+    with_hysteresis,
+)
 from grants.filters.hashing import DEFAULT_LENGTH, RECEIVER, Keys, pseudonyms
-from grants.filters.layout import PRIMITIVES, Array, Primitive, Struct, Text, Type
-from grants.filters.lazy_numpy import Vector, np
-from grants.filters.parameters import Parameters, expect, integer, number
-from grants.filters.pictures import MAX_SIDE, SIBLINGS, pixelation
-from grants.filters.positions import rooms
-from grants.filters.rounding import round_floats, round_integers, round_times, with_hysteresis
-from grants.filters.sorting import sorting
-from grants.filters.treatments import (
-    DESCEND,
-    Constant,
-    ContentTreatment,
-    HysteresisBinding,
-    Numbers,
-    SiblingTreatment,
-    Treatment,
-    TreatmentForType,
+from grants.filters.layout import (
+    PRIMITIVES,
+    Array,
+    Buffer,
+    Cursor,
+    Primitive,
+    SourceWriter,
+    Struct,
+    Text,
+    Type,
 )
 from grants.model import FilterRule, Scalar
 
+DESCEND: Final = "descend"
+
+
+@dataclass(frozen=True)
+class Constant:
+    """These bytes replace the field."""
+
+    data: bytes
+
+
+@dataclass(frozen=True)
+class HysteresisBinding:
+    """A `scalar` with hysteresis: `bind` makes it from the state of the field."""
+
+    parameters: tuple[object, ...]  # part of the state's key, so that only equal treatments share the state
+    bind: Callable[[HysteresisState], Callable[..., Any]]
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """`scalar` is applied to the values of a `Primitive`, `vector` to arrays of them.
+
+    `scalar` takes as many values as the type's format has, and returns as many (a single one
+    without a tuple). With `hysteresis`, every field gets its own `scalar` from it; such a
+    treatment cannot be used in an array, whose elements have no identity between messages. A
+    message of several numbers that is treated as one value has the `kind` it is read as.
+    """
+
+    scalar: Callable[..., Any]
+    vector: Callable[[Vector], Vector]
+    hysteresis: HysteresisBinding | None = None
+    kind: Primitive | None = None
+
+
+@dataclass(frozen=True)
+class ContentTreatment:
+    """`rewrite` is applied to the content of a string or of an array, without its length.
+
+    `rewrite(content)` returns the new content and the new length, in bytes or elements.
+    """
+
+    rewrite: Callable[[Buffer], tuple[Buffer, int]]
+
+
+@dataclass(frozen=True)
+class SiblingTreatment:
+    """Like `ContentTreatment`, for a field that can only be read with other fields of its message.
+
+    `rewrite(content, *values)` gets the values of the fields `siblings` (names and type
+    names, in this order and before the field), unfiltered, in a message of type `message`.
+    """
+
+    message: str
+    siblings: tuple[tuple[str, str], ...]
+    rewrite: Callable[..., tuple[Buffer, int]]
+
+
+Treatment: TypeAlias = Constant | Numbers | ContentTreatment | SiblingTreatment | Literal["descend"]
+TreatmentForType: TypeAlias = Callable[[Type], Treatment]
+
+
+@dataclass(frozen=True)
+class Keep:
+    kind: Type
+
+
+@dataclass(frozen=True)
+class FieldTreatment:
+    kind: Type
+    treatment: Constant | Numbers | ContentTreatment | SiblingTreatment
+
+
+@dataclass(frozen=True)
+class StructTreatment:
+    kind: Struct
+    parts: tuple["Node", ...]
+
+
+@dataclass(frozen=True)
+class ArrayTreatment:
+    kind: Array
+    element: "Node"
+
+
+Node: TypeAlias = Keep | FieldTreatment | StructTreatment | ArrayTreatment
+
+
+def has_hysteresis(node: Node) -> bool:
+    match node:
+        case FieldTreatment(_, Numbers(hysteresis=hysteresis)):
+            return hysteresis is not None
+        case StructTreatment(_, parts):
+            return any(map(has_hysteresis, parts))
+        case _:
+            return False
+
+
+Parameters: TypeAlias = dict[str, Scalar]
+
+
+def expect(parameters: Parameters, *names: str) -> None:
+    if parameters.keys() != set(names):
+        wanted = ", ".join(names) or "no parameters"
+        raise FilterRefused(f"expected {wanted}, found {', '.join(sorted(parameters)) or 'none'}")
+
+
+def number(parameters: Parameters, name: str) -> float:
+    value = parameters.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise FilterRefused(f"{name} must be a number")
+    if isinstance(value, int) and abs(value) >= 1 << 64:
+        raise FilterRefused(f"{name} is beyond 64 bits")
+    if math.isnan(value):
+        raise FilterRefused(f"{name} must be a number")
+    return value
+
+
+def integer(parameters: Parameters, name: str, maximum: int, minimum: int = 1) -> int:
+    value = parameters.get(name)
+    if isinstance(value, bool) or not isinstance(value, int) or not minimum <= value <= maximum:
+        raise FilterRefused(f"{name} must be a whole number from {minimum} to {maximum}")
+    return value
+
+
 _EMPTY: Final = Constant(bytes(4))
 _INTEGERS: Final = frozenset("bBhHiIqQ")
+_REGION: Final = ("x", "y", "width", "height")
+_SMALLEST: Final = 2  # pixels: a square of one is the picture
+_HYSTERESIS: Final = "hysteresis"  # so no room has this name
+_MAX_REACH: Final = 1000  # metres
+_POSITIONS: Final = (("x", "y"), ("x", "y", "z"), ("x", "y", "theta"))
+_FLOATS: Final = (PRIMITIVES["float32"], PRIMITIVES["float64"])
+
+
+# A message of x, y and z or theta is read as one value, whatever its type is called: which room it is in
+# depends on all of them. Everything but x and y is cleared.
+def rooms(parameters: Parameters) -> TreatmentForType:
+    reach = number(parameters, _HYSTERESIS) if _HYSTERESIS in parameters else None
+    if reach is not None and not 0 < reach <= _MAX_REACH:
+        raise FilterRefused(f"hysteresis of rooms is above zero and at most {_MAX_REACH} m")
+    plan = read_plan({name: text for name, text in parameters.items() if name != _HYSTERESIS})
+    bind = snapping(plan, reach)
+    identity = (*sorted(parameters.items()),)
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Array):
+            return DESCEND
+        names = tuple(name for name, _ in kind.fields) if isinstance(kind, Struct) else ()
+        members = [member for _, member in kind.fields] if isinstance(kind, Struct) else []
+        of = next((one for one in _FLOATS if all(member is one for member in members)), None)
+        if names not in _POSITIONS or of is None:
+            raise FilterRefused(
+                f"rooms needs a message of x, y and maybe z or theta, not {kind.name}",
+                "for example pose.position of a geometry_msgs/PoseStamped",
+            )
+        position = Primitive(kind.name, of.code * len(names), of.size * len(names))
+        snap = bind(HysteresisState())
+        found = Numbers(snap, snap_rows(snap, len(position.code)), kind=position)
+        return found if reach is None else replace(found, hysteresis=HysteresisBinding(identity, bind))
+
+    return treat
+
+
+def sorting(element: Type) -> Callable[[Buffer], tuple[Buffer, int]]:
+    # The function from the elements of an array to the same in the order of their bytes, and how many they
+    # are: which is which would show by the order also without their names, and so what is left of them
+    # decides alone. An element has at least one byte, as else nothing would say how many there are. It
+    # raises one of `LAYOUT_ERRORS` for others.
+    source = SourceWriter("b")
+    source.line("p=0;l=[]")
+    with source.block("while p<len(b)"):
+        cursor = Cursor(source)
+        cursor.position = ("p", 0)
+        cursor.skip(element)
+        source.line(f"e={cursor.at()}")
+        source.line("l.append(b[p:e])")
+        source.line("p=e")
+    source.line("if p!=len(b): raise ValueError")
+    source.line("return l")
+    split = source.compile()
+
+    def rewrite(content: Buffer) -> tuple[Buffer, int]:
+        found = sorted(split(bytes(content)))
+        return b"".join(found), len(found)
+
+    return rewrite
 
 
 def _clear(parameters: Parameters) -> TreatmentForType:
-    """The zero value: 0, false, "", no elements; a fixed array keeps its length."""
     expect(parameters)
-    return _zero_value
 
+    def treat(kind: Type) -> Treatment:
+        if kind.size is not None:
+            return Constant(bytes(kind.size))
+        variable = isinstance(kind, Text) or (isinstance(kind, Array) and kind.length is None)
+        return _EMPTY if variable else DESCEND
 
-def _zero_value(kind: Type) -> Treatment:
-    if kind.size is not None:
-        return Constant(bytes(kind.size))
-    variable = isinstance(kind, Text) or (isinstance(kind, Array) and kind.length is None)
-    return _EMPTY if variable else DESCEND
+    return treat
 
 
 def _drop(parameters: Parameters) -> TreatmentForType:
-    """No elements."""
     expect(parameters)
 
     def treat(kind: Type) -> Treatment:
@@ -65,7 +256,7 @@ def _drop(parameters: Parameters) -> TreatmentForType:
 
 
 def _zero(parameters: Parameters) -> TreatmentForType:
-    """Zeros in place of the elements; the length stays, so images remain consistent."""
+    # Zeros in place of the elements; the length stays, so images remain consistent.
     expect(parameters)
 
     def treat(kind: Type) -> Treatment:
@@ -84,10 +275,7 @@ def _zero(parameters: Parameters) -> TreatmentForType:
 
 
 def _round(parameters: Parameters) -> TreatmentForType:
-    """To multiples of `step` (seconds for times): floor(x / step + 1/2) * step; NaN, inf pass.
-
-    With `hysteresis` a value keeps its cell until it is that far beyond the border.
-    """
+    # With `hysteresis` a value keeps its cell until it is that far beyond the border.
     step = number(parameters, "step")
     hysteresis = number(parameters, "hysteresis") if "hysteresis" in parameters else None
     expect(parameters, "step", *(["hysteresis"] if hysteresis is not None else []))
@@ -121,7 +309,6 @@ def _rounding(kind: Primitive | Text, step: float) -> Numbers:
 
 
 def _clamp(parameters: Parameters) -> TreatmentForType:
-    """Into [low, high]; NaN becomes low."""
     low, high = number(parameters, "low"), number(parameters, "high")
     expect(parameters, "low", "high")
     if not low <= high:
@@ -134,24 +321,20 @@ def _clamp(parameters: Parameters) -> TreatmentForType:
             raise FilterRefused(f"clamp needs numbers, not {kind.name}")
         _pack(kind, low, "clamp")
         _pack(kind, high, "clamp")
-        return _clamping(low, high)
+
+        def scalar(value: float) -> float:
+            # Compared in this order NaN becomes `low`.
+            return min(value, high) if value >= low else low
+
+        def vector(values: Vector) -> Vector:
+            return np.where(values >= low, np.where(values > high, high, values), low)
+
+        return Numbers(scalar, vector)
 
     return treat
 
 
-def _clamping(low: float, high: float) -> Numbers:
-    def scalar(value: float) -> float:
-        # Compared in this order NaN becomes `low`.
-        return min(value, high) if value >= low else low
-
-    def vector(values: Vector) -> Vector:
-        return np.where(values >= low, np.where(values > high, high, values), low)
-
-    return Numbers(scalar, vector)
-
-
 def _set(parameters: Parameters) -> TreatmentForType:
-    """Replace the value by this one."""
     value = parameters.get("value")
     expect(parameters, "value")
 
@@ -166,7 +349,6 @@ def _set(parameters: Parameters) -> TreatmentForType:
 
 
 def _redact(parameters: Parameters) -> TreatmentForType:
-    """Replace any text by this one."""
     text = parameters.get("text")
     expect(parameters, "text")
     if not isinstance(text, str):
@@ -181,34 +363,28 @@ def _redact(parameters: Parameters) -> TreatmentForType:
 
 
 def _truncate(parameters: Parameters) -> TreatmentForType:
-    """At most `length` characters of a string or elements of an array."""
     length = number(parameters, "length")
     expect(parameters, "length")
     if not isinstance(length, int) or not 0 <= length < 1 << 32:
         raise FilterRefused("truncate needs a non-negative whole length")
 
+    def characters(content: Buffer) -> tuple[Buffer, int]:
+        text = str(content, "utf-8")[:length].encode()
+        return text, len(text)
+
     def treat(kind: Type) -> Treatment:
         if isinstance(kind, Text):
-            return ContentTreatment(lambda content: _first_characters(content, length))
+            return ContentTreatment(characters)
         if isinstance(kind, Array) and kind.length is None and kind.element.size:
             size = kind.element.size
-            return ContentTreatment(lambda content: _first_elements(content, length, size))
+            most = length * size
+            return ContentTreatment(lambda content: (content[:most], len(content[:most]) // size))
         raise FilterRefused(
             "truncate needs a string or an array of variable length whose elements have a fixed"
             f" size above zero, not {kind.name}"
         )
 
     return treat
-
-
-def _first_characters(content: Buffer, length: int) -> tuple[bytes, int]:
-    text = str(content, "utf-8")[:length].encode()
-    return text, len(text)
-
-
-def _first_elements(content: Buffer, length: int, size: int) -> tuple[Buffer, int]:
-    kept = content[: length * size]
-    return kept, len(kept) // size
 
 
 _Operator: TypeAlias = Callable[[Parameters, Keys | None], TreatmentForType]
@@ -219,7 +395,6 @@ def _keyless(operator: Callable[[Parameters], TreatmentForType]) -> _Operator:
 
 
 def _hash(parameters: Parameters, keys: Keys | None) -> TreatmentForType:
-    """Replace a text by a pseudonym, equal for equal text and key (`filters.hashing`)."""
     length = integer(parameters, "length", 64) if "length" in parameters else DEFAULT_LENGTH
     expect(parameters, "key", *(parameters.keys() & {"length", "per"}))
     if parameters.get("per", RECEIVER) != RECEIVER:
@@ -237,15 +412,8 @@ def _hash(parameters: Parameters, keys: Keys | None) -> TreatmentForType:
     return treat
 
 
-_REGION: Final = ("x", "y", "width", "height")
-_SMALLEST: Final = 2  # pixels: a square of one is the picture
-
-
 def _pixelate(parameters: Parameters) -> TreatmentForType:
-    """Replace a picture, or a region of it, by squares of pixels; see `pictures`.
-
-    They are of `block` pixels, or at most `across` along the longer side; of both the coarser.
-    """
+    # They are of `block` pixels, or at most `across` along the longer side; of both the coarser.
     names = _REGION if parameters.keys() & set(_REGION) else ()
     across = integer(parameters, "across", MAX_SIDE) if "across" in parameters else None
     sized = across is None or "block" in parameters
@@ -265,7 +433,6 @@ def _pixelate(parameters: Parameters) -> TreatmentForType:
 
 
 def _sort(parameters: Parameters) -> TreatmentForType:
-    """Elements in the order of their bytes, after all other filters; see `sorting`."""
     expect(parameters)
 
     def treat(kind: Type) -> Treatment:
@@ -300,13 +467,7 @@ AFTER_OTHERS: Final = frozenset({"sort"})
 def treatment_for(rule: FilterRule, keys: Keys | None = None) -> TreatmentForType:
     """The function from field type to treatment that `rule` names.
 
-    Args:
-        rule: the rule.
-        keys: by name, for `hash`. None: only check the rule; messages to be hashed are refused.
-
-    Raises:
-        FilterRefused: unknown operator, other parameters than the operator's, or a key that is
-            not in `keys`. The returned function raises it for a type the operator cannot treat.
+    `keys` are by name, for `hash`. None: only check the rule; messages to be hashed are refused.
     """
     if rule.operator not in OPERATORS:
         close = difflib.get_close_matches(rule.operator, OPERATORS, 1)

@@ -1,46 +1,119 @@
-"""`tests` of a policy: what must stay true of it, read from the file. Values and their reader.
+"""`tests` of a policy: what must stay true of it, read from the file; and messages made for trying filters.
 
-Each assertion is about one node: what it `may` use, what it `may_not`, for what a person is asked
-(`asks`), and how precisely it `sees` fields of topics. With `at`, times, the conditions of rules
-count as they are then, for a `message` if one is given. `assertion_check` evaluates.
+Each assertion is about one node: what it `may` use, what it `may_not`, for what a person is asked (`asks`),
+and how precisely it `sees` fields of topics. With `at`, times, the conditions of rules count as they are
+then, for a `message` if one is given. `assertion_check` evaluates.
 """
 
-from collections.abc import Mapping
+import struct
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final, TypeAlias
 
-from grants.conditions.calendar import parse_timestamp
-from grants.errors import ConditionRefused
+from grants.conditions.compile import parse_timestamp
+from grants.errors import ConditionRefused, MessageRefused
+from grants.filters.layout import Array, Layout, Struct, Text, Type
 from grants.model import Right
-from grants.policy import readers
-from grants.policy.mistakes import Mistakes, suggest
+from grants.policy import source
 from grants.policy.model import EVERYONE, Subject, SubjectPattern
 from grants.policy.rules import RIGHTS
-from grants.policy.sample_messages import Value
-from grants.policy.source import Part, YamlMapping, YamlScalar
+from grants.policy.source import Mistakes, Part, YamlMapping, YamlScalar, suggest
+
+Value: TypeAlias = int | float | str
+_NANO: Final = 10**9
+
 
 _KEYS: Final = ("who", "may", "may_not", "asks", "sees", "at", "message")
 EXACT: Final = "exact"
 NOTHING: Final = "no"
-_LIMITS: Final = f"a number (no finer than that), {NOTHING} or {EXACT}"
-
+# Seen no finer than this; or `no`, not at all; or `exact`, as it is; or a level of a word.
 Limit: TypeAlias = float | str
-"""Seen no finer than this; or `no`, not at all; or `exact`, as it is; or a level of a word."""
+
+
+def below(paths: Iterable[str], path: str) -> list[str]:
+    plain = path.replace("[*]", "")
+    return [leaf for leaf in paths if f"{leaf.replace('[*]', '')}.".startswith(f"{plain}.")]
+
+
+# Messages for trying filters: a field that is not given is zero, an array has one element. Paths are those of
+# filters; times are seconds.
+def serialize(layout: Layout, values: Mapping[str, Value]) -> bytes:
+    return b"".join(_write(layout.root, "", values))
+
+
+def read_back(layout: Layout, message: bytes) -> dict[str, Value | None]:
+    """The values of all leaves; of an array the first, None if it is empty."""
+    found: dict[str, Value | None] = {}
+    try:
+        end = _read(layout.root, "", message, 0, found)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise MessageRefused("the message does not have its layout") from error
+    if end != len(message):
+        raise MessageRefused("the message does not end where its layout ends")
+    return {path: found.get(path) for path in layout.leaves()}
+
+
+def _member(kind: Array | Struct, path: str, name: str = "") -> str:
+    if isinstance(kind, Array):
+        return f"{path}[*]" if isinstance(kind.element, Struct) else path
+    return f"{path}.{name}" if path else name
+
+
+def _write(kind: Type, path: str, values: Mapping[str, Value]) -> Iterator[bytes]:
+    if isinstance(kind, Struct):
+        for name, member in kind.fields:
+            yield from _write(member, _member(kind, path, name), values)
+    elif isinstance(kind, Array):
+        count = 1 if kind.length is None else kind.length
+        if kind.length is None:
+            yield struct.pack("<I", count)
+        yield b"".join(_write(kind.element, _member(kind, path), values)) * count
+    elif isinstance(kind, Text):
+        text = str(values.get(path, "")).encode()
+        yield struct.pack("<I", len(text)) + text
+    else:
+        value = values.get(path, 0)
+        number = float(value) if kind.code in "fd" or len(kind.code) > 1 else int(value)
+        # A time or a duration is two numbers.
+        numbers = divmod(round(number * _NANO), _NANO) if len(kind.code) == 2 else (number,)
+        yield struct.pack(f"<{kind.code}", *numbers)
+
+
+def _count(data: bytes, at: int) -> int:
+    return int(struct.unpack_from("<I", data, at)[0])
+
+
+def _read(kind: Type, path: str, data: bytes, at: int, found: dict[str, Value | None]) -> int:
+    if isinstance(kind, Struct):
+        for name, member in kind.fields:
+            at = _read(member, _member(kind, path, name), data, at, found)
+        return at
+    if isinstance(kind, Array):
+        count = kind.length
+        if count is None:
+            count, at = _count(data, at), at + 4
+        for _ in range(min(count, len(data))):
+            at = _read(kind.element, _member(kind, path), data, at, found)
+        return at
+    if isinstance(kind, Text):
+        size = _count(data, at)
+        found.setdefault(path, data[at + 4 : at + 4 + size].decode())
+        return at + 4 + size
+    numbers = struct.unpack_from(f"<{kind.code}", data, at)
+    value = numbers[0] + numbers[1] / _NANO if len(numbers) == 2 else numbers[0]
+    found.setdefault(path, value)
+    return at + kind.size
 
 
 class Says(StrEnum):
-    """What an assertion says of a right."""
-
     MAY = "may"
     MAY_NOT = "may_not"
     ASKS = "asks"
 
 
 @dataclass(frozen=True)
-class Claim:
-    """Of one right on one name or pattern."""
-
+class CheckedClaim:
     says: Says
     right: Right
     name: str
@@ -49,8 +122,6 @@ class Claim:
 
 @dataclass(frozen=True)
 class SeenField:
-    """Of one field of a topic, or of one word of the vocabulary, such as `position`."""
-
     topic: str
     path: str
     limit: Limit
@@ -58,23 +129,14 @@ class SeenField:
 
 
 @dataclass(frozen=True)
-class Assertion:
-    """One item of `tests`.
-
-    Args:
-        subject: the node; of an identity that is a pattern, one that it covers.
-        at: seconds since the epoch; none: conditions are not evaluated.
-        message: values by path, for conditions on messages.
-        pattern: the nodes it is about, if it is about an identity that is a pattern.
-    """
-
-    subject: Subject
-    claims: tuple[Claim, ...] = ()
+class PolicyTest:
+    subject: Subject  # the node; of an identity that is a pattern, one that it covers
+    claims: tuple[CheckedClaim, ...] = ()
     seen: tuple[SeenField, ...] = ()
-    at: tuple[int, ...] = ()
-    message: Mapping[str, Value] = field(default_factory=dict)
+    at: tuple[int, ...] = ()  # seconds since the epoch; none: conditions are not evaluated
+    message: Mapping[str, Value] = field(default_factory=dict)  # by path, for conditions on messages
     line: int = 0
-    pattern: str = ""
+    pattern: str = ""  # the nodes it is about, if it is about an identity that is a pattern
 
 
 def read_tests(
@@ -82,23 +144,22 @@ def read_tests(
     identities: Mapping[str, SubjectPattern],
     groups: Mapping[str, tuple[SubjectPattern, ...]],
     mistakes: Mistakes,
-) -> tuple[Assertion, ...]:
-    """Read `tests`; one about a group is one about each of its members."""
+) -> tuple[PolicyTest, ...]:
     named = {name: (who,) for name, who in identities.items()}
     reader = _Reader({**named, **groups}, mistakes)
-    return tuple(each for item in readers.items(part) for each in reader.read(item))
+    return tuple(each for item in source.items(part) for each in reader.read(item))
 
 
+@dataclass
 class _Reader:
-    def __init__(self, named: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes) -> None:
-        self._named = named
-        self._mistakes = mistakes
+    _named: Mapping[str, tuple[SubjectPattern, ...]]
+    _mistakes: Mistakes
 
-    def read(self, part: Part) -> list[Assertion]:
-        mapping = readers.mapping(part, "a test", self._mistakes)
+    def read(self, part: Part) -> list[PolicyTest]:
+        mapping = source.mapping(part, "a test", self._mistakes)
         if mapping is None:
             return []
-        readers.check_keys(mapping, "a test", _KEYS, ("who",), self._mistakes)
+        source.check_keys(mapping, "a test", _KEYS, ("who",), self._mistakes)
         subjects = self._subjects(mapping.get("who"))
         claims = [claim for says in Says for claim in self._claims(mapping.get(says.value), says)]
         seen = self._seen(mapping.get("sees"), claims)
@@ -110,69 +171,64 @@ class _Reader:
             self._mistakes.add(message, "message needs at: conditions may read the time", "add at")
         values = self._message(message)
         return [
-            Assertion(subject, tuple(claims), tuple(seen), at, values, mapping.line, pattern)
+            PolicyTest(subject, tuple(claims), tuple(seen), at, values, mapping.line, pattern)
             for subject, pattern in subjects
         ]
 
     def _subjects(self, part: Part | None) -> list[tuple[Subject, str]]:
-        """The nodes, each with the pattern it stands for, if any."""
-        label = readers.text(part, "who", self._mistakes)
+        label = source.text(part, "who", self._mistakes)
         if label is None or part is None:
             return []
         if label in self._named:
-            return [_sample(who) for who in self._named[label]]
+            found = self._named[label]
+            return [(who.sample, who.node if who.node and "*" in who.node else "") for who in found]
         if not (label.startswith("/") or ":" in label) or "*" in label or label == EVERYONE:
             hint = suggest(label, self._named) if self._named else "for example /heating"
             self._mistakes.add(part, f"not a node, identity or group: {label[:60]!r}", hint)
             return []
-        name = readers.subject(part, "who", self._mistakes)
+        name = source.subject(part, "who", self._mistakes)
         return [] if name is None else [(Subject(name, bytes(32)), "")]
 
-    def _claims(self, part: Part | None, says: Says) -> list[Claim]:
-        rights = readers.mapping(part, says.value, self._mistakes)
-        found: list[Claim] = []
+    def _claims(self, part: Part | None, says: Says) -> list[CheckedClaim]:
+        rights = source.mapping(part, says.value, self._mistakes)
+        found: list[CheckedClaim] = []
         for label, (key, value) in rights.entries.items() if rights is not None else ():
             if label not in RIGHTS:
                 message = f"unknown right {label[:60]!r} in {says.value}"
                 self._mistakes.add(key, message, suggest(label, RIGHTS))
                 continue
-            for item in readers.items(value):
-                name = readers.own_pattern(item, label, RIGHTS[label], self._mistakes)
+            for item in source.items(value):
+                name = source.own_pattern(item, label, RIGHTS[label], self._mistakes)
                 if name is not None:
-                    found.append(Claim(says, RIGHTS[label], name, item.line))
+                    found.append(CheckedClaim(says, RIGHTS[label], name, item.line))
         return found
 
-    def _seen(self, part: Part | None, claims: list[Claim]) -> list[SeenField]:
-        """The fields; a topic of which nothing is seen is a claim."""
-        topics = readers.mapping(part, "sees", self._mistakes)
+    def _seen(self, part: Part | None, claims: list[CheckedClaim]) -> list[SeenField]:
+        topics = source.mapping(part, "sees", self._mistakes)
         found: list[SeenField] = []
         for key, value in topics.entries.values() if topics is not None else ():
-            topic = readers.own_pattern(key, "sees", Right.SUBSCRIBE, self._mistakes)
+            topic = source.own_pattern(key, "sees", Right.SUBSCRIBE, self._mistakes)
             if topic is None:
                 continue
             if isinstance(value, YamlScalar) and value.value == NOTHING:
-                claims.append(Claim(Says.MAY_NOT, Right.SUBSCRIBE, topic, key.line))
+                claims.append(CheckedClaim(Says.MAY_NOT, Right.SUBSCRIBE, topic, key.line))
                 continue
-            fields = readers.mapping(value, f"sees {topic}", self._mistakes)
+            fields = source.mapping(value, f"sees {topic}", self._mistakes)
             for path, (at, limit) in fields.entries.items() if fields is not None else ():
-                read = self._limit(limit)
-                if read is not None:
-                    found.append(SeenField(topic, path, read, at.line))
+                said = limit.value if isinstance(limit, YamlScalar) else None
+                if isinstance(said, str):
+                    found.append(SeenField(topic, path, said, at.line))
+                elif isinstance(said, int | float) and not isinstance(said, bool) and said > 0:
+                    found.append(SeenField(topic, path, float(said), at.line))
+                else:
+                    hint = f"write a number (no finer than that), {NOTHING} or {EXACT}"
+                    self._mistakes.add(limit, "how a field is seen is said otherwise", hint)
         return found
-
-    def _limit(self, part: Part) -> Limit | None:
-        value = part.value if isinstance(part, YamlScalar) else None
-        if isinstance(value, str):
-            return value
-        if isinstance(value, int | float) and not isinstance(value, bool) and value > 0:
-            return float(value)
-        self._mistakes.add(part, "how a field is seen is said otherwise", f"write {_LIMITS}")
-        return None
 
     def _times(self, part: Part | None) -> list[int]:
         found: list[int] = []
-        for item in readers.items(part):
-            text = readers.text(item, "at", self._mistakes) or "?"
+        for item in source.items(part):
+            text = source.text(item, "at", self._mistakes) or "?"
             try:
                 found.append(parse_timestamp(text))
             except ConditionRefused as error:
@@ -181,29 +237,20 @@ class _Reader:
         return found
 
     def _message(self, part: Part | None) -> dict[str, Value]:
-        """The values of a message, by path: `{pose: {x: 1}}` and `{pose.x: 1}` are the same one."""
         first: dict[str, YamlScalar] = {}
         for path, value in self._values(part, ""):
             if path in first:
-                readers.again(value, f"message: {path[:80]!r}", first[path], self._mistakes)
+                source.again(value, f"message: {path[:80]!r}", first[path], self._mistakes)
             first.setdefault(path, value)
         return {path: value.value for path, value in first.items()}
 
     def _values(self, part: Part | None, path: str) -> list[tuple[str, YamlScalar]]:
-        """The values in a message, by path."""
         if isinstance(part, YamlScalar) and path:
             return [(path, part)]
-        mapping = readers.mapping(part, path or "message", self._mistakes)
+        mapping = source.mapping(part, path or "message", self._mistakes)
         entries = mapping.entries.items() if isinstance(mapping, YamlMapping) else ()
         return [
             value
             for name, (_, inner) in entries
             for value in self._values(inner, f"{path}.{name}" if path else name)
         ]
-
-
-def _sample(who: SubjectPattern) -> tuple[Subject, str]:
-    """A node that `who` is for, and the pattern it stands for, if any."""
-    written = who.node or "/x"
-    node = written.replace("**", "x").replace("*", "x")
-    return Subject(node, who.key or bytes(32)), "" if node == written else written

@@ -1,23 +1,131 @@
 """The difference between what a policy wants for one node and the grants it has.
 
-A grant that says exactly what the policy says is kept, byte for byte, whoever asked for it. A grant
-of the policy that says anything else goes whole, and what is wanted and in no kept grant is signed
-anew: one grant for each set of rules, so that a changed rule touches no other grant. Each kept or
-signed grant alone gives no more than the policy: a peer presents only the grants it chooses.
-Grants made by hand are left alone; what they give against a denial is a contradiction.
+A grant that says exactly what the policy says is kept, byte for byte, whoever asked for it. A grant of the
+policy that says anything else goes whole, and what is wanted and in no kept grant is signed anew: one grant
+for each set of rules, so that a changed rule touches no other grant. Each kept or signed grant alone gives no
+more than the policy: a peer presents only the grants it chooses. Grants made by hand are left alone; what
+they give against a denial is a contradiction.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
+from enum import StrEnum
+from math import inf
 from typing import Final, NamedTuple
 
-from ca.patterns import tail_base
-from grants.model import Grant, Permission, Right
-from grants.policy.changes import Before, Change, change_of, kept, withdrawn
+from ca.names import tail_base
+from grants.model import KEEP_WHEN_STALE, Grant, Permission, Restriction, Right
+from grants.policy.decision import Verdict, span
 from grants.policy.model import Effect, PolicyRule, Subject
-from grants.policy.signable import divide, why_unsignable
+from grants.policy.restrictions import divide, why_unsignable
 from grants.policy.wanted import Atom, Wanted, WantedRight, WantedState, Withheld
+
+
+class ChangeKind(StrEnum):
+    NEW = "new"
+    NARROWER = "narrower"
+    WIDER = "wider"
+    CHANGED = "changed"
+    GONE = "no longer allowed"
+    KEPT = "kept"
+
+    @property
+    def sign(self) -> str:
+        return {ChangeKind.NEW: "+", ChangeKind.GONE: "-", ChangeKind.KEPT: "="}.get(self, "~")
+
+
+@dataclass(frozen=True)
+class Change:
+    """One right on one pattern for one node, before and after a policy is applied."""
+
+    kind: ChangeKind
+    subject: Subject
+    right: Right
+    pattern: str
+    restrictions: tuple[str, ...]  # as text, with the validity; of the new grant, or of the one that goes
+    rules: tuple[PolicyRule, ...] = ()  # that decide, or deny it now; none if none allows it any more
+    before: tuple[str, ...] = ()  # what it was as text, where it is changed
+
+
+class Before(NamedTuple):
+    """A right in a grant that goes: its entries, and how long it was given for, in seconds."""
+
+    entries: frozenset[Permission]
+    lifetime: int
+    longest: int
+
+
+def kept(subject: Subject, wanted: WantedRight) -> Change:
+    return Change(ChangeKind.KEPT, subject, *wanted.atom, _text(wanted), wanted.rules)
+
+
+def change_of(subject: Subject, wanted: WantedRight, before: "Before | None" = None) -> Change:
+    if before is None:
+        return Change(ChangeKind.NEW, subject, *wanted.atom, _text(wanted), wanted.rules)
+    longest = max(wanted.lifetime, wanted.renew_until)
+    new = _measure(wanted.permissions, wanted.lifetime, longest)
+    old = _measure(before.entries, before.lifetime, before.longest)
+    was = () if old == new else (*_lines(before.entries), _validity(before.lifetime, before.longest))
+    # Wider and narrower is what is certain: one set of restrictions includes the other, no rate or time is
+    # higher.
+    match old.allows(new), new.allows(old):
+        case True, False:
+            kind = ChangeKind.NARROWER
+        case False, True:
+            kind = ChangeKind.WIDER
+        case True, True:
+            kind = ChangeKind.KEPT
+        case _:
+            kind = ChangeKind.CHANGED
+    return Change(kind, subject, *wanted.atom, _text(wanted), wanted.rules, was)
+
+
+def withdrawn(subject: Subject, atom: Atom, verdict: Verdict, before: Before) -> Change:
+    rules = tuple(dict.fromkeys(verdict.rules))
+    return Change(ChangeKind.GONE, subject, *atom, _lines(before.entries), rules)
+
+
+def _lines(entries: Iterable[Permission]) -> tuple[str, ...]:
+    found = [item.restriction for item in entries if item.restriction is not None]
+    return tuple(sorted({line for item in found for line in item.lines()}))
+
+
+def _text(wanted: WantedRight) -> tuple[str, ...]:
+    return (*_lines(wanted.permissions), _validity(wanted.lifetime, wanted.renew_until))
+
+
+def _validity(lifetime: int, longest: int) -> str:
+    renewed = f", renewed until {span(longest)}" if longest > lifetime else ""
+    return f"valid {span(lifetime)}{renewed}"
+
+
+class _Measure(NamedTuple):
+    facts: frozenset[str]
+    rate: float
+    keeps: bool
+    lifetime: int
+    longest: int
+
+    def allows(self, other: "_Measure") -> bool:
+        return self.facts <= other.facts and self[1:] == tuple(map(max, self[1:], other[1:]))
+
+
+def _measure(entries: Iterable[Permission], lifetime: int, longest: int) -> _Measure:
+    found = [item.restriction for item in entries]
+    rates = [item.rate for item in found if item is not None and item.rate is not None]
+    keeps = bool(found) and all(item is not None and item.keep_when_stale for item in found)
+    facts = frozenset(fact for item in found if item is not None for fact in _facts(item))
+    return _Measure(facts, min(rates, default=inf), keeps, lifetime, longest)
+
+
+def _facts(restriction: Restriction) -> Iterator[str]:
+    if restriction.type is not None:
+        yield f"only {restriction.type}"
+    for line in restriction.lines():
+        if line != KEEP_WHEN_STALE and not line.startswith("at most "):
+            yield line
+
 
 # Below what a node presents: it has grants by hand too, and both of a renewal for a while.
 MAX_GRANTS: Final = 24  # with more, rules with the same validity share a grant
@@ -32,8 +140,7 @@ class RecordedGrant(NamedTuple):
 
 
 class Contradiction(NamedTuple):
-    """A right of a grant made by hand which `rule` denies."""
-
+    # A right of a grant made by hand which `rule` denies.
     grant: Grant
     right: Right
     pattern: str
@@ -42,26 +149,17 @@ class Contradiction(NamedTuple):
 
 @dataclass(frozen=True)
 class NodeDifference:
-    """What applying the policy changes for one node.
-
-    Args:
-        changes: each right on each pattern, also those that are kept.
-        sign: the grants to sign, each as the rights in it.
-        revoke: the grants that go.
-        replaced: of these, what the policy says exactly, and that only shares a grant from now on.
-        refused: why some of what the policy allows is in no grant, for people; all else is done.
-        due: kept grants of which two thirds of the time are over, and that nothing replaces.
-        ends: when the first of its rights from the policy ends, seconds; None without any.
-    """
+    """What applying the policy changes for one node."""
 
     subject: Subject
-    changes: tuple[Change, ...] = ()
-    sign: tuple[tuple[WantedRight, ...], ...] = ()
-    revoke: tuple[Grant, ...] = ()
+    changes: tuple[Change, ...] = ()  # each right on each pattern, also those that are kept
+    sign: tuple[tuple[WantedRight, ...], ...] = ()  # the grants to sign, each as the rights in it
+    revoke: tuple[Grant, ...] = ()  # the grants that go
+    # Of these, what the policy says exactly, and that only shares a grant from now on.
     replaced: tuple[Grant, ...] = ()
-    refused: tuple[str, ...] = ()
-    due: tuple[Grant, ...] = ()
-    ends: int | None = None
+    refused: tuple[str, ...] = ()  # why some of what the policy allows is in no grant; all else is done
+    due: tuple[Grant, ...] = ()  # kept, with two thirds of the time over, and that nothing replaces
+    ends: int | None = None  # when the first of its rights from the policy ends, seconds
     withheld: tuple[Withheld, ...] = ()
     contradictions: tuple[Contradiction, ...] = ()
 
@@ -85,28 +183,18 @@ class NodeDifference:
 
 @dataclass(frozen=True)
 class Moment:
-    """When and how the difference is made.
-
-    Args:
-        now: seconds since the epoch.
-        skew: seconds by which grants are backdated.
-        renews: whether the master can renew grants now: then they end with their cap.
-        renew_due: sign anew what is due.
-        renewed_until: when that ends, if it is known; nothing is renewed beyond it.
-    """
+    """When and how the difference is made; times in seconds."""
 
     now: int
-    skew: int = 0
-    renews: bool = False
-    renew_due: bool = False
-    renewed_until: int | None = None
+    skew: int = 0  # by which grants are backdated
+    renews: bool = False  # whether the master can renew grants now: then they end with their cap
+    renew_due: bool = False  # sign anew what is due
+    renewed_until: int | None = None  # when that ends, if it is known; nothing is renewed beyond it
 
     def end(self, grant: Grant) -> int:
-        """When `grant` ends, if nothing else is signed."""
         return self._end(grant.expires, grant.cap)
 
     def end_of(self, wanted: WantedRight) -> int:
-        """When a grant signed now for `wanted` ends."""
         longest = max(wanted.lifetime, wanted.renew_until)
         return self._end(self.now + wanted.lifetime, self.now + longest)
 
@@ -116,7 +204,6 @@ class Moment:
         return cap if self.renewed_until is None else max(expires, min(cap, self.renewed_until))
 
     def is_due(self, grant: Grant) -> bool:
-        """Whether two thirds of its time are over."""
         begin, end = grant.not_before + self.skew, self.end(grant)
         return self.now >= begin + (end - begin) * 2 // 3
 
@@ -143,10 +230,9 @@ def difference(
     ending = [grant for grant in chosen.held if not new >= atoms(grant).keys()]
     ends = [moment.end(grant) for grant in ending]
     ends += [moment.end_of(group[0]) for group in chosen.sign]
-    changes = _changes(state, subject, chosen.rights, chosen.held, chosen.gone, moment.skew)
     return NodeDifference(
         subject,
-        tuple(changes),
+        tuple(_changes(state, subject, chosen, moment.skew)),
         tuple(chosen.sign),
         tuple(chosen.gone),
         tuple(chosen.replaced),
@@ -159,8 +245,6 @@ def difference(
 
 
 class _Chosen(NamedTuple):
-    """What is signed and what goes; `rights` are those that are wanted, without what is refused."""
-
     rights: dict[Atom, WantedRight]
     sign: list[tuple[WantedRight, ...]]
     gone: list[Grant]
@@ -170,9 +254,8 @@ class _Chosen(NamedTuple):
 
 
 def _choose(
-    state: WantedState, subject: Subject, wanted: Wanted, ours: list[Grant], moment: Moment,
-    *, gets: bool,
-) -> _Chosen:  # fmt: skip
+    state: WantedState, subject: Subject, wanted: Wanted, ours: list[Grant], moment: Moment, *, gets: bool
+) -> _Chosen:
     exact = [grant for grant in ours if _is_exact(state, subject, grant, moment.skew)]
     gone = [grant for grant in ours if grant not in exact]
     held = [grant for grant in exact if moment.now < moment.end(grant)]
@@ -193,7 +276,10 @@ def _choose(
             return _Chosen(every, shared, ours, [], exact, refused)
     room = max(MAX_PRESENTED - len(lasting), 0)
     if len(sign) > room:
-        refused.append(_too_many(subject, number))
+        refused.append(
+            f"{subject.name} would need {number} grants where at most {MAX_PRESENTED} are allowed:"
+            " give patterns instead of names in the rules for it"
+        )
         for each in (each for group in sign for each in group):
             del rights[each.atom]
         sign = []
@@ -212,28 +298,21 @@ def atoms(grant: Grant) -> dict[Atom, frozenset[Permission]]:
 
 
 def _is_exact(state: WantedState, subject: Subject, grant: Grant, skew: int) -> bool:
-    """Whether the policy decides each right of `grant` exactly as it says, for as long."""
     for atom, entries in atoms(grant).items():
         verdict = state.decide(subject, atom)
         if verdict.effect is not Effect.ALLOW:
             return False
-        wanted = WantedRight.of(verdict)
-        if frozenset(wanted.permissions) != entries or not _lasts(wanted, grant, skew):
+        wanted, begin = WantedRight.of(verdict), grant.not_before + skew
+        lasts = (wanted.lifetime, max(wanted.lifetime, wanted.renew_until))
+        if frozenset(wanted.permissions) != entries or (grant.expires - begin, grant.cap - begin) != lasts:
             return False
     return True
-
-
-def _lasts(wanted: WantedRight, grant: Grant, skew: int) -> bool:
-    """Whether the grant has the validity of the rules."""
-    renewal = max(wanted.lifetime, wanted.renew_until)
-    begin = grant.not_before + skew
-    return (grant.expires - begin, grant.cap - begin) == (wanted.lifetime, renewal)
 
 
 def _still_allowed(
     state: WantedState, subject: Subject, gone: Iterable[Grant], wanted: Mapping[Atom, WantedRight]
 ) -> dict[Atom, WantedRight]:
-    """What grants that go gave on request, and the policy allows otherwise than before."""
+    # What grants that go gave on request, and the policy allows otherwise than before.
     asked = {atom for grant in gone for atom in atoms(grant)} - wanted.keys()
     verdicts = (state.decide(subject, atom) for atom in sorted(asked))
     found = [WantedRight.of(verdict) for verdict in verdicts if verdict.effect is Effect.ALLOW]
@@ -241,7 +320,6 @@ def _still_allowed(
 
 
 def _due(ending: Iterable[Grant], moment: Moment) -> list[Grant]:
-    """The grants that end soon, and whose rights are in no grant that lasts longer."""
     last: dict[Atom, int] = {}
     held = list(ending)
     for grant in held:
@@ -257,7 +335,7 @@ def _due(ending: Iterable[Grant], moment: Moment) -> list[Grant]:
 def _drop_unsignable(
     subject: Subject, rights: dict[Atom, WantedRight], satisfied: AbstractSet[Atom]
 ) -> Iterator[str]:
-    """Take out of `rights` what is to be signed and cannot be; yields why, for each."""
+    # Take out of `rights` what is to be signed and cannot be; yields why, for each.
     for atom, each in [*rights.items()]:
         if atom not in satisfied and (reason := why_unsignable(each.permissions)):
             del rights[atom]
@@ -265,53 +343,29 @@ def _drop_unsignable(
             yield f"{subject.name}: {what}: {reason}"
 
 
-def _too_many(subject: Subject, number: int) -> str:
-    return (
-        f"{subject.name} would need {number} grants where at most {MAX_PRESENTED} are allowed:"
-        " give patterns instead of names in the rules for it"
-    )
-
-
-def _groups(
-    rights: Iterable[WantedRight], *, by_rules: bool = True
-) -> list[tuple[WantedRight, ...]]:
-    """The rights by grant: those of the same rules and validity, at most `MAX_ENTRIES` each.
-
-    Tail patterns have grants of their own: a verifier that does not know them refuses the grant.
-    """
+def _groups(rights: Iterable[WantedRight], *, by_rules: bool = True) -> list[tuple[WantedRight, ...]]:
+    # Tail patterns have grants of their own: a verifier that does not know them refuses the grant.
     groups: dict[tuple[str, int, int, bool], list[WantedRight]] = {}
     for each in rights:
         rules, tail = each.rule_ids if by_rules else "", tail_base(each.pattern) is not None
         groups.setdefault((rules, each.lifetime, each.renew_until, tail), []).append(each)
-    return [part for group in groups.values() for part in divide(group, _entries)]
+    return [part for group in groups.values() for part in divide(group, lambda right: right.permissions)]
 
 
-def _entries(right: WantedRight) -> tuple[Permission, ...]:
-    return right.permissions
-
-
-def _changes(
-    state: WantedState,
-    subject: Subject,
-    rights: Mapping[Atom, WantedRight],
-    held: list[Grant],
-    gone: list[Grant],
-    skew: int,
-) -> Iterator[Change]:
-    before = {atom: each for grant in gone for atom, each in _before(grant, skew)}
-    now = {atom for grant in held for atom in atoms(grant)}
+def _changes(state: WantedState, subject: Subject, chosen: _Chosen, skew: int) -> Iterator[Change]:
+    rights = chosen.rights
+    before = {
+        atom: Before(entries, *(end - grant.not_before - skew for end in (grant.expires, grant.cap)))
+        for grant in chosen.gone
+        for atom, entries in atoms(grant).items()
+    }
+    now = {atom for grant in chosen.held for atom in atoms(grant)}
     for atom, each in rights.items():
         yield kept(subject, each) if atom in now else change_of(subject, each, before.get(atom))
     for atom in sorted(now - rights.keys()):
         yield kept(subject, WantedRight.of(state.decide(subject, atom)))
     for atom in sorted(before.keys() - rights.keys() - now):
         yield withdrawn(subject, atom, state.decide(subject, atom), before[atom])
-
-
-def _before(grant: Grant, skew: int) -> Iterator[tuple[Atom, Before]]:
-    begin = grant.not_before + skew
-    for atom, entries in atoms(grant).items():
-        yield atom, Before(entries, grant.expires - begin, grant.cap - begin)
 
 
 def _contradictions(

@@ -1,43 +1,174 @@
 """What each receiver of a policy sees: every topic, with all that holds for it together.
 
-Lint judges what a node gets, not what a rule says: two rules that are wise alone may undo each
-other. A receiver is one sample node for each subject of the policy, once for each key that is
-pinned for such a node; what a person may still approve counts as seen.
+Lint judges what a node gets, not what a rule says: two rules that are wise alone may undo each other. A
+receiver is one sample node for each subject of the policy, once for each key that is pinned for such a node;
+what a person may still approve counts as seen. What a field shows (`Aspect`) is said by `grants.vocabulary`;
+where that knows nothing of a number, by its name, and where a topic has no type, by the topic's.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from typing import Final
 
-from ca.patterns import covers
-from grants.filters.layout import Layout
+from ca.names import pattern_covers
+from grants.filters.layout import Array, Layout, Primitive
 from grants.model import FilterRule, Right
 from grants.policy.decision import Decider, Verdict
-from grants.policy.lint_facts import (
-    AMBIENT,
-    CLOUDS,
-    DEPTH,
-    EVERYWHERE,
-    Aspect,
-    aspects,
-    conventional,
-    is_known,
-)
 from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject, SubjectPattern
-from grants.policy.own_names import is_own
-from grants.policy.patterns import includes
-from grants.policy.privacy import filters_of, leaf_paths
-from grants.vocabulary.describe import Description
+from grants.policy.names import includes, is_own
+from grants.policy.privacy import leaf_paths
+from grants.vocabulary.assess import filters_of
+from grants.vocabulary.contents import Content, Description, FieldContent
+
+
+class Aspect(StrEnum):
+    POSITION = "position"
+    HEADING = "orientation"
+    MOVEMENT = "movement"
+    COVARIANCE = "covariance"
+    TIME = "time"
+    COUNT = "count"
+    SURROUNDINGS = "surroundings"
+    IMAGE = "image"
+    NAME = "name"
+    JOINT = "joints"
+    JOINT_RATE = "movement of joints"
+    STATE = "state"  # of a battery, a goal, an air: it changes with where that is
+    WARMTH = "temperature"
+    HUMIDITY = "humidity"
+    LIGHT = "brightness"
+    PLAN = "map"
+    SOUND = "sound"
+    MARK = "mark"
+    NOTHING = "nothing"
+
+
+_OF: Final[Mapping[Content, Aspect]] = {
+    Content.COORDINATE: Aspect.POSITION,
+    Content.DEGREES: Aspect.POSITION,
+    Content.HEIGHT: Aspect.POSITION,
+    Content.HEADING: Aspect.HEADING,
+    Content.VELOCITY: Aspect.MOVEMENT,
+    Content.CONTROL: Aspect.MOVEMENT,
+    Content.UNCERTAINTY: Aspect.COVARIANCE,
+    Content.TIME: Aspect.TIME,
+    Content.COUNT: Aspect.COUNT,
+    Content.DISTANCE: Aspect.SURROUNDINGS,
+    Content.MAP: Aspect.SURROUNDINGS,
+    Content.PICTURE: Aspect.IMAGE,
+    Content.COMPRESSED_PICTURE: Aspect.IMAGE,
+    Content.NAME: Aspect.NAME,
+    Content.REQUEST: Aspect.NAME,
+    Content.MARK: Aspect.MARK,
+    Content.WEAR: Aspect.MARK,
+    Content.FORCE: Aspect.MOVEMENT,
+    Content.SAMPLES: Aspect.SOUND,
+    Content.STATE: Aspect.STATE,
+    Content.CHARGE: Aspect.STATE,
+    Content.PRESSURE: Aspect.STATE,
+    Content.TEMPERATURE: Aspect.WARMTH,
+    Content.AMBIENT_TEMPERATURE: Aspect.WARMTH,
+    Content.HUMIDITY: Aspect.HUMIDITY,
+    Content.AMBIENT_HUMIDITY: Aspect.HUMIDITY,
+    Content.BRIGHTNESS: Aspect.LIGHT,
+    Content.AMBIENT_BRIGHTNESS: Aspect.LIGHT,
+    Content.JOINT: Aspect.JOINT,
+}
+# Beside the values these have sizes and states, which alone show little.
+_NUMBERS_ONLY: Final = frozenset({Content.UNCERTAINTY, Content.DISTANCE, Content.MAP})
+# Of a sensor that may be carried about, so the room follows from it.
+AMBIENT: Final = (Content.AMBIENT_TEMPERATURE, Content.AMBIENT_HUMIDITY, Content.AMBIENT_BRIGHTNESS)
+# Types in whose points a person is recognised as in a picture; the names of their topics.
+DEPTH: Final = frozenset({"sensor_msgs/PointCloud", "sensor_msgs/PointCloud2", "stereo_msgs/DisparityImage"})
+CLOUDS: Final = ("points", "pointcloud")
+_STEADY: Final = ("diagnostic_msgs/", "tf2_msgs/")  # their states hardly tell where something is
+_RATES: Final = ("velocity", "velocities", "accelerations", "effort")
+_NAMED: Final[Mapping[str, Aspect]] = {
+    **dict.fromkeys(("x", "y", "latitude", "longitude", "lat", "lon", "lng"), Aspect.POSITION),
+    **dict.fromkeys(("theta", "yaw", "heading"), Aspect.HEADING),
+    **dict.fromkeys(
+        ("vx", "vy", "speed", "velocity", "linear_velocity", "angular_velocity"), Aspect.MOVEMENT
+    ),
+}
+_CONVENTIONS: Final[Mapping[str, Aspect]] = {
+    **dict.fromkeys(("tf", "odom", "amcl_pose", "pose", "plan", "path", "fix"), Aspect.POSITION),
+    **dict.fromkeys(("cmd_vel", "imu"), Aspect.MOVEMENT),
+    **dict.fromkeys(("mag", "compass", "magnetic_field"), Aspect.HEADING),
+    **dict.fromkeys(("battery", "battery_state", "barometer", "fluid_pressure"), Aspect.STATE),
+    **dict.fromkeys(("audio", "microphone", "mic"), Aspect.SOUND),
+    "joint_states": Aspect.JOINT,
+    **dict.fromkeys(("scan", *CLOUDS), Aspect.SURROUNDINGS),
+    **dict.fromkeys(("camera", "image", "image_raw", "image_color", "compressed"), Aspect.IMAGE),
+    **dict.fromkeys(("clock", "rosout", "rosout_agg", "map", "camera_info", "tf_static"), Aspect.NOTHING),
+}
+# Topics of most robots, which a pattern may cover though no line names them.
+EVERYWHERE: Final = ("/tf", "/odom", "/amcl_pose", "/scan", "/cmd_vel", "/camera/image_raw", "/fix")
+
+
+def aspects(described: Description, topic: str = "") -> dict[str, Aspect]:
+    found = {field.path: _aspect(field, described, topic) for field in described.fields}
+    return {path: aspect for path, aspect in found.items() if aspect is not Aspect.NOTHING}
+
+
+def is_known(described: Description) -> bool:
+    if all(field.content is not Content.UNKNOWN for field in described.fields):
+        return True
+    return any(_by_name(field) is not Aspect.NOTHING for field in described.fields)
+
+
+def conventional(topic: str) -> Aspect | None:
+    """What a topic whose type is not given shows by its name; None if that says nothing."""
+    named = [segment for segment in topic.split("/") if "*" not in segment]
+    return _CONVENTIONS.get(named[-1])  # the first is empty
+
+
+def _aspect(field: FieldContent, described: Description, topic: str) -> Aspect:
+    if field.content is Content.UNKNOWN:
+        return _by_name(field)
+    is_value = isinstance(field.kind, Array) or (
+        isinstance(field.kind, Primitive) and field.kind.code in "fd"
+    )
+    steady = field.content is Content.STATE and described.type_name.startswith(_STEADY)
+    if steady or (field.content in _NUMBERS_ONLY and not is_value):
+        return Aspect.NOTHING
+    if field.content is Content.MAP and "local" not in topic:
+        return Aspect.PLAN  # the map of a house is not where the robot is
+    if field.content is Content.UNCERTAINTY:
+        return _of_uncertainty(field, described)
+    if field.content is Content.JOINT and _last(field.path) in _RATES:
+        return Aspect.JOINT_RATE
+    return _OF.get(field.content, Aspect.NOTHING)
+
+
+def _of_uncertainty(field: FieldContent, described: Description) -> Aspect:
+    above = field.path.rpartition(".")[0]
+    velocities = (one.path for one in described.fields if one.content is Content.VELOCITY)
+    if any(path.startswith(above) for path in velocities):
+        return Aspect.MOVEMENT  # to be cleared with it, as one message
+    if field.path.endswith("covariance"):
+        return Aspect.COVARIANCE
+    return Aspect.POSITION  # a policy says of its own type that the field tells a position
+
+
+def _by_name(field: FieldContent) -> Aspect:
+    if field.content is not Content.UNKNOWN or not isinstance(field.kind, Primitive):
+        return Aspect.NOTHING
+    return _NAMED.get(_last(field.path), Aspect.NOTHING)
+
+
+def _last(path: str) -> str:
+    return path.rpartition(".")[2]
+
 
 LayoutOf = Callable[[str], Layout]
 
 _HIDES: Final = frozenset({"clear", "set", "redact", "drop", "zero"})
 _DEGREES: Final = frozenset({"latitude", "longitude"})
+# Squares by which attackers' programs recognise few faces: 96 pixels in squares of 32 are 53 %.
 SMALLEST_BLOCK: Final = 32
 MOST_ACROSS: Final = 20
-"""Squares by which attackers' programs recognise few faces: 96 pixels in squares of 32 are 53 %."""
 _FLOORS: Final[dict[Aspect, float]] = {
     Aspect.POSITION: 0.1,  # metres; localisation indoors errs by half of it
     Aspect.SURROUNDINGS: 0.1,
@@ -51,31 +182,24 @@ _DEGREE_FLOOR: Final = 0.0001  # eleven metres, what a receiver in a street errs
 
 
 class Precision(StrEnum):
-    """What is left of a field."""
-
     EXACT = "exact"
     COARSE = "coarse"
     HIDDEN = "hidden"
 
 
 @dataclass(frozen=True)
-class Receiver:
-    """A sample node, and the subject of the policy it stands for."""
-
+class LintReceiver:
     subject: Subject
     who: SubjectPattern
 
     @property
     def label(self) -> str:
-        """The name of the subject in the policy; of a member of a group that of the group."""
         return self.who.group or self.who.label
 
 
 @dataclass(frozen=True)
 class View:
-    """What a receiver sees of one topic, or of all topics of a pattern."""
-
-    receiver: Receiver
+    receiver: LintReceiver
     topic: str
     verdict: Verdict
     layout: Layout | None
@@ -83,27 +207,22 @@ class View:
 
     @cached_property
     def filters(self) -> tuple[FilterRule, ...]:
-        """All filters together."""
         return tuple(rule for item in self.verdict.restrictions for rule in item.filters)
 
     @cached_property
     def aspects(self) -> dict[str, Aspect]:
-        """What each leaf of the message shows."""
         return aspects(self.described, self.topic) if self.described is not None else {}
 
     @cached_property
     def is_known(self) -> bool:
-        """Whether it is known what the topic shows: by its type, else by its name."""
         if self.described is not None:
             return is_known(self.described)
         return conventional(self.topic) is not None
 
     def of(self, *wanted: Aspect) -> list[str]:
-        """The leaves that show one of these."""
         return [path for path, aspect in self.aspects.items() if aspect in wanted]
 
     def left(self, path: str) -> Precision:
-        """What all filters together leave of the leaf at `path`."""
         aspect = self.aspects.get(path, Aspect.NOTHING)
         return max(
             (_left_by(rule, aspect, path) for rule in filters_of(self.filters, path)),
@@ -112,66 +231,54 @@ class View:
         )
 
     def exact(self, *wanted: Aspect) -> list[str]:
-        """The leaves that show one of these exactly."""
         return [path for path in self.of(*wanted) if self.left(path) is Precision.EXACT]
 
     def treated(self, *wanted: Aspect) -> list[str]:
-        """The leaves that show one of these coarsely or not at all."""
+        # The leaves that show one of these coarsely or not at all.
         return [path for path in self.of(*wanted) if self.left(path) is not Precision.EXACT]
 
     def coarse(self, *wanted: Aspect) -> list[str]:
-        """The leaves that show one of these coarsely."""
         return [path for path in self.of(*wanted) if self.left(path) is Precision.COARSE]
 
     def shows(self, first: Aspect, *others: Aspect) -> bool:
-        """Whether one of these is seen exactly, and the first is not treated."""
+        # Whether one of these is seen exactly, and the first is not treated.
         if self.layout is None:
             return conventional(self.topic) in (first, *others)
         return bool(self.exact(first, *others)) and not self.treated(first)
 
     @property
     def shows_climate(self) -> bool:
-        """Whether it shows exactly what a sensor measures that may be carried about."""
         fields = self.described.fields if self.described is not None else ()
-        ambient = {field.path for field in fields if field.content in AMBIENT}
+        ambient = (field.path for field in fields if field.content in AMBIENT)
         return any(self.left(path) is Precision.EXACT for path in ambient)
 
     @property
     def shows_depth(self) -> bool:
-        """Whether it shows exactly what a camera of depth sees: points in space, not one plane."""
+        # Whether it shows exactly what a camera of depth sees: points in space, not one plane.
         if self.layout is None:
             return self.topic.rpartition("/")[2] in CLOUDS
         return self.layout.type_name in DEPTH and bool(self.exact(Aspect.SURROUNDINGS))
 
     @property
-    def is_slow(self) -> bool:
-        """Whether something limits how often messages come, or tells only in which slot."""
-        return self.verdict.rate is not None or self.has_slot
-
-    @property
     def has_slot(self) -> bool:
-        """Whether only one message in each slot comes."""
         return any(item.slot is not None for item in self.verdict.restrictions)
 
     @property
     def hides_presence(self) -> bool:
-        """Whether its slots are about when messages come, not what is left of their content."""
+        # Whether its slots are about when messages come, not what is left of their content.
         return self.has_slot and (self.is_empty or not self.filters)
 
     @cached_property
     def is_empty(self) -> bool:
-        """Whether filters leave nothing of the message but that it was sent."""
         if self.layout is None or not self.filters:
             return False
         return all(self.left(path) is Precision.HIDDEN for path in leaf_paths(self.layout))
 
     @property
     def rule(self) -> PolicyRule:
-        """The deciding rule that filters the topic, else the first."""
         return self.place()[0]
 
     def place(self, of: FilterRule | None = None) -> tuple[PolicyRule, Clause]:
-        """The rule and clause with the filter `of`; without: the first with any, else the first."""
         places = list(zip(self.verdict.rules, self.verdict.clauses, strict=True))
         for rule, clause in places:
             own = clause.restriction.filters if clause.restriction is not None else ()
@@ -180,12 +287,14 @@ class View:
         return places[0]
 
     @property
+    def pattern(self) -> str:
+        return self.verdict.clauses[0].pattern
+
+    @property
     def is_below_pattern(self) -> bool:
-        """Whether no rule names the topic itself: a pattern covers it."""
         return all(clause.pattern != self.topic for clause in self.verdict.clauses)
 
     def filter_on(self, path: str) -> FilterRule:
-        """The first filter that treats the leaf at `path`."""
         return filters_of(self.filters, path)[0]
 
 
@@ -205,7 +314,6 @@ def _left_by(rule: FilterRule, aspect: Aspect, path: str) -> Precision:
 
 
 def too_small(rule: FilterRule) -> bool:
-    """Whether squares of pixels hide nothing: they are small, and many fit across a picture."""
     given = dict(rule.parameters)
     block, across = given.get("block"), given.get("across")
     if isinstance(across, int) and across <= MOST_ACROSS:
@@ -214,7 +322,6 @@ def too_small(rule: FilterRule) -> bool:
 
 
 def too_fine(rule: FilterRule, aspect: Aspect, path: str) -> bool:
-    """Whether a step is smaller than what sensors of this kind err."""
     step = dict(rule.parameters).get("step")
     degrees = path.rpartition(".")[2] in _DEGREES
     floor = _DEGREE_FLOOR if degrees else _FLOORS.get(aspect, 0.0)
@@ -223,39 +330,33 @@ def too_fine(rule: FilterRule, aspect: Aspect, path: str) -> bool:
 
 @dataclass(frozen=True)
 class Scene:
-    """A policy, and everything that its receivers see."""
-
     policy: Policy
     layout_of: LayoutOf
     _layouts: dict[str, Layout] = field(default_factory=dict)
-    _contents: dict[str, tuple[Layout, Description] | tuple[None, None]] = field(
-        default_factory=dict
-    )
+    _contents: dict[str, tuple[Layout, Description] | tuple[None, None]] = field(default_factory=dict)
 
     @cached_property
     def decider(self) -> Decider:
-        """Decides by the policy."""
         return Decider(self.policy)
 
     @cached_property
-    def views(self) -> dict[Receiver, list[View]]:
-        """All views, by receiver."""
+    def views(self) -> dict[LintReceiver, list[View]]:
         return {receiver: list(self._views(receiver)) for receiver in receivers(self.policy)}
 
+    @property
+    def all_views(self) -> Iterator[View]:
+        return (view for views in self.views.values() for view in views)
+
     def contents(self, topic: str) -> tuple[Layout, Description] | tuple[None, None]:
-        """The messages of `topic`, and what they contain, if the policy says their type."""
-        if topic not in self._contents:
-            kind = self.policy.type_of(topic)
-            self._contents[topic] = (None, None) if kind is None else self._read(kind, topic)
-        return self._contents[topic]
+        kind = self.policy.type_of(topic) if topic not in self._contents else None
+        if kind is not None:
+            if kind not in self._layouts:
+                self._layouts[kind] = self.layout_of(kind)
+            layout = self._layouts[kind]
+            self._contents[topic] = layout, self.policy.vocabulary.describe(layout, topic)
+        return self._contents.setdefault(topic, (None, None))
 
-    def _read(self, kind: str, topic: str) -> tuple[Layout, Description]:
-        if kind not in self._layouts:
-            self._layouts[kind] = self.layout_of(kind)
-        layout = self._layouts[kind]
-        return layout, self.policy.vocabulary.describe(layout, topic)
-
-    def _views(self, receiver: Receiver) -> Iterator[View]:
+    def _views(self, receiver: LintReceiver) -> Iterator[View]:
         rules = self.decider.rules_of(receiver.subject)
         for topic in _topics(self.policy, rules, receiver.subject):
             verdict = self.decider.decide_by(rules, receiver.subject, Right.SUBSCRIBE, topic)
@@ -264,7 +365,6 @@ class Scene:
 
 
 def _topics(policy: Policy, rules: Iterable[PolicyRule], subject: Subject) -> list[str]:
-    """What the rules name, and what is known of the topics below their patterns."""
     named = {
         found.pattern
         for rule in rules
@@ -274,37 +374,19 @@ def _topics(policy: Policy, rules: Iterable[PolicyRule], subject: Subject) -> li
     }
     wide = [pattern for pattern in named if "*" in pattern]
     known = [*policy.types, *EVERYWHERE] if wide else []
-    below = {
-        topic
-        for topic in known
-        if not is_own(topic) and any(includes(pattern, topic) for pattern in wide)
-    }
-    return sorted(named | below)
+    topics = (topic for topic in known if not is_own(topic))
+    return sorted(named.union(each for each in topics if any(includes(pattern, each) for pattern in wide)))
 
 
-def receivers(policy: Policy) -> list[Receiver]:
-    """The receivers of everything that rules allow or prompt for, each once."""
-    found: dict[Subject, Receiver] = {}
-    pinned = [who for who in _subjects(policy) if who.key is not None]
-    for who in _subjects(policy):
-        name = sample_subject(who).name
-        keys = {who.key} if who.key is not None else {None, *_pinned_for(name, pinned)}
+def receivers(policy: Policy) -> list[LintReceiver]:
+    found: dict[Subject, LintReceiver] = {}
+    rules = (rule for rule in policy.rules if rule.effect is not Effect.DENY)
+    subjects = list(dict.fromkeys(who for rule in rules for who in rule.who))
+    for who in subjects:
+        name, keys = who.sample.name, {who.key}
+        if who.key is None:
+            keys |= {each.key for each in subjects if each.node is None or pattern_covers(each.node, name)}
         for key in keys:
             subject = Subject(name, key or bytes(32))
-            found.setdefault(subject, Receiver(subject, who))
+            found.setdefault(subject, LintReceiver(subject, who))
     return list(found.values())
-
-
-def _subjects(policy: Policy) -> list[SubjectPattern]:
-    rules = (rule for rule in policy.rules if rule.effect is not Effect.DENY)
-    return list(dict.fromkeys(who for rule in rules for who in rule.who))
-
-
-def _pinned_for(name: str, pinned: Iterable[SubjectPattern]) -> set[bytes | None]:
-    return {who.key for who in pinned if who.node is None or covers(who.node, name)}
-
-
-def sample_subject(who: SubjectPattern) -> Subject:
-    """A subject that matches `who`, for trial decisions."""
-    node = (who.node or "/x").replace("**", "x").replace("*", "x")
-    return Subject(node, who.key or bytes(32))

@@ -1,29 +1,178 @@
 """A policy as values: identities, rules, and the names and rights in each rule.
 
-All values are made by `grants.policy.read`, which checked them; nothing refers to the file any
-more, except the line number of a rule.
+All values are made by `grants.policy.read`, which checked them; nothing refers to the file any more, except
+the line number of a rule. The vocabulary of a policy names types (`acme_msgs/Bed`) and topics (`/door/open`,
+for a value whose meaning only the topic knows). A field tells a word, and is then hidden at every level but
+`exact`, or has a content of `grants.vocabulary.contents`, and is then treated as these are. What the standard
+table knows cannot be said otherwise.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
-from ca.domains.aliases import is_alias
-from ca.patterns import covers
+from ca.names import is_alias, pattern_covers
+from grants.errors import FilterRefused
+from grants.filters.layout import TYPE_NAME, Layout
 from grants.limits import rate_text
 from grants.model import FilterRule, Restriction, Right
-from grants.policy.own_names import any_node, is_own, resolve
-from grants.policy.patterns import includes
-from grants.policy.vocabulary import Vocabulary
+from grants.policy import source
+from grants.policy.names import BEGINS_TOPIC, any_node, includes, intersects, is_own, resolve
+from grants.policy.source import Mistakes, Part, YamlMapping, YamlScalar, suggest
+from grants.vocabulary.contents import NOT_KNOWN, Content, DataWord, Description, Fields, describe
+from grants.vocabulary.levels import Treatment, plan_treatment
 
 if TYPE_CHECKING:
-    from grants.policy.assertions import Assertion
+    from grants.policy.assertions import PolicyTest as Assertion
 
 EVERYONE: Final = "*"
 MINUTE, HOUR, DAY = 60, 3600, 86400
 LIFETIME: Final = 7 * DAY
 PROMPT_TIMEOUT: Final = MINUTE
+
+# A word alone: a content of that word that no level shows in part.
+_HIDDEN: Final[dict[str, Content]] = {
+    DataWord.POSITION: Content.UNCERTAINTY,
+    DataWord.MOVEMENT: Content.JOINT,
+    DataWord.IMAGE: Content.COMPRESSED_PICTURE,
+    DataWord.SOUND: Content.SAMPLES,
+    DataWord.PRESENCE: Content.TIME,
+    DataWord.IDENTITY: Content.MARK,
+    DataWord.HOME: Content.READING,
+}
+# Pixels can only be treated where their size is said, in a sensor_msgs/Image.
+_UNSAID: Final = NOT_KNOWN | {Content.PICTURE}
+# What a policy can say of a field.
+SAYABLE: Final[Mapping[str, Content]] = {
+    **{one.value: one for one in Content if one not in _UNSAID},
+    **_HIDDEN,
+}
+
+
+@dataclass(frozen=True)
+class Vocabulary:
+    """Contents by field, by type and by topic or pattern of topics; and the rooms there are."""
+
+    types: Mapping[str, Fields] = field(default_factory=dict)
+    topics: Mapping[str, Fields] = field(default_factory=dict)
+    rooms: Treatment | None = None
+
+    def describe(self, layout: Layout, topic: str = "") -> Description:
+        """The contents of messages of `layout` on `topic`."""
+        here = self._said(topic)
+        doubtful = dict.fromkeys(self.contradictions(layout, topic), Content.UNKNOWN)
+        return describe(layout, self.types, {**here, **doubtful})
+
+    def contradictions(self, layout: Layout, topic: str) -> dict[str, str]:
+        """Fields of which the vocabulary says one thing here and another elsewhere in `topic`.
+
+        Each with the topic or pattern that says so: a narrower one than the pattern `topic`, or one
+        that overlaps with another. None can be held for all, so they are unknown.
+        """
+        here = self._said(topic)
+        known = describe(layout, self.types, here)
+        found: dict[str, str] = {}
+        for pattern, fields in self.topics.items() if topic else ():
+            if self._decides(pattern, topic) or not intersects(any_node(pattern), any_node(topic)):
+                continue
+            for path, content in fields.items():
+                below = {one.content for one in known.fields if _is_below(one.path, path)}
+                if below - {content}:
+                    found[path] = pattern
+        return found
+
+    def _said(self, topic: str) -> dict[str, Content]:
+        covering = [pattern for pattern in self.topics if topic and self._covers(pattern, topic)]
+        here: dict[str, Content] = {}
+        # The narrower, the later, so that it decides.
+        wider = {one: sum(self._covers(one, other) for other in covering) for one in covering}
+        for pattern in sorted(covering, key=wider.__getitem__, reverse=True):
+            here.update(self.topics[pattern])
+        return here
+
+    def _covers(self, pattern: str, topic: str) -> bool:
+        return includes(any_node(pattern), any_node(topic))
+
+    def _decides(self, pattern: str, topic: str) -> bool:
+        # Whether `pattern` covers `topic`, and what it says is said again or not contradicted.
+        # So it is if `topic` itself is in the vocabulary, or all that cover it are nested.
+        covering = [each for each in self.topics if self._covers(each, topic)]
+        return pattern in covering and (
+            topic in covering
+            or all(self._covers(pattern, one) or self._covers(one, pattern) for one in covering)
+        )
+
+
+# The layout of a type; None if it is unknown, which is then recorded as a mistake.
+LayoutOfType = Callable[[str, YamlScalar], Layout | None]
+
+
+def read_rooms(part: Part | None, mistakes: Mistakes) -> Treatment | None:
+    mapping = source.mapping(part, "rooms", mistakes)
+    if mapping is None:
+        return None
+    plan = {name: source.text(value, name, mistakes) for name, (_, value) in mapping.entries.items()}
+    if None in plan.values():
+        return None
+    try:
+        return plan_treatment({name: text for name, text in plan.items() if text is not None})
+    except FilterRefused as error:
+        mistakes.add(mapping, str(error).removeprefix("position: "), error.hint)
+        return None
+
+
+def read_vocabulary(
+    part: Part | None,
+    rooms: Part | None,
+    types: Mapping[str, str],
+    layout_of: LayoutOfType,
+    mistakes: Mistakes,
+) -> Vocabulary:
+    mapping = source.mapping(part, "vocabulary", mistakes)
+    found: dict[bool, dict[str, Fields]] = {True: {}, False: {}}
+
+    def read_key(key: YamlScalar) -> str | None:
+        is_topic = str(key.value).startswith(BEGINS_TOPIC)
+        return source.pattern(key, "topic", mistakes) if is_topic else str(key.value)
+
+    for name, key, value in source.by_name(mapping, "vocabulary", read_key, mistakes):
+        is_topic = name.startswith(BEGINS_TOPIC)
+        type_name = types.get(name) if is_topic else name
+        fields = source.mapping(value, f"vocabulary of {name}", mistakes)
+        if type_name is None:
+            hint = suggest(name, types) or f"add it to types: {{{name}: package/Type}}"
+            mistakes.add(key, f"the message type of {name[:80]} is unknown", hint)
+        elif fields is not None and TYPE_NAME.fullmatch(type_name) is None:
+            mistakes.add(key, f"not a type or a topic: {type_name[:80]!r}", "package/Type, or /topic")
+        elif fields is not None and (layout := layout_of(type_name, key)) is not None:
+            found[is_topic][name] = _fields(layout, fields, mistakes)
+    return Vocabulary(found[False], found[True], read_rooms(rooms, mistakes))
+
+
+def _is_below(leaf: str, path: str) -> bool:
+    return f"{leaf}.".replace("[*]", "").startswith(f"{path}.")
+
+
+def _fields(layout: Layout, mapping: YamlMapping, mistakes: Mistakes) -> Fields:
+    known = describe(layout)
+    fields: dict[str, Content] = {}
+    for path, key, value in source.by_name(
+        mapping, known.type_name, lambda key: str(key.value).replace("[*]", ""), mistakes
+    ):
+        said = source.choice(value, "word or content", SAYABLE, mistakes)
+        if said is None:
+            continue
+        below = [one for one in known.fields if _is_below(one.path, path)]
+        if not below:
+            hint = suggest(path, [one.path for one in known.fields])
+            mistakes.add(key, f"no field {path[:80]!r} in {known.type_name}", hint)
+        elif any(one.content not in NOT_KNOWN for one in below):
+            message = f"{path} of {known.type_name} is in the standard vocabulary"
+            mistakes.add(key, message, f"it is: {below[0].content}; remove this line")
+        else:
+            fields[path] = SAYABLE[said]
+    return fields
 
 
 class Effect(StrEnum):
@@ -66,19 +215,23 @@ class SubjectPattern:
     group: str = ""
 
     def matches(self, subject: Subject) -> bool:
-        """Whether `subject` matches for certain: by name, and by key if one is pinned."""
-        return self._name_fits(subject) and self.key in (None, subject.key)
+        named = self.node is not None and pattern_covers(self.node, subject.name)
+        if is_alias(subject.name):
+            named = named and is_alias(self.node or "")
+        elif self.node is None:
+            named = True
+        return named and self.key in (None, subject.key)
 
     def may_match(self, subject: Subject) -> bool:
-        """Whether `subject` matches by name *or* by pinned key: enough for a denial."""
         by_key = self.key is not None and self.key == subject.key
-        by_name = self.node is not None and covers(self.node, subject.name)
+        by_name = self.node is not None and pattern_covers(self.node, subject.name)
         return by_key or by_name
 
-    def _name_fits(self, subject: Subject) -> bool:
-        if is_alias(subject.name):
-            return self.node is not None and is_alias(self.node) and covers(self.node, subject.name)
-        return self.node is None or covers(self.node, subject.name)
+    @property
+    def sample(self) -> Subject:
+        """A subject that it matches, for trial decisions."""
+        node = (self.node or "/x").replace("**", "x").replace("*", "x")
+        return Subject(node, self.key or bytes(32))
 
 
 @dataclass(frozen=True)
@@ -96,7 +249,6 @@ class Clause:
     written: str = ""
 
     def of(self, subject: Subject) -> "Clause | None":
-        """It for `subject`: `{node}/pose` with its name; None if it is about nothing then."""
         if not is_own(self.pattern):
             return self
         pattern = resolve(self.pattern, subject.name, tail=subject.tail)
@@ -104,11 +256,9 @@ class Clause:
 
     @property
     def shown(self) -> str:
-        """The pattern, for people."""
         return f"{self.written}, here {self.pattern}" if self.written else self.pattern
 
     def lines(self) -> list[str]:
-        """The restrictions as text."""
         lines = self.restriction.lines() if self.restriction is not None else []
         return lines if self.rate is None else [*lines, rate_text(self.rate)]
 
@@ -118,8 +268,7 @@ class PolicyRule:
     """One rule.
 
     Args:
-        lifetime, renew_until: seconds; `renew_until` 0 is never. The policy's defaults if the
-            rule has none; `has_lifetime` says whether it has.
+        lifetime, renew_until: seconds, 0 is never renewed; the policy's defaults if not `has_lifetime`.
         keep_when_stale: connections stay open on stale revocation data (`on_stale: keep`).
     """
 
@@ -145,13 +294,11 @@ class PolicyRule:
 
     @property
     def subjects_text(self) -> str:
-        """The subjects, by their labels in the policy; of a group its name."""
         exceptions = _labels(self.exceptions)
         return _labels(self.who) + (f" except {exceptions}" if exceptions else "")
 
     @property
     def reason(self) -> str:
-        """The id and the reason as text."""
         return f"rule {self.id}" + (f": {self.why}" if self.why else "")
 
 
@@ -161,8 +308,6 @@ def _labels(subjects: Iterable[SubjectPattern]) -> str:
 
 @dataclass(frozen=True)
 class Defaults:
-    """Values for rules without their own; an unanswered prompt is a denial."""
-
     decision: Effect = Effect.DENY
     lifetime: int = LIFETIME
     renew_until: int = 0
@@ -192,7 +337,6 @@ class Policy:
     titles: Mapping[str, str] = field(default_factory=dict)
 
     def type_of(self, name: str) -> str | None:
-        """The message type of the topic or pattern `name`, if the policy has one."""
         return type_of(self.types, name)
 
 
@@ -204,13 +348,7 @@ def type_of(types: Mapping[str, str], name: str) -> str | None:
         found = {kind for of, kind in types.items() if includes(any_node(of), any_node(name))}
     elif "*" in name:
         return None
-    else:
-        found = {kind for of, kind in types.items() if _is_of(of, name)}
+    else:  # most are names, which cover no other one
+        patterns = ((of, kind) for of, kind in types.items() if "*" in of or is_own(of))
+        found = {kind for of, kind in patterns if includes(any_node(of), name)}
     return found.pop() if len(found) == 1 else None
-
-
-def _is_of(pattern: str, name: str) -> bool:
-    """Whether a type given for `pattern` is that of `name`, which may be a tail pattern."""
-    if "*" not in pattern and not is_own(pattern):
-        return pattern == name  # most are names, and each is compared for each name without a type
-    return includes(any_node(pattern), name)

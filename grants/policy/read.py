@@ -1,43 +1,48 @@
-"""The closed schema of a policy: from the tree of the file to a `Policy`, or to its mistakes.
+"""The closed schema of a policy: from the tree of the file to a `Policy`, or to its mistakes. Pure.
 
-Any other key is a mistake. Conditions and filters are compiled against the message type of every
-topic they are for, so a rule that cannot be applied is never accepted.
+Any other key is a mistake. Conditions and filters are compiled against the message type of every topic they
+are for, so a rule that cannot be applied is never accepted. At the end: the JSON Schema of a policy for
+editors (structure and keys, not message types); `policy.schema.json` beside this module is its text.
 """
 
-from collections.abc import Callable, Collection
-from typing import Final
+import json
+import unicodedata
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
 
 from ca.errors import HintedError
-from ca.suggestions import closest
+from ca.names import closest
 from grants.filters.layout import Layout, parse
-from grants.policy import readers
-from grants.policy.assertions import read_tests
-from grants.policy.basics import ID as BASICS_ID
-from grants.policy.basics import basics_rule, read_basics
-from grants.policy.fields import FieldRule, read_fields
-from grants.policy.mistakes import Mistake, Mistakes
+from grants.filters.operators import OPERATORS
+from grants.limits import MAX_PAD, MAX_SLOT, MIN_PAD, MIN_SLOT
+from grants.policy import source
+from grants.policy.assertions import NOTHING, Says, read_tests
 from grants.policy.model import (
     EVERYONE,
     LIFETIME,
     PROMPT_TIMEOUT,
+    SAYABLE,
     Defaults,
     Effect,
     Policy,
     PolicyRule,
     SubjectPattern,
+    Vocabulary,
+    read_vocabulary,
 )
-from grants.policy.own_names import NODE
-from grants.policy.rules import RuleReader
-from grants.policy.source import Part, YamlMapping, YamlScalar, read_source
-from grants.policy.subjects import Subjects
-from grants.policy.titles import read_titles
-from grants.policy.vocabulary import Vocabulary, read_vocabulary
+from grants.policy.names import NODE
+from grants.policy.restrictions import FieldRule, read_fields
+from grants.policy.rules import EXTRAS, RIGHTS, RuleReader, Subjects, basics_rule, read_basics
+from grants.policy.rules import ID as BASICS_ID
+from grants.policy.source import Mistake, Mistakes, Part, YamlMapping, YamlScalar, read_source, suggest
+from grants.vocabulary.contents import LEVELS
 
 VERSION: Final = 1
 _TOP: Final = (
-    "rossec", "robot", "basics", "defaults", "identities", "groups", "types", "vocabulary",
-    "rooms", "filters", "rules", "tests", "title",
-)  # fmt: skip
+    *("rossec", "robot", "basics", "defaults", "identities", "groups", "types", "vocabulary", "rooms"),
+    *("filters", "rules", "tests", "title"),
+)
 _REQUIRED: Final = {
     "rossec": "rossec: 1",
     "robot": "robot: NAME, what the policy is for: a robot, a home; reports are headed with it",
@@ -45,15 +50,16 @@ _REQUIRED: Final = {
 }
 _DEFAULTS: Final = ("decision", "lifetime", "renew_until", "prompt_timeout")
 
+MAX_TITLE: Final = 60  # characters
+_MAX_MARKS: Final = 2  # combining ones in a row: more of them cover the lines above and below
+_MARKS: Final = (["Mn"], ["Me"], ["Mc"])
+_HARMFUL: Final = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
+
 Definition = Callable[[str], str]
 
 
 def load(
-    text: str,
-    definition: Definition,
-    *,
-    file: str = "policy.yaml",
-    known_types: Collection[str] = (),
+    text: str, definition: Definition, *, file: str = "policy.yaml", known_types: Collection[str] = ()
 ) -> Policy:
     """Read a policy.
 
@@ -63,55 +69,63 @@ def load(
             is unknown.
         file: its name, for mistakes.
         known_types: names to suggest for a misspelt type.
-
-    Raises:
-        PolicyRefused: with every mistake of the file.
     """
     mistakes = Mistakes(file)
-    source = read_source(text, mistakes)
-    policy = _PolicyReader(mistakes, definition, known_types).read(source)
+    top = read_source(text, mistakes)
+    policy = _PolicyReader(mistakes, definition, known_types).read(top)
     mistakes.raise_if_any()
     return policy
 
 
 def mistakes_in(error: Exception) -> tuple[Mistake, ...]:
     """The mistakes a `PolicyRefused` carries."""
-    found = getattr(error, "mistakes", ())
-    return tuple(item for item in found if isinstance(item, Mistake))
+    return tuple(item for item in getattr(error, "mistakes", ()) if isinstance(item, Mistake))
 
 
+@dataclass
 class _PolicyReader:
-    def __init__(
-        self, mistakes: Mistakes, definition: Definition, known_types: Collection[str]
-    ) -> None:
-        self._mistakes = mistakes
-        self._definition = definition
-        self._known_types = known_types
+    _mistakes: Mistakes
+    _definition: Definition
+    _known_types: Collection[str]
 
-    def read(self, source: Part | None) -> Policy:
-        if not isinstance(source, YamlMapping):
-            position = source or YamlScalar("", 1, 1)
+    def read(self, top: Part | None) -> Policy:
+        if not isinstance(top, YamlMapping):
+            position = top or YamlScalar("", 1, 1)
             self._mistakes.add(position, "a policy is a mapping", "begin with: rossec: 1")
-            source = YamlMapping({}, 1, 1)
-        readers.check_keys(source, "the policy", _TOP, _REQUIRED, self._mistakes)
-        self._version(source.get("rossec"))
-        defaults = self._defaults(source.get("defaults"))
-        identities = self._identities(source.get("identities"))
-        layouts, types = self._types(source.get("types"))
-        vocabulary = self._vocabulary(source, types, layouts)
-        filters = self._filters(source.get("filters"))
-        subjects = Subjects(self._mistakes, identities, source.get("groups"))
+            top = YamlMapping({}, 1, 1)
+        source.check_keys(top, "the policy", _TOP, _REQUIRED, self._mistakes)
+        version = top.get("rossec")
+        if version is not None and (
+            not isinstance(version, YamlScalar) or version.value is True or version.value != VERSION
+        ):
+            hint = f"this rossec reads version {VERSION}"
+            self._mistakes.add(version, "a policy of an unknown version", hint)
+        defaults = self._defaults(top.get("defaults"))
+        identities = self._identities(top.get("identities"))
+        layouts, types = self._types(top.get("types"))
+        vocabulary = self._vocabulary(top, types, layouts)
+        filters = self._filters(top.get("filters"))
+        subjects = Subjects(self._mistakes, identities, top.get("groups"))
         reader = RuleReader(self._mistakes, defaults, subjects, types, layouts, filters, vocabulary)
-        rules = self._rules(source.get("rules"), reader)
-        rules += self._basics(source.get("basics"), defaults, rules)
-        robot = readers.text(source.get("robot"), "robot", self._mistakes)
+        rules = self._rules(top.get("rules"), reader)
+        rules += self._basics(top.get("basics"), defaults, rules)
+        robot = source.text(top.get("robot"), "robot", self._mistakes)
         filter_rules = {name: tuple(item.rule for item in rules) for name, rules in filters.items()}
-        tests = read_tests(source.get("tests"), identities, subjects.groups, self._mistakes)
+        tests = read_tests(top.get("tests"), identities, subjects.groups, self._mistakes)
         return Policy(
-            robot or "", defaults, identities, types, rules, self._mistakes.file, filter_rules,
-            subjects.groups, subjects.unused, vocabulary, tests,
-            read_titles(source.get("title"), subjects.groups, self._mistakes),
-        )  # fmt: skip
+            robot or "",
+            defaults,
+            identities,
+            types,
+            rules,
+            self._mistakes.file,
+            filter_rules,
+            subjects.groups,
+            subjects.unused,
+            vocabulary,
+            tests,
+            read_titles(top.get("title"), subjects.groups, self._mistakes),
+        )
 
     def _basics(
         self, part: Part | None, defaults: Defaults, rules: tuple[PolicyRule, ...]
@@ -125,25 +139,16 @@ class _PolicyReader:
                 self._mistakes.add(at, f"the rule of basics is called {rule.id!r}", "rename it")
         return (basics_rule(extras, part.line, defaults, rules),)
 
-    def _version(self, part: Part | None) -> None:
-        if part is not None and not (isinstance(part, YamlScalar) and part.value is not True
-                                     and part.value == VERSION):  # fmt: skip
-            hint = f"this rossec reads version {VERSION}"
-            self._mistakes.add(part, "a policy of an unknown version", hint)
-
     def _defaults(self, part: Part | None) -> Defaults:
-        mapping = readers.mapping(part, "defaults", self._mistakes)
+        mapping = source.mapping(part, "defaults", self._mistakes)
         if mapping is None:
             return Defaults()
-        readers.check_keys(mapping, "defaults", _DEFAULTS, (), self._mistakes)
-        decision = readers.choice(
-            mapping.get("decision"), "default decision", ("deny", "prompt"), self._mistakes
-        )
-        lifetime = readers.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
-        renew = readers.duration(
-            mapping.get("renew_until"), "renew_until", self._mistakes, never=True
-        )
-        timeout = readers.duration(mapping.get("prompt_timeout"), "prompt_timeout", self._mistakes)
+        source.check_keys(mapping, "defaults", _DEFAULTS, (), self._mistakes)
+        choices = ("deny", "prompt")
+        decision = source.choice(mapping.get("decision"), "default decision", choices, self._mistakes)
+        lifetime = source.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
+        renew = source.duration(mapping.get("renew_until"), "renew_until", self._mistakes, never=True)
+        timeout = source.duration(mapping.get("prompt_timeout"), "prompt_timeout", self._mistakes)
         return Defaults(
             Effect(decision) if decision is not None else Effect.DENY,
             LIFETIME if lifetime is None else lifetime,
@@ -153,45 +158,38 @@ class _PolicyReader:
         )
 
     def _identities(self, part: Part | None) -> dict[str, SubjectPattern]:
-        mapping = readers.mapping(part, "identities", self._mistakes)
+        mapping = source.mapping(part, "identities", self._mistakes)
         found: dict[str, SubjectPattern] = {}
         for name, (key, value) in mapping.entries.items() if mapping is not None else ():
-            who = self._identity(name, key, value)
+            if name == EVERYONE or name.startswith("/") or ":" in name:
+                self._mistakes.add(key, f"{name[:60]!r} cannot be the name of an identity")
             # Kept even if invalid, so that rules with it are not reported as well.
-            found[name] = who or SubjectPattern(name)
+            found[name] = SubjectPattern(name)
+            who = source.mapping(value, f"identity {name}", self._mistakes)
+            if who is None:
+                continue
+            source.check_keys(who, f"identity {name}", ("node", "key"), (), self._mistakes)
+            node = source.subject(who.get("node"), f"node of {name}", self._mistakes)
+            found[name] = SubjectPattern(name, node, source.key(who.get("key"), self._mistakes))
+            if who.get("node") is None and who.get("key") is None:
+                hint = "add node: /name, or key: ..."
+                self._mistakes.add(who, f"identity {name} has neither node nor key", hint)
         return found
 
-    def _identity(self, name: str, key: YamlScalar, part: Part) -> SubjectPattern | None:
-        if name == EVERYONE or name.startswith("/") or ":" in name:
-            self._mistakes.add(key, f"{name[:60]!r} cannot be the name of an identity")
-        mapping = readers.mapping(part, f"identity {name}", self._mistakes)
-        if mapping is None:
-            return None
-        readers.check_keys(mapping, f"identity {name}", ("node", "key"), (), self._mistakes)
-        node = readers.subject(mapping.get("node"), f"node of {name}", self._mistakes)
-        pinned = readers.key(mapping.get("key"), self._mistakes)
-        if mapping.get("node") is None and mapping.get("key") is None:
-            self._mistakes.add(
-                mapping, f"identity {name} has neither node nor key", "add node: /name, or key: ..."
-            )
-        return SubjectPattern(name, node, pinned)
-
     def _types(self, part: Part | None) -> tuple[dict[str, Layout], dict[str, str]]:
-        """Layouts by type name, and type names by topic pattern."""
         layouts: dict[str, Layout] = {}
         types: dict[str, str] = {}
-        mapping = readers.mapping(part, "types", self._mistakes)
+        mapping = source.mapping(part, "types", self._mistakes)
         kinds: dict[YamlScalar, str] = {}
         for key, value in mapping.entries.values() if mapping is not None else ():
-            name = readers.text(value, f"the type of {key.value}", self._mistakes)
+            name = source.text(value, f"the type of {key.value}", self._mistakes)
             if name is not None and name not in layouts:
                 self._layout(name, value, layouts)
             if name is not None:
                 kinds[key] = name
-        for topic, key, _ in readers.by_name(
-            mapping, "types", lambda key: readers.pattern(key, "topic", self._mistakes),
-            self._mistakes,
-        ):  # fmt: skip
+        for topic, key, _ in source.by_name(
+            mapping, "types", lambda key: source.pattern(key, "topic", self._mistakes), self._mistakes
+        ):
             if topic == NODE:
                 self._mistakes.add(key, f"{NODE} is no topic", "name one of its topics: ~/pose")
             if key in kinds:
@@ -216,28 +214,239 @@ class _PolicyReader:
                 self._layout(name, position, known)
             return known.get(name)
 
-        said, rooms = source.get("vocabulary"), source.get("rooms")
-        return read_vocabulary(said, rooms, types, layout_of, self._mistakes)
+        return read_vocabulary(
+            source.get("vocabulary"), source.get("rooms"), types, layout_of, self._mistakes
+        )
 
     def _filters(self, part: Part | None) -> dict[str, tuple[FieldRule, ...]]:
         found: dict[str, tuple[FieldRule, ...]] = {}
-        mapping = readers.mapping(part, "filters", self._mistakes)
+        mapping = source.mapping(part, "filters", self._mistakes)
         for name, (_, value) in mapping.entries.items() if mapping is not None else ():
-            fields = readers.mapping(value, f"filter {name}", self._mistakes)
+            fields = source.mapping(value, f"filter {name}", self._mistakes)
             found[name] = read_fields(fields, self._mistakes) if fields is not None else ()
         return found
 
     def _rules(self, part: Part | None, reader: RuleReader) -> tuple[PolicyRule, ...]:
         first: dict[str, Part] = {}
         rules: list[PolicyRule] = []
-        for item in readers.items(part):
+        for item in source.items(part):
             rule = reader.read(item)
-            if rule is None:
-                continue
-            if rule.id in first:
+            if rule is not None and rule.id in first:
                 at = f"{first[rule.id].line}:{first[rule.id].column}"
                 message = f"duplicate rule {rule.id!r}; the first is in {at}"
                 self._mistakes.add(item, message, "use a unique id")
-            first.setdefault(rule.id, item)
-            rules.append(rule)
+            if rule is not None:
+                first.setdefault(rule.id, item)
+                rules.append(rule)
         return tuple(rules)
+
+
+# Titles: `title: {/doctor: Dr. Meier, /robot/pose: where the robot is, lamps: a lamp of the house}`, that
+# of a group for its members. A title decides nothing, and is shown beside the name of ROS, never instead of
+# it. So that it can imitate neither a name nor another title, no two names have the same, and `flaw_of`
+# bounds it.
+
+
+def flaw_of(title: str) -> str:
+    kinds = [unicodedata.category(char) for char in title]
+    spaces = {char for kind, char in zip(kinds, title, strict=True) if kind == "Zs"}
+    runs = "".join("M" if kind in ("Mn", "Me") else " " for kind in kinds).split()
+    flaws = (
+        (not 1 <= len(title) <= MAX_TITLE, f"1 to {MAX_TITLE} characters"),
+        (not _HARMFUL.isdisjoint(kinds), "no control, format or direction characters"),
+        (not spaces <= {" "}, "no other spaces than the usual one"),
+        (" ".join(title.split()) != title, "single spaces, and none at its ends"),
+        (unicodedata.normalize("NFC", title) != title, "the composed form of Unicode (NFC)"),
+        (kinds[:1] in _MARKS or max(map(len, runs), default=0) > _MAX_MARKS, "few combining marks"),
+        ("/" in title, "no slash: it would look like a name"),
+    )
+    return next((f"a title has {said}" for is_flawed, said in flaws if is_flawed), "")
+
+
+def read_titles(
+    part: Part | None, groups: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes
+) -> dict[str, str]:
+    mapping = source.mapping(part, "title", mistakes)
+    found: dict[str, str] = {}
+    of_groups: dict[str, str] = {}
+    first: dict[str, YamlScalar] = {}
+    for text, (key, value) in mapping.entries.items() if mapping is not None else ():
+        title = source.text(value, f"the title of {text[:60]}", mistakes)
+        names = _names(text, key, groups, mistakes)
+        if title is not None and (flaw := flaw_of(title)):
+            mistakes.add(value, f"the title of {text[:60]}: {flaw}", "for example: Dr. Meier")
+            continue
+        if title is None or not names:
+            continue
+        same = title.casefold()
+        if same in first:
+            source.again(value, f"title: {title!r}", first[same], mistakes)
+        first.setdefault(same, key)
+        (of_groups if text in groups else found).update(dict.fromkeys(names, title))
+    return {**of_groups, **found}
+
+
+def _names(
+    text: str, key: YamlScalar, groups: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes
+) -> tuple[str, ...]:
+    if text.startswith("/") or ":" in text:
+        name = source.subject(key, "title", mistakes)
+        return () if name is None else (name,)
+    if text in groups:
+        return tuple(each.node for each in groups[text] if each.node is not None)
+    hint = suggest(text, groups) if groups else "a name begins with /: /doctor, /robot/pose"
+    mistakes.add(key, f"title: {text[:60]!r} is neither a name nor a group", hint)
+    return ()
+
+
+_NAME: Final = r"[A-Za-z][A-Za-z0-9_]*"
+_SEGMENT: Final = rf"(?:{_NAME}|\*\*?)"
+_PATTERN: Final = {"type": "string", "pattern": rf"^(?:/{_SEGMENT})+$"}
+_OWN_NAMES: Final = rf"\{{node\}}(?:/{_SEGMENT})*|~(?:/{_SEGMENT})+"
+_RULE_PATTERN: Final = {"type": "string", "pattern": rf"^(?:(?:/{_SEGMENT})+|{_OWN_NAMES})$"}
+_TOPIC: Final = r"^(?:/|~/|\{node\})"
+_FIELD: Final = rf"^{_NAME}(?:\[\*\])?(?:\.{_NAME}(?:\[\*\])?)*$"
+_DURATION: Final = {"type": "string", "pattern": "^[1-9][0-9]{0,5}[smhdw]$"}
+_RENEW: Final = {"anyOf": [_DURATION, {"const": "never"}]}
+_TEXT: Final = {"type": "string", "minLength": 1, "maxLength": 1000}
+
+_LIMIT: Final = {
+    "type": "object",
+    "properties": {
+        "rate": {"type": "number", "exclusiveMinimum": 0},
+        "slot": {"type": "integer", "minimum": MIN_SLOT, "maximum": MAX_SLOT},
+        "body": {"type": "string", "pattern": "^[A-Za-z][A-Za-z0-9_-]{0,63}$"},
+        "pad": {"type": "integer", "minimum": MIN_PAD, "maximum": MAX_PAD},
+    },
+    "minProperties": 1,
+    "additionalProperties": False,
+}
+
+
+def _object(properties: dict[str, Any], *required: str) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": list(required),
+        "additionalProperties": False,
+    }
+
+
+def _one_or_many(item: dict[str, Any]) -> dict[str, Any]:
+    return {"anyOf": [item, {"type": "array", "items": item, "minItems": 1}]}
+
+
+def _named(item: dict[str, Any], names: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "additionalProperties": item, "propertyNames": names}
+
+
+def _by(pattern: str, item: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "object", "patternProperties": {pattern: item}, "additionalProperties": False}
+
+
+def _rule() -> dict[str, Any]:
+    rights = {**_object({right: _one_or_many(_RULE_PATTERN) for right in RIGHTS}), "minProperties": 1}
+    use = _object({"use": _TEXT}, "use")
+    plain = {"anyOf": [use, {"$ref": "#/$defs/fields"}]}
+    effects = ("allow", "deny", "prompt")
+    rule = _object(
+        {
+            "id": {"type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9_.-]{0,79}$"},
+            "why": _TEXT,
+            "who": _one_or_many(_TEXT),
+            "except": _one_or_many(_TEXT),
+            **{effect: {"$ref": "#/$defs/rights"} for effect in effects},
+            "when": _one_or_many(_TEXT),
+            "filter": {"anyOf": [plain, _by(_TOPIC, plain)]},
+            "see": {"anyOf": [{"$ref": "#/$defs/see"}, _by(_TOPIC, {"$ref": "#/$defs/see"})]},
+            "limit": _LIMIT,
+            "on_stale": {"enum": ["cut", "keep"]},
+            "lifetime": _DURATION,
+            "renew_until": _RENEW,
+        },
+        "id",
+        "who",
+    )
+    restricting = ("when", "filter", "see", "limit", "on_stale", "lifetime", "renew_until")
+    unrestricted: dict[str, Any] = {"properties": dict.fromkeys(restricting, False)}
+    return {
+        "$defs": {"rights": rights},
+        **rule,
+        "oneOf": [{"required": [effect]} for effect in effects],
+        "if": {"required": ["deny"]},
+        "then": unrestricted,
+    }
+
+
+def _test() -> dict[str, Any]:
+    limit = {"anyOf": [{"type": "number", "exclusiveMinimum": 0}, _TEXT]}
+    fields = {"type": "object", "additionalProperties": limit, "minProperties": 1}
+    seen = {"anyOf": [{"const": NOTHING}, fields]}
+    rights = {"$ref": "#/$defs/rights"}
+    return _object(
+        {
+            "who": _TEXT,
+            **{says.value: rights for says in Says},
+            "sees": _by(_TOPIC, seen),
+            "at": _one_or_many({"type": "string", "format": "date-time"}),
+            "message": {"type": "object"},
+        },
+        "who",
+    )
+
+
+def schema() -> dict[str, Any]:
+    rule = _rule()
+    rights = rule.pop("$defs")["rights"]
+    identity = _object({"node": _PATTERN, "key": {"type": "string", "pattern": "^sha256:[0-9a-f]{64}$"}})
+    defaults = _object(
+        {
+            "decision": {"enum": ["deny", "prompt"]},
+            "lifetime": _DURATION,
+            "renew_until": _RENEW,
+            "prompt_timeout": _DURATION,
+        }
+    )
+    types = {"type": "string", "pattern": f"^{_NAME}/{_NAME}$"}
+    title = {"type": "string", "minLength": 1, "maxLength": MAX_TITLE, "pattern": "^[^/]*$"}
+    said_of = {"pattern": rf"^(?:{_NAME}/{_NAME}|(?:/{_SEGMENT})+|{_OWN_NAMES})$"}
+    extras = {"type": "array", "items": {"enum": sorted(EXTRAS)}, "minItems": 1}
+    operator = _object(dict.fromkeys(sorted(OPERATORS), True))
+    levels = {word.value: {"enum": list(names)} for word, names in LEVELS.items()}
+    top = _object(
+        {
+            "rossec": {"const": 1},
+            "robot": _TEXT,
+            "defaults": defaults,
+            "basics": {"anyOf": [{"type": "boolean"}, extras]},
+            "identities": _named({**identity, "minProperties": 1}, {"pattern": "^[^/*]"}),
+            "groups": _named(_one_or_many(_TEXT), {"pattern": "^(?!node$)[A-Za-z][A-Za-z0-9_-]{0,79}$"}),
+            "types": _named(types, _RULE_PATTERN),
+            "vocabulary": _named(_by(_FIELD, {"enum": sorted(SAYABLE)}), said_of),
+            "rooms": {"type": "object", "additionalProperties": _TEXT, "minProperties": 1},
+            "filters": {"type": "object", "additionalProperties": {"$ref": "#/$defs/fields"}},
+            "rules": {"type": "array", "items": {"$ref": "#/$defs/rule"}},
+            "tests": {"type": "array", "items": {"$ref": "#/$defs/test"}},
+            "title": {"type": "object", "additionalProperties": title},
+        },
+        "rossec",
+        "robot",
+        "rules",
+    )
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "rossec policy",
+        "$defs": {
+            "operator": {**operator, "minProperties": 1, "maxProperties": 1},
+            "fields": _by(_FIELD, {"$ref": "#/$defs/operator"}),
+            "see": {**_object(levels), "minProperties": 1},
+            "rights": rights,
+            "rule": rule,
+            "test": _test(),
+        },
+        **top,
+    }
+
+
+def schema_text() -> str:
+    return json.dumps(schema(), indent=2) + "\n"

@@ -1,104 +1,197 @@
-"""One rule of a policy: its subjects, its rights on names, and their restrictions.
+"""One rule of a policy: its subjects, its rights on names, and their restrictions; and the rule of `basics`.
 
-The restriction of a rule is determined for every topic of the rule separately, against the type of
-that topic: a filter that fits one of two topics is a mistake, not half a filter.
+The restriction of a rule is determined for every topic of the rule separately, against the type of that
+topic: a filter that fits one of two topics is a mistake, not half a filter.
+
+A group (`groups: {robots: [/robot1, /robot2]}`) stands for its members wherever a rule says `who` or
+`except`; it may name other groups, never itself. Identities and groups share one space of names: a word means
+one thing.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
 from grants.errors import GrantError, GrantMalformed
+from grants.filters.compile import PRESETS, preset
 from grants.filters.hashing import key_names
 from grants.filters.layout import Layout
-from grants.filters.presets import PRESETS, preset
 from grants.model import ALL_RIGHTS, MESSAGE_RIGHTS, Permission, Restriction, Right
-from grants.policy import readers
-from grants.policy.fields import (
+from grants.policy import source
+from grants.policy.model import (
+    EVERYONE,
+    Clause,
+    Defaults,
+    Effect,
+    PolicyRule,
+    SubjectPattern,
+    Vocabulary,
+    type_of,
+)
+from grants.policy.names import BEGINS_TOPIC, NODE, any_node
+from grants.policy.restrictions import (
     ConditionRule,
     FieldRule,
+    Limit,
+    TopicLevels,
     check_condition,
     check_fields,
     check_preset,
     read_condition,
     read_fields,
+    read_limit,
+    read_see,
+    resolve_levels,
+    why_unsignable,
 )
-from grants.policy.limiting import Limit, read_limit
-from grants.policy.mistakes import Mistakes, SourcePosition, suggest
-from grants.policy.model import Clause, Defaults, Effect, PolicyRule, type_of
-from grants.policy.own_names import BEGINS_TOPIC, NODE, any_node
-from grants.policy.seeing import TopicLevels, read_see, resolve_levels
-from grants.policy.signable import why_unsignable
-from grants.policy.source import Part, YamlMapping
-from grants.policy.subjects import Subjects
-from grants.policy.vocabulary import Vocabulary
-from grants.vocabulary.resolve import Resolved, together
+from grants.policy.source import Mistakes, Part, SourcePosition, YamlMapping, YamlScalar, suggest
+from grants.request import BASICS, TRANSFORMS
+from grants.vocabulary.levels import Resolved, together
+
+MAX_MEMBERS: Final = 1000  # of one group, with those of the groups in it
+_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,79}", re.ASCII)
 
 _ID: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}", re.ASCII)
 _EFFECTS: Final = tuple(effect.value for effect in Effect)
 _RESTRICTING: Final = ("when", "filter", "see", "limit", "on_stale", "lifetime", "renew_until")
-_ON_STALE: Final = ("cut", "keep")
 _KEYS: Final = ("id", "why", "who", "except", *_EFFECTS, *_RESTRICTING)
 RIGHTS: Final = {right.label: right for right in ALL_RIGHTS}
 
+_Members = tuple[SubjectPattern, ...]
 _Fields = tuple[FieldRule, ...]
+
+
+class Subjects:
+    def __init__(
+        self, mistakes: Mistakes, identities: Mapping[str, SubjectPattern], part: Part | None
+    ) -> None:
+        self._mistakes = mistakes
+        self._identities = identities
+        self._parts = dict(self._named(source.mapping(part, "groups", mistakes)))
+        self._within: dict[str, frozenset[str]] = {}  # the groups in each, itself among them
+        self._used: set[str] = set()
+        self.groups: dict[str, _Members] = {}  # the members of each, without groups
+        for name in self._parts:
+            self._members_of(name, ())
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        # The groups that no rule names, also not through another group.
+        return tuple(sorted(self.groups.keys() - self._used))
+
+    def read(self, part: Part | None) -> _Members:
+        return tuple(who for item in source.items(part) for who in self._subjects(item))
+
+    def _subjects(self, part: Part) -> Iterable[SubjectPattern]:
+        label = source.text(part, "who", self._mistakes)
+        if label is None:
+            return ()
+        if label == EVERYONE:
+            return (SubjectPattern(label, "/**"),)
+        if label in self.groups:
+            self._used |= self._within[label]
+            return (replace(who, group=label) for who in self.groups[label])
+        return self._single(part, label)
+
+    def _single(self, part: Part, label: str) -> _Members:
+        if label.startswith("/") or ":" in label:
+            node = source.subject(part, "who", self._mistakes)
+            return () if node is None else (SubjectPattern(label, node),)
+        if label in self._identities:
+            return (self._identities[label],)
+        if label.startswith(("~", "{")):
+            hint = f"{NODE} stands in the names of a rule; who it is for is a name: /robot1"
+            self._mistakes.add(part, f"{label[:60]!r} is no node", hint)
+            return ()
+        known = {**self._identities, **self._parts}
+        hint = suggest(label, known) if known else f"a node is written /{label.lstrip('/')[:60]}"
+        self._mistakes.add(part, f"unknown identity {label[:60]!r}", hint)
+        return ()
+
+    def _named(self, mapping: YamlMapping | None) -> Iterator[tuple[str, Part]]:
+        # The groups by name, those with a wrong name too, so that rules report no more.
+        for name, (key, value) in mapping.entries.items() if mapping is not None else ():
+            if name in self._identities:
+                self._mistakes.add(key, f"{name!r} is an identity already", "choose another name")
+            elif _NAME.fullmatch(name) is None or name == NODE[1:-1]:
+                hint = "begin with a letter, then letters, digits, - and _; not node"
+                self._mistakes.add(key, f"{name[:60]!r} cannot be the name of a group", hint)
+            yield name, value
+
+    def _members_of(self, name: str, above: tuple[str, ...]) -> _Members:
+        if name not in self.groups:
+            self.groups[name], self._within[name] = (), frozenset({name})
+            found: dict[SubjectPattern, None] = {}
+            for item in source.items(self._parts[name]):
+                found.update(dict.fromkeys(self._item(item, (*above, name))))
+            part = self._parts[name]
+            if len(found) > MAX_MEMBERS:
+                hint = "give the nodes a namespace of their own: /robots/*"
+                self._mistakes.add(part, f"group {name} has more than {MAX_MEMBERS} members", hint)
+            if not source.items(part):
+                self._mistakes.add(part, f"group {name} has no members", "add a name: [/robot1]")
+            self.groups[name] = tuple(found)
+        return self.groups[name]
+
+    def _item(self, part: Part, above: tuple[str, ...]) -> _Members:
+        label = source.text(part, f"a member of group {above[-1]}", self._mistakes)
+        if label is None:
+            return ()
+        if label in above:
+            chain = ", ".join((*above[above.index(label) :], label))
+            message = f"group {label} is a member of itself: {chain}"
+            self._mistakes.add(part, message, "name the nodes in one of them")
+            return ()
+        if label == EVERYONE:
+            hint = f"write who: {EVERYONE!r} in the rule"
+            self._mistakes.add(part, f"group {above[-1]}: {EVERYONE} is every node", hint)
+            return ()
+        if label in self._parts:
+            members = self._members_of(label, above)
+            self._within[above[-1]] |= self._within[label]
+            return members
+        return self._single(part, label)
 
 
 @dataclass(frozen=True)
 class _TopicFilter:
-    """The filter of one topic: fields, or a preset by name; and the levels of what is seen."""
-
     position: SourcePosition
     fields: _Fields = ()
     preset: str | None = None
     see: TopicLevels | None = None
 
 
+@dataclass
 class RuleReader:
-    """Reads rules in the context of the policy."""
-
-    def __init__(
-        self,
-        mistakes: Mistakes,
-        defaults: Defaults,
-        subjects: Subjects,
-        types: Mapping[str, str],
-        layouts: Mapping[str, Layout],
-        filters: Mapping[str, _Fields],
-        vocabulary: Vocabulary,
-    ) -> None:
-        self._mistakes = mistakes
-        self._defaults = defaults
-        self._subjects = subjects
-        self._types = types
-        self._layouts = layouts
-        self._filters = filters
-        self._vocabulary = vocabulary
+    _mistakes: Mistakes
+    _defaults: Defaults
+    _subjects: Subjects
+    _types: Mapping[str, str]
+    _layouts: Mapping[str, Layout]
+    _filters: Mapping[str, _Fields]
+    _vocabulary: Vocabulary
 
     def read(self, part: Part) -> PolicyRule | None:
-        """One rule, or None if its structure is invalid."""
-        mapping = readers.mapping(part, "a rule", self._mistakes)
+        mapping = source.mapping(part, "a rule", self._mistakes)
         if mapping is None:
             return None
-        name = readers.text(mapping.get("id"), "id", self._mistakes) or "?"
+        name = source.text(mapping.get("id"), "id", self._mistakes) or "?"
         if name != "?" and _ID.fullmatch(name) is None:
             self._mistakes.add(mapping, f"not an id: {name[:60]!r}", "letters, digits and dashes")
-        readers.check_keys(mapping, f"rule {name}", _KEYS, ("id", "who"), self._mistakes)
+        source.check_keys(mapping, f"rule {name}", _KEYS, ("id", "who"), self._mistakes)
         effect, rights = self._effect(mapping, name)
         if effect is None or rights is None:
             return None
-        lifetime = readers.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
-        renew = readers.duration(
-            mapping.get("renew_until"), "renew_until", self._mistakes, never=True
-        )
-        stale = readers.choice(mapping.get("on_stale"), "on_stale", _ON_STALE, self._mistakes)
+        lifetime = source.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
+        renew = source.duration(mapping.get("renew_until"), "renew_until", self._mistakes, never=True)
+        stale = source.choice(mapping.get("on_stale"), "on_stale", ("cut", "keep"), self._mistakes)
         return PolicyRule(
             id=name,
             effect=effect,
             who=self._subjects.read(mapping.get("who")),
             exceptions=self._subjects.read(mapping.get("except")),
-            why=readers.text(mapping.get("why"), "why", self._mistakes) or "",
+            why=source.text(mapping.get("why"), "why", self._mistakes) or "",
             clauses=self._clauses(mapping, rights, name),
             lifetime=self._defaults.lifetime if lifetime is None else lifetime,
             renew_until=self._defaults.renew_until if renew is None else renew,
@@ -110,23 +203,20 @@ class RuleReader:
     def _effect(self, mapping: YamlMapping, name: str) -> tuple[Effect | None, YamlMapping | None]:
         effects = [effect for effect in Effect if effect.value in mapping.entries]
         if len(effects) != 1:
-            hint = (
-                "write it as two rules" if effects else "for example allow: {subscribe: [/topic]}"
-            )
+            hint = "write it as two rules" if effects else "for example allow: {subscribe: [/topic]}"
             self._mistakes.add(mapping, f"rule {name} needs one of allow, deny and prompt", hint)
             return None, None
         [effect] = effects
-        for key in _RESTRICTING if effect is Effect.DENY else ():
-            if key in mapping.entries:
-                position = mapping.entries[key][0]
-                message = f"rule {name}: a deny rule cannot have {key!r}"
-                self._mistakes.add(position, message, "remove it, or write an allow rule")
+        present = [key for key in _RESTRICTING if key in mapping.entries]
+        for key in present if effect is Effect.DENY else ():
+            message = f"rule {name}: a deny rule cannot have {key!r}"
+            self._mistakes.add(mapping.entries[key][0], message, "remove it, or write an allow rule")
         rights = mapping.get(effect.value)
-        return effect, readers.mapping(rights, f"{effect.value} of rule {name}", self._mistakes)
+        return effect, source.mapping(rights, f"{effect.value} of rule {name}", self._mistakes)
 
     def _clauses(self, mapping: YamlMapping, rights: YamlMapping, name: str) -> tuple[Clause, ...]:
         named = self._named_rights(rights, name)
-        read = [read_condition(item, self._mistakes) for item in readers.items(mapping.get("when"))]
+        read = (read_condition(item, self._mistakes) for item in source.items(mapping.get("when")))
         conditions = [when for when in read if when is not None]
         seen = [pattern for right, pattern, _ in named if right is Right.SUBSCRIBE]
         filtered = Right.SUBSCRIBE if seen else Right.PUBLISH
@@ -135,37 +225,22 @@ class RuleReader:
         for topic, see in read_see(mapping.get("see"), seen, name, self._mistakes).items():
             filters[topic] = replace(filters.get(topic, _TopicFilter(see.position)), see=see)
         limit = read_limit(mapping.get("limit"), topics, name, self._mistakes, seen=bool(seen))
-        if not seen:
-            self._check_written(filters)
+        for each in filters.values() if not seen else ():
+            if each.preset is not None or key_names(item.rule for item in each.fields):
+                message = "a preset or a pseudonym is for what is subscribed to, not published"
+                hint = "name the fields and their treatment, or add a subscribe right"
+                self._mistakes.add(each.position, message, hint)
         clauses: list[Clause] = []
         for right, pattern, position in named:
-            if right is filtered:
-                clauses += self._clause(right, pattern, position, conditions, filters, limit)
-            else:
-                clauses += self._clause(right, pattern, position, conditions, {}, Limit())
+            mine = (filters, limit) if right is filtered else ({}, Limit())
+            clauses += self._clause(right, pattern, position, conditions, *mine)
         restricting = conditions or filters or any(limit) or mapping.get("on_stale") is not None
         if restricting and any(right & ~MESSAGE_RIGHTS for right, _, _ in named):
-            self._mistakes.add(
-                rights,
-                f"rule {name}: parameters, graph and admin rights cannot have restrictions",
-                "put these rights into a separate rule",
-            )
+            message = f"rule {name}: parameters, graph and admin rights cannot have restrictions"
+            self._mistakes.add(rights, message, "put these rights into a separate rule")
         return tuple(clauses)
 
-    def _check_written(self, filters: Mapping[str, _TopicFilter]) -> None:
-        """Filters of what is published: its receivers apply them, and have no keys for it."""
-        for each in filters.values():
-            if each.preset is not None or key_names(item.rule for item in each.fields):
-                self._mistakes.add(
-                    each.position,
-                    "a preset or a pseudonym is for what is subscribed to, not published",
-                    "name the fields and their treatment, or add a subscribe right",
-                )
-
-    def _named_rights(
-        self, rights: YamlMapping, name: str
-    ) -> list[tuple[Right, str, SourcePosition]]:
-        """Every right and pattern in the rule."""
+    def _named_rights(self, rights: YamlMapping, name: str) -> list[tuple[Right, str, SourcePosition]]:
         if not rights.entries:
             self._mistakes.add(rights, f"rule {name} has no rights", suggest("", RIGHTS))
         found: list[tuple[Right, str, SourcePosition]] = []
@@ -174,11 +249,11 @@ class RuleReader:
                 message = f"unknown right {label[:60]!r} in rule {name}"
                 self._mistakes.add(key, message, suggest(label, RIGHTS))
                 continue
-            items = readers.items(value)
+            items = source.items(value)
             if not items:
                 self._mistakes.add(value, f"rule {name}: {label} has no names", "add a name")
             for item in items:
-                pattern = readers.own_pattern(item, label, RIGHTS[label], self._mistakes)
+                pattern = source.own_pattern(item, label, RIGHTS[label], self._mistakes)
                 if pattern is not None:
                     found.append((RIGHTS[label], pattern, item))
         return found
@@ -194,21 +269,14 @@ class RuleReader:
     ) -> list[Clause]:
         topic_filter = filters.get(pattern, _TopicFilter(position))
         kind = type_of(self._types, pattern)
-        reads_message = (
-            topic_filter.fields
-            or topic_filter.preset
-            or topic_filter.see
-            or any(when.reads_message for when in conditions)
-        )
-        if reads_message and not self._fits(
-            right, pattern, position, kind, conditions, topic_filter
-        ):
+        treated = topic_filter.fields or topic_filter.preset or topic_filter.see
+        reads_message = treated or any(when.reads_message for when in conditions)
+        if reads_message and not self._fits(right, pattern, position, kind, conditions, topic_filter):
             return []
         levels = self._levels(topic_filter, pattern, kind)
         if levels is None:
             return []
-        own = Resolved((), limit.rate, limit.slot)
-        given = self._treatment(topic_filter, kind, own, levels)
+        given = self._treatment(topic_filter, kind, Resolved((), limit.rate, limit.slot), levels)
         limits = (given.slot, limit.body, limit.pad)
         if not conditions and not given.rules and limits == (None, None, None):
             return [Clause(right, pattern, None, given.rate, kind)]
@@ -219,10 +287,8 @@ class RuleReader:
                     "for example limit: {slot: 30}",
                 )
             texts = tuple(dict.fromkeys(when.text for when in conditions))
-            restriction = Restriction(
-                kind if reads_message else None, texts, given.rules, slot=given.slot,
-                body=limit.body, pad=limit.pad,
-            )  # fmt: skip
+            of = kind if reads_message else None
+            restriction = Restriction(of, texts, given.rules, slot=given.slot, body=limit.body, pad=limit.pad)
             entry = Permission(any_node(pattern), right, replace(restriction, rate=given.rate))
             if reason := why_unsignable((entry,)):
                 raise GrantMalformed(reason, "write fewer or shorter conditions and filters")
@@ -231,21 +297,15 @@ class RuleReader:
             return []
         return [Clause(right, pattern, restriction, given.rate, kind)]
 
-    def _levels(
-        self, topic_filter: _TopicFilter, pattern: str, kind: str | None
-    ) -> Resolved | None:
-        """What `see` of the rule adds for one topic; None if it does not fit."""
+    def _levels(self, topic_filter: _TopicFilter, pattern: str, kind: str | None) -> Resolved | None:
+        # What `see` of the rule adds for one topic; None if it does not fit.
         if topic_filter.see is None or kind is None:
             return Resolved()
-        layout = self._layouts[kind]
         others = self._treatment(topic_filter, kind).rules
-        see = topic_filter.see
+        layout, see = self._layouts[kind], topic_filter.see
         return resolve_levels(layout, self._vocabulary, pattern, see, others, self._mistakes)
 
-    def _treatment(
-        self, topic_filter: _TopicFilter, kind: str | None, *given: Resolved
-    ) -> Resolved:
-        """The rules, the lowest rate and the longest slot of the filter and of these."""
+    def _treatment(self, topic_filter: _TopicFilter, kind: str | None, *given: Resolved) -> Resolved:
         found = [Resolved(tuple(item.rule for item in topic_filter.fields)), *given]
         if topic_filter.preset is not None and kind is not None:
             named = preset(topic_filter.preset).restriction(self._layouts[kind])
@@ -253,10 +313,14 @@ class RuleReader:
         return together(found)
 
     def _fits(
-        self, right: Right, pattern: str, position: SourcePosition, kind: str | None,
-        conditions: list[ConditionRule], topic_filter: _TopicFilter,
-    ) -> bool:  # fmt: skip
-        """Whether conditions and filters on messages of `pattern` fit their type."""
+        self,
+        right: Right,
+        pattern: str,
+        position: SourcePosition,
+        kind: str | None,
+        conditions: list[ConditionRule],
+        topic_filter: _TopicFilter,
+    ) -> bool:
         if not right & (Right.SUBSCRIBE | Right.PUBLISH):
             message = f"{right.label} {pattern}: conditions on messages are for topics"
             self._mistakes.add(position, message, "put this right into a separate rule")
@@ -268,23 +332,18 @@ class RuleReader:
             return False
         if kind not in self._layouts:
             return False  # the type itself is the mistake, and recorded
-        layout = self._layouts[kind]
+        layout, at = self._layouts[kind], topic_filter.position
         checked = [check_condition(layout, when, self._mistakes) for when in conditions]
         if topic_filter.preset is not None:
-            checked.append(
-                check_preset(layout, topic_filter.preset, topic_filter.position, self._mistakes)
-            )
+            checked.append(check_preset(layout, topic_filter.preset, at, self._mistakes))
         if topic_filter.fields:
-            checked.append(
-                check_fields(layout, topic_filter.fields, topic_filter.position, self._mistakes)
-            )
+            checked.append(check_fields(layout, topic_filter.fields, at, self._mistakes))
         return all(checked)
 
     def _filters_of(
         self, part: Part | None, topics: list[str], name: str, right: Right
     ) -> dict[str, _TopicFilter]:
-        """The filter of every topic: `{use: NAME}`, fields, or either of them by topic."""
-        mapping = readers.mapping(part, f"filter of rule {name}", self._mistakes)
+        mapping = source.mapping(part, f"filter of rule {name}", self._mistakes)
         if mapping is None:
             return {}
         if not topics or not mapping.entries:
@@ -293,27 +352,66 @@ class RuleReader:
             return {}
         if not any(key.startswith(BEGINS_TOPIC) for key in mapping.entries):
             return dict.fromkeys(topics, self._topic_filter(mapping, mapping))
-        found: dict[str, _TopicFilter] = {}
-        what = f"filter of rule {name}"
-        for topic, key, value in readers.by_name(
-            mapping, what, lambda key: readers.pattern(key, what, self._mistakes), self._mistakes
-        ):
-            if topic not in topics:
-                message = f"rule {name} has no {right.label} right on {topic[:80]!r}"
-                self._mistakes.add(key, message, suggest(topic, topics))
-                continue
-            inner = readers.mapping(value, f"filter of {topic}", self._mistakes)
-            if inner is not None:
-                found[topic] = self._topic_filter(key, inner)
-        return found
+        found = source.by_topic(mapping, "filter", name, topics, right, self._mistakes)
+        return {topic: self._topic_filter(key, inner) for topic, (key, inner) in found.items()}
 
     def _topic_filter(self, position: SourcePosition, mapping: YamlMapping) -> _TopicFilter:
-        """Fields, or `{use: NAME}` of a filter of this policy or else of a preset."""
         if "use" not in mapping.entries:
             return _TopicFilter(position, read_fields(mapping, self._mistakes))
-        readers.check_keys(mapping, "a filter with use", ("use",), (), self._mistakes)
+        source.check_keys(mapping, "a filter with use", ("use",), (), self._mistakes)
         known = {**PRESETS, **self._filters}
-        name = readers.choice(mapping.get("use"), "filter", known, self._mistakes)
+        name = source.choice(mapping.get("use"), "filter", known, self._mistakes)
         if name is None or name in self._filters:
             return _TopicFilter(position, self._filters.get(name or "", ()))
         return _TopicFilter(position, preset=name)
+
+
+# `basics` of a policy: one more rule, which gives every node what every ROS program needs. `basics: true`
+# is the table of `grants.request`; `basics: [tf]` also lets every node subscribe to the transforms. A
+# denial overrides it, and `explain` names it.
+ID: Final = "basics"
+EXTRAS: Final = {"tf": (Right.SUBSCRIBE, TRANSFORMS)}
+
+
+def read_basics(part: Part | None, mistakes: Mistakes) -> tuple[str, ...] | None:
+    # What it adds to the table: `tf`, or nothing; None without basics.
+    if part is None or (isinstance(part, YamlScalar) and part.value is False):
+        return None
+    if isinstance(part, YamlScalar) and part.value is True:
+        return ()
+    items = source.items(part)
+    if not items or isinstance(part, YamlScalar):
+        hint = "write basics: true, or basics: [tf] for the transforms too"
+        mistakes.add(part, "basics is true, false or a list", hint)
+        return None
+    found = (source.choice(item, "part of basics", EXTRAS, mistakes) for item in items)
+    return tuple(dict.fromkeys(name for name in found if name is not None))
+
+
+def basics_rule(
+    extras: Iterable[str], line: int, defaults: Defaults, rules: Iterable[PolicyRule]
+) -> PolicyRule:
+    clauses = [Clause(right, name) for right, names in BASICS.items() for name in names]
+    for extra in extras:
+        right, names = EXTRAS[extra]
+        clauses += [Clause(right, name) for name in names]
+    lasting = [each for each in rules if each.effect is not Effect.DENY]
+    # It lasts as long as the longest rule: else it would shorten the grants of wide rules, such as
+    # `param-get: /**`.
+    return PolicyRule(
+        ID,
+        Effect.ALLOW,
+        (SubjectPattern(EVERYONE, "/**"),),
+        tuple(clauses),
+        "what every ROS program needs",
+        lifetime=max((each.lifetime for each in lasting), default=defaults.lifetime),
+        renew_until=max((each.renew_until for each in lasting), default=defaults.renew_until),
+        has_lifetime=True,
+        line=line,
+    )
+
+
+def is_basics(rule: PolicyRule) -> bool:
+    """Whether the rule is that of `basics`, and gives nothing that is not of the table."""
+    table = {(right, name) for right, names in (*BASICS.items(), *EXTRAS.values()) for name in names}
+    return rule.id == ID and {(each.right, each.pattern) for each in rule.clauses} <= table

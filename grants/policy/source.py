@@ -1,34 +1,269 @@
-"""From YAML text to a tree in which every part has its position. A subset of YAML 1.2.
+"""From YAML text to a tree in which every part has its position. The only YAML reader.
 
-`grants.yaml_text` bounds the text and refuses anchors, aliases, tags, directives and further
-documents; duplicate keys are refused here: otherwise the second of two equal keys would silently
-win. Plain scalars are texts unless they are clearly a number or true/false: `22:00`, `no` and
-`2026-11-20` stay as written.
+The cost of YAML is in its structure, not in its bytes: an alias stands for a tree, a merge for another map.
+So the size is checked before parsing, and anchors, aliases, tags, directives, further documents, depth and
+the number of events with each event, before a value is built. Duplicate keys are refused: the second would
+silently win. A merge key `<<` is an ordinary key; plain scalars are texts unless they are clearly a number or
+true/false (`22:00`, `no`, `2026-11-20` stay as written). Readers of a part record a mistake if it is
+something else and return None; reading goes on, so that all mistakes are reported at once. A file with one is
+refused: a `Policy` never has any.
 """
 
+import base64
+import math
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any, Final, TypeAlias
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any, Final, NoReturn, Protocol, TypeAlias
 
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.events import (
+    AliasEvent,
+    DocumentStartEvent,
     MappingEndEvent,
+    MappingStartEvent,
     NodeEvent,
     ScalarEvent,
     SequenceEndEvent,
     SequenceStartEvent,
 )
 
-from grants.errors import YamlRefused
-from grants.model import Scalar
-from grants.policy.mistakes import Mistakes
-from grants.yaml_text import Bounds, events, is_quoted, position
+from ca.errors import NameRefused
+from ca.names import closest, is_alias, local_pattern
+from grants.errors import PolicyRefused, YamlRefused
+from grants.model import MAX_RATE, Right, Scalar
+from grants.policy.names import NODE, check_rule_pattern, has_partial_star
+
+_BEGINS: Final = MappingStartEvent | SequenceStartEvent
+_ENDS: Final = MappingEndEvent | SequenceEndEvent
+_QUOTED: Final = ("'", '"', "|", ">")
+_CORE_TAG: Final = "tag:yaml.org,2002:"
+_INT: Final = re.compile(r"[-+]?[0-9]{1,20}|0x[0-9a-fA-F]{1,16}|0o[0-7]{1,22}", re.ASCII)
+_FLOAT: Final = re.compile(
+    r"[-+]?(?:[0-9]{1,400}\.[0-9]{0,400}|\.[0-9]{1,400}|[0-9]{1,400})(?:[eE][-+]?[0-9]{1,3})?", re.ASCII
+)
+_KEYWORDS: Final[dict[str, object]] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL")),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+    **dict.fromkeys((".nan", ".NaN", ".NAN"), math.nan),
+    **{sign + value: float(f"{sign}inf") for sign in ("", "+", "-") for value in (".inf", ".Inf", ".INF")},
+}
+_SURROGATES: Final = re.compile("[\ud800-\udfff]")  # an escape of YAML may say them
+_TIME: Final = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}[T ][0-9]{2}:[0-9]{2}:[0-9]{2}", re.ASCII)
+_KINDS: Final = {"binary": bytes, "str": str, "int": int, "float": float, "bool": bool, "null": type(None)}
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """How much YAML is read: characters of the text, levels of nesting, events of the parser."""
+
+    size: int = 4 * 1024 * 1024
+    depth: int = 16
+    events: int = 300_000  # a few seconds of work; a rule of a policy has 30
+
 
 BOUNDS: Final = Bounds()  # 10,000 rules of 400 characters and 30 events
 MAX_SIZE: Final = BOUNDS.size
+MAX_MISTAKES: Final = 200  # more are not useful, and a hostile file must not cause a long report
+_MAX_SUGGESTIONS: Final = 12
 
-_INT: Final = re.compile(r"[-+]?[0-9]{1,18}", re.ASCII)
-_FLOAT: Final = re.compile(
+
+def events(text: str, bounds: Bounds, *, tags: bool = False) -> Iterator[Any]:
+    if len(text) > bounds.size:
+        raise YamlRefused(f"{len(text)} characters where at most {bounds.size} are allowed")
+    depth = documents = 0
+    try:
+        for number, event in enumerate(YAML(typ="safe", pure=True).parse(text)):
+            documents += isinstance(event, DocumentStartEvent)
+            depth += isinstance(event, _BEGINS)
+            depth -= isinstance(event, _ENDS)
+            problem = _unsupported(event, tags=tags)
+            if not problem and depth > bounds.depth:
+                problem = f"nested deeper than {bounds.depth}"
+            elif not problem and number > bounds.events:
+                problem = f"more than {bounds.events} YAML events"
+            elif not problem and documents > 1:
+                problem = "more than one document"
+            if problem:
+                _refuse(event, problem, "write it without this feature, or in a smaller file")
+            yield event
+    except MarkedYAMLError as error:
+        raise YamlRefused(
+            f"not YAML: {error.problem or error.context}",
+            _remedy(error.problem or ""),
+            *position(error.problem_mark or error.context_mark),
+        ) from error
+    except (YAMLError, RecursionError, ValueError) as error:
+        raise YamlRefused(f"not YAML: {str(error).splitlines()[0]}") from error
+
+
+def _remedy(problem: str) -> str:
+    if "'\\t'" in problem:
+        return "indent with spaces: YAML allows no tabs"
+    if problem.startswith("expected alphabetic or numeric character"):
+        return 'put text that begins with * or & in quotes: "*"'
+    if "mapping values are not allowed" in problem or "got ':'" in problem:
+        return "check the indentation, and put text with a colon in quotes"
+    return "check the indentation"
+
+
+def load_yaml(text: str, bounds: Bounds | None = None) -> object:
+    """The value of one document: dicts, lists, and the scalars of YAML 1.2's core schema.
+
+    A date with a time (`2026-01-02 03:04:05`) is a datetime, since XML-RPC has them; an
+    invalid date stays a text. The tags `!!str`, `!!int`, `!!float`, `!!bool`, `!!null` and
+    `!!binary` are accepted if the text is a value of that type.
+    """
+    stream = events(text, bounds or BOUNDS, tags=True)
+    found = None
+    for event in stream:  # to the end: a second document is refused there
+        if isinstance(event, NodeEvent):
+            found = _value(event, stream)
+    return found
+
+
+def _value(event: Any, stream: Iterator[Any]) -> object:
+    if isinstance(event, ScalarEvent):
+        return _scalar(event)
+    if isinstance(event, SequenceStartEvent):
+        items = []
+        while not isinstance(after := next(stream), SequenceEndEvent):
+            items.append(_value(after, stream))
+        return items
+    found: dict[object, object] = {}
+    while not isinstance(event := next(stream), MappingEndEvent):
+        if not isinstance(event, ScalarEvent):
+            _refuse(event, "a key must be a scalar")
+        key = _scalar(event)
+        if key in found:
+            _refuse(event, f"duplicate key {str(key)[:60]!r}", "keep one of them")
+        found[key] = _value(next(stream), stream)
+    return found
+
+
+def _scalar(event: Any) -> object:
+    kind, text = _tag(event), str(event.value)
+    if kind == "str" or (kind is None and event.style in _QUOTED):
+        return text
+    value = _bytes(text) if kind == "binary" else _plain(text)
+    if kind == "float" and type(value) is int:
+        return float(value)
+    if kind is not None and type(value) is not _KINDS[kind]:
+        _refuse(event, f"{text[:60]!r} is not a valid {kind}")
+    return value
+
+
+def _plain(text: str) -> object:
+    if text in _KEYWORDS:
+        return _KEYWORDS[text]
+    if _INT.fullmatch(text):
+        return int(text, 0) if text.startswith(("0x", "0o")) else int(text)
+    if _TIME.fullmatch(text):
+        with suppress(ValueError):  # the 30th of February
+            return datetime.fromisoformat(text)
+    return float(text) if _FLOAT.fullmatch(text) else text
+
+
+def _bytes(text: str) -> bytes | None:
+    with suppress(ValueError):
+        return base64.b64decode("".join(text.split()), validate=True)
+    return None
+
+
+def _tag(event: Any) -> str | None:
+    tag = None if event.ctag is None else str(event.ctag)
+    return None if tag in (None, "!") else str(tag).removeprefix(_CORE_TAG)
+
+
+def _unsupported(event: Any, *, tags: bool) -> str:
+    if isinstance(event, DocumentStartEvent):
+        return "directives are not allowed" if event.version or event.tags else ""
+    if isinstance(event, AliasEvent) or (isinstance(event, NodeEvent) and event.anchor):
+        return "anchors and aliases are not allowed"
+    if not isinstance(event, NodeEvent):
+        return ""
+    if isinstance(event, ScalarEvent) and _SURROGATES.search(event.value):
+        return "a text is not Unicode: it has half a pair of surrogates"
+    kind = _tag(event)
+    if kind is None or (tags and isinstance(event, ScalarEvent) and kind in _KINDS):
+        return ""
+    return "tags are not allowed"
+
+
+def position(mark: Any) -> tuple[int, int]:
+    return (1, 1) if mark is None else (mark.line + 1, mark.column + 1)
+
+
+def _refuse(event: Any, problem: str, hint: str = "") -> NoReturn:
+    raise YamlRefused(problem, hint, *position(event.start_mark))
+
+
+class SourcePosition(Protocol):
+    """A part of the tree, or a refusal of its text."""
+
+    @property
+    def line(self) -> int: ...
+
+    @property
+    def column(self) -> int: ...
+
+
+@dataclass(frozen=True, order=True)
+class Mistake:
+    """One mistake, in the form editors jump to: `file:line:column: message`."""
+
+    line: int
+    column: int
+    message: str
+    hint: str
+    file: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line}:{self.column}: {self.message}"
+
+
+@dataclass
+class Mistakes:
+    """Collects the mistakes of one file."""
+
+    file: str
+    found: list[Mistake] = field(default_factory=list)
+
+    def add(self, position: SourcePosition, message: str, hint: str = "") -> None:
+        self.found.append(Mistake(position.line, position.column, message, hint, self.file))
+        if len(self.found) >= MAX_MISTAKES:
+            self.raise_all()
+
+    def raise_if_any(self) -> None:
+        """Raise `PolicyRefused` with all mistakes, in the order of the file, if there are any."""
+        if self.found:
+            self.raise_all()
+
+    def raise_all(self) -> NoReturn:
+        """Raise `PolicyRefused` with all mistakes so far, at least one."""
+        ordered = tuple(sorted(set(self.found)))
+        more = f" (and {len(ordered) - 1} more, see: rossec policy check {self.file})"
+        rest = more if len(ordered) > 1 else ""
+        raise PolicyRefused(f"{ordered[0]}{rest}", ordered[0].hint, ordered)
+
+
+def suggest(value: str, known: Iterable[str]) -> str:
+    """A hint: the most similar known value, or a list of them."""
+    values = sorted({str(each) for each in known})  # members of a StrEnum as what is written
+    if (close := closest(value, values)) is not None:
+        return f"did you mean {close!r}?"
+    if not values:
+        return "none is defined"
+    more = ", ..." if len(values) > _MAX_SUGGESTIONS else ""
+    return f"expected one of {', '.join(values[:_MAX_SUGGESTIONS])}{more}"
+
+
+_SOURCE_INT: Final = re.compile(r"[-+]?[0-9]{1,18}", re.ASCII)
+_SOURCE_FLOAT: Final = re.compile(
     r"[-+]?(?:[0-9]+\.[0-9]*|\.[0-9]+|[0-9]+)(?:[eE][-+]?[0-9]{1,3})?", re.ASCII
 )
 _UNQUOTED: Final = re.compile(r"(?<![\"'])\{node\}")
@@ -37,8 +272,6 @@ _BOOLEANS: Final = {"true": True, "false": False}
 
 @dataclass(frozen=True, eq=False)
 class YamlScalar:
-    """A single value."""
-
     value: Scalar
     line: int
     column: int
@@ -46,8 +279,6 @@ class YamlScalar:
 
 @dataclass(frozen=True, eq=False)
 class YamlSequence:
-    """A sequence."""
-
     items: "tuple[Part, ...]"
     line: int
     column: int
@@ -55,14 +286,11 @@ class YamlSequence:
 
 @dataclass(frozen=True, eq=False)
 class YamlMapping:
-    """A mapping: for each key its position and the value."""
-
     entries: "dict[str, tuple[YamlScalar, Part]]"
     line: int
     column: int
 
     def get(self, key: str) -> "Part | None":
-        """The value of `key`, or None."""
         entry = self.entries.get(key)
         return None if entry is None else entry[1]
 
@@ -71,78 +299,233 @@ Part: TypeAlias = YamlScalar | YamlSequence | YamlMapping
 
 
 def read_source(text: str, mistakes: Mistakes, bounds: Bounds = BOUNDS) -> Part | None:
-    """Read one YAML document; duplicate keys are recorded as mistakes and omitted.
-
-    Raises:
-        PolicyRefused: not one document of the subset; other mistakes are then discarded.
-    """
+    """Read one YAML document; duplicate keys are recorded as mistakes and omitted."""
+    found = None
     try:
-        return _Builder(events(text, bounds), mistakes).document()
+        builder = _Builder(events(text, bounds), mistakes)
+        for event in builder.events:  # to the end: a second document is refused there
+            if isinstance(event, NodeEvent):
+                found = builder.part(event)
     except YamlRefused as error:
         mistakes.found.clear()  # earlier mistakes may be wrong
-        mistakes.add(error, str(error), _unquoted_own_name(text, error.line) or error.hint)
-    return mistakes.raise_all()
+        # `{node}/pose` without quotes begins a mapping of YAML.
+        lines = text.splitlines()[error.line - 1 : error.line] if error.line > 0 else []
+        own = any(_UNQUOTED.search(each) for each in lines)
+        hint = 'put own names in quotes: "{node}/pose", or write ~/pose' if own else error.hint
+        mistakes.add(error, str(error), hint)
+        mistakes.raise_all()
+    return found
 
 
-def _unquoted_own_name(text: str, line: int) -> str:
-    """What to write where `{node}/pose` has no quotes, and so begins a mapping of YAML."""
-    lines = text.splitlines()[line - 1 : line] if line > 0 else []
-    found = any(_UNQUOTED.search(each) for each in lines)
-    return 'put own names in quotes: "{node}/pose", or write ~/pose' if found else ""
-
-
+@dataclass
 class _Builder:
-    """Events to parts."""
+    events: Iterator[Any]
+    mistakes: Mistakes
 
-    def __init__(self, events: Iterator[Any], mistakes: Mistakes) -> None:
-        self._events = events
-        self._mistakes = mistakes
-
-    def document(self) -> Part | None:
-        """The document, None if the text is empty; reads the whole text."""
-        found = None
-        for event in self._events:
-            if isinstance(event, NodeEvent):
-                found = self._part(event)
-        return found
-
-    def _part(self, event: Any) -> Part:
+    def part(self, event: Any) -> Part:
         if isinstance(event, ScalarEvent):
-            return _scalar(event)
+            plain: Scalar = event.value if event.style in _QUOTED else _plain_scalar(event.value)
+            return YamlScalar(plain, *position(event.start_mark))
         line, column = position(event.start_mark)
         if isinstance(event, SequenceStartEvent):
             items = []
-            while not isinstance(item := next(self._events), SequenceEndEvent):
-                items.append(self._part(item))
+            while not isinstance(item := next(self.events), SequenceEndEvent):
+                items.append(self.part(item))
             return YamlSequence(tuple(items), line, column)
-        return YamlMapping(self._entries(), line, column)
-
-    def _entries(self) -> dict[str, tuple[YamlScalar, Part]]:
         entries: dict[str, tuple[YamlScalar, Part]] = {}
-        while not isinstance(event := next(self._events), MappingEndEvent):
-            key = self._part(event)
-            value = self._part(next(self._events))
+        while not isinstance(after := next(self.events), MappingEndEvent):
+            key, value = self.part(after), self.part(next(self.events))
             if not isinstance(key, YamlScalar):
-                self._mistakes.add(key, "a key must be a scalar")
-                continue
-            name = str(key.value)
-            if name in entries:
+                self.mistakes.add(key, "a key must be a scalar")
+            elif (name := str(key.value)) in entries:
                 first = f"{entries[name][0].line}:{entries[name][0].column}"
-                hint = "keep one of them"
-                self._mistakes.add(key, f"duplicate key {name!r}, first in {first}", hint)
-                continue
-            entries[name] = (key, value)
-        return entries
+                self.mistakes.add(key, f"duplicate key {name!r}, first in {first}", "keep one of them")
+            else:
+                entries[name] = (key, value)
+        return YamlMapping(entries, line, column)
 
 
-def _scalar(event: Any) -> YamlScalar:
-    value: Scalar = event.value if is_quoted(event) else _plain(event.value)
-    return YamlScalar(value, *position(event.start_mark))
-
-
-def _plain(text: str) -> Scalar:
+def _plain_scalar(text: str) -> Scalar:
     if text in _BOOLEANS:
         return _BOOLEANS[text]
-    if _INT.fullmatch(text):
+    if _SOURCE_INT.fullmatch(text):
         return int(text)
-    return float(text) if _FLOAT.fullmatch(text) else text
+    return float(text) if _SOURCE_FLOAT.fullmatch(text) else text
+
+
+_UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
+_DURATION: Final = re.compile(r"([1-9][0-9]{0,5})([smhdw])", re.ASCII)
+_KEY: Final = re.compile(r"sha256:([0-9a-f]{64})", re.ASCII)
+_PARTIAL_STAR: Final = (
+    "* stands for a whole segment: list the nodes, or groups: {robots: [/robot1, /robot2]};"
+    " anonymous nodes, /rviz_..., are one identity: /rviz"
+)
+_MAX_TEXT: Final = 1000
+
+
+def mapping(part: Part | None, what: str, mistakes: Mistakes) -> YamlMapping | None:
+    """A mapping; a missing one is None and no mistake."""
+    if part is None or isinstance(part, YamlMapping):
+        return part
+    mistakes.add(part, f"{what} must be a mapping", "write key: value")
+    return None
+
+
+def check_keys(
+    part: YamlMapping, what: str, known: Collection[str], required: Collection[str], mistakes: Mistakes
+) -> None:
+    """Record every unknown key, and every required one that is missing.
+
+    `required` may be a mapping: to what is to be added for each.
+    """
+    for name, (key, _) in part.entries.items():
+        if name not in known:
+            mistakes.add(key, f"unknown key {name[:60]!r} in {what}", suggest(name, known))
+    for name in required:
+        if name not in part.entries:
+            example = required[name] if isinstance(required, Mapping) else f"{name}: ..."
+            mistakes.add(part, f"{what} has no {name!r}", f"add {example}")
+
+
+def by_name(
+    part: YamlMapping | None, what: str, read: Callable[[YamlScalar], str | None], mistakes: Mistakes
+) -> Iterator[tuple[str, YamlScalar, Part]]:
+    """The entries of a mapping by what `read` makes of their keys: None if a key is a mistake.
+
+    Keys of several spellings (`~/pose` and `"{node}/pose"`) are equal only then; the second of two
+    would win without a word, so it is a mistake.
+    """
+    first: dict[str, YamlScalar] = {}
+    for key, value in part.entries.values() if part is not None else ():
+        name = read(key)
+        if name is not None and name in first:
+            again(key, f"{what}: {name[:80]!r}", first[name], mistakes)
+        elif name is not None:
+            first[name] = key
+            yield name, key, value
+
+
+def by_topic(
+    part: YamlMapping, what: str, rule: str, topics: Collection[str], right: Right, mistakes: Mistakes
+) -> dict[str, tuple[YamlScalar, YamlMapping]]:
+    """What a rule says for some of its topics, `filter` or `see`: a mapping for each."""
+    found: dict[str, tuple[YamlScalar, YamlMapping]] = {}
+    of_rule = f"{what} of rule {rule}"
+    for topic, key, value in by_name(part, of_rule, lambda key: pattern(key, of_rule, mistakes), mistakes):
+        inner = mapping(value, f"{what} of {topic}", mistakes)
+        if topic not in topics:
+            message = f"rule {rule} has no {right.label} right on {topic[:80]!r}"
+            mistakes.add(key, message, suggest(topic, topics))
+        elif inner is not None:
+            found[topic] = (key, inner)
+    return found
+
+
+def again(key: Part, what: str, first: Part, mistakes: Mistakes) -> None:
+    mistakes.add(key, f"{what} a second time, first in {first.line}:{first.column}", "keep one of them")
+
+
+def text(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
+    if part is None:
+        return None
+    if isinstance(part, YamlScalar) and isinstance(part.value, str) and 0 < len(part.value) <= _MAX_TEXT:
+        return part.value
+    mistakes.add(part, f"{what} must be text of 1 to {_MAX_TEXT} characters", "put it in quotes")
+    return None
+
+
+def items(part: Part | None) -> tuple[Part, ...]:
+    if part is None:
+        return ()
+    return part.items if isinstance(part, YamlSequence) else (part,)
+
+
+def duration(part: Part | None, what: str, mistakes: Mistakes, *, never: bool = False) -> int | None:
+    """Seconds of `30s`, `15m`, `8h`, `7d`, `4w`; 0 for `never` if allowed."""
+    if part is None:
+        return None
+    value = part.value if isinstance(part, YamlScalar) else None
+    if never and value == "never":
+        return 0
+    match = _DURATION.fullmatch(value) if isinstance(value, str) else None
+    if match is None:
+        choice = "write 30s, 15m, 8h, 7d or 4w" + (", or never" if never else "")
+        mistakes.add(part, f"{what} is not a duration{_quoted(value)}", choice)
+        return None
+    return int(match[1]) * _UNITS[match[2]]
+
+
+def pattern(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
+    if isinstance(part, YamlMapping) and list(part.entries) == [NODE[1:-1]]:
+        mistakes.add(part, f"{what}: {NODE} without quotes", f'put it in quotes: "{NODE}"')
+        return None
+    value = text(part, what, mistakes)
+    if value is None or part is None:
+        return None
+    try:
+        return check_rule_pattern(value)
+    except NameRefused as error:
+        mistakes.add(part, f"{what}: {error}", error.hint)
+        return None
+
+
+def own_pattern(part: Part | None, what: str, right: Right, mistakes: Mistakes) -> str | None:
+    value = part.value if isinstance(part, YamlScalar) else None
+    said = value if isinstance(value, str) and len(value) <= _MAX_TEXT else ""
+    if part is not None and (":" in said or (is_alias(said) and right is not Right.GRAPH)):
+        hint = "its own authority grants rights on it, by its name there"
+        mistakes.add(part, f"{what}: {said[:80]!r} is a name of another domain", hint)
+        return None
+    return pattern(part, what, mistakes)
+
+
+def subject(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
+    value = text(part, what, mistakes)
+    if value is None or part is None:
+        return None
+    if is_alias(value):
+        hint = "LABEL:/NAME, for example hospital:/rounds/*"
+        mistakes.add(part, f"{what}: write {value[:80]!r} with the label of the domain", hint)
+        return None
+    try:
+        return local_pattern(value)
+    except NameRefused as error:
+        hint = _PARTIAL_STAR if has_partial_star(value) else error.hint or "LABEL:/NAME"
+        mistakes.add(part, f"{what}: {error}", hint)
+        return None
+
+
+def key(part: Part | None, mistakes: Mistakes) -> bytes | None:
+    if part is None:
+        return None
+    value = part.value if isinstance(part, YamlScalar) else None
+    match = _KEY.fullmatch(value) if isinstance(value, str) else None
+    if match is None:
+        hint = "write sha256: and 64 hexadecimal digits, see: rossec ca show --json"
+        mistakes.add(part, f"not a key thumbprint{_quoted(value)}", hint)
+        return None
+    return bytes.fromhex(match[1])
+
+
+def number(part: Part | None, what: str, mistakes: Mistakes) -> float | None:
+    if part is None:
+        return None
+    value = part.value if isinstance(part, YamlScalar) else None
+    if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= MAX_RATE:
+        return value
+    mistakes.add(part, f"{what} must be a number above zero{_quoted(value)}", "for example 0.2")
+    return None
+
+
+def choice(part: Part | None, what: str, known: Collection[str], mistakes: Mistakes) -> str | None:
+    if part is None:
+        return None
+    value = str(part.value) if isinstance(part, YamlScalar) else ""
+    if value in known:
+        return value
+    mistakes.add(part, f"unknown {what}{_quoted(value)}", suggest(value, known))
+    return None
+
+
+def _quoted(value: object) -> str:
+    return "" if value is None or value == "" else f": {str(value)[:60]!r}"

@@ -1,17 +1,16 @@
 """Conversion of SROS2 policies (XML): kept exactly, or narrower and said, or refused.
 
-Read: `policy/enclaves/enclave/profiles/profile(ns, node)` with `topics`, `services` and `actions`
-(design article "ROS 2 access control policies"). DTDs are refused before anything in them is
-read. SROS2 matches with fnmatch, whose `*` stands for any characters, `/` too: a last segment `*`
-is `**` here, and a `*` before it is so as well. What is allowed may become narrower or be left out,
-and is reported; what is denied is kept as wide as it is, or the policy is refused, as is one with
-parts that are not read: they may deny.
+Read: `policy/enclaves/enclave/profiles/profile(ns, node)` with `topics`, `services` and `actions` (design
+article "ROS 2 access control policies"). SROS2 matches with fnmatch, whose `*` stands for any characters, `/`
+too: so it is `**` here. What is allowed may become narrower or be left out, and is reported; what is denied
+is kept as wide as it is, or the policy is refused, as is one with parts that are not read: they may deny.
+DTDs are refused before anything in them is read.
 """
 
 import io
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 from xml.etree.ElementTree import ParseError
 
@@ -20,8 +19,8 @@ from defusedxml.ElementTree import iterparse
 
 from ca.errors import PatternRefused
 from grants.errors import PolicyRefused
-from grants.policy.editing import NewRule, add_rules, empty, free_id
-from grants.policy.own_names import NODE, check_rule_pattern
+from grants.policy.learn import NewRule, add_rules, empty, free_id
+from grants.policy.names import NODE, check_rule_pattern
 
 VERSION: Final = "0.2.0"
 MAX_SIZE: Final = 4 * 1024 * 1024
@@ -56,24 +55,19 @@ _BELOW: Final[dict[str, frozenset[str]]] = {
 # An action of ROS 1 is five topics: what the client publishes, and what the server does.
 _GOALS: Final = ("goal", "cancel")
 _RESULTS: Final = ("status", "feedback", "result")
-_ROS2_ONLY: Final = ("parameter_events", "describe_parameters", "get_parameter_types",
-                     "get_parameters", "list_parameters", "set_parameters",
-                     "set_parameters_atomically", "get_type_description")  # fmt: skip
+_ROS2_ONLY: Final = (
+    *("parameter_events", "describe_parameters", "get_parameter_types", "get_parameters"),
+    *("list_parameters", "set_parameters", "set_parameters_atomically", "get_type_description"),
+)
 
 
 def import_sros2(xml: str) -> tuple[str, list[str]]:
-    """A policy text, and what is not as in the XML, one line each: it allows less.
-
-    Raises:
-        PolicyRefused: not XML, XML with a DTD, not an SROS2 policy, or one that denies more than
-            can be written here.
-    """
+    """A policy text, and what is not as in the XML, one line each: it allows less."""
     root = _parse(xml)
     found = _Found()
     if root.get("version") != VERSION:
-        found.notes.append(
-            f"{_READ}the policy is of version {root.get('version', '(none)')[:20]!a}, as {VERSION}"
-        )
+        version = root.get("version", "(none)")[:20]
+        found.notes.append(f"{_READ}the policy is of version {version!a}, as {VERSION}")
     rules: list[NewRule] = []
     taken: set[str] = set()
     repeated: Counter[str] = Counter()
@@ -81,10 +75,10 @@ def import_sros2(xml: str) -> tuple[str, list[str]]:
     for profile in root.iter("profile"):
         for rule in _profile(profile, found):
             repeated[rule.id] += 1
-            duplicate = repeated[rule.id] > 1
-            name = free_id(taken, f"{rule.id}-{repeated[rule.id]}" if duplicate else rule.id)
+            number = repeated[rule.id]
+            name = free_id(taken, f"{rule.id}-{number}" if number > 1 else rule.id)
             taken.add(name)
-            rules.append(NewRule(name, rule.why, rule.who, rule.effect, rule.rights))
+            rules.append(replace(rule, id=name))
     if found.lost:
         raise PolicyRefused(
             f"{len(found.lost)} parts of this policy cannot be kept as they are: {found.lost[0]}",
@@ -105,7 +99,7 @@ class _Found:
 
 
 def _check_structure(root: Any, xml: str, found: _Found) -> None:
-    """Note every element and attribute that is not read: it may deny something."""
+    # Note every element and attribute that is not read: it may deny something.
     for item in root.iter():
         tag = str(item.tag)
         if tag.endswith("}include"):
@@ -120,11 +114,7 @@ def _check_structure(root: Any, xml: str, found: _Found) -> None:
         strange = [name for name in item.attrib if name not in known]
         found.lost += [f"<{tag}> has an attribute {name[:60]!a}" for name in strange]
         for child in item:
-            if (
-                isinstance(child.tag, str)
-                and child.tag in _ATTRIBUTES
-                and child.tag not in _BELOW[tag]
-            ):
+            if isinstance(child.tag, str) and child.tag in _ATTRIBUTES and child.tag not in _BELOW[tag]:
                 found.lost.append(f"<{child.tag}> is not expected in <{tag}>")
 
 
@@ -148,7 +138,7 @@ def _parse(xml: str) -> Any:
 
 
 def _bounded(xml: str) -> Any:
-    """The root; the cost of a tree is in its elements and attributes, so they are counted first."""
+    # The root; the cost of a tree is in its elements and attributes, so they are counted first.
     root, depth, count = None, 0, 0
     data = io.BytesIO(xml.encode(errors="replace"))
     for event, element in iterparse(data, events=("start", "end"), forbid_dtd=True):
@@ -164,7 +154,6 @@ def _bounded(xml: str) -> Any:
 
 
 def _profile(profile: Any, found: _Found) -> Iterator[NewRule]:
-    """The rules of one node: allowed and denied rights."""
     namespace = "/" + profile.get("ns", "/").strip("/")
     node = f"{namespace.rstrip('/')}/{profile.get('node', '').strip('/')}"
     if profile.get("node") == _DEFAULT:
@@ -191,8 +180,6 @@ def _profile(profile: Any, found: _Found) -> Iterator[NewRule]:
 
 
 class _Group(NamedTuple):
-    """One effect of one element: of which node, about what."""
-
     node: str
     namespace: str
     child: str
@@ -216,7 +203,7 @@ def _read_group(
         pattern = _deep(asked)
         if effect == "allow" and pattern.rsplit("/", 1)[-1] in _ROS2_ONLY:
             found.notes.append(f"{read.node}: {pattern} exists in ROS 2 only")
-        elif not _is_pattern(pattern) or (effect == "deny" and not _is_kept(asked)):
+        elif not _is_pattern(pattern) or (effect == "deny" and any(mark in asked for mark in "?[]")):
             lost = found.lost if effect == "deny" else found.notes
             lost.append(f"{where} {asked} is not a pattern of whole segments")
         else:
@@ -227,16 +214,7 @@ def _read_group(
 
 
 def _deep(pattern: str) -> str:
-    """As fnmatch reads it: a segment `*` stands for one or more segments."""
     return "/".join("**" if part == "*" else part for part in pattern.split("/"))
-
-
-def _is_kept(pattern: str) -> bool:
-    """Whether `_deep` denies all that fnmatch does: no other character of its language is there.
-
-    `/a/*` is also `/a/` for fnmatch, which is no name.
-    """
-    return not any(mark in pattern for mark in "?[]")
 
 
 def _rights(attribute: str, labels: tuple[str, ...], name: str) -> list[tuple[str, str]]:

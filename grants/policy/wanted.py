@@ -1,61 +1,149 @@
 """What a policy gives a node outright: the wanted state, which `rossec policy apply` makes true.
 
-Each clause of an allowing rule is decided whole, as a request for its pattern would be. Only what
-is allowed is wanted: what a person decides is left to a person, and a pattern of which one name is
-denied is withheld whole: a grant cannot say "except". Both are reported with their rules.
+Each clause of an allowing rule is decided whole, as a request for its pattern would be. Only what is allowed
+is wanted: what a person decides is left to a person, and a pattern of which one name is denied is withheld
+whole: a grant cannot say "except". Both are reported with their rules. Also here: from verdicts to grants, no
+more than was decided, and what is in force for a right, whatever the policy says of it today.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, Final, NamedTuple
 
-from ca.domains.aliases import is_alias
-from grants.model import Permission, Right
+from ca.names import is_alias, shown, tail_base
+from grants.errors import PolicyRefused
+from grants.model import Draft, Grant, Permission, Restriction, Right, format_time
 from grants.policy.decision import Decider, Verdict
-from grants.policy.drafts import permissions
-from grants.policy.model import Effect, PolicyRule, Subject
-from grants.policy.own_names import is_own
+from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject
+from grants.policy.names import gives, intersects, is_own, overlaps
+from grants.policy.restrictions import divide
+from grants.policy.rules import is_basics
+from grants.request import RequestedRight
 
-Atom = tuple[Right, str]
-"""One right on one name or pattern."""
 
+@dataclass(frozen=True)
+class Plan:
+    allowed: tuple[Verdict, ...]
+    prompted: tuple[Verdict, ...]
+    denied: tuple[Verdict, ...]
+
+
+def plan(decider: Decider, subject: Subject, rights: Iterable[RequestedRight]) -> Plan:
+    verdicts = [decider.decide(subject, each.right, each.pattern) for each in sorted(set(rights))]
+    by = {effect: tuple(v for v in verdicts if v.effect is effect) for effect in Effect}
+    return Plan(by[Effect.ALLOW], by[Effect.PROMPT], by[Effect.DENY])
+
+
+def approve(verdict: Verdict) -> Verdict:
+    """The verdict after a person approved it; its restrictions stay."""
+    if verdict.effect is Effect.DENY:
+        reason = verdict.rules[0].reason if verdict.rules else "no rule allows it"
+        raise PolicyRefused(
+            f"the policy denies {verdict.right.label} {verdict.name}: {reason}",
+            "to allow it, change the policy first",
+        )
+    return replace(verdict, effect=Effect.ALLOW)
+
+
+def approximate(verdict: Verdict, restriction: Restriction) -> Verdict:
+    """The verdict, additionally restricted by `restriction`."""
+    if verdict.right is not Right.SUBSCRIBE:
+        raise PolicyRefused(
+            f"{verdict.right.label} {verdict.name} cannot be approximate", "only subscriptions can"
+        )
+    base = replace(restriction, rate=None)
+    extra = Clause(verdict.right, verdict.name, base, restriction.rate, restriction.type)
+    return replace(verdict, clauses=(*verdict.clauses, extra))
+
+
+def shorten(verdict: Verdict, seconds: int) -> Verdict:
+    """The verdict for at most `seconds`, without renewal."""
+    return replace(verdict, lifetime=min(verdict.lifetime, seconds), renew_until=0)
+
+
+def limit(verdict: Verdict, seconds: int) -> Verdict:
+    """The verdict for at most `seconds`, its renewals included."""
+    renew = min(verdict.renew_until, seconds)
+    return replace(verdict, lifetime=min(verdict.lifetime, seconds), renew_until=renew)
+
+
+def drafts(
+    verdicts: Iterable[Verdict], *, domain: str, now: int, serial: Callable[[], bytes], skew: int = 0
+) -> list[Draft]:
+    """The drafts to sign for allowed verdicts: for each subject and validity, as few as fit.
+
+    Tail patterns have drafts of their own, as a verifier that does not know them refuses a grant.
+
+    `skew`: seconds by which they are backdated, for hosts whose clock is behind.
+    """
+    groups: dict[tuple[Subject, int, int, bool], list[Verdict]] = {}
+    for verdict in verdicts:
+        if verdict.effect is not Effect.ALLOW:
+            raise PolicyRefused(f"not allowed: {verdict.headline}", "only ALLOW can be signed")
+        tail = tail_base(verdict.name) is not None
+        key = (verdict.subject, verdict.lifetime, verdict.renew_until, tail)
+        groups.setdefault(key, []).append(verdict)
+    return [
+        Draft(
+            domain=domain,
+            subject=subject.name,
+            holder=subject.key,
+            not_before=now - skew,
+            expires=now + lifetime,
+            cap=now + max(lifetime, renew),
+            serial=serial(),
+            permissions=tuple(item for verdict in part for item in permissions(verdict)),
+        )
+        for (subject, lifetime, renew, _), group in groups.items()
+        for part in divide(group, permissions)
+    ]
+
+
+def permissions(verdict: Verdict) -> list[Permission]:
+    """The permissions of a grant for `verdict`."""
+    # Several restrictions become several entries of one grant: its verifier applies all of them.
+    more: dict[str, Any] = {} if verdict.rate is None else {"rate": verdict.rate}
+    if verdict.keep_when_stale:
+        more["keep_when_stale"] = True
+    restrictions = [replace(item, **more) for item in verdict.restrictions]
+    if not restrictions:
+        return [Permission(verdict.name, verdict.right, Restriction(**more) if more else None)]
+    return [Permission(verdict.name, verdict.right, item) for item in restrictions]
+
+
+Atom = tuple[Right, str]  # one right on one name or pattern
 _Key = tuple[bool | str | int, ...]
 
 
 @dataclass(frozen=True)
 class WantedRight:
-    """One right on one pattern, as the policy gives it.
-
-    Args:
-        permissions: the entries of a grant that say so; all of them hold together.
-        rules: the deciding rules.
-        lifetime, renew_until: seconds; `renew_until` 0 is never.
-    """
+    """One right on one pattern, as the policy gives it."""
 
     right: Right
     pattern: str
-    permissions: tuple[Permission, ...]
-    rules: tuple[PolicyRule, ...]
-    lifetime: int
-    renew_until: int
+    permissions: tuple[Permission, ...]  # the entries of a grant that say so; all of them hold together
+    rules: tuple[PolicyRule, ...]  # those that decide
+    lifetime: int  # seconds
+    renew_until: int  # 0 is never
 
     @classmethod
     def of(cls, verdict: Verdict) -> "WantedRight":
         """What a verdict of ALLOW gives."""
         return cls(
-            verdict.right, verdict.name, tuple(permissions(verdict)),
-            tuple(dict.fromkeys(verdict.rules)), verdict.lifetime,
+            verdict.right,
+            verdict.name,
+            tuple(permissions(verdict)),
+            tuple(dict.fromkeys(verdict.rules)),
+            verdict.lifetime,
             0 if is_alias(verdict.subject.name) else verdict.renew_until,
-        )  # fmt: skip
+        )
 
     @property
     def atom(self) -> Atom:
-        """What it is about."""
         return self.right, self.pattern
 
     @property
     def rule_ids(self) -> str:
-        """The deciding rules by id, as the record has them."""
         return rule_ids(self.rules)
 
 
@@ -92,46 +180,37 @@ class WantedState:
         self._last: tuple[Subject | None, list[PolicyRule], _Key] = (None, [], ())
 
     def of(self, subject: Subject) -> Wanted:
-        """What the policy gives `subject` outright.
-
-        Raises:
-            NameRefused: `subject.name` is not an absolute name.
-        """
+        """What the policy gives `subject` outright."""
         rules, key = self._rules_of(subject)
         if key not in self._wanted:
-            self._wanted[key] = self._decide_all(rules, subject)
+            rights: dict[Atom, WantedRight] = {}
+            withheld: dict[tuple[Atom, str], Withheld] = {}
+            for rule, atom in _clauses(rules, subject):
+                verdict = self._decider.decide_by(rules, subject, *atom)
+                if verdict.effect is Effect.ALLOW:
+                    rights.setdefault(atom, WantedRight.of(verdict))
+                else:
+                    found = Withheld(*atom, verdict.effect, rule, verdict.rules[0])
+                    withheld.setdefault((atom, rule.id), found)
+            self._wanted[key] = Wanted(tuple(rights.values()), tuple(withheld.values()))
         return self._wanted[key]
 
     def decide(self, subject: Subject, atom: Atom) -> Verdict:
         """As `Decider.decide`, of a right and a pattern that were checked before."""
         rules, key = self._rules_of(subject)
-        verdict = self._verdicts.get((key, atom))
-        if verdict is None:
-            verdict = self._decider.decide_by(rules, subject, *atom)
-            self._verdicts[key, atom] = verdict
-        return replace(verdict, subject=subject)
+        if (key, atom) not in self._verdicts:
+            self._verdicts[key, atom] = self._decider.decide_by(rules, subject, *atom)
+        return replace(self._verdicts[key, atom], subject=subject)
 
     def _rules_of(self, subject: Subject) -> tuple[list[PolicyRule], _Key]:
-        """The rules for `subject`, and what names them: the policy keeps them alive."""
         if self._last[0] != subject:
             rules = self._decider.rules_of(subject)
             # No master renews grants of foreigners, so they share nothing with own nodes.
-            own = (subject.name,) if subject.tail or any(map(_has_own_names, rules)) else ()
+            own_names = any(is_own(clause.pattern) for rule in rules for clause in rule.clauses)
+            own = (subject.name,) if subject.tail or own_names else ()
             key = (is_alias(subject.name), subject.tail, *own, *map(id, rules))
             self._last = (subject, rules, key)
         return self._last[1:]
-
-    def _decide_all(self, rules: list[PolicyRule], subject: Subject) -> Wanted:
-        rights: dict[Atom, WantedRight] = {}
-        withheld: dict[tuple[Atom, str], Withheld] = {}
-        for rule, atom in _clauses(rules, subject):
-            verdict = self._decider.decide_by(rules, subject, *atom)
-            if verdict.effect is Effect.ALLOW:
-                rights.setdefault(atom, WantedRight.of(verdict))
-            else:
-                found = Withheld(*atom, verdict.effect, rule, verdict.rules[0])
-                withheld.setdefault((atom, rule.id), found)
-        return Wanted(tuple(rights.values()), tuple(withheld.values()))
 
 
 def rule_ids(rules: Iterable[PolicyRule]) -> str:
@@ -139,14 +218,104 @@ def rule_ids(rules: Iterable[PolicyRule]) -> str:
     return " ".join(sorted({rule.id for rule in rules}))
 
 
-def _has_own_names(rule: PolicyRule) -> bool:
-    return any(is_own(clause.pattern) for clause in rule.clauses)
-
-
 def _clauses(rules: list[PolicyRule], subject: Subject) -> Iterator[tuple[PolicyRule, Atom]]:
-    """The rights that the rules have for `subject`, of allowing and of prompting rules."""
     for rule in rules:
         if rule.effect is not Effect.DENY:
             for clause in rule.clauses:
                 if (found := clause.of(subject)) is not None:
                     yield rule, (found.right, found.pattern)
+
+
+def in_force(
+    grants: Iterable[Grant],
+    keys: Collection[bytes],
+    right: Right,
+    name: str,
+    *,
+    now: int,
+    revoked: Collection[bytes],
+) -> list[Grant]:
+    """The grants by which a node can use `right` on `name`, or on a part of it, at `now`.
+
+    One signed by hand, or before a rule was changed, is accepted by every verifier until it ends or is
+    revoked, whatever the policy says today. `keys`: those the node may prove to hold; `revoked`: ids of
+    grants and keys.
+    """
+    return [
+        grant
+        for grant in grants
+        if grant.holder in keys
+        and grant.not_before <= now < grant.expires
+        and grant.holder not in revoked
+        and not any(entry in revoked for entry in grant.revocable)
+        and all(
+            any(right in each.rights and overlaps(each.pattern, right, name) for each in link.permissions)
+            for link in grant.links
+        )
+    ]
+
+
+def in_force_lines(found: Iterable[Grant], verdict: Verdict) -> list[str]:
+    """What is in force, for people; if the policy does not allow it, that is said."""
+    said = held_lines(found, verdict.right, verdict.name)
+    if said and not verdict:
+        return [*said, "the policy does not allow what these grants still give: apply or revoke"]
+    return said
+
+
+def held_lines(found: Iterable[Grant], right: Right, name: str) -> list[str]:
+    """What grants in force give of a right, a line each."""
+    return [_line(grant, right, name) for grant in found]
+
+
+def gives_whole(found: Iterable[Grant], right: Right, name: str) -> bool:
+    """Whether one of these grants gives all of `name`, a name or a pattern."""
+    return any(
+        all(
+            any(right in each.rights and gives(each.pattern, right, name) for each in link.permissions)
+            for link in grant.links
+        )
+        for grant in found
+    )
+
+
+def _line(grant: Grant, right: Right, name: str) -> str:
+    given = [each for each in grant.permissions if right in each.rights]
+    near = [each for each in given if overlaps(each.pattern, right, name)]
+    whole = any(gives(each.pattern, right, name) for each in near)
+    what = ", ".join(dict.fromkeys(shown(each.pattern) for each in near))
+    part = "" if whole else ", a part of it,"
+    limited = [each.restriction for each in near if each.restriction is not None]
+    how = ", with restrictions" if any(each.restricts_messages for each in limited) else ""
+    until = format_time(grant.expires)
+    return f"in force: grant {grant.short_id} gives {right.label} {what}{part} until {until}{how}"
+
+
+_BASICS: Final = "allow what every ROS program needs: its log, its loggers, the clock (rule basics)"
+
+
+def projected_grants(policy: Policy, subject: Subject) -> list[str]:
+    """What is allowed, prompted or denied for `subject`, a line each, in the order of the rules."""
+    return [
+        line
+        for rule in policy.rules
+        if rule.applies_to(subject)
+        for line in [_BASICS] * is_basics(rule)
+        or _lines(rule, filter(None, (each.of(subject) for each in rule.clauses)))
+    ]
+
+
+def projected_for_names(policy: Policy, pattern: str) -> list[str]:
+    """As `projected_grants`, for every name that `pattern` covers: with whom each rule is for."""
+    return [
+        f"{rule.subjects_text}: {line}"
+        for rule in policy.rules
+        if any(who.node is not None and intersects(who.node, pattern) for who in rule.who)
+        for line in [_BASICS] * is_basics(rule) or _lines(rule, rule.clauses)
+    ]
+
+
+def _lines(rule: PolicyRule, clauses: Iterable[Clause]) -> Iterator[str]:
+    for clause in clauses:
+        yield f"{rule.effect} {clause.right.label} {clause.shown} ({rule.reason})"
+        yield from (f"  {line}" for line in clause.lines())

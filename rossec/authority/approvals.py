@@ -17,26 +17,25 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.errors import HintedError, RecordUnusable, StoreError
-from grants.filters.compile import compile_filter
-from grants.filters.presets import PRESETS, preset
+from grants.filters.compile import PRESETS, compile_filter, preset
 from grants.model import Draft, Restriction
 from grants.policy.decision import Verdict
-from grants.policy.drafts import approve, approximate, drafts, shorten
 from grants.policy.model import Effect, Policy, Subject
-from grants.policy.wanted import rule_ids
+from grants.policy.wanted import approve, approximate, drafts, rule_ids, shorten
 from grants.request import GrantRequest, open_request, peek_request
 from rossec.authority import requests
-from rossec.authority.grantable import OF_ALL
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, layout_of
 from rossec.authority.requests import GrantRequestStore, StoredRequest
-from rossec.authority.signing import SKEW, SigningAuthority
+from rossec.authority.signing import OF_ALL, SKEW, SigningAuthority
 from rossec.clock import seconds_left_today
 from rossec.errors import ConfigurationError
 
 MAX_PENDING: Final = 16  # prompts that one node may have pending
 MAX_LATE: Final = 64  # of one node that are kept although nobody answered in time
 GRANTED, DENIED, LATE, TOO_MANY = "granted", "denied", "no answer", "too many"
+
+_NO_RULE: Final = "no rule gives it, and where none does the policy denies (defaults: decision)"
 
 VerdictChange = Callable[[Verdict], Verdict]
 
@@ -55,8 +54,6 @@ class PendingApproval:
 
 
 class Denial(NamedTuple):
-    """A requested right that was denied without a person, and why."""
-
     stored: StoredRequest
     reason: str
 
@@ -77,15 +74,10 @@ class ApprovalQueue:
         self.denied = list[Denial]()
 
     def close(self) -> None:
-        """Close the record."""
         self._store.close()
 
     def add_request(self, data: bytes) -> GrantRequest:
-        """Record one request, verified with the key its node was enrolled with.
-
-        Raises:
-            HintedError: not a request of an enrolled node, or known already.
-        """
+        """Record one request, verified with the key its node was enrolled with."""
         named = peek_request(data).node
         row = self._store.valid_certificate(named, self._now)
         key = x509.load_der_x509_certificate(row.der).public_key()
@@ -95,11 +87,7 @@ class ApprovalQueue:
         return request
 
     def read_inbox(self) -> list[str]:
-        """Record the requests in the inbox directory; returns one line for each invalid one.
-
-        Raises:
-            RecordUnusable: the requests stay in the inbox.
-        """
+        """Record the requests in the inbox directory; returns one line for each invalid one."""
         errors: list[str] = []
         with self._store.transaction():  # excludes other commands
             paths = requests.inbox_files(self._home.path)
@@ -115,11 +103,10 @@ class ApprovalQueue:
         return errors
 
     def pending(self) -> list[PendingApproval]:
-        """The unanswered requests; those denied by the policy or too late are denied here."""
         with self._store.transaction():
-            return self._pending()
+            return self._decided()
 
-    def _pending(self) -> list[PendingApproval]:
+    def _decided(self) -> list[PendingApproval]:
         approvals: list[PendingApproval] = []
         self.denied = []
         waiting: dict[str, int] = {}
@@ -135,8 +122,9 @@ class ApprovalQueue:
                 self.denied.append(Denial(stored, str(error)))
                 continue
             if verdict.effect is Effect.DENY:
-                self._requests.answer(stored, DENIED, _denial_reason(verdict), self._now)
-                self.denied.append(Denial(stored, _why(verdict)))
+                rule = verdict.rules[0] if verdict.rules else None
+                self._requests.answer(stored, DENIED, f"rule {rule.id}" if rule else "by default", self._now)
+                self.denied.append(Denial(stored, f"by {rule.reason}" if rule else _NO_RULE))
                 continue
             if verdict.effect is Effect.PROMPT and (why := self._automatic_denial(stored, waiting)):
                 if why != LATE or self._is_for_good(stored, counts):
@@ -147,11 +135,7 @@ class ApprovalQueue:
         return approvals
 
     def chosen(self, beginning: str) -> list[PendingApproval]:
-        """The rights that wait for a person, of the one request whose id begins so.
-
-        Raises:
-            ConfigurationError: there is none, or more than one.
-        """
+        """The rights that wait for a person, of the one request whose id begins so."""
         found = [
             item
             for item in self.pending()
@@ -164,7 +148,6 @@ class ApprovalQueue:
         return found
 
     def deny(self, approval: PendingApproval, reason: str) -> None:
-        """Record that a person denied the request."""
         self._requests.answer(approval.stored, DENIED, reason, self._now)
 
     def sign(
@@ -174,13 +157,7 @@ class ApprovalQueue:
         change: VerdictChange,
         reason: str,
     ) -> list[tuple[Draft, bytes]]:
-        """Sign the verdicts, modified by `change`; returns the grants with their drafts.
-
-        Raises:
-            PolicyRefused: one is denied, or cannot be expressed as a grant; nothing is signed.
-            StoreError: one was answered meanwhile, or its key revoked; nothing is signed.
-            ConfigurationError: the policy was changed meanwhile; nothing is signed.
-        """
+        """Sign the verdicts, modified by `change`; returns the grants with their drafts."""
         chosen = list(approvals)
         made = self.drafts(authority.domain, chosen, change)
         answers = GrantRequestStore(authority.store.database)
@@ -197,10 +174,6 @@ class ApprovalQueue:
         """Sign what the policy allows; what cannot be in a grant is denied alone, and returned.
 
         All together if that is possible, else each request alone, and of one each right.
-
-        Raises:
-            ConfigurationError: the policy was changed meanwhile.
-            HintedError: nothing can be signed at all.
         """
         chosen = list(approvals)
         try:
@@ -210,7 +183,10 @@ class ApprovalQueue:
         except HintedError as error:
             self._policy.check_unchanged()
             if len(chosen) == 1:
-                return [], [self._refuse(chosen[0], error)]
+                denial = Denial(chosen[0].stored, f"it cannot be granted: {error}")
+                with contextlib.suppress(StoreError):  # it may have been answered meanwhile
+                    self.deny(chosen[0], denial.reason)
+                return [], [denial]
         signed, refused = list[tuple[Draft, bytes]](), list[Denial]()
         for part in _parts(chosen):
             found, left = self.sign_each(authority, part, reason)
@@ -218,22 +194,12 @@ class ApprovalQueue:
             refused += left
         return signed, refused
 
-    def _refuse(self, approval: PendingApproval, why: HintedError) -> Denial:
-        """Deny what cannot be granted; it may have been answered meanwhile."""
-        denial = Denial(approval.stored, f"it cannot be granted: {why}")
-        with contextlib.suppress(StoreError):
-            self.deny(approval, denial.reason)
-        return denial
-
     def drafts(
         self, domain: str, approvals: Iterable[PendingApproval], change: VerdictChange
     ) -> list[tuple[Draft, str]]:
         """The grants to sign for the verdicts, modified by `change`.
 
         With the rules of those that the policy allows by itself.
-
-        Raises:
-            PolicyRefused: as `sign`.
         """
         groups: dict[str, list[Verdict]] = {}
         for approval in approvals:
@@ -244,10 +210,9 @@ class ApprovalQueue:
             (draft, rules)
             for rules, group in groups.items()
             for draft in drafts(
-                group, domain=domain, now=self._now, skew=SKEW,
-                serial=lambda: secrets.token_bytes(16),
+                group, domain=domain, now=self._now, skew=SKEW, serial=lambda: secrets.token_bytes(16)
             )
-        ]  # fmt: skip
+        ]
 
     def _verdict(self, stored: StoredRequest) -> Verdict:
         row = self._store.valid_certificate(stored.request.node, self._now)
@@ -255,14 +220,12 @@ class ApprovalQueue:
         return self._decider.decide(subject, stored.requested.right, stored.requested.pattern)
 
     def _had_identity(self, stored: StoredRequest) -> bool:
-        """Whether its node has a key that is not revoked, and was valid when it asked."""
+        # Whether its node has a key that is not revoked, and was valid when it asked.
         return bool(self._store.identities.valid(stored.request.node, stored.at))
 
     def _is_for_good(self, stored: StoredRequest, counts: Counter[str]) -> bool:
-        """Whether to record what only the clock says; else it comes back when that is set right.
-
-        `counts`: what has no answer yet, by node; oldest first, so the newest stay.
-        """
+        # Whether to record what only the clock says; else it comes back when that is set right.
+        # `counts`: what has no answer yet, by node; oldest first, so the newest stay.
         counts[stored.request.node] -= 1
         return counts[stored.request.node] >= MAX_LATE
 
@@ -275,21 +238,14 @@ class ApprovalQueue:
 
 
 def _parts(approvals: list[PendingApproval]) -> list[list[PendingApproval]]:
-    """The rights of several requests by request, those of one request one by one."""
     by_request: dict[bytes, list[PendingApproval]] = {}
     for item in approvals:
         by_request.setdefault(item.stored.request.id, []).append(item)
     return [*by_request.values()] if len(by_request) > 1 else [[item] for item in approvals]
 
 
-def verdict_change(
-    file: PolicyFile, coarse: str | None, now: int, *, only_today: bool
-) -> VerdictChange:
-    """How a person restricts a verdict: through the filter `coarse`, until midnight.
-
-    Raises:
-        ConfigurationError: neither the policy nor a preset has the filter.
-    """
+def verdict_change(file: PolicyFile, coarse: str | None, now: int, *, only_today: bool) -> VerdictChange:
+    """How a person restricts a verdict: through the filter `coarse`, until midnight."""
     if coarse is not None and coarse not in {*file.policy.filters, *PRESETS}:
         known = ", ".join({**file.policy.filters, **PRESETS})
         raise ConfigurationError(f"no filter {coarse!r} in {file.path}", f"there are: {known}")
@@ -304,7 +260,6 @@ def verdict_change(
 
 
 def _restriction(policy: Policy, topic: str, name: str) -> Restriction:
-    """The filter `name` of the policy, or the preset of that name, for a topic."""
     kind = policy.type_of(topic)
     if kind is None:
         raise ConfigurationError(f"the type of {topic} is not known here", "add it to types")
@@ -313,14 +268,3 @@ def _restriction(policy: Policy, topic: str, name: str) -> Restriction:
         return preset(name).restriction(layout)
     compile_filter(layout, policy.filters[name])
     return Restriction(kind, (), tuple(sorted(policy.filters[name])))
-
-
-def _denial_reason(verdict: Verdict) -> str:
-    return f"rule {verdict.rules[0].id}" if verdict.rules else "by default"
-
-
-def _why(verdict: Verdict) -> str:
-    """As `_denial_reason`, for who reads it now."""
-    if verdict.rules:
-        return f"by {verdict.rules[0].reason}"
-    return "no rule gives it, and where none does the policy denies (defaults: decision)"

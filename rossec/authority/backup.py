@@ -1,18 +1,19 @@
 """Back up an authority into one file, and restore it without losing data by accident.
 
-What is in a backup, each part says that owns files (`contents`). A restore verifies the backup
-first, next to its target: the key opens and matches its certificate, the log verifies; code that it
-names is not run (`token_modules`). An existing authority is replaced only if the operator names its
-trust domain, and in one step; newer log entries are lost only if the operator gives their number,
-and what it has revoked stays revoked. The backup lacks what was signed after it, so a new epoch of
-lists begins, and signed lists from the master or a node restore the missing revocations, and the
-domains that are trusted (`restored_lists`); without one no foreign domain is.
+What is in a backup, each part of rossec says that writes files, in its `OWNED`: a test holds every
+file of a home that has used all of them against this. A restore verifies the backup first, next to
+its target: the key opens and matches its certificate, the log verifies; code that it names is not
+run. An existing authority is replaced only if the operator names its trust domain, and in one step;
+newer log entries are lost only if the operator gives their number, and what it has revoked stays
+revoked. The backup lacks what was signed after it, so a new epoch of lists begins, and signed lists
+from the master or a node give back what is missing (`restored_lists`).
 """
 
 import contextlib
+import re
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -20,19 +21,101 @@ from typing import Final
 
 from ca.certificates import TrustAnchor
 from ca.errors import BackupRefused, HintedError, LogDamaged, PassphraseRefused
-from ca.keys.hsm import KeyUri
-from ca.revocation.state import open_list
-from ca.revocation.tree import is_tree, open_tree
-from ca.store import backup
-from ca.store.approval_replay import RESTORED
-from ca.store.lifecycle import RequestState
-from ca.store.log_entries import LogEntry
-from rossec import files
-from rossec.authority import contents, policyfile, restored_lists, token_modules
+from ca.keys import passphrases
+from ca.keys.passphrases import MAX_BACKUP
+from ca.keys.private_keys import KeyUri
+from ca.revocation.lists import is_tree, open_list, open_tree
+from ca.store.log import RESTORED
+from ca.store.values import LogEntry, RequestState
+from rossec import files, home, saved_statements
+from rossec.authority import grant_operations, policyfile, renewals, requests, restored_lists, signing
+from rossec.authority import home as authority_home
+from rossec.authority.console import messages as console
 from rossec.authority.home import KEY_URI, RECORD, AuthorityHome
-from rossec.authority.keyservice.lock import service_lock
+from rossec.authority.keyservice import client
+from rossec.authority.keyservice.client import service_lock
 from rossec.authority.restored_lists import NewerLists
 from rossec.authority.signing import SigningAuthority
+from rossec.errors import ConfigurationError
+from rossec.files import Owned, read_own
+
+_NODE: Final = (
+    *home.OWNED,
+    *saved_statements.OWNED,
+    *(each.below(home.FILTERS) for each in home.FILTER_KEYS),
+)
+OWNED: Final[tuple[Owned, ...]] = (
+    *authority_home.OWNED,
+    *renewals.OWNED,
+    *signing.OWNED,
+    *policyfile.OWNED,
+    *requests.OWNED,
+    *grant_operations.OWNED,
+    *client.OWNED,
+    *console.OWNED,
+    *(each.below(authority_home.NODE) for each in _NODE),
+)
+# Older versions put every file there is into a backup, of these places.
+_OLDER: Final = re.compile(r"(?:node/|inbox/)?[^/]+")
+_TEMPORARY: Final = re.compile(r"(?:.+/)?\.[^/]+")  # of `files.replace`, when it was interrupted
+
+
+def owner(name: str) -> Owned | None:
+    """What its owner says of the file `name`; None: nobody does."""
+    return next((each for each in OWNED if each.names(name)), None)
+
+
+def undeclared(directory: Path) -> list[str]:
+    return [name for name in _files(directory) if owner(name) is None]
+
+
+def kept(directory: Path) -> dict[str, bytes]:
+    content: dict[str, bytes] = {}
+    for name in _files(directory):
+        found = owner(name)
+        if found is None or not found.kept or name == authority_home.RECORD:
+            continue
+        content[name] = read(directory, name)
+    return content
+
+
+def staying(directory: Path) -> list[str]:
+    """The files of an authority's directory that a backup does not replace."""
+    found = ((name, owner(name)) for name in _files(directory))
+    return [name for name, owned in found if owned is not None and owned.stays]
+
+
+def read(directory: Path, name: str) -> bytes:
+    gone = ConfigurationError(f"{directory / name} was removed meanwhile", "do it again")
+    return read_own(directory / name, MAX_BACKUP, gone, link=name == policyfile.NAME)
+
+
+def restorable(content: Mapping[str, bytes]) -> tuple[dict[str, bytes], list[str]]:
+    """The files of a backup that are written, and the names of those that are left out.
+
+    A backup is of whoever made it: only what a part of rossec says is its own, and is kept in
+    backups, is written. An older version may have taken other files along from some places.
+    """
+    found = {name: owner(name) for name in content}
+    for name, owned in found.items():
+        if owned is None and not _OLDER.fullmatch(name):
+            raise BackupRefused(f"{name!a} is not a file of an authority")
+    taken = {name for name, owned in found.items() if owned is not None and owned.kept}
+    left = sorted(found.keys() - taken)
+    return {name: data for name, data in content.items() if name in taken}, left
+
+
+def mode(name: str) -> int:
+    found = owner(name)
+    return 0o644 if found is not None and found.public else 0o600
+
+
+def _files(directory: Path) -> Iterable[str]:
+    for path in sorted(directory.rglob("*")):
+        name = str(path.relative_to(directory))
+        if path.is_file() and _TEMPORARY.fullmatch(name) is None:
+            yield name
+
 
 _HINT: Final = "take another backup, and find out who made this one"
 _TAKE_OVER: Final = "only to revoke what a newer list revokes: rossec ca refresh --list FILE"
@@ -40,8 +123,6 @@ _TAKE_OVER: Final = "only to revoke what a newer list revokes: rossec ca refresh
 
 @dataclass(frozen=True)
 class Restored:
-    """The result of a restore: the directory, and the number of log entries."""
-
     home: AuthorityHome
     entries: int
     restored_revocations: int  # revocations added from a newer list, or the replaced authority
@@ -52,17 +133,11 @@ class Restored:
 
 
 def back_up(home: AuthorityHome, passphrase: str) -> bytes:
-    """Return a backup of the authority, encrypted with `passphrase`.
-
-    Raises:
-        PathRefused: another user could have written one of its files.
-        BackupRefused: there is too much.
-    """
-    content = contents.kept(home.path)
+    content = kept(home.path)
     with contextlib.closing(home.store()) as store:
         content[RECORD] = store.database.snapshot()
-    salt, nonce = secrets.token_bytes(backup.SALT_SIZE), secrets.token_bytes(backup.NONCE_SIZE)
-    return backup.seal(content, passphrase, salt=salt, nonce=nonce)
+    salt, nonce = (secrets.token_bytes(passphrases.SALT_SIZE), secrets.token_bytes(passphrases.NONCE_SIZE))
+    return passphrases.seal(content, passphrase, salt=salt, nonce=nonce)
 
 
 def restore(
@@ -81,38 +156,18 @@ def restore(
     module: str | None = None,
     policy_of_backup: bool = False,
 ) -> Restored:
-    """Restore an authority into ROSSEC_HOME `home`.
-
-    Args:
-        home: ROSSEC_HOME.
-        data: the backup.
-        passphrase: of the backup.
-        now: the time.
-        secret: the passphrase or PIN of the key, if it is another one.
-        newest_list: a signed revocation list, or tree, that may be newer than the backup.
-        entries: those of the tree, which does not contain them.
-        newest_domains: a signed list of domains that may be newer than the backup.
-        over: the trust domain of the authority that may be replaced.
-        forget: the number of its log entries that the backup lacks, and that may be lost.
-        needs_list: refuse to restore a root without `newest_list`.
-        module: the PKCS#11 module of the token that has the key.
-        policy_of_backup: its policy comes back also where the replaced authority has another.
-
-    Raises:
-        ConfigurationError: the authority's service runs.
-        BackupRefused: not a backup, incomplete, or what was said does not match.
-        RevocationRefused: the list, tree or entries are not the authority's.
-        DomainsRefused: the list of domains is not, or is older than the backup.
-        PassphraseRefused: the passphrase is wrong.
-        TokenRefused: the operator does not name the module of the token that has the key.
-        LogDamaged: the backup's own log does not verify.
-    """
     said = _Said(over, forget, needs_list and newest_list is None, policy_of_backup)
     target = home / "ca"
     with _staging_beside(target) as staging:
-        content, left = contents.restorable(backup.unseal(data, passphrase))
-        uri = _settle_uri(content, home, module)
-        _write(staging, content)
+        content, left = restorable(passphrases.unseal(data, passphrase))
+        uri = None
+        if KEY_URI in content:
+            uri = authority_home.restored_uri(content[KEY_URI], home, module)
+            content[KEY_URI] = f"{uri}\n".encode()
+        for name, part in content.items():
+            path = staging / name
+            files.make_private_directory(path.parent)
+            files.create(path, part, mode(name))
         authority = _open_verified(AuthorityHome(staging), secret or passphrase, uri)
         newer = restored_lists.read_newer(authority, newest_list, entries, newest_domains)
         done = _put_in_place(authority, target, newer, said, now)
@@ -121,8 +176,6 @@ def restore(
 
 @dataclass(frozen=True)
 class _Said:
-    """What the operator said: see `restore`."""
-
     over: str | None
     forget: int
     lacks_list: bool
@@ -131,7 +184,7 @@ class _Said:
 
 @contextlib.contextmanager
 def _staging_beside(target: Path) -> Iterator[Path]:
-    """A new private directory, removed if it was not moved."""
+    # A new private directory, removed if it was not moved.
     staging = target.with_name(f".ca.{secrets.token_hex(8)}")
     files.make_private_directory(staging)
     made = staging.stat().st_ino
@@ -146,49 +199,36 @@ def _staging_beside(target: Path) -> Iterator[Path]:
 def _put_in_place(
     authority: SigningAuthority, target: Path, newer: NewerLists, said: _Said, now: int
 ) -> Restored:
-    """Replace what is at `target` by a verified authority, and let it begin anew."""
     staging, size = AuthorityHome(authority.path), authority.store.log.head(now).size
     with _locked(target):
         policy = "of the backup" if (staging.path / policyfile.NAME).exists() else ""
         if target.exists():
             _check_replacement(AuthorityHome(target), authority, said)
-            newer = _with_what_is_known(AuthorityHome(target), newer)
+            there = AuthorityHome(target)
+            with contextlib.closing(there.store()) as store:
+                revoked = store.revoked_entries()
+                epoch, domains_epoch = store.next_number()[0], store.domains.next_number()[0]
+            newer = replace(
+                newer,
+                revoked=newer.revoked | revoked,
+                epoch=max(newer.epoch, epoch),
+                domains_epoch=max(newer.domains_epoch, domains_epoch),
+            )
             policy = _keep_what_stays(target, staging.path, policy, said)
         if said.lacks_list:
             restored_lists.require_list(authority, target.parent, now)
         if (uri := staging.key_uri()) is not None:
-            token_modules.trust(target.parent, uri.module)
+            authority_home.trust(target.parent, uri.module)
         phones, ended, revived = _begin_anew(authority, size, newer, now)
-        _commit(staging.path, target, now)
+        if target.exists():
+            paths = (target.with_name(f"ca.replaced.{number}") for number in count(now))
+            files.replace_directory(staging.path, target, next(path for path in paths if not path.exists()))
+        else:
+            files.commit_directory(staging.path, target)
     return Restored(AuthorityHome(target), size, revived, phones, ended, policy=policy)
 
 
-def _settle_uri(content: dict[str, bytes], home: Path, module: str | None) -> KeyUri | None:
-    """Where the key is, if it is in a token; the operator's module is in the file from now on."""
-    if KEY_URI not in content:
-        return None
-    uri = token_modules.restored_uri(content[KEY_URI], home, module)
-    content[KEY_URI] = f"{uri}\n".encode()
-    return uri
-
-
-def _commit(staging: Path, target: Path, now: int) -> None:
-    """Put what is restored in its place in one step, and the authority that was there aside."""
-    if not target.exists():
-        files.commit_directory(staging, target)
-        return
-    paths = (target.with_name(f"ca.replaced.{number}") for number in count(now))
-    aside = next(path for path in paths if not path.exists())
-    files.replace_directory(staging, target, aside)
-
-
 def _open_verified(staging: AuthorityHome, secret: str, uri: KeyUri | None) -> SigningAuthority:
-    """The authority in a backup, if key, certificate and record are valid and match.
-
-    Raises:
-        BackupRefused: a part is missing or invalid.
-        PassphraseRefused, LogDamaged: as `restore`.
-    """
     try:
         key = staging.load_key(secret, () if uri is None else (uri.module,))
         authority = staging.open(key)
@@ -202,15 +242,12 @@ def _open_verified(staging: AuthorityHome, secret: str, uri: KeyUri | None) -> S
         raise
     except (HintedError, ValueError) as error:
         reason = error if isinstance(error, HintedError) else "not exactly one certificate"
-        raise BackupRefused(
-            f"the backup does not contain a valid authority: {reason}", _HINT
-        ) from error
+        raise BackupRefused(f"the backup does not contain a valid authority: {reason}", _HINT) from error
     return authority
 
 
 @contextlib.contextmanager
 def _locked(target: Path) -> Iterator[None]:
-    """Lock the service and the record at `target` from the comparison until it is moved."""
     with contextlib.ExitStack() as stack:
         if target.is_dir() and not target.is_symlink():  # nothing is written behind a link
             stack.enter_context(service_lock(target))
@@ -220,16 +257,9 @@ def _locked(target: Path) -> Iterator[None]:
         yield
 
 
-def _write(directory: Path, content: dict[str, bytes]) -> None:
-    for name, data in content.items():
-        path = directory / name
-        files.make_private_directory(path.parent)
-        files.create(path, data, contents.mode(name))
-
-
 def _keep_what_stays(target: Path, staging: Path, policy: str, said: _Said) -> str:
-    """Let what an older one would bring back stay as it is here; returns whose policy it is."""
-    for name in contents.staying(target):
+    # Let what an older one would bring back stay as it is here; returns whose policy it is.
+    for name in staying(target):
         here, there = target / name, staging / name
         if name == policyfile.NAME:
             if said.policy_of_backup and there.exists():
@@ -241,12 +271,12 @@ def _keep_what_stays(target: Path, staging: Path, policy: str, said: _Said) -> s
         if here.is_symlink():  # the operator's own file, elsewhere
             there.symlink_to(here.readlink())
         else:
-            files.create(there, contents.read(target, name), contents.mode(name))
+            files.create(there, read(target, name), mode(name))
     return policy
 
 
 def _check_replacement(there: AuthorityHome, found: SigningAuthority, said: _Said) -> None:
-    """Refuse to replace an existing authority unless `said.over` and `said.forget` match."""
+    # Refuse to replace an existing authority unless `said.over` and `said.forget` match.
     anchor, held = _read(there)
     if anchor.thumbprint != found.authority.anchor.thumbprint:
         raise BackupRefused(
@@ -272,7 +302,6 @@ def _check_replacement(there: AuthorityHome, found: SigningAuthority, said: _Sai
 
 
 def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[LogEntry]]:
-    """The trust anchor and the log of an existing authority."""
     try:
         with contextlib.closing(there.store()) as store:
             return there.anchor(), store.log.entries()
@@ -283,46 +312,24 @@ def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[LogEntry]]:
         ) from error
 
 
-def _with_what_is_known(there: AuthorityHome, newer: NewerLists) -> NewerLists:
-    """Add what the authority that is replaced has revoked, and the epochs it has used."""
-    with contextlib.closing(there.store()) as store:
-        revoked = store.revoked_entries()
-        epoch, domains_epoch = store.next_number()[0], store.domains.next_number()[0]
-    return replace(
-        newer,
-        revoked=newer.revoked | revoked,
-        epoch=max(newer.epoch, epoch),
-        domains_epoch=max(newer.domains_epoch, domains_epoch),
-    )
-
-
 def _begin_anew(
     authority: SigningAuthority, entries: int, newer: NewerLists, now: int
 ) -> tuple[int, int, int]:
-    """End what was open, start a new epoch, close the record.
-
-    Returns how many passkeys and domains ended, and how many revocations came back.
-    """
+    # Returns how many passkeys and domains ended, and how many revocations came back.
     with authority.store.transaction():
-        phones = _end_what_was_open(authority, entries, now)
+        # Note the restore, and end what the backup does not know enough of; returns how many passkeys.
+        # Of an invitation's uses some may have been taken since, a passkey may have been removed, an approval
+        # been carried out, and a request that was approved been denied.
+        store = authority.store
+        store.log_event(RESTORED, "record", f"from {entries} entries", now)
+        store.invitations.end_all(restored_lists.RESTORED, now)
+        store.approvals.end_waiting(restored_lists.RESTORED, now)
+        for row in store.requests.open():
+            if row.state is RequestState.APPROVED:
+                at = min(now, row.expires)  # one that has expired may be open again: the clock is set
+                store.requests.deny(row.digest, at, restored_lists.RESTORED)
+        phones = store.passkeys.end_all(restored_lists.RESTORED, now)
         ended = restored_lists.end_domains(authority, newer.domains, now)
         revived = restored_lists.start_new_epoch(authority, newer, now)
     authority.store.close()
     return phones, ended, revived
-
-
-def _end_what_was_open(authority: SigningAuthority, entries: int, now: int) -> int:
-    """Note the restore, and end what the backup does not know enough of; returns how many passkeys.
-
-    Of an invitation's uses some may have been taken since, a passkey may have been removed, an
-    approval been carried out, and a request that was approved been denied.
-    """
-    store = authority.store
-    store.log_event(RESTORED, "record", f"from {entries} entries", now)
-    store.invitations.end_all(restored_lists.RESTORED, now)
-    store.approvals.end_waiting(restored_lists.RESTORED, now)
-    for row in store.requests.open():
-        if row.state is RequestState.APPROVED:
-            at = min(now, row.expires)  # one that has expired may be open again: the clock is set
-            store.requests.deny(row.digest, at, restored_lists.RESTORED)
-    return store.passkeys.end_all(restored_lists.RESTORED, now)

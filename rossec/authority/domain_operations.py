@@ -1,36 +1,31 @@
-"""What an authority does about foreign domains, as methods of `AuthorityService`.
+"""What an authority does about foreign domains and their nodes, as holders of grants.
 
 Terms are recorded and the list signed in one transaction. A label that grants name is not given to
 another domain while one of these can live: they would then speak of its nodes. Whoever has another
-root key is another domain, whatever it is called.
+root key is another domain, whatever it is called. The foreign authority says who its nodes are, its
+listed root and the admitted names say how far that counts; the grant binds the key. Without a
+recorded certificate a foreign name means nothing here.
 """
 
 import contextlib
-from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
-from ca.domains.aliases import split_alias
-from ca.domains.cards import LIFETIME, Card, sign_card
-from ca.domains.lists import DomainList, ForeignDomain
+from ca import svid
+from ca.certificates import Identity, from_pem
+from ca.domains.trust import CARD_LIFETIME, Card, DomainList, ForeignDomain, ListedDomain, sign_card
 from ca.errors import DomainUnknown
-from ca.revocation.state import RevocationList
-from ca.store.domains import DomainRow
+from ca.names import alias_of, pattern_covers, split_alias
+from ca.revocation.lists import RevocationList
 from ca.store.record import GrantRow, Store
+from ca.store.signed_statements import DomainRow
 from grants import document
-from rossec.authority import foreign_nodes
-from rossec.authority.home import AuthorityHome
-from rossec.authority.master_call import MasterCall
-from rossec.authority.signing import SKEW, SigningAuthority
+from grants.policy.model import Subject
+from rossec.authority.session import AuthoritySession
+from rossec.authority.signing import SKEW
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
-from rossec.ros.names import UPDATE_DOMAINS
-
-_PUBLISH: Final = (
-    "the list of domains is signed and stored, but takes effect only when the master has it;"
-    " deliver it with: rossec ca publish"
-)
 
 
 class Removed(NamedTuple):
@@ -40,75 +35,48 @@ class Removed(NamedTuple):
     revoked: frozenset[bytes]
 
 
-class DomainOperations(ABC):
-    """The methods of `AuthorityService` about domains; `_now` returns seconds since the epoch."""
+class Domains:
+    def __init__(self, session: AuthoritySession) -> None:
+        self._session = session
 
-    _now: Callable[[], int]
-
-    @property
-    @abstractmethod
-    def home(self) -> AuthorityHome:
-        """The directory of the authority, if there is one."""
-
-    @abstractmethod
-    def unlock(self) -> SigningAuthority:
-        """The authority with its key."""
-
-    @abstractmethod
-    def deliver(self, call: MasterCall) -> object:
-        """Make a call at the master; returns the value of its answer. Raises `NotDelivered`."""
-
-    def domain_card(
-        self, names: tuple[str, ...], masters: tuple[str, ...] = (), lifetime: int = LIFETIME
+    def card(
+        self, names: tuple[str, ...], masters: tuple[str, ...] = (), lifetime: int = CARD_LIFETIME
     ) -> bytes:
-        """Sign a card of this domain, for another authority.
-
-        Raises:
-            CardRefused, PatternRefused: it would not be one.
-        """
-        authority, at = self.unlock(), self._now()
+        authority, at = self._session.unlock(), self._session.now()
         root = authority.authority.anchor.certificate
         return sign_card(authority.signer, Card(root, names, masters, at, at + lifetime))
 
-    def accept_domain(self, domain: ForeignDomain) -> DomainList:
-        """Trust a domain, or change the terms of one that is trusted; returns the new list.
-
-        Raises:
-            ConfigurationError: a grant can live that names its label for another domain.
-            StoreError: another domain has its label or root key.
-            DomainsRefused: it is the own domain, or there are too many.
-        """
-        authority, at = self.unlock(), self._now()
+    def accept(self, domain: ForeignDomain) -> DomainList:
+        authority, at = self._session.unlock(), self._session.now()
         with authority.store.transaction():
             authority.store.domains.accept(domain, at)
-            check_label_free(authority.store, domain, at)
+            root = domain.anchor.thumbprint
+            former = [row for row in authority.store.domains.labelled(domain.label) if row.root != root]
+            given = living_grants(authority.store, domain.label, at) if former else []
+            if given:
+                last = max(document.peek(row.data).cap for row in given)
+                count = f"{len(given)} grants name" if len(given) > 1 else "a grant names"
+                raise ConfigurationError(
+                    f"{count} {domain.label} and mean{'s' * (len(given) == 1)} {former[-1].domain},"
+                    f" until {format_time(last)}",
+                    f"choose another label, or revoke: rossec grant revoke {given[0].id.hex()[:8]}",
+                )
             return authority.sign_domains(at)
 
-    def changed_domain(self, label: str, **changes: Any) -> ForeignDomain:
-        """What the terms of a trusted domain would be; see `limit_domain`."""
-        with contextlib.closing(self.home.store()) as store:
+    def changed(self, label: str, **changes: Any) -> ForeignDomain:
+        # What the terms of a trusted domain would be; see `limit`.
+        with contextlib.closing(self._session.home.store()) as store:
             return replace(store.domains.get(label).read(), **changes)
 
-    def limit_domain(self, label: str, **changes: Any) -> DomainList:
-        """Change fields of the terms of a trusted domain; returns the new list.
-
-        Raises:
-            DomainUnknown: no domain is trusted under this label.
-            CAError: the terms would not be in form.
-        """
-        authority, at = self.unlock(), self._now()
+    def limit(self, label: str, **changes: Any) -> DomainList:
+        authority, at = self._session.unlock(), self._session.now()
         with authority.store.transaction():
             held = authority.store.domains.get(label).read()
             authority.store.domains.accept(replace(held, **changes), at)
             return authority.sign_domains(at)
 
-    def remove_domain(self, label: str, reason: str, *, revoke_grants: bool) -> Removed:
-        """End the trust in a domain; with `revoke_grants`, also every grant for its nodes.
-
-        Raises:
-            DomainUnknown: no domain is trusted under this label.
-        """
-        authority, at = self.unlock(), self._now()
+    def remove(self, label: str, reason: str, *, revoke_grants: bool) -> Removed:
+        authority, at = self._session.unlock(), self._session.now()
         with authority.store.transaction():
             row = authority.store.domains.end(label, reason, at)
             given = living_grants(authority.store, label, at) if revoke_grants else []
@@ -121,54 +89,90 @@ class DomainOperations(ABC):
     def revoke_foreigner(
         self, alias: str, reason: str, certificate: bytes = b""
     ) -> tuple[RevocationList, int]:
-        """Revoke keys of a node of another domain here; returns the list, and their number.
-
-        All that are recorded, or the one in `certificate` (PEM), which is recorded with it. It
-        needs nothing from the other domain, whose trust may have ended.
-
-        Raises:
-            DomainUnknown: no domain has the label.
-            NotAdmitted, CertificateRefused: as `foreign_nodes.verify`.
-            ConfigurationError: there is no key to revoke, or the certificate is another node's.
-        """
-        authority, at = self.unlock(), self._now()
+        # All that are recorded, or the one in `certificate` (PEM), which is recorded with it. It needs
+        # nothing from the other domain, whose trust may have ended.
+        authority, at = self._session.unlock(), self._session.now()
         store = authority.store
         with store.transaction():
             if certificate:
-                identity, root = foreign_nodes.verify(store, alias, certificate, at)
+                identity, root = verify(store, alias, certificate, at)
                 store.domains.add_certificate(root, identity, at)
                 keys = frozenset({identity.thumbprint})
             else:
-                label, _ = foreign_nodes.split(alias)
+                label, _ = split(alias)
                 root = find_row(store, label).root
-                keys = foreign_nodes.unrevoked_keys(store, root, alias)
+                keys = unrevoked_keys(store, root, alias)
             return authority.revoke_all(keys, reason, at), len(keys)
 
-    def publish_domains(self) -> bool:
-        """Deliver the newest list of domains to the master; whether there is one.
 
-        Raises:
-            ConfigurationError: it has expired.
-            NotDelivered: the master is out of reach, or refuses it.
-        """
-        home, at = self.home, self._now()
-        found = home.domain_list()
-        if found is None:
-            return False
-        data, listed = found
-        if at >= listed.expires:
-            raise ConfigurationError(
-                f"the list of domains expired {format_time(listed.expires)}",
-                "sign it anew with: rossec ca refresh",
-            )
-        self.deliver(
-            MasterCall(home.node(), UPDATE_DOMAINS, (data,), "the list of domains", _PUBLISH)
+def split(alias: str) -> tuple[str, str]:
+    found = split_alias(alias)
+    if found is None:
+        raise ConfigurationError(f"{alias} is a node of this domain", "leave --certificate out")
+    return found
+
+
+def verify(store: Store, alias: str, pem: bytes, now: int) -> tuple[Identity, bytes]:
+    label, _ = split(alias)
+    row = store.domains.get(label)
+    entry = row.read()
+    chain = [each for each in from_pem(pem) if each != entry.root]
+    identity = ListedDomain(entry, entry.anchor).verify(chain, now)
+    if identity.name != alias:
+        raise ConfigurationError(
+            f"the certificate is that of {label}:{identity.certified_name}", "name that node"
         )
-        return True
+    return identity, row.root
+
+
+def holder(store: Store, alias: str, now: int) -> bytes:
+    if found := split_alias(alias):
+        store.domains.get(found[0])
+    for subject in subjects(store, now):
+        if subject.name == alias:
+            return subject.key
+    raise ConfigurationError(
+        "no valid certificate of this node is recorded here", "give its node.pem: --certificate"
+    )
+
+
+def unrevoked_keys(store: Store, root: bytes, alias: str) -> frozenset[bytes]:
+    """The keys of a foreign node that are recorded below the root key `root` and not revoked.
+
+    Also those of certificates that are not valid: keys live longer.
+    """
+    label, name = split(alias)
+    known = store.domains.certificates(root)
+    keys = frozenset(each.thumbprint for each in known if each.name == name)
+    if left := keys - store.revoked_entries():
+        return left
+    if keys:
+        raise ConfigurationError(
+            f"every recorded key of {label}:{name} is revoked already",
+            "if it has another one: --certificate with its node.pem; to deliver the list again:"
+            " rossec ca publish",
+        )
+    raise ConfigurationError(
+        f"no certificate of {label}:{name} is recorded here",
+        f"give its node.pem: --certificate; or end all of it: rossec domain limit {label} --admit PATTERN",
+    )
+
+
+def subjects(store: Store, now: int) -> Iterator[Subject]:
+    revoked = store.revoked_entries()
+    for row in store.domains.accepted():
+        entry = row.read()
+        if now >= entry.until:
+            continue
+        newest = {each.name: each for each in store.domains.certificates(row.root)}
+        for name, each in sorted(newest.items()):
+            start, end = svid.validity(svid.parse(each.der))
+            admitted = any(pattern_covers(pattern, name) for pattern in entry.admitted)
+            if admitted and start <= now <= end and each.thumbprint not in revoked:
+                yield Subject(alias_of(entry.label, name), each.thumbprint)
 
 
 def living_grants(store: Store, label: str, now: int) -> list[GrantRow]:
-    """The grants for nodes of the domain `label` that are not revoked and can be valid yet."""
     return [
         row
         for row in store.unrevoked_grants()
@@ -178,33 +182,8 @@ def living_grants(store: Store, label: str, now: int) -> list[GrantRow]:
     ]
 
 
-def check_label_free(store: Store, domain: ForeignDomain, now: int) -> None:
-    """Return if no grant can live that names the label of `domain` and means another one.
-
-    Raises:
-        ConfigurationError: one can.
-    """
-    root = domain.anchor.thumbprint
-    former = [row for row in store.domains.labelled(domain.label) if row.root != root]
-    if not former:
-        return
-    given = living_grants(store, domain.label, now)
-    if given:
-        last = max(document.peek(row.data).cap for row in given)
-        count = f"{len(given)} grants name" if len(given) > 1 else "a grant names"
-        raise ConfigurationError(
-            f"{count} {domain.label} and mean{'s' * (len(given) == 1)} {former[-1].domain},"
-            f" until {format_time(last)}",
-            f"choose another label, or revoke: rossec grant revoke {given[0].id.hex()[:8]}",
-        )
-
-
 def find_row(store: Store, label: str) -> DomainRow:
-    """The trusted domain with this label, or the last one that had it.
-
-    Raises:
-        DomainUnknown: there never was one.
-    """
+    """The trusted domain with this label, or the last one that had it."""
     try:
         return store.domains.get(label)
     except DomainUnknown:

@@ -1,29 +1,97 @@
-"""The directory of an authority: its key, its certificate, its record; `signing` signs."""
+"""The directory of an authority: its key, its certificate, its record, its own node; `signing` signs.
+
+The URI of a key in a token names a PKCS#11 module, code that is loaded, but it is in `ca/`, which a
+backup fills: whoever made that would name the code that is run to verify it. So a module is loaded
+only if it is in `pkcs11-modules`, one absolute path a line, beside `ca/`, where nothing that is
+restored is written. `rossec ca init --key` and `rossec ca restore --pkcs11-module` write it there.
+"""
 
 import contextlib
 import secrets
 import shutil
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Self
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.authority import Authority, create_root
+from ca.authority import LIFETIME, Authority, create_root
 from ca.certificates import TrustAnchor, from_pem, to_pem
-from ca.domains.lists import DomainList, open_domains
-from ca.errors import RevocationRefused
-from ca.keys import key_files
-from ca.keys.hsm import KeyUri, TokenSigner
-from ca.keys.signer import KeySigner, Signer
+from ca.domains.trust import DomainList, open_domains
+from ca.errors import RevocationRefused, TokenRefused
+from ca.keys import private_keys
+from ca.keys.private_keys import KeyUri, TokenSigner
+from ca.keys.signing import KeySigner, Signer
 from ca.names import check_domain
-from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE, TreeEntries, is_tree, open_tree
+from ca.revocation.lists import MAX_TREE_ENTRIES_SIZE, TreeEntries, is_tree, open_tree
 from ca.store.record import Store
-from rossec import files, home_hints
-from rossec.authority import list_contents, token_modules
+from rossec import environment, files
+from rossec.authority import signing
 from rossec.authority.signing import OWN_NODE, SigningAuthority, delegations
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
+
+FILE: Final = "pkcs11-modules"  # in ROSSEC_HOME
+_MAX: Final = 64 * 1024
+
+
+def trusted(home: Path) -> frozenset[str]:
+    """The modules that were named for ROSSEC_HOME `home`; none is named without the file."""
+    if not exists(home):
+        return frozenset()
+    missing = ConfigurationError(f"there is no {FILE} any more", "do it again")
+    data = files.read_own(home / FILE, _MAX, missing)
+    try:
+        lines = data.decode().splitlines()
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{home / FILE} is not UTF-8", "write one absolute path a line") from None
+    return frozenset(line.strip() for line in lines if line.startswith("/"))
+
+
+def exists(home: Path) -> bool:
+    return (home / FILE).is_symlink() or (home / FILE).exists()
+
+
+def trust(home: Path, module: str) -> None:
+    check_absolute(module)
+    known = trusted(home)
+    if module in known:
+        return
+    files.make_private_directory(home)
+    lines = "".join(f"{each}\n" for each in sorted({*known, module}))
+    files.replace(home / FILE, lines.encode())
+
+
+def check_absolute(module: str) -> None:
+    if not module.startswith("/") or not module.isprintable():
+        raise TokenRefused(
+            f"{module!a} is not the absolute path of a PKCS#11 module",
+            "a relative one is another file in each directory: write it from the root",
+        )
+
+
+def require(uri: KeyUri, modules: Collection[str], home: Path) -> KeyUri:
+    if uri.module not in modules:
+        raise TokenRefused(
+            f"the key is in a token behind {uri.module!a}, a module that is not trusted here",
+            f"if you know it, write its path into {home / FILE}",
+        )
+    return uri
+
+
+def restored_uri(data: bytes, home: Path, named: str | None) -> KeyUri:
+    uri = KeyUri.parse(data.decode(errors="replace").strip())
+    if named is not None:
+        check_absolute(named)
+        return replace(uri, module=named)
+    if uri.module not in trusted(home):
+        raise TokenRefused(
+            f"the key of the backup is in a token, behind the module {uri.module!a} as it says",
+            "a module is code that is run: name the one to trust: --pkcs11-module /path/to.so",
+        )
+    return uri
+
 
 NODE: Final = "node"  # the identity `/ca`
 RECORD: Final = "ca.db"
@@ -45,32 +113,18 @@ OWN_LIFETIME: Final = 366 * 86400
 
 
 class AuthorityHome:
-    """The directory of the authority: its key, its certificate, its record."""
-
     def __init__(self, path: Path) -> None:
         self.path = path
 
     @classmethod
     def at(cls, home: Path) -> Self:
-        """The authority below ROSSEC_HOME.
-
-        Raises:
-            ConfigurationError: there is none.
-        """
         path = home / "ca"
         if not (path / "ca.pem").exists():
-            raise ConfigurationError(
-                f"there is no authority in {home}", home_hints.missing_authority(home)
-            )
+            raise ConfigurationError(f"there is no authority in {home}", environment.missing_authority(home))
         return cls(path)
 
     @staticmethod
     def check_new(home: Path) -> Path:
-        """The directory of a new authority below ROSSEC_HOME.
-
-        Raises:
-            ConfigurationError: there is one already.
-        """
         path = home / "ca"
         if path.exists():
             raise ConfigurationError(
@@ -79,23 +133,17 @@ class AuthorityHome:
         return path
 
     @classmethod
-    def create(
-        cls, home: Path, domain: str, passphrase: str, now: int, uri: KeyUri | None = None
-    ) -> Self:
+    def create(cls, home: Path, domain: str, passphrase: str, now: int, uri: KeyUri | None = None) -> Self:
         """Create a new authority with its own node `/ca` and an empty revocation list.
 
         Its key is in a file encrypted with `passphrase`; with `uri` it is generated in that token,
         and `passphrase` is the PIN.
-
-        Raises:
-            TokenRefused: the token cannot generate the key.
-            ConfigurationError: there is one already; it is not changed.
         """
         path = cls.check_new(home)
         check_domain(domain)
-        key = key_files.generate()
+        key = private_keys.generate()
         if uri is not None:
-            token_modules.check_absolute(uri.module)
+            check_absolute(uri.module)
         signer = KeySigner(key) if uri is None else TokenSigner.create(uri, passphrase)
         root = create_root(signer, domain, now=now, serial=secrets.randbits(127) + 1)
         # In a temporary directory: an interrupted creation leaves nothing at `path`.
@@ -103,10 +151,10 @@ class AuthorityHome:
         try:
             _build(staging, signer, root, now)
             if uri is None:
-                key_files.write_private(staging / "ca.key", key, passphrase)
+                private_keys.write_private(staging / "ca.key", key, passphrase)
             else:
                 files.create(staging / KEY_URI, f"{uri}\n".encode())
-                token_modules.trust(home, uri.module)
+                trust(home, uri.module)
             files.commit_directory(staging, path)
         except BaseException:
             shutil.rmtree(staging, ignore_errors=True)
@@ -115,37 +163,23 @@ class AuthorityHome:
 
     @property
     def domain(self) -> str:
-        """Its trust domain."""
         return self.anchor().domain
 
     def anchor(self) -> TrustAnchor:
-        """Its certificate, as nodes trust it."""
         data = files.read_own(self.path / "ca.pem", _SIZE_LIMIT, ConfigurationError("no ca.pem"))
         (der,) = from_pem(data)
         return TrustAnchor.load(der)
 
     def store(self) -> Store:
-        """Its record."""
         return Store.open(self.path / RECORD)
 
     def node(self) -> NodeHome:
-        """The node whose identity its tools use to call the master."""
         return NodeHome(self.path / NODE, OWN_NODE)
 
     def unlock(self, passphrase: str) -> SigningAuthority:
-        """Load the key.
-
-        Raises:
-            PassphraseRefused: the passphrase is wrong.
-        """
         return self.open(self.load_key(passphrase))
 
     def open(self, signer: Signer) -> SigningAuthority:
-        """The authority with `signer`, its key.
-
-        Raises:
-            IssueRefused: it is another key.
-        """
         authority = Authority(signer, self.anchor().certificate, self.intermediate())
         return SigningAuthority(authority, self.store(), self.path)
 
@@ -153,24 +187,15 @@ class AuthorityHome:
         """The key: in a file that `secret` decrypts, or in the token for which it is the PIN.
 
         `modules`: those of PKCS#11 that the operator named; by default those named for the home.
-
-        Raises:
-            PassphraseRefused, TokenRefused: it is wrong, there is no such token, or the operator
-                did not name its module (`token_modules`).
         """
         uri = self.key_uri()
         if uri is None:
-            return KeySigner(key_files.load_private(self.path / "ca.key", secret))
+            return KeySigner(private_keys.load_private(self.path / "ca.key", secret))
         home = self.path.parent
         known = self._modules(uri) if modules is None else modules
-        return TokenSigner.open(token_modules.require(uri, known, home), secret)
+        return TokenSigner.open(require(uri, known, home), secret)
 
     def key_uri(self) -> KeyUri | None:
-        """Where the key is, if it is in a token.
-
-        Raises:
-            TokenRefused: the file names none.
-        """
         path = self.path / KEY_URI
         if not path.exists():
             return None
@@ -179,20 +204,18 @@ class AuthorityHome:
 
     def _modules(self, uri: KeyUri) -> Collection[str]:
         home = self.path.parent
-        if not token_modules.exists(home):
+        if not exists(home):
             with contextlib.closing(self.store()) as store:
                 is_restored = store.log.last_restore() >= 0
             if not is_restored:  # an older version made it here
-                token_modules.trust(home, uri.module)
-        return token_modules.trusted(home)
+                trust(home, uri.module)
+        return trusted(home)
 
     @property
     def is_intermediate(self) -> bool:
-        """Whether it is an intermediate of a root on another host."""
         return self.intermediate() is not None
 
     def own_key(self) -> ec.EllipticCurvePublicKey:
-        """The key it signs with: that of the root or of the intermediate."""
         anchor, der = self.anchor(), self.intermediate()
         return anchor.public_key if der is None else anchor.read_intermediate(der).public_key
 
@@ -205,29 +228,20 @@ class AuthorityHome:
         return der
 
     def revocation_list(self) -> bytes:
-        """The newest signed list.
-
-        Raises:
-            ConfigurationError: none was signed yet.
-        """
         data = self.store().newest_list()
         if data is None:
             raise ConfigurationError("no revocation list was signed yet", "next: rossec ca refresh")
         return data
 
     def newest_statement(self) -> tuple[bytes, bytes]:
-        """The newest signed list, or tree and its entries; a list has none.
-
-        Raises:
-            ConfigurationError: none was signed yet, or the entries are missing.
-        """
+        """The newest signed list, or tree and its entries; a list has none."""
         data = self.revocation_list()
         return data, self._tree_entries(data) if is_tree(data) else b""
 
     def _tree_entries(self, data: bytes) -> bytes:
         tree = open_tree(data, self.anchor().public_key)
         with contextlib.suppress(RevocationRefused):
-            return list_contents.tree_entries(self.store(), tree).encoded()
+            return signing.tree_entries(self.store(), tree).encoded()
         # Written by an older version, which stored them outside the record.
         missing = ConfigurationError("the entries of the tree are missing", "rossec ca refresh")
         data = files.read_own(self.path / ENTRIES, MAX_TREE_ENTRIES_SIZE, missing)
@@ -235,11 +249,7 @@ class AuthorityHome:
         return data
 
     def domain_list(self) -> tuple[bytes, DomainList] | None:
-        """The newest signed list of domains, and what it says; None: there is none.
-
-        Raises:
-            DomainsRefused: it is not signed by the authority.
-        """
+        """The newest signed list of domains, and what it says; None: there is none."""
         with contextlib.closing(self.store()) as store:
             data = store.domains.newest_list()
         return (data, open_domains(data, self.anchor())) if data else None
@@ -271,11 +281,10 @@ class AuthorityHome:
         """The number of recorded revocations that are not in the signed list."""
         if self.is_intermediate:
             return 0
-        return len(list_contents.missing_entries(self.store(), self.anchor().public_key, now))
+        return len(signing.missing_entries(self.store(), self.anchor().public_key, now))
 
 
 def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:
-    """Create everything of a new authority except its key."""
     files.make_private_directory(path)
     with contextlib.closing(Store.create(path / RECORD)) as store:
         unlocked = SigningAuthority(Authority(signer, root), store, path)
@@ -287,7 +296,6 @@ def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:
 
 
 def fingerprint(anchor: TrustAnchor) -> str:
-    """The fingerprint of an authority, to compare out of band."""
     return format_fingerprint(anchor.thumbprint)
 
 
@@ -298,3 +306,20 @@ def format_fingerprint(thumbprint: bytes) -> str:
     """
     digits = thumbprint.hex()
     return " ".join(digits[start : start + 4] for start in range(0, 32, 4))
+
+
+def check_new(node: NodeHome) -> None:
+    """Return if `node` has nothing in this ROSSEC_HOME yet."""
+    if node.path.exists():
+        raise ConfigurationError(
+            f"{node.name} is in {node.path} already",
+            "move that away, or enroll it as every other node: rossec node request",
+        )
+
+
+def enroll_here(authority: SigningAuthority, node: NodeHome, now: int) -> int:
+    """Make the key of `node`, sign its identity and install it; returns when it expires."""
+    check_new(node)
+    node.create_request(authority.domain)
+    bundle = authority.issue(node.request(), now, LIFETIME, source="this host")
+    return node.install(bundle, now).not_after

@@ -1,24 +1,172 @@
-"""Invitations of an authority: made, listed and ended. Making one needs no key: it is a record.
+"""Invitations, and the nodes that join by one: what the process that has the authority's key decides.
 
 The code exists only where it is printed. What is recorded is the public half of the key in it, so
-neither the record nor a backup lets anybody join. `joining` decides what is asked by it.
+neither the record nor a backup lets anybody join, and making one needs no key of the authority.
+
+The proof is verified first, over hashes: a stranger's request is not parsed. Then one transaction
+decides by the record and changes it, or nothing is done. The same request gets the same answer.
 """
 
 import secrets
 from hashlib import sha256
 from typing import Final, NamedTuple
 
-from ca.enrollment.invitation import SECRET_SIZE, InvitationCode
-from ca.names import check_name, check_wildcard, is_reserved
-from ca.patterns import check_pattern
-from ca.revocation.state import RevocationList
-from ca.store.invitations import InvitationRow, InvitationUse
+from ca.certificates import from_pem
+from ca.enrollment.invitation import SECRET_SIZE, InvitationCode, JoinClaim, JoinRequest
+from ca.enrollment.join import Issued, JoinAnswer, RefusedMessage, RefuseReason, WaitingMessage, WaitReason
+from ca.errors import (
+    CAError,
+    InvitationRefused,
+    JoinRefused,
+    NameCovered,
+    NameRefused,
+    RecordUnusable,
+    RequestRefused,
+    StoreError,
+    TooManyRequests,
+)
+from ca.names import check_name, check_pattern, check_wildcard, is_reserved, pattern_covers
+from ca.names import covers as names_cover
+from ca.revocation.lists import RevocationList
+from ca.store.identities import InvitationRow, InvitationUse
 from ca.store.record import Store
-from rossec.authority import thing_records
+from ca.store.values import RequestRow, RequestState
+from ca.svid import IdentityRequest, check_request
+from rossec.authority import signing
 from rossec.authority.home import AuthorityHome
-from rossec.authority.joining import source
 from rossec.authority.signing import SigningAuthority
 from rossec.errors import ConfigurationError
+
+MAX_WAITING: Final = 16  # requests of one invitation that wait for a person
+_REASONS: Final[tuple[tuple[type[CAError], RefuseReason], ...]] = (
+    (InvitationRefused, RefuseReason.ENDED),
+    (RequestRefused, RefuseReason.REQUEST),
+    (NameRefused, RefuseReason.NAME),
+    (NameCovered, RefuseReason.NAME),
+    (TooManyRequests, RefuseReason.BUSY),
+)
+_OTHER: Final = RefuseReason.DENIED  # a revoked key, an identity that is not valid any more
+
+
+def join(authority: SigningAuthority, request: JoinRequest, now: int) -> JoinAnswer:
+    invitation = _proved(authority.store, request)
+    if invitation is None:
+        return RefusedMessage(RefuseReason.REFUSED)
+    try:
+        found = check_request(request.csr, authority.domain, wildcard=invitation.wildcard)
+        if found.name != request.name or found.wildcard != invitation.wildcard:
+            raise RequestRefused("the request is not the one that was proved")
+        if is_reserved(found.name) or not pattern_covers(invitation.pattern, found.name):
+            raise NameRefused(f"the invitation is not for {found.name}")
+        asked = found
+        with authority.store.transaction():
+            return _decide(authority, invitation, asked, request.csr, now)
+    except RecordUnusable:
+        raise
+    except (StoreError, InvitationRefused, RequestRefused, NameRefused) as error:
+        return RefusedMessage(_reason(error))
+
+
+def join_locked(store: Store, request: JoinRequest, now: int) -> JoinAnswer:
+    invitation = _proved(store, request)
+    if invitation is None:
+        return RefusedMessage(RefuseReason.REFUSED)
+    used = any(use.request == request.digest for use in store.invitations.uses(invitation.id))
+    try:
+        if not used:  # a request that was answered gets its answer again, however late
+            store.invitations.check_open(invitation.id, now)
+    except InvitationRefused:
+        return RefusedMessage(RefuseReason.ENDED)
+    return WaitingMessage(WaitReason.LOCKED)
+
+
+def allowed_pattern(store: Store, asked: JoinClaim | JoinRequest, now: int) -> str | RefusedMessage:
+    """The pattern of the invitation whose secret `asked` proves, or why it is not answered.
+
+    What a node says of itself may be looked at only then. An invitation that somebody has joined by
+    is answered also after its end, as that may be the node which asks: it may have lost its answer.
+    """
+    invitation = _proved(store, asked)
+    if invitation is None:
+        return RefusedMessage(RefuseReason.REFUSED)
+    try:
+        if not store.invitations.uses(invitation.id):
+            store.invitations.check_open(invitation.id, now)
+    except InvitationRefused:
+        return RefusedMessage(RefuseReason.ENDED)
+    return invitation.pattern
+
+
+def is_proved(store: Store, asked: JoinClaim | JoinRequest) -> bool:
+    """Whether it was made with the secret of an invitation: what is cheap to know of a stranger."""
+    return _proved(store, asked) is not None
+
+
+def source(invitation: InvitationRow) -> str:
+    return f"invitation {invitation.id.hex()[:8]}"
+
+
+def _proved(store: Store, request: JoinClaim | JoinRequest) -> InvitationRow | None:
+    # The invitation whose secret the request proves; None if it does not.
+    try:
+        found = store.invitations.get(request.invitation)
+        request.verify(found.key)
+    except (InvitationRefused, JoinRefused):
+        return None
+    return found
+
+
+def _decide(
+    authority: SigningAuthority, invitation: InvitationRow, asked: IdentityRequest, csr: bytes, now: int
+) -> JoinAnswer:
+    store, origin = authority.store, source(invitation)
+    row = store.requests.find(asked.digest)
+    if store.identities.issued_for(asked.digest) is None:
+        if row is not None and row.state is not RequestState.APPROVED:
+            return _repeated(row)
+        if row is None and _needs_person(authority, asked, now):
+            store.invitations.check_open(invitation.id, now)
+            if sum(each.source == origin for each in store.requests.open(now)) >= MAX_WAITING:
+                return RefusedMessage(RefuseReason.BUSY)
+            return _repeated(store.requests.add(asked, csr, origin, now))
+        if row is None:
+            use = InvitationUse(invitation.id, asked.digest, asked.name, asked.thumbprint, now)
+            store.invitations.take(use)
+    bundle = authority.issue(csr, now, wildcard=asked.wildcard, source=origin)
+    *chain, _ = from_pem(bundle)
+    return Issued(tuple(chain))
+
+
+def _repeated(row: RequestRow) -> JoinAnswer:
+    if row.state is RequestState.PENDING:
+        return WaitingMessage(WaitReason.PERSON)
+    return RefusedMessage(RefuseReason.DENIED)
+
+
+# A name that was certified for another key before is not new, nor is one that shares names with such a one
+# through a wildcard.
+def _needs_person(authority: SigningAuthority, asked: IdentityRequest, now: int) -> bool:
+    store, name, key = authority.store, asked.name, asked.thumbprint
+
+    def shared(other: str) -> bool:
+        return names_cover(name, other, wildcard=asked.wildcard)
+
+    store.identities.check_names(name, key, now, shared)
+    if not authority.authority.is_root:  # the root's record is elsewhere
+        known = store.identities.by_name(name)
+        if all(row.thumbprint != key for row in known):
+            return True
+    waiting = (
+        shared(row.name) or names_cover(row.name, name, wildcard=row.wildcard)
+        for row in store.requests.open(now)
+        if row.thumbprint != key
+    )
+    return any(waiting) or bool(store.identities.ever_shared(name, key, shared))
+
+
+def _reason(error: CAError) -> RefuseReason:
+    return next((reason for kind, reason in _REASONS if isinstance(error, kind)), _OTHER)
+
 
 MAX_USES: Final = 10_000
 
@@ -32,7 +180,6 @@ class InvitationStatus(NamedTuple):
 
     @property
     def short_id(self) -> str:
-        """The first 8 hexadecimal digits of its id, for people."""
         return self.row.id.hex()[:8]
 
     def state(self, now: int) -> str:
@@ -54,14 +201,7 @@ def invite(
     *,
     wildcard: bool = False,
 ) -> InvitationCode:
-    """Record an invitation for `uses` new names within `pattern`; returns its code, a secret.
-
-    Raises:
-        PatternRefused: not a pattern of names.
-        NameRefused: with `wildcard`, names that cannot have a tail.
-        ConfigurationError: it would allow reserved names only.
-        CodeRefused: the address does not fit into a code.
-    """
+    """Record an invitation for `uses` new names within `pattern`; returns its code, a secret."""
     check_invitation(pattern, wildcard=wildcard)
     code, row = make_invitation(home, pattern, uses, expires, address, now, wildcard=wildcard)
     store = home.store()
@@ -73,11 +213,7 @@ def invite(
 
 
 def check_invitation(pattern: str, *, wildcard: bool) -> None:
-    """Return if there can be an invitation for names within `pattern`.
-
-    Raises:
-        PatternRefused, NameRefused, ConfigurationError: as `invite`.
-    """
+    """Return if there can be an invitation for names within `pattern`."""
     check_pattern(pattern)
     if wildcard and "*" not in pattern:
         check_wildcard(check_name(pattern))
@@ -90,20 +226,8 @@ def check_invitation(pattern: str, *, wildcard: bool) -> None:
 
 
 def make_invitation(
-    home: AuthorityHome,
-    pattern: str,
-    uses: int,
-    expires: int,
-    address: str,
-    now: int,
-    *,
-    wildcard: bool,
+    home: AuthorityHome, pattern: str, uses: int, expires: int, address: str, now: int, *, wildcard: bool
 ) -> tuple[InvitationCode, InvitationRow]:
-    """A new code, and the row that has to be recorded before it is shown.
-
-    Raises:
-        CodeRefused: the address does not fit into a code.
-    """
     root = sha256(home.anchor().certificate).digest()
     secret = secrets.token_bytes(SECRET_SIZE)
     code = InvitationCode(root, secret, expires, address, pattern, wildcard=wildcard)
@@ -111,17 +235,11 @@ def make_invitation(
 
 
 def invitations(store: Store) -> list[InvitationStatus]:
-    """Every invitation, oldest first."""
     table = store.invitations
     return [InvitationStatus(row, table.uses(row.id), table.ended(row.id)) for row in table.all()]
 
 
 def find(store: Store, beginning: str) -> InvitationStatus:
-    """The one invitation whose id begins so.
-
-    Raises:
-        ConfigurationError: there is none, or more than one.
-    """
     given = beginning.lower()
     found = [each for each in invitations(store) if given and each.row.id.hex().startswith(given)]
     if len(found) != 1:
@@ -153,9 +271,7 @@ def revoke_nodes(
     with authority.store.transaction():
         names = sorted({use.name for use in authority.store.invitations.uses(invitation.row.id)})
         keys = {name: authority.store.unrevoked_keys(name, now) for name in names}
-        things = (
-            thing_records.ended_with(authority.store, name, now) for name in names if keys[name]
-        )
+        things = (signing.ended_with(authority.store, name, now) for name in names if keys[name])
         revoked = frozenset().union(*keys.values(), *things)
         listed = authority.revoke_all(revoked, reason, now) if revoked else None
     return listed, [name for name in names if keys[name]]

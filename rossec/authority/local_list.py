@@ -24,11 +24,7 @@ class LocalList:
         self._seen_domains: _Stamp = ()
 
     def newest(self) -> tuple[bytes, bytes] | None:
-        """The newest list or tree, with the entries of a tree; None: there is no authority.
-
-        Raises:
-            ConfigurationError: nothing was signed yet, or the entries are missing.
-        """
+        """The newest list or tree, with the entries of a tree; None: there is no authority."""
         authority = self._authority()
         if authority is None:
             return None
@@ -66,6 +62,4 @@ class LocalList:
     def _stamp(self) -> _Stamp:
         files = (self._home / "ca" / name for name in _RECORD)
         found = (file.stat() for file in files if file.exists())
-        return tuple(
-            (stat.st_ino, stat.st_size, stat.st_mtime_ns) for stat in found if stat.st_size
-        )
+        return tuple((stat.st_ino, stat.st_size, stat.st_mtime_ns) for stat in found if stat.st_size)

@@ -9,29 +9,21 @@ from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.records import ChannelLimits
 from rossec.errors import ChannelError, ConfigurationError
 from rossec.net.aio import SecureContext, WireProtocol, as_master, connect
-from rossec.net.rpc.client import CALL_DEADLINE, RpcClient
-from rossec.ros import settings
+from rossec.net.rpc.calls import CALL_DEADLINE, RpcClient
+from rossec.ros import names
 
 
 @asynccontextmanager
 async def master_connection(
-    own: Credentials,
-    anchor: TrustAnchor,
-    uri: str,
-    suites: tuple[int, ...],
-    deadline: float = CALL_DEADLINE,
+    own: Credentials, anchor: TrustAnchor, uri: str, suites: tuple[int, ...], deadline: float = CALL_DEADLINE
 ) -> AsyncIterator[RpcClient]:
     """A connection to the master at `uri`, with the identity `own`, under the root `anchor`.
 
     Any master of the own domain will do: what is delivered is signed, and who calls names a URI.
     Those of other domains are not, so that the list of them is not needed here. `deadline`: seconds
     for a call, some of which wait.
-
-    Raises:
-        ConfigurationError: not a URI, or another node answers there.
-        HintedError, OSError, TimeoutError: it is unreachable.
     """
-    host, port = settings.parse_uri(uri, "the master's URI")
+    host, port = names.parse_uri(uri, "the master's URI")
     context = SecureContext(
         own,
         anchor.verify,

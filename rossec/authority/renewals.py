@@ -1,26 +1,38 @@
 """Successors, signed and recorded: of identities, of the authority's own node, and intermediates.
 
-A node signs the request with its old key (`ca.renewal`) and gets one answer per request, and no
-further certificate while the newest one is not due; an operator renews by name, for the current key
-of the name. The old identity is looked up in the transaction that records the successor: a key that
-is revoked meanwhile gets none.
+A node signs the request with its old key (`ca.certificates`) and gets one answer per request, and
+no further certificate while the newest one is not due; an operator renews by name, for the current
+key of the name. The old identity is looked up in the transaction that records the successor: a key
+that is revoked meanwhile gets none.
 """
 
+import contextlib
 import secrets
 from collections.abc import Callable, Collection
+from pathlib import Path
 from typing import Final
 
-from ca.authority import DAY, LIFETIME, MAX_LIFETIME
-from ca.certificates import Identity, from_pem
+from ca.authority import DAY, LIFETIME, MAX_LIFETIME, Authority
+from ca.certificates import (
+    Identity,
+    Intermediate,
+    Renewal,
+    TrustAnchor,
+    build_intermediate_request,
+    from_pem,
+    open_renewal,
+    renew_at,
+    to_pem,
+)
 from ca.errors import RenewalRefused, Revoked, StoreError
-from ca.keys import key_files
-from ca.keys.signer import KeySigner
-from ca.renewal import Renewal, open_renewal, renew_at
-from ca.requests import build_request
+from ca.keys import private_keys
+from ca.keys.signing import KeySigner
 from ca.store.record import CertificateRow, Store
-from ca.store.rows import INTERMEDIATE
-from rossec.authority import thing_records
-from rossec.authority.home import OWN_LIFETIME
+from ca.store.values import INTERMEDIATE
+from ca.svid import build_request
+from rossec import files
+from rossec.authority import signing
+from rossec.authority.home import OWN_LIFETIME, AuthorityHome
 from rossec.authority.signing import OWN_NODE, SigningAuthority, certificate_row
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -35,53 +47,37 @@ def renew(
     check: Callable[[bytes, int], None] | None = None,
     lifetime: int = LIFETIME,
 ) -> bytes:
-    """Answer a node's renewal (`ca.renewal.sign_renewal`) with its new bundle (PEM).
+    """Answer a node's renewal (`ca.certificates.sign_renewal`) with its new bundle (PEM).
 
     `check(entry, now)` raises for revoked entries; the default uses the authority's record. The
     host of an intermediate has no such record and passes `Revocations.check`.
-
-    Raises:
-        RenewalRefused: invalid, not due, or the identity was renewed by another key before.
-        CertificateRefused, RequestRefused, Revoked: as `ca.renewal.open_renewal`.
     """
     with authority.store.transaction():
         return _renew(authority, data, now, check or _check_in_record(authority), lifetime)
 
 
 def renew_recorded(authority: SigningAuthority, data: bytes, now: int) -> bytes:
-    """As `renew`, at the authority itself: only what its record knows, for as long as before.
-
-    Raises:
-        RenewalRefused: besides, the identity is not in the record, or not the newest of its name.
-    """
     with authority.store.transaction():
         check = _check_in_record(authority)
         renewal = open_renewal(data, authority.authority.anchor, now, check)
-        _check_recorded(authority.store, renewal.identity)
+        identity = renewal.identity
+        rows = authority.store.identities.by_name(identity.name)
+        if not rows:
+            raise RenewalRefused(
+                f"{identity.name} is not in the authority's record",
+                "was it enrolled by an intermediate? where the authority is: rossec ca import NODE.pem",
+            )
+        newest = rows[-1]
+        if (newest.thumbprint, newest.wildcard) != (identity.thumbprint, identity.wildcard):
+            raise RenewalRefused(
+                f"{identity.name} has a newer identity, with another key or for other names",
+                f"see, where the authority is: rossec ca show {identity.name}",
+            )
         return _renew(authority, data, now, check, MAX_LIFETIME)
 
 
-def _check_recorded(store: Store, identity: Identity) -> None:
-    rows = store.identities.by_name(identity.name)
-    if not rows:
-        raise RenewalRefused(
-            f"{identity.name} is not in the authority's record",
-            "was it enrolled by an intermediate? where the authority is: rossec ca import NODE.pem",
-        )
-    newest = rows[-1]
-    if (newest.thumbprint, newest.wildcard) != (identity.thumbprint, identity.wildcard):
-        raise RenewalRefused(
-            f"{identity.name} has a newer identity, with another key or for other names",
-            f"see, where the authority is: rossec ca show {identity.name}",
-        )
-
-
 def _renew(
-    authority: SigningAuthority,
-    data: bytes,
-    now: int,
-    check: Callable[[bytes, int], None],
-    lifetime: int,
+    authority: SigningAuthority, data: bytes, now: int, check: Callable[[bytes, int], None], lifetime: int
 ) -> bytes:
     renewal = open_renewal(data, authority.authority.anchor, now, check)
     answered = authority.store.identities.issued_for(renewal.request.digest)
@@ -101,13 +97,9 @@ def _renew(
     return authority.bundle(der)
 
 
-def _already_renewed(
-    authority: SigningAuthority, renewal: Renewal, now: int
-) -> CertificateRow | None:
-    """A newer identity for the same key that is not due itself: the answer to other requests.
-
-    Otherwise a node could have any number signed and recorded, as long as its old one is valid.
-    """
+def _already_renewed(authority: SigningAuthority, renewal: Renewal, now: int) -> CertificateRow | None:
+    # A newer identity for the same key that is not due itself: the answer to other requests.
+    # Otherwise a node could have any number signed and recorded, as long as its old one is valid.
     identities, wanted = authority.store.identities, renewal.request.thumbprint
     for row in reversed(identities.valid(renewal.identity.name, now)):
         is_newer = row.thumbprint == wanted and row.not_after > renewal.identity.not_after
@@ -119,26 +111,22 @@ def _already_renewed(
 
 
 def renew_by_name(
-    authority: SigningAuthority,
-    name: str,
-    now: int,
-    lifetime: int = LIFETIME,
-    *,
-    expired: bool = False,
+    authority: SigningAuthority, name: str, now: int, lifetime: int = LIFETIME, *, expired: bool = False
 ) -> bytes:
     """Certify the current key of `name` again; returns the node's new bundle (PEM).
 
     A node enrolled by an intermediate is then certified by this authority, for the same key.
     With `expired`, the newest identity may have ended: its key, and so its grants, are kept.
-
-    Raises:
-        StoreError: the name has no valid identity, its key or its intermediate's is revoked.
-        NameCovered: another identity covers the name by now.
     """
     authority.refresh_list(now)
     with authority.store.transaction():
         held = authority.store.renewable_certificate(name, now, expired=expired)
-        identity = _identity(authority, held, min(now, held.not_after))
+        at, signer = min(now, held.not_after), authority.store.identities.issuer(held)
+        identity = (
+            authority.verify(held.der, at)
+            if signer is None
+            else authority.authority.anchor.verify([held.der, signer.der], at)
+        )
         der = authority.authority.reissue(
             identity, identity.public_key, now=now, serial=_serial(), lifetime=lifetime
         )
@@ -147,18 +135,9 @@ def renew_by_name(
     return authority.bundle(der)
 
 
-def _identity(authority: SigningAuthority, row: CertificateRow, now: int) -> Identity:
-    """The identity of a row, verified with the intermediate that signed it, if any."""
-    signer = authority.store.identities.issuer(row)
-    if signer is None:
-        return authority.verify(row.der, now)
-    return authority.authority.anchor.verify([row.der, signer.der], now)
-
-
 def renew_own_node(authority: SigningAuthority, now: int) -> int:
-    """Renew the authority's own node, even if expired; returns its `not_after`."""
     own = NodeHome(authority.path / "node", OWN_NODE)
-    key = KeySigner(key_files.load_private(own.path / "node.key"))
+    key = KeySigner(private_keys.load_private(own.path / "node.key"))
     request = build_request(key, authority.domain, OWN_NODE)
     return own.install(authority.issue(request, now, OWN_LIFETIME), now).not_after
 
@@ -177,16 +156,9 @@ def sign_intermediate(
     may_enroll: bool,
     lifetime: int = INTERMEDIATE_LIFETIME,
 ) -> tuple[str, bytes]:
-    """Sign and record an intermediate; returns its name for revocation, and its bundle (PEM).
-
-    Raises:
-        RequestRefused, IssueRefused: as `ca.authority.Authority.issue_intermediate`.
-    """
     authority.refresh_list(now)
     root = authority.authority
-    der = root.issue_intermediate(
-        csr, now=now, serial=_serial(), may_enroll=may_enroll, lifetime=lifetime
-    )
+    der = root.issue_intermediate(csr, now=now, serial=_serial(), may_enroll=may_enroll, lifetime=lifetime)
     made = root.anchor.read_intermediate(der)
     name = f"{INTERMEDIATE}{made.thumbprint.hex()[:16]}"
     row = CertificateRow(made.serial, name, made.thumbprint, der, made.not_before, made.not_after)
@@ -200,22 +172,23 @@ def import_identity(
     """Record an identity signed by an intermediate of this root; the boolean says if it is new.
 
     `replaced` are names whose current key may be replaced; that key is revoked.
-
-    Raises:
-        CertificateRefused: not a valid identity of this root.
-        StoreError: its key, or the intermediate's, is revoked or unknown here.
-        KeyChanged, NameCovered: the name belongs to another key.
-        ConfigurationError: this is not a root, or the name is the authority's own.
     """
     identity = authority.authority.anchor.verify(from_pem(bundle)[:-1], now)
     if identity.name == OWN_NODE or not authority.authority.is_root:
         raise ConfigurationError(
-            f"{identity.name} cannot be imported here",
-            "only a root imports, and never its own node",
+            f"{identity.name} cannot be imported here", "only a root imports, and never its own node"
         )
     store, row = authority.store, certificate_row(identity)
     with store.transaction():
-        _check_issuers(store, identity)
+        # Its intermediate was signed by this root, and is not revoked.
+        made = {row.thumbprint for row in store.identities.all() if row.name.startswith(INTERMEDIATE)}
+        for issuer in identity.issuers:
+            store.identities.check_not_revoked(f"the intermediate of {identity.name}", issuer)
+            if issuer not in made:
+                raise StoreError(
+                    f"the intermediate of {identity.name} is not in this record",
+                    "was the record restored from an older backup? make a new intermediate",
+                )
         if any(
             known.thumbprint == row.thumbprint and known.not_after >= row.not_after
             for known in store.identities.valid(row.name, now)
@@ -224,22 +197,10 @@ def import_identity(
         replace_key = row.name if row.name in replaced else None
         store.add_certificate(row, now, replace_key=replace_key)
         if replace_key is not None:
-            thing_records.end_with_router(store, row.name, now)
+            signing.end_with_router(store, row.name, now)
         store.log_event("imported", row.name, f"{row.serial:x}", now)
         authority.refresh_list(now)
     return identity, True
-
-
-def _check_issuers(store: Store, identity: Identity) -> None:
-    """Check that its intermediate was signed by this root and is not revoked."""
-    made = {row.thumbprint for row in store.identities.all() if row.name.startswith(INTERMEDIATE)}
-    for issuer in identity.issuers:
-        store.identities.check_not_revoked(f"the intermediate of {identity.name}", issuer)
-        if issuer not in made:
-            raise StoreError(
-                f"the intermediate of {identity.name} is not in this record",
-                "was the record restored from an older backup? make a new intermediate",
-            )
 
 
 def _check_in_record(authority: SigningAuthority) -> Callable[[bytes, int], None]:
@@ -254,3 +215,50 @@ def _check_in_record(authority: SigningAuthority) -> Callable[[bytes, int], None
 
 def _serial() -> int:
     return secrets.randbits(127) + 1
+
+
+REQUEST: Final = "intermediate.csr"
+OWNED: Final = (files.Owned(r"intermediate\.csr"), files.Owned(r"intermediate\.pem", public=True))
+
+
+def begin(home: Path, domain: str, passphrase: str) -> Path:
+    path = home / "ca"
+    if (path / "ca.pem").exists():
+        raise ConfigurationError(
+            f"there is an authority in {path}, whose service renews identities: rossec ca serve",
+            "for an intermediate on another host, there: ROSSEC_HOME=~/intermediate rossec ca"
+            f" intermediate request {domain}",
+        )
+    files.make_private_directory(path)
+    key = private_keys.generate()
+    request = build_intermediate_request(KeySigner(key), domain)
+    private_keys.write_private(path / "ca.key", key, passphrase)
+    files.create(path / REQUEST, request, 0o644)
+    return path / REQUEST
+
+
+def install(home: Path, bundle: bytes, passphrase: str, now: int) -> Intermediate:
+    path = home / "ca"
+    match from_pem(bundle):
+        case (der, root):
+            pass
+        case found:
+            raise ConfigurationError(
+                f"a bundle of {len(found)} certificates where two are expected",
+                "take the file `rossec ca intermediate sign` wrote",
+            )
+    anchor = TrustAnchor.load(root)
+    made = anchor.check_intermediate(der, now)
+    signer = KeySigner(private_keys.load_private(path / "ca.key", passphrase))
+    Authority(signer, root, der)
+    if (path / "ca.pem").exists() and AuthorityHome(path).anchor().thumbprint != anchor.thumbprint:
+        raise ConfigurationError(
+            "this is the intermediate of another root", "start again in another ROSSEC_HOME"
+        )
+    if not (path / "ca.db").exists():
+        Store.create(path / "ca.db").close()
+    files.replace(path / "intermediate.pem", to_pem(der), 0o644)
+    files.replace(path / "ca.pem", to_pem(root), 0o644)
+    with contextlib.closing(Store.open(path / "ca.db")) as store:
+        store.log_event("installed", "intermediate", made.thumbprint.hex(), now)
+    return made

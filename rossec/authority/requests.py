@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from ca.errors import RecordUnusable, StoreError
-from ca.store.database import Database
-from ca.store.log_entries import digest_of
-from ca.store.schema import append_entry
+from ca.store.database import Database, append_entry
+from ca.store.values import digest_of
 from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, peek_request
 from rossec import files
@@ -24,21 +23,16 @@ MAX_INBOX: Final = 256  # files read at once
 
 
 class StoredRequest(NamedTuple):
-    """One requested right in the record, not answered yet."""
-
     request: GrantRequest
     at: int
     requested: RequestedRight
 
     @property
     def short_id(self) -> str:
-        """The first 8 hexadecimal digits of the request's id, for people."""
         return self.request.id.hex()[:8]
 
 
 class StoredAnswer(NamedTuple):
-    """One requested right in the record, and its answer."""
-
     stored: StoredRequest
     answer: str
     reason: str
@@ -46,29 +40,16 @@ class StoredAnswer(NamedTuple):
 
 
 class GrantRequestStore:
-    """The grant requests in one record."""
-
     def __init__(self, database: Database) -> None:
-        """Use the record in `database`, so that an answer shares a transaction with its grants."""
         self._database = database
 
     def add(self, request: GrantRequest, data: bytes, now: int) -> None:
-        """Record a verified request.
-
-        Raises:
-            StoreError: it is recorded already.
-        """
         with self._transaction() as db:
             row = (request.id, request.node, data, now)
             db.execute("INSERT INTO grant_request VALUES (?, ?, ?, ?)", row)
             append_entry(db, now, "grant request", request.node, request.id.hex(), digest_of(row))
 
     def answer(self, stored: StoredRequest, answer: str, reason: str, now: int) -> None:
-        """Record the answer to one requested right.
-
-        Raises:
-            StoreError: it was answered already.
-        """
         with self._transaction() as db:
             requested = stored.requested
             row = (stored.request.id, int(requested.right), requested.pattern, answer, reason, now)
@@ -77,7 +58,6 @@ class GrantRequestStore:
             append_entry(db, now, "decision", stored.request.node, detail, digest_of(row))
 
     def unanswered(self) -> list[StoredRequest]:
-        """Every requested right without an answer, oldest first."""
         answered = set(self._database.rows("SELECT request, right, pattern FROM decision"))
         rows = self._database.rows("SELECT data, at FROM grant_request ORDER BY rowid")
         requests = [(peek_request(data), at) for data, at in rows]
@@ -89,20 +69,17 @@ class GrantRequestStore:
         ]
 
     def answers(self) -> list[StoredAnswer]:
-        """Every answer, oldest first."""
         rows = self._database.rows("SELECT data, at FROM grant_request")
-        requests = {found.id: (found, at) for found, at in
-                    ((peek_request(data), at) for data, at in rows)}  # fmt: skip
+        requests = {found.id: (found, at) for found, at in ((peek_request(data), at) for data, at in rows)}
         return [
             StoredAnswer(
-                StoredRequest(*requests[number], RequestedRight(Right(right), pattern)),
-                answer, reason, at,
+                StoredRequest(*requests[number], RequestedRight(Right(right), pattern)), answer, reason, at
             )
             for number, right, pattern, answer, reason, at in self._database.rows(
                 "SELECT request, right, pattern, answer, reason, at FROM decision ORDER BY rowid"
             )
             if number in requests
-        ]  # fmt: skip
+        ]
 
     def find(self, number: bytes) -> list[StoredRequest]:
         """Every right of the request with this id, answered or not; none: there is no such one."""
@@ -128,7 +105,6 @@ class GrantRequestStore:
 
 
 def put_in_inbox(authority: Path, request: GrantRequest, data: bytes) -> Path:
-    """Write a request to the inbox of the authority of the same ROSSEC_HOME."""
     files.make_private_directory(authority / "inbox")
     path = authority / "inbox" / f"{request.id.hex()}.request"
     files.replace(path, data)
@@ -136,10 +112,8 @@ def put_in_inbox(authority: Path, request: GrantRequest, data: bytes) -> Path:
 
 
 def inbox_files(authority: Path) -> list[Path]:
-    """The files in the inbox, sorted by name; at most `MAX_INBOX`."""
     return sorted((authority / "inbox").glob("*.request"))[:MAX_INBOX]
 
 
 def read_request(path: Path) -> bytes:
-    """Read a request file, with a size limit."""
     return files.read(path, MAX_FILE)

@@ -13,11 +13,18 @@ from pathlib import Path
 from typing import Final
 
 from ca.certificates import TrustAnchor
-from ca.domains.lists import ForeignDomain, open_domains
+from ca.domains.trust import ForeignDomain, open_domains
 from ca.errors import BackupRefused, DomainsRefused, HintedError
-from ca.revocation.lists import MAX_LIST, RevocationList
-from ca.revocation.state import open_list, open_statement
-from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE, TreeEntries, is_tree, open_tree
+from ca.revocation.lists import (
+    MAX_LIST,
+    MAX_TREE_ENTRIES_SIZE,
+    RevocationList,
+    TreeEntries,
+    is_tree,
+    open_list,
+    open_tree,
+)
+from ca.revocation.trust_status import open_statement
 from rossec import files
 from rossec.authority.home import ENTRIES
 from rossec.authority.signing import SigningAuthority
@@ -32,10 +39,8 @@ NEWER: Final = "from a list newer than the backup"
 class NewerLists:
     """What is known to be newer than a record.
 
-    Args:
-        revoked: entries that are revoked.
-        domains: the foreign domains that are trusted.
-        epoch, domains_epoch: the last that lists are known to have.
+    `revoked`: entries that are revoked. `domains`: the foreign domains that are trusted. `epoch`,
+    `domains_epoch`: the last that lists are known to have.
     """
 
     revoked: frozenset[bytes] = frozenset()
@@ -45,7 +50,6 @@ class NewerLists:
 
 
 def read_files(path: Path, entries: Path | None) -> tuple[bytes, bytes | None]:
-    """A list or tree, and its entries: in `entries`, else beside it under the name they have."""
     beside = path.with_name(ENTRIES)
     if entries is None and beside.exists():
         entries = beside
@@ -59,12 +63,6 @@ def read_newer(
     entries: bytes | None,
     newest_domains: bytes | None,
 ) -> NewerLists:
-    """What the lists say that the operator gave for a restore of `authority`.
-
-    Raises:
-        BackupRefused: the list is older than the backup, or a tree without its entries.
-        RevocationRefused, DomainsRefused: as `read_revoked` and `read_domains`.
-    """
     anchor = authority.authority.anchor
     revoked, epoch = read_revoked(newest_list, entries, anchor)
     held = authority.store.newest_list()
@@ -80,11 +78,6 @@ def read_newer(
 
 
 def require_list(authority: SigningAuthority, home: Path, now: int) -> None:
-    """Return if no list is needed to restore `authority` into ROSSEC_HOME `home`.
-
-    Raises:
-        BackupRefused: it is a root; the hint says where a list is.
-    """
     if not authority.authority.is_root:
         return
     here = newest_here(home, authority.authority.anchor)
@@ -121,12 +114,6 @@ def newest_here(home: Path, anchor: TrustAnchor) -> Path | None:
 def read_revoked(
     data: bytes | None, entries: bytes | None, anchor: TrustAnchor
 ) -> tuple[frozenset[bytes], int]:
-    """What a signed list or tree revokes, and its epoch; nothing without one.
-
-    Raises:
-        RevocationRefused: it is not the authority's, or `entries` are not those of the tree.
-        BackupRefused: a tree without its entries.
-    """
     if data is None:
         return frozenset(), 0
     if not is_tree(data):
@@ -143,14 +130,8 @@ def read_revoked(
     return listing.entries, tree.epoch
 
 
-def read_domains(
-    data: bytes | None, authority: SigningAuthority
-) -> tuple[tuple[ForeignDomain, ...], int]:
-    """The domains that a signed list names, and its epoch; none without one.
-
-    Raises:
-        DomainsRefused: it is not the authority's, or older than the record.
-    """
+def read_domains(data: bytes | None, authority: SigningAuthority) -> tuple[tuple[ForeignDomain, ...], int]:
+    """The domains that a signed list names, and its epoch; none without one."""
     if data is None:
         return (), 0
     anchor = authority.authority.anchor
@@ -199,10 +180,6 @@ def take_over(
 
     It is for a record that lacks revocations, and can be done at any time: it only takes away. If
     the list has a later epoch than the record, the new list has one after that.
-
-    Raises:
-        RevocationRefused, BackupRefused: as `read_revoked`.
-        ConfigurationError: this is an intermediate.
     """
     revoked, epoch = read_revoked(data, entries, authority.authority.anchor)
     with authority.store.transaction():

@@ -2,38 +2,263 @@
 
 Everything is recorded before it is delivered. Two commands may run at the same time: decisions by
 the record (a list number, the valid identities, the entries of a list) are made, signed and
-recorded in one transaction, and so is a revocation with its list.
+recorded in one transaction, and so is a revocation with its list. What a list must have is computed
+from the record: everything revoked that could still be valid.
+
+A border router has the keys of the nodes that stand for its things. So where a router, or the node
+of a thing, loses its key, what depended on it ends in the same list.
 """
 
+import contextlib
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from ca import svid
 from ca.authority import LIFETIME, Authority
-from ca.certificates import Identity, check_request, to_pem
-from ca.domains.lists import DomainList
-from ca.errors import ForeignCertificate, RequestClosed
-from ca.keys.signer import Signer
-from ca.names import check_name
-from ca.revocation.state import MAX_ENTRIES, RevocationList, open_statement, sign_list
-from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
-from ca.store.lifecycle import RequestState
-from ca.store.log_entries import sign_head
-from ca.store.record import CertificateRow, GrantRow, Store
-from ca.store.rows import INTERMEDIATE
+from ca.certificates import Identity, TrustAnchor, to_pem
+from ca.domains.trust import DomainList, ForeignDomain, open_domains, sign_domains
+from ca.errors import (
+    ForeignCertificate,
+    PassphraseRefused,
+    RecordUnusable,
+    RequestClosed,
+    RevocationRefused,
+    ThingUnknown,
+    TokenRefused,
+)
+from ca.keys.signing import Signer, to_coordinates
+from ca.names import check_name, is_alias, shown
+from ca.revocation.lists import MAX_ENTRIES, RevocationList, RevocationTree, TreeEntries, sign_list, sign_tree
+from ca.revocation.trust_status import open_statement
+from ca.store.record import GrantRow, Store
+from ca.store.signed_statements import ThingRow
+from ca.store.values import INTERMEDIATE, CertificateRow, RequestState, sign_head
+from ca.svid import check_request
 from grants import document
-from grants.model import Draft
+from grants.model import Draft, Permission, Right
 from grants.renewal import Delegation, OpenDelegation, open_delegation, sign_delegation
 from rossec import files
-from rossec.authority import domain_list, list_contents, thing_records
-from rossec.authority.grantable import check_own_names, check_tail
-from rossec.errors import ConfigurationError
+from rossec.errors import (
+    AuthorityLocked,
+    ConfigurationError,
+    KeyServiceFailed,
+    KeyServiceRefused,
+    SigningRefused,
+)
 
-SKEW: Final = list_contents.SKEW  # backdates grants, for hosts whose clock is behind
+OF_ALL: Final = (
+    AuthorityLocked,
+    KeyServiceFailed,
+    KeyServiceRefused,
+    PassphraseRefused,
+    RecordUnusable,
+    SigningRefused,
+    TokenRefused,
+)
+"""Refusals that are about the key or the record, and so of every grant."""
+
+
+def check_own_names(permissions: Iterable[Permission]) -> None:
+    for permission in permissions:
+        if is_alias(permission.pattern) and permission.rights & ~Right.GRAPH:
+            raise ConfigurationError(
+                f"{shown(permission.pattern)} is a name of another domain or site",
+                "its own authority grants rights on it, by its name there; here only --graph",
+            )
+
+
+def check_tail(draft: Draft, valid: Iterable[CertificateRow]) -> None:
+    if not draft.has_tail_patterns:
+        return
+    tails = [row.wildcard for row in valid if row.thumbprint == draft.holder]
+    if not any(tails[-1:]):
+        raise ConfigurationError(
+            f"{draft.subject} is one node, and has no names of anonymous nodes",
+            f"give its names as they are: {draft.subject}/..., without ~",
+        )
+
+
+CLOCK_SKEW: Final = 60  # seconds that another host's clock may be behind
+
+
+def required_entries(store: Store, now: int) -> frozenset[bytes]:
+    """The entries of a list signed at `now`.
+
+    Grants that have expired and cannot be renewed are left out, and so are statements about things.
+    A node refuses a list from its future, so a node without the entry finds the grant expired (RFC
+    9770 removes entries in the same way). Keys stay: they are few, and a certificate renewed by the
+    master may be valid longer than those recorded here.
+    """
+    ended = (row.id for row in store.revoked_grants() if document.peek(row.data).cap + CLOCK_SKEW < now)
+    expired = (row.id for row in store.things.revoked() if row.expires + CLOCK_SKEW < now)
+    return store.revoked_entries() - frozenset(ended) - frozenset(expired)
+
+
+def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> frozenset[bytes]:
+    """The entries that the newest signed list lacks; all, where that is unknown.
+
+    `key` is the authority's.
+    """
+    with store.database.read_transaction():
+        data = store.newest_list()
+        listed = frozenset[bytes]()
+        match None if data is None else open_statement(data, key):
+            case RevocationList(entries=entries):
+                listed = entries
+            case RevocationTree() as tree:  # it does not contain them: they are those of the record, or not
+                with contextlib.suppress(RevocationRefused):
+                    listed = tree_entries(store, tree).entries
+            case None:
+                pass
+        return required_entries(store, now) - listed
+
+
+def tree_entries(store: Store, tree: RevocationTree) -> TreeEntries:
+    listing = TreeEntries(required_entries(store, tree.issued))
+    listing.check(tree)
+    return listing
+
+
+DOMAIN_LIST_LIFETIME: Final = 90 * 86400
+DOMAIN_LIST_REFRESH: Final = 7 * 86400
+
+
+def required_domains(store: Store, now: int) -> tuple[ForeignDomain, ...]:
+    found = [row.read() for row in store.domains.accepted()]
+    return tuple(each for each in found if now < each.until)
+
+
+def required_masters(store: Store, now: int) -> tuple[bytes, ...]:
+    rows = store.identities.valid_masters(now)
+    return tuple(sorted({to_coordinates(svid.key_of(svid.parse(row.der))) for row in rows}))
+
+
+# An authority without foreign domains and with one master signs none; once one was signed, there always is
+# one.
+def is_domain_list_due(store: Store, anchor: TrustAnchor, now: int) -> bool:
+    """Whether a list has to be signed: there is none, or it is old, or it says something else."""
+    with store.database.read_transaction():
+        data, domains = store.domains.newest_list(), required_domains(store, now)
+        if not data:
+            return bool(domains) or len({m.name for m in store.identities.valid_masters(now)}) > 1
+        held = open_domains(data, anchor)
+        said = held.domains, held.masters
+        return now - held.issued > DOMAIN_LIST_REFRESH or said != (domains, required_masters(store, now))
+
+
+def sign_domain_list(
+    authority: Authority, store: Store, now: int, *, new_epoch: bool = False, above: int = 0
+) -> DomainList:
+    with store.transaction():
+        epoch, seq = store.domains.next_number()
+        if new_epoch:
+            epoch, seq = max(epoch + 1, above + 1, now), 1
+        listed = DomainList(
+            epoch,
+            seq,
+            now,
+            now + DOMAIN_LIST_LIFETIME,
+            required_domains(store, now),
+            required_masters(store, now),
+        )
+        data = sign_domains(authority.signer, listed, authority.anchor.domain)
+        store.domains.save_list(listed.number, data, now)
+    return listed
+
+
+IN_FORCE: Final = "in force"
+RENEWED: Final = "renewed"
+EXPIRED: Final = "expired"
+REVOKED: Final = "revoked"
+OTHER_KEY: Final = "its border router has another key"
+
+
+class ThingState(NamedTuple):
+    """A statement, and what it is now: in force, renewed, expired, revoked, or of a former key."""
+
+    row: ThingRow
+    state: str
+
+
+def states(store: Store, now: int) -> list[ThingState]:
+    """Every statement, oldest first, with what it is at `now`."""
+    with store.database.read_transaction():
+        rows, revoked = store.things.all(), store.revoked_entries()
+        newest = {row.name: row.id for row in store.things.in_force(now)}
+        valid = {name: store.identities.valid(name, now) for name in {row.border for row in rows}}
+        keys = {name: found[-1].thumbprint if found else b"" for name, found in valid.items()}
+    return [ThingState(row, _state(row, now, newest, revoked, keys)) for row in rows]
+
+
+def _state(
+    row: ThingRow, now: int, newest: dict[str, bytes], revoked: frozenset[bytes], keys: dict[str, bytes]
+) -> str:
+    if row.id in revoked:
+        return REVOKED
+    if now >= row.expires:
+        return EXPIRED
+    if newest[row.name] != row.id:
+        return RENEWED
+    return IN_FORCE if row.read().border == keys[row.border] else OTHER_KEY
+
+
+def ended_with(store: Store, name: str, now: int) -> frozenset[bytes]:
+    """What must be revoked with the keys of the node `name`, besides these.
+
+    The statements about it, if it is a thing, and what ends with a border router of that name.
+    """
+    about = (row.id for row in _not_revoked(store) if row.name == name)
+    return ended_with_router(store, name, now) | frozenset(about)
+
+
+def ended_with_router(store: Store, border: str, now: int) -> frozenset[bytes]:
+    """What must be revoked with a key of the border router `border`.
+
+    The statements about its things, expired or not, and the keys of their nodes, which it has.
+    """
+    alive = [row for row in _not_revoked(store) if row.border == border]
+    entries = {row.id for row in alive}
+    for thing in {row.name for row in alive}:
+        if store.things.last(thing).border == border:
+            entries |= store.unrevoked_keys(thing, now)
+    return frozenset(entries)
+
+
+def end_with_router(store: Store, border: str, now: int) -> None:
+    for entry in sorted(ended_with_router(store, border, now)):
+        store.revoke(entry, f"{border} has a new key", now)
+
+
+def _not_revoked(store: Store) -> list[ThingRow]:
+    revoked = store.revoked_entries()
+    return [row for row in store.things.all() if row.id not in revoked]
+
+
+def replaced_by(
+    store: Store, name: str, border: bytes, replaced: frozenset[str], now: int
+) -> frozenset[bytes]:
+    """What ends where a statement about `name` at the router with the key `border` is signed.
+
+    For each thing that it replaces: the statements in force, and the keys of its node where that
+    node has to be another one, under the new name or at another router.
+    """
+    entries: set[bytes] = set()
+    for former in sorted(replaced):
+        ids = store.things.ids(former, now)
+        if not ids:
+            raise ThingUnknown(f"no statement about {former} is in force", "leave --replace out")
+        entries |= ids
+        if former != name or store.things.get(former, now).read().border != border:
+            entries |= store.unrevoked_keys(former, now)
+    return frozenset(entries)
+
+
+SKEW: Final = CLOCK_SKEW  # backdates grants, for hosts whose clock is behind
 DELEGATIONS: Final = "delegations"
 OWNED: Final = (files.Owned(rf"{DELEGATIONS}/[0-9a-f]{{1,128}}\.cose"),)
 OWN_NODE: Final = "/ca"  # the identity of the authority's tools
@@ -44,20 +269,16 @@ _LIST_REFRESH: Final = 7 * 86400
 
 @dataclass
 class SigningAuthority:
-    """The authority with its key unlocked: it can sign."""
-
     authority: Authority
     store: Store
     path: Path
 
     @property
     def domain(self) -> str:
-        """Its trust domain."""
         return self.authority.anchor.domain
 
     @property
     def signer(self) -> Signer:
-        """Its key."""
         return self.authority.signer
 
     def issue(
@@ -75,10 +296,6 @@ class SigningAuthority:
         A repeated request gets the same certificate. With `wildcard` the identity is for anonymous
         nodes as well. `replace_key` is the request's name again, if its key may replace another
         one; that key is revoked, and the list must be delivered.
-
-        Raises:
-            KeyChanged, NameContested, NameCovered: the name belongs to another key.
-            RequestClosed: it was denied, or its identity is not valid any more.
         """
         asked = check_request(request, self.domain, wildcard=wildcard)
         if replace_key is not None:
@@ -90,13 +307,9 @@ class SigningAuthority:
             return self.issued_bundle(answered, now, wildcard=wildcard)
         row = self.store.requests.add(asked, request, source, now)
         if row.state is RequestState.PENDING:
-            row = self.store.requests.approve(
-                row.digest, now, replace_key=replace_key, wildcard=wildcard
-            )
+            row = self.store.requests.approve(row.digest, now, replace_key=replace_key, wildcard=wildcard)
         serial = secrets.randbits(127) + 1
-        der = self.authority.issue(
-            row.der, now=now, serial=serial, lifetime=lifetime, wildcard=row.wildcard
-        )
+        der = self.authority.issue(row.der, now=now, serial=serial, lifetime=lifetime, wildcard=row.wildcard)
         identity = self.verify(der, now)
         with self.store.transaction():
             self.store.add_certificate(
@@ -106,7 +319,7 @@ class SigningAuthority:
                 replace_key=row.name if row.replaces else None,
             )
             if row.replaces:
-                thing_records.end_with_router(self.store, row.name, now)
+                end_with_router(self.store, row.name, now)
             self.refresh_list(now)
         return self.bundle(der)
 
@@ -118,16 +331,13 @@ class SigningAuthority:
             return self.authority.anchor.verify([der], now)
 
     def bundle(self, der: bytes) -> bytes:
-        """The bundle a node installs: leaf, intermediate if there is one, root (PEM)."""
         return to_pem(der, *self.authority.chain, self.authority.anchor.certificate)
 
     def issued_bundle(self, row: CertificateRow, now: int, *, wildcard: bool) -> bytes:
         """The bundle issued for a request before, as the first answer may be lost."""
         is_valid = row in self.store.identities.valid(row.name, now)
         if not is_valid and row.wildcard is wildcard and now > row.not_after:
-            self.store.valid_certificate(
-                row.name, now
-            )  # says how an identity that is over comes back
+            self.store.valid_certificate(row.name, now)  # says how an identity that is over comes back
         if not is_valid or row.wildcard is not wildcard:
             raise RequestClosed(
                 f"this request of {row.name} was answered, but that identity is invalid or differs",
@@ -136,27 +346,16 @@ class SigningAuthority:
         return self.bundle(row.der)
 
     def issue_grant(self, draft: Draft, now: int, rules: str = "") -> bytes:
-        """Sign and record a grant; `rules`: those of the policy it came from, if it did.
-
-        Raises:
-            ConfigurationError: this is an intermediate, whose grants no node accepts.
-            StoreError: its key was revoked since the draft was made.
-        """
+        """Sign and record a grant; `rules`: those of the policy it came from, if it did."""
         (data,) = self.issue_grants([(draft, rules)], now)
         return data
 
     def issue_grants(
-        self,
-        drafts: Sequence[tuple[Draft, str]],
-        now: int,
-        check: Callable[[], None] = lambda: None,
+        self, drafts: Sequence[tuple[Draft, str]], now: int, check: Callable[[], None] = lambda: None
     ) -> list[bytes]:
         """Sign grants, each with its rules, and record all of them or none.
 
         `check` raises if they must not be recorded; no other command changes the record after it.
-
-        Raises:
-            ConfigurationError, StoreError: as `issue_grant`.
         """
         self._check_root("sign grants")
         for draft, _ in drafts:
@@ -180,16 +379,12 @@ class SigningAuthority:
         """Let the master with the key `holder` renew grants; recorded before it is delivered.
 
         `serial`: 16 bytes, random if not given. With the same serial and time it is the same one.
-
-        Raises:
-            RenewalMalformed: the lifetime is too long.
         """
         self.refresh_list(now)
         begin = now - SKEW
         draft = Delegation(
-            self.domain, holder, begin, begin + lifetime, max_ttl,
-            serial or secrets.token_bytes(16),
-        )  # fmt: skip
+            self.domain, holder, begin, begin + lifetime, max_ttl, serial or secrets.token_bytes(16)
+        )
         data = sign_delegation(self.signer, draft)
         files.make_private_directory(self.path / DELEGATIONS)
         name = open_delegation(data, self.signer.public_key).id.hex()
@@ -198,11 +393,7 @@ class SigningAuthority:
         return data
 
     def revoke_delegations(self, reason: str, now: int) -> tuple[RevocationList, int]:
-        """Revoke every delegation that has not expired; returns the list, and their number.
-
-        Raises:
-            ConfigurationError: there is none.
-        """
+        """Revoke every delegation that has not expired; returns the list, and their number."""
         given = delegations(self.path, self.signer.public_key)
         living = frozenset(item.id for item in given if now < item.expires)
         with self.store.transaction():
@@ -212,20 +403,14 @@ class SigningAuthority:
             return self._revoke(living, reason, now), len(living)
 
     def revoke(self, entry: bytes, reason: str, now: int) -> RevocationList:
-        """Revoke a grant id or key thumbprint, and sign a new list."""
         return self.revoke_all(frozenset({entry}), reason, now)
 
     def revoke_all(self, entries: frozenset[bytes], reason: str, now: int) -> RevocationList:
-        """As `revoke`, all of `entries` with one list."""
         self._check_root()
         return self._revoke(entries, reason, now)
 
     def revoke_identity(self, name: str, reason: str, now: int) -> tuple[RevocationList, int]:
-        """Revoke every key of `name`; returns the new list, and the number of keys.
-
-        Raises:
-            ConfigurationError: there is none, or it is the authority's own.
-        """
+        """Revoke every key of `name`; returns the new list, and the number of keys."""
         if name == OWN_NODE:
             raise ConfigurationError(
                 f"{name} is the authority's own node, which delivers lists to the master",
@@ -236,7 +421,7 @@ class SigningAuthority:
             found = self.store.unrevoked_keys(sought, now)
             if found:
                 self._check_root()
-                ended = found | thing_records.ended_with(self.store, sought, now)
+                ended = found | ended_with(self.store, sought, now)
                 return self._revoke(ended, reason, now), len(found)
             self.refresh_list(now)
         certified = self.store.identities.certified_name(name, now)
@@ -248,19 +433,10 @@ class SigningAuthority:
         )
 
     def _revoke(self, entries: frozenset[bytes], reason: str, now: int) -> RevocationList:
-        """Record revocations and sign the new list, in one transaction."""
         with self.store.transaction():
             for entry in sorted(entries):
                 self.store.revoke(entry, reason, now)
             return self.sign_list(now)
-
-    def _sign_list_or_tree(self, listed: RevocationList) -> bytes:
-        """Sign the list, or a tree if it has too many entries."""
-        if len(listed.entries) <= MAX_ENTRIES:
-            return sign_list(self.signer, listed)
-        size, root = TreeEntries(listed.entries).size_and_root
-        tree = RevocationTree(listed.epoch, listed.seq, listed.issued, listed.expires, size, root)
-        return sign_tree(self.signer, tree)
 
     def refresh_list(self, now: int) -> None:
         """Sign a new list if it lacks a revocation, and long before it expires; domains likewise.
@@ -273,23 +449,16 @@ class SigningAuthority:
             held = self.store.newest_list()
             issued = 0 if held is None else open_statement(held, self.signer.public_key).issued
             late = now - issued > _LIST_REFRESH
-            if late or list_contents.missing_entries(self.store, self.signer.public_key, now):
+            if late or missing_entries(self.store, self.signer.public_key, now):
                 self.sign_list(now)
-            if domain_list.is_due(self.store, self.authority.anchor, now):
+            if is_domain_list_due(self.store, self.authority.anchor, now):
                 self.sign_domains(now)
 
     def sign_domains(self, now: int, *, new_epoch: bool = False, above: int = 0) -> DomainList:
-        """Sign the list of domains with the next number; see `domain_list` and `sign_list`.
-
-        Raises:
-            ConfigurationError: this is an intermediate.
-            DomainsRefused: there are too many.
-        """
+        """Sign the list of domains with the next number; see `domain_list` and `sign_list`."""
         self._check_root("say which domains are trusted")
         with self.store.transaction():
-            listed = domain_list.sign(
-                self.authority, self.store, now, new_epoch=new_epoch, above=above
-            )
+            listed = sign_domain_list(self.authority, self.store, now, new_epoch=new_epoch, above=above)
             self.sign_head(now)
         return listed
 
@@ -299,18 +468,20 @@ class SigningAuthority:
         With `new_epoch` it is newer than every list before, also those this record lacks: the epoch
         is the time, so that a backup restored twice does not use the same number twice. `above` is
         an epoch that was used since, perhaps with a clock that was ahead.
-
-        Raises:
-            ConfigurationError: this is an intermediate.
         """
         self._check_root()
         with self.store.transaction():
             epoch, seq = self.store.next_number()
             if new_epoch:
                 epoch, seq = max(epoch + 1, above + 1, now), 1
-            entries = list_contents.required_entries(self.store, now)
+            entries = required_entries(self.store, now)
             listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
-            self.store.save_list(listed.number, self._sign_list_or_tree(listed), now)
+            if len(entries) <= MAX_ENTRIES:
+                data = sign_list(self.signer, listed)
+            else:
+                size, root = TreeEntries(entries).size_and_root
+                data = sign_tree(self.signer, RevocationTree(epoch, seq, now, listed.expires, size, root))
+            self.store.save_list(listed.number, data, now)
             self.sign_head(now)
         return listed
 
@@ -327,15 +498,17 @@ class SigningAuthority:
 
 
 def delegations(authority: Path, key: ec.EllipticCurvePublicKey) -> list[OpenDelegation]:
-    """Every delegation signed by the authority with this directory and key."""
     missing = ConfigurationError("no delegation")
     found = sorted((authority / DELEGATIONS).glob("*.cose"))
     return [open_delegation(files.read_own(path, _SIZE_LIMIT, missing), key) for path in found]
 
 
 def certificate_row(identity: Identity) -> CertificateRow:
-    """The row that records an identity."""
     return CertificateRow(
-        identity.serial, identity.name, identity.thumbprint, identity.certificate,
-        identity.not_before, identity.not_after,
-    )  # fmt: skip
+        identity.serial,
+        identity.name,
+        identity.thumbprint,
+        identity.certificate,
+        identity.not_before,
+        identity.not_after,
+    )

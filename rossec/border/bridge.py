@@ -1,4 +1,4 @@
-"""One thing and its ROS node: resources become publishers, subscriptions and services.
+"""Which things a border router serves now, and the ROS node of each: resources become topics and services.
 
 A notification is published, a message is written by PUT (the newest, when the thing is slower), a
 call is a POST. Rights, filters and conditions are those of the node, as for every other node. What
@@ -9,56 +9,145 @@ import asyncio
 import logging
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple
 
 from aiocoap.numbers import codes
 
 from ca.certificates import Identity
-from ca.errors import HintedError
+from ca.errors import CAError, HintedError
+from ca.revocation.trust_status import Revocations
+from ca.things.constrained_nodes import ThingKey, ThingStatement
 from grants.filters.layout import Layout
-from rossec.border.bodies import from_ros, to_ros
-from rossec.border.links import PUBLISHER, SERVICE, SUBSCRIBER, Resource
-from rossec.border.quotas import MESSAGE_RATE
-from rossec.border.requests import Answer, OnAnswer, Request
-from rossec.border.thing_node import ThingNode
+from rossec.border.constrained_node import ThingNode
+from rossec.border.conversations import MESSAGE_RATE
+from rossec.border.endpoint import CoapAnswer, CoapRequest, OnAnswer
+from rossec.border.resources import PUBLISHER, SERVICE, SUBSCRIBER, Resource, from_ros, to_ros
 from rossec.errors import BodyRefused, ServiceFailed, ThingUnreachable
-from rossec.net.aio.tasks import TaskSet
+from rossec.host.runner import TaskSet
 from rossec.node.publisher import Publisher
 from rossec.node.subscriber import Subscriber
 from rossec.participant.message_types import Message
 from rossec.participant.service_types import ServiceType, service_type
 from rossec.ros.xmlrpc import Fault
+from rossec.saved_statements import ThingFiles
 
-CALL_DEADLINE: Final = 30.0
+_NANOSECONDS: Final = 10**9  # of a second
 _log = logging.getLogger("rossec.border")
 
+CALL_DEADLINE: Final = 30.0
+
 Cancel = Callable[[], None]
+Ask = Callable[[CoapRequest, OnAnswer], Cancel | None]  # None: the thing is not there
 
 
-class Ask(Protocol):
-    """Asks the thing."""
+class ServedThing(NamedTuple):
+    statement: ThingStatement
+    secret: bytes  # empty: it has a key
 
-    def __call__(self, request: Request, on_answer: OnAnswer) -> Cancel | None:
-        """Send a request; returns what cancels it. None: the thing is not there."""
+
+class Roster:
+    """The things of one border router: those of its statements that are valid and not revoked.
+
+    What its directory holds is read again when that changes, and once a second right after. A thing is
+    served by a statement that names this router's key (`saved_statements` checks that), in time, and
+    known not to be revoked; so is its credential, which the authority may revoke by itself. What is not
+    known counts as no.
+    """
+
+    def __init__(self, files: ThingFiles, revocations: Revocations, clock: Callable[[], int]) -> None:
+        self._files = files
+        self._revocations: Final = revocations
+        self._clock = clock
+        self._things: dict[str, ServedThing] = {}
+        self._keys: dict[bytes, list[str]] = {}
+        self._secrets: dict[bytes, list[str]] = {}
+        self._refused: dict[str, str] = {}
+        self._read_at, self._read_second, self._settled = -1, 0, False
+
+    def __len__(self) -> int:
+        return len(self._things)
+
+    @property
+    def names(self) -> list[str]:
+        return sorted(self._things)
+
+    def statement(self, name: str) -> ThingStatement | None:
+        found = self._things.get(name)
+        return None if found is None else found.statement
+
+    def reload(self) -> bool:
+        try:
+            changed = self._files.path.stat().st_mtime_ns
+        except OSError:
+            changed = 0
+        now = self._clock()
+        if changed == self._read_at and (self._settled or now == self._read_second):
+            return False
+        # A file system's clock has steps: what is written right after is not seen by the time.
+        self._settled = changed // _NANOSECONDS < now - 1
+        self._read_at, self._read_second = changed, now
+        loaded = self._files.load()
+        refused = {str(path): str(error) for path, error in loaded.refused.items()}
+        things: dict[str, ServedThing] = {}
+        for statement in sorted(loaded.statements.values(), key=lambda each: each.not_before):
+            try:
+                has_key = isinstance(statement.credential, ThingKey)
+                secret = b"" if has_key else self._files.secret_of(statement)
+                things[statement.name] = ServedThing(statement, secret)
+            except (HintedError, OSError) as error:
+                refused[statement.name] = str(error)
+        for what, reason in refused.items():
+            if self._refused.get(what) != reason:
+                _log.warning("%s: %s", what, reason)
+        self._refused, self._things = refused, things
+        self._keys, self._secrets = {}, {}
+        for name, (statement, secret) in things.items():
+            kids = self._secrets if secret else self._keys
+            kids.setdefault(statement.credential.kid, []).append(name)
+        return True
+
+    def by_key(self, kid: bytes) -> tuple[str, ThingKey] | None:
+        self.reload()
+        found = self._usable(self._keys, kid)
+        if found is None or not isinstance(found.statement.credential, ThingKey):
+            return None
+        return found.statement.name, found.statement.credential
+
+    def by_secret(self, kid: bytes) -> tuple[str, bytes] | None:
+        self.reload()
+        found = self._usable(self._secrets, kid)
+        return None if found is None else (found.statement.name, found.secret)
+
+    def is_served(self, name: str, credential: bytes) -> bool:
+        # A thing that is there stays while it is not known whether something is revoked: its connections end
+        # by their own rules.
+        found = self._things.get(name)
+        if found is None or found.statement.credential.thumbprint != credential:
+            return False
+        revoked = self._revocations.entries
+        ends = found.statement.expires <= self._clock()
+        return not ends and revoked.isdisjoint((found.statement.id, credential))
+
+    def entries(self) -> list[bytes]:
+        things = self._things.values()
+        return [entry for statement, _ in things for entry in (statement.id, statement.credential.thumbprint)]
+
+    def _usable(self, kids: dict[bytes, list[str]], kid: bytes) -> ServedThing | None:
+        for name in reversed(kids.get(kid, [])):
+            found, now = self._things[name], self._clock()
+            try:
+                found.statement.check_time(now)
+                self._revocations.check(found.statement.id, now)
+                self._revocations.check(found.statement.credential.thumbprint, now)
+            except CAError as error:
+                _log.info("%s is not served: %s", name, error)
+            else:
+                return found
+        return None
 
 
 class ThingBridge:
-    """One thing.
-
-    Args:
-        node: its ROS node.
-        ask: asks the thing.
-        tasks: of all things.
-
-    Attributes:
-        received, refused: messages of the thing that were published, and that were dropped.
-        resources: what it has, as it said last.
-    """
-
-    __slots__ = (
-        "_ask", "_lock", "_offered", "_running", "_seen", "_tasks", "credential", "node",
-        "received", "refused", "resources",
-    )  # fmt: skip
+    """One thing and its ROS node; `tasks`: of all things."""
 
     def __init__(self, node: ThingNode, credential: bytes, ask: Ask, tasks: TaskSet) -> None:
         self.node: Final = node
@@ -69,16 +158,14 @@ class ThingBridge:
         self._offered: dict[Resource, Publisher | Subscriber | None] = {}
         self._running: dict[Resource, Cancel] = {}
         self._seen: set[Resource] = set()
-        self.resources: tuple[Resource, ...] = ()
-        self.received = self.refused = 0
+        self.resources: tuple[Resource, ...] = ()  # what it has, as it said last
+        self.received = self.refused = 0  # messages of the thing: published, dropped
 
     @property
     def offered(self) -> int:
-        """How many of its resources are offered in ROS."""
         return len(self._offered)
 
     async def follow(self, resources: list[Resource]) -> None:
-        """Offer exactly `resources`; one that the master refuses is offered again later."""
         async with self._lock:
             await self._follow(resources)
 
@@ -89,16 +176,31 @@ class ThingBridge:
         self.resources = tuple(resources)
         for resource in resources:
             if resource not in self._offered and not self.node.closed:
-                await self._offer(resource)
+                try:
+                    match resource.kind:
+                        case kind if kind == PUBLISHER:
+                            self._offered[resource] = await self.node.publish(resource.name, resource.type)
+                        case kind if kind == SUBSCRIBER:
+                            subscriber = await self.node.subscribe(resource.name, resource.type)
+                            self._offered[resource] = subscriber
+                            self._tasks.spawn(self._write(resource, subscriber), f"{resource.name}: PUT")
+                        case kind if kind == SERVICE:
+                            offered = service_type(resource.type)
+                            await self.node.services.provide(
+                                resource.name, offered, partial(self._call, resource, offered)
+                            )
+                            self._offered[resource] = None
+                except (HintedError, OSError, TimeoutError, Fault) as error:
+                    _log.warning("%s: %s is not offered: %s", self.node.name, resource.name, error)
         self.observe()
 
     def observe(self) -> None:
-        """Observe what is published, unless notifications came since the last time."""
+        # Not again what sent notifications since the last time.
         for resource, publisher in self._offered.items():
             if isinstance(publisher, Publisher) and resource not in self._seen:
                 self._cancel(resource)
                 running = self._ask(
-                    Request(codes.GET, resource.path, observe=True),
+                    CoapRequest(codes.GET, resource.path, observe=True),
                     partial(self._notified, resource, publisher),
                 )
                 if running is not None:
@@ -106,12 +208,10 @@ class ThingBridge:
         self._seen.clear()
 
     def lost(self) -> None:
-        """The conversation is over: nothing is observed any more."""
         self._running.clear()
         self._seen.clear()
 
     async def update(self) -> None:
-        """Visit the master, and offer again what was refused: grants may be new."""
         async with self._lock:
             if self.node.closed:
                 return
@@ -120,7 +220,6 @@ class ThingBridge:
                 await self._follow(list(self.resources))
 
     async def close(self, reason: str) -> None:
-        """End everything: at once what others see, then what the master knows."""
         self.node.cut(reason)
         async with self._lock:  # what is offered in this moment is withdrawn, too
             for resource in tuple(self._running):
@@ -128,24 +227,6 @@ class ThingBridge:
             await self.node.close(reason)
 
     # --- what is offered
-
-    async def _offer(self, resource: Resource) -> None:
-        try:
-            match resource.kind:
-                case kind if kind == PUBLISHER:
-                    self._offered[resource] = await self.node.publish(resource.name, resource.type)
-                case kind if kind == SUBSCRIBER:
-                    subscriber = await self.node.subscribe(resource.name, resource.type)
-                    self._offered[resource] = subscriber
-                    self._tasks.spawn(self._write(resource, subscriber), f"{resource.name}: PUT")
-                case kind if kind == SERVICE:
-                    offered = service_type(resource.type)
-                    await self.node.services.provide(
-                        resource.name, offered, partial(self._call, resource, offered)
-                    )
-                    self._offered[resource] = None
-        except (HintedError, OSError, TimeoutError, Fault) as error:
-            _log.warning("%s: %s is not offered: %s", self.node.name, resource.name, error)
 
     async def _withdraw(self, resource: Resource) -> None:
         self._cancel(resource)
@@ -165,7 +246,7 @@ class ThingBridge:
     # --- messages
 
     def _notified(
-        self, resource: Resource, publisher: Publisher, answer: Answer | ThingUnreachable
+        self, resource: Resource, publisher: Publisher, answer: CoapAnswer | ThingUnreachable
     ) -> None:
         if isinstance(answer, ThingUnreachable):
             self._running.pop(resource, None)
@@ -173,19 +254,18 @@ class ThingBridge:
             return
         self._seen.add(resource)
         try:
-            message = _message(answer, resource, publisher.endpoint.type.layout)
-            publisher.publish_bytes(message)
+            publisher.publish_bytes(_message(answer, resource, publisher.endpoint.type.layout))
             self.received += 1
         except HintedError as error:
             self.refused += 1
             _log.info("%s: dropped a message: %s", resource.name, error)
 
     async def _write(self, resource: Resource, subscriber: Subscriber) -> None:
-        """Write each message; while one is under way, only the newest of the others is kept."""
+        # Write each message; while one is under way, only the newest of the others is kept.
         async for data in subscriber.raw():
             try:
                 body = from_ros(data, resource.format, subscriber.endpoint.type.layout)
-                await self._answered(Request(codes.PUT, resource.path, body, resource.format))
+                await self._answered(CoapRequest(codes.PUT, resource.path, body, resource.format))
             except HintedError as error:
                 self.refused += 1
                 _log.info("%s: not written: %s", resource.name, error)
@@ -197,7 +277,7 @@ class ThingBridge:
         data = bytes(kind.request.serialize(request))
         try:
             body = from_ros(data, resource.format, kind.request_layout)
-            asked = Request(codes.POST, resource.path, body, resource.format)
+            asked = CoapRequest(codes.POST, resource.path, body, resource.format)
             async with asyncio.timeout(CALL_DEADLINE):
                 answer = await self._answered(asked)
             return kind.response.deserialize(_message(answer, resource, kind.response_layout))
@@ -206,13 +286,8 @@ class ThingBridge:
         except TimeoutError:
             raise ServiceFailed("the thing does not answer in time") from None
 
-    async def _answered(self, request: Request) -> Answer:
-        """The answer of the thing.
-
-        Raises:
-            ThingUnreachable: none, or an error.
-        """
-        future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+    async def _answered(self, request: CoapRequest) -> CoapAnswer:
+        future: asyncio.Future[CoapAnswer] = asyncio.get_running_loop().create_future()
         cancel = self._ask(request, partial(_settle, future))
         if cancel is None:
             raise ThingUnreachable(f"{self.node.name} is not there")
@@ -222,7 +297,7 @@ class ThingBridge:
             cancel()
 
 
-def _settle(future: asyncio.Future[Answer], answer: Answer | ThingUnreachable) -> None:
+def _settle(future: asyncio.Future[CoapAnswer], answer: CoapAnswer | ThingUnreachable) -> None:
     if future.done():
         return
     if isinstance(answer, ThingUnreachable):
@@ -233,12 +308,7 @@ def _settle(future: asyncio.Future[Answer], answer: Answer | ThingUnreachable) -
         future.set_result(answer)
 
 
-def _message(answer: Answer, resource: Resource, layout: Layout) -> bytes:
-    """The ROS message in an answer.
-
-    Raises:
-        BodyRefused: an error, another format, or not one message.
-    """
+def _message(answer: CoapAnswer, resource: Resource, layout: Layout) -> bytes:
     if not answer.code.is_successful():
         raise BodyRefused(f"it answers {answer.code.dotted}")
     form: Any = resource.format if answer.format is None else answer.format

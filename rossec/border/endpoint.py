@@ -8,22 +8,24 @@ keeps out neither the other nor the things that are there.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
+from aiocoap import Message
 from aiocoap.numbers import codes
+from aiocoap.numbers.codes import Code
+from aiocoap.optiontypes import BlockOption
 
-from ca.things.credentials import ThingKey
-from rossec.border import rederivation, wire
-from rossec.border.contexts import OscoreContext, RequestId, name_context, unprotected
-from rossec.border.conversations import Conversation, Conversations
-from rossec.border.handshakes import ID_SIZE, MAX_MESSAGE_3, Authenticated, Handshakes, StaticKey
-from rossec.border.quotas import Unauthenticated
-from rossec.border.rederivation import Challenges, border_context
-from rossec.border.requests import Requests
-from rossec.border.timers import Timers
-from rossec.border.transmissions import Address, Send, Transmissions
-from rossec.border.wire import Message
-from rossec.errors import DatagramRefused, ThingError, ThingUnauthenticated
+from ca.things.constrained_nodes import ThingKey
+from rossec.border import messages
+from rossec.border.conversations import MAX_BLOCK, MAX_BODY, Conversation, Conversations, Unauthenticated
+from rossec.border.handshakes import ID_SIZE, MAX_MESSAGE_3, HandshakeCompleted, Handshakes, StaticKey
+from rossec.errors import DatagramRefused, ThingError, ThingUnauthenticated, ThingUnreachable
+
+DEADLINE: Final = 95.0  # seconds for one message and its answer; repeated for 62 to 93
+RETRY: Final = 0.25  # seconds until a request is sent again that got an unprotected answer
+RETRIES: Final = 7  # over half a minute: what tells the thing its context may be lost a few times
+_NONE: Final = -2  # lower than the sequence number of any answer
+_SZX: Final = 6  # blocks of 1024 octets
 
 HANDSHAKE_PATH: Final = (".well-known", "edhoc")
 REGISTRATION_PATH: Final = ("rd",)
@@ -33,33 +35,221 @@ _MESSAGE_1: Final = b"\xf5"  # CBOR true, before message_1 (RFC 9528 appendix A.
 _ALONE: Final = 0x18  # from here on a connection identifier of one octet is no integer
 
 
+class CoapAnswer(NamedTuple):
+    code: Code
+    format: int | None  # None: not said
+    body: bytes
+
+
+OnAnswer = Callable[[CoapAnswer | ThingUnreachable], None]
+
+
+@dataclass(frozen=True, slots=True)
+class CoapRequest:
+    code: Code
+    path: tuple[str, ...]
+    body: bytes = b""
+    format: int | None = None
+    observe: bool = False
+
+
+@dataclass(slots=True, eq=False)
+class PendingRequest:
+    conversation: Conversation
+    request: CoapRequest
+    on_answer: OnAnswer
+    token: bytes = b""
+    identifier: messages.RequestId = None
+    mid: int = 0
+    sent: int = 0  # blocks of the body that were acknowledged
+    received: bytes | None = None  # blocks of the answer before this one
+    tag: bytes | None = None  # ETag of these blocks: all are of one state
+    newest: int = _NONE  # sequence number of the newest answer to an observation
+    deadline: int = -1
+    retry: int = -1
+    tries: int = 0
+
+
+class Requests:
+    """Requests to things that are under way: blocks (RFC 7959), observations (RFC 7641).
+
+    Answers are matched by token, by the address of the thing and by OSCORE's binding to the request. An
+    answer to an observation counts only if its sequence number is higher than that of the one before,
+    whether or not it says that it is a notification: no tag covers that option.
+    """
+
+    def __init__(
+        self, transmissions: messages.Transmissions, timers: messages.Timers, random: Callable[[int], bytes]
+    ) -> None:
+        self._transmissions = transmissions
+        self._timers = timers
+        self._random = random
+        self._exchanges: dict[bytes, PendingRequest] = {}
+
+    def __len__(self) -> int:
+        return len(self._exchanges)
+
+    def start(
+        self, conversation: Conversation, request: CoapRequest, on_answer: OnAnswer, now: float
+    ) -> PendingRequest:
+        exchange = PendingRequest(conversation, request, on_answer)
+        self._send(exchange, now)
+        return exchange
+
+    def cancel(self, exchange: PendingRequest) -> None:
+        self._exchanges.pop(exchange.token, None)
+        exchange.conversation.tokens.discard(exchange.token)
+        self._timers.cancel(exchange.deadline)
+        self._timers.cancel(exchange.retry)
+        exchange.retry = -1
+        self._transmissions.acknowledge(exchange.conversation.address, exchange.mid)
+
+    def end(self, conversation: Conversation) -> None:
+        for token in tuple(conversation.tokens):
+            self._fail(self._exchanges[token], "its conversation has ended")
+
+    def find(self, message: Message, address: Any) -> PendingRequest | None:
+        found = self._exchanges.get(bytes(message.token))
+        if found is None or found.conversation.address != address:
+            return None
+        return found
+
+    def take(self, exchange: PendingRequest, message: Message, now: float) -> None:
+        may_ask_again = exchange.retry < 0 and exchange.newest == _NONE and exchange.tries < RETRIES
+        if message.opt.oscore is None and may_ask_again:
+            # A thing that just registered may not know its new context everywhere.
+            # Nobody has vouched for such an answer, so it ends nothing.
+            pause = RETRY * 2**exchange.tries
+            exchange.tries += 1
+            exchange.retry = self._timers.at(now + pause, lambda at: self._ask_again(exchange, at))
+        opened, _ = exchange.conversation.context.open(message, exchange.identifier)
+        self._transmissions.acknowledge(exchange.conversation.address, exchange.mid)
+        if exchange.request.observe:
+            number = messages.partial_iv(message)
+            if number <= exchange.newest:
+                raise DatagramRefused("a notification that is older than the last one")
+            exchange.newest = number
+        self._timers.cancel(exchange.deadline)
+        self._timers.cancel(exchange.retry)
+        if exchange.request.observe and opened.opt.observe is not None:
+            self._notified(exchange, opened, now)
+        else:
+            self.cancel(exchange)
+            self._answered(exchange, opened, now)
+
+    def _ask_again(self, exchange: PendingRequest, now: float) -> None:
+        self.cancel(exchange)
+        self._send(exchange, now)
+
+    def _notified(self, exchange: PendingRequest, opened: Message, now: float) -> None:
+        if not exchange.conversation.quota.take(now):
+            return
+        block = opened.opt.block2
+        if block is None or not block.more:
+            exchange.on_answer(_answer(opened, bytes(opened.payload)))
+            return
+
+        def assembled(answer: CoapAnswer | ThingUnreachable) -> None:
+            if isinstance(answer, CoapAnswer):  # else this state is lost; the observation goes on
+                exchange.on_answer(answer)
+
+        path = exchange.request.path
+        rest = PendingRequest(exchange.conversation, CoapRequest(codes.GET, path), assembled)
+        self._next_block(rest, opened, now)
+
+    def _answered(self, exchange: PendingRequest, opened: Message, now: float) -> None:
+        if opened.code == codes.CONTINUE:
+            exchange.sent += 1
+            if exchange.sent * MAX_BLOCK >= len(exchange.request.body):
+                self._fail(exchange, "it asks for more blocks than there are")
+            else:
+                self._send(exchange, now)
+            return
+        block = opened.opt.block2
+        if opened.code.is_successful() and block is not None and block.more:
+            self._next_block(exchange, opened, now)
+            return
+        before = exchange.received or b""
+        if block is not None and not _continues(exchange, opened):
+            self._fail(exchange, "the blocks of its answer do not fit together")
+            return
+        exchange.on_answer(_answer(opened, before + bytes(opened.payload)))
+
+    def _next_block(self, exchange: PendingRequest, opened: Message, now: float) -> None:
+        block, before = opened.opt.block2, exchange.received or b""
+        body = before + bytes(opened.payload)
+        fits = _continues(exchange, opened) and len(opened.payload) == block.size <= MAX_BLOCK
+        if not fits or len(body) > MAX_BODY:
+            self._fail(exchange, "its answer is too long, or its blocks do not fit together")
+            return
+        exchange.received, exchange.tag = body, opened.opt.etag
+        number = len(body) // block.size
+        self._send(exchange, now, BlockOption.BlockwiseTuple(number, False, block.size_exponent))
+
+    def _send(self, exchange: PendingRequest, now: float, wanted: Any = None) -> None:
+        request, conversation = exchange.request, exchange.conversation
+        message = Message(code=request.code, uri_path=request.path)
+        message.opt.observe = messages.OBSERVE if request.observe and wanted is None else None
+        message.opt.block2 = wanted
+        exchange.newest = _NONE
+        if request.body:
+            message.opt.content_format = request.format
+            if wanted is None:
+                begin, end = exchange.sent * MAX_BLOCK, (exchange.sent + 1) * MAX_BLOCK
+                message.payload = request.body[begin:end]
+                if len(request.body) > MAX_BLOCK:
+                    more = end < len(request.body)
+                    message.opt.block1 = BlockOption.BlockwiseTuple(exchange.sent, more, _SZX)
+        sealed, exchange.identifier = conversation.context.seal(message)
+        while (token := self._random(messages.TOKEN_SIZE)) in self._exchanges:
+            pass
+        exchange.token = sealed.token = token
+        exchange.mid = sealed.mid = conversation.new_mid()
+        sealed.mtype = messages.CON
+        self._exchanges[exchange.token] = exchange
+        conversation.tokens.add(exchange.token)
+        exchange.deadline = self._timers.at(
+            now + DEADLINE, lambda _: self._fail(exchange, "it did not answer in time")
+        )
+        self._transmissions.send(
+            messages.write(sealed),
+            exchange.mid,
+            conversation.address,
+            now,
+            lambda: self._fail(exchange, "it is out of reach"),
+        )
+
+    def _fail(self, exchange: PendingRequest, reason: str) -> None:
+        self.cancel(exchange)
+        exchange.on_answer(ThingUnreachable(f"{exchange.conversation.name}: {reason}"))
+
+
+def _continues(exchange: PendingRequest, opened: Message) -> bool:
+    # Whether a block is the next one, and of the same state (RFC 7959 section 2.4).
+    before = exchange.received
+    if before is not None and opened.opt.etag != exchange.tag:
+        return False
+    return bool(opened.opt.block2.start == len(before or b""))
+
+
+def _answer(opened: Message, body: bytes) -> CoapAnswer:
+    form = opened.opt.content_format
+    return CoapAnswer(opened.code, None if form is None else int(form), body)
+
+
 class Served(Protocol):
-    """Which things are served."""
-
-    def by_key(self, kid: bytes) -> tuple[str, ThingKey] | None:
-        """The thing with a key that has this kid: its name, and the key."""
-
-    def by_secret(self, kid: bytes) -> tuple[str, bytes] | None:
-        """The thing with a secret that has this kid: its name, and the secret."""
+    def by_key(self, kid: bytes) -> tuple[str, ThingKey] | None: ...
+    def by_secret(self, kid: bytes) -> tuple[str, bytes] | None: ...  # the name, and the secret
 
 
 class Events(Protocol):
-    """What happens."""
-
-    def registered(self, conversation: Conversation) -> None:
-        """A thing is there: it is new, was restarted, or says again that it is there."""
-
-    def left(self, name: str) -> None:
-        """A thing takes its leave."""
-
-    def ended(self, conversation: Conversation) -> None:
-        """A conversation is over."""
+    def registered(self, conversation: Conversation) -> None: ...
+    def left(self, name: str) -> None: ...
+    def ended(self, conversation: Conversation) -> None: ...
 
 
 @dataclass
-class Counts:
-    """What has happened so far."""
-
+class EndpointCounts:
     datagrams: int = 0
     refused: int = 0
     over_budget: int = 0
@@ -68,24 +258,15 @@ class Counts:
     octets: dict[str, int] = field(default_factory=dict)
 
 
-class Endpoint:
-    """One border router.
-
-    Args:
-        own: its key for things.
-        served: which things it serves.
-        events: what is told of them.
-        send: sends a datagram.
-        random: returns so many random octets.
-        rand: a random number from 0 up to 1.
-    """
+class CoapEndpoint:
+    """One border router; `rand`: a random number from 0 up to 1."""
 
     def __init__(
         self,
         own: StaticKey,
         served: Served,
         events: Events,
-        send: Send,
+        send: messages.Send,
         random: Callable[[int], bytes],
         rand: Callable[[], float],
     ) -> None:
@@ -93,59 +274,54 @@ class Endpoint:
         self._events = events
         self._send = send
         self._random = random
-        self.timers = Timers()
+        self.timers = messages.Timers()
         self.conversations = Conversations(self._ended)
-        self.counts = Counts()
-        self._transmissions = Transmissions(send, self.timers, rand)
+        self.counts = EndpointCounts()
+        self._transmissions = messages.Transmissions(send, self.timers, rand)
         self.requests = Requests(self._transmissions, self.timers, random)
         self._handshakes = Handshakes(own, self._find_key, self._is_taken, random)
-        self._challenges = Challenges(random(16))
+        self._challenges = messages.ContextChallenges(random(16))
         self._handshake_budget = Unauthenticated(HANDSHAKES)
         self._derivation_budget = Unauthenticated(DERIVATIONS)
-        self._decoy = OscoreContext(random(16), b"", b"\0", b"\1")
+        self._decoy = messages.OscoreContext(random(16), b"", b"\0", b"\1")
 
-    def receive(self, data: bytes, address: Address, now: float) -> None:
-        """Take a datagram; whatever is wrong with it ends here."""
+    def receive(self, data: bytes, address: messages.Address, now: float) -> None:
         self.counts.datagrams += 1
         try:
-            message = wire.read(data)
+            message = messages.read(data)
             self._take(message, address, now)
         except ThingError:
             self.counts.refused += 1
 
-    def run_timers(self, now: float) -> None:
-        """Do what is due."""
-        self.timers.run(now)
-
-    def _take(self, message: Message, address: Address, now: float) -> None:
-        mid = wire.number_of(message)
-        if message.mtype == wire.RST:
+    def _take(self, message: Message, address: messages.Address, now: float) -> None:
+        mid = messages.number_of(message)
+        if message.mtype == messages.RST:
             return  # as if it was lost: see `transmissions`
-        if wire.is_empty(message):
-            if message.mtype == wire.ACK:
+        if messages.is_empty(message):
+            if message.mtype == messages.ACK:
                 self._transmissions.acknowledge(address, mid)
-            elif message.mtype == wire.CON:  # a ping
-                self._send(wire.empty(wire.RST, mid), address)
+            elif message.mtype == messages.CON:  # a ping
+                self._send(messages.empty(messages.RST, mid), address)
         elif message.code.is_response():
             self._take_response(message, address, now)
-        elif message.code.is_request() and message.mtype in {wire.CON, wire.NON}:
+        elif message.code.is_request() and message.mtype in {messages.CON, messages.NON}:
             self._take_request(message, address, now)
 
-    def _take_response(self, message: Message, address: Address, now: float) -> None:
+    def _take_response(self, message: Message, address: messages.Address, now: float) -> None:
         exchange = self.requests.find(message, address)
         if exchange is None:
-            if message.mtype == wire.CON:
-                self._send(wire.empty(wire.RST, wire.number_of(message)), address)
+            if message.mtype == messages.CON:
+                self._send(messages.empty(messages.RST, messages.number_of(message)), address)
             raise DatagramRefused("a response that nobody waits for")
         talk = exchange.conversation
         if exchange.request.observe and talk.quota.is_spent(now):
             raise DatagramRefused("a thing that sends far more than its rate")
         talk.seen = now
-        if message.mtype == wire.CON:
-            self._send(wire.empty(wire.ACK, wire.number_of(message)), address)
+        if message.mtype == messages.CON:
+            self._send(messages.empty(messages.ACK, messages.number_of(message)), address)
         self.requests.take(exchange, message, now)
 
-    def _take_request(self, message: Message, address: Address, now: float) -> None:
+    def _take_request(self, message: Message, address: messages.Address, now: float) -> None:
         try:
             if message.opt.oscore is not None:
                 self._take_protected(message, address, now)
@@ -154,16 +330,19 @@ class Endpoint:
             else:
                 raise DatagramRefused("a request without protection")
         except ThingError:
-            if message.mtype == wire.CON:
-                self._answer(message, wire.refusal(codes.UNAUTHORIZED), address)
+            if message.mtype == messages.CON:
+                self._answer(message, Message(code=codes.UNAUTHORIZED), address)
             raise
 
     # --- EDHOC (RFC 9528 appendix A.2)
 
-    def _take_handshake(self, message: Message, address: Address, now: float) -> None:
+    def _take_handshake(self, message: Message, address: messages.Address, now: float) -> None:
         payload = bytes(message.payload)
         if payload[:1] != _MESSAGE_1:
-            own_id, message_3 = _split_message_3(payload)
+            head = bytes((0x40 | ID_SIZE,))
+            if payload[:1] != head or len(payload) <= 1 + ID_SIZE:
+                raise ThingUnauthenticated("a message_3 without a connection identifier")
+            own_id, message_3 = payload[1 : 1 + ID_SIZE], payload[1 + ID_SIZE :]
             found = self._finish(own_id, message_3, address, now)
             self._answer(message, Message(code=codes.CHANGED, payload=found.message_4), address)
             return
@@ -171,17 +350,17 @@ class Endpoint:
         if message_2 is None:
             self._spend(self._handshake_budget, address, now)
             message_2 = self._handshakes.begin(payload[1:], address, now)
-            self._count(message_1=len(payload) - 1, message_2=len(message_2))
+            self.counts.octets.update(message_1=len(payload) - 1, message_2=len(message_2))
         self._answer(message, Message(code=codes.CHANGED, payload=message_2), address)
 
     def _finish(
-        self, own_id: bytes, message_3: bytes, address: Address, now: float
-    ) -> Authenticated:
+        self, own_id: bytes, message_3: bytes, address: messages.Address, now: float
+    ) -> HandshakeCompleted:
         found = self._handshakes.finish(own_id, message_3, now)
         served = self._served.by_key(found.key.kid)
         if served is None:
             raise ThingUnauthenticated("a thing that is not served any more")
-        self._count(message_3=len(message_3))
+        self.counts.octets["message_3"] = len(message_3)
         self.counts.handshakes += 1
         conversation = Conversation(served[0], found.context, address, self._number())
         conversation.seen = now
@@ -190,11 +369,11 @@ class Endpoint:
 
     # --- protected requests
 
-    def _take_protected(self, message: Message, address: Address, now: float) -> None:
-        kid, kid_context = unprotected(message)
+    def _take_protected(self, message: Message, address: messages.Address, now: float) -> None:
+        kid, kid_context = messages.unprotected(message)
         conversation = self.conversations.find(kid)
-        if conversation is not None and rederivation.is_in(conversation.context, kid_context):
-            known = conversation.remembered(address, wire.number_of(message))
+        if conversation is not None and messages.is_in(conversation.context, kid_context):
+            known = conversation.remembered(address, messages.number_of(message))
             if known is not None:
                 self._send(known, address)
                 return
@@ -216,10 +395,10 @@ class Endpoint:
         self._serve(conversation, message, opened, identifier, address, now)
 
     def _take_derived(
-        self, message: Message, kid: bytes, kid_context: bytes, address: Address, now: float
+        self, message: Message, kid: bytes, kid_context: bytes, address: messages.Address, now: float
     ) -> None:
-        """A request that names the context it is in (RFC 8613 appendix B.2)."""
-        value = rederivation.unwrapped(kid_context)
+        # A request that names the context it is in (RFC 8613 appendix B.2).
+        value = messages.unwrapped(kid_context)
         current = self.conversations.find(kid)
         if current is not None and current.context.id_context == value:
             if current.address == address:
@@ -230,39 +409,31 @@ class Endpoint:
         self._spend(self._derivation_budget, address, now)
         served = self._served.by_secret(kid)
         name, secret = ("", b"\0" * 16) if served is None else served
-        context = border_context(secret, kid, value)
+        context = messages.border_context(secret, kid, value)
         opened, identifier = context.open(message)
         if served is None:
             raise DatagramRefused("no thing with this kid")
         if not self._challenges.take(kid, value, now):
-            self._challenge(message, value, secret, kid, identifier, address, now)
+            value_2 = self._challenges.make(kid, now, self._random(2))
+            challenge = messages.border_context(secret, kid, value_2 + value)
+            sealed, _ = challenge.seal(Message(code=codes.UNAUTHORIZED), identifier)
+            messages.name_context(sealed, messages.wrapped(value_2))
+            self._answer(message, sealed, address)
             return
         self.counts.derivations += 1
         conversation = Conversation(name, context, address, self._number())
         self.conversations.add(conversation)
         self._serve(conversation, message, opened, identifier, address, now)
 
-    def _challenge(
-        self, message: Message, value: bytes, secret: bytes, kid: bytes, identifier: RequestId,
-        address: Address, now: float,
-    ) -> None:  # fmt: skip
-        """Answer the first request of a derivation, which may be an old one that is repeated."""
-        value_2 = self._challenges.make(kid, now, self._random(2))
-        context = border_context(secret, kid, value_2 + value)
-        sealed, _ = context.seal(Message(code=codes.UNAUTHORIZED), identifier)
-        name_context(sealed, rederivation.wrapped(value_2))
-        self._answer(message, sealed, address)
-
     def _serve(
         self,
         conversation: Conversation,
         message: Message,
         opened: Message,
-        identifier: RequestId,
-        address: Address,
+        identifier: messages.RequestId,
+        address: messages.Address,
         now: float,
     ) -> None:
-        """Carry out a request of a thing, and answer it."""
         conversation.seen = now
         self.conversations.used(conversation, address)
         is_registration = opened.opt.uri_path == REGISTRATION_PATH
@@ -277,7 +448,7 @@ class Endpoint:
         code = response.code
         sealed, _ = conversation.context.seal(response, identifier)
         answer = self._answer(message, sealed, address, conversation.new_mid())
-        conversation.remember(address, wire.number_of(message), answer)
+        conversation.remember(address, messages.number_of(message), answer)
         if code == codes.CHANGED:
             self._events.registered(conversation)
         elif code == codes.DELETED:
@@ -293,14 +464,14 @@ class Endpoint:
         return int.from_bytes(self._random(2))
 
     def _answer(
-        self, request: Message, response: Message, address: Address, mid: int | None = None
+        self, request: Message, response: Message, address: messages.Address, mid: int | None = None
     ) -> bytes:
         mid = self._number() if mid is None else mid  # a stranger learns nothing of others
-        data = wire.write(wire.answer(request, response, mid))
+        data = messages.write(messages.answer(request, response, mid))
         self._send(data, address)
         return data
 
-    def _spend(self, budget: Unauthenticated, address: Address, now: float) -> None:
+    def _spend(self, budget: Unauthenticated, address: messages.Address, now: float) -> None:
         if not budget.take(str(address[0]), int(address[1]), now):
             self.counts.over_budget += 1
             raise ThingUnauthenticated("more attempts than are looked at")
@@ -317,28 +488,9 @@ class Endpoint:
         self.requests.end(conversation)
         self._events.ended(conversation)
 
-    def _count(self, **octets: int) -> None:
-        self.counts.octets.update(octets)
-
-
-def _split_message_3(payload: bytes) -> tuple[bytes, bytes]:
-    """C_R and message_3, as they are sent without a request.
-
-    Raises:
-        ThingUnauthenticated: no C_R of the length that is given out here.
-    """
-    head = bytes((0x40 | ID_SIZE,))
-    if payload[:1] != head or len(payload) <= 1 + ID_SIZE:
-        raise ThingUnauthenticated("a message_3 without a connection identifier")
-    return payload[1 : 1 + ID_SIZE], payload[1 + ID_SIZE :]
-
 
 def _split_combined(payload: bytes) -> tuple[bytes, bytes]:
-    """message_3, and the protected request that came with it (RFC 9668 section 3.3).
-
-    Raises:
-        ThingUnauthenticated: it does not begin with a byte string.
-    """
+    # message_3, and the protected request that came with it (RFC 9668 section 3.3).
     size = payload[1] if payload[:1] == b"\x58" and len(payload) > 1 else -1
     begin, length = (2, size) if size >= 0 else (1, payload[0] - 0x40 if payload else -1)
     if not 0 < length <= MAX_MESSAGE_3 or (begin == 1 and length >= _ALONE):

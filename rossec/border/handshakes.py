@@ -18,9 +18,9 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import decode
 from ca.errors import EncodingError
-from ca.keys.publickey import thumbprint
-from ca.things.credentials import ThingKey
-from rossec.border.contexts import KEY_SIZE, SALT_SIZE, OscoreContext
+from ca.keys.signing import thumbprint
+from ca.things.constrained_nodes import ThingKey
+from rossec.border.messages import KEY_SIZE, SALT_SIZE, OscoreContext
 from rossec.errors import DatagramRefused, ThingUnauthenticated
 
 MAX_PENDING: Final = 256
@@ -33,9 +33,7 @@ _TRIES: Final = 16
 _KIDS: Final = 24  # a kid of one octet below this takes the least room in messages
 _POINT: Final = 32  # octets of x
 _SUITE: Final = rb"(?:[\x00-\x17]|\x18[\x18-\xff])"
-_BEFORE_POINT: Final = re.compile(
-    rb"\x03(?:%s|[\x82-\x97]%s{2,23})\x58\x20" % (_SUITE, _SUITE), re.DOTALL
-)
+_BEFORE_POINT: Final = re.compile(rb"\x03(?:%s|[\x82-\x97]%s{2,23})\x58\x20" % (_SUITE, _SUITE), re.DOTALL)
 _LEAVES: Final = (KeyboardInterrupt, SystemExit, GeneratorExit)
 
 ResultT = TypeVar("ResultT")
@@ -43,9 +41,7 @@ FindKey = Callable[[bytes], ThingKey | None]
 
 
 @dataclass(frozen=True, slots=True)
-class Authenticated:
-    """A thing that has proved its key: which, its context, and message_4."""
-
+class HandshakeCompleted:
     key: ThingKey
     context: OscoreContext
     message_4: bytes
@@ -71,21 +67,10 @@ class StaticKey:
 
 
 class Handshakes:
-    """The handshakes under way.
-
-    Args:
-        own: the border router's key.
-        find: the key of the thing served here that has this kid.
-        is_taken: whether an ID is in use, by a context or by a thing with a secret.
-        random: returns so many random octets.
-    """
+    """The handshakes under way; `is_taken`: an ID is in use, by a context or by a thing with a secret."""
 
     def __init__(
-        self,
-        own: StaticKey,
-        find: FindKey,
-        is_taken: Callable[[bytes], bool],
-        random: Callable[[int], bytes],
+        self, own: StaticKey, find: FindKey, is_taken: Callable[[bytes], bool], random: Callable[[int], bytes]
     ) -> None:
         self._own = own
         self._find = find
@@ -99,46 +84,47 @@ class Handshakes:
         return len(self._pending)
 
     def repeated(self, message_1: bytes, source: Hashable) -> bytes | None:
-        """The message_2 that answers a repeated message_1 of the same sender, if there is one."""
         known = self._answered.get((source, message_1))
         return None if known is None else self._pending[known].message_2
 
     def begin(self, message_1: bytes, source: Hashable, now: float) -> bytes:
-        """Answer message_1; returns message_2.
-
-        Raises:
-            ThingUnauthenticated: malformed, or of another method or suite.
-        """
         if len(message_1) > MAX_MESSAGE_1:
             raise ThingUnauthenticated(f"a message_1 of {len(message_1)} octets")
-        _check_point(message_1)
+        # Check G_X, after METHOD and SUITES_I (RFC 9528 section 5.2.1); the rest is for lakers.
+        head = _BEFORE_POINT.match(message_1)
+        x = message_1[head.end() : head.end() + _POINT] if head else b""
+        try:
+            ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), b"\x02" + x)
+        except ValueError:
+            raise ThingUnauthenticated("no key that is on the curve") from None
         responder = lakers.EdhocResponder(r=self._own.private, cred_r=self._own.credential.ccs)
-        peer_id, extensions = _guarded(responder.process_message_1, message_1)
+        raw_id, extensions = _guarded(responder.process_message_1, message_1)
+        peer_id = bytes(raw_id)
         _check_extensions(extensions)
-        own_id = self._new_id(bytes(peer_id))
+        for _ in range(_TRIES):
+            own_id = self._random(ID_SIZE)
+            if own_id != peer_id and own_id not in self._pending and not self._is_taken(own_id):
+                break
+        else:
+            raise ThingUnauthenticated("no free ID")
         message_2 = bytes(
-            _guarded(
-                responder.prepare_message_2, lakers.CredentialTransfer.ByReference, own_id, None
-            )
+            _guarded(responder.prepare_message_2, lakers.CredentialTransfer.ByReference, own_id, None)
         )
         self.expire(now)
         if len(self._pending) >= MAX_PENDING:
             self._drop(next(iter(self._pending)))
-        self._pending[own_id] = _Pending(
-            responder, bytes(peer_id), source, message_1, message_2, now + PENDING_FOR
-        )
+        self._pending[own_id] = _Pending(responder, peer_id, source, message_1, message_2, now + PENDING_FOR)
         self._answered[source, message_1] = own_id
         return message_2
 
-    def finish(self, own_id: bytes, message_3: bytes, now: float) -> Authenticated:
-        """Take message_3 of the handshake `own_id`, which ends in either case.
-
-        Raises:
-            ThingUnauthenticated: there is none, or it does not prove the key of a thing.
-        """
+    def finish(self, own_id: bytes, message_3: bytes, now: float) -> HandshakeCompleted:
         self.expire(now)
         pending = self._drop(own_id)
-        if pending is None or not _is_message_3(message_3):
+        try:  # one byte string and nothing after it: lakers does not look
+            is_message_3 = isinstance(decode(message_3, limit=MAX_MESSAGE_3), bytes)
+        except EncodingError:
+            is_message_3 = False
+        if pending is None or not is_message_3:
             raise ThingUnauthenticated("no such handshake, or no message_3")
         responder = pending.responder
         id_cred, extensions = _guarded(responder.parse_message_3, message_3)
@@ -154,10 +140,9 @@ class Handshakes:
             context = OscoreContext(secret, salt, pending.peer_id, own_id)
         except DatagramRefused as error:
             raise ThingUnauthenticated(str(error)) from None
-        return Authenticated(key, context, message_4)
+        return HandshakeCompleted(key, context, message_4)
 
     def expire(self, now: float) -> None:
-        """Drop what was not finished in time."""
         while self._pending and next(iter(self._pending.values())).until <= now:
             self._drop(next(iter(self._pending)))
 
@@ -167,24 +152,8 @@ class Handshakes:
             self._answered.pop((pending.source, pending.message_1), None)
         return pending
 
-    def _new_id(self, peer_id: bytes) -> bytes:
-        for _ in range(_TRIES):
-            found = self._random(ID_SIZE)
-            if found != peer_id and found not in self._pending and not self._is_taken(found):
-                return found
-        raise ThingUnauthenticated("no free ID")
-
-
-def _is_message_3(data: bytes) -> bool:
-    """Whether it is one byte string and nothing after it: lakers does not look."""
-    try:
-        return isinstance(decode(data, limit=MAX_MESSAGE_3), bytes)
-    except EncodingError:
-        return False
-
 
 def _kid(id_cred: bytes) -> bytes:
-    """The kid in ID_CRED_I; empty for anything else, which is the kid of no thing."""
     try:
         value = decode(id_cred, limit=MAX_MESSAGE_3)
     except EncodingError:
@@ -201,18 +170,7 @@ def _check_extensions(extensions: Any) -> None:
         raise ThingUnauthenticated("a critical extension that is not known")
 
 
-def _check_point(message_1: bytes) -> None:
-    """Check G_X, after METHOD and SUITES_I (RFC 9528 section 5.2.1); the rest is for lakers."""
-    head = _BEFORE_POINT.match(message_1)
-    x = message_1[head.end() : head.end() + _POINT] if head else b""
-    try:
-        ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), b"\x02" + x)
-    except ValueError:
-        raise ThingUnauthenticated("no key that is on the curve") from None
-
-
 def _guarded(function: Callable[..., Any], *arguments: object) -> Any:
-    """Call lakers; a panic in it is a refusal, too."""
     try:
         return function(*arguments)
     except _LEAVES:

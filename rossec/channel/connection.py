@@ -1,34 +1,44 @@
 """One secure connection without its socket: bytes and `now` in, events and bytes out.
 
-`states.TABLE` is its state machine. Any error ends it: nothing is delivered or sent afterwards,
-except one last flight that tells a peer not authenticated yet that it was refused, in one generic
-text (no oracle). Verified units of the same call are dropped with the connection. The caller writes
-all bytes it is given, in order and at once, or drops the connection.
+`negotiation.TABLE` is its state machine. Any error ends it: nothing is delivered or sent afterwards, except
+one last flight that tells a peer not authenticated yet that it was refused, in one generic text (no oracle).
+Verified units of the same call are dropped with the connection. The caller writes all bytes it is given, in
+order and at once, or drops the connection: what is sealed has used its counter, so records queued meanwhile
+go first.
 """
 
-from collections.abc import Collection
-from typing import Final, Self
+from collections.abc import Collection, Iterator, Sequence
+from typing import Final, Generic, Protocol, Self
 
 from ca.errors import HintedError
-from rossec.channel.buffers import FIRST, SMALL
-from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Renews, Verify
-from rossec.channel.edhoc.handshake import Responder
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.edhoc.messages import (
-    MAX_MESSAGE_1,
-    RENEWALS_EAD,
-    UNKNOWN_CREDENTIAL,
-    UNSPECIFIED,
-    encode_error,
+from rossec.channel.edhoc.credentials import PeerT
+from rossec.channel.edhoc.handshake import EdhocConfig, Initiator, Responder
+from rossec.channel.edhoc.messages import MAX_MESSAGE_1, UNKNOWN_CREDENTIAL, UNSPECIFIED, encode_error
+from rossec.channel.negotiation import (
+    ENDED,
+    FRAMED,
+    HANDSHAKING,
+    PREAMBLE,
+    SENDING,
+    TABLE,
+    UNAUTHENTICATED,
+    Authenticated,
+    Closed,
+    ConnectionRenewals,
+    ConnectionState,
+    Event,
+    GrantsPresented,
+    IdentityRenewed,
+    Negotiation,
+    Preamble,
+    PresentedRenewalRefused,
+    Row,
+    UnitReceived,
 )
-from rossec.channel.edhoc.own_dials import OwnDials
-from rossec.channel.edhoc.peer import EdhocConfig
-from rossec.channel.edhoc.suites import PRODUCTION, Random
-from rossec.channel.negotiation import Negotiation, NegotiationStep, Preamble
 from rossec.channel.opening import WireProtocol
-from rossec.channel.outbound import HINT_SILENT, Outbound
 from rossec.channel.records import (
     HEADER,
+    MAX_GRANTS,
     MAX_PLAINTEXT,
     TAG,
     Bytes,
@@ -37,32 +47,21 @@ from rossec.channel.records import (
     check_header,
     frame,
 )
-from rossec.channel.renewals import Renewals
-from rossec.channel.states import (
-    ENDED,
-    FRAMED,
-    HANDSHAKING,
-    PREAMBLE,
-    TABLE,
-    UNAUTHENTICATED,
-    Authenticated,
-    Closed,
-    ConnectionState,
-    Event,
-    GrantsPresented,
-    IdentityRenewed,
-    RenewalRefused,
-    Row,
-    UnitReceived,
-)
+from rossec.channel.session import FIRST, SMALL, ReceiveBuffer, Session
+from rossec.channel.tuning import ONE_RECORD
 from rossec.errors import (
+    ChannelClosed,
     ChannelError,
     ConnectionTruncated,
     HandshakeFailed,
+    HandshakeTimeout,
+    IdentityExpired,
+    LimitExceeded,
     PeerCredentialUnknown,
     ProtocolViolation,
 )
 
+HINT_SILENT: Final = "it may be a plain ROS node, which has no identity, or overloaded"
 _OPEN_BUFFER: Final = 64 * 1024
 _FULL_BUFFER: Final = 2 * (HEADER + MAX_PLAINTEXT + TAG)  # two whole records stay aligned
 _REFUSED: Final = frame(Frame.ERROR, encode_error(UNSPECIFIED, "handshake refused"))
@@ -70,85 +69,252 @@ _UNKNOWN: Final = frame(Frame.ERROR, encode_error(UNKNOWN_CREDENTIAL, info=True)
 _DEFAULTS: Final = ChannelLimits()
 _BOTH: Final = frozenset(WireProtocol)
 _RENEWING: Final = frozenset((Frame.IDENTITY.value, Frame.GRANTS.value))
+_ROWS: Final = {
+    state: {kind.value: row for (there, kind), row in TABLE.items() if there is state}
+    for state in ConnectionState
+}
 
 
-class Connection(Outbound[PeerT]):
-    """A connection of either role: make one with `initiator` or `responder`."""
+class OpenStreams(Protocol):
+    def add(self, stream: "PresentsIdentity") -> None: ...
+
+
+class PresentsIdentity(Protocol):
+    def present_identity(self, chain: Sequence[bytes]) -> None:
+        """As `Outbound.present_identity`, from any thread, without waiting."""
+
+
+class Connection(Generic[PeerT]):
+    """A connection of either role: make one with `initiator` or `responder`. `streams`: where what moves its
+    bytes belongs, if its certificate may be renewed."""
+
+    def __init__(
+        self,
+        preamble: Preamble,
+        negotiation: Negotiation[PeerT],
+        now: int,
+        limits: ChannelLimits,
+        buffer: int = SMALL,
+    ) -> None:
+        self._preamble = preamble
+        self._negotiation = negotiation
+        self._limits = limits
+        self._now = now
+        self._handshake_deadline = now + limits.handshake_seconds
+        self._buffer = ReceiveBuffer(buffer)
+        self._out: list[Bytes] = []
+        self._events: list[Event[PeerT]] = []
+        self._peer: PeerT | None = None
+        self._session: Session | None = None
+        self._sealing = False
+        self._renewals: ConnectionRenewals[PeerT] | None = None
+        self._own_chain: Sequence[bytes] = ()
+        self.streams: OpenStreams | None = None
+        self.state = ConnectionState.OPENING
 
     @classmethod
     def initiator(
         cls,
-        credentials: OwnCredential,
-        verify: Verify[PeerT],
+        config: EdhocConfig[PeerT],
         *,
-        random: Random,
         now: int,
         opening: WireProtocol = WireProtocol.TCPROS,
-        suites: tuple[int, ...] = PRODUCTION,
         limits: ChannelLimits = _DEFAULTS,
-        known: KnownCertificates | None = None,
-        request_x5t: bool = False,
-        own_dials: OwnDials | None = None,
-        renews: Renews[PeerT] | None = None,
     ) -> Self:
         """The side that connected; its first flight is ready to send.
 
-        With `known` certificates are cached, and `request_x5t` asks the responder to send a hash of
-        its own: for an address where a known peer was reached before. `OwnCredentialUnknown` and
-        `PeerCredentialUnknown` mean: forget the introductions, and retry without `request_x5t`.
-        With `own_dials`, which this node's listeners share, it means to reach itself, and no other
-        peer is accepted. With `renews` the peer is told that renewed certificates and grants are
-        taken on the open connection.
+        With `known` certificates are cached, and `request_x5t` asks the responder to send a hash of its own:
+        for an address where a known peer was reached before. `OwnCredentialUnknown` and
+        `PeerCredentialUnknown` mean: forget the introductions, and retry without `request_x5t`. With
+        `own_dials`, which this node's listeners share, it means to reach itself, and no other peer is
+        accepted. With `renews` the peer is told that renewed certificates and grants are taken here.
         """
-        config = EdhocConfig(
-            credentials, verify, random, suites, known=known, request_x5t=request_x5t,
-            own_dials=own_dials, renews=renews, ead=b"" if renews is None else RENEWALS_EAD,
-        )  # fmt: skip
-        negotiation, message_1 = Negotiation.begin(config)
-        preamble = Preamble(opening, None)
-        connection = cls(preamble, negotiation, now, limits)
-        connection._out += [preamble.take(), message_1]
+        edhoc, preamble = Initiator(config), Preamble(opening, None)
+        connection = cls(preamble, Negotiation(edhoc), now, limits)
+        connection._out += [preamble.take(), frame(Frame.HANDSHAKE, edhoc.message_1())]
         return connection
 
     @classmethod
     def responder(
         cls,
-        credentials: OwnCredential,
-        verify: Verify[PeerT],
+        config: EdhocConfig[PeerT],
         *,
-        random: Random,
         now: int,
         accept: Collection[WireProtocol] = _BOTH,
-        suites: tuple[int, ...] = PRODUCTION,
         limits: ChannelLimits = _DEFAULTS,
-        known: KnownCertificates | None = None,
-        own_dials: OwnDials | None = None,
-        renews: Renews[PeerT] | None = None,
     ) -> Self:
-        """The side that was connected to; `accept` says which openings are accepted.
-
-        With `own_dials` this node may connect to itself, for dials noted there. `renews`: as for
-        the initiator.
-        """
-        config = EdhocConfig(
-            credentials, verify, random, suites, known=known, own_dials=own_dials,
-            renews=renews, ead=b"" if renews is None else RENEWALS_EAD,
-        )  # fmt: skip
+        """The side that was connected to; `accept` says which openings are accepted. With `own_dials` this
+        node may connect to itself, for dials noted there. `renews`: as for the initiator."""
         preamble = Preamble(WireProtocol.TCPROS, accept)
         return cls(preamble, Negotiation(Responder(config)), now, limits, FIRST)
+
+    @property
+    def protocol(self) -> WireProtocol:
+        return self._preamble.protocol
+
+    @property
+    def unit_limit(self) -> int:
+        return self._limits.unit
+
+    @property
+    def has_unfinished_unit(self) -> bool:
+        return self._session is not None and self._session.deadline is not None
+
+    def raise_unit_limit(self, limit: int | None = None) -> None:
+        self._open_session().raise_unit_limit(limit)
+
+    def pad_units(self, multiple: int) -> None:
+        # Pad what is sent from now on to a multiple of so many bytes; 0: do not.
+        if self._session is not None:  # else nothing is sent any more
+            self._session.pad = multiple
+
+    def _open_session(self) -> Session:
+        if self._session is None:
+            raise ChannelClosed("the connection is closed")
+        return self._session
+
+    # -- sending
+
+    def seal_unit(self, *pieces: Bytes, reuse: bool = False) -> Iterator[Bytes]:
+        # With `reuse` a record holds until the next is taken: write it, or copy it, before that. A unit that
+        # has begun must be finished: if that is not possible, drop the connection.
+        self.check_unit(pieces)
+        return self._sealed(pieces, reuse=reuse)
+
+    def check_unit(self, pieces: Sequence[Bytes]) -> None:
+        # Refuse a unit that `seal_unit` would refuse; nothing has happened to the connection.
+        self._sendable().check_unit(pieces)
+
+    def seal_small(self, unit: Bytes) -> Bytes | None:
+        # None: it does not apply, use `seal_unit`.
+        small = 0 < len(unit) <= min(ONE_RECORD, self._limits.unit)
+        if self._out or self._sealing or not small or self.state not in SENDING or self._session is None:
+            return None
+        return self._session.seal_small(unit)
+
+    def _sealed(self, pieces: Sequence[Bytes], *, reuse: bool) -> Iterator[Bytes]:
+        if self._sealing:
+            raise ProtocolViolation("a second unit in the middle of the first")
+        self._sealing = True
+        try:
+            for record in self._sendable().seal_unit(pieces, reuse=reuse):
+                # A record sealed meanwhile has the smaller counter: it goes first.
+                yield b"".join((self.data_to_send(), record)) if self._out else record
+                self._sendable()
+            self._sealing = False  # it stays set when a unit is abandoned
+        except LimitExceeded:
+            self._terminate()
+            raise
+
+    def _sendable(self) -> Session:
+        if self.state not in SENDING:
+            raise ChannelClosed("the connection is closed")
+        return self._open_session()
+
+    def send_unit(self, *pieces: Bytes) -> None:
+        records = list(self.seal_unit(*pieces))  # takes what was queued before
+        self._out += records
+
+    # -- what is renewed
+
+    @property
+    def takes_renewals(self) -> bool:
+        return self._renewals is not None and self.state is ConnectionState.OPEN
+
+    def present_identity(self, chain: Sequence[bytes]) -> None:
+        # Queue this side's certificates, unless the peer has them; before the end of the handshake they are
+        # queued then. Nothing for a peer that takes none.
+        self._own_chain = chain
+        if chain and self._renewals is not None and self.takes_renewals:
+            data = self._renewals.own(chain)
+            if data is not None:
+                self._out.append(self._open_session().seal_renewal(Frame.IDENTITY, data))
+
+    def present_grants(self, data: bytes) -> bool:
+        # On a connection for calls they are presented by a call.
+        if not (self.takes_renewals and self.protocol is WireProtocol.TCPROS):
+            return False
+        if not 0 < len(data) <= MAX_GRANTS:
+            raise LimitExceeded(f"{len(data)} bytes of grants, where 1 to {MAX_GRANTS} are allowed")
+        self._out.append(self._open_session().seal_renewal(Frame.GRANTS, data))
+        return True
+
+    @property
+    def has_data_to_send(self) -> bool:
+        return any(self._out)
+
+    @property
+    def awaits_peer(self) -> bool:
+        return self._session is not None and self._session.awaits_peer
+
+    def data_to_send(self) -> Bytes:
+        if not self._out:
+            return b""
+        out, self._out = self._out, []
+        return out[0] if len(out) == 1 else b"".join(out)
+
+    def put_back(self, rest: Bytes) -> None:
+        # Put what could not be written yet in front of the queue.
+        if rest:
+            self._out.insert(0, rest)
+
+    def close(self) -> None:
+        if self.state in SENDING:
+            self._out.append(self._sendable().close_record())
+            self._session = None
+            self.state = ConnectionState.CLOSING
+        elif self.state is not ConnectionState.CLOSING:
+            self.state = ConnectionState.CLOSED
+
+    def abandon(self) -> None:
+        # Forget keys and counters at once; nothing is sent (a forked process must not).
+        self._terminate()
+
+    # -- time and ends
+
+    def deadline(self) -> int | None:
+        if self.state in ENDED:
+            return None
+        if self.state is not ConnectionState.OPEN or self._session is None or self._peer is None:
+            return self._handshake_deadline
+        unit = self._session.deadline
+        last = min(self._session.renew_at, self._peer.not_after)
+        return last if unit is None else min(last, unit)
+
+    def tick(self, now: int, *, reading: bool = True) -> None:
+        # While the shell is not `reading`, the peer cannot complete a unit: no time-out for it.
+        self._now = now
+        deadline = self.deadline()
+        if deadline is None or now < deadline:
+            return
+        try:
+            if self.state is not ConnectionState.OPEN or self._session is None or self._peer is None:
+                raise HandshakeTimeout("the peer did not finish the handshake in time", HINT_SILENT)
+            if now >= self._peer.not_after:
+                raise IdentityExpired("the peer's certificate has expired", "renew it")
+            self._session.check_progress(now, reading=reading)
+            self._out.append(self._session.renew(now))
+        except ChannelError:
+            self._terminate()
+            raise
+
+    def _terminate(self) -> None:
+        # End; an error, which others may keep, must not keep what was received alive.
+        self.state = ConnectionState.CLOSED
+        if self._session is not None:
+            self._session.discard()
+        self._session = None
+        self._buffer.clear()
+        self._negotiation.forget()
+        self._out = []
 
     # -- receiving
 
     def get_buffer(self) -> memoryview:
-        """Where the next bytes from the socket go; valid until the next call of any method."""
         return self._buffer.free()
 
     def receive_data(self, data: Bytes, now: int) -> list[Event[PeerT]]:
-        """Take bytes from the peer. `get_buffer` and `buffer_updated` save the copy.
-
-        Raises:
-            ChannelError: the connection has ended; `data_to_send` may hold a last flight.
-        """
+        """Take bytes from the peer. `get_buffer` and `buffer_updated` save the copy."""
         events: list[Event[PeerT]] = []
         rest = memoryview(data)
         while len(rest) > 0:
@@ -160,18 +326,18 @@ class Connection(Outbound[PeerT]):
         return events
 
     def buffer_updated(self, count: int, now: int) -> list[Event[PeerT]]:
-        """Take the `count` bytes that were written into `get_buffer`.
-
-        Raises:
-            ChannelError: as for `receive_data`.
-        """
         self._now = now
         self._buffer.filled(count)
         events = self._events = []
         try:
             self._process_frames()
         except ChannelError as error:
-            self._last_flight(_UNKNOWN if isinstance(error, PeerCredentialUnknown) else _REFUSED)
+            refusal = _UNKNOWN if isinstance(error, PeerCredentialUnknown) else _REFUSED
+            # End; send an error to a peer not authenticated yet, unless it sent one first.
+            answer = self.state in UNAUTHENTICATED and not self._negotiation.peer_sent_error
+            out = self._out if self.state in UNAUTHENTICATED | PREAMBLE else []
+            self._terminate()
+            self._out = [*out, refusal] if answer else out
             raise
         except BaseException:
             self._terminate()  # a bug ends the connection as well
@@ -179,12 +345,6 @@ class Connection(Outbound[PeerT]):
         return events
 
     def receive_eof(self) -> None:
-        """The peer ended the TCP stream.
-
-        Raises:
-            ConnectionTruncated: without its authenticated close.
-            HandshakeFailed: before the handshake was done.
-        """
         if self.state in ENDED:
             self.state = ConnectionState.CLOSED
             return
@@ -195,14 +355,16 @@ class Connection(Outbound[PeerT]):
                 "the connection ended without the peer's close",
                 "data may be missing: the peer crashed, or something reset the connection",
             )
-        raise HandshakeFailed(
-            "the peer ended the connection during the handshake",
-            HINT_SILENT,
-        )
+        raise HandshakeFailed("the peer ended the connection during the handshake", HINT_SILENT)
 
     def _process_frames(self) -> None:
         if self.state in PREAMBLE:
-            self._feed_preamble()
+            try:
+                self.state = self._preamble.feed(self._buffer, self.state)
+            finally:
+                self._out.append(self._preamble.take())
+            if self.state is ConnectionState.DRAINING:
+                self._buffer.enlarge(SMALL)
         buffer = self._buffer
         while self.state in FRAMED:
             view = buffer.unread()
@@ -212,28 +374,16 @@ class Connection(Outbound[PeerT]):
             row, length = self._parse_header(head)
             size = HEADER + length
             if len(view) < size:
-                self._expect(length, in_unit=head[0] >> 4 not in _RENEWING)
+                # A frame has begun whose header was checked; a stranger's gets room as it arrives.
+                if self._session is not None:
+                    if head[0] >> 4 not in _RENEWING:
+                        self._session.check_room(length)
+                    buffer.expect(size, _OPEN_BUFFER if size < _OPEN_BUFFER else _FULL_BUFFER)
                 return
             self._handle_frame(row, head, view[HEADER:size])
             buffer.consume(size)
         if self.state in ENDED:
             buffer.consume(len(buffer))
-
-    def _expect(self, length: int, *, in_unit: bool) -> None:
-        """A frame has begun whose header was checked; a stranger's gets room as it arrives."""
-        if self._session is not None:
-            if in_unit:
-                self._session.check_room(length)
-            size = HEADER + length
-            self._buffer.expect(size, _OPEN_BUFFER if size < _OPEN_BUFFER else _FULL_BUFFER)
-
-    def _feed_preamble(self) -> None:
-        try:
-            self.state = self._preamble.feed(self._buffer, self.state)
-        finally:
-            self._out.append(self._preamble.take())
-        if self.state is ConnectionState.DRAINING:
-            self._buffer.enlarge(SMALL)
 
     def _parse_header(self, head: bytes) -> tuple[Row, int]:
         row = _ROWS[self.state].get(head[0] >> 4)
@@ -248,29 +398,27 @@ class Connection(Outbound[PeerT]):
     def _handle_frame(self, row: Row, head: bytes, body: memoryview) -> None:
         name, following = row
         if self.state in HANDSHAKING:
-            state = self._apply_step(getattr(self._negotiation, name)(bytes(body), self._now))
+            step = getattr(self._negotiation, name)(bytes(body), self._now)
+            if step.peer is not None:
+                self._peer = step.peer
+                self._buffer.enlarge()
+                self._session = self._negotiation.session(self._limits, self._now)
+                self._events.append(Authenticated(step.peer))
+            elif step.state is ConnectionState.WAIT_3:
+                self._buffer.enlarge(SMALL)
+            if step.reply:
+                self._out.append(step.reply)
+            if step.state is ConnectionState.OPEN:
+                self._renewals = self._negotiation.renewals(self._now)
+                self._negotiation.forget()
+                self.state = step.state
+                self.present_identity(self._own_chain)
+            state = step.state
         else:
             state = getattr(self, name)(head, body)
         if state not in following:
             raise RuntimeError(f"{name} led to state {state}, which the state table does not allow")
         self.state = state
-
-    def _apply_step(self, step: NegotiationStep[PeerT]) -> ConnectionState:
-        if step.peer is not None:
-            self._peer = step.peer
-            self._buffer.enlarge()
-            self._session = self._negotiation.session(self._limits, self._now)
-            self._events.append(Authenticated(step.peer))
-        elif step.state is ConnectionState.WAIT_3:
-            self._buffer.enlarge(SMALL)
-        if step.reply:
-            self._out.append(step.reply)
-        if step.state is ConnectionState.OPEN:
-            self._renewals = self._negotiation.renewals(self._now)
-            self._negotiation.forget()
-            self.state = step.state
-            self.present_identity(self._own_chain)
-        return step.state
 
     # -- records: the rows of the table for an open connection
 
@@ -297,17 +445,17 @@ class Connection(Outbound[PeerT]):
                 self._peer = renewals.identity(data, self._peer, self._now)
                 self._events.append(IdentityRenewed(self._peer))
             except HintedError as error:
-                self._events.append(RenewalRefused(error.bare()))
+                self._events.append(PresentedRenewalRefused(error.bare()))
         return ConnectionState.OPEN
 
     def _on_grants(self, head: bytes, body: memoryview) -> ConnectionState:
         _, data = self._renewal(head, body)
-        if not self._carries_grants:
+        if self.protocol is not WireProtocol.TCPROS:
             raise ProtocolViolation("grants on a connection for calls")
         self._events.append(GrantsPresented(data))
         return ConnectionState.OPEN
 
-    def _renewal(self, head: bytes, body: memoryview) -> tuple[Renewals[PeerT], bytes]:
+    def _renewal(self, head: bytes, body: memoryview) -> tuple[ConnectionRenewals[PeerT], bytes]:
         data = self._open_session().open_renewal(head, body)
         if self._renewals is None:
             raise ProtocolViolation("a renewal where none is taken")
@@ -321,16 +469,3 @@ class Connection(Outbound[PeerT]):
         self._session = None
         self._events.append(Closed())
         return ConnectionState.CLOSED
-
-    def _last_flight(self, refusal: bytes) -> None:
-        """End; send an error to a peer not authenticated yet, unless it sent one first."""
-        answer = self.state in UNAUTHENTICATED and not self._negotiation.peer_sent_error
-        out = self._out if self.state in UNAUTHENTICATED | PREAMBLE else []
-        self._terminate()
-        self._out = [*out, refusal] if answer else out
-
-
-_ROWS: Final = {
-    state: {kind.value: row for (there, kind), row in TABLE.items() if there is state}
-    for state in ConnectionState
-}

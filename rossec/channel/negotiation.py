@@ -1,24 +1,28 @@
-"""What happens before records flow: the preamble, then the handshake message by message.
+"""The state machine of a connection as one table, its events, and what happens before records flow.
 
-Each step takes what the peer sent and returns the next state and the reply; the connection applies
-both. `Preamble` is for the bytes before the first frame, `Negotiation` holds the
-rows of `states.TABLE` for the handshake.
+`TABLE` says what a frame does in a state (a method of `Negotiation`, later of `Connection`) and which states
+may follow. A frame that is not in the table ends the connection; the diagram in docs/spec/channel.md is drawn
+from it. Each step of the handshake takes what the peer sent and returns the next state and the reply; the
+connection applies both.
 """
 
-from collections.abc import Collection
-from typing import Final, Generic, NamedTuple, cast
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, Generic, NamedTuple, TypeAlias, cast
 
-from rossec.channel.buffers import ReceiveBuffer
-from rossec.channel.edhoc.credentials import PeerT
+from ca.encoding import decode
+from ca.errors import EncodingError, HintedError
+from rossec.channel.edhoc.credentials import PeerT, Renews, Verify, by_value, encode_id_cred, x5chain
 from rossec.channel.edhoc.handshake import Initiator, Responder, WrongSuite
 from rossec.channel.edhoc.messages import (
+    MAX_MESSAGE,
     UNKNOWN_CREDENTIAL,
     WRONG_SUITE,
     decode_error,
     encode_error,
     suites_item,
 )
-from rossec.channel.edhoc.peer import EdhocConfig
 from rossec.channel.opening import (
     MAX_OPENING,
     PlainCaller,
@@ -30,14 +34,154 @@ from rossec.channel.opening import (
     refusal,
 )
 from rossec.channel.records import ChannelLimits, Epochs, Frame, frame
-from rossec.channel.renewals import Renewals
-from rossec.channel.session import Session
-from rossec.channel.states import ConnectionState
-from rossec.errors import OwnCredentialUnknown, PeerRefused, PlainPeer
+from rossec.channel.session import ReceiveBuffer, Session
+from rossec.errors import (
+    HandshakeFailed,
+    IdentityRefused,
+    LimitExceeded,
+    OwnCredentialUnknown,
+    PeerRefused,
+    PlainPeer,
+)
+
+# A peer may present so many renewals at once, and then one in so many seconds: each costs signatures to
+# verify.
+MOST_AT_ONCE: Final = 12
+SECONDS_EACH: Final = 2
 
 _HINT_REFUSED: Final = "see the peer's log: it does not give reasons to an untrusted peer"
 _HINT_AGAIN: Final = "connect again: the whole certificate will be sent"
 _HINT_PLAIN: Final = "the peer is a plain ROS node: give it an identity, or use another address"
+
+
+class ConnectionState(Enum):
+    OPENING = "opening"
+    DRAINING = "draining"
+    WAIT_1 = "wait for message_1"
+    WAIT_2 = "wait for message_2"
+    WAIT_3 = "wait for message_3"
+    WAIT_4 = "wait for message_4"
+    OPEN = "open"
+    CLOSING = "closing"
+    CLOSED = "closed"
+
+    __hash__ = object.__hash__  # members are unique; Enum's own hash is Python, for every look-up
+
+
+Row: TypeAlias = tuple[str, tuple[ConnectionState, ...]]
+
+TABLE: Final[dict[tuple[ConnectionState, Frame], Row]] = {
+    (ConnectionState.WAIT_1, Frame.HANDSHAKE): (
+        "on_message_1",
+        (ConnectionState.WAIT_3, ConnectionState.WAIT_1),
+    ),
+    (ConnectionState.WAIT_2, Frame.HANDSHAKE): ("on_message_2", (ConnectionState.WAIT_4,)),
+    (ConnectionState.WAIT_2, Frame.ERROR): ("on_error", (ConnectionState.WAIT_2,)),
+    (ConnectionState.WAIT_3, Frame.HANDSHAKE): ("on_message_3", (ConnectionState.OPEN,)),
+    (ConnectionState.WAIT_3, Frame.ERROR): ("on_error", ()),
+    (ConnectionState.WAIT_4, Frame.HANDSHAKE): ("on_message_4", (ConnectionState.OPEN,)),
+    (ConnectionState.WAIT_4, Frame.ERROR): ("on_error", ()),
+    (ConnectionState.OPEN, Frame.DATA): ("_on_data", (ConnectionState.OPEN,)),
+    (ConnectionState.OPEN, Frame.DATA_END): ("_on_data_end", (ConnectionState.OPEN,)),
+    (ConnectionState.OPEN, Frame.PADDED_END): ("_on_padded_end", (ConnectionState.OPEN,)),
+    (ConnectionState.OPEN, Frame.REKEY): ("_on_rekey", (ConnectionState.OPEN,)),
+    (ConnectionState.OPEN, Frame.CLOSE): ("_on_close", (ConnectionState.CLOSED,)),
+    (ConnectionState.OPEN, Frame.IDENTITY): ("_on_identity", (ConnectionState.OPEN,)),
+    (ConnectionState.OPEN, Frame.GRANTS): ("_on_grants", (ConnectionState.OPEN,)),
+}
+"""Errors are unauthenticated, so they are not accepted once the handshake is done."""
+
+PREAMBLE: Final = frozenset({ConnectionState.OPENING, ConnectionState.DRAINING})
+UNAUTHENTICATED: Final = frozenset({ConnectionState.WAIT_1, ConnectionState.WAIT_2, ConnectionState.WAIT_3})
+HANDSHAKING: Final = UNAUTHENTICATED | {ConnectionState.WAIT_4}
+FRAMED: Final = HANDSHAKING | {ConnectionState.OPEN}
+SENDING: Final = frozenset({ConnectionState.WAIT_4, ConnectionState.OPEN})
+ENDED: Final = frozenset({ConnectionState.CLOSING, ConnectionState.CLOSED})
+
+
+@dataclass(frozen=True, slots=True)
+class Authenticated(Generic[PeerT]):
+    """The peer proved that it holds the certified key; from here on this side may send. An initiator may
+    still be refused until the responder's message_4 arrives."""
+
+    identity: PeerT
+
+
+@dataclass(frozen=True, slots=True)
+class UnitReceived:
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Closed:
+    """The peer closed in order: it sends nothing more and reads nothing more."""
+
+
+@dataclass(frozen=True, slots=True)
+class IdentityRenewed(Generic[PeerT]):
+    """The peer's certificate was renewed: from here on this is its identity."""
+
+    identity: PeerT
+
+
+@dataclass(frozen=True, slots=True)
+class PresentedRenewalRefused:
+    reason: HintedError
+
+
+@dataclass(frozen=True, slots=True)
+class GrantsPresented:
+    """Grants the peer presents in place of those before; nothing in them was verified."""
+
+    data: bytes
+
+
+Renewal: TypeAlias = IdentityRenewed[PeerT] | PresentedRenewalRefused | GrantsPresented
+Event: TypeAlias = Authenticated[PeerT] | UnitReceived | Closed | Renewal[PeerT]
+
+
+class ConnectionRenewals(Generic[PeerT]):
+    """Of one connection between sides that both take renewals; grants pass unread.
+
+    A renewed certificate is verified as one in the handshake is, and must be of the same key and name: who
+    holds the key was proven then. One that is refused changes nothing.
+    `sent`: the certificate that this side sent in the handshake; `now`: when the connection opened.
+    """
+
+    __slots__ = ("_charged_at", "_left", "_renews", "_sent", "_verify")
+
+    def __init__(self, verify: Verify[PeerT], renews: Renews[PeerT], sent: bytes, now: int) -> None:
+        self._verify = verify
+        self._renews = renews
+        self._sent = sent
+        self._left = MOST_AT_ONCE * SECONDS_EACH
+        self._charged_at = now
+
+    def charge(self, now: int) -> None:
+        passed = max(0, now - self._charged_at)
+        self._charged_at = now
+        self._left = min(MOST_AT_ONCE * SECONDS_EACH, self._left + passed) - SECONDS_EACH
+        if self._left < 0:
+            raise LimitExceeded("the peer presents certificates or grants too often")
+
+    def identity(self, data: bytes, held: PeerT, now: int) -> PeerT:
+        try:
+            value = decode(data, limit=MAX_MESSAGE)
+        except EncodingError as error:
+            raise HandshakeFailed(f"an unreadable certificate: {error}") from None
+        renewed = self._verify(x5chain(value), now)
+        if not self._renews(renewed, held):
+            raise IdentityRefused(
+                "the certificate is another node's, not this one's renewed",
+                "a certificate with another key or name needs a new connection",
+            )
+        return renewed
+
+    def own(self, chain: Sequence[bytes]) -> bytes | None:
+        if chain[0] == self._sent:
+            return None
+        self._sent = chain[0]
+        return encode_id_cred(by_value(chain))
 
 
 class Preamble:
@@ -50,21 +194,18 @@ class Preamble:
         self._drain = 0
 
     def take(self) -> bytes:
-        """Return, once, what to send."""
         reply, self._reply = self._reply, b""
         return reply
 
     def feed(self, buffer: ReceiveBuffer, state: ConnectionState) -> ConnectionState:
-        """Consume what belongs to the preamble; return the state that follows.
-
-        Raises:
-            PlainPeer: the peer speaks plain ROS; `take` may hold a readable refusal.
-            ProtocolViolation: the peer speaks neither.
-        """
         if state is ConnectionState.OPENING:
             prefix = bytes(buffer.unread()[:MAX_OPENING])
             if self._accept is None:
-                return self._answer(buffer, classify_answer(prefix, self.protocol))
+                length = classify_answer(prefix, self.protocol)
+                if length is None:
+                    return ConnectionState.OPENING
+                buffer.consume(length)
+                return ConnectionState.WAIT_2
             state = self._call(buffer, classify_caller(prefix), self._accept)
         if state is ConnectionState.DRAINING:
             count = min(self._drain, len(buffer))
@@ -73,12 +214,6 @@ class Preamble:
             if self._drain == 0:
                 self._refuse()
         return state
-
-    def _answer(self, buffer: ReceiveBuffer, length: int | None) -> ConnectionState:
-        if length is None:
-            return ConnectionState.OPENING
-        buffer.consume(length)
-        return ConnectionState.WAIT_2
 
     def _call(
         self, buffer: ReceiveBuffer, verdict: Verdict, accept: Collection[WireProtocol]
@@ -101,52 +236,37 @@ class Preamble:
 
 
 class NegotiationStep(NamedTuple, Generic[PeerT]):
-    """The result of a message; `peer` once it is authenticated."""
-
     state: ConnectionState
     reply: bytes = b""
     peer: PeerT | None = None
 
 
 class Negotiation(Generic[PeerT]):
-    """The handshake of one connection, with at most one retry for another cipher suite."""
-
     def __init__(self, edhoc: Initiator[PeerT] | Responder[PeerT]) -> None:
         self._edhoc = edhoc
         self._retried = False
         self._unconfirmed_peer: PeerT | None = None
         self.peer_sent_error = False  # an error is never answered with an error
 
-    @classmethod
-    def begin(cls, config: EdhocConfig[PeerT]) -> tuple["Negotiation[PeerT]", bytes]:
-        """An initiator's, and the frame with its message_1."""
-        edhoc = Initiator(config)
-        return cls(edhoc), frame(Frame.HANDSHAKE, edhoc.message_1())
-
     def session(self, limits: ChannelLimits, now: int) -> Session:
-        """The record layer under the secret both sides now share."""
+        # The record layer under the secret both sides now share.
         edhoc = self._edhoc
         epochs = Epochs(edhoc.suite, edhoc.exporter, initiator=isinstance(edhoc, Initiator))
         return Session(epochs, limits, now)
 
-    def renewals(self, now: int) -> Renewals[PeerT] | None:
-        """What is renewed on the open connection; None: one of the sides takes nothing."""
+    def renewals(self, now: int) -> ConnectionRenewals[PeerT] | None:
         config, edhoc = self._edhoc.config, self._edhoc
         if config.renews is None or not edhoc.peer_renews:
             return None
-        return Renewals(config.verify, config.renews, edhoc.sent, now)
+        return ConnectionRenewals(config.verify, config.renews, edhoc.sent, now)
 
     def forget(self) -> None:
-        """Drop the secrets."""
         self._edhoc.forget()
 
     def on_message_1(self, body: bytes, _: int) -> NegotiationStep[PeerT]:
-        """Answer message_1 with message_2, or once with SUITES_R."""
         edhoc = cast("Responder[PeerT]", self._edhoc)
         try:
-            return NegotiationStep(
-                ConnectionState.WAIT_3, frame(Frame.HANDSHAKE, edhoc.message_1(body))
-            )
+            return NegotiationStep(ConnectionState.WAIT_3, frame(Frame.HANDSHAKE, edhoc.message_1(body)))
         except WrongSuite as error:
             if self._retried:
                 raise
@@ -155,30 +275,24 @@ class Negotiation(Generic[PeerT]):
             return NegotiationStep(ConnectionState.WAIT_1, frame(Frame.ERROR, text))
 
     def on_message_2(self, body: bytes, now: int) -> NegotiationStep[PeerT]:
-        """Answer message_2 with message_3; the responder is authenticated."""
         edhoc = cast("Initiator[PeerT]", self._edhoc)
         message_3, peer = edhoc.message_2(body, now)
-        if (
-            edhoc.send_x5t
-        ):  # the responder may not know the certificate: send nothing before message_4
-            self._unconfirmed_peer, peer_now = peer, None
-        else:
-            peer_now = peer
+        if edhoc.send_x5t:  # the responder may not know the certificate: send nothing before message_4
+            self._unconfirmed_peer = peer
+        peer_now = None if edhoc.send_x5t else peer
         return NegotiationStep(ConnectionState.WAIT_4, frame(Frame.HANDSHAKE, message_3), peer_now)
 
     def on_message_3(self, body: bytes, now: int) -> NegotiationStep[PeerT]:
-        """Answer message_3 with message_4; the initiator is authenticated."""
         edhoc = cast("Responder[PeerT]", self._edhoc)
         message_4, peer = edhoc.message_3(body, now)
         return NegotiationStep(ConnectionState.OPEN, frame(Frame.HANDSHAKE, message_4), peer)
 
     def on_message_4(self, body: bytes, _: int) -> NegotiationStep[PeerT]:
-        """The responder accepted this side and holds the same key."""
         cast("Initiator[PeerT]", self._edhoc).message_4(body)
         return NegotiationStep(ConnectionState.OPEN, peer=self._unconfirmed_peer)
 
     def on_error(self, body: bytes, _: int) -> NegotiationStep[PeerT]:
-        """Fail, or retry where the peer only requires another suite."""
+        # Fail, or retry where the peer only requires another suite.
         self.peer_sent_error = True
         code, reason, suites = decode_error(body)
         edhoc = self._edhoc

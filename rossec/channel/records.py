@@ -1,10 +1,9 @@
 """Frames, and the records of an open connection: AEAD with counters that are never sent.
 
-A frame is a 4-byte header, big endian: type (4 bits), epoch mod 16 (4 bits), length of the body
-(24 bits). A record is a frame whose body is sealed; its header is the associated data, its nonce
-is IV xor a 64-bit counter, one counter per direction and epoch. TCP delivers in order, so there is
-no window: whatever is replayed, reordered or left out fails the tag. When to send which record, and
-what to do about a failure, is decided by the connection.
+A frame is a 4-byte header, big endian: type (4 bits), epoch mod 16 (4 bits), length of the body (24 bits). A
+record is a frame whose body is sealed; its header is the associated data, its nonce is IV xor a 64-bit
+counter, one counter per direction and epoch. TCP delivers in order, so there is no window: whatever is
+replayed, reordered or left out fails the tag. When to send which record is decided by the connection.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,26 +14,23 @@ from typing import Final, TypeAlias
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
 
-from rossec.channel.edhoc.keyschedule import EdhocExporter
 from rossec.channel.edhoc.messages import MAX_MESSAGE
-from rossec.channel.edhoc.suites import Suite
+from rossec.channel.edhoc.suites import EdhocExporter, Suite
+from rossec.channel.tuning import ENCRYPT_INTO_FROM, JOIN_PIECES_BELOW
 from rossec.errors import LimitExceeded, ProtocolViolation, RecordForged
 
 HEADER: Final = 4
 TAG: Final = 16
 MAX_PLAINTEXT: Final = 256 * 1024  # the measured optimum, and the bound on what waits for its tag
 MAX_GRANTS: Final = 40 * 1024
-_JOIN_BELOW: Final = 16 * 1024
-_INTO_FROM: Final = 4 * 1024  # from here on encrypting in place beats one more copy
-
+_INITIATOR_SENDS: Final = 32768  # exporter labels for private use, key and IV each
+_RESPONDER_SENDS: Final = 32770
 _RECORD_AEADS: Final = (AESGCM, ChaCha20Poly1305)
 
 Bytes: TypeAlias = bytes | bytearray | memoryview
 
 
 class Frame(IntEnum):
-    """What a frame is."""
-
     HANDSHAKE = 1
     ERROR = 2
     DATA = 3  # more of this unit follows
@@ -62,10 +58,8 @@ _LENGTHS: Final[dict[int, tuple[int, int]]] = {
 
 @dataclass(frozen=True)
 class ChannelLimits:
-    """Where the channel stops or renews its keys; the defaults are the notes' (AEAD limits).
-
-    `preauth_limit`: how long a unit may be before the peer is authorized; None: as `unit`.
-    """
+    """Where the channel stops or renews its keys; the defaults are the notes' (AEAD limits). `preauth_limit`:
+    how long a unit may be before the peer is authorized; None: as `unit`."""
 
     records: int = 1 << 23
     octets: int = 1 << 36
@@ -76,22 +70,14 @@ class ChannelLimits:
 
 
 def frame(kind: Frame, body: bytes, epoch: int = 0) -> bytes:
-    """A frame in clear: handshake and error messages."""
     return header(kind, epoch, len(body)) + body
 
 
 def header(kind: Frame, epoch: int, length: int) -> bytes:
-    """The 4 bytes before every body."""
     return (kind << 28 | (epoch & 15) << 24 | length).to_bytes(4)
 
 
 def check_header(head: bytes, epoch: int) -> int:
-    """Return the length of the body, before anything is buffered for it.
-
-    Raises:
-        ProtocolViolation: not of `epoch`, the peer's current one, or a length which this type
-            cannot have.
-    """
     word = int.from_bytes(head)
     shortest, longest = _LENGTHS[word >> 28]
     if word >> 24 & 15 != epoch & 15:
@@ -103,8 +89,6 @@ def check_header(head: bytes, epoch: int) -> int:
 
 
 class Direction:
-    """One direction in one epoch: a key, a nonce base, what was used up."""
-
     __slots__ = ("_aead", "_iv", "epoch", "octets", "records")
 
     def __init__(self, suite: Suite, exporter: EdhocExporter, label: int, epoch: int) -> None:
@@ -127,14 +111,11 @@ class Direction:
         self.octets += length
         return (self._iv ^ counter).to_bytes(12)
 
-    def seal(
-        self, kind: Frame, plaintext: Bytes, scratch: bytearray | memoryview | None = None
-    ) -> Bytes:
-        """Return the whole record; a large one in `scratch`, where there is one."""
+    def seal(self, kind: Frame, plaintext: Bytes, scratch: bytearray | memoryview | None = None) -> Bytes:
         length = len(plaintext)
         head = (kind << 28 | (self.epoch & 15) << 24 | (length + TAG)).to_bytes(4)
         nonce = self._nonce(length)
-        if length < _INTO_FROM:
+        if length < ENCRYPT_INTO_FROM:
             return head + self._aead.encrypt(nonce, plaintext, head)
         if scratch is None:
             scratch = bytearray(HEADER + length + TAG)
@@ -144,22 +125,13 @@ class Direction:
         return record
 
     def open(self, head: bytes, body: memoryview) -> bytes:
-        """Return the plaintext.
-
-        Raises:
-            RecordForged: the tag does not verify.
-        """
         try:
             return self._aead.decrypt(self._nonce(len(body) - TAG), body, head)
         except InvalidTag:
             raise RecordForged("a record does not verify") from None
 
     def open_into(self, head: bytes, body: memoryview, target: memoryview) -> None:
-        """Decrypt into `target`, whose content counts only if this returns.
-
-        Raises:
-            RecordForged: the tag does not verify.
-        """
+        # Decrypt into `target`, whose content counts only if this returns.
         try:
             self._aead.decrypt_into(self._nonce(len(body) - TAG), body, head, target)
         except InvalidTag:
@@ -173,21 +145,17 @@ class Epochs:
     of the old one is dropped at once: a silent direction keeps only its own traffic key alive.
     """
 
-    _INITIATOR_SENDS: Final = 32768  # exporter labels for private use, key and IV each
-    _RESPONDER_SENDS: Final = 32770
-
     sender: Direction
     receiver: Direction
 
     def __init__(self, suite: Suite, exporter: EdhocExporter, *, initiator: bool) -> None:
-        labels = (self._INITIATOR_SENDS, self._RESPONDER_SENDS)
+        labels = (_INITIATOR_SENDS, _RESPONDER_SENDS)
         self._labels = labels if initiator else labels[::-1]
         self._suite = suite
         self._exporter = exporter
         self._waiting: Direction | None = None
 
     def __getattr__(self, name: str) -> Direction:
-        """Derive the first keys on first use: the peer already has its message by then."""
         if name not in {"sender", "receiver"}:
             raise AttributeError(name)
         self.sender, self.receiver = self._derive(0)
@@ -196,10 +164,7 @@ class Epochs:
     def _derive(self, epoch: int) -> tuple[Direction, Direction]:
         own, peer = self._labels
         exporter, self._exporter = self._exporter, self._exporter.bare()
-        return (
-            Direction(self._suite, exporter, own, epoch),
-            Direction(self._suite, exporter, peer, epoch),
-        )
+        return (Direction(self._suite, exporter, own, epoch), Direction(self._suite, exporter, peer, epoch))
 
     def _advance(self) -> tuple[Direction, Direction]:
         epoch = max(self.sender.epoch, self.receiver.epoch) + 1
@@ -207,7 +172,6 @@ class Epochs:
         return self._derive(epoch)
 
     def next_sender(self) -> None:
-        """Move this side's direction on; at most one epoch ahead of the other."""
         if self.sender.epoch > self.receiver.epoch:
             raise ProtocolViolation("a second rekey before the peer followed the first")
         if self._waiting is not None:
@@ -216,11 +180,6 @@ class Epochs:
             self.sender, self._waiting = self._advance()
 
     def next_receiver(self) -> None:
-        """Move the peer's direction on.
-
-        Raises:
-            ProtocolViolation: it is ahead already, or it renews keys that it has not used.
-        """
         if self.receiver.epoch > self.sender.epoch:
             raise ProtocolViolation("the peer renewed its keys twice in a row")
         if self._waiting is not None:
@@ -232,10 +191,8 @@ class Epochs:
 
 
 def padded(plaintext: Bytes, multiple: int) -> bytes | None:
-    """The plaintext, %x01, and zeros up to a multiple of so many bytes, or to the longest allowed.
-
-    None: it is the longest allowed.
-    """
+    """The plaintext, %x01, and zeros up to a multiple of so many bytes, or to the longest allowed. None: it
+    is the longest allowed."""
     room = MAX_PLAINTEXT - len(plaintext)
     if room == 0:
         return None
@@ -243,11 +200,6 @@ def padded(plaintext: Bytes, multiple: int) -> bytes | None:
 
 
 def unpadded(plaintext: bytes) -> bytes:
-    """The data that `padded` padded.
-
-    Raises:
-        ProtocolViolation: nothing says where the data ends, or there is none.
-    """
     data = plaintext.rstrip(b"\0")
     if not data[:-1] or data[-1] != 1:
         raise ProtocolViolation("a padded record without data, or without its end")
@@ -255,19 +207,15 @@ def unpadded(plaintext: bytes) -> bytes:
 
 
 def fragments(pieces: Sequence[Bytes]) -> Iterator[Bytes]:
-    """Cut the pieces of a unit into the plaintexts of its records.
-
-    Small pieces are joined; a large one is cut into views, never copied.
-    """
     joined: list[Bytes] = []
     size = 0
     for piece in pieces:
         view = piece if isinstance(piece, bytes) else memoryview(piece).cast("B")
         length = len(view)
-        if joined and (length >= _JOIN_BELOW or size + length > MAX_PLAINTEXT):
+        if joined and (length >= JOIN_PIECES_BELOW or size + length > MAX_PLAINTEXT):
             yield b"".join(joined)
             joined, size = [], 0
-        if length >= _JOIN_BELOW:
+        if length >= JOIN_PIECES_BELOW:
             whole = memoryview(view)
             for start in range(0, length, MAX_PLAINTEXT):
                 yield whole[start : start + MAX_PLAINTEXT]

@@ -1,30 +1,325 @@
-"""The pages as one ASGI application, behind the guard; a refusal becomes a page with its hint.
+"""The pages as one ASGI application, behind a guard: who may ask, from where, and how much.
 
-The application knows no address but those of its settings, so a request's `Host` decides nothing.
+The first rule of `RULES` that is broken answers; a page sees only requests that broke none. `Host` is checked
+against DNS rebinding, `Origin` and `Sec-Fetch-Site` against forms of other sites; the session is looked up by
+its cookie; a body is read here, bounded in size and time, before the page runs. A guard that crashes answers
+500 and nothing else; a refusal becomes a page with its hint. What is not in `ROUTES` does not exist.
 """
 
+import asyncio
 import logging
-from collections.abc import Awaitable, Callable
-from typing import Final
+from collections.abc import Awaitable, Callable, Iterable, Mapping
+from contextlib import suppress
+from typing import Final, NamedTuple
 
 from starlette.applications import Starlette
+from starlette.datastructures import Headers
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ca.errors import HintedError
+from rossec.console import rendering
 from rossec.console.context import ConsoleContext
-from rossec.console.names import NONE, Names
-from rossec.console.rendering import render
-from rossec.console.routes import ROUTES
-from rossec.console.routing import Access, Page, for_looking
-from rossec.console.server.guard import Guard, wants_json
-from rossec.errors import HttpRefused, KeyServiceFailed
-from rossec.ros.text import printable
+from rossec.console.pages import adding, decisions, passkeys, today, visibility
+from rossec.console.rendering import PREFIX, Match, Page, PageAccess, PageTable, for_looking, render
+from rossec.console.server.serving import PLACE, check_peer
+from rossec.console.sessions import COOKIE, LoginSession, owner_of
+from rossec.console.words import Names
+from rossec.errors import HttpRefused, KeyServiceFailed, PeerUserRefused
+from rossec.peer_limits import printable
+
+# No script makes HTML, so `trusted-types 'none'` holds; pictures are SVG with classes, so styles come from
+# the one file.
+_POLICY: Final = "; ".join(
+    (
+        "default-src 'none'",
+        "script-src 'self'",
+        "style-src 'self'",
+        "img-src 'self' data: blob:",
+        "connect-src 'self'",
+        "media-src 'self' blob:",
+        "manifest-src 'self'",
+        "form-action 'self'",
+        "base-uri 'none'",
+        "frame-ancestors 'none'",
+        "require-trusted-types-for 'script'",
+        "trusted-types 'none'",
+    )
+)
+HEADERS: Final[Mapping[str, str]] = {
+    "Content-Security-Policy": _POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "same-origin",  # `no-referrer` makes `Origin: null` of own forms, which is refused
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": ("camera=(self), publickey-credentials-get=(self), microphone=(), geolocation=()"),
+    "Cache-Control": "no-store",
+}
+IMMUTABLE: Final = "public, max-age=31536000, immutable"
+HSTS: Final = "max-age=31536000"
+
+
+def security_headers(*, immutable: bool = False, hsts: bool = False) -> list[tuple[bytes, bytes]]:
+    headers = dict(HEADERS)
+    if immutable:
+        headers["Cache-Control"] = IMMUTABLE
+    if hsts:
+        headers["Strict-Transport-Security"] = HSTS
+    return [(name.lower().encode(), text.encode()) for name, text in headers.items()]
+
+
+BODY: Final = 20.0  # seconds for a body to arrive
+WRITE: Final = 30.0  # seconds for a piece of an answer to be taken
+SAFE: Final = ("GET", "HEAD")
+SEE_OTHER: Final = 303
+LOG_OUT: Final = "/logout"  # also when the service does not answer
+_log = logging.getLogger("rossec.console")
+
+
+class Facts(NamedTuple):
+    method: str
+    hosts: tuple[str, ...]  # of every `Host` header
+    origins: tuple[str, ...]
+    site: str  # Sec-Fetch-Site; empty: an older browser
+    length: int | None  # of the body, as announced; None: malformed
+    has_session: bool
+
+
+class GuardRule(NamedTuple):
+    name: str
+    status: int
+    message: str
+    hint: str
+
+
+class Allowed(NamedTuple):
+    hosts: frozenset[str]
+    origins: tuple[str, ...]
+
+
+RULES: Final = (
+    GuardRule("host", 421, "this is not its address", "use the printed one"),
+    GuardRule("path", 404, "there is no such page", "is the address right?"),
+    GuardRule("method", 405, "this page is not used in this way", "load it again"),
+    GuardRule("origin", 403, "another site sent this", "load the page again"),
+    GuardRule("session", SEE_OTHER, "you are not logged in", "log in"),
+    GuardRule("size", 413, "this is too large", "send less"),
+)
+_NOT_LOGGED_IN: Final = next(rule for rule in RULES if rule.name == "session")
+
+
+def broken_rule(facts: Facts, allowed: Allowed, match: Match | None) -> GuardRule | None:
+    """The first rule that a request breaks; None: it may pass."""
+    page = None if match is None else match.page
+    is_own = len(facts.origins) == 1 and facts.origins[0] in allowed.origins
+    holds = {
+        "host": len(facts.hosts) == 1 and facts.hosts[0] in allowed.hosts,
+        "path": match is not None,
+        "method": page is not None,
+        "origin": facts.method in SAFE or (is_own and facts.site in {"", "same-origin"}),
+        "session": page is not None and (page.access is PageAccess.PUBLIC or facts.has_session),
+        "size": page is not None and facts.length is not None and facts.length <= page.max_body,
+    }
+    return next((rule for rule in RULES if not holds[rule.name]), None)
+
+
+def wants_json(headers: Mapping[str, str]) -> bool:
+    """Whether a script asks, which cannot show a page."""
+    return headers.get("accept", "").split(",")[0].strip() in {"application/json", "text/event-stream"}
+
+
+class RequestGuard:
+    """The application behind it gets only requests that broke no rule."""
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        context: ConsoleContext,
+        pages: Iterable[Page],
+        refuse: Callable[[Request, HintedError], Response],
+    ) -> None:
+        self._app, self._context, self._refuse = app, context, refuse
+        self._table = PageTable(pages)
+        self._allowed = Allowed(context.settings.hosts, context.settings.origins)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            raise HttpRefused("only HTTP is served here")
+        answer = _Answer(send, scope["path"], hsts=self._context.settings.hsts)
+        scope["state"] = {"session": None}
+        try:
+            await self._pass(scope, receive, answer.send)
+        except (HintedError, TimeoutError, ConnectionError) as error:
+            if not answer.has_begun and not isinstance(error, ConnectionError):
+                await self._end(scope, receive, answer.send, _as_refusal(error))
+        except Exception as error:
+            _log.error("a page crashed: %s", type(error).__name__, exc_info=error)
+            if answer.has_begun:
+                raise  # the connection is closed
+            problem = HttpRefused("something went wrong here", "it is in the log", status=500)
+            await self._end(scope, receive, answer.send, problem)
+
+    async def _pass(self, scope: Scope, receive: Receive, send: Send) -> None:
+        check_peer(scope, self._context.settings.users)
+        request = Request(scope)
+        session = self._session(request.headers)
+        match = self._table.find(scope["path"], scope["method"])
+        rule = broken_rule(facts_of(scope, has_session=session is not None), self._allowed, match)
+        if rule is not None:
+            await self._answer(rule, match, request)(scope, receive, send)
+            return
+        scope["state"]["session"] = session
+        if session is not None and (place := scope.get(PLACE)) is not None:
+            place.belongs_to(owner_of(session))
+        limit = 0 if match is None or match.page is None else match.page.max_body
+        body = await _read_body(receive, limit)
+        if not await self._counts(session, match):
+            await self._answer(_NOT_LOGGED_IN, match, request)(scope, receive, send)
+            return
+        await self._app(scope, _replay(body, receive), send)
+
+    async def _counts(self, session: LoginSession | None, match: Match | None) -> bool:
+        # Whether the phone that began a session was not removed; if it was, the session ends.
+        page = None if match is None else match.page
+        if session is None or page is None or page.access is PageAccess.PUBLIC or page.path == LOG_OUT:
+            return True
+        counts = await self._context.phones.counts(session)
+        if not counts:
+            self._context.sessions.end(session)
+        return counts
+
+    def _answer(self, rule: GuardRule, match: Match | None, request: Request) -> Response:
+        response: Response
+        if rule.status == SEE_OTHER and not wants_json(request.headers):
+            response = RedirectResponse("/login", SEE_OTHER)
+        else:
+            status = 401 if rule.status == SEE_OTHER else rule.status
+            response = self._refuse(request, HttpRefused(rule.message, rule.hint, status=status))
+        if rule.name == "method" and match is not None:
+            response.headers["Allow"] = ", ".join(sorted(match.methods))
+        if has_body(request.headers):
+            response.headers["Connection"] = "close"  # it is not read
+        return response
+
+    async def _end(self, scope: Scope, receive: Receive, send: Send, error: HintedError) -> None:
+        response = self._refuse(Request(scope), error)
+        response.headers["Connection"] = "close"
+        await response(scope, receive, send)
+
+    def _session(self, headers: Headers) -> LoginSession | None:
+        now = self._context.elapsed()
+        found = self._context.sessions.find(_cookie(headers), now)
+        if found is not None and is_by_person(headers):
+            self._context.sessions.use(found, now)
+        return found
+
+
+def is_by_person(headers: Mapping[str, str]) -> bool:
+    """Whether a person did this, so that a page which reloads itself keeps no session alive.
+
+    Browsers say so of navigations (`Sec-Fetch-User`); older ones send none of these headers.
+    """
+    if "sec-fetch-mode" not in headers or headers.get("sec-fetch-user") == "?1":
+        return True
+    return headers.get("content-type") is not None  # a form or an approval
+
+
+def has_body(headers: Mapping[str, str]) -> bool:
+    """Whether a body comes after these headers (RFC 9112 section 6)."""
+    return headers.get("content-length", "0") != "0" or "transfer-encoding" in headers
+
+
+def _as_refusal(error: HintedError | TimeoutError) -> HintedError:
+    if isinstance(error, TimeoutError):
+        return HttpRefused("this took too long", "try it again", status=408)
+    if isinstance(error, PeerUserRefused):
+        return HttpRefused(str(error), error.hint, status=403)
+    return error
+
+
+def facts_of(scope: Scope, *, has_session: bool) -> Facts:
+    headers = Headers(scope=scope)
+    lengths = headers.getlist("content-length") or ["0"]
+    is_number = len(lengths) == 1 and lengths[0].isascii() and lengths[0].isdigit()
+    return Facts(
+        scope["method"],
+        tuple(headers.getlist("host")),
+        tuple(headers.getlist("origin")),
+        headers.get("sec-fetch-site", ""),
+        int(lengths[0]) if is_number else None,
+        has_session,
+    )
+
+
+def _cookie(headers: Headers) -> str:
+    pairs = [part.strip() for text in headers.getlist("cookie") for part in text.split(";")]
+    found = [pair.partition("=")[2] for pair in pairs if pair.partition("=")[0] == COOKIE]
+    return found[0] if len(found) == 1 else ""
+
+
+async def _read_body(receive: Receive, limit: int) -> bytes:
+    body = bytearray()
+    async with asyncio.timeout(BODY):
+        while True:
+            message = await receive()
+            if message["type"] != "http.request":
+                raise ConnectionResetError
+            body += message.get("body", b"")
+            if len(body) > limit:
+                raise HttpRefused("this is too large", "send less", status=413)
+            if not message.get("more_body", False):
+                return bytes(body)
+
+
+def _replay(body: bytes, receive: Receive) -> Receive:
+    messages: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
+
+    async def read() -> Message:
+        return messages.pop() if messages else await receive()
+
+    return read
+
+
+class _Answer:
+    def __init__(self, send: Send, path: str, *, hsts: bool) -> None:
+        self._send, self._path, self._hsts = send, path, hsts
+        self.has_begun = False
+
+    async def send(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            self.has_begun = True
+            immutable = self._path.startswith(PREFIX) and message["status"] == 200
+            added = security_headers(immutable=immutable, hsts=self._hsts)
+            names = {name for name, _ in added}
+            kept = [pair for pair in message.get("headers", ()) if pair[0].lower() not in names]
+            message = {**message, "headers": [*kept, *added]}
+        async with asyncio.timeout(WRITE):
+            await self._send(message)
+
+
+ROUTES: Final[tuple[Page, ...]] = (
+    *rendering.ASSET_PAGES,
+    *passkeys.LOGIN_PAGES,
+    *passkeys.PHONES_PAGES,
+    *today.NEWS_PAGES,
+    *passkeys.APPROVE_PAGES,
+    *passkeys.APPROVED_PAGES,
+    *adding.ADD_PAGES,
+    *adding.JOIN_PAGES,
+    *decisions.ASK_PAGES,
+    *decisions.REVOKE_PAGES,
+    *adding.INVITE_PAGES,
+    *decisions.POLICY_PAGES,
+    *today.TODAY_PAGES,
+    *visibility.WHO_PAGES,
+    *visibility.NODES_PAGES,
+    *today.HAPPENED_PAGES,
+    *visibility.PRIVACY_PAGES,
+)
 
 CRASHED: Final = HttpRefused("something went wrong here", "it is in the log", status=500)
-_log = logging.getLogger("rossec.console")
 
 
 def create_app(context: ConsoleContext, pages: tuple[Page, ...] = ROUTES) -> ASGIApp:
@@ -33,16 +328,17 @@ def create_app(context: ConsoleContext, pages: tuple[Page, ...] = ROUTES) -> ASG
         pages = for_looking(pages)
     routes = [Route(page.path, _endpoint(page, context), methods=page.methods) for page in pages]
     app = Starlette(routes=routes)
-    return Guard(app, context, pages, lambda request, error: show_error(request, context, error))
+    return RequestGuard(app, context, pages, lambda request, error: show_error(request, context, error))
 
 
 def _endpoint(page: Page, context: ConsoleContext) -> Callable[[Request], Awaitable[Response]]:
     async def answer(request: Request) -> Response:
         try:
-            if page.access is Access.SESSION and request.method == "GET":
+            if page.access is PageAccess.SESSION and request.method == "GET":
                 request.state.number = await context.news.ask()
-            if page.access is Access.SESSION and wants_page(request):
-                request.state.names = await _names(context)
+            if page.access is PageAccess.SESSION and not wants_json(request.headers):
+                with suppress(HintedError):  # a service that does not say what the policy calls things
+                    request.state.names = Names.of(await context.service.policy_names())
             return await page.handler(request, context)
         except HintedError as error:
             return show_error(request, context, error)
@@ -53,28 +349,13 @@ def _endpoint(page: Page, context: ConsoleContext) -> Callable[[Request], Awaita
     return answer
 
 
-def wants_page(request: Request) -> bool:
-    """Whether a person will read the answer."""
-    return not wants_json(request.headers)
-
-
-async def _names(context: ConsoleContext) -> Names:
-    """What the policy calls things; nothing from a service that does not say."""
-    try:
-        return Names.of(await context.service.policy_names())
-    except HintedError:
-        return NONE
-
-
 def status_of(error: HintedError) -> int:
-    """The HTTP status that says what an error says."""
     if isinstance(error, HttpRefused):
         return error.status
     return 503 if isinstance(error, KeyServiceFailed) else 422
 
 
 def show_error(request: Request, context: ConsoleContext, error: HintedError) -> Response:
-    """A refusal as a page, or as JSON for a script."""
     status = status_of(error)
     if wants_json(request.headers):
         told = {"error": printable(error), "hint": printable(error.hint)}

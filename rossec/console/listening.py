@@ -1,25 +1,58 @@
-"""The sockets of an endpoint, listening before anything that talks to strangers starts. A shell."""
+"""The sockets of an endpoint, listening before strangers are talked to; and where a console is. A shell.
+
+The address is written when the console begins, for the commands that show codes. There is one console at a
+time: phones belong to one address, and codes lead to it. One that was killed leaves the file behind, which
+harms nobody: the address of a console that does not run answers nothing, and a code is worth nothing there.
+"""
 
 import errno
 import os
 import socket
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from rossec.console.options import Endpoint
+from rossec import files
+from rossec.authority.console.messages import ADDRESS, LOCK
+from rossec.console.options import ConsoleEndpoint
 from rossec.errors import ConfigurationError
-from rossec.operation.unix_socket import listen_at
+from rossec.host.local_sockets import listen_at, process_lock
 
 BACKLOG: Final = 128
+NAME: Final = ADDRESS  # in the authority's directory
+_MAX: Final = 512
+_NONE: Final = ConfigurationError("no console runs", "start it in another terminal: rossec console")
 
 
-def listen(endpoint: Endpoint) -> list[socket.socket]:
-    """Sockets that listen where `endpoint` says; a host without IPv6 has one less.
+@contextmanager
+def only_console(directory: Path) -> Iterator[None]:
+    """Be the console of this authority; its address is removed in the end."""
+    (directory / LOCK).parent.mkdir(mode=0o700, exist_ok=True)
+    busy = ConfigurationError(
+        "another console of this authority runs",
+        "end that one; to show the pages only: --read-only, and another --port",
+    )
+    with process_lock(directory / LOCK, busy):
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                (directory / NAME).unlink()
 
-    Raises:
-        ConfigurationError: the port or the path is used by another program, or not allowed.
-    """
+
+def write_address(directory: Path, origin: str) -> None:
+    path = directory / NAME
+    files.make_private_directory(path.parent)
+    files.replace(path, origin.encode())
+
+
+def read_address(directory: Path) -> str:
+    return files.read_own(directory / NAME, _MAX, _NONE).decode(errors="replace")
+
+
+def listen(endpoint: ConsoleEndpoint) -> list[socket.socket]:
+    """Sockets that listen where `endpoint` says; a host without IPv6 has one less."""
     if endpoint.unix_path is not None:
         return [listen_for_proxy(endpoint.unix_path, shared=endpoint.proxy_user is not None)]
     return listen_tcp(endpoint.addresses, endpoint.port)
@@ -30,8 +63,8 @@ def listen_tcp(addresses: tuple[str, ...], port: int) -> list[socket.socket]:
     found = list[socket.socket]()
     try:
         for address in addresses:
-            with suppress(_NoSuchAddress):
-                found.append(_listen_at(address, port))
+            sock = _listen_at(address, port)
+            found += [] if sock is None else [sock]
     except BaseException:
         for sock in found:
             sock.close()
@@ -41,16 +74,13 @@ def listen_tcp(addresses: tuple[str, ...], port: int) -> list[socket.socket]:
     return found
 
 
-class _NoSuchAddress(Exception):
-    """This host has no such address, or no such family."""
-
-
-def _listen_at(address: str, port: int) -> socket.socket:
+def _listen_at(address: str, port: int) -> socket.socket | None:
+    # None: this host has no such address.
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     try:
         sock = socket.socket(family, socket.SOCK_STREAM)
-    except OSError as error:
-        raise _NoSuchAddress from error
+    except OSError:
+        return None
     try:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if family == socket.AF_INET6:
@@ -60,7 +90,7 @@ def _listen_at(address: str, port: int) -> socket.socket:
     except OSError as error:
         sock.close()
         if error.errno in {errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT}:
-            raise _NoSuchAddress from error
+            return None
         reason = os.strerror(error.errno or 0).lower()
         raise ConfigurationError(
             f"cannot listen at port {port}: {reason}", "choose another one: --port N"
@@ -73,9 +103,6 @@ def listen_for_proxy(path: Path, *, shared: bool) -> socket.socket:
 
     With `shared` every user can connect, and who does is asked of the kernel: else the mode lets
     no other user in.
-
-    Raises:
-        ConfigurationError: another program listens there, or something else is there.
     """
     if _is_used(path):
         raise ConfigurationError(f"{path} is used by another program", "choose another --unix PATH")
@@ -84,8 +111,7 @@ def listen_for_proxy(path: Path, *, shared: bool) -> socket.socket:
         sock = listen_at(path, BACKLOG)
     except OSError as error:
         raise ConfigurationError(
-            f"cannot listen at {path}: {os.strerror(error.errno or 0).lower()}",
-            "choose another --unix PATH",
+            f"cannot listen at {path}: {os.strerror(error.errno or 0).lower()}", "choose another --unix PATH"
         ) from error
     if shared:
         path.chmod(0o666)
@@ -93,7 +119,7 @@ def listen_for_proxy(path: Path, *, shared: bool) -> socket.socket:
 
 
 def _is_used(path: Path) -> bool:
-    """Whether a program listens at `path`, or it is not a socket."""
+    # Whether a program listens at `path`, or it is not a socket.
     if not os.path.lexists(path):
         return False
     if not path.is_socket():

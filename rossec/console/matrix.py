@@ -1,26 +1,78 @@
-"""Who sees what: topics by receivers, from the grants of the record and the graph. Pure.
+"""Who sees what: topics by receivers, from the grants of the record and the graph; and its report. Pure.
 
-A cell never shows less than a node could see. Grants of one node are alternatives, because it
-presents only those it chooses (`grants.decision`): one of them without filters means `ALL`. A grant
-that the master may renew counts as in force until its cap.
+A cell never shows less than a node could see. Grants of one node are alternatives, because it presents only
+those it chooses (`grants.decision`): one of them without filters means `ALL`. A grant that the master may
+renew counts as in force until its cap. What was ended may still be seen until every node has heard
+(`Endings`), and no page says *ended* before. The report has the same accesses as `rossec privacy` prints
+(`grants.policy.privacy`), in words, with receivers that are treated alike together: the console's page and
+the command line's file are made of it.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from enum import StrEnum
 from typing import Final, NamedTuple
 
-from ca.patterns import TAIL, covers
+from ca.names import TAIL, pattern_covers
 from grants.document import peek
-from grants.model import Grant, Permission, Restriction, Right, merge
-from rossec.authority.console.views import FactView, GrantView, NodeView
+from grants.errors import GrantError
+from grants.filters.layout import Layout
+from grants.model import FilterRule, Grant, Permission, Restriction, Right, merge
+from grants.policy.model import Vocabulary
+from grants.policy.privacy import WHOLE, ReceiverAccess, leaf_paths, sees
+from grants.vocabulary.assess import filters_of
+from rossec.authority.console.messages import FactView, GrantView, ListProgress, NodeView
 from rossec.console import words
-from rossec.console.endings import Heard
-from rossec.ros.text import printable
+from rossec.errors import MessageError
+from rossec.peer_limits import printable
 
 _ANY: Final = "anything_else"  # stands for a wildcard's segment; no node has such a name
+AS_IT_IS: Final = "as it is"
+REMOVED: Final = "removed"
+STALE: Final = 300  # seconds after which no node without a session goes on, with some to spare
 
 
-class Access(StrEnum):
+class Heard(NamedTuple):
+    """Every node has what was ended before these times.
+
+    `cut`: no connection that ends with a stale list is left of what was ended before this one.
+    """
+
+    all: int = 0
+    cut: int = 0
+
+    def has(self, ended_at: int, *, keeps: bool) -> bool:
+        return ended_at < (self.all if keeps else max(self.all, self.cut))
+
+
+class Endings:
+    """What the master said of ends, remembered: one that does not answer now told it before.
+
+    A revocation is over when every node with a session has its list. A node without a session takes no
+    messages for long: its view of the list is stale within two minutes and it cuts what does not outlive that
+    (`on_stale: keep`, grant.md section 4). That helps only where the master has the list: one that has not
+    goes on confirming the old one.
+    """
+
+    def __init__(self) -> None:
+        self._heard = Heard()
+
+    @property
+    def heard(self) -> Heard:
+        return self._heard
+
+    def note(self, standing: ListProgress, asked_at: int) -> None:
+        if not (standing.is_signed and standing.is_at_master):
+            return
+        every, cut = self._heard
+        if 0 < standing.nodes == standing.nodes_with_list:
+            every = max(every, asked_at)
+        elif not standing.nodes:
+            cut = max(cut, asked_at - STALE)
+        self._heard = Heard(every, cut)
+
+
+class TopicAccess(StrEnum):
     """How much a receiver sees of a topic."""
 
     ALL = "all"
@@ -30,10 +82,10 @@ class Access(StrEnum):
     NOTHING = "nothing"
 
 
-SEEING: Final = frozenset({Access.ALL, Access.COARSE, Access.ENDING})
+SEEING: Final = frozenset({TopicAccess.ALL, TopicAccess.COARSE, TopicAccess.ENDING})
 
 
-class HeldGrant(NamedTuple):
+class ShownGrant(NamedTuple):
     """A grant and whether it is in force: `ended_at` is 0 if it is, `reason` why it is not.
 
     `is_ending`: it was revoked, and somebody may not have heard of that: it may still be used.
@@ -47,7 +99,6 @@ class HeldGrant(NamedTuple):
 
     @property
     def is_over(self) -> bool:
-        """Whether nobody can use it any more."""
         return bool(self.ended_at) and not self.is_ending
 
 
@@ -61,7 +112,7 @@ class Cell(NamedTuple):
 
     receiver: str
     topic: str
-    access: Access
+    access: TopicAccess
     words: str = ""
     term: str = ""
     grants: tuple[bytes, ...] = ()
@@ -71,7 +122,7 @@ class Cell(NamedTuple):
     @property
     def label(self) -> str:
         """The state in words; only conditions and a rate make no message coarse."""
-        if self.access is Access.COARSE and not any(each.filters for each in self.restrictions):
+        if self.access is TopicAccess.COARSE and not any(each.filters for each in self.restrictions):
             return "at times"
         return {"all": "all of it"}.get(self.access, str(self.access))
 
@@ -86,11 +137,9 @@ class TopicRow(NamedTuple):
 
     @property
     def is_pattern(self) -> bool:
-        """Whether it stands for all topics that it covers."""
         return _is_pattern(self.topic)
 
     def seen_by(self) -> list[Cell]:
-        """The cells of receivers that see something now, or may still."""
         return [cell for cell in self.cells if cell.access in SEEING]
 
 
@@ -101,7 +150,6 @@ class Matrix(NamedTuple):
     rows: tuple[TopicRow, ...]
 
     def row(self, topic: str) -> TopicRow | None:
-        """The row of a topic, if it has one."""
         return next((row for row in self.rows if row.topic == topic), None)
 
     def window(self, rows: slice, receivers: slice) -> "Matrix":
@@ -115,10 +163,7 @@ class Matrix(NamedTuple):
         """The same, with the rows and receivers first in which most is seen."""
         order = sorted(
             range(len(self.receivers)),
-            key=lambda at: (
-                -sum(row.cells[at].access is not Access.NOTHING for row in self.rows),
-                at,
-            ),
+            key=lambda at: (-sum(row.cells[at].access is not TopicAccess.NOTHING for row in self.rows), at),
         )
         rows = [row._replace(cells=tuple(row.cells[at] for at in order)) for row in self.rows]
         rows.sort(key=lambda row: (row.is_pattern, -len(row.seen_by()), row.topic))
@@ -127,39 +172,32 @@ class Matrix(NamedTuple):
 
 def held_grants(
     nodes: Iterable[NodeView], grants: Iterable[GrantView], now: int, heard: Heard
-) -> tuple[HeldGrant, ...]:
-    """Every grant with its end, newest first; `heard`: what every node knows to have ended.
-
-    Raises:
-        GrantMalformed: the record has one that cannot be read.
-    """
+) -> tuple[ShownGrant, ...]:
+    """Every grant with its end, newest first; `heard`: what every node knows to have ended."""
     keys = {node.key: node for node in nodes}
     found = [_held(view, peek(view.data), keys, now, heard) for view in grants]
     return tuple(sorted(found, key=lambda held: (-held.view.at, held.view.id)))
 
 
-def _held(
-    view: GrantView, grant: Grant, keys: dict[bytes, NodeView], now: int, heard: Heard
-) -> HeldGrant:
+def _held(view: GrantView, grant: Grant, keys: dict[bytes, NodeView], now: int, heard: Heard) -> ShownGrant:
     holder = keys.get(grant.holder)
     until = max(grant.expires, view.cap)
     keeps = any(
-        each.restriction is not None and each.restriction.keep_when_stale
-        for each in grant.permissions
+        each.restriction is not None and each.restriction.keep_when_stale for each in grant.permissions
     )
     for ended in (view, holder):
         if ended is not None and ended.revoked_at:
             is_ending = until > now and not heard.has(ended.revoked_at, keeps=keeps)
-            return HeldGrant(view, grant, ended.revoked_at, ended.reason, is_ending)
+            return ShownGrant(view, grant, ended.revoked_at, ended.reason, is_ending)
     if until <= now:
-        return HeldGrant(view, grant, until, "its time was over")
+        return ShownGrant(view, grant, until, "its time was over")
     if holder is None:
-        return HeldGrant(view, grant, view.at or 1, "the node has another key now")
-    return HeldGrant(view, grant, 0, "")
+        return ShownGrant(view, grant, view.at or 1, "the node has another key now")
+    return ShownGrant(view, grant, 0, "")
 
 
 def build(
-    held: Sequence[HeldGrant],
+    held: Sequence[ShownGrant],
     facts: Sequence[FactView],
     now: int,
     type_of: Callable[[str], str] = lambda _: "",
@@ -174,42 +212,42 @@ def build(
     """
     types = {fact.name: fact.node for fact in facts if fact.kind == "type"}
     topics = sorted(_topics(held, facts), key=lambda topic: (_is_pattern(topic), topic))
-    receivers = sorted({each.grant.subject for each in held if _sees(each.grant)})
+    receivers = sorted(
+        {
+            each.grant.subject
+            for each in held
+            if any(Right.SUBSCRIBE in one.rights for one in each.grant.permissions)
+        }
+    )
     of = {name: [each for each in held if each.grant.subject == name] for name in receivers}
     rows = []
     for topic in topics:
         publishers = publishers_of(topic, held, facts)
         cells = tuple(_cell(name, topic, of[name], publishers, now) for name in receivers)
-        kind = types.get(topic, "") or _granted_type(cells) or type_of(topic)
+        granted = (each.type for cell in cells for each in cell.restrictions if each.type)
+        kind = types.get(topic, "") or next(granted, "") or type_of(topic)
         rows.append(TopicRow(topic, kind, publishers, cells))
     return Matrix(tuple(receivers), tuple(rows))
 
 
-def publishers_of(
-    topic: str, held: Iterable[HeldGrant], facts: Iterable[FactView]
-) -> tuple[str, ...]:
-    """The nodes that send a topic: by the graph, and by grants in force."""
+def publishers_of(topic: str, held: Iterable[ShownGrant], facts: Iterable[FactView]) -> tuple[str, ...]:
     running = {fact.node for fact in facts if (fact.kind, fact.name) == ("publisher", topic)}
     granted = {
-        each.grant.subject for each in held
+        each.grant.subject
+        for each in held
         if not each.is_over and permissions_on(each.grant, Right.PUBLISH, topic)
-    }  # fmt: skip
+    }
     return tuple(sorted(running | granted))
 
 
 def permissions_on(grant: Grant, right: Right, topic: str) -> list[Permission]:
-    """The permissions that give `right` on a topic, or on all that the pattern `topic` covers."""
     named = topic.replace("**", _ANY).replace("*", _ANY).replace(TAIL, f"_{_ANY}")
     return [
-        each for each in grant.permissions if right in each.rights and covers(each.pattern, named)
+        each for each in grant.permissions if right in each.rights and pattern_covers(each.pattern, named)
     ]
 
 
-def _sees(grant: Grant) -> bool:
-    return any(Right.SUBSCRIBE in each.rights for each in grant.permissions)
-
-
-def _topics(held: Iterable[HeldGrant], facts: Iterable[FactView]) -> set[str]:
+def _topics(held: Iterable[ShownGrant], facts: Iterable[FactView]) -> set[str]:
     running = {fact.name for fact in facts if fact.kind in ("publisher", "subscriber")}
     return running | {
         permission.pattern
@@ -224,32 +262,29 @@ def _is_pattern(topic: str) -> bool:
     return "*" in topic or TAIL in topic
 
 
-def _granted_type(cells: Iterable[Cell]) -> str:
-    kinds = (each.type for cell in cells for each in cell.restrictions)
-    return next((kind for kind in kinds if kind), "")
-
-
-def _cell(
-    receiver: str, topic: str, held: list[HeldGrant], publishers: tuple[str, ...], now: int
-) -> Cell:
+def _cell(receiver: str, topic: str, held: list[ShownGrant], publishers: tuple[str, ...], now: int) -> Cell:
     covering = [(each, permissions_on(each.grant, Right.SUBSCRIBE, topic)) for each in held]
     ways = [(each, found) for each, found in covering if found]
-    cell = Cell(receiver, topic, Access.NOTHING, sends=receiver in publishers)
+    cell = Cell(receiver, topic, TopicAccess.NOTHING, sends=receiver in publishers)
     if not ways:
         return cell
-    possible = [(each, merge(one.restriction for one in found)) for each, found in ways
-                if not each.is_over]  # fmt: skip
+    possible = [(each, merge(one.restriction for one in found)) for each, found in ways if not each.is_over]
     living = [way for way in possible if not way[0].ended_at]
-    ending = sorted(
-        (way for way in possible if way[0].is_ending), key=lambda way: _strictness(way[1])
-    )
+    ending = sorted((way for way in possible if way[0].is_ending), key=lambda way: _strictness(way[1]))
     # What is ending is said unless what stays shows as much.
     if ending and all(_strictness(ending[0][1]) < _strictness(given) for _, given in living):
-        return _ending_cell(cell, *ending[0], now)
+        last, restrictions = ending[0]
+        return cell._replace(
+            access=TopicAccess.ENDING,
+            words=printable(last.reason, 200),
+            term=f"was ended {words.ago(last.ended_at, now)}; it may see it until every node has heard",
+            grants=(last.view.id,),
+            restrictions=restrictions,
+        )
     if not living:
         last = max((each for each, _ in ways), key=lambda each: each.ended_at)
         return cell._replace(
-            access=Access.ENDED,
+            access=TopicAccess.ENDED,
             words=printable(last.reason, 200),
             term=f"ended {words.ago(last.ended_at, now)}",
             grants=(last.view.id,),
@@ -258,23 +293,14 @@ def _cell(
     living.sort(key=lambda way: (_strictness(way[1]), -way[0].view.cap, way[0].view.id))
     widest, restrictions = living[0]
     texts = dict.fromkeys(words.plain(given) for _, given in living)
+    term = words.term(widest.grant.expires, widest.view.cap, now)
+    if now < widest.grant.not_before:
+        term = f"begins in {words.duration(widest.grant.not_before - now)}"
     return cell._replace(
-        access=Access.COARSE if restrictions else Access.ALL,
+        access=TopicAccess.COARSE if restrictions else TopicAccess.ALL,
         words=", or ".join(texts) if restrictions else "",
-        term=_term(widest, now),
+        term=term,
         grants=tuple(each.view.id for each, _ in living),
-        restrictions=restrictions,
-    )
-
-
-def _ending_cell(
-    cell: Cell, held: HeldGrant, restrictions: tuple[Restriction, ...], now: int
-) -> Cell:
-    return cell._replace(
-        access=Access.ENDING,
-        words=printable(held.reason, 200),
-        term=f"was ended {words.ago(held.ended_at, now)}; it may see it until every node has heard",
-        grants=(held.view.id,),
         restrictions=restrictions,
     )
 
@@ -283,7 +309,157 @@ def _strictness(restrictions: tuple[Restriction, ...]) -> int:
     return sum(len(each.filters) + len(each.conditions) + 1 for each in restrictions)
 
 
-def _term(held: HeldGrant, now: int) -> str:
-    if now < held.grant.not_before:
-        return f"begins in {words.duration(held.grant.not_before - now)}"
-    return words.term(held.grant.expires, held.view.cap, now)
+Wanted = Callable[[str, str], bool]
+"""Whether a receiver's field is in the report."""
+
+
+class ReportReceiver(NamedTuple):
+    name: str
+    why: str
+    until: str
+    by: str
+
+
+class ReportFields(NamedTuple):
+    treatment: str
+    is_open: bool
+    fields: tuple[str, ...]
+
+
+class ReportGroup(NamedTuple):
+    receivers: tuple[ReportReceiver, ...]
+    when: str
+    fields: tuple[ReportFields, ...]
+    sees: str = ""
+
+
+class ReportTopic(NamedTuple):
+    """A topic (or pattern) and all who receive it."""
+
+    topic: str
+    type: str
+    groups: tuple[ReportGroup, ...]
+
+
+def everything(_receiver: str, _field: str) -> bool:
+    return True
+
+
+def topics(
+    accesses: Iterable[ReceiverAccess],
+    layout_of: Callable[[str], Layout],
+    wanted: Wanted = everything,
+    vocabulary: Vocabulary | None = None,
+) -> list[ReportTopic]:
+    """The report of these accesses, by topic; `vocabulary` is that of the policy."""
+    by_topic: dict[tuple[str, str], dict[tuple[object, ...], list[ReportReceiver]]] = {}
+    for access in sorted(_typed(accesses), key=lambda each: (each.topic, each.receiver, each.by)):
+        fields = _fields(access, layout_of, wanted)
+        if fields:
+            groups = by_topic.setdefault((access.topic, access.type or ""), {})
+            receiver = ReportReceiver(access.receiver, access.why, access.until, access.by)
+            said = _report_sees(access, layout_of, vocabulary)
+            groups.setdefault((_when(access), fields, said), []).append(receiver)
+    return [
+        ReportTopic(
+            topic,
+            kind,
+            tuple(ReportGroup(tuple(who), *key) for key, who in groups.items()),  # type: ignore[arg-type]
+        )
+        for (topic, kind), groups in by_topic.items()
+    ]
+
+
+def _typed(accesses: Iterable[ReceiverAccess]) -> list[ReceiverAccess]:
+    # A topic is one, also where only some of its grants say the type of its messages.
+    found = list(accesses)
+    kinds: dict[str, set[str]] = {}
+    for each in found:
+        kinds.setdefault(each.topic, set()).update({each.type} if each.type else ())
+    return [
+        replace(each, type=next(iter(kinds[each.topic])))
+        if each.type is None and len(kinds[each.topic]) == 1
+        else each
+        for each in found
+    ]
+
+
+def held_accesses(
+    held: Iterable[ShownGrant], types: Mapping[str, str], type_of: Callable[[str], str] = lambda _: ""
+) -> list[ReceiverAccess]:
+    """What is granted now, of every grant in force or ending.
+
+    `types` by topic, from the graph; `type_of` is that of the policy, empty: it does not say.
+    """
+    found = []
+    for each in held:
+        why = f"rule {each.view.rules} of the policy" if each.view.rules else "decided by hand"
+        why = "it was ended, and may still see it" if each.is_ending else why
+        end = words.day(max(each.grant.expires, each.view.cap))
+        until = "every node has heard" if each.is_ending else end
+        for permission in each.grant.permissions:
+            if each.is_over or Right.SUBSCRIBE not in permission.rights:
+                continue
+            restriction, topic = permission.restriction, permission.pattern
+            kind = types.get(topic) or (restriction.type if restriction is not None else None)
+            access = ReceiverAccess(
+                topic,
+                kind or type_of(topic) or None,
+                each.grant.subject,
+                why,
+                until,
+                f"grant {each.grant.short_id}",
+                () if restriction is None else (restriction,),
+                None if restriction is None else restriction.rate,
+            )
+            found.append(access)
+    return found
+
+
+def _fields(
+    access: ReceiverAccess, layout_of: Callable[[str], Layout], wanted: Wanted
+) -> tuple[ReportFields, ...]:
+    rules = [rule for each in access.restrictions for rule in each.filters]
+    by_treatment: dict[str, list[str]] = {}
+    rest = f"everything {'else ' if rules else ''}in it"
+    for path in _paths(access.type, layout_of, rules):
+        if wanted(access.receiver, path):
+            said = _treatment(filters_of(rules, path), access.type)
+            by_treatment.setdefault(said, []).append(rest if path == WHOLE else path)
+    found = [ReportFields(said, said == AS_IT_IS, tuple(paths)) for said, paths in by_treatment.items()]
+    return tuple(sorted(found, key=lambda each: not each.is_open))
+
+
+def _report_sees(
+    access: ReceiverAccess, layout_of: Callable[[str], Layout], vocabulary: Vocabulary | None
+) -> str:
+    # Nothing of a type that is not known here.
+    try:
+        return "" if access.type is None else sees(access, layout_of(access.type), vocabulary)
+    except (GrantError, MessageError):
+        return ""
+
+
+def _paths(kind: str | None, layout_of: Callable[[str], Layout], rules: list[FilterRule]) -> list[str]:
+    # The fields of the type; of one that is not known here those with a rule, and the rest.
+    try:
+        if kind is not None:
+            return leaf_paths(layout_of(kind)) or [WHOLE]
+    except (GrantError, MessageError):
+        pass
+    return [*(rule.path for rule in rules), WHOLE]
+
+
+def _treatment(rules: list[FilterRule], kind: str | None) -> str:
+    said = [
+        REMOVED if rule.operator in ("clear", "drop") else words.filter_rule(rule, kind) for rule in rules
+    ]
+    return ", then ".join(dict.fromkeys(said)) or AS_IT_IS
+
+
+def _when(access: ReceiverAccess) -> str:
+    parts = [text for each in access.restrictions for text in each.conditions]
+    if access.rate is not None:
+        parts.append(words.rate(access.rate))
+    parts += [words.slot(each.slot) for each in access.restrictions if each.slot is not None]
+    return " and ".join(dict.fromkeys(parts)) or "always"

@@ -1,13 +1,14 @@
 """Where the console listens, and what a browser calls it. Pure: options in, an endpoint out.
 
-A passkey belongs to a name (the RP id, WebAuthn section 5.1.2) and is recorded with the origin it
-was made at: so there is one origin, it is known before anything listens, and another one means new
-passkeys. A name is a DNS name: browsers refuse addresses as RP ids ("invalid domain").
+A passkey belongs to a name (the RP id, WebAuthn section 5.1.2) and is recorded with the origin it was made
+at: so there is one origin, it is known before anything listens, and another one means new passkeys. A name is
+a DNS name: browsers refuse addresses as RP ids ("invalid domain").
 """
 
 import ipaddress
 import re
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -18,6 +19,7 @@ from rossec.errors import ConfigurationError
 
 PORT: Final = 7411
 HAND_OUT_PORT: Final = 7410
+MAX_PHONE_NAME: Final = 40  # characters: it is shown in one line
 LOCALHOST: Final = "localhost"
 _LOOPBACK: Final = ("127.0.0.1", "::1")
 _EVERY: Final = ("0.0.0.0", "::")  # noqa: S104 - what --lan asks for; who may see it, sessions say
@@ -37,7 +39,7 @@ class Tls(StrEnum):
 
 
 @dataclass(frozen=True)
-class Options:
+class ConsoleOptions:
     """The options of `rossec console`, as they were given."""
 
     lan: bool = False
@@ -54,7 +56,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Endpoint:
+class ConsoleEndpoint:
     """What follows from the options.
 
     Attributes:
@@ -88,16 +90,10 @@ class Endpoint:
 
     @property
     def hsts(self) -> bool:
-        """Whether browsers shall insist on https; an own authority may be removed again."""
         return self.tls is Tls.FILES
 
 
-def read_options(options: Options, hostname: str) -> Endpoint:
-    """The endpoint for `options` on the host called `hostname`.
-
-    Raises:
-        ConfigurationError: options that do not go together, or a name that cannot be used.
-    """
+def read_options(options: ConsoleOptions, hostname: str) -> ConsoleEndpoint:
     _check_pairs(options)
     if options.unix_path is not None:
         return _behind_proxy(options, options.unix_path)
@@ -105,13 +101,22 @@ def read_options(options: Options, hostname: str) -> Endpoint:
     if not 0 < port < 1 << 16:
         raise ConfigurationError(f"{port} is not a port", "give one from 1 to 65535")
     if not options.lan and options.tls_certificate is None:
-        return _on_this_host(options, port)
-    name = check_name(_default_name(hostname) if options.name is None else options.name)
+        host = _with_port(LOCALHOST, "http", port)
+        return ConsoleEndpoint(f"http://{host}", LOCALHOST, _LOOPBACK, port, read_only=options.read_only)
+    if options.name is not None:
+        name = check_name(options.name)
+    else:  # `<hostname>.local`, as mDNS announces it (RFC 6762 section 3)
+        try:
+            name = check_name(f"{hostname.partition('.')[0].lower()}.local")
+        except ConfigurationError as error:
+            raise ConfigurationError(
+                f"the name of this host, {hostname!a}, is not a DNS name", "give one: --name NAME.local"
+            ) from error
     if name == LOCALHOST:
         raise ConfigurationError(
             "no other device can reach localhost", "give the name of this host: --name NAME.local"
         )
-    return Endpoint(
+    return ConsoleEndpoint(
         origin=f"https://{_with_port(name, 'https', port)}",
         name=name,
         addresses=_EVERY,
@@ -125,12 +130,8 @@ def read_options(options: Options, hostname: str) -> Endpoint:
 
 
 def check_name(name: str) -> str:
-    """The DNS name `name` in lower case.
-
-    Raises:
-        ConfigurationError: an address, or not a DNS name.
-    """
-    if _is_address(name):
+    with suppress(ValueError):
+        ipaddress.ip_address(name.strip("[]"))
         raise ConfigurationError(
             f"{name} is an address: a passkey cannot belong to one",
             "give a name, such as --name rossec.local",
@@ -144,12 +145,8 @@ def check_name(name: str) -> str:
     return found
 
 
-def check_origin(endpoint: Endpoint, recorded: Collection[str], *, rename: bool) -> None:
-    """Check that the passkeys that exist, made at the origins `recorded`, can approve here.
-
-    Raises:
-        ConfigurationError: all are of other origins, and `rename` was not given.
-    """
+def check_origin(endpoint: ConsoleEndpoint, recorded: Collection[str], *, rename: bool) -> None:
+    """Check that the passkeys that exist, made at the origins `recorded`, can approve here."""
     if rename or not recorded or endpoint.origin in recorded:
         return
     others = ", ".join(sorted(recorded))
@@ -159,8 +156,8 @@ def check_origin(endpoint: Endpoint, recorded: Collection[str], *, rename: bool)
     )
 
 
-def _check_pairs(options: Options) -> None:
-    """Raise for options that do not go together."""
+def _check_pairs(options: ConsoleOptions) -> None:
+    # Raise for options that do not go together.
     has_files = options.tls_certificate is not None or options.tls_key is not None
     ways = [options.lan, has_files, options.unix_path is not None]
     conflicts = (
@@ -201,13 +198,8 @@ def _check_pairs(options: Options) -> None:
             raise ConfigurationError(message, hint)
 
 
-def _on_this_host(options: Options, port: int) -> Endpoint:
-    host = _with_port(LOCALHOST, "http", port)
-    return Endpoint(f"http://{host}", LOCALHOST, _LOOPBACK, port, read_only=options.read_only)
-
-
-def _behind_proxy(options: Options, path: Path) -> Endpoint:
-    """The origin is the proxy's; headers that a proxy adds are never read."""
+def _behind_proxy(options: ConsoleOptions, path: Path) -> ConsoleEndpoint:
+    # The origin is the proxy's; headers that a proxy adds are never read.
     origin = options.origin or ""
     try:
         parts = urlsplit(origin)
@@ -224,40 +216,14 @@ def _behind_proxy(options: Options, path: Path) -> Endpoint:
             "let the proxy serve https, and give --origin https://NAME",
         )
     host = _with_port(name, scheme, port or _DEFAULT_PORTS[scheme])
-    return Endpoint(
-        f"{scheme}://{host}",
-        name,
-        unix_path=path,
-        proxy_user=options.proxy_user,
-        read_only=options.read_only,
+    return ConsoleEndpoint(
+        f"{scheme}://{host}", name, unix_path=path, proxy_user=options.proxy_user, read_only=options.read_only
     )
 
 
 def _origin_refused(origin: str) -> ConfigurationError:
-    return ConfigurationError(
-        f"{origin!a} is not an origin", "write it as --origin https://ca.example.org"
-    )
+    return ConfigurationError(f"{origin!a} is not an origin", "write it as --origin https://ca.example.org")
 
 
 def _with_port(name: str, scheme: str, port: int) -> str:
-    """As browsers write it in `Host` and `Origin`: without the scheme's own port."""
     return name if port == _DEFAULT_PORTS[scheme] else f"{name}:{port}"
-
-
-def _is_address(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name.strip("[]"))
-    except ValueError:
-        return False
-    return True
-
-
-def _default_name(hostname: str) -> str:
-    """`<hostname>.local`, as mDNS announces it (RFC 6762 section 3)."""
-    name = f"{hostname.partition('.')[0].lower()}.local"
-    try:
-        return check_name(name)
-    except ConfigurationError as error:
-        raise ConfigurationError(
-            f"the name of this host, {hostname!a}, is not a DNS name", "give one: --name NAME.local"
-        ) from error

@@ -1,45 +1,228 @@
-"""Templates: what a page shows becomes HTML, with everything escaped.
+"""What a page is, what its request says, and the HTML and static files that answer it.
 
-Texts of nodes go through `printable` before they are escaped, so that none turns the direction of
-the line or hides a character; `name` in `macros.html` puts them in `<bdi>` as well.
+The guard answers what is not in a table of pages, so a page without an entry does not exist, and one without
+a session is never public by mistake: `SESSION` is what a page has unless it says otherwise. Bodies are read
+strictly: one type, UTF-8, each field once; there are no files in forms, so no multipart. Templates escape
+everything; texts of nodes go through `printable` before, so that none turns the direction of the line or
+hides a character (`name` in `macros.html` puts them in `<bdi>` as well). `/static/DIGEST/NAME` with another
+digest does not exist: an address names one content.
 """
 
+import base64
+import binascii
+import json
+import mimetypes
+import re
+from collections.abc import Awaitable, Callable, Iterable
 from contextvars import ContextVar
+from enum import Enum
 from functools import cache
+from hashlib import sha256
 from pathlib import Path
-from typing import Any, Final, NamedTuple
-from urllib.parse import quote
+from typing import Any, Final, NamedTuple, TypeAlias
+from urllib.parse import parse_qsl, quote
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
+from starlette.routing import compile_path
 
-from rossec.console.assets import asset_path
 from rossec.console.context import ConsoleContext
-from rossec.console.forms import to_base64url
-from rossec.console.names import NONE, Names
-from rossec.console.words import ago, day, topic
-from rossec.ros.text import printable
+from rossec.console.words import NONE, Names, ago, day, topic
+from rossec.errors import HttpRefused
+from rossec.peer_limits import printable
 
-FOLDER: Final = Path(__file__).parent / "templates"
+Handler: TypeAlias = Callable[[Request, "ConsoleContext"], Awaitable[Response]]
+MAX_BODY: Final = 16 * 1024
+MAX_FRAME: Final = 256 * 1024  # a picture from a camera
+
+
+class PageAccess(Enum):
+    PUBLIC = "public"
+    SESSION = "session"
+
+
+PUBLIC: Final = PageAccess.PUBLIC
+SESSION: Final = PageAccess.SESSION
+
+
+class Page(NamedTuple):
+    """A path (as starlette writes it), the methods it has, and what answers them.
+
+    `looks` marks what a console that only shows has beside pages to read: logging in and out.
+    """
+
+    path: str
+    methods: tuple[str, ...]
+    handler: Handler
+    access: PageAccess = SESSION
+    max_body: int = MAX_BODY
+    looks: bool = False
+
+
+def for_looking(pages: Iterable[Page]) -> tuple[Page, ...]:
+    found = tuple(pages)
+    acting = {page.path for page in found if "POST" in page.methods and not page.looks}
+    return tuple(page for page in found if page.path not in acting)
+
+
+class Match(NamedTuple):
+    """The page of a path and method (None: the method is wrong), and the methods of the path."""
+
+    page: Page | None
+    methods: frozenset[str]
+
+
+class PageTable:
+    def __init__(self, pages: Iterable[Page]) -> None:
+        self._pages = [(compile_path(page.path)[0], page) for page in pages]
+
+    def find(self, path: str, method: str) -> Match | None:
+        found = [page for pattern, page in self._pages if pattern.match(path)]
+        if not found:
+            return None
+        wanted = "GET" if method == "HEAD" else method
+        page = next((page for page in found if wanted in page.methods), None)
+        methods = {method for page in found for method in page.methods}
+        return Match(page, frozenset(methods | ({"HEAD"} if "GET" in methods else set())))
+
+
+MAX_FIELDS: Final = 64
+_FORM: Final = "application/x-www-form-urlencoded"
+_JSON: Final = "application/json"
+_HALVES: Final = re.compile("[\ud800-\udfff]")
+_HINT: Final = "go back, load the page again, and try once more"
+
+
+async def read_form(request: Request) -> dict[str, str]:
+    body = await request.body()
+    if not body:
+        return {}  # a form of a button alone
+    _require_type(request, _FORM)
+    try:
+        pairs = parse_qsl(
+            body.decode("ascii"),
+            keep_blank_values=True,
+            strict_parsing=True,
+            encoding="utf-8",
+            errors="strict",
+            max_num_fields=MAX_FIELDS,
+        )
+    except ValueError as error:  # UnicodeDecodeError is one
+        raise HttpRefused("a form that is malformed", _HINT) from error
+    return _once(pairs)
+
+
+async def read_json(request: Request) -> dict[str, Any]:
+    _require_type(request, _JSON)
+    try:
+        value = json.loads((await request.body()).decode(), object_pairs_hook=_once)
+    except (ValueError, RecursionError) as error:
+        raise HttpRefused("JSON that is malformed", _HINT) from error
+    if not isinstance(value, dict):
+        raise HttpRefused("JSON that is no object", _HINT)
+    return value
+
+
+def text_field(fields: dict[str, Any], name: str, limit: int = 200) -> str:
+    """A field that is text of at most `limit` characters; absent: empty.
+
+    JSON can escape half of a surrogate pair, which is no text (RFC 8259 section 8.2).
+    """
+    value = fields.get(name, "")
+    if not isinstance(value, str) or len(value) > limit or _HALVES.search(value):
+        raise HttpRefused(f"{name}: not a text of at most {limit} characters", _HINT)
+    return value
+
+
+def bytes_field(fields: dict[str, Any], name: str) -> bytes:
+    return from_base64url(text_field(fields, name, limit=16 * 1024))
+
+
+def from_base64url(text: str) -> bytes:
+    try:
+        data = base64.b64decode(text + "=" * (-len(text) % 4), altchars=b"-_", validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise HttpRefused("bytes that are not base64url", _HINT) from error
+    if not data or to_base64url(data) != text:
+        raise HttpRefused("bytes that are not base64url", _HINT)
+    return data
+
+
+def to_base64url(data: bytes) -> str:
+    return base64.urlsafe_b64encode(data).rstrip(b"=").decode()
+
+
+def _require_type(request: Request, wanted: str) -> None:
+    if request.headers.get("content-type", "").partition(";")[0].strip().lower() != wanted:
+        raise HttpRefused(f"a body that is not {wanted}", _HINT, status=415)
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    fields = dict(pairs)
+    if len(fields) != len(pairs):
+        raise HttpRefused("a field that comes twice", _HINT)
+    return fields
+
+
+PREFIX: Final = "/static/"
+STATIC_FOLDER: Final = Path(__file__).parent / "static"
+_TYPES: Final = {
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".webmanifest": "application/manifest+json",
+}
+_DIGEST: Final = 16  # hex digits: an address, not a proof
+
+
+class Asset(NamedTuple):
+    path: str
+    content: bytes
+    type: str
+
+
+@cache
+def assets() -> dict[str, Asset]:
+    return {path.name: _read(path) for path in sorted(STATIC_FOLDER.iterdir()) if path.is_file()}
+
+
+def asset_path(name: str) -> str:
+    return assets()[name].path
+
+
+async def show_asset(request: Request, _context: ConsoleContext) -> Response:
+    found = assets().get(request.path_params["name"])
+    if found is None or found.path != request.url.path:
+        raise HttpRefused("there is no such file", "load the page again", status=404)
+    return Response(found.content, media_type=found.type)
+
+
+def _read(path: Path) -> Asset:
+    content = path.read_bytes()
+    kind = _TYPES.get(path.suffix) or mimetypes.guess_type(path.name)[0]
+    digest = sha256(content).hexdigest()[:_DIGEST]
+    return Asset(f"{PREFIX}{digest}/{path.name}", content, kind or "application/octet-stream")
+
+
+ASSET_PAGES: Final = (Page("/static/{digest}/{name}", ("GET",), show_asset, PUBLIC),)
+
+TEMPLATE_FOLDER: Final = Path(__file__).parent / "templates"
 # Filters belong to the environment, which is made once; titles are those of one page.
 _NAMES: ContextVar[Names] = ContextVar("names", default=NONE)
 
 
-class Place(NamedTuple):
-    """An entry of the navigation."""
-
+class PagePlace(NamedTuple):
     path: str
     label: str
 
 
 NAVIGATION: Final = (
-    Place("/", "Today"),
-    Place("/who", "Who sees what"),
-    Place("/add", "Add a node"),
-    Place("/way", "Data flow"),
-    Place("/log", "What happened"),
-    Place("/phones", "Your phone"),
+    PagePlace("/", "Today"),
+    PagePlace("/who", "Who sees what"),
+    PagePlace("/add", "Add a node"),
+    PagePlace("/way", "Data flow"),
+    PagePlace("/log", "What happened"),
+    PagePlace("/phones", "Your phone"),
 )
 
 
@@ -52,25 +235,24 @@ def render(
     `here` (the path), `read_only`, `now`, and `number` (of the news). With `live=True` the page is
     loaded again when anything changes (`live.js`).
     """
-    session = getattr(request.state, "session", None)
+    session, only_shows = getattr(request.state, "session", None), context.settings.read_only
+    places = [place for place in NAVIGATION if not (only_shows and place.path == "/add")]
     _NAMES.set(names_of(request))
-    text = environment().get_template(template).render(
-        domain=context.settings.domain,
-        session=session,
-        places=_places(context) if session is not None else (),
-        here=request.url.path,
-        read_only=context.settings.read_only,
-        number=getattr(request.state, "number", ""),
-        now=context.clock(),
-        **values,
-    )  # fmt: skip
+    text = (
+        environment()
+        .get_template(template)
+        .render(
+            domain=context.settings.domain,
+            session=session,
+            places=places if session is not None else (),
+            here=request.url.path,
+            read_only=only_shows,
+            number=getattr(request.state, "number", ""),
+            now=context.clock(),
+            **values,
+        )
+    )
     return HTMLResponse(text, status)
-
-
-def _places(context: ConsoleContext) -> tuple[Place, ...]:
-    """The navigation; a console that only shows adds no node."""
-    only_shows = context.settings.read_only
-    return tuple(place for place in NAVIGATION if not (only_shows and place.path == "/add"))
 
 
 def names_of(request: Request) -> Names:
@@ -87,28 +269,20 @@ def render_text(template: str, names: Names = NONE, **values: Any) -> str:
 
 @cache
 def environment() -> Environment:
-    """The templates, with what they can use; made once."""
     made = Environment(
-        loader=FileSystemLoader(FOLDER), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
+        loader=FileSystemLoader(TEMPLATE_FOLDER),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     made.globals["asset"] = asset_path
-    made.filters["printable"] = printable
-    made.filters["hex"] = bytes.hex
-    made.filters["base64url"] = to_base64url
-    made.filters["day"] = day
+    made.filters |= {"printable": printable, "hex": bytes.hex, "base64url": to_base64url, "day": day}
     made.filters["title"] = _title
-    made.filters["titled"] = _titled
-    made.filters["ago"] = ago
-    made.filters["address"] = quote  # of a name of ROS: its slashes stay
-    made.filters["topic"] = topic
+    made.filters["titled"] = lambda name: f"{_title(name)} {printable(name)}".strip()
+    made.filters |= {"ago": ago, "address": quote, "topic": topic}  # of a name of ROS the slashes stay
     return made
 
 
 def _title(name: str) -> str:
     return _NAMES.get().title(name)
-
-
-def _titled(name: str) -> str:
-    """The name with its title before it, where there is no room for two elements."""
-    return f"{_title(name)} {printable(name)}".strip()

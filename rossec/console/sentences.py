@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple, TypeAlias
 
 from grants.model import Grant, Permission, Right
-from rossec.authority.console.views import DenialView, EventView, GrantQuestion, NodeView
+from rossec.authority.console.messages import DenialView, EventView, GrantQuestion, NodeView
 from rossec.console import words
-from rossec.console.matrix import HeldGrant
-from rossec.ros.text import printable
+from rossec.console.matrix import ShownGrant
+from rossec.peer_limits import printable
 
 
-class Part(NamedTuple):
+class SentencePart(NamedTuple):
     """A piece of a sentence; a name is one of ROS, shown as such."""
 
     text: str
@@ -23,12 +23,10 @@ class Part(NamedTuple):
 
     @property
     def is_glued(self) -> bool:
-        """Whether it follows without a space."""
         return not self.is_name and self.text[:1] in (",", ":")
 
     @property
     def spaced(self) -> str:
-        """The text as it follows another part."""
         return self.text if self.is_glued else f" {self.text}"
 
 
@@ -41,17 +39,16 @@ class Sentence(NamedTuple):
     at: int
     tone: str
     verb: str
-    parts: tuple[Part, ...]
+    parts: tuple[SentencePart, ...]
     number: int
     node: str
 
     @property
     def text(self) -> str:
-        """The whole of it, as plain text."""
         return self.verb + "".join(part.spaced for part in self.parts)
 
 
-class Known(NamedTuple):
+class KnownIds(NamedTuple):
     """What the ids in log entries mean: grants by id, nodes by key, questions by id, all in hex.
 
     `ending`: ids of what was ended and may still be used.
@@ -65,12 +62,11 @@ class Known(NamedTuple):
     @classmethod
     def of(
         cls,
-        held: Iterable[HeldGrant] = (),
+        held: Iterable[ShownGrant] = (),
         nodes: Iterable[NodeView] = (),
         questions: Iterable[GrantQuestion] = (),
         ending: frozenset[str] = frozenset(),
-    ) -> "Known":
-        """The ids in these views."""
+    ) -> "KnownIds":
         asked: dict[str, tuple[GrantQuestion, ...]] = {}
         for each in questions:
             number = each.request.hex()
@@ -83,16 +79,19 @@ class Known(NamedTuple):
         )
 
 
-_Told: TypeAlias = tuple[str, str, tuple[Part, ...]] | None
-_Tell: TypeAlias = Callable[[EventView, Known], _Told]
+_Told: TypeAlias = tuple[str, str, tuple[SentencePart, ...]] | None
+_Tell: TypeAlias = Callable[[EventView, KnownIds], _Told]
 
 
-def story(
-    events: Sequence[EventView], denials: Iterable[DenialView], known: Known
-) -> list[Sentence]:
+def story(events: Sequence[EventView], denials: Iterable[DenialView], known: KnownIds) -> list[Sentence]:
     """Everything that has a sentence, newest first; equal denials are one with a number."""
     certified = {each.subject: each.number for each in sorted(events) if each.what == "certificate"}
-    told = [_event(each, known) for each in events if not _repeats(each, certified)]
+
+    def repeats(event: EventView) -> bool:
+        answered = certified.get(event.subject, -1) > event.number
+        return event.what in _FOLDED or (event.what in ("pending", "approved") and answered)
+
+    told = [_event(each, known) for each in events if not repeats(each)]
     found = [each for each in told if each is not None]
     return sorted([*found, *refusals(denials)], key=lambda each: (-each.at, -each.number))
 
@@ -102,20 +101,16 @@ def refusals(denials: Iterable[DenialView]) -> list[Sentence]:
     groups: dict[tuple[str, int, str], list[int]] = {}
     for denial in denials:
         groups.setdefault((denial.node, denial.right, denial.name), []).append(denial.at)
-    return [
-        Sentence(max(times), "refused", "Refused", _denial(node, right, name, len(times)), -1, node)
-        for (node, right, name), times in groups.items()
-    ]
-
-
-def _denial(node: str, right: int, name: str, times: int) -> tuple[Part, ...]:
-    often = f", {times} times" if times > 1 else ""
-    return (
-        _name(node),
-        Part(f"asked to {wanted(right)}"),
-        _name(name),
-        Part(f"without being allowed to{often}"),
-    )
+    found = []
+    for (node, right, name), times in groups.items():
+        often = f", {len(times)} times" if len(times) > 1 else ""
+        asked, end = (
+            SentencePart(f"asked to {wanted(right)}"),
+            SentencePart(f"without being allowed to{often}"),
+        )
+        parts = (_name(node), asked, _name(name), end)
+        found.append(Sentence(max(times), "refused", "Refused", parts, -1, node))
+    return found
 
 
 def wanted(right: int) -> str:
@@ -123,179 +118,157 @@ def wanted(right: int) -> str:
     return words.rights(Right(right)) if 0 < right < 256 else f"do something ({right}) with"
 
 
-def permission(given: Permission) -> tuple[Part, ...]:
+def permission(given: Permission) -> tuple[SentencePart, ...]:
     """`see /robot/pose (coarse)`."""
     coarse = given.restriction is not None and given.restriction.restricts_messages
     return (
-        Part(words.rights(given.rights)),
-        Part(words.topic(given.pattern), is_name=True),
-        *([Part("(coarse)")] if coarse else []),
+        SentencePart(words.rights(given.rights)),
+        SentencePart(words.topic(given.pattern), is_name=True),
+        *([SentencePart("(coarse)")] if coarse else []),
     )
 
 
-def permissions(given: Iterable[Permission], limit: int = 4) -> tuple[Part, ...]:
+def permissions(given: Iterable[Permission], limit: int = 4) -> tuple[SentencePart, ...]:
     """As `permission` for all, in the order of the grant; those with the same rights together."""
     groups: dict[tuple[Right, bool], list[Permission]] = {}
     for each in given:
         coarse = each.restriction is not None and each.restriction.restricts_messages
         groups.setdefault((each.rights, coarse), []).append(each)
-    parts: list[Part] = []
+    parts: list[SentencePart] = []
     for (rights, coarse), members in groups.items():
-        parts += [*([Part("and")] if parts else []), Part(words.rights(rights))]
+        parts += [*([SentencePart("and")] if parts else []), SentencePart(words.rights(rights))]
         parts += _listed([words.topic(each.pattern) for each in members], limit)
-        parts += [Part("(coarse)")] * coarse
+        parts += [SentencePart("(coarse)")] * coarse
     return tuple(parts)
 
 
-def _listed(names: list[str], limit: int) -> list[Part]:
-    """The names with commas between them; a part that is a comma follows without a space."""
-    parts: list[Part] = []
+def _listed(names: list[str], limit: int) -> list[SentencePart]:
+    parts: list[SentencePart] = []
     for name in names[:limit]:
-        parts += [*([Part(",")] if parts else []), Part(name, is_name=True)]
-    return [*parts, Part(f"and {len(names) - limit} more")] if len(names) > limit else parts
+        parts += [*([SentencePart(",")] if parts else []), SentencePart(name, is_name=True)]
+    return [*parts, SentencePart(f"and {len(names) - limit} more")] if len(names) > limit else parts
 
 
-def _name(text: str) -> Part:
-    return Part(words.name(text), is_name=True)
+def _name(text: str) -> SentencePart:
+    return SentencePart(words.name(text), is_name=True)
 
 
-def _because(reason: str) -> tuple[Part, ...]:
-    return (Part(f": {printable(reason, 200)}"),) if reason else ()
+def _because(reason: str) -> tuple[SentencePart, ...]:
+    return (SentencePart(f": {printable(reason, 200)}"),) if reason else ()
 
 
-def _repeats(event: EventView, certified: Mapping[str, int]) -> bool:
-    """Whether another entry says it: a name that was given, and asked for before."""
-    answered = certified.get(event.subject, -1) > event.number
-    return event.what in _FOLDED or (event.what in ("pending", "approved") and answered)
-
-
-def _event(event: EventView, known: Known) -> Sentence | None:
+def _event(event: EventView, known: KnownIds) -> Sentence | None:
     told = _TELL.get(event.what, _unknown)(event, known)
     if told is None:
         return None
     tone, verb, parts = told
-    node = event.subject if event.subject.startswith("/") else _node_of(event, known)
+    node, grant = known.nodes.get(event.subject, ""), known.grants.get(event.subject)
+    node = node if grant is None else grant.subject
+    node = event.subject if event.subject.startswith("/") else node
     return Sentence(event.at, tone, verb, parts, event.number, node)
 
 
-def _node_of(event: EventView, known: Known) -> str:
-    grant = known.grants.get(event.subject)
-    return known.nodes.get(event.subject, "") if grant is None else grant.subject
-
-
-def _unknown(event: EventView, known: Known) -> _Told:
+def _unknown(event: EventView, known: KnownIds) -> _Told:
     shown = known.nodes.get(event.subject, event.subject)
-    detail = (Part(printable(event.detail, 200)),) if event.detail else ()
+    detail = (SentencePart(printable(event.detail, 200)),) if event.detail else ()
     return "note", printable(event.what, 40).capitalize(), (_name(shown), *detail)
 
 
-def _grant(event: EventView, known: Known) -> _Told:
+def _grant(event: EventView, known: KnownIds) -> _Told:
     grant = known.grants.get(event.detail)
     if grant is None:
-        return "allowed", "Allowed", (_name(event.subject), Part("got a right that has ended"))
-    parts = (_name(event.subject), Part("may"), *permissions(grant.permissions))
+        return "allowed", "Allowed", (_name(event.subject), SentencePart("got a right that has ended"))
+    parts = (_name(event.subject), SentencePart("may"), *permissions(grant.permissions))
     return "allowed", "Allowed", parts
 
 
-def _revocation(event: EventView, known: Known) -> _Told:
+def _revocation(event: EventView, known: KnownIds) -> _Told:
     grant, node = known.grants.get(event.subject), known.nodes.get(event.subject)
     why = _because(event.detail)
     if event.subject in known.ending and (grant is not None or node is not None):
-        return "ended", "Ending", (*_may_still(grant, node or ""), *why)
+        still: tuple[SentencePart, ...] = (
+            _name(node or ""),
+            SentencePart("may still do what it was allowed"),
+        )
+        if grant is not None:
+            still = (_name(grant.subject), SentencePart("may still"), *permissions(grant.permissions))
+        return "ended", "Ending", (*still, SentencePart(", until every node has heard"), *why)
     if grant is not None:
-        gone = (_name(grant.subject), Part("may no longer"), *permissions(grant.permissions))
+        gone = (_name(grant.subject), SentencePart("may no longer"), *permissions(grant.permissions))
         return "ended", "Ended", (*gone, *why)
     if node is not None:
-        return "ended", "Removed", (_name(node), Part("does not belong here any more"), *why)
-    return "ended", "Ended", (Part(f"what has the number {event.subject[:8]}"), *why)
+        return "ended", "Removed", (_name(node), SentencePart("does not belong here any more"), *why)
+    return "ended", "Ended", (SentencePart(f"what has the number {event.subject[:8]}"), *why)
 
 
-def _may_still(grant: Grant | None, node: str) -> tuple[Part, ...]:
-    until = Part(", until every node has heard")
-    if grant is None:
-        return (_name(node), Part("may still do what it was allowed"), until)
-    return (_name(grant.subject), Part("may still"), *permissions(grant.permissions), until)
-
-
-def _grant_request(event: EventView, known: Known) -> _Told:
+def _grant_request(event: EventView, known: KnownIds) -> _Told:
     found = known.questions.get(event.detail)
     if found is None:
-        return "asked", "Asked", (_name(event.subject), Part("asked for a right; it is answered"))
-    rights = [
-        Permission(each.pattern, Right(each.right)) for asked in found for each in asked.rights
-    ]
-    return "asked", "Asked", (_name(event.subject), Part("asked to"), *permissions(rights))
+        return "asked", "Asked", (_name(event.subject), SentencePart("asked for a right; it is answered"))
+    rights = [Permission(each.pattern, Right(each.right)) for asked in found for each in asked.rights]
+    return "asked", "Asked", (_name(event.subject), SentencePart("asked to"), *permissions(rights))
 
 
-def _decision(event: EventView, _known: Known) -> _Told:
+def _decision(event: EventView, _known: KnownIds) -> _Told:
     answer, _, pattern = event.detail.rpartition(" ")
     if answer == "granted":
         return None  # the grant has an entry of its own
     said = "was denied what it asked for:" if answer == "denied" else f"asked, {answer}:"
-    return "refused", "Denied", (_name(event.subject), Part(said), _name(pattern))
+    return "refused", "Denied", (_name(event.subject), SentencePart(said), _name(pattern))
 
 
-def _collected(event: EventView, _: Known) -> _Told:
+def _collected(event: EventView, _: KnownIds) -> _Told:
     if event.detail not in ("pending", "approved"):
         return None
-    return "note", "Expired", (_name(event.subject), Part("asked to join and got no answer"))
+    return "note", "Expired", (_name(event.subject), SentencePart("asked to join and got no answer"))
 
 
-def _about(tone: str, verb: str, text: str) -> _Tell:
-    """Says `text` of the subject, and why if there is a reason."""
-
-    def tell(event: EventView, _: Known) -> _Told:
-        return tone, verb, (_name(event.subject), Part(text), *_because(event.detail))
+def _about(tone: str, verb: str, text: str, *, why: bool = True) -> _Tell:
+    def tell(event: EventView, _: KnownIds) -> _Told:
+        return (
+            tone,
+            verb,
+            (_name(event.subject), SentencePart(text), *(_because(event.detail) if why else ())),
+        )
 
     return tell
 
 
 def _plain(tone: str, verb: str, before: str) -> _Tell:
-    """Says `before`, then the subject; the detail is for programs."""
-
-    def tell(event: EventView, _: Known) -> _Told:
-        return tone, verb, (Part(before), _name(event.subject))
+    def tell(event: EventView, _: KnownIds) -> _Told:
+        return tone, verb, (SentencePart(before), _name(event.subject))
 
     return tell
 
 
-def _pending(event: EventView, _: Known) -> _Told:
-    source = (Part(f"from {printable(event.detail, 80)}"),) if event.detail else ()
-    return "asked", "Asked", (_name(event.subject), Part("asked to join"), *source)
+def _pending(event: EventView, _: KnownIds) -> _Told:
+    source = (SentencePart(f"from {printable(event.detail, 80)}"),) if event.detail else ()
+    return "asked", "Asked", (_name(event.subject), SentencePart("asked to join"), *source)
 
 
-def _certificate(event: EventView, _: Known) -> _Told:
-    return "joined", "Joined", (_name(event.subject), Part("belongs here now"))
+def _restored(event: EventView, _: KnownIds) -> _Told:
+    return "note", "Restored", (SentencePart(f"the record was put back {printable(event.detail, 80)}"),)
 
 
-def _joined_by_code(event: EventView, _: Known) -> _Told:
-    return "note", "Code used", (_name(event.subject), Part("came with a join code"))
+def _passkey(event: EventView, _: KnownIds) -> _Told:
+    return "joined", "Phone", (SentencePart(printable(event.subject, 80)), SentencePart("can approve now"))
 
 
-def _restored(event: EventView, _: Known) -> _Told:
-    text = f"the record was put back {printable(event.detail, 80)}"
-    return "note", "Restored", (Part(text),)
+def _domain(event: EventView, _: KnownIds) -> _Told:
+    called = SentencePart(f"is trusted as far as was said, and called {printable(event.detail, 40)}")
+    return "allowed", "Domain", (SentencePart(printable(event.subject, 80)), called)
 
 
-def _passkey(event: EventView, _: Known) -> _Told:
-    return "joined", "Phone", (Part(printable(event.subject, 80)), Part("can approve now"))
-
-
-def _domain(event: EventView, _: Known) -> _Told:
-    called = Part(f"is trusted as far as was said, and called {printable(event.detail, 40)}")
-    return "allowed", "Domain", (Part(printable(event.subject, 80)), called)
-
-
-def _approval(event: EventView, _: Known) -> _Told:
+def _approval(event: EventView, _: KnownIds) -> _Told:
     what = printable(event.detail.split(" ")[0], 40)
-    phone = Part(printable(event.subject, 80))
-    return "allowed", "Approved", (Part(APPROVED.get(what, what)), Part("with"), phone)
+    phone = SentencePart(printable(event.subject, 80))
+    return "allowed", "Approved", (SentencePart(APPROVED.get(what, what)), SentencePart("with"), phone)
 
 
-def _approval_ended(event: EventView, _: Known) -> _Told:
+def _approval_ended(event: EventView, _: KnownIds) -> _Told:
     if event.detail.startswith("done"):
         return None  # what it made has entries of its own
-    return "note", "Approval", (Part(printable(event.detail, 200)),)
+    return "note", "Approval", (SentencePart(printable(event.detail, 200)),)
 
 
 APPROVED: Final[Mapping[str, str]] = {
@@ -315,14 +288,14 @@ _TELL: Final[Mapping[str, _Tell]] = {
     "approved": _about("allowed", "Approved", "may join"),
     "denied": _about("refused", "Denied", "may not join"),
     "collected": _collected,
-    "certificate": _certificate,
+    "certificate": _about("joined", "Joined", "belongs here now", why=False),
     "grant": _grant,
     "revocation": _revocation,
     "list": _plain("note", "Signed", "the list of ended rights, number"),
     "grant request": _grant_request,
     "decision": _decision,
     "invitation": _plain("allowed", "Join code", "made for"),
-    "join": _joined_by_code,
+    "join": _about("note", "Code used", "came with a join code", why=False),
     "invitation ended": _about("ended", "Ended", "can no longer be joined with its code"),
     "imported": _plain("note", "Imported", "from an intermediate:"),
     "restored": _restored,

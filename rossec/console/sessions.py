@@ -1,28 +1,38 @@
-"""Who is logged in: sessions by the digest of their cookie, in memory only. Pure.
+"""Who is logged in, and how often somebody may try: in memory only, and by a clock that cannot be set. Pure.
 
-A cookie is 256 random bits. Only its SHA-256 is kept, so nothing that reads this process's memory
-late, or its core file, has a cookie to send. A session ends 8 hours after it began, 30 minutes
-after its last use, and with the process. Time is that of a clock that cannot be set: one that is
-ahead for a look would end all of them. It shows, denies and revokes; it never approves.
+A cookie is 256 random bits. Only its SHA-256 is kept, so nothing that reads this process's memory late, or
+its core file, has a cookie to send. A session ends 8 hours after it began, 30 minutes after its last use, and
+with the process. It shows, denies and revokes; it never approves.
 """
 
 import base64
+from collections import Counter, OrderedDict, deque
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import Final
 
-from rossec.authority.console import owners
+from rossec import clock
+from rossec.authority.console import messages
+from rossec.authority.console.messages import PhoneView
 from rossec.errors import HttpRefused
-from rossec.shares import SharedTable
+from rossec.net.limits import source_of
+from rossec.peer_limits import SharedTable
 
 COOKIE: Final = "__Host-rossec"  # the prefix: only this host, over a secure connection, sets it
 COOKIE_SIZE: Final = 32  # bytes
 MAX_SESSIONS: Final = 64
+KEPT: Final = 2.0  # seconds for which an answer about phones is taken
+MAX_FAILURES: Final = 5
+WINDOW: Final = 60  # seconds
+MAX_ADDRESSES: Final = 256
+MAX_WAITING: Final = 4
 _TEXT_SIZE: Final = 43  # of 32 bytes as base64url
 
 
 @dataclass
-class Session:
+class LoginSession:
     """A login. `phone`: the passkey's name; empty: by a code, to look.
 
     `passkey` is its credential id, as soon as that is known (`known_phones`). `seen` is the number
@@ -38,38 +48,27 @@ class Session:
 
 
 class Sessions:
-    """The sessions of one console; the oldest of the phone with most, or to look, makes room.
-
-    Args:
-        lifetime, idle: in seconds.
-    """
+    """The sessions of one console; the oldest of the phone with most, or to look, makes room."""
 
     def __init__(self, lifetime: int, idle: int) -> None:
         self._lifetime, self._idle = lifetime, idle
-        self._sessions: SharedTable[bytes, Session] = SharedTable(MAX_SESSIONS)
+        self._sessions: SharedTable[bytes, LoginSession] = SharedTable(MAX_SESSIONS)
 
     def __len__(self) -> int:
         return len(self._sessions)
 
     def begin(self, secret: bytes, phone: str, now: float) -> str:
-        """Begin a session with `secret`, 32 random bytes; returns the value of its cookie.
-
-        Raises:
-            HttpRefused: phones have all places, and this is a session to look.
-        """
+        # Begin a session with `secret`, 32 random bytes; returns the value of its cookie.
         digest = sha256(secret).digest()
-        owner = owners.of_phone(phone) if phone else owners.LOOKER
+        owner = messages.of_phone(phone) if phone else messages.LOOKER
         if (
-            self._sessions.add(digest, Session(digest, phone, now, now), owner, owners.rank(owner))
+            self._sessions.add(digest, LoginSession(digest, phone, now, now), owner, messages.rank(owner))
             is None
         ):
-            raise HttpRefused(
-                "too many are logged in", "log out elsewhere, or use a phone", status=429
-            )
+            raise HttpRefused("too many are logged in", "log out elsewhere, or use a phone", status=429)
         return base64.urlsafe_b64encode(secret).rstrip(b"=").decode()
 
-    def find(self, cookie: str, now: float) -> Session | None:
-        """The session of a cookie's value; None: there is none, or it is over."""
+    def find(self, cookie: str, now: float) -> LoginSession | None:
         if len(cookie) != _TEXT_SIZE or not cookie.isascii():
             return None
         try:
@@ -80,8 +79,7 @@ class Sessions:
         session = self._sessions.get(sha256(secret).digest())
         return session if session is not None and self.is_valid(session, now) else None
 
-    def is_valid(self, session: Session, now: float) -> bool:
-        """Whether a session still counts; one whose time is over is forgotten."""
+    def is_valid(self, session: LoginSession, now: float) -> bool:
         if self._sessions.get(session.id) is not session:
             return False
         since_begin, since_use = now - session.began, now - session.used
@@ -90,20 +88,100 @@ class Sessions:
         self.end(session)
         return False
 
-    def use(self, session: Session, now: float) -> None:
-        """Note that a person used it."""
+    def use(self, session: LoginSession, now: float) -> None:
         session.used = now
 
-    def end(self, session: Session) -> None:
-        """End a session at once."""
+    def end(self, session: LoginSession) -> None:
         self._sessions.pop(session.id)
 
     def end_of_phone(self, phone: str) -> None:
-        """End every session that the passkey of this name began."""
         for session in [each for _, each in self._sessions.items() if each.phone == phone]:
             self.end(session)
 
 
-def owner_of(session: Session) -> str:
+def owner_of(session: LoginSession) -> str:
     """Who has what a session begins: the phone, with all its sessions, or one session to look."""
-    return owners.of_phone(session.phone) if session.phone else owners.of_looker(session.id)
+    return messages.of_phone(session.phone) if session.phone else messages.of_looker(session.id)
+
+
+Phones = Callable[[], Awaitable[tuple[PhoneView, ...]]]
+
+
+class KnownPhones:
+    """The phones of the record, as they were asked for last: a session outlives its phone by at most `KEPT`.
+
+    A phone that is registered again under the name of one that was removed does not bring its sessions back.
+    Where the service does not answer nobody is let in.
+    """
+
+    def __init__(self, phones: Phones, elapsed: clock.Seconds | None = None) -> None:
+        self._phones = phones
+        self._elapsed = clock.counter() if elapsed is None else elapsed
+        self._asked = float("-inf")
+        self._known: tuple[PhoneView, ...] = ()
+
+    async def counts(self, session: LoginSession) -> bool:
+        is_fresh = self._elapsed() - self._asked < KEPT
+        if not session.phone or (is_fresh and self._is_known(session)):
+            return True
+        asked = self._elapsed()
+        self._known = await self._phones()  # also for a phone that was set up just now
+        self._asked = asked
+        return self._is_known(session)
+
+    def _is_known(self, session: LoginSession) -> bool:
+        for each in self._known:
+            if each.name == session.phone and not each.ended:  # one at most
+                session.passkey = session.passkey or each.id
+                return session.passkey == each.id
+        return False
+
+
+class FailureLimit:
+    """How often somebody may be wrong: five times a minute, then a minute's pause.
+
+    Codes have 128 bits and passkeys cannot be guessed: this keeps noise from the authority, and makes whoever
+    mistypes look again. Counted by address, so that one device does not lock out another; of IPv6 by the
+    network, since a device has as many addresses as it likes.
+    """
+
+    def __init__(self) -> None:
+        self._failures: OrderedDict[str, deque[float]] = OrderedDict()
+
+    def is_blocked(self, address: str, now: float) -> bool:
+        if not address:  # behind a proxy all have none: one would keep out everybody
+            return False
+        times = self._failures.get(source_of(address))
+        return times is not None and sum(now - time < WINDOW for time in times) >= MAX_FAILURES
+
+    def note(self, address: str, now: float) -> None:
+        key = source_of(address)
+        times = self._failures.setdefault(key, deque(maxlen=MAX_FAILURES))
+        self._failures.move_to_end(key)
+        times.append(now)
+        while len(self._failures) > MAX_ADDRESSES:
+            self._failures.popitem(last=False)
+
+
+class LoginTurns:
+    """How many questions of one source wait for the authority's service before a login.
+
+    Anybody on the network may ask for a challenge, and all such questions take turns at the service. A source
+    that has several waiting is told to come back, so a phone waits for few of each.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: Counter[str] = Counter()
+
+    @contextmanager
+    def wait(self, address: str) -> Iterator[None]:
+        source = source_of(address)
+        if address and self._waiting[source] >= MAX_WAITING:
+            raise HttpRefused("too many attempts", "wait a minute", status=429)
+        self._waiting[source] += 1
+        try:
+            yield
+        finally:
+            self._waiting[source] -= 1
+            if not self._waiting[source]:
+                del self._waiting[source]

@@ -1,28 +1,28 @@
-"""What grants, filters, rights and spans of time are called on the pages. Pure.
+"""What grants, filters, rights and spans of time are called, and what the policy calls things. Pure.
 
-For people who live with robots and do not program them: short, and the most important field first.
-`sentences` says what happened, `matrix` who sees what. Every operator of a filter has its words
-here, which a test compares with `grants.filters.operators`; a text of a node or a policy that is
-shown passes `printable`.
+For people who live with robots and do not program them: short, and the most important field first. Every
+operator of a filter has its words here, which a test compares with `grants.filters.operators`; a text of a
+node or a policy that is shown passes `printable`. A title of the policy is never shown without the name of
+ROS beside it: it is a help to people, who decide by the name. No node can choose its own.
 """
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cache
 from typing import Final
 
-from ca.domains.aliases import shown
-from ca.patterns import TAIL
+from ca.names import TAIL, shown
 from grants.errors import GrantError
 from grants.model import FilterRule, Restriction, Right, Scalar
-from grants.vocabulary.assess import assess
-from grants.vocabulary.describe import Description, describe
-from grants.vocabulary.sentences import sentence
-from grants.vocabulary.words import EXACT
+from grants.policy.model import type_of
+from grants.vocabulary.assess import assess, sentence
+from grants.vocabulary.contents import EXACT, Description, describe
+from rossec.authority.console.messages import PolicyName
 from rossec.errors import MessageError
 from rossec.participant.host_types import layout_of
-from rossec.ros.text import printable
+from rossec.peer_limits import printable
 
 MAX_NAME: Final = 120
 MINUTE, HOUR, DAY, YEAR = 60, 3600, 86400, 365 * 86400
@@ -44,17 +44,14 @@ _UNITS: Final = ((YEAR, "year"), (DAY, "day"), (HOUR, "hour"), (MINUTE, "minute"
 
 
 def name(text: object) -> str:
-    """A name of a node or a topic, on one line and bounded; an alias as `hospital:/robot/pose`."""
     return printable(shown(text) if isinstance(text, str) else text, MAX_NAME)
 
 
 def count(number: int, what: str) -> str:
-    """`1 node`, `2 nodes`."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def listing(items: Iterable[str], limit: int = 4) -> str:
-    """`a, b and c`; of more than `limit`: `a, b, c, d and 3 more`."""
     given = list(items)
     shown, rest = given[:limit], len(given) - limit
     if rest > 0:
@@ -63,7 +60,6 @@ def listing(items: Iterable[str], limit: int = 4) -> str:
 
 
 def rights(given: Right) -> str:
-    """`see and send`."""
     return listing((RIGHTS[right] for right in given), len(RIGHTS))
 
 
@@ -76,7 +72,6 @@ def duration(seconds: int) -> str:
 
 
 def ago(at: int, now: int) -> str:
-    """`just now`, `16 minutes ago`; a time that is still to come is `just now` too."""
     return "just now" if now - at < MINUTE else f"{duration(now - at)} ago"
 
 
@@ -92,14 +87,12 @@ def day(time: int) -> str:
 
 
 def term(expires: int, cap: int, now: int) -> str:
-    """How long a grant lasts: it is renewed, without asking, until `cap`."""
     if cap <= expires:
         return left(expires, now)
     return f"renewed by itself, {left(cap, now)}" if cap > now else "over"
 
 
 def topic(pattern: str) -> str:
-    """A pattern of names, as text: `everything below /robot`; of anonymous nodes `/rviz_…/pose`."""
     if pattern == "/**":
         return "everything"
     if pattern.endswith("/**") and "*" not in pattern[:-3]:
@@ -170,18 +163,21 @@ _COMPARISON: Final = re.compile(
     r"""msg\.([A-Za-z][\w.]*) (==|!=|<=|>=|<|>) ("[^"\\]*"|'[^'\\]*'|-?\d+(?:\.\d+)?)""", re.ASCII
 )
 _COMPARED: Final[Mapping[str, str]] = {
-    "==": "", "!=": "not ", "<": "below ", ">": "above ", "<=": "at most ", ">=": "at least ",
-}  # fmt: skip
+    "==": "",
+    "!=": "not ",
+    "<": "below ",
+    ">": "above ",
+    "<=": "at most ",
+    ">=": "at least ",
+}
 
 
 def field_name(path: str, type_name: str | None = None) -> str:
-    """What the field at `path` is called; an unknown one by its path."""
     own = _OWN_NAMES.get((type_name or "", path))
     return own if own is not None else _field(path)[1]
 
 
 def _field(path: str) -> tuple[int, str, str]:
-    """Place in the order, name and unit of the longest end of `path` that is known."""
     fits = [
         (len(end), order, said, unit)
         for order, (end, said, unit) in enumerate(_FIELDS)
@@ -200,7 +196,6 @@ def _value(value: Scalar) -> str:
 
 
 def filter_rule(rule: FilterRule, type_name: str | None = None) -> str:
-    """One rule: `position to 2 m`."""
     _, _, unit = _field(rule.path)
     said = field_name(rule.path, type_name)
     given = {parameter: _value(value) for parameter, value in rule.parameters}
@@ -213,7 +208,6 @@ def filter_rule(rule: FilterRule, type_name: str | None = None) -> str:
 
 
 def _squares(given: Mapping[str, str]) -> str:
-    """How large they are and what they show: ` of 32 pixels, at most 16 across`."""
     parts = [f"at most {given['across']} across"] if "across" in given else []
     parts += [f"{given['levels']} shades of grey"] if "levels" in given else []
     parts += ["only in a part of it"] if "width" in given else []
@@ -222,25 +216,20 @@ def _squares(given: Mapping[str, str]) -> str:
 
 
 def filters(rules: Iterable[FilterRule], type_name: str | None = None) -> list[str]:
-    """Every rule, the most important first; each text once."""
     ordered = sorted(rules, key=lambda rule: (_field(rule.path)[0], rule.path))
     return list(dict.fromkeys(filter_rule(rule, type_name) for rule in ordered))
 
 
 def rate(number: float) -> str:
     """`at most 5 a second`, `at most one every 5 s`."""
-    return (
-        f"at most {number:g} a second" if number >= 1 else f"at most one every {1 / number:.3g} s"
-    )
+    return f"at most {number:g} a second" if number >= 1 else f"at most one every {1 / number:.3g} s"
 
 
 def slot(seconds: int) -> str:
-    """`one at the start of each 60 s`."""
     return f"one at the start of each {seconds} s"
 
 
 def restriction(given: Restriction) -> list[str]:
-    """What a restriction does, part by part: filters, limits, conditions."""
     parts = filters(given.filters, given.type)
     if given.rate is not None:
         parts.append(rate(given.rate))
@@ -250,7 +239,6 @@ def restriction(given: Restriction) -> list[str]:
 
 
 def condition(text: str, type_name: str | None = None) -> str:
-    """A condition in words if it compares one field with one value; else as it is written."""
     found = _COMPARISON.fullmatch(text)
     if found is None:
         return printable(text, 200)
@@ -293,3 +281,36 @@ def description(type_name: str) -> Description | None:
         return describe(layout_of(type_name))
     except (GrantError, MessageError):
         return None
+
+
+MAX_TITLE: Final = 60
+
+
+@dataclass(frozen=True)
+class Names:
+    """Titles by name, as the name is and as it is shown; types by topic or pattern."""
+
+    titles: dict[str, str] = field(default_factory=dict)
+    types: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, found: Iterable[PolicyName]) -> "Names":
+        titles: dict[str, str] = {}
+        types: dict[str, str] = {}
+        for each in found:
+            if each.type:
+                types[each.name] = each.type
+            if each.title:
+                title = printable(each.title, MAX_TITLE)
+                titles |= dict.fromkeys((each.name, topic(each.name)), title)
+        return cls(titles, types)
+
+    def title(self, name: str) -> str:
+        return self.titles.get(name, "")
+
+    def type_of(self, topic: str) -> str:
+        """The type of a topic's messages, by the policy; empty: it does not say."""
+        return type_of(self.types, topic) or ""
+
+
+NONE: Final = Names()

@@ -27,7 +27,7 @@ Run = Callable[[Sequence[str], Mapping[str, str]], int]
 
 
 class DemoFailed(RossecError):
-    """A step of the demo failed."""
+    pass
 
 
 class StepPrinter:
@@ -39,7 +39,6 @@ class StepPrinter:
 
     @contextlib.contextmanager
     def step(self, title: str) -> Iterator[None]:
-        """One step; its time is printed when it succeeded."""
         self._step += 1
         self._write(f"\n{self._step:2}. {title}\n")
         begin = time.perf_counter()
@@ -47,7 +46,6 @@ class StepPrinter:
         self._write(f"    done in {time.perf_counter() - begin:.2f} s\n")
 
     def print(self, text: str) -> None:
-        """One or more indented lines."""
         for line in text.splitlines():
             self._write(f"    {line}\n")
 
@@ -59,9 +57,7 @@ class DemoEnvironment:
         run: runs one command line in an environment, returns its exit code (`rossec.cli.main.run`).
     """
 
-    def __init__(
-        self, root: Path, printer: StepPrinter, variables: dict[str, str], run: Run
-    ) -> None:
+    def __init__(self, root: Path, printer: StepPrinter, variables: dict[str, str], run: Run) -> None:
         self.root = root
         self.printer = printer
         self.run = run
@@ -69,11 +65,7 @@ class DemoEnvironment:
         self._processes: list[DemoProcess] = []
 
     async def command(self, *arguments: str, quiet: bool = False) -> str:
-        """Run `rossec ARGUMENTS` here, print its output, and return it.
-
-        Raises:
-            DemoFailed: the command did not succeed.
-        """
+        """Run `rossec ARGUMENTS` here, print its output, and return it."""
         self.printer.print(f"$ rossec {self._relative(shlex.join(arguments))}")
         code, output = await asyncio.to_thread(self._run, arguments)
         if code:
@@ -89,7 +81,6 @@ class DemoEnvironment:
         return code, out.getvalue()
 
     def set(self, variable: str, value: str) -> None:
-        """Set an environment variable for what is run from now on."""
         self._environment[variable] = value
 
     async def start(self, module: str, *arguments: str, name: str) -> "DemoProcess":
@@ -98,20 +89,22 @@ class DemoEnvironment:
         log.parent.mkdir(mode=0o700, exist_ok=True)
         with log.open("ab") as errors:
             process = await asyncio.create_subprocess_exec(
-                sys.executable, "-I", "-m", module, *arguments,
-                env=self._environment, stdin=asyncio.subprocess.DEVNULL,
-                stdout=asyncio.subprocess.PIPE, stderr=errors,
-            )  # fmt: skip
+                sys.executable,
+                "-I",
+                "-m",
+                module,
+                *arguments,
+                env=self._environment,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=errors,
+            )
         started = DemoProcess(name, process, log)
         self._processes.append(started)
         return started
 
     async def until_one_ends(self) -> None:
-        """Wait until a process ends that nobody stopped.
-
-        Raises:
-            DemoFailed: always, with what it logged.
-        """
+        """Wait until a process ends that nobody stopped."""
         waiting = [asyncio.ensure_future(each.wait()) for each in self._processes]
         try:
             await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
@@ -122,7 +115,6 @@ class DemoEnvironment:
         raise DemoFailed(f"{ended.name} has ended; it logged: {ended.last_lines()}")
 
     async def stop_all(self) -> None:
-        """Stop every process, last first."""
         for process in reversed(self._processes):
             await process.stop()
 
@@ -131,8 +123,6 @@ class DemoEnvironment:
 
 
 class DemoProcess:
-    """A running process and what it reported so far."""
-
     def __init__(self, name: str, process: asyncio.subprocess.Process, log: Path) -> None:
         self.name = name
         self.reports: list[Report] = []
@@ -143,18 +133,8 @@ class DemoProcess:
         self._reader = asyncio.get_running_loop().create_task(self._read())
 
     async def expect(
-        self,
-        what: str,
-        wanted: Callable[[Report], bool],
-        *,
-        after: int = 0,
-        within: float = DEADLINE,
+        self, what: str, wanted: Callable[[Report], bool], *, after: int = 0, within: float = DEADLINE
     ) -> Report:
-        """Return the first report past number `after` that is `wanted`.
-
-        Raises:
-            DemoFailed: none came in time, or the process ended first.
-        """
         try:
             async with asyncio.timeout(within), self._changed:
                 await self._changed.wait_for(lambda: self._find(wanted, after) or self._ended)
@@ -166,11 +146,6 @@ class DemoProcess:
         return found
 
     async def logged(self, pattern: str, within: float = DEADLINE) -> str:
-        """Return the first text in its log that matches, at the beginning of a line.
-
-        Raises:
-            DemoFailed: none came in time, or the process ended first.
-        """
         end = time.monotonic() + within
         while True:
             has_ended = self._ended  # before the look: what it wrote last counts
@@ -183,20 +158,17 @@ class DemoProcess:
 
     @property
     def ended(self) -> bool:
-        """The process has ended."""
         return self._ended
 
     async def wait(self) -> None:
-        """Wait until the process has ended."""
         async with self._changed:
             await self._changed.wait_for(lambda: self._ended)
 
     def about(self, topic: str) -> list[Report]:
-        """The reports on one topic."""
         return [report for report in self.reports if report.get("topic") == topic]
 
     async def stop(self) -> None:
-        """Terminate the process; kill it when it does not end."""
+        # Terminate the process; kill it when it does not end.
         if self._process.returncode is None:
             self._process.terminate()
             try:
@@ -220,6 +192,5 @@ class DemoProcess:
         return next((report for report in self.reports[after:] if wanted(report)), None)
 
     def last_lines(self) -> str:
-        """The end of its log."""
         lines = self._log.read_text(errors="replace").strip().splitlines()
         return " / ".join(lines[-3:]) or "nothing"

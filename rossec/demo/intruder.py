@@ -21,14 +21,11 @@ from rossec.terminal import say_json
 
 @dataclass(frozen=True, eq=False)  # a key cannot be hashed, and a peer names itself in `turns`
 class UnverifiedPeer:
-    """A peer as its certificate describes it, unverified."""
-
     public_key: ec.EllipticCurvePublicKey
     not_after: int
 
 
 def accept_any(chain: tuple[bytes, ...], _now: int) -> UnverifiedPeer:
-    """Accept any certificate."""
     certificate = x509.load_der_x509_certificate(chain[0])
     key = certificate.public_key()
     if not isinstance(key, ec.EllipticCurvePublicKey):
@@ -37,7 +34,6 @@ def accept_any(chain: tuple[bytes, ...], _now: int) -> UnverifiedPeer:
 
 
 async def main(name: str, port: int) -> None:
-    """Try to get a secure connection to the node listening on `port`."""
     home = NodeHome.of(rossec_home(os.environ), name)
     try:
         stream = await connect("127.0.0.1", port, SecureContext(home.credentials(), accept_any))

@@ -25,7 +25,6 @@ _WIDTH, _HEIGHT, _RAYS = 320, 240, 360
 
 
 async def main() -> None:
-    """Publish until terminated."""
     async with Node(NAME) as node:
         pose = await node.publisher(*POSE)
         scan = await node.publisher(*SCAN)
@@ -51,7 +50,6 @@ def publish_pose(publisher: Publisher, tick: int) -> None:
 
 
 def publish_scan(publisher: Publisher, tick: int) -> None:
-    """A round room with a ripple in its wall."""
     rays = np.arange(_RAYS, dtype=np.float32)
     message = publisher.create(
         angle_min=-math.pi, angle_max=math.pi, angle_increment=2 * math.pi / _RAYS, range_max=10.0
@@ -62,7 +60,6 @@ def publish_scan(publisher: Publisher, tick: int) -> None:
 
 
 def publish_image(publisher: Publisher, tick: int) -> None:
-    """A grey ramp that moves."""
     message = publisher.create(height=_HEIGHT, width=_WIDTH, encoding="mono8", step=_WIDTH)
     _stamp(message.header, tick)
     ramp = (np.arange(_WIDTH, dtype=np.uint16) + tick).astype(np.uint8)

@@ -14,21 +14,18 @@ from rossec.terminal import say_json
 
 
 async def main(name: str, topics: list[str]) -> None:
-    """Subscribe to every topic and report until terminated."""
     async with Node(name) as node, asyncio.TaskGroup() as group:
         for topic, _, type_name in (item.partition("=") for item in topics):
             group.create_task(report(await node.subscriber(topic, type_name)))
 
 
 async def report(subscriber: Subscriber) -> None:
-    """Report the messages of one topic."""
     async for message in subscriber:
         say_json({"topic": subscriber.topic, "at": time.time(), **summary(message)})
         sys.stdout.flush()
 
 
 def summary(message: Any) -> dict[str, object]:
-    """What the demo prints of a message."""
     seen: dict[str, object] = {"seq": message.header.seq, "frame": message.header.frame_id}
     if hasattr(message, "pose"):
         position = message.pose.position

@@ -22,30 +22,21 @@ _PLACES: Final = (_HERE / "border", _HERE.parents[1] / "examples" / "border")
 
 
 class Reporter(io.TextIOBase):
-    """Turns lines of text into reports on `out`."""
-
     def __init__(self, out: TextIO) -> None:
         self._out = out
         self._line = ""
 
     def write(self, text: str) -> int:
-        """Take what is printed."""
         *lines, self._line = (self._line + text).split("\n")
         for line in lines:
             self._out.write(json.dumps({"said": line}) + "\n")
         return len(text)
 
     def flush(self) -> None:
-        """Pass on what is complete."""
         self._out.flush()
 
 
 def find(places: Sequence[Path] = _PLACES) -> Path:
-    """Where the example is.
-
-    Raises:
-        ConfigurationError: the package was installed without it.
-    """
     for place in places:
         if (place / NAME).is_file():
             return place / NAME
@@ -53,7 +44,6 @@ def find(places: Sequence[Path] = _PLACES) -> Path:
 
 
 def main(directory: str, arguments: Sequence[str]) -> None:
-    """Run the example in `directory`, where its key is."""
     program = find()
     os.chdir(directory)
     sys.path.insert(0, str(program.parent))  # what it imports lies beside it

@@ -1,10 +1,8 @@
-"""The process that decodes a picture (`python -I -m rossec.enrollment.scanner`).
+"""The process that decodes a picture (`python -I -m rossec.enrollment.scanner`): bytes in, one line out.
 
-Bytes in, one line out.
-
-Pictures are untrusted, and the cost of decoding one is not bounded by its size: a few kilobytes
-full of finder patterns take a minute. So it runs in a process of its own (`rossec.enrollment.scan`
-starts it and waits a limited time), with limits of the kernel on memory and processor time.
+Pictures are untrusted, and the cost of decoding one is not bounded by its size: a few kilobytes full of
+finder patterns take a minute. So it runs in a process of its own (`rossec.enrollment.enroll` starts it and
+waits a limited time), with limits of the kernel on memory and processor time.
 """
 
 import io
@@ -26,18 +24,31 @@ _FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "PPM")
 
 
 def texts(data: bytes) -> list[str]:
-    """The texts of the rossec codes in a picture, each once.
-
-    Raises:
-        ConfigurationError: not a picture, too large, or the extra `scan` is missing.
-    """
-    zxingcpp, image = _library(), _open(data)
-    found = zxingcpp.read_barcodes(image, formats=zxingcpp.BarcodeFormat.QRCode)
+    try:
+        import zxingcpp  # noqa: PLC0415 - an extra
+        from PIL import Image, UnidentifiedImageError  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise ConfigurationError(
+            "reading pictures needs pillow and zxing-cpp",
+            "pip install 'rossec[scan]', or paste the text below the code",
+        ) from error
+    if len(data) > MAX_FILE:
+        raise ConfigurationError(f"the picture has more than {MAX_FILE} bytes", CLOSER)
+    try:
+        opened = Image.open(io.BytesIO(data), formats=_FORMATS)
+        if opened.width * opened.height > MAX_PIXELS:
+            raise ConfigurationError("the picture has too many pixels", "make it smaller")
+        image = opened.convert("L")
+    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, ValueError) as error:
+        raise ConfigurationError(
+            "this is not a picture that can be read", f"use one of {', '.join(_FORMATS)}"
+        ) from error
+    qr: Any = zxingcpp.BarcodeFormat.QRCode
+    found = zxingcpp.read_barcodes(image, formats=qr)
     return sorted({code.text for code in found if code.text.startswith(PREFIX)})[:MAX_CODES]
 
 
 def main() -> int:
-    """Answer one picture on standard input; returns the exit code."""
     _limit(resource.RLIMIT_AS, MEMORY)
     _limit(resource.RLIMIT_CPU, SECONDS)
     _limit(resource.RLIMIT_CORE, 0)
@@ -52,43 +63,10 @@ def main() -> int:
 
 
 def _limit(what: int, most: int) -> None:
-    """Set soft and hard limit, never above the hard limit of this process."""
+    # Set soft and hard limit, never above the hard limit of this process.
     _, hard = resource.getrlimit(what)
     bound = most if hard == resource.RLIM_INFINITY else min(most, hard)
     resource.setrlimit(what, (bound, bound))
-
-
-def _library() -> Any:
-    try:
-        import zxingcpp  # noqa: PLC0415 - an extra
-    except ImportError as error:
-        raise _missing() from error
-    return zxingcpp
-
-
-def _open(data: bytes) -> Any:
-    try:
-        from PIL import Image, UnidentifiedImageError  # noqa: PLC0415 - an extra
-    except ImportError as error:
-        raise _missing() from error
-    if len(data) > MAX_FILE:
-        raise ConfigurationError(f"the picture has more than {MAX_FILE} bytes", CLOSER)
-    try:
-        image = Image.open(io.BytesIO(data), formats=_FORMATS)
-        if image.width * image.height > MAX_PIXELS:
-            raise ConfigurationError("the picture has too many pixels", "make it smaller")
-        return image.convert("L")
-    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, ValueError) as error:
-        raise ConfigurationError(
-            "this is not a picture that can be read", f"use one of {', '.join(_FORMATS)}"
-        ) from error
-
-
-def _missing() -> ConfigurationError:
-    return ConfigurationError(
-        "reading pictures needs pillow and zxing-cpp",
-        "pip install 'rossec[scan]', or paste the text below the code",
-    )
 
 
 if __name__ == "__main__":

@@ -1,22 +1,24 @@
 """Following one other master: dial, check who it is, take over what it says. A shell.
 
-What happens is decided by `states`, what an answer means by `answers`; the facts are in the import
-layer of the own master. The site is asked, and never calls: no address of this master is needed
-there. Lists of revocations and domains are compared with every answer, and settled before more
-facts are asked for.
+What happens is decided by `site_state`; the facts are in the import layer of the own master. The
+site is asked, and never calls: no address of this master is needed there. Lists of revocations and
+domains are compared with every answer, and settled before more facts are asked for. A site behind a
+relay is reached by its forwarded ports; the relay is another process, so each is waited for, and
+not long.
 """
 
 import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Collection, Iterable
 from functools import partial
 from secrets import SystemRandom
 from typing import Any, Final
 
 from ca.certificates import Identity
-from ca.errors import HintedError
+from ca.errors import CAError, HintedError, RevocationsStale
+from ca.names import shown, split_alias
 from rossec.errors import (
     AnswerRefused,
     ChannelClosed,
@@ -26,25 +28,174 @@ from rossec.errors import (
     ImportRefused,
     PeerRefused,
     PeerUnreachable,
+    RelayRefused,
     SiteRefused,
 )
 from rossec.federation import exchange
-from rossec.federation.answers import METHOD, SiteChange, SiteCursor
-from rossec.federation.foreign import LONGEST_FOREIGN, ForeignLists
-from rossec.federation.mirroring import Mirroring
-from rossec.federation.own import OwnMaster
+from rossec.federation.exchange import LONGEST_FOREIGN, ForeignLists, Mirroring, OwnMaster
 from rossec.federation.settings import SiteSettings
-from rossec.federation.site_connection import SiteConnections
-from rossec.federation.site_status import site_status
-from rossec.federation.states import LONGEST_PAUSE, SILENCE, Effect, Event, Phase, SiteState
-from rossec.federation.via import SiteDoors
-from rossec.net.rpc.client import RpcClient
-from rossec.ros.text import printable
+from rossec.federation.site_state import (
+    LONGEST_PAUSE,
+    METHOD,
+    SILENCE,
+    DoorFacts,
+    SiteChange,
+    SiteCursor,
+    SiteEffect,
+    SiteEvent,
+    SitePhase,
+    SiteState,
+    site_status,
+)
+from rossec.master.state.forwarded_ports import MASTER, MAX_DOORS, ForwardedPorts, Target
+from rossec.net.aio import SecureStream, WireProtocol, connect
+from rossec.net.rpc.calls import RpcClient
+from rossec.peer_limits import printable
 from rossec.ros.xmlrpc import Fault
 
-_DIAL: Final = 5.0
-PACE: Final = 0.05  # seconds between two questions: a site may answer at once, without end
+DOOR_WAIT: Final = 5.0  # seconds for the master's door: a relay that polls opens it at once
+NODES_WAIT: Final = 1.0  # seconds for those of new nodes; they are shown without others after it
+NO_CHANGE: Final = SiteChange(frozenset(), frozenset(), False, b"", b"")
 _log = logging.getLogger("rossec.federation")
+
+
+class SiteDoors:
+    """The doors of one site.
+
+    `on_door`: called when the master's door was opened.
+    """
+
+    def __init__(self, doors: ForwardedPorts, settings: SiteSettings, on_door: Callable[[], None]) -> None:
+        self._doors = doors
+        self._settings = settings
+        self._on_door = on_door
+        self._master = Target(settings.via, MASTER, settings.master)
+        self._facts = DoorFacts(settings.via, doors.door)
+        self._had_door = False
+        self._missing = 0
+        self.changed: Final = asyncio.Event()
+        doors.listen(settings.label, self._note)
+
+    async def address(self) -> tuple[str, int]:
+        self._want(self._facts.targets)
+        await self._wait([self._master], DOOR_WAIT)
+        door = self._doors.door(self._master)
+        if door is not None:
+            return door
+        if self._doors.way(self._settings.via) is None:
+            raise RelayRefused(
+                f"no relay of this site knows a peer {self._settings.via}",
+                f"is `rossec relay` running, and was this done: rossec relay add {self._settings.via} FILE",
+            )
+        raise RelayRefused(
+            f"the relay opens no door for {self._settings.master} of {self._settings.via}",
+            "rossec relay status",
+        )
+
+    async def take(self, change: SiteChange) -> SiteChange:
+        before = self._facts.targets
+        for _ in self._facts.take(change):
+            await asyncio.sleep(0)
+        targets = self._facts.targets
+        self._want(targets)
+        await self._wait(targets - before, NODES_WAIT)
+        return self.refreshed(change)
+
+    def refreshed(self, change: SiteChange = NO_CHANGE) -> SiteChange:
+        self.changed.clear()
+        return self._facts.shown(change)
+
+    def drop(self) -> None:
+        self._facts.forget()
+        self._want(())
+
+    def close(self) -> None:
+        self._doors.forget(self._settings.label)
+
+    def status(self) -> dict[str, Any]:
+        found = self._doors.way(self._settings.via)
+        if found is None:
+            return {}
+        return {"relay": found[0], **found[1]._asdict()}
+
+    def _want(self, targets: Collection[Target]) -> None:
+        missing = self._doors.want(self._settings.label, {self._master, *targets})
+        if missing and not self._missing:
+            _log.warning(
+                "site %s: %d nodes and services have no address here: a site has half of %d doors",
+                self._settings.label,
+                missing,
+                MAX_DOORS,
+            )
+        self._missing = missing
+
+    async def _wait(self, targets: Collection[Target], longest: float) -> None:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(longest):
+                while any(self._doors.door(target) is None for target in targets):
+                    self.changed.clear()
+                    await self.changed.wait()
+        self.changed.set()  # it was not looked at what else has changed
+
+    def _note(self) -> None:
+        self.changed.set()
+        has_door = self._doors.door(self._master) is not None
+        if has_door and not self._had_door:
+            self._on_door()
+        self._had_door = has_door
+
+
+_DIAL: Final = 5.0
+_DIAL_VIA: Final = 15.0  # the relay may have to dial its peer first
+
+
+class SiteConnections:
+    """Connects with one site.
+
+    `doors`: of the site, if it is reached by a relay.
+    """
+
+    def __init__(self, settings: SiteSettings, own: OwnMaster, doors: SiteDoors | None) -> None:
+        self._settings = settings
+        self._own = own
+        self._doors = doors
+
+    @contextlib.asynccontextmanager
+    async def open(self) -> AsyncIterator[tuple[RpcClient, Identity]]:
+        async with asyncio.timeout(_DIAL if self._doors is None else _DIAL_VIA):
+            doors, settings = self._doors, self._settings
+            address = settings.address if doors is None else await doors.address()
+            stream = await connect(*address, self._own.context, WireProtocol.HTTP)
+        try:
+            self._check(stream)
+            yield RpcClient(stream, deadline=SILENCE), stream.peer
+        finally:
+            await stream.close()
+
+    def check_trust(self, peer: Identity) -> None:
+        try:
+            self._own.state.trust.caller(peer, self._own.state.now())
+        except RevocationsStale:  # of its domain: it is asked for them
+            return
+        except CAError as error:
+            raise SiteRefused(f"{shown(peer.name)}: {error}", error.hint) from error
+
+    def _check(self, stream: SecureStream[Identity]) -> None:
+        # The peer is the master that is followed, and not revoked.
+        peer, expected = stream.peer, self._settings
+        alias = split_alias(peer.name) if peer.is_foreign else None
+        label, name = ("", peer.name) if alias is None else alias
+        if (label, name) != (expected.domain, expected.master):
+            stream.abort("not the master that is followed")
+            raise SiteRefused(
+                f"{shown(peer.name)} answers {expected.place}, not {expected.master}"
+                + (f" of {expected.domain}" if expected.domain else ""),
+                "check the address: rossec federation list",
+            )
+        self.check_trust(peer)
+
+
+PACE: Final = 0.05  # seconds between two questions: a site may answer at once, without end
 _audit = logging.getLogger("rossec.audit")
 
 _RANDOM: Final = SystemRandom().random
@@ -55,10 +206,7 @@ Failures: Final = (HintedError, OSError, TimeoutError, Fault)
 class FollowedSite:
     """Follows one site until `close`.
 
-    Args:
-        settings: the site.
-        own: the master that follows.
-        rand: returns a random number from 0 up to 1.
+    `own`: the master that follows. `rand`: returns a random number from 0 up to 1.
 
     Attributes:
         state: where it is.
@@ -67,12 +215,7 @@ class FollowedSite:
         connections: with the site.
     """
 
-    def __init__(
-        self,
-        settings: SiteSettings,
-        own: OwnMaster,
-        rand: Callable[[], float] = _RANDOM,
-    ) -> None:
+    def __init__(self, settings: SiteSettings, own: OwnMaster, rand: Callable[[], float] = _RANDOM) -> None:
         self.settings: Final = settings
         self.state: Final = SiteState()
         self.error = self.hint = ""
@@ -89,52 +232,48 @@ class FollowedSite:
         self.connections: Final = SiteConnections(settings, own, doors)
 
     async def run(self) -> None:
-        """Follow until cancelled; a failure is tried again."""
         while True:
-            self._take(Event.DUE)
+            self._take(SiteEvent.DUE)
             try:
                 await self._follow()
             except (SiteRefused, IdentityRefused) as error:
-                self._report(Event.REFUSED, error)
+                self._report(SiteEvent.REFUSED, error)
             except Failures as error:
-                self._report(Event.FAILED, error)
+                self._report(SiteEvent.FAILED, error)
             except Exception as error:  # noqa: BLE001 - no answer may end that it is followed
                 _log.exception("following site %s failed", self.settings.label)
-                self._report(Event.FAILED, error)
-            if self.state.phase not in (Phase.FOLLOWING, Phase.LISTENING):
-                await self._pause()
+                self._report(SiteEvent.FAILED, error)
+            if self.state.phase not in (SitePhase.FOLLOWING, SitePhase.LISTENING):
+                self._woken.clear()
+                with contextlib.suppress(TimeoutError):
+                    longest = LONGEST_PAUSE if self._foreign is None else LONGEST_FOREIGN
+                    async with asyncio.timeout(self.state.pause(self._rand(), longest)):
+                        await self._woken.wait()
 
     def tick(self) -> None:
-        """Let the facts go that are too old; called once in a second."""
         if self.state.has_expired(time.monotonic()):
-            self._take(Event.EXPIRED)
+            self._take(SiteEvent.EXPIRED)
             _audit.warning("site %s is lost: its facts are dropped", self.settings.label)
 
     def wake(self) -> None:
-        """Dial now, if it is waiting: the site seems to be there again."""
         self._woken.set()
 
     def remove(self) -> None:
-        """It is followed no longer; `run` has been cancelled."""
-        self._take(Event.REMOVED)
+        self._take(SiteEvent.REMOVED)
         if self._doors is not None:
             self._doors.close()
 
     async def send_lists(self) -> None:
-        """The own lists have changed: judge the site again, and send it the newer list at once.
-
-        The connection on which it is followed waits for an answer, so another one is made.
-        """
+        # The connection on which it is followed waits for an answer, so another one is made.
         self._lists_changed.set()
         self._mirroring.judge()
-        if self.settings.domain or self.state.phase is not Phase.FOLLOWING:
+        if self.settings.domain or self.state.phase is not SitePhase.FOLLOWING:
             return
         with contextlib.suppress(*Failures):  # else with the next answer
             async with self.connections.open() as (client, peer):
                 await exchange.settle(client, self._own, peer)
 
     def status(self) -> dict[str, Any]:
-        """The site for people and programs."""
         found = site_status(self.settings, self.state, self._own.state.imports, time.monotonic())
         return {
             **found,
@@ -146,24 +285,27 @@ class FollowedSite:
         }
 
     async def _follow(self) -> None:
-        """Follow on one connection, until it is to be asked for more."""
         was_followed = self.state.failures == 0 and self._cursor.instance != ""
         async with self.connections.open() as (client, peer):
-            self._take(Event.CONNECTED)
+            self._take(SiteEvent.CONNECTED)
             self._cursor.reconnected()
             if not was_followed:
-                await self._greet(client, peer)
+                if self._foreign is not None:
+                    await self._foreign.greet(client, peer)
+                else:
+                    if self.settings.parameters:
+                        await exchange.present_own(client, self._own)
+                    await exchange.settle(client, self._own, peer)
             try:
                 await self._poll(client, peer)
             except GraphHidden as error:
                 if self._foreign is None or self._foreign.may_see(peer.certified_name):
                     raise SiteRefused(str(error), error.hint) from error  # tried again
-                self._report(Event.HIDDEN, error)
+                self._report(SiteEvent.HIDDEN, error)
                 check = partial(self.connections.check_trust, peer)
                 await self._foreign.listen(client, peer, self._lists_changed, check)
 
     async def _poll(self, client: RpcClient, peer: Identity) -> None:
-        """Take over what it answers, until local nodes want more."""
         while True:
             await self._pace()
             demand = self._own.state.imports.demand.version
@@ -176,25 +318,24 @@ class FollowedSite:
                 asking.cancel()
             await self._take_over(change)
             self._own.state.imports.settle(self.settings.label, demand)
-            await self._exchange(client, peer, change)
-            await self._mirror(client)
+            if self._foreign is not None:
+                await self._foreign.keep_fresh(client, peer, change.revocations)
+            else:
+                await exchange.settle(client, self._own, peer, change)
+            try:
+                await self._mirroring.keep(client)
+            except (AnswerRefused, ImportRefused) as error:
+                self.error, self.hint = printable(str(error)), printable(error.hint)
 
     async def _pace(self) -> None:
-        """Let a moment pass between two questions, whatever the site or local nodes do."""
         await asyncio.sleep(self._asked_at + PACE - time.monotonic())
         self._asked_at = time.monotonic()
 
-    async def _is_answered(
-        self, asking: asyncio.Future[SiteChange], peer: Identity, demand: int
-    ) -> bool:
-        """Wait for an answer; False: local nodes want more meanwhile.
-
-        Raises:
-            SiteRefused: a new list revokes the site, or ends the trust in its domain.
-        """
+    async def _is_answered(self, asking: asyncio.Future[SiteChange], peer: Identity, demand: int) -> bool:
         imports, changes = self._own.state.imports, self._own.state.demand_changes
+        events = [self._lists_changed, *([] if self._doors is None else [self._doors.changed])]
         while not asking.done():
-            if self.state.phase is Phase.FOLLOWING and imports.demand.version != demand:
+            if self.state.phase is SitePhase.FOLLOWING and imports.demand.version != demand:
                 return False
             if self._lists_changed.is_set():
                 self._lists_changed.clear()
@@ -203,7 +344,7 @@ class FollowedSite:
                 await self._apply(self._doors.refreshed())
             others: list[asyncio.Future[Any]] = [
                 asyncio.ensure_future(changes.wait(SILENCE)),
-                *(asyncio.ensure_future(event.wait()) for event in self._events),
+                *(asyncio.ensure_future(event.wait()) for event in events),
             ]
             try:
                 await asyncio.wait([asking, *others], return_when=asyncio.FIRST_COMPLETED)
@@ -212,29 +353,7 @@ class FollowedSite:
                     each.cancel()
         return True
 
-    async def _mirror(self, client: RpcClient) -> None:
-        try:
-            await self._mirroring.keep(client)
-        except (AnswerRefused, ImportRefused) as error:
-            self.error, self.hint = printable(str(error)), printable(error.hint)
-
-    async def _greet(self, client: RpcClient, peer: Identity) -> None:
-        """Settle the lists, and show what a foreign master wants to see."""
-        if self._foreign is not None:
-            await self._foreign.greet(client, peer)
-        else:
-            if self.settings.parameters:
-                await exchange.present_own(client, self._own)
-            await exchange.settle(client, self._own, peer)
-
-    async def _exchange(self, client: RpcClient, peer: Identity, change: SiteChange) -> None:
-        if self._foreign is not None:
-            await self._foreign.keep_fresh(client, peer, change.revocations)
-            return
-        await exchange.settle(client, self._own, peer, change)
-
     async def _next_change(self, client: RpcClient) -> SiteChange:
-        """The next complete answer."""
         imports = self._own.state.imports
         wanted = imports.demand.wanted(self.settings.site, self._own.state.now())
         while True:
@@ -247,24 +366,18 @@ class FollowedSite:
                 return change
             await self._pace()
 
-    @property
-    def _events(self) -> list[asyncio.Event]:
-        """What ends waiting for an answer, beside it and what local nodes want."""
-        return [self._lists_changed, *([] if self._doors is None else [self._doors.changed])]
-
     async def _take_over(self, change: SiteChange) -> None:
         try:
             change = change if self._doors is None else await self._doors.take(change)
         except ImportRefused as error:
             raise SiteRefused(f"facts of {self.settings.label}: {error}", error.hint) from error
         await self._apply(change)
-        if self.state.phase is not Phase.FOLLOWING:
+        if self.state.phase is not SitePhase.FOLLOWING:
             _audit.info("site %s is followed", self.settings.label)
-        self._take(Event.ANSWERED)
+        self._take(SiteEvent.ANSWERED)
         self.error = self.hint = ""
 
     async def _apply(self, change: SiteChange) -> None:
-        """Let the import layer take a change over."""
         steps = self._own.state.imports.apply_in_steps(
             self.settings.site, change.added, change.removed, whole=change.whole
         )
@@ -274,41 +387,40 @@ class FollowedSite:
             raise SiteRefused(f"facts of {self.settings.label}: {error}", error.hint) from error
         self._deliver(events)
 
-    def _report(self, event: Event, error: BaseException) -> None:
+    def _report(self, event: SiteEvent, error: BaseException) -> None:
         text = printable(str(error)) or type(error).__name__
         if text != self.error:
             _log.warning("site %s: %s", self.settings.label, text)
-        if event is not Event.FAILED and text != self.error:
+        if event is not SiteEvent.FAILED and text != self.error:
             _audit.warning("site %s is not followed: %s", self.settings.label, text)
         self.error, self.hint = text, printable(self._advice(error))
         self._take(event)
 
     def _advice(self, error: BaseException) -> str:
-        """The hint of a failure; a stranger is not told why it is refused, but can guess."""
+        # The hint of a failure; a stranger is not told why it is refused, but can guess.
         if self._doors is not None and isinstance(error, _AT_DOOR):
             return "is there a link? rossec relay status"
         if isinstance(error, PeerRefused) and self._foreign is not None:
             return f"does {self.settings.domain} trust this domain? there: rossec domain list"
         return error.hint if isinstance(error, HintedError) else ""
 
-    def _take(self, event: Event) -> None:
+    def _take(self, event: SiteEvent) -> None:
         label = self.settings.label
         match self.state.take(event, time.monotonic()):
-            case Effect.NONE:
+            case SiteEffect.NONE:
                 pass
-            case Effect.MARK:
+            case SiteEffect.MARK:
                 self._own.state.imports.lose(label)
-            case Effect.EXPIRE:
+            case SiteEffect.EXPIRE:
                 self._begin_again()
                 self._own.state.imports.expire(label)
                 self._own.state.notify()
-            case Effect.DROP:
+            case SiteEffect.DROP:
                 self._begin_again()
                 self._deliver(self._own.state.imports.drop(label))
                 self._mirroring.drop()
 
     def _begin_again(self) -> None:
-        """The next answer has all facts."""
         self._cursor = SiteCursor()
         if self._doors is not None:
             self._doors.drop()
@@ -317,11 +429,3 @@ class FollowedSite:
         for event in events:
             self._own.effects.deliver(event)
         self._own.state.notify()
-
-    async def _pause(self) -> None:
-        """Wait to dial again; a foreign master that shows nothing still says what is revoked."""
-        self._woken.clear()
-        with contextlib.suppress(TimeoutError):
-            longest = LONGEST_PAUSE if self._foreign is None else LONGEST_FOREIGN
-            async with asyncio.timeout(self.state.pause(self._rand(), longest)):
-                await self._woken.wait()

@@ -1,24 +1,96 @@
 """All sites that a master follows: from its configuration, from its file, and announced. A shell.
 
-The file is read again when it has changed, so `rossec federation add` takes effect in a running
-master. A label that the configuration has prevails over the file's, and both over an announced one.
+A label that the configuration has prevails over the file's, and both over an announced one. An
+announcement gives an address and the hint to dial now, nothing more: who answers there must be the
+master of that name. One that is not heard any more is followed for as long as its facts may stay.
 """
 
 import asyncio
 import contextlib
 import logging
+import time
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Final
+from contextlib import AbstractAsyncContextManager
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
 
 from ca.errors import HintedError
+from ca.names import MASTER
+from rossec import clock
+from rossec.discovery.announcement import Candidate, Candidates
+from rossec.discovery.local_links import listening, uri_of
 from rossec.errors import ConfigurationError
-from rossec.federation.announced import AnnouncedMasters
+from rossec.federation.exchange import Chains, OwnMaster
 from rossec.federation.follower import FollowedSite
-from rossec.federation.own import OwnMaster
-from rossec.federation.settings import SiteSettings, checked_sites
-from rossec.master.state.addresses import is_connectable
-from rossec.net.aio.tasks import TaskSet
-from rossec.ros.text import printable
+from rossec.federation.settings import FederationConfig, SiteFile, SiteSettings, checked_sites
+from rossec.federation.site_state import LOST_FOR
+from rossec.home import NodeHome
+from rossec.host.runner import TaskSet
+from rossec.master.server.server import MasterServer
+from rossec.master.state.registry import is_connectable
+from rossec.peer_limits import printable
+from rossec.saved_statements import saved_revocations
+
+SILENT: Final = 3.0  # seconds: a master announces itself twice in each
+
+
+class _Heard(NamedTuple):
+    settings: SiteSettings
+    instance: bytes
+    at: float
+
+
+class AnnouncedMasters:
+    """The masters heard while `listening` is entered.
+
+    `home`: of the own master. `candidates`: what is heard; by default of the domain of `home`.
+    """
+
+    def __init__(self, home: NodeHome, candidates: Candidates | None = None) -> None:
+        anchor = home.anchor()
+        revoked = saved_revocations(home, anchor, clock.now()).entries
+        self._candidates = Candidates(anchor, revoked) if candidates is None else candidates
+        self._own_name = home.name
+        self._heard: dict[str, _Heard] = {}
+        self._returned: set[str] = set()
+
+    def listening(self) -> AbstractAsyncContextManager[None]:
+        return listening(self._candidates)
+
+    def sites(self) -> tuple[SiteSettings, ...]:
+        now = time.monotonic()
+        for name, found in self._audible(now).items():
+            self._note(name, found, now)
+        self._heard = {k: each for k, each in self._heard.items() if now - each.at < LOST_FOR}
+        return tuple(each.settings for _, each in sorted(self._heard.items()))
+
+    def take_returned(self) -> set[str]:
+        # The names of those heard again after a pause, or restarted, since the last call.
+        returned, self._returned = self._returned, set()
+        return returned
+
+    def _audible(self, now: float) -> dict[str, list[Candidate]]:
+        found: dict[str, list[Candidate]] = {}
+        for one in self._candidates.ranked(clock.now(), now):
+            if one.name != self._own_name and one.rtt is not None and one.age(now) < SILENT:
+                found.setdefault(one.name, []).append(one)
+        return found
+
+    def _note(self, name: str, found: list[Candidate], now: float) -> None:
+        held = self._heard.get(name)
+        kept = [one for one in found if held is not None and uri_of(one) == held.settings.uri]
+        one = (kept or found)[0]
+        instance = one.announcement.instance
+        if held is None or held.instance != instance or now - held.at > SILENT:
+            self._returned.add(name)
+        settings = held.settings if held is not None and kept else _settings(one)
+        self._heard[name] = _Heard(settings, instance, now - one.age(now))
+
+
+def _settings(one: Candidate) -> SiteSettings:
+    label = one.name.removeprefix(MASTER).removeprefix("/") or MASTER.removeprefix("/")
+    return SiteSettings(label[:32], uri_of(one), one.name)
+
 
 _TICK: Final = 1.0
 _ANNOUNCED: Final = "announced"
@@ -32,17 +104,12 @@ ReadSites = Callable[[], Iterable[SiteSettings]]
 class Mesh:
     """Follows every site of its sources.
 
-    Args:
-        own: the master that follows.
-        sources: by what they are called, the one that prevails first.
-        announced: the masters heard on the local links; None: they are not followed.
+    `own`: the master that follows. `sources`: by what they are called, the one that prevails first.
+    `announced`: the masters heard on the local links; None: they are not followed.
     """
 
     def __init__(
-        self,
-        own: OwnMaster,
-        sources: Mapping[str, ReadSites],
-        announced: AnnouncedMasters | None = None,
+        self, own: OwnMaster, sources: Mapping[str, ReadSites], announced: AnnouncedMasters | None = None
     ) -> None:
         self._own = own
         self._announced = announced
@@ -56,11 +123,8 @@ class Mesh:
         own.state.doors.masters = self._direct_masters
 
     async def run(self) -> None:
-        """Follow until cancelled."""
         self._own.effects.on_new_lists.append(self._send_lists)
-        listening = (
-            contextlib.nullcontext() if self._announced is None else self._announced.listening()
-        )
+        listening = contextlib.nullcontext() if self._announced is None else self._announced.listening()
         try:
             async with listening:
                 while True:
@@ -74,7 +138,6 @@ class Mesh:
             await self._tasks.close()
 
     def status(self) -> dict[str, Any]:
-        """Every site, and what is wrong with the settings."""
         rows = [
             {**follower.status(), "source": self._source_of(label)}
             for label, (follower, _) in sorted(self._followers.items())
@@ -105,7 +168,6 @@ class Mesh:
             self._followers[label] = follower, task
 
     def _wanted(self) -> dict[str, SiteSettings]:
-        """The sites of all sources; one that contradicts an earlier one is left out."""
         found: dict[str, SiteSettings] = {}
         before, self._warned = self._warned, {}
         for name, source in self._sources.items():
@@ -124,45 +186,36 @@ class Mesh:
     def _add(self, found: dict[str, SiteSettings], each: SiteSettings) -> None:
         where = f"site {each.label}"
         try:
-            self._check_label(each)
+            anchors = self._own.state.trust.domains.anchors
+            if each.domain and anchors.listed(each.domain) is None:
+                raise ConfigurationError(
+                    f"{each.domain} is not a domain that is trusted here", "rossec domain list"
+                )
+            if not each.domain and anchors.listed(each.label) is not None:
+                raise ConfigurationError(
+                    f"{each.label} is the label of a foreign domain",
+                    f"follow it with --domain {each.label}, or choose another label",
+                )
+            if not each.domain and each.master == self._own.name:
+                raise ConfigurationError(f"{each.master} is this master itself", "follow another one")
             checked_sites([*found.values(), each])
         except ConfigurationError as error:
             self._warned[where] = _text(error)
             return
         found[each.label] = each
 
-    def _check_label(self, each: SiteSettings) -> None:
-        anchors = self._own.state.trust.domains.anchors
-        if each.domain and anchors.listed(each.domain) is None:
-            raise ConfigurationError(
-                f"{each.domain} is not a domain that is trusted here", "rossec domain list"
-            )
-        if not each.domain and anchors.listed(each.label) is not None:
-            raise ConfigurationError(
-                f"{each.label} is the label of a foreign domain",
-                f"follow it with --domain {each.label}, or choose another label",
-            )
-        if not each.domain and each.master == self._own.name:
-            raise ConfigurationError(f"{each.master} is this master itself", "follow another one")
-
     def _own_labels(self) -> list[str]:
-        """The labels of other masters of the own domain, whose nodes have aliases here."""
         found = [follower.settings for follower, _ in self._followers.values()]
         return [each.label for each in found if not each.domain]
 
     def _direct_masters(self) -> dict[str, str]:
-        """The masters of the own domain that a relay of this site can reach itself."""
         found = [follower.settings for follower, _ in self._followers.values()]
         return {
-            each.master: each.uri
-            for each in found
-            if not each.domain and is_connectable(each.uri, "http")
+            each.master: each.uri for each in found if not each.domain and is_connectable(each.uri, "http")
         }
 
     def _source_of(self, label: str) -> str:
-        return next(
-            (name for name, sites in self._last.items() if any(s.label == label for s in sites)), ""
-        )
+        return next((name for name, sites in self._last.items() if any(s.label == label for s in sites)), "")
 
     def _send_lists(self) -> None:
         for follower, _ in self._followers.values():
@@ -170,7 +223,6 @@ class Mesh:
 
 
 def _has_master(sites: Mapping[str, SiteSettings], heard: SiteSettings) -> bool:
-    """Whether somebody named the master that was heard: that is no contradiction."""
     known = {(each.domain, each.master) for each in sites.values()}
     return (heard.domain, heard.master) in known
 
@@ -178,3 +230,18 @@ def _has_master(sites: Mapping[str, SiteSettings], heard: SiteSettings) -> bool:
 def _text(error: Exception) -> str:
     hint = f" ({error.hint})" if isinstance(error, HintedError) and error.hint else ""
     return printable(f"{error}{hint}")
+
+
+def mesh_of(server: MasterServer, home: NodeHome, config: FederationConfig) -> Mesh:
+    """The mesh of `server`, not yet running; with `config` and the file in `home`."""
+    chains = Chains()
+    context = replace(server.context, verify=chains.recording(server.context.verify))
+    own = OwnMaster(
+        server.state, server.effects, context, server.mirror, server.drop_mirror, chains, home.grants
+    )
+    sources: Mapping[str, ReadSites] = {
+        "configuration": lambda: config.sites,
+        "file": SiteFile(home.path).sites,
+    }
+    announced = AnnouncedMasters(home) if config.follow_announced else None
+    return Mesh(own, sources, announced)

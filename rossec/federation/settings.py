@@ -1,21 +1,28 @@
-"""Which masters to follow: one entry for each, checked. Pure.
+"""Which masters to follow: from the master's configuration, and from `federation.json` in its home.
 
 A label is given once, and never is that of a foreign domain but where the master is one of it: the
 labels of masters of the own domain and of foreign domains name the same thing in `/remote/<label>`.
+The part `federation:` of the configuration is a closed schema, with lines in its errors:
+
+    follow_announced: true
+    sites:
+      kitchen: {uri: http://kitchen:11311, master: /master/kitchen, parameters: [/robot/**]}
+      hospital: {uri: http://hospital.example:11311, domain: hospital}
+      office: {via: office, master: /master/office}
 """
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
-from ca.domains.aliases import check_label
 from ca.errors import NameRefused
-from ca.names import MASTER, is_master_name
-from ca.patterns import check_pattern
+from ca.names import MASTER, check_label, check_pattern, is_master_name
+from rossec import files
 from rossec.errors import ConfigurationError
-from rossec.master.state.sites import Site
-from rossec.ros.settings import is_loopback, parse_uri
+from rossec.master.state.imported_facts import Site
+from rossec.ros.names import is_loopback, parse_uri
 
 MAX_SITES: Final = 64
 MAX_PARAMETERS: Final = 64  # patterns of one site
@@ -27,16 +34,10 @@ _FORM: Final = 1
 class SiteSettings:
     """A master to follow.
 
-    Args:
-        label: what it is called here.
-        uri: where it listens; empty: it is reached by a relay.
-        master: the name it is certified for.
-        domain: the label of its foreign domain; empty: it is of the own domain.
-        parameters: patterns of the parameters to mirror, with the names they have there.
-        via: the label that the relay of this site has for the peer behind which the master is.
-
-    Raises:
-        ConfigurationError: one of them is not in form.
+    `label`: what it is called here. `uri`: where it listens; empty: it is reached by a relay.
+    `master`: the name it is certified for. `domain`: the label of its foreign domain; empty: it is
+    of the own domain. `parameters`: patterns of the parameters to mirror, with the names they have
+    there. `via`: the label that the relay of this site has for the peer behind which the master is.
     """
 
     label: str
@@ -62,45 +63,32 @@ class SiteSettings:
         if len(self.parameters) > MAX_PARAMETERS:
             raise ConfigurationError(f"at most {MAX_PARAMETERS} patterns of parameters for a site")
         if bool(self.via) == bool(self.uri):
-            raise ConfigurationError(
-                f"site {self.label} has a URI or a relay's peer, one of them", _WAYS
-            )
+            raise ConfigurationError(f"site {self.label} has a URI or a relay's peer, one of them", _WAYS)
         if self.uri:
             parse_uri(self.uri, "the master's URI")
 
     @property
     def site(self) -> Site:
-        """The site for the import layer; a relay's doors may be on this host."""
         return Site(self.label, self.domain, bool(self.via) or is_loopback(self.address[0]))
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port; of a site without a relay."""
         return parse_uri(self.uri, "the master's URI")
 
     @property
     def place(self) -> str:
-        """Where it is, for people."""
         return f"via {self.via}" if self.via else f"at {self.uri}"
 
 
 def checked_sites(sites: Iterable[SiteSettings]) -> dict[str, SiteSettings]:
-    """The sites by label.
-
-    Raises:
-        ConfigurationError: a label or a master is there twice, or there are too many.
-    """
     found: dict[str, SiteSettings] = {}
     for each in sites:
         if each.label in found:
-            raise ConfigurationError(
-                f"two sites are called {each.label}", "give each its own label"
-            )
+            raise ConfigurationError(f"two sites are called {each.label}", "give each its own label")
         for other in found.values():
             if (other.domain, other.master) == (each.domain, each.master):
                 raise ConfigurationError(
-                    f"{other.label} and {each.label} are one master, {each.master}",
-                    "follow it once",
+                    f"{other.label} and {each.label} are one master, {each.master}", "follow it once"
                 )
         found[each.label] = each
     domains = {each.domain for each in found.values() if each.domain}
@@ -114,11 +102,6 @@ def checked_sites(sites: Iterable[SiteSettings]) -> dict[str, SiteSettings]:
 
 
 def read_sites(data: bytes, name: str) -> dict[str, SiteSettings]:
-    """Read the file that `rossec federation add` writes, called `name`; a closed schema.
-
-    Raises:
-        ConfigurationError: anything else.
-    """
     if len(data) > MAX_FILE:
         raise ConfigurationError(f"{name} is longer than {MAX_FILE} bytes")
     try:
@@ -133,13 +116,11 @@ def read_sites(data: bytes, name: str) -> dict[str, SiteSettings]:
 
 
 def write_sites(sites: Mapping[str, SiteSettings]) -> bytes:
-    """The content of the file."""
     rows = [_row(each) for _, each in sorted(sites.items())]
     return json.dumps({"rossec-federation": _FORM, "sites": rows}, indent=1).encode() + b"\n"
 
 
 def _row(site: SiteSettings) -> dict[str, object]:
-    """A site without a relay is written as it was before there were relays."""
     row = {**asdict(site), "parameters": list(site.parameters)}
     return row if site.via else {key: value for key, value in row.items() if key != "via"}
 
@@ -147,9 +128,13 @@ def _row(site: SiteSettings) -> dict[str, object]:
 def _site(row: object, name: str) -> SiteSettings:
     match row:
         case {
-            "label": str() as label, "uri": str() as uri, "master": str() as master,
-            "domain": str() as domain, "parameters": list() as patterns, **rest,
-        } if rest.keys() <= {"via"} and isinstance(via := rest.get("via", ""), str):  # fmt: skip
+            "label": str() as label,
+            "uri": str() as uri,
+            "master": str() as master,
+            "domain": str() as domain,
+            "parameters": list() as patterns,
+            **rest,
+        } if rest.keys() <= {"via"} and isinstance(via := rest.get("via", ""), str):
             texts = tuple(each for each in patterns if isinstance(each, str))
             if len(texts) == len(patterns):
                 return SiteSettings(label, uri, master, domain, texts, via)
@@ -158,3 +143,120 @@ def _site(row: object, name: str) -> SiteSettings:
 
 _WAYS: Final = "uri: http://kitchen:11311, or via: office, a peer of: rossec relay list"
 _HINT: Final = "it is written by `rossec federation add`, `remove` and `param`: use these"
+
+_KEYS: Final = ("follow_announced", "sites")
+_SITE_KEYS: Final = ("uri", "master", "domain", "parameters", "via")
+_EXAMPLE: Final = "for example  kitchen: {uri: http://kitchen:11311, master: /master/kitchen}"
+
+
+@dataclass(frozen=True)
+class FederationConfig:
+    """Which masters to follow.
+
+    `follow_announced`: every master of the own domain that is heard on the local links.
+    """
+
+    follow_announced: bool = False
+    sites: tuple[SiteSettings, ...] = ()
+
+
+def read_config(part: Any, name: str) -> FederationConfig:
+    """Read the part, of a file called `name`; None is an empty one."""
+    announced, sites = False, tuple[SiteSettings, ...]()
+    for key, where, value in _entries(part, name, "federation", _KEYS):
+        if key == "sites":
+            sites = tuple(
+                _config_site(label, entry, line, name) for label, line, entry in _entries(value, name, key)
+            )
+        else:
+            announced = getattr(value, "value", None) is True
+            if not isinstance(getattr(value, "value", None), bool):
+                raise ConfigurationError(f"{where}: {key} is true or false", "without quotes")
+    try:
+        checked_sites(sites)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{name}: {error}", error.hint) from error
+    return FederationConfig(announced, sites)
+
+
+def _config_site(label: str, part: Any, where: str, name: str) -> SiteSettings:
+    values: dict[str, Any] = {}
+    for key, line, value in _entries(part, name, f"site {label[:40]}", _SITE_KEYS):
+        values[key] = _patterns(value, line) if key == "parameters" else _text(key, value, line)
+    if not {"uri", "via"} & values.keys():
+        raise ConfigurationError(f"{where}: site {label[:40]!a} has no uri and no via", _EXAMPLE)
+    try:
+        return SiteSettings(label, **{"uri": "", **values})
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{where}: {error}", error.hint) from error
+
+
+def _patterns(part: Any, where: str) -> tuple[str, ...]:
+    items = getattr(part, "items", None)
+    if not isinstance(items, tuple):
+        raise ConfigurationError(f"{where}: parameters is a list of patterns", "[/robot/**]")
+    return tuple(_text("a pattern", item, where) for item in items)
+
+
+def _text(key: str, part: Any, where: str) -> str:
+    value = getattr(part, "value", None)
+    if not isinstance(value, str):
+        raise ConfigurationError(f"{where}: {key} is a text", _EXAMPLE)
+    return value
+
+
+def _entries(part: Any, name: str, what: str, keys: tuple[str, ...] = ()) -> Iterator[tuple[str, str, Any]]:
+    if part is None:
+        return
+    entries = getattr(part, "entries", None)
+    if entries is None:
+        line = f"{name}:{getattr(part, 'line', 0)}"
+        raise ConfigurationError(f"{line}: {what} is a map", _EXAMPLE)
+    for key, (word, value) in entries.items():
+        where = f"{name}:{word.line}"
+        if keys and key not in keys:
+            raise ConfigurationError(f"{where}: {what} has no {key[:40]!a}", ", ".join(keys))
+        yield key, where, value
+
+
+FILE: Final = "federation.json"
+
+
+class SiteFile:
+    """The file in `directory`, the home of a master."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._path = directory / FILE
+        self._read: tuple[tuple[int, ...], dict[str, SiteSettings]] = (), {}
+
+    def sites(self) -> Iterable[SiteSettings]:
+        """The sites as of now; the file is read only when it has changed."""
+        version = self._version()
+        if version != self._read[0]:
+            self._read = version, self._load()
+        return tuple(self._read[1].values())
+
+    def change(self, edit: Callable[[dict[str, SiteSettings]], None]) -> None:
+        if not self._directory.is_dir():
+            raise ConfigurationError(
+                f"there is no master in {self._directory}",
+                "enroll it first, by the name in ROSSEC_MASTER, or run this where the master runs",
+            )
+        with files.locked_directory(self._directory):
+            sites = self._load()
+            edit(sites)
+            files.replace(self._path, write_sites(sites))
+
+    def _load(self) -> dict[str, SiteSettings]:
+        if not self._path.exists():
+            return {}
+        missing = ConfigurationError(f"there is no {self._path}")
+        return read_sites(files.read_own(self._path, MAX_FILE, missing), str(self._path))
+
+    def _version(self) -> tuple[int, ...]:
+        try:
+            found = self._path.stat()
+        except FileNotFoundError:
+            return ()
+        return found.st_ino, found.st_mtime_ns, found.st_size

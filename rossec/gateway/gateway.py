@@ -1,40 +1,232 @@
 """Serves topics of other domains here: follows the graph of its master, a task for each topic.
 
-A shell around `selection` and `topic`. A failure of one topic ends its task, not the others: it is
-begun again after a pause. What the origin grants no longer is served no longer, at once; what the
-graph shows no longer, as soon as no publisher of it is connected: masters that lose sight of each
-other disturb no connection. The master may have ended the registrations of a gateway that did not
-answer for a while, so they are made again when the graph lacks them.
+A failure of one topic ends its task, not the others: it is begun again after a pause. What the origin
+grants no longer is served no longer, at once; what the graph shows no longer, as soon as no publisher
+of it is connected: masters that lose sight of each other disturb no connection. The master may have
+ended the registrations of a gateway that did not answer for a while, so they are made again when the
+graph lacks them.
 """
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from secrets import SystemRandom
 from time import monotonic
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Protocol
 
-from ca.domains.aliases import origin_of, shown
-from ca.domains.served import served_name
+from ca.errors import HintedError
+from ca.names import is_alias, origin_of, served_name, shown
 from grants.model import Right
 from rossec import clock
-from rossec.errors import ConfigurationError
-from rossec.gateway.rules import TopicRule
-from rossec.gateway.selection import BATCH, MAX_TOPICS, Candidate, Observed, chosen, observing
-from rossec.gateway.topic import REFUSALS, ServedTopic
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.rpc.client import RpcClient
+from rossec.errors import ConfigurationError, ConnectionHeaderRefused, NodeShutdown
+from rossec.gateway.rules import (
+    BATCH,
+    MAX_TOPICS,
+    Action,
+    GatewayPhase,
+    Observed,
+    SourceCandidate,
+    Thinning,
+    TopicRule,
+    TopicSources,
+    TopicState,
+    TypeChanged,
+    chosen,
+    observing,
+)
+from rossec.host.runner import TaskSet
+from rossec.net.rpc.calls import RpcClient
 from rossec.node import Node
-from rossec.participant.graph_view import METHOD, GraphView
-from rossec.participant.retry import Retry
+from rossec.node.publisher import Publisher, RawPublisher
+from rossec.node.subscriber import RawReceiver, RawSource
+from rossec.participant.delivery import Wishes
+from rossec.participant.registrations import WATCH_GRAPH, GraphView, Retry
+from rossec.ros.xmlrpc import Fault
+
+REFUSALS: Final = (HintedError, OSError, TimeoutError, Fault)
+QUEUE_SIZE: Final = 10
+_log = logging.getLogger("rossec.gateway")
 
 PERIOD: Final = 1.0  # seconds between two looks at what has to be served
 PAUSE: Final = 5.0  # seconds until a topic that failed, or a registration, is tried again
 WATCH_DEADLINE: Final = 15.0  # seconds; an answer is held back for five
 MAX_SKIPPED: Final = 100  # of those that the status names
 MAX_LOGGED: Final = 5  # topics at a time
-_log = logging.getLogger("rossec.gateway")
+
+
+class GatewaySubscription(Protocol):
+    async def close(self) -> None: ...
+
+
+class RawTopics(Protocol):
+    async def publish_raw(
+        self, topic: str, type_name: str, on_demand: Any, *, queue_size: int
+    ) -> RawPublisher: ...
+    async def unpublish(self, publisher: Publisher) -> None: ...
+    async def subscribe_raw(
+        self, topic: str, receiver: RawReceiver, *, wishes: Wishes
+    ) -> GatewaySubscription: ...
+
+
+class ServedTopic:
+    """Serves one topic until `stop`, or until its type changes: a publisher here, fed by its origin.
+
+    However many are subscribed here, the origin has one subscriber. A refusal concerns this topic
+    alone, and ends its subscription at the origin; the publisher here stays, so that the topic serves
+    again by itself.
+    """
+
+    def __init__(self, candidate: SourceCandidate, topics: RawTopics) -> None:
+        self.candidate: Final = candidate
+        self.problem = ""  # why nothing comes
+        self.messages = self.octets = 0  # that were forwarded
+        self.registered_at: float | None = None  # by the monotonic clock
+        self._topics = topics
+        self._state = TopicState()
+        self._sources = TopicSources()
+        self._thinned: dict[RawSource, Thinning] = {}
+        self._publisher: RawPublisher | None = None
+        self._subscription: GatewaySubscription | None = None
+        self._wishes = candidate.rule.wishes
+        self._thins_here = False
+        self._subscribes_again = False
+        self._stopped = False
+        self._wake = asyncio.Event()
+
+    @property
+    def phase(self) -> GatewayPhase:
+        return self._state.phase
+
+    @property
+    def sources(self) -> int:
+        return len(self._sources)
+
+    @property
+    def subscribers(self) -> int:
+        return 0 if self._publisher is None else len(self._publisher.links)
+
+    def stop(self) -> None:
+        self._stopped = True
+        if self._publisher is not None:
+            self._publisher.close()
+            self._publisher.cut("no longer served")
+        self._wake.set()
+
+    async def run(self) -> None:
+        given = self.candidate
+        publisher = await self._topics.publish_raw(
+            given.served, given.type, self._wake.set, queue_size=QUEUE_SIZE
+        )
+        self._publisher, self.registered_at = publisher, monotonic()
+        try:
+            while not self._stopped:
+                self._wake.clear()
+                await self._follow(publisher)
+        finally:
+            await self._leave()
+            await self._topics.unpublish(publisher)
+
+    async def _follow(self, publisher: RawPublisher) -> None:
+        now = monotonic()
+        if self._subscribes_again:
+            self._subscribes_again = False
+            if self._subscription is not None:
+                await self._leave()
+                await self._subscribe()
+        action = self._state.step(now, wanted=publisher.demand > 0)
+        if action is Action.SUBSCRIBE:
+            await self._subscribe()
+        elif action is Action.LEAVE:
+            await self._leave()
+        else:
+            for source, thinning in self._thinned.items():
+                self._forward(publisher, source, thinning.release(now))
+            dues = (self._state.due, *(each.due for each in self._thinned.values()))
+            due = min((each for each in dues if each is not None), default=None)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(None if due is None else max(0.0, due - now)):
+                    await self._wake.wait()
+
+    async def _subscribe(self) -> None:
+        try:
+            self._subscription = await self._topics.subscribe_raw(
+                self.candidate.alias, self, wishes=self._wishes
+            )
+        except REFUSALS as error:
+            self._note(error)
+            self._state.failed(monotonic())
+            await self._leave()
+
+    async def _leave(self) -> None:
+        subscription, self._subscription = self._subscription, None
+        if subscription is not None:
+            await subscription.close()
+
+    def _forward(self, publisher: RawPublisher, source: RawSource, message: bytes | None) -> None:
+        if message is None or self._stopped:
+            return
+        self.messages += 1
+        self.octets += len(message)
+        publisher.forward(source, message, keep=source.latching)
+
+    def _note(self, error: Exception) -> None:
+        reason = str(error) or type(error).__name__
+        if reason != self.problem:
+            _log.warning("%s: %s", shown(self.candidate.alias), reason)
+        self.problem = reason
+        if self._publisher is not None:
+            self._publisher.problem = reason
+
+    # -- of the subscription at the origin (RawReceiver)
+
+    def connected(self, source: RawSource) -> None:
+        publisher, rate = self._publisher, self.candidate.rule.wishes.rate
+        if publisher is None or self._stopped:
+            raise NodeShutdown(f"{shown(self.candidate.alias)} is served no longer")
+        if not is_alias(source.peer):
+            raise ConnectionHeaderRefused(f"{source.peer} is no node of the origin")
+        if source.latching and rate is not None and not self._thins_here:
+            self._thins_here = self._subscribes_again = True
+            self._wishes = replace(self._wishes, rate=None, newest=True)
+            self._wake.set()
+            raise ConnectionHeaderRefused("the topic is latched: asked again, without a rate")
+        try:
+            is_first = self._sources.connect(source)
+        except TypeChanged as error:
+            self._note(error)
+            self.stop()
+            raise
+        if self._thins_here and rate is not None:
+            self._thinned[source] = Thinning(rate)
+        if is_first:
+            publisher.describe(source.type)
+        publisher.latch = self._sources.latching
+        self.problem = publisher.problem = ""
+        self._state.connected()
+
+    def received(self, source: RawSource, messages: Sequence[bytes]) -> None:
+        if (publisher := self._publisher) is None:
+            return
+        thinning = self._thinned.get(source)
+        for message in messages:
+            now = message if thinning is None else thinning.take(message, monotonic())
+            self._forward(publisher, source, now)
+        if thinning is not None:
+            self._wake.set()
+
+    def disconnected(self, source: RawSource) -> None:
+        self._sources.disconnect(source)
+        self._thinned.pop(source, None)
+        if self._publisher is not None:
+            self._publisher.forget(source)
+            self._publisher.latch = self._sources.latching
+
+    def refused(self, error: Exception) -> None:
+        # A publisher of the origin could not be connected, or is connected no longer.
+        if not self._subscribes_again and not self._stopped:
+            self._note(error)
 
 
 class Obstacle(NamedTuple):
@@ -46,24 +238,17 @@ class Obstacle(NamedTuple):
 
 @dataclass
 class _Running:
-    """A topic and the task that serves it."""
-
     topic: ServedTopic
     task: asyncio.Task[bool]
 
 
 class Gateway:
-    """Serves, as `node`, what the rules say.
-
-    Attributes:
-        skipped: why a topic that a rule covers is not served, by its alias.
-        problem: why the graph of the master is not followed; empty: it is.
-    """
+    """Serves, as `node`, what the rules say."""
 
     def __init__(self, node: Node, rules: Sequence[TopicRule], most: int = MAX_TOPICS) -> None:
         self.rules: Final = tuple(rules)
-        self.skipped: dict[str, Obstacle] = {}
-        self.problem = "the master has not answered yet"
+        self.skipped: dict[str, Obstacle] = {}  # why what a rule covers is not served, by alias
+        self.problem = "the master has not answered yet"  # empty: its graph is followed
         self._node = node
         self._most = most
         self._view = GraphView()
@@ -79,7 +264,6 @@ class Gateway:
 
     @property
     def topics(self) -> Mapping[str, ServedTopic]:
-        """What is served, by alias."""
         return {alias: each.topic for alias, each in self._running.items()}
 
     async def run(self) -> None:
@@ -103,10 +287,14 @@ class Gateway:
     # -- what has to be served
 
     async def _look(self, now: float) -> None:
-        """Begin and end topics as the graph and the rights say now."""
         for alias, each in tuple(self._running.items()):
             if each.task.done():
-                self._forget(alias, each, now)
+                del self._running[alias]
+                self._again.pop(alias, None)
+                crashed = each.task.cancelled() or each.task.exception() is not None
+                if crashed or not each.task.result():
+                    why = each.topic.problem or "an error, which the log names"
+                    self._again[alias] = now + PAUSE, why
         self._again = {alias: each for alias, each in self._again.items() if now < each[0]}
         self._answered_at, self._observed = self._latest
         await self._judge()
@@ -115,12 +303,14 @@ class Gateway:
             if alias not in wanted and (alias in self.skipped or not each.topic.sources):
                 each.topic.stop()
         for alias in wanted.keys() - self._running.keys():
-            self._begin(wanted[alias])
+            topic = ServedTopic(wanted[alias], self._node.topics)
+            task = self._tasks.spawn(_serve(topic), f"gateway: {alias}")
+            task.add_done_callback(lambda _: self._changed.set())
+            self._running[alias] = _Running(topic, task)
         await self._restore_lost(now)
 
-    async def _wanted(self, now: float) -> list[Candidate]:
-        """What to serve of the candidates; notes why the others are skipped."""
-        able, skipped = list[Candidate](), dict[str, Obstacle]()
+    async def _wanted(self, now: float) -> list[SourceCandidate]:
+        able, skipped = list[SourceCandidate](), dict[str, Obstacle]()
         for count, (alias, each) in enumerate(self._observed.candidates.items(), 1):
             obstacle = self._obstacle(each, now)
             if obstacle is not None:
@@ -135,20 +325,15 @@ class Gateway:
             over = [each.alias for each in able if each.alias not in kept]
             skipped |= dict.fromkeys(over, Obstacle(f"only {self._most} topics are served"))
         before, self.skipped = self.skipped, skipped
-        self._tell(before)
-        return found
-
-    def _tell(self, before: Mapping[str, Obstacle]) -> None:
-        """Log what is new of the topics that are skipped."""
         new = [alias for alias, each in self.skipped.items() if before.get(alias) != each]
         for alias in new[:MAX_LOGGED]:
             why, hint = self.skipped[alias]
             _log.warning("%s is not served: %s%s", shown(alias), why, f" ({hint})" * bool(hint))
         if len(new) > MAX_LOGGED:
             _log.warning("and %d more: rossec gateway status", len(new) - MAX_LOGGED)
+        return found
 
-    def _obstacle(self, candidate: Candidate, now: float) -> Obstacle | None:
-        """Why a topic cannot be served now; None: it can."""
+    def _obstacle(self, candidate: SourceCandidate, now: float) -> Obstacle | None:
         if missing := self._missing.get(candidate.alias):
             return missing
         others = self._observed.servers.get(candidate.served, frozenset()) - {self._node.name}
@@ -158,7 +343,6 @@ class Gateway:
         return Obstacle(why) if now < at else None
 
     async def _judge(self) -> None:
-        """Find which topics there is a right for, if that may have changed."""
         known = self._observed, self._node.access.current(clock.now())
         if known == self._judged_for:
             return
@@ -169,7 +353,7 @@ class Gateway:
                 await asyncio.sleep(0)
         self._judged_for, self._missing = known, missing
 
-    def _missing_right(self, candidate: Candidate) -> Obstacle | None:
+    def _missing_right(self, candidate: SourceCandidate) -> Obstacle | None:
         access, now, name = self._node.access, clock.now(), self._node.name
         label, origin = candidate.rule.label, origin_of(candidate.alias)
         if not access.covers(Right.SUBSCRIBE, candidate.alias, now):
@@ -185,29 +369,15 @@ class Gateway:
             )
         return None
 
-    def _begin(self, candidate: Candidate) -> None:
-        topic = ServedTopic(candidate, self._node.topics)
-        task = self._tasks.spawn(_serve(topic), f"gateway: {candidate.alias}")
-        task.add_done_callback(lambda _: self._changed.set())
-        self._running[candidate.alias] = _Running(topic, task)
-
-    def _forget(self, alias: str, ended: _Running, now: float) -> None:
-        """A task has ended: by itself it is begun again at once, after a failure later."""
-        del self._running[alias]
-        self._again.pop(alias, None)
-        crashed = ended.task.cancelled() or ended.task.exception() is not None
-        if crashed or not ended.task.result():
-            why = ended.topic.problem or "an error, which the log names"
-            self._again[alias] = now + PAUSE, why
-
     async def _restore_lost(self, now: float) -> None:
-        """Register everything again if an answer that should show a registration lacks it."""
         served = [each.topic for each in self._running.values()]
         lost = [
-            each for each in served
-            if each.registered_at is not None and each.registered_at + PAUSE < self._answered_at
+            each
+            for each in served
+            if each.registered_at is not None
+            and each.registered_at + PAUSE < self._answered_at
             and self._node.name not in self._observed.servers.get(each.candidate.served, ())
-        ]  # fmt: skip
+        ]
         if not lost or now < self._restored_at + PAUSE:
             return
         self._restored_at = now
@@ -220,7 +390,6 @@ class Gateway:
     # -- the graph
 
     async def _watch(self) -> None:
-        """Follow the graph; what is known stays while the master is out of reach."""
         retry = Retry(SystemRandom().random)
         while True:
             try:
@@ -229,7 +398,7 @@ class Gateway:
                 await asyncio.sleep(self._cannot_follow(error, retry))
 
     def _cannot_follow(self, error: BaseException, retry: Retry) -> float:
-        """Say once why the graph is not known; returns after how many seconds to try again."""
+        # Say once why the graph is not known; returns after how many seconds to try again.
         why, pause = str(error) or type(error).__name__, retry.pause(monotonic())
         node = self._node
         if not node.access.covers(Right.GRAPH, node.access.master, clock.now()):
@@ -249,27 +418,24 @@ class Gateway:
         client = RpcClient(stream, deadline=WATCH_DEADLINE)
         try:
             while True:
-                answer = await client.ask(METHOD, node.name, *self._view.next_params)
+                answer = await client.ask(WATCH_GRAPH, node.name, *self._view.next_params)
                 if not self._view.take(answer).more:
-                    await self._take_view(monotonic())
+                    now = monotonic()
+                    steps = observing(self._view.facts, self.rules)
+                    try:
+                        while True:
+                            next(steps)
+                            await asyncio.sleep(0)
+                    except StopIteration as end:
+                        self.problem, self._latest = "", (now, end.value)
+                    self._changed.set()
                     retry.succeeded()
                     await asyncio.sleep(PERIOD)  # each answer costs the master a look at every name
         finally:
             await client.close()
 
-    async def _take_view(self, now: float) -> None:
-        steps = observing(self._view.facts, self.rules)
-        try:
-            while True:
-                next(steps)
-                await asyncio.sleep(0)
-        except StopIteration as end:
-            self.problem, self._latest = "", (now, end.value)
-        self._changed.set()
-
 
 async def _serve(topic: ServedTopic) -> bool:
-    """Serve a topic; returns whether it ended without an error."""
     try:
         await topic.run()
     except REFUSALS as error:
@@ -287,24 +453,37 @@ def status(gateway: Gateway, name: str) -> dict[str, Any]:
     """What `rossec gateway status` shows; `name`: of the gateway."""
     rows = [
         {
-            "topic": shown(alias), "served": served_name(alias), "type": each.candidate.type,
+            "topic": shown(alias),
+            "served": served_name(alias),
+            "type": each.candidate.type,
             "state": "registering" if each.registered_at is None else each.phase.value,
             "subscribers": each.subscribers,
-            "publishers": each.sources, "messages": each.messages, "octets": each.octets,
+            "publishers": each.sources,
+            "messages": each.messages,
+            "octets": each.octets,
             "problem": each.problem,
         }
         for alias, each in sorted(gateway.topics.items())
-    ]  # fmt: skip
+    ]
     skipped = [
         {"topic": shown(alias), "why": each.why, "hint": each.hint}
         for alias, each in sorted(gateway.skipped.items())
     ]
     rules = [
-        {"from": each.label, "pattern": each.pattern, "rate": each.wishes.rate,
-         "newest": each.wishes.newest, "compress": each.wishes.deflate}
+        {
+            "from": each.label,
+            "pattern": each.pattern,
+            "rate": each.wishes.rate,
+            "newest": each.wishes.newest,
+            "compress": each.wishes.deflate,
+        }
         for each in gateway.rules
-    ]  # fmt: skip
+    ]
     return {
-        "gateway": name, "problem": gateway.problem, "rules": rules,
-        "topics": rows, "skipped": skipped[:MAX_SKIPPED], "skipped_count": len(skipped),
-    }  # fmt: skip
+        "gateway": name,
+        "problem": gateway.problem,
+        "rules": rules,
+        "topics": rows,
+        "skipped": skipped[:MAX_SKIPPED],
+        "skipped_count": len(skipped),
+    }

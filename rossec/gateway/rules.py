@@ -1,22 +1,46 @@
-"""What a gateway shall serve: topics of another domain, and how they come over the line. Pure.
+"""What a gateway serves: rules, what of the graph they cover, the state of each topic. Pure.
 
 A rule is a pattern of the origin's own names. Of several that cover a topic the first one counts.
 What gateways of the origin serve is covered by patterns below `/gateway` alone: two domains whose
 gateways serve each other's `/**` would hand the same topics to and fro, under ever longer names.
+A topic counts that has a publisher of its origin. An origin may show tens of thousands of topics, and
+change them: what is done for each is done in steps, and messages pass between them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Generator, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Final
+from enum import Enum
+from typing import Final, NamedTuple
 
-from ca.domains.aliases import alias_of, check_label, is_alias, split_alias
-from ca.domains.served import is_in_gateway
-from ca.errors import HintedError
-from ca.patterns import check_pattern, covers
-from rossec.errors import ConfigurationError
-from rossec.participant.wishes import Wishes
+from ca.errors import HintedError, NameRefused
+from ca.names import (
+    alias_of,
+    check_label,
+    check_pattern,
+    is_alias,
+    is_gateway,
+    is_in_gateway,
+    pattern_covers,
+    served_name,
+    split_alias,
+)
+from grants.errors import DefinitionRefused
+from rossec.errors import ConfigurationError, ConnectionHeaderRefused, GatewayError
+from rossec.node.subscriber import RawSource
+from rossec.participant.definitions import Definition
+from rossec.participant.delivery import Wishes
+from rossec.participant.registrations import Fact
+from rossec.ros.names import ANY_TYPE
 
 MAX_RULES: Final = 256
+
+MAX_TOPICS: Final = 1024
+BATCH: Final = 512  # facts or topics in one step
+
+LINGER: Final = 5.0  # seconds without a subscriber here until the origin is left
+FIRST_PAUSE: Final = 1.0  # seconds after a failure, doubled with each further one
+LONGEST_PAUSE: Final = 15.0
 
 
 @dataclass(frozen=True)
@@ -29,16 +53,14 @@ class TopicRule:
 
 
 def rule(label: str, pattern: str, wishes: Wishes) -> TopicRule:
-    """A rule of what a person wrote.
-
-    Raises:
-        ConfigurationError: no label, or no pattern of the origin's names.
-    """
+    """A rule of what a person wrote."""
     try:
         check_label(label)
     except HintedError as error:
         raise ConfigurationError(str(error), "rossec domain list shows the labels") from error
-    own = _origins(label, pattern)
+    prefixes = (f"{label}:", f"/remote/{label}")
+    named = next((each for each in prefixes if pattern.startswith(f"{each}/")), "")
+    own = pattern.removeprefix(named)
     if own != pattern:
         raise ConfigurationError(
             f"{pattern[:255]!a} is a name here, not at its origin", f"--from {label} {own}"
@@ -56,14 +78,6 @@ def rule(label: str, pattern: str, wishes: Wishes) -> TopicRule:
     return TopicRule(label, pattern, wishes)
 
 
-def _origins(label: str, pattern: str) -> str:
-    """The pattern as the origin writes it, of one that was written with a label."""
-    for prefix in (f"{label}:", f"/remote/{label}"):
-        if pattern.startswith(f"{prefix}/"):
-            return pattern.removeprefix(prefix)
-    return pattern
-
-
 def covering(rules: Sequence[TopicRule], alias: str) -> TopicRule | None:
     """The first rule that covers a topic, by its alias; None: there is none."""
     found = split_alias(alias)
@@ -73,4 +87,222 @@ def covering(rules: Sequence[TopicRule], alias: str) -> TopicRule | None:
     of_label = (each for each in rules if each.label == label)
     if is_in_gateway(name):
         of_label = (each for each in of_label if is_in_gateway(each.pattern))
-    return next((each for each in of_label if covers(each.pattern, name)), None)
+    return next((each for each in of_label if pattern_covers(each.pattern, name)), None)
+
+
+class SourceCandidate(NamedTuple):
+    alias: str
+    served: str
+    rule: TopicRule
+    type: str
+
+
+class Observed(NamedTuple):
+    """What the graph says of topics to serve."""
+
+    candidates: Mapping[str, SourceCandidate]  # by alias
+    servers: Mapping[str, frozenset[str]]  # the gateways that are registered, by served name
+
+
+def observing(facts: Iterable[Fact], rules: Sequence[TopicRule]) -> Generator[None, None, Observed]:
+    """What `facts`, which may not change meanwhile, say; yields between the steps."""
+    types, published = dict[str, str](), set[str]()
+    servers: dict[str, frozenset[str]] = {}
+    for count, (kind, name, value) in enumerate(facts, 1):
+        if kind == "type":
+            types[name] = value
+        elif kind == "publisher" and is_gateway(value):
+            servers[name] = servers.get(name, frozenset()) | {value}
+        elif kind == "publisher" and _is_of_its_origin(name, value):
+            published.add(name)
+        if not count % BATCH:
+            yield
+    candidates = dict[str, SourceCandidate]()
+    for count, alias in enumerate(sorted(published), 1):
+        rule = covering(rules, alias)
+        if rule is not None:
+            with suppress(NameRefused):  # it would be longer than a name
+                candidates[alias] = SourceCandidate(
+                    alias, served_name(alias), rule, types.get(alias, ANY_TYPE)
+                )
+        if not count % BATCH:
+            yield
+    return Observed(candidates, servers)
+
+
+def _is_of_its_origin(topic: str, node: str) -> bool:
+    try:
+        one, other = split_alias(topic), split_alias(node)
+    except NameRefused:
+        return False
+    return one is not None and other is not None and one[0] == other[0]
+
+
+def chosen(
+    candidates: Iterable[SourceCandidate], serving: Collection[str], most: int = MAX_TOPICS
+) -> list[SourceCandidate]:
+    """What there is room for, shared between the origins: one with many topics takes none from others.
+
+    Within an origin what is served already comes first, so that a new topic replaces none.
+    """
+    by_label: dict[str, list[SourceCandidate]] = {}
+    for each in candidates:
+        by_label.setdefault(each.rule.label, []).append(each)
+    taken, left = list[SourceCandidate](), most
+    queues = sorted(by_label.values(), key=len)
+    for number, queue in enumerate(queues):
+        share = left // (len(queues) - number)
+        queue.sort(key=lambda each: (each.alias not in serving, each.alias))
+        taken += queue[:share]
+        left -= min(share, len(queue))
+    return taken
+
+
+class TypeChanged(ConnectionHeaderRefused):
+    """The topic has another type at its origin than was said here."""
+
+
+class TopicSources:
+    """The publishers of one topic at its origin.
+
+    A topic has one type, and the definition of the first publisher counts. While a publisher of that
+    type is connected, one of another type is refused, as every subscriber in ROS refuses it. When none
+    is, the type has changed: what was said of it here is wrong, and the topic has to begin again.
+    """
+
+    def __init__(self) -> None:
+        self.type: Definition | None = None
+        self._connected: set[RawSource] = set()
+
+    def __len__(self) -> int:
+        return len(self._connected)
+
+    @property
+    def latching(self) -> bool:
+        return len(self._connected) == 1 and next(iter(self._connected)).latching
+
+    def connect(self, source: RawSource) -> bool:
+        is_first = self.type is None
+        if self.type is not None and not same_type(self.type, source.type):
+            told = f"{source.peer} publishes {source.type.name} ({source.type.md5sum})"
+            kind = ConnectionHeaderRefused if self._connected else TypeChanged
+            raise kind(f"{told}, and not {self.type.name} ({self.type.md5sum})")
+        self.type = self.type or source.type
+        self._connected.add(source)
+        return is_first
+
+    def disconnect(self, source: RawSource) -> None:
+        self._connected.discard(source)
+
+
+def same_type(one: Definition, other: Definition) -> bool:
+    """Whether messages of both have the same bytes: the md5sum alone does not say it."""
+    if (one.name, one.md5sum) != (other.name, other.md5sum):
+        return False
+    return one.definition == other.definition or _digest(one) == _digest(other)
+
+
+def _digest(kind: Definition) -> bytes | str:
+    try:
+        return kind.layout.digest
+    except (DefinitionRefused, ConnectionHeaderRefused):
+        return kind.definition
+
+
+class GatewayPhase(Enum):
+    IDLE = "idle"  # nobody is subscribed here
+    SUBSCRIBED = "subscribed"
+    LINGERING = "lingering"  # subscribed at the origin, and nobody here
+    PAUSED = "paused"  # the master refused the subscription: tried again later
+
+
+class GatewayEvent(Enum):
+    WANTED = "somebody here is subscribed"
+    UNWANTED = "nobody here is subscribed any more"
+    DUE = "the time is over"
+    FAILED = "the subscription failed"
+
+
+class Action(Enum):
+    NOTHING = "nothing"
+    SUBSCRIBE = "subscribe at the origin"
+    LEAVE = "end the subscription"
+
+
+TABLE: Final = {
+    (GatewayPhase.IDLE, GatewayEvent.WANTED): (GatewayPhase.SUBSCRIBED, Action.SUBSCRIBE),
+    (GatewayPhase.SUBSCRIBED, GatewayEvent.UNWANTED): (GatewayPhase.LINGERING, Action.NOTHING),
+    (GatewayPhase.SUBSCRIBED, GatewayEvent.FAILED): (GatewayPhase.PAUSED, Action.LEAVE),
+    (GatewayPhase.LINGERING, GatewayEvent.WANTED): (GatewayPhase.SUBSCRIBED, Action.NOTHING),
+    (GatewayPhase.LINGERING, GatewayEvent.DUE): (GatewayPhase.IDLE, Action.LEAVE),
+    (GatewayPhase.LINGERING, GatewayEvent.FAILED): (GatewayPhase.IDLE, Action.LEAVE),
+    (GatewayPhase.PAUSED, GatewayEvent.DUE): (GatewayPhase.SUBSCRIBED, Action.SUBSCRIBE),
+    (GatewayPhase.PAUSED, GatewayEvent.UNWANTED): (GatewayPhase.IDLE, Action.NOTHING),
+}
+_WANTED_IN: Final = frozenset({GatewayPhase.SUBSCRIBED, GatewayPhase.PAUSED})
+
+
+class TopicState:
+    """Where one topic is in the table; times are of a monotonic clock.
+
+    It is subscribed at its origin only while somebody here is, and a little longer: a program that is
+    started again, or one after the other, makes no new connection over the slow line each time.
+    """
+
+    def __init__(self) -> None:
+        self.phase = GatewayPhase.IDLE
+        self.due: float | None = None  # when to call `step` at the latest; None: when something changes
+        self._pause = FIRST_PAUSE
+
+    def step(self, now: float, *, wanted: bool) -> Action:
+        if wanted and self.phase not in _WANTED_IN:
+            return self._enter(GatewayEvent.WANTED, now)
+        if not wanted and self.phase in _WANTED_IN:
+            return self._enter(GatewayEvent.UNWANTED, now)
+        if self.due is not None and now >= self.due:
+            return self._enter(GatewayEvent.DUE, now)
+        return Action.NOTHING
+
+    def failed(self, now: float) -> Action:
+        action = self._enter(GatewayEvent.FAILED, now)
+        self._pause = min(2 * self._pause, LONGEST_PAUSE)
+        return action
+
+    def connected(self) -> None:
+        self._pause = FIRST_PAUSE
+
+    def _enter(self, event: GatewayEvent, now: float) -> Action:
+        if (self.phase, event) not in TABLE:
+            raise GatewayError(f"a topic that is {self.phase.value}, and then: {event.value}")
+        self.phase, action = TABLE[self.phase, event]
+        waits = {GatewayPhase.LINGERING: LINGER, GatewayPhase.PAUSED: self._pause}.get(self.phase)
+        self.due = None if waits is None else now + waits
+        return action
+
+
+class Thinning:
+    """Messages of one latching publisher, at most `rate` a second, and the last one all the same.
+
+    A sender that thins out by a wish of a rate (docs/decisions/0036) drops what is too much. Of a topic
+    whose last message is its value it may drop the very last. So a gateway asks for no rate there, and
+    holds back by itself: the newest that is too early is due as soon as the rate admits it.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._interval = 1 / rate
+        self._next = float("-inf")
+        self._held: bytes | None = None
+
+    @property
+    def due(self) -> float | None:
+        return None if self._held is None else self._next
+
+    def take(self, message: bytes, now: float) -> bytes | None:
+        self._held = message
+        return self.release(now)
+
+    def release(self, now: float) -> bytes | None:
+        if self._held is None or now < self._next:
+            return None
+        message, self._held, self._next = self._held, None, now + self._interval
+        return message

@@ -9,11 +9,14 @@ import inspect
 import socket
 import sys
 import threading
+import xmlrpc
 import xmlrpc.client
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
+from types import ModuleType
 from typing import Any, Final, NamedTuple
 
+import rosgraph
 import rosgraph.impl.graph
 import rosgraph.masterapi
 import rosgraph.network
@@ -29,19 +32,12 @@ import rospy.topics
 from rospy.impl.validators import ParameterInvalid
 
 from rossec.errors import ConfigurationError
-from rossec.inprocess.addresses import bracketed, parse_rosrpc
-from rossec.inprocess.connections import Connections
-from rossec.inprocess.module_proxy import ModuleProxy
+from rossec.inprocess.connections import Connections, ServiceProbe, SubscriptionLoop
 from rossec.inprocess.process import SecuredProcess
-from rossec.inprocess.publishing import forked_node, publish
-from rossec.inprocess.send_queue import write_data
-from rossec.inprocess.service_probe import ServiceProbe
-from rossec.inprocess.sockets import RosSocket
-from rossec.inprocess.subscription import SubscriptionLoop
-from rossec.inprocess.wish_queue import queue_for
-from rossec.inprocess.xmlrpc_client import REQUEST, XmlRpcClient
-from rossec.inprocess.xmlrpc_server import XmlRpcServer
-from rossec.ros.settings import parse_uri
+from rossec.inprocess.publishing import forked_node, publish, queue_for, write_data
+from rossec.inprocess.sockets import RosSocket, bracketed, parse_rosrpc
+from rossec.inprocess.xmlrpc_calls import REQUEST, XmlRpcClient, XmlRpcServer
+from rossec.ros.names import parse_uri
 
 VERSIONS: Final = ("1.14", "1.15", "1.16", "1.17")
 _LATE: Final = "call rossec.secure() right after importing rospy, before anything else of it"
@@ -51,9 +47,18 @@ _CALLER: Final = ("self", "request", "client_address")
 StartNode = Callable[..., Any]
 
 
-class Hook(NamedTuple):
-    """`owner.name` becomes `new`; `parameters` are those of the function that was there."""
+class ModuleProxy:
+    """A module in which some names are replaced, for rospy."""
 
+    def __init__(self, module: ModuleType, **replaced: object) -> None:
+        self._module = module
+        self.__dict__.update(replaced)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)
+
+
+class Hook(NamedTuple):
     owner: Any
     name: str
     new: object
@@ -61,11 +66,6 @@ class Hook(NamedTuple):
 
 
 def rospy_version() -> str:
-    """The version of the rospy that is imported.
-
-    Raises:
-        ConfigurationError: unknown, or not a version that rossec was tested with.
-    """
     try:
         found = version("rospy")
     except PackageNotFoundError:
@@ -79,11 +79,7 @@ def rospy_version() -> str:
 
 
 def check_in_time() -> None:
-    """Check that the program has opened no connection yet: it would stay plain.
-
-    Raises:
-        ConfigurationError: it has opened one.
-    """
+    """Check that the program has opened no connection yet: it would stay plain."""
     base, core = rospy.impl.tcpros_base, rospy.core
     if core.is_initialized() or rospy.client._init_node_args:  # noqa: SLF001 - rospy has no function for it
         raise ConfigurationError("rossec.secure() comes after rospy.init_node()", _LATE)
@@ -95,24 +91,8 @@ def check_in_time() -> None:
 
 
 def hooks(process: SecuredProcess, start_node: StartNode) -> list[Hook]:
-    """Every hook, in the order in which they are set."""
-    return [
-        *_connection_hooks(process),
-        *_topic_hooks(process),
-        *_xmlrpc_client_hooks(process),
-        *_wait_hooks(process),
-        *_node_hooks(process),
-        Hook(
-            rospy.impl.init, "start_node", start_node,
-            ("environ", "resolved_name", "master_uri", "port", "tcpros_port"),
-        ),
-    ]  # fmt: skip
-
-
-def _connection_hooks(process: SecuredProcess) -> list[Hook]:
-    """TCPROS connections of topics and services, both sides."""
-    transport = rospy.impl.tcpros_base.TCPROSTransport
-    connections = Connections(process)
+    base, pubsub, service = rospy.impl.tcpros_base, rospy.impl.tcpros_pubsub, rospy.impl.tcpros_service
+    connections, client, server = Connections(process), XmlRpcClient(process), XmlRpcServer(process)
 
     def make(family: int = socket.AF_INET, kind: int = socket.SOCK_STREAM) -> RosSocket:
         return RosSocket(process, socket.socket(family, kind))
@@ -124,55 +104,6 @@ def _connection_hooks(process: SecuredProcess) -> list[Hook]:
         except RuntimeError:  # out of threads: only this caller is dropped
             sock.close()
 
-    server = rospy.impl.tcpros_base.TCPROSServer
-    probes = ModuleProxy(socket, socket=_probes(process))
-    return [
-        Hook(rospy.impl.tcpros_base, "socket", ModuleProxy(socket, socket=make)),
-        Hook(rospy.impl.tcpros_service, "socket", probes),
-        Hook(server, "_tcp_server_callback", accepted, ("self", "sock", "client_addr")),
-        Hook(transport, "write_header", _as_function(connections.write_header), ("self",)),
-        Hook(transport, "read_header", _as_function(connections.read_header), ("self",)),
-        Hook(transport, "write_data", write_data, ("self", "data")),
-    ]
-
-
-def _topic_hooks(process: SecuredProcess) -> list[Hook]:
-    """Sending and receiving messages."""
-    pubsub, queued = rospy.impl.tcpros_pubsub, ("self", "connection", "queue_size")
-    return [
-        Hook(
-            pubsub, "robust_connect_subscriber", SubscriptionLoop(process).run,
-            ("conn", "dest_addr", "dest_port", "pub_uri", "receive_cb", "resolved_topic_name"),
-        ),
-        Hook(
-            rospy.topics._PublisherImpl, "publish", publish,  # noqa: SLF001 - rospy's
-            ("self", "message", "connection_override"),
-        ),
-        Hook(rospy.topics, "QueuedConnection", queue_for, queued),
-        Hook(pubsub, "QueuedConnection", queue_for, queued),
-    ]  # fmt: skip
-
-
-def _xmlrpc_client_hooks(process: SecuredProcess) -> list[Hook]:
-    """Calls of the master API and of the slave APIs of other nodes."""
-    client = XmlRpcClient(process)
-    proxy = client.proxy_class()
-    return [
-        Hook(rospy.core, "xmlrpcclient", ModuleProxy(xmlrpc.client, ServerProxy=proxy)),
-        Hook(rospy.core, "_LockedServerProxy", proxy, ("self", "args", "kwargs")),
-        Hook(rospy.impl.tcpros_pubsub, "ServerProxy", proxy),
-        Hook(rosgraph.masterapi, "ServerProxy", proxy),
-        Hook(rosgraph.impl.graph, "ServerProxy", proxy),
-        Hook(
-            xmlrpc.client.ServerProxy, REQUEST, _as_function(client.request),
-            ("self", "methodname", "params"),
-        ),
-    ]  # fmt: skip
-
-
-def _wait_hooks(process: SecuredProcess) -> list[Hook]:
-    """`wait_for_service`, and the URIs of services."""
-    service = rospy.impl.tcpros_service
     stock_wait = service.wait_for_service
 
     def wait_for_service(service: Any, timeout: Any = None) -> None:
@@ -185,36 +116,52 @@ def _wait_hooks(process: SecuredProcess) -> list[Hook]:
         except ConfigurationError as error:
             raise ParameterInvalid(str(error)) from error
 
-    return [
-        Hook(service, "wait_for_service", wait_for_service, ("service", "timeout")),
-        Hook(rospy, "wait_for_service", wait_for_service, ("service", "timeout")),
-        Hook(rospy.core, "parse_rosrpc_uri", parse_service_uri, ("uri",)),
-    ]
-
-
-def _node_hooks(process: SecuredProcess) -> list[Hook]:
-    """This node's slave API and its URI."""
-    api = rosgraph.xmlrpc.ThreadingXMLRPCServer
-    server = XmlRpcServer(process)
-
     def set_uri(node: Any, uri: str) -> None:
         node.uri = bracketed(uri)
         host, port = parse_uri(node.uri)
         process.listens(port, host)
 
+    proxy, proxies = client.proxy_class(), xmlrpc.client.ServerProxy
+    write_header, read_header = map(_as_function, (connections.write_header, connections.read_header))
+    verify_request, finish_request = map(_as_function, (server.verify_request, server.finish_request))
+    publisher = rospy.topics._PublisherImpl  # noqa: SLF001 - rospy's
+    subscribes = ("conn", "dest_addr", "dest_port", "pub_uri", "receive_cb", "resolved_topic_name")
+    starts = ("environ", "resolved_name", "master_uri", "port", "tcpros_port")
+    api, transport = rosgraph.xmlrpc.ThreadingXMLRPCServer, base.TCPROSTransport
     return [
-        Hook(api, "verify_request", _as_function(server.verify_request), _CALLER),
-        Hook(api, "finish_request", _as_function(server.finish_request), _CALLER),
+        # connections of topics and services
+        Hook(base, "socket", ModuleProxy(socket, socket=make)),
+        Hook(service, "socket", ModuleProxy(socket, socket=_probes(process))),
+        Hook(base.TCPROSServer, "_tcp_server_callback", accepted, ("self", "sock", "client_addr")),
+        Hook(transport, "write_header", write_header, ("self",)),
+        Hook(transport, "read_header", read_header, ("self",)),
+        Hook(transport, "write_data", write_data, ("self", "data")),
+        # topics
+        Hook(pubsub, "robust_connect_subscriber", SubscriptionLoop(process).run, subscribes),
+        Hook(publisher, "publish", publish, ("self", "message", "connection_override")),
+        Hook(rospy.topics, "QueuedConnection", queue_for, ("self", "connection", "queue_size")),
+        Hook(pubsub, "QueuedConnection", queue_for, ("self", "connection", "queue_size")),
+        # XML-RPC calls from here
+        Hook(rospy.core, "xmlrpcclient", ModuleProxy(xmlrpc.client, ServerProxy=proxy)),
+        Hook(rospy.core, "_LockedServerProxy", proxy, ("self", "args", "kwargs")),
+        Hook(pubsub, "ServerProxy", proxy),
+        Hook(rosgraph.masterapi, "ServerProxy", proxy),
+        Hook(rosgraph.impl.graph, "ServerProxy", proxy),
+        Hook(proxies, REQUEST, _as_function(client.request), ("self", "methodname", "params")),
+        # waiting for services
+        Hook(service, "wait_for_service", wait_for_service, ("service", "timeout")),
+        Hook(rospy, "wait_for_service", wait_for_service, ("service", "timeout")),
+        Hook(rospy.core, "parse_rosrpc_uri", parse_service_uri, ("uri",)),
+        # the node: its slave API, its URI, its start
+        Hook(api, "verify_request", verify_request, _CALLER),
+        Hook(api, "finish_request", finish_request, _CALLER),
         Hook(rosgraph.xmlrpc.XmlRpcNode, "set_uri", set_uri, ("self", "uri")),
+        Hook(rospy.impl.init, "start_node", start_node, starts),
     ]
 
 
 def install(table: list[Hook]) -> None:
-    """Set every hook, or none.
-
-    Raises:
-        ConfigurationError: this rospy is not the one the hooks are for.
-    """
+    """Set every hook, or none."""
     for hook in table:
         found = getattr(hook.owner, hook.name, None)
         if found is None or (hook.parameters is not None and _parameters(found) != hook.parameters):
@@ -228,7 +175,6 @@ def install(table: list[Hook]) -> None:
 
 
 def hook_tools(process: SecuredProcess) -> None:
-    """Hook the ROS tools that the program imported: they connect to nodes themselves."""
     rosnode, rosservice = sys.modules.get("rosnode"), sys.modules.get("rosservice")
     table = []
     if rosnode is not None:
@@ -239,7 +185,6 @@ def hook_tools(process: SecuredProcess) -> None:
 
 
 def watch_forks(process: SecuredProcess) -> None:
-    """The node starts: a child forked from now on says that nobody receives it."""
     forked_node.start(process.reporter.warn)
 
 
@@ -251,11 +196,6 @@ def _probes(process: SecuredProcess) -> Callable[..., ServiceProbe]:
 
 
 def check(table: list[Hook]) -> None:
-    """Check that every hook is in place.
-
-    Raises:
-        ConfigurationError: one was replaced.
-    """
     for hook in table:
         if inspect.getattr_static(hook.owner, hook.name, None) is not hook.new:
             raise ConfigurationError(
@@ -275,8 +215,6 @@ def _path(hook: Hook) -> str:
 
 
 def _as_function(method: Callable[..., Any]) -> Callable[..., Any]:
-    """`method` as a function, which becomes a method of the class it is set on."""
-
     def function(*arguments: Any) -> Any:
         return method(*arguments)
 

@@ -1,35 +1,51 @@
-"""The node that this process is: its identity, grants and revocation data; thread-safe.
+"""The node that this process is, thread-safe, and the connections it makes, both ways.
 
-One lock makes a list and its confirmation one step: between the two no revocation data would be
-fresh, and every peer that is checked would be refused.
+A plain connection that `allow_plain` names has the interface of a secure one. What a caller sends first
+is read without consuming it, so that a caller that is not named continues with the handshake, which
+refuses it.
 """
 
+import socket
+import struct
+import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import wraps
+from functools import partial, wraps
 from threading import RLock
-from typing import Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, Final, ParamSpec, TypeVar
+from weakref import WeakKeyDictionary
 
 from ca.certificates import Identity
 from rossec import clock
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.channel.negotiation import Renewal
+from rossec.channel.opening import MAX_DRAIN, PlainCaller, WireProtocol, classify_caller
+from rossec.errors import HeaderRefused, ProtocolViolation
 from rossec.home import NodeHome
 from rossec.net.context import SecureContext
+from rossec.net.limits import HalfOpenSlot
+from rossec.net.threads.secure_socket import SecureSocket
 from rossec.participant.access import Access
+from rossec.participant.connections import Address, OwnAddresses
+from rossec.participant.handshakes import caller_for
 from rossec.participant.membership import LoadedIdentity
-from rossec.participant.remote_names import caller_for
+from rossec.ros import tcpros
 from rossec.ros.names import MASTER
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
+_READ: Final = 256 * 1024
+_PREFIX: Final = 4
+DEADLINE: Final = 5.0
 
-def _locked(
-    method: Callable[Concatenate[Access, P], R],
-) -> Callable[Concatenate["LockedAccess", P], R]:
-    """The same method of `LockedAccess`."""
+CONNECT_TIMEOUT: Final = 10.0
 
+Stream = SecureSocket[Identity]
+
+
+def _locked(method: Callable[Concatenate[Access, P], R]) -> Callable[Concatenate["LockedAccess", P], R]:
     @wraps(method)
     def call(locked: "LockedAccess", /, *args: P.args, **kwargs: P.kwargs) -> R:
         with locked.lock:
@@ -42,7 +58,9 @@ def _locked(
 class LockedAccess:
     """What this process uses of `Access`, one thread at a time.
 
-    Not a subclass: a method that is added to `Access` cannot be called here without the lock.
+    Not a subclass: a method that is added to `Access` cannot be called here without the lock. One lock
+    makes a list and its confirmation one step: between the two no revocation data would be fresh, and
+    every peer that is checked would be refused.
     """
 
     def __init__(self, access: Access) -> None:
@@ -51,19 +69,16 @@ class LockedAccess:
 
     @property
     def epoch(self) -> int:
-        """See `Access.epoch`."""
         with self.lock:
             return self._access.epoch
 
     @property
     def unproved(self) -> list[bytes]:
-        """See `Access.unproved`."""
         with self.lock:
             return self._access.unproved
 
     @property
     def foreign_domains(self) -> frozenset[str]:
-        """See `Access.foreign_domains`."""
         with self.lock:
             return self._access.foreign_domains
 
@@ -82,19 +97,8 @@ class LockedAccess:
 
 
 class LocalIdentity(LoadedIdentity):
-    """The enrolled node that this process is.
-
-    Args:
-        home, name, master: as of `LoadedIdentity`, which raises the same errors.
-        suites: of its channels, by the post-quantum policy.
-    """
-
     def __init__(
-        self,
-        home: NodeHome,
-        name: str,
-        suites: tuple[int, ...] = PRODUCTION,
-        master: str = MASTER,
+        self, home: NodeHome, name: str, suites: tuple[int, ...] = PRODUCTION, master: str = MASTER
     ) -> None:
         super().__init__(home, name, master)
         self.live_context = SecureContext(
@@ -103,25 +107,18 @@ class LocalIdentity(LoadedIdentity):
         self.access = LockedAccess(Access(self.standing, master=master))
 
     def name_for(self, peer: Identity) -> str:
-        """By which name this node calls itself to `peer`."""
         return caller_for(peer, self.name, self.identity.name)
 
     @property
     def credentials(self) -> Credentials:
-        """Those of the next handshake, which uses them unchanged: it has a thread of its own."""
         return self.live_credentials.current
 
     @property
     def context(self) -> SecureContext[Identity]:
-        """The context of the next handshake: a renewal by another thread does not change it."""
+        # The context of the next handshake: a renewal by another thread does not change it.
         return replace(self.live_context, credentials=self.credentials)
 
     def refresh_identity(self) -> bool:
-        """Use the certificate that is in the directory now; returns whether it is another one.
-
-        Raises:
-            HintedError: it is invalid; the one before stays.
-        """
         credentials = self.home.credentials()
         if credentials.chain == self.credentials.chain:
             return False
@@ -133,3 +130,134 @@ class LocalIdentity(LoadedIdentity):
 def now() -> int:
     """The host's clock, in seconds; never ROS time (attack M7)."""
     return clock.now()
+
+
+class PlainSocketStream:
+    """What is used of a `SecureSocket`; the peer is not authenticated."""
+
+    peer = None
+    awaits_peer = False
+
+    def __init__(self, sock: socket.socket) -> None:
+        sock.settimeout(None)
+        self._socket = sock
+
+    def recv(self, size: int) -> bytes:
+        return self._socket.recv(size)
+
+    def recv_into(self, buffer: bytearray | memoryview, size: int = 0) -> int:
+        return self._socket.recv_into(buffer, size)
+
+    def receive_unit(self) -> bytes:
+        return self._socket.recv(_READ)
+
+    def pump(self) -> None: ...
+
+    def sendall(self, *pieces: bytes | bytearray | memoryview) -> None:
+        for piece in pieces:
+            self._socket.sendall(piece)
+
+    def settimeout(self, value: float | None) -> None:
+        self._socket.settimeout(value)
+
+    def gettimeout(self) -> float | None:
+        return self._socket.gettimeout()
+
+    def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
+        self._socket.shutdown(how)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def peek(sock: socket.socket) -> bytes:
+    """The first bytes of a plain caller, not consumed: a whole connection header, or the beginning
+    of an HTTP request; empty for any other caller, and for one that sends nothing in time.
+    """
+    end = time.monotonic() + DEADLINE
+    try:
+        first = _peek_bytes(sock, _PREFIX, end)
+        verdict = classify_caller(first + b"\0" * 60)
+        if first in (b"POST", b"GET "):
+            return first
+        if not isinstance(verdict, PlainCaller) or verdict.drain > MAX_DRAIN:
+            return b""
+        return _peek_bytes(sock, min(verdict.drain, _PREFIX + tcpros.HEADER_LIMIT), end)
+    except (OSError, ProtocolViolation):
+        return b""
+    finally:
+        sock.settimeout(None)
+
+
+def plain_fields(data: bytes) -> dict[str, bytes]:
+    if len(data) < _PREFIX or struct.unpack_from("<I", data)[0] != len(data) - _PREFIX:
+        return {}
+    try:
+        return tcpros.decode(data[_PREFIX:])
+    except HeaderRefused:
+        return {}
+
+
+def _peek_bytes(sock: socket.socket, size: int, end: float) -> bytes:
+    data: Any = b""
+    while len(data) < size and (left := end - time.monotonic()) > 0:
+        sock.settimeout(left)
+        peeked = sock.recv(size, socket.MSG_PEEK)
+        if len(peeked) == len(data):
+            if not peeked:
+                break
+            time.sleep(0.005)  # the kernel cannot wait for more than has arrived
+        data = peeked
+    return bytes(data)
+
+
+class Connector:
+    def __init__(self, local_identity: LocalIdentity, own_addresses: OwnAddresses | None = None) -> None:
+        self._local_identity = local_identity
+        self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
+        self._slots: WeakKeyDictionary[socket.socket, HalfOpenSlot] = WeakKeyDictionary()
+
+    def initiate(self, sock: socket.socket, protocol: WireProtocol, address: Address) -> Stream:
+        return SecureSocket.initiate(
+            sock,
+            self._local_identity.context,
+            protocol,
+            to_itself=self._own_addresses.is_own(address),
+            timeout=CONNECT_TIMEOUT,
+        )
+
+    def admit(self, sock: socket.socket, address: str) -> bool:
+        # It counts until the peer is authenticated, or `sock` is closed.
+        slot = self._local_identity.context.half_open.admit(address)
+        if slot is not None:
+            slot.bind(sock)
+            self._slots[sock] = slot
+        return slot is not None
+
+    def release(self, sock: socket.socket) -> None:
+        slot = self._slots.pop(sock, None)
+        if slot is not None:
+            slot.release()
+
+    def respond(self, sock: socket.socket, protocol: WireProtocol) -> Stream:
+        try:
+            core = self._local_identity.context.responder(protocol)
+            sock.settimeout(None)  # rospy sets a default for all sockets of the process
+            return SecureSocket(sock, core, partial(self.release, sock))
+        except BaseException:
+            sock.close()
+            self.release(sock)
+            raise
+
+
+class Renewing:
+    """What is renewed on a connection of rospy's; on a plain one there is nothing to renew."""
+
+    _stream: Stream | PlainSocketStream | None = None
+
+    def on_renewal(self, callback: Callable[[Renewal[Identity]], None]) -> None:
+        if isinstance(self._stream, SecureSocket):
+            self._stream.on_renewal(callback)
+
+    def present_grants(self, data: bytes) -> bool:
+        return isinstance(self._stream, SecureSocket) and self._stream.present_grants(data)

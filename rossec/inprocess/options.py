@@ -4,8 +4,9 @@ The file is TOML, with a table `[rospy]`: `$ROSSEC_CONFIG`, or `rossec.toml` in 
 unknown key or an invalid value is refused: a misspelling must not open anything (F13).
 """
 
+import ipaddress
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -14,24 +15,18 @@ from ca.errors import NameRefused
 from ca.names import check_name
 from rossec.environment import rossec_home
 from rossec.errors import ConfigurationError
+from rossec.host.addresses import is_relayed
 
 _DOTS: Final = 2000  # tomllib takes square time and memory for the dots of one key
 _KEYS: Final = frozenset({"node", "allow_plain"})
 
+_HINT = "an entry is a topic's or a service's name, /name or /name@address"
+
 
 @dataclass(frozen=True)
 class Options:
-    """How a process is secured.
-
-    Attributes:
-        home: ROSSEC_HOME.
-        node: the name of the node, absolute or as given to `rospy.init_node`; None: as given
-            there.
-        allow_plain: what may stay plain while a fleet migrates (`rossec.inprocess.allow_plain`).
-    """
-
     home: Path
-    node: str | None = None
+    node: str | None = None  # absolute, or as given to `rospy.init_node`; None: as given there
     allow_plain: tuple[str, ...] = ()
 
 
@@ -48,17 +43,21 @@ def read(
     node: str | None = None,
     allow_plain: Sequence[str] | None = None,
 ) -> Options:
-    """The options from the arguments, the environment and the file's text.
-
-    Raises:
-        ConfigurationError: one of them is invalid.
-    """
     table = _table(text) if text is not None else {}
     name = _first(node, environ.get("ROSSEC_NODE"), table.get("node"))
-    plain = _first(allow_plain, _split(environ.get("ROSSEC_ALLOW_PLAIN")), table.get("allow_plain"))
-    return Options(
-        rossec_home(environ), _checked_name(name), () if plain is None else _checked_list(plain)
-    )
+    if name is not None:
+        try:
+            check_name(str(name) if "/" in str(name) else f"/{name}")
+        except NameRefused as error:
+            raise ConfigurationError(f"{name!r} is not the name of a node: {error}", error.hint) from error
+    listed = environ.get("ROSSEC_ALLOW_PLAIN")
+    split = None if listed is None else [part.strip() for part in listed.split(",") if part.strip()]
+    plain = _first(allow_plain, split, table.get("allow_plain"), ())
+    if isinstance(plain, str) or not isinstance(plain, Sequence):
+        raise ConfigurationError("allow_plain is a list of names", 'allow_plain=["/topic"]')
+    if not all(isinstance(value, str) and value for value in plain):
+        raise ConfigurationError("allow_plain holds something that is not text")
+    return Options(rossec_home(environ), None if name is None else str(name), tuple(plain))
 
 
 def _table(text: str) -> Mapping[str, object]:
@@ -82,26 +81,43 @@ def _first(*values: object) -> object:
     return next((value for value in values if value is not None), None)
 
 
-def _split(text: str | None) -> list[str] | None:
-    return None if text is None else [part.strip() for part in text.split(",") if part.strip()]
+class PlainConnection:
+    """A connection that `allow_plain` names: not authorized, and without an expiry."""
+
+    guard = None
+    ends = float("inf")
 
 
-def _checked_name(name: object) -> str | None:
-    if name is None:
-        return None
-    text = str(name)
+class PlainPeers:
+    """What may stay plain while a fleet migrates: named topics and services, nothing else.
+
+    An entry is a name (`/chatter`), for any peer, or a name and an address, for one
+    (`/chatter@192.168.1.7`). A plain connection is neither encrypted nor authenticated. It never takes
+    the way of a relay: behind that loopback address is anyone.
+    """
+
+    def __init__(self, entries: Iterable[str] = ()) -> None:
+        self.entries = tuple(entries)
+        self._allowed = frozenset(map(_parse, self.entries))
+
+    def __bool__(self) -> bool:
+        return bool(self._allowed)
+
+    def allows(self, name: str, address: str) -> bool:
+        if is_relayed(address):
+            return False
+        return (name, None) in self._allowed or (name, _canonical(address)) in self._allowed
+
+
+def _parse(entry: str) -> tuple[str, str | None]:
+    name, mark, address = entry.partition("@")
     try:
-        check_name(text if "/" in text else f"/{text}")
-    except NameRefused as error:
-        raise ConfigurationError(
-            f"{name!r} is not the name of a node: {error}", error.hint
-        ) from error
-    return text
+        return check_name(name), _canonical(address) if mark else None
+    except (NameRefused, ValueError) as error:
+        raise ConfigurationError(f"allow_plain holds {entry!r}: {error}", _HINT) from error
 
 
-def _checked_list(values: object) -> tuple[str, ...]:
-    if isinstance(values, str) or not isinstance(values, Sequence):
-        raise ConfigurationError("allow_plain is a list of names", 'allow_plain=["/topic"]')
-    if not all(isinstance(value, str) and value for value in values):
-        raise ConfigurationError("allow_plain holds something that is not text")
-    return tuple(values)
+def _canonical(address: str) -> str:
+    parsed = ipaddress.ip_address(address)
+    mapped = parsed.ipv4_mapped if isinstance(parsed, ipaddress.IPv6Address) else None
+    return str(mapped or parsed)

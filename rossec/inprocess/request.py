@@ -7,10 +7,9 @@ there. When the grant arrives, registrations that the master had refused are rep
 
 import secrets
 import time
-from pathlib import Path
 from typing import Final
 
-from ca.domains.aliases import is_alias, origin_of, shown
+from ca.names import is_alias, origin_of, shown
 from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec import files
@@ -18,7 +17,7 @@ from rossec.authority import requests
 from rossec.errors import ConfigurationError
 from rossec.inprocess.identity import LocalIdentity, now
 from rossec.inprocess.secure import secured
-from rossec.participant.wire_names import possible_names
+from rossec.participant.access import possible_names
 
 _POLL_INTERVAL: Final = 0.1  # seconds
 
@@ -31,16 +30,23 @@ def ask(right: str, name: str, *, why: str, wait: float = 0.0) -> bool:
         name: an absolute name or pattern.
         why: the reason, for the person or the policy that decides.
         wait: how long to wait for the answer; 0: do not wait.
-
-    Raises:
-        ConfigurationError: not secured, without a name yet, an unknown right, or one that another
-            domain's authority gives.
-        GrantError: an invalid pattern, or a reason that is too long.
     """
     local_identity = secured().local_identity
-    wanted = _right(right)
+    try:
+        wanted = Right[right.upper().replace("-", "_")]
+    except KeyError:
+        known = ", ".join(one.label for one in Right)
+        raise ConfigurationError(f"there is no right {right!r}", f"rights are {known}") from None
     if not local_identity.access.holds(wanted, name, now()):
-        _check_own(wanted, name, local_identity.name)
+        if is_alias(name) and wanted is not Right.GRAPH:
+            # Only the origin's authority gives rights on its names, and it takes no request from here.
+            served = possible_names(name)[1:] if wanted is Right.SUBSCRIBE else ()
+            raise ConfigurationError(
+                f"rights on {shown(name)} are given by the authority of that domain",
+                f"there: rossec grant sign LABEL:{local_identity.name} --{wanted.label} {origin_of(name)}"
+                " --certificate FILE"
+                + "".join(f"; or ask for {each}, if a gateway here serves it" for each in served),
+            )
         _send(local_identity, wanted, name, why)
     end = time.monotonic() + wait
     while not (held := local_identity.access.holds(wanted, name, now())) and time.monotonic() < end:
@@ -48,41 +54,20 @@ def ask(right: str, name: str, *, why: str, wait: float = 0.0) -> bool:
     return held
 
 
-def _right(label: str) -> Right:
-    try:
-        return Right[label.upper().replace("-", "_")]
-    except KeyError:
-        known = ", ".join(one.label for one in Right)
-        raise ConfigurationError(f"there is no right {label!r}", f"rights are {known}") from None
-
-
-def _check_own(right: Right, name: str, own: str) -> None:
-    """Only the origin's authority gives rights on its names, and it takes no request from here."""
-    if is_alias(name) and right is not Right.GRAPH:
-        served = possible_names(name)[1:] if right is Right.SUBSCRIBE else ()
-        raise ConfigurationError(
-            f"rights on {shown(name)} are given by the authority of that domain",
-            f"there: rossec grant sign LABEL:{own} --{right.label} {origin_of(name)}"
-            " --certificate FILE"
-            + "".join(f"; or ask for {each}, if a gateway here serves it" for each in served),
-        )
-
-
 def _send(local_identity: LocalIdentity, right: Right, name: str, why: str) -> None:
     request = GrantRequest(
-        local_identity.identity.domain, local_identity.identity.name, now(),
+        local_identity.identity.domain,
+        local_identity.identity.name,
+        now(),
         secrets.token_bytes(16),
-        (RequestedRight(right, name),), why,
-    )  # fmt: skip
+        (RequestedRight(right, name),),
+        why,
+    )
     data = sign_request(local_identity.credentials.signer, request)
-    authority = _authority_of(local_identity)
+    authority = local_identity.home.path.parent.parent / "ca"
     if (authority / "ca.pem").exists():
         requests.put_in_inbox(authority, request, data)
         return
     folder = local_identity.home.path / "requests"
     files.make_private_directory(folder)
     files.replace(folder / f"{request.id.hex()}.request", data)
-
-
-def _authority_of(local_identity: LocalIdentity) -> Path:
-    return local_identity.home.path.parent.parent / "ca"

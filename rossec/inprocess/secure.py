@@ -11,50 +11,50 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Final, NoReturn
 
 from ca.errors import HintedError
 from ca.keys import ownership
-from rossec import files, home_hints
-from rossec.channel.suite_selection import post_quantum
+from rossec import environment, files
+from rossec.channel.opening import post_quantum
 from rossec.environment import own_master
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.inprocess.allow_plain import PlainPeers
+from rossec.host.addresses import warn_of_own_address
 from rossec.inprocess.identity import LocalIdentity
-from rossec.inprocess.options import Options, file_of, read
-from rossec.inprocess.process import SecuredProcess
-from rossec.inprocess.reporting import LogBridge, Reporter
-from rossec.net.host.own_address import warn_of_own_address
-from rossec.ros.settings import own_address, parse_uri
-from rossec.ros.text import printable
+from rossec.inprocess.options import Options, PlainPeers, file_of, read
+from rossec.inprocess.process import CallReporter, LogBridge, SecuredProcess
+from rossec.peer_limits import printable
+from rossec.ros.names import own_address, parse_uri
 
 _MAX_FILE = 64 * 1024
 
 
 class _Secured:
-    """What `secure` made; one for a process."""
-
     def __init__(self, options: Options) -> None:
         self.options = options
         self.hooks = _hooks_module()
         self.hooks.rospy_version()
         self.hooks.check_in_time()
         self._rospy = importlib.import_module("rospy")
-        self.reporter = Reporter(lambda line: self._rospy.logwarn("%s", line))
+        self.reporter = CallReporter(lambda line: self._rospy.logwarn("%s", line))
         self.process = SecuredProcess(self.reporter, PlainPeers(options.allow_plain))
         self._stock_start: Callable[..., Any] = self._rospy.impl.init.start_node
         self.table = self.hooks.hooks(self.process, self.start_node)
 
     def install(self) -> None:
-        """Set the hooks, and begin if the node's name is known."""
         name = None if self.options.node is None else self._early_name()
         if name is not None:
             local_identity = self._load_identity(name)
             self.hooks.install(self.table)
             self._begin(local_identity)
         else:
-            _require_some_identity(self.options)
+            options = self.options
+            if not any((options.home / "nodes").glob("*/node.pem")):
+                raise ConfigurationError(
+                    f"no node is enrolled in {options.home}", environment.missing_nodes(options.home)
+                )
             self.hooks.install(self.table)
             self.process.begin_early = self._begin_early
         logging.getLogger("rossec").addHandler(LogBridge(self.reporter))
@@ -69,7 +69,6 @@ class _Secured:
         port: int = 0,
         tcpros_port: int = 0,
     ) -> Any:
-        """`rospy.impl.init.start_node`: here the name is final."""
         try:
             self.hooks.check(self.table)
             self.hooks.hook_tools(self.process)
@@ -86,14 +85,11 @@ class _Secured:
         self.hooks.watch_forks(self.process)
         background_loop, core = self.process.background_loop, self._rospy.core
         background_loop.on_publishers = self._publishers_changed
-        background_loop.on_crash = lambda: self._rospy.signal_shutdown(
-            "rossec: the background loop failed"
-        )
+        background_loop.on_crash = lambda: self._rospy.signal_shutdown("rossec: the background loop failed")
         core.add_shutdown_hook(lambda _: background_loop.stop())
         return self._stock_start(environ, resolved_name, master_uri, port, tcpros_port)
 
     def _early_name(self) -> str | None:
-        """The name that `rospy.init_node` will resolve; None: unknown until then."""
         given, names = self.options.node, self._rospy.names
         if given is not None and given.startswith("/"):
             return given
@@ -104,7 +100,6 @@ class _Secured:
         return str(graph.resolve_name(base, names.get_caller_id()))
 
     def _begin_early(self) -> None:
-        """rospy is used before `rospy.init_node`, as stock rospy allows."""
         name = self._early_name()
         if name is not None:
             self._begin(self._load_identity(name))
@@ -117,10 +112,8 @@ class _Secured:
         self.hooks.hook_tools(self.process)
         uri = importlib.import_module("rosgraph").get_master_uri()
         self.process.begin(local_identity, parse_uri(uri, "ROS_MASTER_URI"))
-        warn_of_own_address(own_address(os.environ), os.environ, self._warn_of_address)
-
-    def _warn_of_address(self, error: HintedError) -> None:
-        self.reporter.warn("the address of this node", error)
+        warn = partial(self.reporter.warn, "the address of this node")
+        warn_of_own_address(own_address(os.environ), os.environ, warn)
 
     def _publishers_changed(self, topic: str, uris: list[str]) -> None:
         registration = self._rospy.impl.registration
@@ -145,7 +138,12 @@ def secure(node: str | None = None, *, allow_plain: Sequence[str] | None = None)
     global _secured  # noqa: PLW0603 - a process is secured once
     try:
         if _secured is not None:
-            _require_same_options(_secured.options, _options(node, allow_plain))
+            now = _options(node, allow_plain)
+            if _secured.options != now:
+                raise ConfigurationError(
+                    "rossec.secure() was called already, with other options",
+                    "call it once, or everywhere with the same",
+                )
             return
         _start_block.remove()
         made = _Secured(_options(node, allow_plain))
@@ -157,23 +155,10 @@ def secure(node: str | None = None, *, allow_plain: Sequence[str] | None = None)
     _secured = made
 
 
-def _require_same_options(first: Options, now: Options) -> None:
-    if first != now:
-        raise ConfigurationError(
-            "rossec.secure() was called already, with other options",
-            "call it once, or everywhere with the same",
-        )
-
-
 class _StartBlock:
-    """Starts no node in a process whose `secure` failed: a notebook, a shell or a thread survives
-    the SystemExit.
-    """
-
     _stock: Callable[..., Any] | None = None
 
     def set(self, error: HintedError) -> None:
-        """From now on `rospy.init_node` reports `error` and exits."""
         try:
             init: Any = importlib.import_module("rospy.impl.init")
         except ImportError:
@@ -182,7 +167,6 @@ class _StartBlock:
         init.start_node = lambda *_, **__: _refuse_start(error)
 
     def remove(self) -> None:
-        """Before another attempt."""
         if self._stock is not None:
             init: Any = importlib.import_module("rospy.impl.init")
             init.start_node, self._stock = self._stock, None
@@ -192,11 +176,6 @@ _start_block: Final = _StartBlock()
 
 
 def secured() -> SecuredProcess:
-    """The secured process.
-
-    Raises:
-        ConfigurationError: `secure` was not called.
-    """
     if _secured is None:
         raise ConfigurationError("this program is not secured", "call rossec.secure() first")
     return _secured.process
@@ -236,13 +215,5 @@ def _hooks_module() -> Any:
         return importlib.import_module("rossec.inprocess.hooks")
     except ModuleNotFoundError as error:
         raise ConfigurationError(
-            f"rospy is not installed: {error}",
-            "install ROS, or use rossec.node, which does not need it",
+            f"rospy is not installed: {error}", "install ROS, or use rossec.node, which does not need it"
         ) from error
-
-
-def _require_some_identity(options: Options) -> None:
-    if not any((options.home / "nodes").glob("*/node.pem")):
-        raise ConfigurationError(
-            f"no node is enrolled in {options.home}", home_hints.missing_nodes(options.home)
-        )

@@ -1,11 +1,11 @@
 """The process that applies rules (`python -I -m rossec.naming.child`): it forks for each request.
 
-Rules and metadata are read by libraries written in C, and libxslt bounds neither time nor memory.
-So each request has a process of its own, with limits, which nothing outlives. The one that forks
-only passes bytes on: no request is left in it for the next. Frames come on standard input.
+Rules and metadata are read by libraries written in C, and libxslt bounds neither time nor memory. So each
+request has a process of its own, with limits, which nothing outlives. The one that forks only passes bytes
+on: no request is left in it for the next. Frames come on standard input.
 
-A process for a request computes and writes into one pipe: it opens no file, has no socket, starts
-no process and signals none, also as root (`seccomp`), and dies with the one that forked it.
+A process for a request computes and writes into one pipe: it opens no file, has no socket, starts no process
+and signals none, also as root (`seccomp`), and dies with the one that forked it.
 """
 
 import ctypes
@@ -19,28 +19,34 @@ from typing import Final, NoReturn
 
 from ca.errors import EncodingError
 from rossec.errors import RossecError, RulesExceeded, RulesNotConfined
-from rossec.naming import frames
-from rossec.naming.frames import NameRequest
-from rossec.naming.metadata import Kind
+from rossec.host import sandbox
+from rossec.host.confinement import lower_limits
+from rossec.naming import requests
+from rossec.naming.requests import NameKind, NameRequest
 from rossec.naming.xslt import answer
-from rossec.operation import landlock, seccomp
 
 CPU: Final = 2  # seconds for a request
 MEMORY: Final = 256 * 1024 * 1024
 FILES: Final = 16  # descriptors
+_LIMITS: Final = {
+    resource.RLIMIT_AS: MEMORY,
+    resource.RLIMIT_CORE: 0,
+    resource.RLIMIT_FSIZE: 0,
+    resource.RLIMIT_NOFILE: FILES,
+}
 _PR_SET_PDEATHSIG: Final = 1
 _NICE: Final = 5  # rules are no reason to slow a robot down
-_COMPUTE: Final = (
-    "brk", "clock_gettime", "close", "exit", "exit_group", "fstat", "futex", "getpid", "getrandom",
-    "gettid", "lseek", "madvise", "mmap", "mprotect", "mremap", "munmap", "read",
-    "restart_syscall", "rseq", "rt_sigaction", "rt_sigprocmask", "rt_sigreturn", "sched_yield",
-    "write",
-)  # fmt: skip
+# The system calls of the process for a request, and those beside them of the one that forks it.
+_COMPUTE: Final = tuple(
+    """brk clock_gettime close exit exit_group fstat futex getpid getrandom gettid lseek madvise mmap mprotect
+    mremap munmap read restart_syscall rseq rt_sigaction rt_sigprocmask rt_sigreturn sched_yield
+    write""".split()  # noqa: SIM905 - read as a text
+)
 _FORKS: Final = (
-    *_COMPUTE, seccomp.FORK, "getppid", "kill", "pipe2", "prctl", "prlimit64", "readv",
-    "set_robust_list",
-    "wait4",
-)  # fmt: skip
+    *_COMPUTE,
+    sandbox.FORK,
+    *"getppid kill pipe2 prctl prlimit64 readv set_robust_list wait4".split(),  # noqa: SIM905
+)
 _ENDED: Final = "the rules took more time or memory than allowed, and were ended"
 _ENDED_HINT: Final = f"{CPU} s and {MEMORY // 1024 // 1024} MB are allowed for one request"
 _WARM_UP: Final = NameRequest(
@@ -49,12 +55,11 @@ _WARM_UP: Final = NameRequest(
     b'<xsl:if test="$type=\'node\'"><name><xsl:value-of select="$a"/></name></xsl:if>'
     b"</xsl:template></xsl:stylesheet>",
     b"<node><name>c</name></node>",
-    ((Kind.NODE, ""), (Kind.TOPIC, "d")),
+    ((NameKind.NODE, ""), (NameKind.TOPIC, "d")),
 )
 
 
 def main() -> None:
-    """Serve standard input, confined; say in the first frame that it is so, or why not."""
     answer(_WARM_UP)  # everything that is imported or read later, while files can be opened
     answer(NameRequest(b"<", b""))
     try:
@@ -64,56 +69,34 @@ def main() -> None:
             f"the process for rules cannot be confined: {error}",
             "it needs Linux with seccomp, on x86_64 or aarch64",
         )
-        _write(1, frames.frame(frames.write_error(refusal)))
+        _write(1, requests.frame(requests.write_error(refusal)))
         return
-    _write(1, frames.frame(frames.READY))
+    _write(1, requests.frame(requests.READY))
     serve(0, 1)
 
 
 def confine() -> None:
-    """Give up everything but memory, two descriptors and fork().
-
-    Raises:
-        OSError, ValueError: the system refuses.
-    """
     os.nice(_NICE)
-    for what, most in (
-        (resource.RLIMIT_AS, MEMORY), (resource.RLIMIT_CORE, 0), (resource.RLIMIT_FSIZE, 0),
-        (resource.RLIMIT_NOFILE, FILES),
-    ):  # fmt: skip
-        limit(what, most)
+    lower_limits(_LIMITS)
     with suppress(OSError):  # no Landlock: the filter forbids to open anything in any case
-        landlock.read_only(())
+        sandbox.read_only(())
     os.closerange(3, FILES)
     gc.collect()
     gc.freeze()  # forks share these pages
-    seccomp.allow_only(_FORKS)
-
-
-def limit(what: int, most: int) -> None:
-    """Lower a limit, for ever."""
-    _, hard = resource.getrlimit(what)
-    bound = most if hard == resource.RLIM_INFINITY else min(most, hard)
-    resource.setrlimit(what, (bound, bound))
+    sandbox.allow_only(_FORKS)
 
 
 def serve(source: int, sink: int) -> None:
-    """Answer requests until there are no more.
-
-    Raises:
-        RulesExceeded: a frame that is too long.
-    """
-    while head := _read(source, frames.HEAD):
-        body = _read(source, frames.size(bytes(head), frames.MAX_REQUEST))
+    while head := _read(source, requests.HEAD):
+        body = _read(source, requests.size(bytes(head), requests.MAX_REQUEST))
         given = ask(body)
         _clear(body)
-        _write(sink, len(given).to_bytes(frames.HEAD))
+        _write(sink, len(given).to_bytes(requests.HEAD))
         _write(sink, given)
         _clear(given)
 
 
 def ask(body: bytearray) -> bytearray:
-    """The answer of a process of its own to `body`."""
     source, sink = os.pipe()
     own = os.getpid()
     child = os.fork()
@@ -121,18 +104,19 @@ def ask(body: bytearray) -> bytearray:
         work(body, sink, own)
     os.close(sink)
     try:
-        given = _collect(source)
+        given = bytearray()
+        while len(given) <= requests.MAX_ANSWER and (piece := os.read(source, 64 * 1024)):
+            given += piece
     finally:
         os.close(source)
         os.kill(child, signal.SIGKILL)  # one that has answered has no more to do
         os.waitpid(child, 0)
-    if not 0 < len(given) <= frames.MAX_ANSWER:
-        return bytearray(frames.write_error(RulesExceeded(_ENDED, _ENDED_HINT)))
+    if not 0 < len(given) <= requests.MAX_ANSWER:
+        return bytearray(requests.write_error(RulesExceeded(_ENDED, _ENDED_HINT)))
     return given
 
 
 def work(body: bytearray, sink: int, parent: int) -> NoReturn:
-    """Answer one request into `sink`, with nothing else open, and end."""
     code = 1
     try:
         restrict(sink, parent)
@@ -143,34 +127,28 @@ def work(body: bytearray, sink: int, parent: int) -> NoReturn:
 
 
 def restrict(sink: int, parent: int) -> None:
-    """Bind this process, forked for one request by `parent`, to computing and writing into `sink`.
-
-    Raises:
-        OSError, ValueError: the system refuses, or `parent` has ended.
-    """
-    if landlock.LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
+    if sandbox.LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl")
     if os.getppid() != parent:  # it ended before it was asked to take this process along
         raise OSError("nobody waits for the answer")
     os.closerange(0, sink)
     os.closerange(sink + 1, FILES)
     resource.setrlimit(resource.RLIMIT_CPU, (CPU, CPU))
-    limit(resource.RLIMIT_NPROC, 0)
-    limit(resource.RLIMIT_NOFILE, 0)
-    seccomp.allow_only(_COMPUTE)
+    lower_limits({resource.RLIMIT_NPROC: 0, resource.RLIMIT_NOFILE: 0})
+    sandbox.allow_only(_COMPUTE)
 
 
 def _answered(body: bytes) -> bytes:
     try:
-        return answer(frames.read_request(body))
+        return answer(requests.read_request(body))
     except (EncodingError, RossecError) as error:
-        return frames.write_error(RulesExceeded(f"a request of another form: {error}"))
+        return requests.write_error(RulesExceeded(f"a request of another form: {error}"))
     except MemoryError:
         return b""
 
 
 def _read(source: int, size: int) -> bytearray:
-    """Exactly `size` bytes, or none at the end: unbuffered, so that nothing is held in advance."""
+    # Exactly `size` bytes, or none at the end: unbuffered, so that nothing is held in advance.
     found = bytearray(size)
     view, at = memoryview(found), 0
     while at < size:
@@ -178,14 +156,6 @@ def _read(source: int, size: int) -> bytearray:
         if got == 0:
             return bytearray()
         at += got
-    return found
-
-
-def _collect(source: int) -> bytearray:
-    """All that comes, up to a byte more than allowed."""
-    found = bytearray()
-    while len(found) <= frames.MAX_ANSWER and (piece := os.read(source, 64 * 1024)):
-        found += piece
     return found
 
 

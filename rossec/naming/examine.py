@@ -1,39 +1,36 @@
 """Rules tried on the metadata of many nodes: what would go wrong with them, and where.
 
-Found are metadata that cannot be read, names that are none, reserved or covered by no right, one
-name for two things, and names that change with the order of the metadata.
+Found are metadata that cannot be read, names that are none, reserved or covered by no right, one name for two
+things, and names that change with the order of the metadata: the elements of a node say what they are by
+their tags, not by their place.
 """
 
+import itertools
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
+from xml.etree import ElementTree
 
-from rossec.errors import (
-    MetadataRefused,
-    NameUndefined,
-    ProposedNameRefused,
-    RossecError,
-    RulesNotConfined,
-)
-from rossec.naming import metadata
-from rossec.naming.frames import Result
-from rossec.naming.metadata import Kind, Metadata
-from rossec.naming.orders import orders
-from rossec.naming.runner import RuleRunner
+from rossec.errors import MetadataRefused, NameUndefined, ProposedNameRefused, RossecError, RulesNotConfined
+from rossec.naming import requests
+from rossec.naming.requests import NameKind, Result, parse
+from rossec.naming.rule_runner import RuleRunner
 
-Covered = Callable[[str, Kind, str], bool]
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+
+_ALL: Final = 4  # up to so many elements all orders are tried
+_ROTATIONS: Final = 8
+_LABELS: Final = {ProposedNameRefused: "illegal", NameUndefined: "undefined", MetadataRefused: "metadata"}
+
+Covered = Callable[[str, NameKind, str], bool]
 """Whether the node with the first name may use what has the second one in any way."""
-
-_LABELS: Final = {
-    ProposedNameRefused: "illegal",
-    NameUndefined: "undefined",
-    MetadataRefused: "metadata",
-}
 
 
 @dataclass(frozen=True, order=True)
-class Finding:
+class MetadataFinding:
     """Something wrong, at a line of a file with metadata.
 
     `what` is `metadata`, `undefined`, `illegal`, `rules`, `collision`, `order` or `uncovered`.
@@ -48,38 +45,31 @@ class Finding:
         return f"{self.file}:{self.line}: {self.message}"
 
 
-@dataclass
-class Report:
-    """What was found, and every name: kind, name, and where it came from."""
-
-    findings: list[Finding] = field(default_factory=list)
-    names: dict[tuple[Kind, str], list["Place"]] = field(default_factory=dict)
-
-
 @dataclass(frozen=True)
-class Place:
-    """A node, topic or service in metadata."""
-
+class MetadataPlace:
     file: str
     line: int
-    kind: Kind
+    kind: NameKind
     which: str
 
     @property
     def label(self) -> str:
-        """`the node`, `the topic accelerometer`."""
         return f"the {self.kind} {self.which}".rstrip()
+
+
+@dataclass
+class MetadataReport:
+    """What was found, and every name: kind, name, and where it came from."""
+
+    findings: list[MetadataFinding] = field(default_factory=list)
+    names: dict[tuple[NameKind, str], list[MetadataPlace]] = field(default_factory=dict)
 
 
 async def examine(
     rules: RuleRunner, documents: Iterable[tuple[str, bytes]], covered: Covered | None = None
-) -> Report:
-    """Try `rules` on `documents`: names of files, and their content.
-
-    Raises:
-        RulesNotConfined: no rules can be applied here.
-    """
-    report, names = Report(), defaultdict[tuple[Kind, str], list[Place]](list)
+) -> MetadataReport:
+    """Try `rules` on `documents`: names of files, and their content."""
+    report, names = MetadataReport(), defaultdict[tuple[NameKind, str], list[MetadataPlace]](list)
     for file, document in documents:
         try:
             await _examine_one(rules, file, document, covered, names, report.findings)
@@ -87,9 +77,12 @@ async def examine(
             raise
         except RossecError as error:
             label = "metadata" if isinstance(error, MetadataRefused) else "rules"
-            report.findings.append(Finding(file, 1, label, str(error)))
+            report.findings.append(MetadataFinding(file, 1, label, str(error)))
+    for (_, name), (first, *others) in names.items():
+        for place in others:
+            message = f"{place.label}: {name} is also {first.label} in {first.file}:{first.line}"
+            report.findings.append(MetadataFinding(place.file, place.line, "collision", message))
     report.names = dict(names)
-    report.findings += _collisions(names)
     report.findings.sort()
     return report
 
@@ -99,58 +92,74 @@ async def _examine_one(
     file: str,
     document: bytes,
     covered: Covered | None,
-    names: dict[tuple[Kind, str], list[Place]],
-    findings: list[Finding],
+    names: dict[tuple[NameKind, str], list[MetadataPlace]],
+    findings: list[MetadataFinding],
 ) -> None:
-    read = metadata.read(document)
-    places = _places(file, read)
-    queries = list(read.queries())
+    read = requests.read(document)
+    entries = [MetadataPlace(file, entry.line, entry.kind, entry.name) for entry in read.entries]
+    places, queries = [MetadataPlace(file, 1, NameKind.NODE, ""), *entries], list(read.queries())
     results = await rules.names(document, queries)
     node = results[0] if isinstance(results[0], str) else None
     for place, result in zip(places, results, strict=True):
         if isinstance(result, RossecError):
             label = _LABELS.get(type(result), "rules")
-            findings.append(Finding(file, place.line, label, f"{place.label}: {result}"))
+            findings.append(MetadataFinding(file, place.line, label, f"{place.label}: {result}"))
             continue
         names[place.kind, result].append(place)
         if covered is not None and node is not None and not covered(node, place.kind, result):
             message = f"{place.label}: no grant or rule covers {result} for {node}"
-            findings.append(Finding(file, place.line, "uncovered", message))
-    findings += await _order_dependent(rules, document, places, results)
-
-
-def _places(file: str, read: Metadata) -> list[Place]:
-    """In the order of `read.queries()`."""
-    entries = [Place(file, entry.line, entry.kind, entry.name) for entry in read.entries]
-    return [Place(file, 1, Kind.NODE, ""), *entries]
-
-
-async def _order_dependent(
-    rules: RuleRunner, document: bytes, places: list[Place], results: list[Result]
-) -> list[Finding]:
-    """Of each name at most one finding, with another order's name beside it."""
-    found: dict[Place, Finding] = {}
-    queries = [(place.kind, place.which) for place in places]
+            findings.append(MetadataFinding(file, place.line, "uncovered", message))
+    changed: dict[MetadataPlace, MetadataFinding] = {}
     for other in orders(document):
-        for place, first, second in zip(
-            places, results, await rules.names(other, queries), strict=True
-        ):
-            if _text(first) != _text(second) and place not in found:
-                found[place] = Finding(
-                    place.file, place.line, "order",
-                    f"{place.label}: {_text(first)}, but in another order of the same metadata"
-                    f" {_text(second)}",
-                )  # fmt: skip
-    return list(found.values())
+        for place, first, second in zip(places, results, await rules.names(other, queries), strict=True):
+            if _text(first) != _text(second) and place not in changed:
+                said = f"{_text(first)}, but in another order of the same metadata {_text(second)}"
+                changed[place] = MetadataFinding(file, place.line, "order", f"{place.label}: {said}")
+    findings += changed.values()
 
 
 def _text(result: Result) -> str:
     return result if isinstance(result, str) else f"no name ({result})"
 
 
-def _collisions(names: dict[tuple[Kind, str], list[Place]]) -> Iterable[Finding]:
-    for (_, name), places in names.items():
-        for place in places[1:]:
-            first = places[0]
-            message = f"{place.label}: {name} is also {first.label} in {first.file}:{first.line}"
-            yield Finding(place.file, place.line, "collision", message)
+def orders(document: bytes) -> Iterator[bytes]:
+    """The same metadata in other orders, for all of which rules must give the same names.
+
+    With few elements all are tried, with more every rotation up to a number, forwards and backwards: each
+    element then was the first, the last, before and after each of its neighbours.
+    """
+    root = parse(document)
+    children = list(root)
+    inner = [list(child) for child in children]
+    seen = {tuple(range(len(children)))}
+    longest = max((len(each) for each in inner), default=0)
+    for at, order in enumerate(_orders(max(len(children), longest))):
+        outer = tuple(index for index in order if index < len(children))
+        if outer in seen and longest < 2:
+            continue
+        seen.add(outer)
+        for child, elements in zip(children, inner, strict=True):
+            child[:] = _arranged(elements, at)
+        root[:] = [children[index] for index in outer]
+        yield ElementTree.tostring(root, encoding="utf-8")
+
+
+def _orders(count: int) -> Iterator[Sequence[int]]:
+    # Orders of so many elements, the given one left out.
+    given = tuple(range(count))
+    if count <= _ALL:
+        yield from itertools.islice(itertools.permutations(given), 1, None)
+        return
+    for by in range(min(count, _ROTATIONS)):
+        rotated = given[by:] + given[:by]
+        if by:
+            yield rotated
+        yield rotated[::-1]
+
+
+def _arranged(elements: "list[Element]", at: int) -> "list[Element]":
+    if not elements:
+        return elements
+    by = (at + 1) // 2 % len(elements)
+    rotated = elements[by:] + elements[:by]
+    return rotated if at % 2 else rotated[::-1]

@@ -41,7 +41,6 @@ _MODULES: Final = {
 
 
 def __getattr__(name: str) -> object:
-    """Import an export on first use (PEP 562)."""
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_MODULES[name]), name)

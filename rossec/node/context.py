@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from typing import TypeAlias, TypeVar
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown
-from grants.memory import MemoryScope
+from ca.names import shown
+from grants.guard import MemoryScope
 from rossec.errors import AnswerRefused
 from rossec.net.aio import SecureStream
 from rossec.participant.access import Access
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.connections import ConnectionTable
-from rossec.participant.dialer import Dialer
-from rossec.participant.grant_renewal import MasterCall
-from rossec.participant.remote_names import caller_for
+from rossec.participant.connections import ConnectionTable, Dialer
+from rossec.participant.handshakes import caller_for
+from rossec.participant.renewals import MasterCall
 
 _log = logging.getLogger("rossec.node")
 
@@ -26,30 +25,20 @@ NodeConnection: TypeAlias = AuthorizedConnection[SecureStream[Identity], GuardT]
 
 @dataclass
 class NodeContext:
-    """The context of one running node.
-
-    Attributes:
-        call: calls the master.
-        filter_key: finds a key for pseudonyms by its name.
-        memory_scope: finds what a limited right has used up.
-        uri: its API URI, as registered; empty until it listens.
-        rosrpc: the URI of its services, as registered.
-        certified: its name without a tail; empty: it has none.
-    """
+    """The context of one running node."""
 
     name: str
     access: Access
     connections: ConnectionTable[SecureStream[Identity]]
-    call: MasterCall
+    call: MasterCall  # calls the master
     dialer: Dialer
-    filter_key: Callable[[str], bytes]
-    memory_scope: MemoryScope
-    uri: str = ""
-    rosrpc: str = ""
-    certified: str = ""
+    filter_key: Callable[[str], bytes]  # finds a key for pseudonyms by its name
+    memory_scope: MemoryScope  # finds what a limited right has used up
+    uri: str = ""  # of its API, as registered; empty until it listens
+    rosrpc: str = ""  # the URI of its services, as registered
+    certified: str = ""  # its name without an anonymous suffix; empty: it has none
 
     def name_for(self, peer: Identity) -> str:
-        """By which name it calls itself to `peer`."""
         return caller_for(peer, self.name, self.certified or self.name)
 
     @contextlib.contextmanager

@@ -1,54 +1,185 @@
 """A ROS node without ROS: topics, services and parameters over the secure channel, in asyncio.
 
-Connects the parts: the master session, the slave API, the TCPROS server, topics and services.
-Decisions are made elsewhere: `access` authorizes peers, the handshake modules check headers,
-`connections` says when a connection must end, `membership` keeps grants, identity and revocation
-data current.
+Connects the parts: the master session, the slave API, the TCPROS server, topics and services. Decisions are
+made elsewhere: `access` authorizes peers, `handshakes` checks headers, `connections` says when a connection
+must end, `membership` keeps grants, identity and revocation data current.
 """
 
 import asyncio
 import logging
 import os
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from functools import partial
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
 
 from ca.certificates import Identity
-from ca.errors import HintedError
+from ca.errors import HintedError, RevocationsStale
+from ca.names import shown
 from rossec import clock
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.suite_selection import post_quantum
+from rossec.channel.edhoc.credentials import KnownCertificates
+from rossec.channel.opening import post_quantum
 from rossec.environment import own_home, own_master
-from rossec.errors import AnswerMalformed, NodeShutdown
+from rossec.errors import AnswerMalformed, ConnectionHeaderRefused, NodeShutdown
 from rossec.home import NodeHome
-from rossec.net.aio import SecureContext, SecureStream
-from rossec.net.host.own_address import warn_of_own_address
-from rossec.node import uncaught
+from rossec.host.addresses import warn_of_own_address
+from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
 from rossec.node.context import NodeContext
-from rossec.node.listener import Listener
 from rossec.node.params import NodeParameters
 from rossec.node.publisher import Publisher
-from rossec.node.service import CONCURRENCY, HANDLER_DEADLINE, Handler, Service
+from rossec.node.service import CONCURRENCY, HANDLER_DEADLINE, Handler, Service, Services
 from rossec.node.service_client import CALL_DEADLINE, ServiceClient
-from rossec.node.services import Services
 from rossec.node.subscriber import Subscriber
 from rossec.node.topics import Topics
 from rossec.participant.access import Access
-from rossec.participant.connections import ConnectionTable
-from rossec.participant.dialer import Dialer
-from rossec.participant.limit_memory import memory_scope
+from rossec.participant.authorized import memory_scope
+from rossec.participant.connections import ConnectionTable, Dialer, OwnAddresses, serve_peer
+from rossec.participant.delivery import Wishes, carried_out, requested_wishes
+from rossec.participant.handshakes import (
+    TopicEndpoint,
+    admit_subscriber,
+    check_type,
+    publisher_header,
+    requested_topic,
+)
 from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.message_types import message_type
-from rossec.participant.own_addresses import OwnAddresses
-from rossec.participant.publisher_grace import PublisherGrace
+from rossec.participant.registrations import PublisherGrace
 from rossec.participant.service_types import service_type
-from rossec.participant.slave_api import SlaveApi
-from rossec.participant.topic_handshake import TopicEndpoint
-from rossec.participant.wishes import Wishes
-from rossec.ros import settings
-from rossec.ros.names import ANY_TYPE
+from rossec.participant.slave_api import SLAVE_CALLS, SlaveApi, check_slave_call
+from rossec.ros import names, tcpros
+from rossec.ros.names import ANY_TYPE, SIGNED_UPDATES, is_loopback
+from rossec.terminal import fail
+
+HEADER_DEADLINE: Final = 5.0
 
 _log = logging.getLogger("rossec.node")
+
+
+class Listener:
+    """Accepts the connections of other nodes: to the slave API, and by TCPROS to topics and services.
+
+    A refused peer receives the error about its own grants, which reveals nothing of what this node has.
+    """
+
+    def __init__(
+        self,
+        node: NodeContext,
+        secure: SecureContext[Identity],
+        publishers: Mapping[str, Publisher],
+        services: Services,
+        slave: SlaveApi,
+        own_addresses: OwnAddresses,
+    ) -> None:
+        self._node = node
+        self._access = node.access
+        self._secure = secure
+        self._publishers = publishers
+        self._services = services
+        self._slave = slave
+        self._own_addresses = own_addresses
+        self._servers: list[SecureServer[Identity]] = []
+
+    @property
+    def slave_port(self) -> int:
+        return self._servers[0].port
+
+    @property
+    def topic_port(self) -> int:
+        return self._servers[1].port
+
+    async def start(self, address: str) -> None:
+        """Listen; on loopback only when `address`, which the node registers, is loopback."""
+        bind = address if is_loopback(address) else None
+        for handler, protocol in (
+            (self._serve_slave, WireProtocol.HTTP),
+            (self._serve_tcpros, WireProtocol.TCPROS),
+        ):
+            server = serve(self._node.connections.bounded(handler), bind, 0, self._secure, protocol)
+            self._servers.append(server)
+            self._own_addresses.add_ports(address, server.port)
+
+    async def close(self) -> None:
+        for server in self._servers:
+            await server.close()
+
+    async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
+        presented: list[bytes] = []  # the grants the peer has presented on this connection
+        await serve_peer(stream, partial(self._call, presented), self._access)
+
+    async def _call(
+        self, presented: list[bytes], method: str, params: tuple[object, ...], peer: Identity
+    ) -> object:
+        now = clock.now()
+        authorized = False
+        try:
+            self._access.check_peer(peer, now)
+            match method, params:
+                case names.PRESENT_GRANTS, (_, bytes() as grants):
+                    presented[:] = [grants]
+                    return [1, "", 0]
+                case _:
+                    pass
+            if presented and method in SLAVE_CALLS and not self._access.is_master(peer):
+                check_slave_call(method, peer, self._node.name, presented[0], self._access, now)
+                authorized = True
+        except RevocationsStale as error:
+            if method not in SIGNED_UPDATES:  # one of them ends the staleness
+                return _refused(peer, error)
+        except HintedError as error:
+            return _refused(peer, error)
+        return await self._slave(method, params, peer, authorized=authorized)
+
+    async def _serve_tcpros(self, stream: SecureStream[Identity]) -> None:
+        try:
+            async with asyncio.timeout(HEADER_DEADLINE):
+                fields = tcpros.decode(await first_frame(stream))
+            serve = await self._admit(fields, stream)  # a raw publisher has a limit of its own
+        except TimeoutError:
+            _log.info("%s sent no connection header", shown(stream.peer.name))
+            return
+        except HintedError as error:
+            _log.warning("refused %s: %s (%s)", shown(stream.peer.name), error, error.hint)
+            await stream.send(tcpros.error_header(f"rossec: {error}"))
+            return
+        await serve()
+
+    async def _admit(
+        self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
+    ) -> Callable[[], Awaitable[None]]:
+        if "service" not in fields:
+            now = clock.now()
+            decision = admit_subscriber(fields, stream.peer, self._access, now)
+            publisher = self._publishers.get(requested_topic(fields))
+            if publisher is None:
+                raise ConnectionHeaderRefused(f"{self._node.name} does not publish {requested_topic(fields)}")
+            wishes = carried_out(requested_wishes(fields), decision)
+            await publisher.ready()
+            check_type(fields, publisher.endpoint.expected)
+            guard = publisher.guard(decision)
+            name = self._node.name_for(stream.peer)
+            answer = publisher_header(name, publisher.endpoint, self._access, now, latching=publisher.latch)
+            head = tcpros.encode(answer | wishes.fields)
+            return partial(publisher.serve, stream, decision, guard, head, wishes)
+        if "topic" in fields:
+            raise ConnectionHeaderRefused("the connection header asks for a topic and for a service")
+        return self._services.admit(fields, stream)
+
+
+def _refused(peer: Identity, error: HintedError) -> list[object]:
+    _log.warning("refused %s: %s (%s)", shown(peer.name), error, error.hint)
+    return [-1, f"rossec: {error}", 0]
+
+
+async def first_frame(stream: SecureStream[Identity]) -> bytes:
+    """The connection header, which must arrive before anything else."""
+    reader = tcpros.FrameReader(tcpros.HEADER_LIMIT)
+    while not (frames := reader.feed(await stream.receive())):
+        pass
+    if len(frames) != 1 or reader.pending:
+        raise ConnectionHeaderRefused("bytes after the connection header, before its answer")
+    return frames[0]
 
 
 class Node:
@@ -63,31 +194,26 @@ class Node:
     """
 
     def __init__(
-        self,
-        name: str,
-        *,
-        argv: Sequence[str] = (),
-        environ: Mapping[str, str] = os.environ,
+        self, name: str, *, argv: Sequence[str] = (), environ: Mapping[str, str] = os.environ
     ) -> None:
-        uncaught.install()
+        install()
         self._environ = environ
-        self.settings = settings.read(argv, environ, default_name=name)
+        self.settings = names.read(argv, environ, default_name=name)
         self.name = self.settings.name
-        loaded = LoadedIdentity(
-            NodeHome.find(own_home(environ), self.name), self.name, own_master(environ)
-        )
+        loaded = LoadedIdentity(NodeHome.find(own_home(environ), self.name), self.name, own_master(environ))
         self.master_name = loaded.master
         self.home, self.anchor, self.identity = loaded.home, loaded.anchor, loaded.identity
         self.credentials, self.revocations = loaded.live_credentials, loaded.revocations
         self.access = Access(loaded.standing, master=loaded.master)
         secure = SecureContext(
-            self.credentials, loaded.anchors.verify,
-            suites=post_quantum(environ), known=KnownCertificates(), renews=Identity.renews,
-        )  # fmt: skip
-        own_addresses = OwnAddresses()
-        self._dialer = Dialer(
-            self.name, secure, self.access.check_peer, own_addresses, self.identity.name
+            self.credentials,
+            loaded.anchors.verify,
+            suites=post_quantum(environ),
+            known=KnownCertificates(),
+            renews=Identity.renews,
         )
+        own_addresses = OwnAddresses()
+        self._dialer = Dialer(self.name, secure, self.access.check_peer, own_addresses, self.identity.name)
         connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
             loaded.standing, master=loaded.master
         )
@@ -103,30 +229,36 @@ class Node:
             memory_scope(self.name),
             certified=self.identity.name,
         )
-        self._topics = Topics(context, grace)
+        self.topics = Topics(context, grace)
         self.services = Services(context)
         self.params = NodeParameters(context, self.settings.resolve)
+        slave = SlaveApi(self, loaded.master)
         self._listener = Listener(
-            self.name, secure, self.access, self._topics.publishers, self.services,
-            SlaveApi(self, loaded.master), connections, own_addresses, self.identity.name,
-        )  # fmt: skip
+            context, secure, self.topics.publishers, self.services, slave, own_addresses
+        )
         self._host = ""
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     async def __aenter__(self) -> Self:
+        address = self.settings.address
         try:
-            await self._start()
+            warn_of_own_address(
+                address,
+                self._environ,
+                lambda error: _log.warning("%s: %s (%s)", self.name, error, error.hint),
+            )
+            stream = await self._membership.session.open()
+            self._host = address or stream.local_address
+            await self._listener.start(self._host)
+            self._context.uri = names.build_uri(self._host, self._listener.slave_port)
+            self._context.rosrpc = names.build_uri(*self.topic_endpoint(), scheme="rosrpc")
+            self._membership.start()
         except BaseException:
             await self.close()
             raise
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
 
     async def publisher(
@@ -139,7 +271,7 @@ class Node:
                 master refuses.
         """
         endpoint = TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
-        return await self._topics.publish(endpoint, latch=latch, queue_size=queue_size)
+        return await self.topics.publish(endpoint, latch=latch, queue_size=queue_size)
 
     async def topic_types(self) -> dict[str, str]:
         """The topics that have a publisher or subscriber, and that this node may see: their types.
@@ -177,12 +309,7 @@ class Node:
         """
         wishes = Wishes(rate, newest, deflate)
         endpoint = TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
-        return await self._topics.subscribe(endpoint, queue_size=queue_size, wishes=wishes)
-
-    @property
-    def topics(self) -> Topics:
-        """Its topics: for those whose messages are bytes of any type (`publish_raw`)."""
-        return self._topics
+        return await self.topics.subscribe(endpoint, queue_size=queue_size, wishes=wishes)
 
     async def service(
         self,
@@ -208,12 +335,7 @@ class Node:
         )
 
     def client(
-        self,
-        name: str,
-        type_name: str,
-        *,
-        persistent: bool = False,
-        deadline: float = CALL_DEADLINE,
+        self, name: str, type_name: str, *, persistent: bool = False, deadline: float = CALL_DEADLINE
     ) -> ServiceClient:
         """Call the service `name`: `response = await client(data=True)`; see `ServiceClient`.
 
@@ -221,10 +343,7 @@ class Node:
             MessageError: unknown type.
         """
         return self.services.client(
-            self.settings.resolve(name),
-            service_type(type_name),
-            persistent=persistent,
-            deadline=deadline,
+            self.settings.resolve(name), service_type(type_name), persistent=persistent, deadline=deadline
         )
 
     async def wait_for_service(
@@ -241,33 +360,27 @@ class Node:
         await self.services.wait_for(self.settings.resolve(name), within=timeout)
 
     async def wait_ended(self) -> None:
-        """Wait until the node ends by itself.
-
-        Raises:
-            NodeShutdown: the master ended it.
-        """
+        """Wait until the node ends by itself; raises NodeShutdown: the master ended it."""
         await asyncio.shield(self._ended)
 
     async def close(self) -> None:
         """Unregister, close every connection, stop every task. Safe to call twice."""
-        for publisher in self._topics.publishers.values():
+        for publisher in self.topics.publishers.values():
             publisher.close()
         await self._listener.close()
-        await self._topics.close_subscribers()
+        await self.topics.close_subscribers()
         await self.services.close()
         self.params.close()
-        await self._topics.unregister()
+        await self.topics.unregister()
         await self._membership.close()
         self._ended.cancel()
 
     # --- calls of the slave API (SlaveEvents) ---
 
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
-        """Follow the master's list of publishers."""
-        self._topics.publishers_changed(topic, uris)
+        self.topics.publishers_changed(topic, uris)
 
     def parameter_changed(self, key: str, value: object) -> None:
-        """Notify the subscriptions of the parameter."""
         self.params.changed(key, value)
 
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
@@ -275,16 +388,13 @@ class Node:
         self._membership.update_revocations(revocations, timestamp, master)
 
     def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
-        """Take what else the master pushes, then close connections that must end."""
         self._membership.take_push(method, params, master)
 
     def shutdown_requested(self, reason: str) -> None:
-        """End the node: another one took its name, or an administrator shut it down."""
         if not self._ended.done():
             self._ended.set_exception(NodeShutdown(f"the master ended this node: {reason}"))
 
     def topic_endpoint(self) -> tuple[str, int]:
-        """Where TCPROS connections are accepted."""
         return self._host, self._listener.topic_port
 
     def describe(self) -> dict[str, object]:
@@ -296,37 +406,31 @@ class Node:
             "getPid": os.getpid(),
             "getBusStats": [[], [], []],
             "getBusInfo": [],
-            **self._topics.describe(),
+            **self.topics.describe(),
         }
 
     @property
     def uri(self) -> str:
-        """This node's API URI, as registered with the master."""
         return self._context.uri
 
     # --- hooks of the membership (MembershipHooks)
 
     async def dial_master(self) -> SecureStream[Identity]:
-        """Connect to the master."""
         return await self._dialer.rpc(self.settings.master_host, self.settings.master_port)
 
     async def dial_watch(self) -> SecureStream[Identity]:
-        """Connect to the master once more, for a call that waits."""
         return await self.dial_master()
 
     async def restore(self) -> None:
-        """Make every registration again."""
-        await self._topics.restore()
+        await self.topics.restore()
         await self.services.restore()
         await self.params.restore()
 
     async def rights_changed(self) -> None:
-        """Make registrations again: the master may have refused them for lack of a grant."""
         await self.restore()
 
     def maintain(self) -> None:
-        """Drop publishers that a restarted master did not list again in time."""
-        self._topics.drop_expired_publishers()
+        self.topics.drop_expired_publishers()
 
     def crashed(self, error: BaseException) -> None:
         """Close the node when a task fails: without its watchdog it would close no connection."""
@@ -335,14 +439,30 @@ class Node:
         if not self._ended.cancelled():
             self._membership.tasks.spawn(self.close(), f"{self.name}: closing after a failure")
 
-    async def _start(self) -> None:
-        warn_of_own_address(self.settings.address, self._environ, self._warn_of_address)
-        stream = await self._membership.session.open()
-        self._host = self.settings.address or stream.local_address
-        await self._listener.start(self._host)
-        self._context.uri = settings.build_uri(self._host, self._listener.slave_port)
-        self._context.rosrpc = settings.build_uri(*self.topic_endpoint(), scheme="rosrpc")
-        self._membership.start()
 
-    def _warn_of_address(self, error: HintedError) -> None:
-        _log.warning("%s: %s (%s)", self.name, error, error.hint)
+def install() -> None:
+    """Show refusals that nobody caught with error and hint, as the command line does.
+
+    Only refusals: any other exception keeps its traceback. So does everything in Python's development mode
+    (`python -X dev`), and in a program that has set `sys.excepthook` itself.
+    """
+    if sys.excepthook is sys.__excepthook__ and not sys.flags.dev_mode:
+        sys.excepthook = show
+
+
+def show(kind: type[BaseException], error: BaseException, traceback: TracebackType | None) -> None:
+    """Print what nobody caught, as `sys.excepthook` is called."""
+    refusals = _refusals(error)
+    if not refusals:
+        sys.__excepthook__(kind, error, traceback)
+    for refusal in refusals:
+        fail(str(refusal), refusal.hint)
+
+
+def _refusals(error: BaseException) -> list[HintedError]:
+    if isinstance(error, HintedError):
+        return [error]
+    if not isinstance(error, BaseExceptionGroup):
+        return []
+    parts = [_refusals(part) for part in error.exceptions]
+    return [refusal for part in parts for refusal in part] if all(parts) else []

@@ -1,8 +1,8 @@
 """Parameters: the master's tree, read and written over the node's session, and its changes.
 
-Values are those of XML-RPC: bool, int, float, str, bytes, lists, mappings with str keys. A
-subscription holds the newest value; a slow iteration misses values in between. The master notifies
-subscribers of an unset parameter with an empty mapping, as ROS does.
+Values are those of XML-RPC: bool, int, float, str, bytes, lists, mappings with str keys. A subscription holds
+the newest value; a slow iteration misses values in between. The master notifies subscribers of an unset
+parameter with an empty mapping, as ROS does.
 """
 
 import asyncio
@@ -11,11 +11,11 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from copy import deepcopy
 from typing import Any, Final
 
-from ca.domains.aliases import shown
 from ca.errors import HintedError
+from ca.names import shown
 from rossec.errors import AnswerMalformed, AnswerRefused, ParameterUnset
 from rossec.node.context import NodeContext
-from rossec.participant.remote_names import refuse_offer
+from rossec.participant.handshakes import refuse_offer
 from rossec.ros.names import SEPARATOR
 from rossec.ros.xmlrpc import Fault
 
@@ -27,11 +27,7 @@ Value = Any  # any XML-RPC value
 
 
 class NodeParameters:
-    """The parameters this node may read and write: `node.params`.
-
-    Args:
-        resolve: makes a name absolute and applies remappings.
-    """
+    """The parameters this node may read and write: `node.params`; `resolve` makes a name absolute."""
 
     def __init__(self, context: NodeContext, resolve: Callable[[str], str]) -> None:
         self._context = context
@@ -67,7 +63,6 @@ class NodeParameters:
         self.changed(key, value)  # the master does not notify the caller
 
     async def has(self, name: str) -> bool:
-        """Whether `name` has a value; raises as `get`."""
         return bool(await self._ask("hasParam", self._key(name)))
 
     async def delete(self, name: str) -> None:
@@ -94,7 +89,6 @@ class NodeParameters:
             return None
 
     async def names(self) -> list[str]:
-        """Every parameter this node may read."""
         found = await self._ask("getParamNames")
         if not isinstance(found, list) or not all(isinstance(name, str) for name in found):
             raise AnswerMalformed("parameter names that are not a list of str")
@@ -116,7 +110,6 @@ class NodeParameters:
         return subscription
 
     def changed(self, key: str, value: Value) -> None:
-        """Take a new value of `key` from the master or this node."""
         key = key.removesuffix(SEPARATOR) or SEPARATOR
         for name, subscriptions in self._subscriptions.items():
             for subscription in subscriptions:
@@ -132,7 +125,6 @@ class NodeParameters:
                 await self._register(name)
 
     def close(self) -> None:
-        """End every iteration over a subscription."""
         for subscriptions in self._subscriptions.values():
             for subscription in subscriptions:
                 subscription.end()
@@ -158,7 +150,7 @@ class NodeParameters:
             self._subscriptions.pop(subscription.name, None)
 
     async def _ask(self, method: str, *params: object) -> object:
-        """Call the master; a fault because it cannot parse the call counts as a refusal."""
+        # Call the master; a fault because it cannot parse the call counts as a refusal.
         try:
             return await self._context.call(method, *params)
         except Fault as fault:
@@ -173,25 +165,18 @@ class NodeParameters:
 
 
 class ParameterSubscription:
-    """A subscription to one parameter. Made by `NodeParameters.subscribe`.
+    """A subscription to one parameter. Made by `NodeParameters.subscribe`."""
 
-    Attributes:
-        name: its resolved name.
-        value: its newest value; do not change it in place.
-    """
-
-    def __init__(
-        self, name: str, on_close: Callable[["ParameterSubscription"], Awaitable[None]]
-    ) -> None:
+    def __init__(self, name: str, on_close: Callable[["ParameterSubscription"], Awaitable[None]]) -> None:
         self.name = name
-        self.value: Value = {}
+        self.value: Value = {}  # the newest; do not change it in place
         self.updates = 0
         self._on_close = on_close
         self._updated = asyncio.Event()
         self._ended = False
 
     def take(self, value: Value) -> None:
-        """Take a value; the same one again is not yielded."""
+        # Take a value; the same one again is not yielded.
         fresh = self.updates == 0 or value != self.value
         self.updates += 1
         if fresh:
@@ -199,7 +184,7 @@ class ParameterSubscription:
             self._updated.set()
 
     async def __aiter__(self) -> AsyncIterator[Value]:
-        """The current value, then the newest one whenever it has changed."""
+        # The current value, then the newest one whenever it has changed.
         while True:
             await self._updated.wait()
             if self._ended:
@@ -208,13 +193,11 @@ class ParameterSubscription:
             yield self.value
 
     async def close(self) -> None:
-        """Unsubscribe and end the iteration. Safe to call twice."""
         if not self._ended:
             self.end()
             await self._on_close(self)
 
     def end(self) -> None:
-        """End the iteration: the node is closed."""
         self._ended = True
         self._updated.set()
 
@@ -240,7 +223,6 @@ def _found(tree: Value, path: list[str]) -> Value:
 
 
 def _replaced(tree: Value, path: list[str], value: Value) -> Value:
-    """`tree` with `value` at `path`; an empty mapping removes what is there."""
     if not path:
         return deepcopy(value)
     new = dict(tree) if isinstance(tree, dict) else {}

@@ -1,40 +1,150 @@
 """A topic this node publishes: its subscribers, and what each may receive of a message.
 
-A shell around the guards: a message is serialized once, filtered once per distinct filter, and
-queued per subscriber (`subscriber_queue`, `wish_queue`). A subscriber whose guard cannot evaluate a
-message does not receive it.
+A shell around the guards: a message is serialized once, filtered once per distinct filter, and queued per
+subscriber. A full queue drops its oldest message, as rospy's does; what waits is sent together. A subscriber
+whose guard cannot evaluate a message does not receive it.
 """
 
 import asyncio
 import logging
-from collections.abc import Hashable, Iterable
+import struct
+from collections import deque
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from functools import partial
-from typing import Final, TypeAlias
+from time import monotonic
+from typing import Any, Final, TypeAlias
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown
+from ca.names import shown
 from grants.decision import Decision
 from grants.errors import GrantError
 from grants.filters.layout import Layout
 from grants.guard import Guard, needed_keys
 from rossec import clock
-from rossec.errors import NodeShutdown, RossecError
-from rossec.net import withheld_log
+from rossec.channel.tuning import BATCH
+from rossec.errors import ConnectionHeaderRefused, NodeShutdown, RossecError
 from rossec.net.aio import SecureStream
 from rossec.node.context import NodeConnection, NodeContext
 from rossec.node.subscriber import check_queue_size
-from rossec.node.subscriber_queue import Pieces, SubscriberQueue
-from rossec.node.wish_queue import WishQueue
+from rossec.participant import delivery
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.deflating import SharedDeflation
-from rossec.participant.latch import Latch, Sample
-from rossec.participant.message_types import Message
-from rossec.participant.topic_handshake import TopicEndpoint
-from rossec.participant.wishes import NO_WISHES, Wishes, check_carried_out
+from rossec.participant.definitions import Definition, forwarded_definition, needs_definition
+from rossec.participant.delivery import (
+    LARGE,
+    NO_WISHES,
+    Deflatable,
+    Latch,
+    Sample,
+    SharedDeflation,
+    WishedRate,
+    Wishes,
+    check_carried_out,
+)
+from rossec.participant.handshakes import TopicEndpoint
+from rossec.participant.host_types import known_type
+from rossec.participant.message_types import Message, MessageType
+from rossec.ros.names import ANY_TYPE
 
+LENGTH: Final = struct.Struct("<I")
 QUEUE_SIZE: Final = 10
+PATIENCE: Final = 4.0
+"""Seconds a handshake waits: a subscriber gives up after five (`HANDSHAKE_DEADLINE`)."""
+
+Pieces = Sequence[bytes | bytearray | memoryview]
 SubscriberConnection: TypeAlias = NodeConnection[Guard]
 _log = logging.getLogger("rossec.node")
+
+
+class SubscriberQueue:
+    """The messages for one admitted subscriber."""
+
+    def __init__(self, stream: SecureStream[Identity], queue_size: int) -> None:
+        self.withheld = 0
+        self._stream = stream
+        self.dropped = 0
+        self._queue: deque[Pieces] = deque()
+        self._queue_size = queue_size
+        self._wake = asyncio.Event()
+
+    def enqueue(self, pieces: Pieces) -> None:
+        if len(self._queue) >= self._queue_size:
+            self._queue.popleft()
+            self.dropped += 1
+        self._queue.append(pieces)
+        self._wake.set()
+
+    async def run(self) -> None:
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._until_closed())
+            while True:
+                await self._wake.wait()
+                self._wake.clear()
+                while self._queue:
+                    await self._stream.send(*self._next_batch())
+
+    async def _until_closed(self) -> None:
+        while True:  # a TCPROS subscriber sends nothing after its header
+            await self._stream.receive()
+
+    def _next_batch(self) -> list[bytes | bytearray | memoryview]:
+        batch: list[bytes | bytearray | memoryview] = []
+        size = 0
+        while self._queue and size < BATCH:
+            pieces = self._queue.popleft()
+            length = sum(map(len, pieces))
+            batch.append(LENGTH.pack(length))
+            batch.extend(pieces)
+            size += LENGTH.size + length
+        return batch
+
+
+class DeliveryQueue(SubscriberQueue):
+    """As `SubscriberQueue`, for a subscriber with `wishes`: thinned out, the newest only, deflated.
+
+    What comes here has passed the guard. Messages are sent one by one. For the newest to be sent, a message
+    is taken from the queue only when those before it have left, and is deflated only then.
+    """
+
+    def __init__(
+        self, stream: SecureStream[Identity], queue_size: int, wishes: Wishes, deflation: SharedDeflation
+    ) -> None:
+        super().__init__(stream, 1 if wishes.newest else queue_size)
+        self.thinned = 0  # messages that the rate took away
+        self._wishes = wishes
+        self._deflation = deflation
+        self._rate = None if wishes.rate is None else WishedRate(wishes.rate)
+        self._waiting: deque[Deflatable] = deque()
+        if wishes.newest:
+            stream.transport.limit_unsent()
+
+    def enqueue(self, pieces: Pieces) -> None:
+        # Queue one filtered message, unless the rate takes it away; the oldest gives way.
+        if self._rate is not None and not self._rate.admits(monotonic()):
+            self.thinned += 1
+            return
+        if len(self._waiting) >= self._queue_size:
+            self._waiting.popleft()
+            self.dropped += 1
+        self._waiting.append(self._deflation.of(pieces, pieces))
+        self._wake.set()
+
+    async def run(self) -> None:
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._until_closed())
+            while True:
+                await self._wake.wait()
+                self._wake.clear()
+                while self._waiting:
+                    if self._wishes.newest:
+                        await self._stream.flushed()
+                    message = self._waiting.popleft()
+                    size = sum(map(len, message.pieces))
+                    if not self._wishes.deflate:
+                        await self._stream.send(LENGTH.pack(size), *message.pieces)
+                        continue
+                    large = size >= LARGE
+                    content = await asyncio.to_thread(message.content) if large else message.content()
+                    await self._stream.send(LENGTH.pack(len(content)), content)
 
 
 class Publisher:
@@ -63,11 +173,9 @@ class Publisher:
 
     @property
     def topic(self) -> str:
-        """Resolved topic name."""
         return self.endpoint.topic
 
     def create(self, /, **fields: object) -> Message:
-        """A zero message of this topic's type with `fields` set."""
         return self.endpoint.type.create(**fields)
 
     def publish(self, message: Message) -> None:
@@ -80,18 +188,14 @@ class Publisher:
         self._publish(self.endpoint.type.serialize(message))
 
     def publish_bytes(self, data: bytes | memoryview) -> None:
-        """Send a message that is serialized already (without its length prefix).
-
-        A buffer that could still change is copied, so that the bytes checked are the bytes sent.
-        """
+        """Send a message that is serialized already (without its length prefix). A buffer that could still
+        change is copied, so that the bytes checked are the bytes sent."""
         self._publish(memoryview(data if isinstance(data, bytes) else bytes(data)))
 
     def close(self) -> None:
-        """Refuse to publish from now on: the node is closed."""
         self._closed = True
 
     def cut(self, reason: str) -> None:
-        """End the connection with every subscriber; what is queued for them is not sent."""
         for connection in tuple(self.links):
             connection.stream.abort(reason)
 
@@ -102,7 +206,6 @@ class Publisher:
         self._send(Sample(view), self._latch if self.latch else None)
 
     def _send(self, sample: Sample[memoryview], latch: Latch[memoryview] | None) -> None:
-        """Queue a message for every subscriber; `latch` keeps it for later ones."""
         if self._closed:
             raise NodeShutdown(f"{self.topic}: the node is closed", "publish before it ends")
         if latch is not None:
@@ -122,29 +225,22 @@ class Publisher:
                 queue.enqueue(pieces)
 
     async def wait_for_subscribers(self, count: int = 1) -> None:
-        """Return as soon as at least `count` subscribers are connected."""
         while len(self.links) < count:
             self._changed.clear()
             await self._changed.wait()
 
     def guard(self, decision: Decision) -> Guard:
-        """The guard that applies `decision` to the messages of this topic.
-
-        Raises:
-            GrantError: its restrictions are for another message type.
-            ConfigurationError: a key for pseudonyms cannot be read.
-        """
+        """The guard that applies `decision` to the messages of this topic."""
         context = self._context
         keys = {name: context.filter_key(name) for name in needed_keys(decision.restrictions)}
         return Guard(self._shape(decision), decision, keys, context.memory_scope)
 
     def _rebuilt(self, wishes: Wishes, decision: Decision) -> Guard:
-        """The guard for another decision on a connection with these wishes."""
         check_carried_out(wishes, decision)
         return self.guard(decision)
 
     def _shape(self, _decision: Decision) -> Layout | None:
-        """The layout of messages; None only if no restriction reads them."""
+        # The layout of messages; None only if no restriction reads them.
         return self._layout
 
     async def serve(
@@ -155,17 +251,26 @@ class Publisher:
         answer: bytes,
         wishes: Wishes = NO_WISHES,
     ) -> None:
-        """Answer one admitted subscriber and send it messages until its stream ends.
-
-        It is registered before the answer is sent: a revocation received meanwhile closes it.
-        """
+        """Answer one admitted subscriber and send it messages until its stream ends. It is registered before
+        the answer is sent: a revocation received meanwhile closes it."""
         connection = AuthorizedConnection(stream, decision, guard, partial(self._rebuilt, wishes))
-        queue = self.links[connection] = self._queue_for(stream, wishes)
+        queue = (
+            DeliveryQueue(stream, self._queue_size, wishes, self._deflation)
+            if wishes
+            else SubscriberQueue(stream, self._queue_size)
+        )
+        self.links[connection] = queue
         self._links_changed()
         try:
             with self._context.connections.track(connection):
                 await stream.send(answer)
-                self._send_latched(connection, queue)
+                now = clock.time()
+                for latch in self._latches():
+                    for sample in latch.candidates(connection.guard):
+                        pieces = self._filter(connection, sample, now, latch)
+                        if pieces is not None:
+                            queue.enqueue(pieces)
+                            break
                 await queue.run()
         except* RossecError as group:
             _log.info("%s: %s left: %s", self.topic, shown(stream.peer.name), group.exceptions[0])
@@ -177,22 +282,7 @@ class Publisher:
         self._changed.set()
 
     def _latches(self) -> Iterable[Latch[memoryview]]:
-        """What a new subscriber is sent first."""
         return (self._latch,)
-
-    def _queue_for(self, stream: SecureStream[Identity], wishes: Wishes) -> SubscriberQueue:
-        if wishes:
-            return WishQueue(stream, self._queue_size, wishes, self._deflation)
-        return SubscriberQueue(stream, self._queue_size)
-
-    def _send_latched(self, connection: SubscriberConnection, queue: SubscriberQueue) -> None:
-        now = clock.time()
-        for latch in self._latches():
-            for sample in latch.candidates(connection.guard):
-                pieces = self._filter(connection, sample, now, latch)
-                if pieces is not None:
-                    queue.enqueue(pieces)
-                    break
 
     def _filter(
         self,
@@ -204,10 +294,94 @@ class Publisher:
         try:
             pieces = connection.guard.apply(sample.data, now, sample.mark)
         except GrantError as error:
-            withheld_log.warn(
-                _log, withheld_log.SENT, self.topic, shown(connection.stream.peer.name), error
-            )
+            delivery.warn(_log, delivery.SENT, self.topic, shown(connection.stream.peer.name), error)
             return None
         if latch is not None and pieces is not None:
             latch.record(connection.guard, sample)
         return pieces
+
+
+class RawPublisher(Publisher):
+    """Forwards messages of a type that others define. Made by `Topics.publish_raw`.
+
+    A subscriber is authorized first, as ever; then its handshake waits, a limited time, until the type is
+    known (`describe`). Several senders may be behind the topic: a new subscriber is sent the last message of
+    each that latches, and the header says that the topic latches only while there is one, as a receiver takes
+    the last message of a latching publisher for the value of the topic. Restrictions of a subscriber are
+    applied by the sender's definition, where that is proven or this host's: they may protect the subscriber
+    from the sender.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        type_name: str,  # as registered; `*`: not known yet
+        context: NodeContext,
+        on_demand: Callable[[], None],  # called when `demand` has changed
+        *,
+        queue_size: int = QUEUE_SIZE,
+    ) -> None:
+        unknown = TopicEndpoint(topic, MessageType(type_name, ANY_TYPE, ""))
+        super().__init__(unknown, None, context, latch=False, queue_size=queue_size)
+        self.problem = ""  # why the type is not known, for the log of a subscriber that waited in vain
+        self._on_demand = on_demand
+        self._waiting = 0
+        self._known = asyncio.Event()
+        self._by_sender: dict[object, Latch[memoryview]] = {}
+
+    @property
+    def demand(self) -> int:
+        return len(self.links) + self._waiting
+
+    @property
+    def is_described(self) -> bool:
+        return self._known.is_set()
+
+    def describe(self, kind: Definition) -> None:
+        """Say what the messages are; subscribers that wait are answered. At most once."""
+        named = MessageType(kind.name, kind.md5sum, kind.definition)
+        self.endpoint = TopicEndpoint(self.topic, named)
+        self._known.set()
+
+    def forward(self, sender: object, data: bytes, *, keep: bool) -> None:
+        """Send a serialized message; with `keep` it is what new subscribers are sent first."""
+        latch = self._by_sender.setdefault(sender, Latch()) if keep else None
+        self._send(Sample(memoryview(data)), latch)
+
+    def forget(self, sender: object) -> None:
+        self._by_sender.pop(sender, None)
+
+    async def ready(self) -> None:
+        """Return when the type is known."""
+        self._waiting += 1
+        self._on_demand()
+        try:
+            async with asyncio.timeout(PATIENCE):
+                await self._known.wait()
+        except TimeoutError:
+            raise ConnectionHeaderRefused(
+                f"no publisher of {self.topic} can be reached", self.problem
+            ) from None
+        finally:
+            self._waiting -= 1
+            self._on_demand()
+        if self._closed:
+            raise NodeShutdown(f"{self.topic} is published no longer")
+
+    def close(self) -> None:
+        """Refuse messages and subscribers from now on, also those that wait."""
+        super().close()
+        self._by_sender.clear()
+        self._known.set()
+
+    def _shape(self, decision: Decision) -> Layout | None:
+        if not needs_definition(decision):
+            return None
+        return forwarded_definition(self.endpoint.type, decision, known_type).layout
+
+    def _links_changed(self) -> None:
+        super()._links_changed()
+        self._on_demand()
+
+    def _latches(self) -> Iterable[Latch[Any]]:
+        return tuple(self._by_sender.values())

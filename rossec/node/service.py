@@ -1,43 +1,67 @@
-"""A service this node provides: its callers, and what each of them may send and receive.
+"""The services of one node: those it provides, what each caller may send and receive, and their
+registrations.
 
-Every request is checked again, as a connection may be hours old. The requests of one connection are
-answered one after the other; a caller that sends faster is not read from. Exceptions of a handler
-are not sent to the caller, except `ServiceFailed`.
+A caller is authorized before this node looks up the service: a caller or a probe without the right learns
+nothing (attack N6). Every request is checked again, as a connection may be hours old. The requests of one
+connection are answered one after the other; a caller that sends faster is not read from. Exceptions of a
+handler are not sent to the caller, except `ServiceFailed`.
 """
 
 import asyncio
+import contextlib
 import inspect
 import logging
 from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
 from typing import Any, Final, TypeAlias
 from weakref import WeakValueDictionary
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown
+from ca.errors import HintedError, RevocationsStale
+from ca.names import shown
 from grants.decision import Decision
 from grants.errors import GrantError
 from rossec import clock
 from rossec.errors import (
+    AnswerMalformed,
+    AnswerRefused,
+    ChannelError,
     ConfigurationError,
+    ConnectionHeaderRefused,
     FrameRefused,
     MessageError,
     RossecError,
     ServiceFailed,
     ServiceRefused,
+    ServiceUnavailable,
 )
-from rossec.net import withheld_log
 from rossec.net.aio import SecureStream
+from rossec.net.limits import unit_limit
 from rossec.node.context import NodeConnection, NodeContext
+from rossec.node.service_client import CALL_DEADLINE, ServiceClient, probe
+from rossec.participant import delivery
 from rossec.participant.authorized import AuthorizedConnection
+from rossec.participant.handshakes import (
+    ExpectedService,
+    Fields,
+    admit_caller,
+    check_md5,
+    is_set,
+    refuse_offer,
+    requested_service,
+    server_header,
+)
 from rossec.participant.message_types import Message, field_names
-from rossec.participant.service_guard import Pieces, ServiceGuard
-from rossec.participant.service_handshake import ExpectedService
-from rossec.participant.service_types import ServiceType
-from rossec.ros import service as wire
+from rossec.participant.service_types import Pieces, ServiceGuard, ServiceType
+from rossec.ros import tcpros
+from rossec.ros.tcpros import REQUEST_LIMIT
 
 REQUEST_DEADLINE: Final = 10.0  # seconds from the beginning of a request to its end
 HANDLER_DEADLINE: Final = 60.0
 CONCURRENCY: Final = 8
+_POLL_PERIOD: Final = 0.3  # seconds between probes of a service, as in rospy
+_PASSING: Final = (ServiceUnavailable, ChannelError, OSError, TimeoutError, RevocationsStale)
+_ABSENT: Final = "no provider"  # status of the master, as stock; a refusal begins with "rossec: "
 
 CallerConnection: TypeAlias = NodeConnection[ServiceGuard]
 Response: TypeAlias = "Message | Mapping[str, object] | Awaitable[Any] | None"
@@ -47,13 +71,8 @@ _log = logging.getLogger("rossec.node")
 
 
 async def receive_request(stream: SecureStream[Identity], *, wait: bool) -> bytes:
-    """The next request; `wait` without a time limit for it to begin.
-
-    Raises:
-        FrameRefused: it is too long, did not arrive in time, or more follows it.
-        ChannelError: the connection was closed.
-    """
-    frames = wire.request_reader()
+    """The next request; `wait` without a time limit for it to begin."""
+    frames = tcpros.request_reader()
     content = frames.feed_one(await stream.receive()) if wait else None
     try:
         async with asyncio.timeout(REQUEST_DEADLINE):
@@ -88,8 +107,7 @@ class Service:
     ) -> None:
         if concurrency < 1 or deadline <= 0:
             raise ConfigurationError(
-                f"{name}: concurrency {concurrency}, deadline {deadline:g} s",
-                "both must be above zero",
+                f"{name}: concurrency {concurrency}, deadline {deadline:g} s", "both must be above zero"
             )
         self.name = name
         self.kind = kind
@@ -104,24 +122,18 @@ class Service:
 
     @property
     def expected(self) -> ExpectedService:
-        """Type and md5sum, as in connection headers."""
         return ExpectedService(self.kind.name, self.kind.md5sum)
 
     def create(self, /, **fields: object) -> Message:
-        """A zero response with `fields` set."""
         return self.kind.response.create(**fields)
 
     async def close(self) -> None:
-        """Unregister and close the connection of every caller."""
         for connection in tuple(self.links):
             connection.stream.abort("the service is closed")
         await self._on_close(self)
 
     def guard(self, decision: Decision) -> ServiceGuard:
-        """The guard that applies `decision` to the messages; raises as `ServiceGuard`."""
-        return ServiceGuard(
-            self.kind, decision, self._context.filter_key, self._context.memory_scope
-        )
+        return ServiceGuard(self.kind, decision, self._context.filter_key, self._context.memory_scope)
 
     async def serve(
         self,
@@ -132,19 +144,16 @@ class Service:
         *,
         persistent: bool,
     ) -> None:
-        """Answer one admitted caller: its header, then its calls, until its stream ends.
-
-        It is registered before the answer is sent: a revocation received meanwhile closes it.
-        """
+        # It is registered before the answer is sent: a revocation received meanwhile closes it.
         connection = AuthorizedConnection(stream, decision, guard, self.guard)
-        share = self._share_of(stream.peer)
+        share = self._shares.get(stream.peer.thumbprint)
+        if share is None:
+            share = self._shares[stream.peer.thumbprint] = asyncio.Semaphore(self._share)
         self.links.add(connection)
         try:
             with self._context.connections.track(connection):
                 await stream.send(answer)
-                await self._answer(
-                    connection, share, await receive_request(stream, wait=persistent)
-                )
+                await self._answer(connection, share, await receive_request(stream, wait=persistent))
                 while persistent:
                     await self._answer(connection, share, await receive_request(stream, wait=True))
         except RossecError as error:
@@ -152,50 +161,33 @@ class Service:
         finally:
             self.links.discard(connection)
 
-    def _share_of(self, caller: Identity) -> asyncio.Semaphore:
-        """The calls of one caller at a time: at most half, on however many connections."""
-        share = self._shares.get(caller.thumbprint)
-        if share is None:
-            share = self._shares[caller.thumbprint] = asyncio.Semaphore(self._share)
-        return share
-
-    async def _answer(
-        self, connection: CallerConnection, share: asyncio.Semaphore, request: bytes
-    ) -> None:
+    async def _answer(self, connection: CallerConnection, share: asyncio.Semaphore, request: bytes) -> None:
         self._context.connections.check(connection)
         await connection.stream.send(*await self._respond(connection, share, request))
 
     async def _respond(
         self, connection: CallerConnection, share: asyncio.Semaphore, request: bytes
     ) -> Pieces:
-        """The response, or the error response, as bytes."""
         try:
             async with asyncio.timeout(self._deadline), share, self._slots:
                 allowed = b"".join(connection.guard.request(request, clock.time()))
-                data = await self._handle(self._parse(allowed), connection.stream.peer)
-                return wire.success(connection.guard.response(data, clock.time()))
+                try:
+                    parsed = self.kind.request.deserialize(allowed)
+                except MessageError as error:
+                    raise ServiceRefused(f"not one {self.kind.request.name}") from error
+                data = await self._handle(parsed, connection.stream.peer)
+                return tcpros.success(connection.guard.response(data, clock.time()))
         except ServiceFailed as error:
-            return wire.failure(str(error))
+            return tcpros.failure(str(error))
         except (ServiceRefused, GrantError) as error:
-            withheld_log.warn(
-                _log, withheld_log.REFUSED, self.name, shown(connection.stream.peer.name), error
-            )
-            return wire.failure(f"rossec: {error}")
+            delivery.warn(_log, delivery.REFUSED, self.name, shown(connection.stream.peer.name), error)
+            return tcpros.failure(f"rossec: {error}")
         except TimeoutError:
             took = f"a call took more than {self._deadline:g} s"
-            withheld_log.warn(
-                _log, withheld_log.REFUSED, self.name, shown(connection.stream.peer.name), took
-            )
-            return wire.failure("the service took too long")
-
-    def _parse(self, request: bytes) -> Message:
-        try:
-            return self.kind.request.deserialize(request)
-        except MessageError as error:
-            raise ServiceRefused(f"not one {self.kind.request.name}") from error
+            delivery.warn(_log, delivery.REFUSED, self.name, shown(connection.stream.peer.name), took)
+            return tcpros.failure("the service took too long")
 
     async def _handle(self, request: Message, caller: Identity) -> memoryview:
-        """The serialized response; the caller is sent no exception but `ServiceFailed`."""
         try:
             result = self._handler(request, caller)
             if inspect.isawaitable(result):
@@ -219,3 +211,146 @@ class Service:
                 "return service.create(...), or a mapping of its fields",
             )
         return result
+
+
+class Services:
+    def __init__(self, context: NodeContext) -> None:
+        self._context = context
+        self._provided: dict[str, Service] = {}
+        self._clients: set[ServiceClient] = set()
+
+    async def provide(
+        self,
+        name: str,
+        kind: ServiceType,
+        handler: CallerHandler,
+        *,
+        concurrency: int = CONCURRENCY,
+        deadline: float = HANDLER_DEADLINE,
+    ) -> Service:
+        """Register the service `name`, a full name; `handler(request, caller)`; see `Service`."""
+        refuse_offer(name, "provided")
+        if name in self._provided:
+            raise ConfigurationError(f"{name} is provided by this node already")
+        service = Service(
+            name, kind, handler, self._context, self._unregister, concurrency=concurrency, deadline=deadline
+        )
+        self._provided[name] = service
+        try:
+            await self._register(service)
+        except BaseException:
+            del self._provided[name]
+            raise
+        return service
+
+    def client(
+        self, name: str, kind: ServiceType, *, persistent: bool = False, deadline: float = CALL_DEADLINE
+    ) -> ServiceClient:
+        """A client of the service `name`; nothing is connected yet."""
+        client = ServiceClient(
+            name,
+            kind,
+            self._context,
+            self.dial,
+            self._clients.discard,
+            persistent=persistent,
+            deadline=deadline,
+        )
+        self._clients.add(client)
+        return client
+
+    async def wait_for(self, name: str, within: float | None = None) -> None:
+        """Return as soon as a provider of `name` answers."""
+        try:
+            async with asyncio.timeout(within):
+                while True:
+                    with contextlib.suppress(*_PASSING):
+                        await self.probe(name)
+                        return
+                    await asyncio.sleep(_POLL_PERIOD)
+        except TimeoutError:
+            raise ServiceUnavailable(
+                f"no node provided {shown(name)} within {within:g} s", "is its provider running?"
+            ) from None
+
+    async def probe(self, name: str) -> tuple[Fields, Identity]:
+        return await probe(self.dial, self._context.name_for, name, self._context.access)
+
+    async def known(self) -> dict[str, list[str]]:
+        """Services this node may see, each with its providers."""
+        match await self._context.call("getSystemState"):
+            case [_, _, [*services]]:
+                return dict(_provided(item) for item in services)
+            case _:
+                raise AnswerMalformed("an invalid system state")
+
+    async def lookup(self, name: str) -> str:
+        """The rosrpc URI of the provider of `name`."""
+        try:
+            uri = await self._context.call("lookupService", name)
+        except AnswerRefused as error:
+            if str(error) != _ABSENT:
+                raise
+            raise ServiceUnavailable(
+                f"no node provides {shown(name)}", "start its provider, or wait for the service"
+            ) from error
+        return str(uri)
+
+    async def dial(self, name: str) -> SecureStream[Identity]:
+        return await self._context.dialer.service(await self.lookup(name))
+
+    def admit(
+        self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
+    ) -> Callable[[], Awaitable[None]]:
+        """Decide on a caller from its header; returns what serves it."""
+        context, now = self._context, clock.now()
+        decision = admit_caller(fields, stream.peer, context.access, now)
+        name = requested_service(fields)
+        service = self._provided.get(name)
+        if service is None:
+            raise ConnectionHeaderRefused(f"{context.name} does not provide {name}")
+        check_md5(fields, name, service.kind.md5sum)
+        answer = tcpros.encode(
+            server_header(context.name_for(stream.peer), name, service.expected, context.access, now)
+        )
+        if is_set(fields, "probe"):
+            return partial(stream.send, answer)
+        guard = service.guard(decision)
+        stream.raise_unit_limit(unit_limit(service.kind.request_layout.root.size, REQUEST_LIMIT))
+        persistent = is_set(fields, "persistent")
+        return partial(service.serve, stream, decision, guard, answer, persistent=persistent)
+
+    async def withdraw(self, name: str) -> None:
+        service = self._provided.get(name)
+        if service is not None:
+            await service.close()
+
+    async def restore(self) -> None:
+        """Register everything again: the master was restarted, or there is a new grant."""
+        for service in tuple(self._provided.values()):
+            with self._context.restoring(service.name):
+                await self._register(service)
+
+    async def close(self) -> None:
+        for client in tuple(self._clients):
+            await client.close()
+        for service in tuple(self._provided.values()):
+            await service.close()
+
+    async def _register(self, service: Service) -> None:
+        context = self._context
+        await context.call("registerService", service.name, context.rosrpc, context.uri)
+
+    async def _unregister(self, service: Service) -> None:
+        if self._provided.get(service.name) is service:
+            del self._provided[service.name]
+            with contextlib.suppress(HintedError, OSError, TimeoutError):
+                await self._context.call("unregisterService", service.name, self._context.rosrpc)
+
+
+def _provided(item: object) -> tuple[str, list[str]]:
+    match item:
+        case [str() as name, [*nodes]]:
+            return name, [node for node in nodes if isinstance(node, str)]
+        case _:
+            raise AnswerMalformed("an invalid system state")

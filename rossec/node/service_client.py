@@ -1,42 +1,38 @@
 """Calls of a service: a connection for each call, or a persistent one.
 
-The master provides the address of the provider only. Its identity comes from the channel, its right
-to provide from the grant it presents; `service_guard` filters what is sent and received. A
-connection that failed during a call is not used again: a late response must not be taken for that
-of the next call.
+The master provides the address of the provider only. Its identity comes from the channel, its right to
+provide from the grant it presents; `ServiceGuard` filters what is sent and received. A connection that failed
+during a call is not used again: a late response must not be taken for that of the next call.
 """
 
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
-from types import TracebackType
 from typing import Final, Self, TypeAlias
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown
+from ca.names import shown
 from grants.decision import Decision
 from rossec import clock
 from rossec.errors import ChannelClosed, ConfigurationError, ServiceFailed
+from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.bounds import unit_limit
+from rossec.net.limits import unit_limit
 from rossec.node.context import NodeConnection, NodeContext
 from rossec.participant.access import Access
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.header_fields import Fields
-from rossec.participant.message_types import Message
-from rossec.participant.service_guard import Pieces, ServiceGuard
-from rossec.participant.service_handshake import (
+from rossec.participant.handshakes import (
     ANY,
     ExpectedService,
+    Fields,
     admit_provider,
     check_md5,
     client_header,
 )
-from rossec.participant.service_types import ServiceType
-from rossec.ros import header
-from rossec.ros import service as wire
-from rossec.ros.header import MESSAGE_LIMIT
+from rossec.participant.message_types import Message
+from rossec.participant.service_types import Pieces, ServiceGuard, ServiceType
+from rossec.ros import tcpros
+from rossec.ros.tcpros import MESSAGE_LIMIT
 
 CALL_DEADLINE: Final = 60.0
 HANDSHAKE_DEADLINE: Final = 5.0
@@ -47,17 +43,12 @@ Dial = Callable[[str], Awaitable[SecureStream[Identity]]]  # service -> stream t
 
 
 async def exchange_call(stream: SecureStream[Identity], request: Pieces) -> bytes:
-    """The response to one request.
-
-    Raises:
-        ServiceFailed: the provider answered with an error.
-        RossecError: the connection was closed, or the peer violated the protocol.
-    """
-    frames = wire.response_reader()
-    await stream.send(*wire.framed(request))
+    """The response to one request."""
+    frames = tcpros.response_reader()
+    await stream.send(*tcpros.framed(request))
     while (content := frames.feed_one(await stream.receive())) is None:
         pass
-    return wire.open_response(content)
+    return tcpros.open_response(content)
 
 
 async def exchange_headers(
@@ -70,31 +61,18 @@ async def exchange_headers(
     persistent: bool = False,
     probe: bool = False,
 ) -> tuple[Fields, Decision]:
-    """Exchange headers with a provider; returns its header, and the decision on its grants.
-
-    Raises:
-        HintedError: it refuses, or lacks the right.
-    """
-    fields = client_header(
-        caller, service, kind, access, clock.now(), persistent=persistent, probe=probe
-    )
-    await stream.send(header.encode(fields))
-    frames = header.FrameReader(header.HEADER_LIMIT)
+    """Exchange headers with a provider; returns its header, and the decision on its grants."""
+    fields = client_header(caller, service, kind, access, clock.now(), persistent=persistent, probe=probe)
+    await stream.send(tcpros.encode(fields))
+    frames = tcpros.FrameReader(tcpros.HEADER_LIMIT)
     while (arrived := frames.feed_one(await stream.receive())) is None:
         pass
-    answer = header.decode(arrived)
+    answer = tcpros.decode(arrived)
     return answer, admit_provider(answer, stream.peer, service, access, clock.now())
 
 
-async def probe(
-    dial: Dial, caller_for: CallerFor, service: str, access: Access
-) -> tuple[Fields, Identity]:
-    """Request the header of the provider of `service`; returns it and the provider's identity.
-
-    Raises:
-        HintedError: there is none, it refuses, or lacks the right.
-        TimeoutError: it does not answer.
-    """
+async def probe(dial: Dial, caller_for: CallerFor, service: str, access: Access) -> tuple[Fields, Identity]:
+    """Request the header of the provider of `service`; returns it and the provider's identity."""
     async with asyncio.timeout(HANDSHAKE_DEADLINE):
         stream = await dial(service)
         try:
@@ -106,12 +84,7 @@ async def probe(
 
 
 class ServiceClient:
-    """Calls one service: `response = await client(data=True)`. Made by `Node.client`.
-
-    Args:
-        persistent: keep the connection between calls, which then run one at a time.
-        deadline: seconds a call may take, connecting included.
-    """
+    """Calls one service: `response = await client(data=True)`. Made by `Node.client`."""
 
     def __init__(
         self,
@@ -121,8 +94,8 @@ class ServiceClient:
         dial: Dial,
         on_close: Callable[["ServiceClient"], None],
         *,
-        persistent: bool = False,
-        deadline: float = CALL_DEADLINE,
+        persistent: bool = False,  # keep the connection between calls, which then run one at a time
+        deadline: float = CALL_DEADLINE,  # seconds a call may take, connecting included
     ) -> None:
         if deadline <= 0:
             raise ConfigurationError(f"a deadline of {deadline:g} seconds", "it must be above zero")
@@ -140,28 +113,15 @@ class ServiceClient:
         self._closed = False
 
     def create(self, /, **fields: object) -> Message:
-        """A zero request with `fields` set."""
         return self.kind.request.create(**fields)
 
     async def __call__(self, request: Message | None = None, /, **fields: object) -> Message:
-        """Call with `request`, or with a request made of `fields`; returns the response.
-
-        Raises:
-            ServiceUnavailable: no node provides the service.
-            ServiceFailed: the provider answered with an error, or too late.
-            HintedError: one side lacks the right, or the connection failed.
-        """
         if request is None:
             request = self.create(**fields)
         response = await self.call_bytes(self.kind.request.serialize(request))
         return self.kind.response.deserialize(response)
 
     async def call_bytes(self, request: bytes | memoryview) -> bytes:
-        """Call with a serialized request (without its length); returns the serialized response.
-
-        Raises:
-            HintedError: as `__call__`.
-        """
         if self._closed:
             raise ChannelClosed(f"the client of {shown(self.service)} is closed")
         try:
@@ -171,7 +131,6 @@ class ServiceClient:
             raise ServiceFailed(f"{shown(self.service)} did not answer in time") from None
 
     async def close(self) -> None:
-        """Close the connections; calls in progress fail. Safe to call twice."""
         self._closed = True
         for connection in tuple(self.links):
             connection.stream.abort("the client is closed")
@@ -183,17 +142,11 @@ class ServiceClient:
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
 
     @contextlib.asynccontextmanager
     async def _connection(self) -> AsyncIterator[ProviderConnection]:
-        """The persistent connection, for one call at a time, or one for this call."""
         if not self._persistent:
             connection = await self._connect()
             try:
@@ -231,7 +184,12 @@ class ServiceClient:
             stream.abort("the connection header was refused")
             raise
         self.links.add(connection)
-        self._task_set.spawn(self._discard_when_ended(connection), f"{self.service}: connection")
+
+        async def discard_when_ended() -> None:  # so that the next call does not use it
+            await connection.stream.wait_ended()
+            self._discard(connection)
+
+        self._task_set.spawn(discard_when_ended(), f"{self.service}: connection")
         return connection
 
     async def _handshake(self, stream: SecureStream[Identity]) -> ProviderConnection:
@@ -251,11 +209,6 @@ class ServiceClient:
     def _guard(self, decision: Decision) -> ServiceGuard:
         context = self._context
         return ServiceGuard(self.kind, decision, context.filter_key, context.memory_scope)
-
-    async def _discard_when_ended(self, connection: ProviderConnection) -> None:
-        """Discard a connection when it ends, so that the next call does not use it."""
-        await connection.stream.wait_ended()
-        self._discard(connection)
 
     def _discard(self, connection: ProviderConnection) -> None:
         connection.stream.abort("the call failed before its end")

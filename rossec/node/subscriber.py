@@ -1,56 +1,102 @@
 """A topic this node subscribes to: one connection to each publisher the master lists.
 
-The master provides the addresses of publishers only. Their identity comes from the channel, their
-right to publish from the grant they present. A publisher that refuses, or is refused, is tried
-again with growing pauses for as long as the master lists it: a grant may arrive later.
+The master provides the addresses of publishers only. Their identity comes from the channel, their right to
+publish from the grant they present. A publisher that refuses, or is refused, is tried again with growing
+pauses for as long as the master lists it: a grant may arrive later.
 """
 
 import asyncio
 import logging
+import re
 from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable
-from dataclasses import replace
-from functools import partial
-from typing import Final, TypeAlias
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from time import monotonic
+from typing import Any, Final, Protocol, TypeAlias
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown
 from ca.errors import HintedError
+from ca.names import shown
 from grants.decision import Decision
 from grants.errors import GrantError
-from grants.guard import Guard
-from grants.memory import MemoryScope
+from grants.filters.layout import MAX_TEXT, TYPE_NAME
+from grants.guard import Guard, MemoryScope
 from rossec import clock
-from rossec.errors import ConfigurationError, MessageError
-from rossec.net import withheld_log
+from rossec.errors import ConfigurationError, ConnectionHeaderRefused, MessageError
+from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream
-from rossec.net.aio.arrivals import next_messages
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.bounds import message_limit, unit_limit
+from rossec.net.aio.stream import next_messages
+from rossec.net.limits import message_limit, unit_limit
 from rossec.node.context import NodeConnection, NodeContext
-from rossec.node.wished_messages import WishedMessages, wished_messages
-from rossec.participant.access import FIELD
+from rossec.participant import delivery
+from rossec.participant.access import FIELD, granted_name
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.definitions import Definition, size_of
-from rossec.participant.deflating import OVERHEAD
-from rossec.participant.header_fields import Fields
-from rossec.participant.message_types import Message
-from rossec.participant.topic_guard import guard_for
-from rossec.participant.topic_handshake import TopicEndpoint, admit_publisher, subscriber_header
-from rossec.participant.wire_names import granted_name
-from rossec.participant.wishes import NO_WISHES, Wishes
-from rossec.ros import header
-from rossec.ros.framing import Framing
-from rossec.ros.header import MESSAGE_LIMIT, FrameReader
+from rossec.participant.definitions import Definition, from_header, guard_for, receiver_definition, size_of
+from rossec.participant.delivery import (
+    LARGE,
+    NO_WISHES,
+    OVERHEAD,
+    WishedRate,
+    Wishes,
+    claimed_size,
+    inflated,
+    taken_wishes,
+)
+from rossec.participant.handshakes import Fields, TopicEndpoint, admit_publisher, subscriber_header
+from rossec.participant.host_types import known_type
+from rossec.participant.message_types import Message, MessageType
+from rossec.ros import tcpros
+from rossec.ros.names import ANY_TYPE
+from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
 
 QUEUE_SIZE: Final = 10
 HANDSHAKE_DEADLINE: Final = 5.0
 _FIRST_PAUSE: Final = 0.25
 LONGEST_PAUSE: Final = 15.0
+ANY: Final = MessageType(ANY_TYPE, ANY_TYPE, "")
+_MD5: Final = re.compile(r"[0-9a-f]{32}")
 
 PublisherConnection: TypeAlias = NodeConnection[Guard | None]
 OnClose = Callable[["Subscriber"], Awaitable[None]]
 _log = logging.getLogger("rossec.node")
+
+
+class WishedMessages:
+    """The messages of one connection that was asked for with wishes; `limit`: how many bytes one may have.
+
+    Inflates what the publisher deflates, never much in one turn of the loop. A publisher may take no wish:
+    then messages are thinned out here, which spares the program and not the line.
+    """
+
+    def __init__(self, asked: Wishes, taken: Wishes, limit: int) -> None:
+        thins = asked.rate is not None and taken.rate is None
+        self._rate = WishedRate(asked.rate) if asked.rate is not None and thins else None
+        self._deflated = taken.deflate
+        self._limit = limit
+        self._this_turn = 0  # bytes inflated since the loop had its turn
+
+    async def inflated(self, content: bytes) -> bytes:
+        if not self._deflated:
+            return content
+        size = claimed_size(content, self._limit)
+        if size >= LARGE:
+            return await asyncio.to_thread(inflated, content, self._limit)
+        self._this_turn += size
+        if self._this_turn >= LARGE:  # thousands of small bombs fit into one unit
+            self._this_turn = 0
+            await asyncio.sleep(0)
+        return inflated(content, self._limit)
+
+    def admits(self) -> bool:
+        return self._rate is None or self._rate.admits(monotonic())
+
+
+def wished_messages(asked: Wishes, answer: Mapping[str, bytes], limit: int) -> WishedMessages | None:
+    """For a publisher with this answer; None: its messages come as they do without wishes."""
+    taken = taken_wishes(answer, asked)
+    if taken.deflate or taken.rate != asked.rate:
+        return WishedMessages(asked, taken, limit)
+    return None
 
 
 class Subscriber:
@@ -87,12 +133,10 @@ class Subscriber:
 
     @property
     def topic(self) -> str:
-        """Resolved topic name."""
         return self.endpoint.topic
 
     @property
     def publishers(self) -> list[str]:
-        """The API URIs that the master lists, connected or not."""
         return list(self._tasks)
 
     def update(self, publishers: list[str]) -> None:
@@ -111,9 +155,7 @@ class Subscriber:
             try:
                 message = self.endpoint.type.deserialize(data)
             except MessageError as error:
-                withheld_log.warn(
-                    _log, "%(where)s: dropped a message: %(cause)s", shown(self.topic), "", error
-                )
+                delivery.warn(_log, "%(where)s: dropped a message: %(cause)s", shown(self.topic), "", error)
             else:
                 yield message
 
@@ -139,7 +181,6 @@ class Subscriber:
         await self._on_close(self)
 
     async def _follow(self, uri: str) -> None:
-        """Keep one publisher connected until the master no longer lists it."""
         pause = _FIRST_PAUSE
         while True:
             before = self.received
@@ -155,7 +196,7 @@ class Subscriber:
             stream = await self._context.dialer.topic(uri, self.topic)
             try:
                 limit = self._longest + (OVERHEAD if self._wishes.deflate else 0)
-                frames = FrameReader(limit, first=header.HEADER_LIMIT)
+                frames = FrameReader(limit, first=tcpros.HEADER_LIMIT)
                 connection, answer, early = await self._handshake(stream, frames)
                 wished = wished_messages(self._wishes, answer, self._longest)
             except BaseException:
@@ -185,47 +226,39 @@ class Subscriber:
         own = context.certified or context.name
         endpoint = replace(self.endpoint, topic=granted_name(stream.peer, self.topic, own))
         fields = subscriber_header(name, endpoint, context.access, clock.now())
-        await stream.send(header.encode(fields | self._wishes.fields))
+        await stream.send(tcpros.encode(fields | self._wishes.fields))
         units: list[bytes] = []
         while not units:
             units = frames.feed(await stream.receive())
-        answer = header.decode(units[0])
-        decision = admit_publisher(
-            answer, stream.peer, endpoint.expected, context.access, clock.now()
-        )
+        answer = tcpros.decode(units[0])
+        decision = admit_publisher(answer, stream.peer, endpoint.expected, context.access, clock.now())
         stream.raise_unit_limit(unit_limit(self._size, MESSAGE_LIMIT))
         del answer[FIELD]  # what is kept of it needs no grants
-        rebuild = partial(self._guard, answer)
+
+        def rebuild(decision: Decision) -> Guard | None:
+            kind = self._read_as(answer, decision)
+            return guard_for(kind, decision, context.filter_key, self.memory_scope)
+
         connection = AuthorizedConnection(stream, decision, rebuild(decision), rebuild)
         return connection, answer, units[1:]
-
-    def _guard(self, answer: Fields, decision: Decision) -> Guard | None:
-        """For the messages of the publisher that answered so."""
-        kind = self._read_as(answer, decision)
-        return guard_for(kind, decision, self._context.filter_key, self.memory_scope)
 
     # -- what a raw subscriber does in another way
 
     def _read_as(self, _answer: Fields, _decision: Decision) -> Definition:
-        """The type by which messages of a publisher are checked."""
         return self.endpoint.type
 
-    def _opened(self, connection: PublisherConnection, answer: Fields) -> None:
-        """A publisher is connected, and nothing of it delivered yet."""
+    def _opened(self, connection: PublisherConnection, answer: Fields) -> None: ...
 
-    def _ended(self, connection: PublisherConnection) -> None:
-        """A publisher, opened or not, is connected no longer."""
+    def _ended(self, connection: PublisherConnection) -> None: ...
 
     def _keep(self, _connection: PublisherConnection, messages: list[bytes]) -> None:
-        """Keep what may be delivered."""
         self._queue.extend(messages)
         self._wake.set()
 
     def _deliver(self, connection: PublisherConnection, messages: list[bytes]) -> None:
         if connection.guard is not None:
-            messages = self._filtered(
-                connection.guard, messages, shown(connection.stream.peer.name), clock.time()
-            )
+            peer = shown(connection.stream.peer.name)
+            messages = self._filtered(connection.guard, messages, peer, clock.time())
         if messages:
             self.received += len(messages)
             self._keep(connection, messages)
@@ -233,10 +266,7 @@ class Subscriber:
     async def _deliver_wished(
         self, connection: PublisherConnection, wished: WishedMessages, contents: list[bytes]
     ) -> None:
-        """One by one: of what is inflated no more than the queue holds is kept.
-
-        It takes its time, in which the right may end.
-        """
+        # It takes its time, in which the right may end.
         for content in contents:
             messages = [await wished.inflated(content)]
             self._context.connections.check(connection)
@@ -248,19 +278,18 @@ class Subscriber:
                 self._keep(connection, messages)
 
     def _filtered(self, guard: Guard, messages: list[bytes], peer: str, now: float) -> list[bytes]:
-        """The messages that the right of the publisher allows, filtered."""
         filtered = []
         for message in messages:
             try:
                 pieces = guard(message, now)
             except GrantError as error:
-                withheld_log.warn(_log, withheld_log.RECEIVED, shown(self.topic), peer, error)
+                delivery.warn(_log, delivery.RECEIVED, shown(self.topic), peer, error)
             else:
                 filtered += [] if pieces is None else [b"".join(pieces)]
         return filtered
 
     def _record_failure(self, uri: str, error: Exception) -> None:
-        """Log a failure; the same one again at level INFO only, as every attempt may repeat it."""
+        # Log a failure; the same one again at level INFO only, as every attempt may repeat it.
         if isinstance(error, HintedError):
             self.refusals.append(error.bare())
         reason = f"{shown(self.topic)} from {uri}: {str(error) or type(error).__name__}"
@@ -274,3 +303,71 @@ def check_queue_size(size: int) -> None:
     """Refuse a size below 1 (in rospy 0 means unbounded, but memory is not)."""
     if size < 1:
         raise ConfigurationError(f"a queue of {size} messages", "queue_size must be 1 or more")
+
+
+@dataclass(frozen=True, eq=False)
+class RawSource:
+    peer: str  # its certified name, of a foreign one its alias
+    type: Definition  # of its messages, as it claims
+    latching: bool  # whether it sends new subscribers the last message, as it claims
+
+
+class RawReceiver(Protocol):
+    """What takes messages; each publisher is connected once, then gone once."""
+
+    def connected(self, source: RawSource) -> None:
+        """A publisher is connected; raises HintedError: it is not wanted; it is tried again later."""
+
+    def received(self, source: RawSource, messages: Sequence[bytes]) -> None:
+        """Serialized messages, without their length prefixes."""
+
+    def disconnected(self, source: RawSource) -> None:
+        """A publisher is connected no longer."""
+
+    def refused(self, error: Exception) -> None:
+        """A publisher could not be connected, or the connection ended."""
+
+
+class RawSubscriber(Subscriber):
+    """Hands what arrives, of any type, to a receiver: it takes each message at once. Made by
+    `Topics.subscribe_raw`.
+
+    Type and md5sum of the subscription are `*`, as in ROS; what a publisher answers with says what its
+    messages are, and is handed on with them. Nothing of it is trusted: where a right of the publisher is
+    restricted, the restriction is applied by the definition that is installed here.
+    """
+
+    def __init__(self, topic: str, receiver: RawReceiver, *given: Any, **options: Any) -> None:
+        super().__init__(TopicEndpoint(topic, ANY), *given, **options)
+        self._receiver = receiver
+        self._sources: dict[PublisherConnection, RawSource] = {}
+
+    def _read_as(self, answer: Fields, decision: Decision) -> Definition:
+        return receiver_definition(ANY, claimed(answer), decision, known_type)
+
+    def _opened(self, connection: PublisherConnection, answer: Fields) -> None:
+        latching = answer.get("latching") == b"1"
+        source = RawSource(connection.stream.peer.name, claimed(answer), latching)
+        self._receiver.connected(source)
+        self._sources[connection] = source
+
+    def _keep(self, connection: PublisherConnection, messages: list[bytes]) -> None:
+        self._receiver.received(self._sources[connection], messages)
+
+    def _ended(self, connection: PublisherConnection) -> None:
+        if (source := self._sources.pop(connection, None)) is not None:
+            self._receiver.disconnected(source)
+
+    def _record_failure(self, uri: str, error: Exception) -> None:
+        super()._record_failure(uri, error)
+        self._receiver.refused(error)
+
+
+def claimed(answer: Fields) -> Definition:
+    """The type a publisher says its messages have, in form."""
+    found = from_header(answer)
+    if TYPE_NAME.fullmatch(found.name) is None or _MD5.fullmatch(found.md5sum) is None:
+        raise ConnectionHeaderRefused(f"a publisher of {found.name[:80]!a}, which is no type")
+    if len(found.definition) > MAX_TEXT:
+        raise ConnectionHeaderRefused(f"a definition of {len(found.definition)} characters")
+    return found

@@ -2,52 +2,36 @@
 
 import contextlib
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from itertools import count
 
-from ca.domains.aliases import split_alias
 from ca.errors import HintedError
-from grants.memory import MemoryScope
+from ca.names import split_alias
+from grants.guard import MemoryScope
 from rossec.errors import ConfigurationError
 from rossec.node.context import NodeContext
-from rossec.node.publisher import Publisher
-from rossec.node.raw_publisher import RawPublisher
-from rossec.node.raw_subscriber import RawReceiver, RawSubscriber
-from rossec.node.subscriber import OnClose, Subscriber
-from rossec.participant.publisher_grace import PublisherGrace
-from rossec.participant.remote_names import refuse_offer
-from rossec.participant.topic_handshake import TopicEndpoint
-from rossec.participant.wishes import NO_WISHES, Wishes
+from rossec.node.publisher import Publisher, RawPublisher
+from rossec.node.subscriber import OnClose, RawReceiver, RawSubscriber, Subscriber
+from rossec.participant.delivery import NO_WISHES, Wishes
+from rossec.participant.handshakes import TopicEndpoint, refuse_offer
+from rossec.participant.registrations import PublisherGrace
 
 _log = logging.getLogger("rossec.node")
 
 
 class Topics:
-    """Publishers by topic, and any number of subscribers."""
-
     def __init__(self, context: NodeContext, grace: PublisherGrace) -> None:
         self._context = context
-        self._publishers: dict[str, Publisher] = {}
+        self.publishers: dict[str, Publisher] = {}
         self._subscribers: dict[str, list[Subscriber]] = {}
         self._grace = grace
 
     @property
-    def publishers(self) -> Mapping[str, Publisher]:
-        """What this node publishes, by topic."""
-        return self._publishers
-
-    @property
     def subscribers(self) -> list[Subscriber]:
-        """What this node subscribes to."""
         return [item for items in self._subscribers.values() for item in items]
 
     async def publish(self, endpoint: TopicEndpoint, *, latch: bool, queue_size: int) -> Publisher:
-        """Register a publisher.
-
-        Raises:
-            RossecError: a second publisher of the topic, a name below /remote, or the master
-                refuses.
-        """
+        """Register a publisher."""
         publisher = Publisher(
             endpoint, endpoint.type.layout, self._context, latch=latch, queue_size=queue_size
         )
@@ -63,13 +47,11 @@ class Topics:
         return publisher
 
     async def unpublish(self, publisher: Publisher) -> None:
-        """Cut the subscribers of a publisher of this node, and unregister it.
-
-        A master that is out of reach is not told: what is not published is not registered again.
-        """
-        if self._publishers.get(publisher.topic) is not publisher:
+        """Cut the subscribers of a publisher of this node, and unregister it. A master that is out of reach
+        is not told: what is not published is not registered again."""
+        if self.publishers.get(publisher.topic) is not publisher:
             return
-        del self._publishers[publisher.topic]
+        del self.publishers[publisher.topic]
         publisher.close()
         publisher.cut("no longer published")
         with contextlib.suppress(HintedError, OSError):
@@ -78,30 +60,22 @@ class Topics:
     async def _offer(self, publisher: Publisher) -> None:
         topic = publisher.topic
         refuse_offer(topic, "published")
-        if topic in self._publishers:
+        if topic in self.publishers:
             raise ConfigurationError(f"{topic} is published by this node already")
-        self._publishers[topic] = publisher
+        self.publishers[topic] = publisher
         try:
             await self._register_publisher(publisher)
         except BaseException:
-            if self._publishers.get(topic) is publisher:
-                del self._publishers[topic]
+            if self.publishers.get(topic) is publisher:
+                del self.publishers[topic]
             raise
 
     async def subscribe(
         self, endpoint: TopicEndpoint, *, queue_size: int, wishes: Wishes = NO_WISHES
     ) -> Subscriber:
-        """Register a subscriber.
-
-        Raises:
-            NameRefused: a name below /remote that is no alias.
-            RossecError: the master refuses.
-        """
+        """Register a subscriber."""
         subscriber = Subscriber(
-            endpoint,
-            *self._for_subscriber(endpoint.topic),
-            queue_size=queue_size,
-            wishes=wishes,
+            endpoint, *self._for_subscriber(endpoint.topic), queue_size=queue_size, wishes=wishes
         )
         await self._listen(subscriber)
         return subscriber
@@ -116,10 +90,13 @@ class Topics:
         return subscriber
 
     def _for_subscriber(self, topic: str) -> tuple[NodeContext, OnClose, MemoryScope]:
-        """What every subscriber of a topic is given."""
         split_alias(topic)
         existing = self._subscribers.setdefault(topic, [])
-        memory = _unused_memory_scope(self._context.memory_scope, existing)
+        memory_scope = self._context.memory_scope
+        # Each of them receives every message. A new one continues with the memory of a closed one.
+        used = {subscriber.memory_scope for subscriber in existing}
+        scopes = (memory_scope.child(str(number)) for number in count())
+        memory = next(scope for scope in scopes if scope not in used)
         return self._context, self._forget, memory
 
     async def _listen(self, subscriber: Subscriber) -> None:
@@ -131,13 +108,11 @@ class Topics:
             raise
 
     def describe(self) -> dict[str, object]:
-        """The topics with their types, for the slave API."""
         publications = [[item.topic, item.endpoint.type.name] for item in self.publishers.values()]
         subscriptions = [[item.topic, item.endpoint.type.name] for item in self.subscribers]
         return {"getSubscriptions": subscriptions, "getPublications": publications}
 
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
-        """Follow the master's list of publishers."""
         self._follow(topic, self._grace.update(topic, uris))
 
     def drop_expired_publishers(self) -> None:
@@ -150,8 +125,7 @@ class Topics:
             subscriber.update(uris)
 
     async def restore(self) -> None:
-        """Register everything again: the master was restarted, or there is a new grant."""
-        for publisher in tuple(self._publishers.values()):
+        for publisher in tuple(self.publishers.values()):
             with self._context.restoring(publisher.topic):
                 await self._register_publisher(publisher)
         for subscriber in self.subscribers:
@@ -159,52 +133,33 @@ class Topics:
                 await self._register_subscriber(subscriber)
 
     async def close_subscribers(self) -> None:
-        """Close every connection to a publisher."""
         for subscriber in self.subscribers:
             await subscriber.close()
 
     async def unregister(self) -> None:
-        """Unregister the publishers."""
         try:
-            for topic in self._publishers:
+            for topic in self.publishers:
                 await self._context.call("unregisterPublisher", topic, self._context.uri)
         except (HintedError, OSError, TimeoutError) as error:
             _log.info("%s: closed without unregistering: %s", self._context.name, error)
 
     async def _register_publisher(self, publisher: Publisher) -> None:
         endpoint = publisher.endpoint
-        await self._context.call(
-            "registerPublisher", endpoint.topic, endpoint.type.name, self._context.uri
-        )
+        await self._context.call("registerPublisher", endpoint.topic, endpoint.type.name, self._context.uri)
 
     async def _register_subscriber(self, subscriber: Subscriber) -> None:
         endpoint, uri = subscriber.endpoint, self._context.uri
         before = subscriber.updates
-        uris = await self._context.call(
-            "registerSubscriber", endpoint.topic, endpoint.type.name, uri
-        )
+        uris = await self._context.call("registerSubscriber", endpoint.topic, endpoint.type.name, uri)
         if isinstance(uris, list) and subscriber.updates == before:  # else there was an update
             named = [uri for uri in uris if isinstance(uri, str)]
             subscriber.update(self._grace.update(subscriber.topic, named))
 
     async def _forget(self, subscriber: Subscriber) -> None:
-        """Remove a closed subscriber; the last one of its topic unregisters."""
         others = self._subscribers.get(subscriber.topic, [])
         if subscriber in others:
             others.remove(subscriber)
         if not others and self._subscribers.pop(subscriber.topic, None) is not None:
             self._grace.forget(subscriber.topic)
             with contextlib.suppress(HintedError, OSError):
-                await self._context.call(
-                    "unregisterSubscriber", subscriber.topic, self._context.uri
-                )
-
-
-def _unused_memory_scope(memory_scope: MemoryScope, existing: Sequence[Subscriber]) -> MemoryScope:
-    """The memory of another subscriber of a topic, separate from those of the open ones.
-
-    Each of them receives every message. A new one continues with the memory of a closed one.
-    """
-    used = {subscriber.memory_scope for subscriber in existing}
-    scopes = (memory_scope.child(str(number)) for number in count())
-    return next(scope for scope in scopes if scope not in used)
+                await self._context.call("unregisterSubscriber", subscriber.topic, self._context.uri)

@@ -1,34 +1,52 @@
-"""JSON files of relays and routers: one object that names its form, with exactly these keys. Pure.
+"""The JSON files of relays and routers: a relay's peers, its card, and the seat file. Pure.
 
-A file of another kind is told from a damaged one, so that the message says what was mistaken. A key
-that occurs twice, `NaN` and anything nested without end are refused (RFC 8259 section 4 leaves the
-first to each reader).
+Each is one object that names its form, with exactly these keys. A file of another kind is told from a
+damaged one, so that the message says what was mistaken. A key that occurs twice, `NaN` and anything
+nested without end are refused (RFC 8259 section 4 leaves the first to each reader).
 """
 
 import json
-from collections.abc import Mapping
-from typing import Any, Final, NoReturn
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Final, NoReturn, Self
 
-from rossec.errors import ConfigurationError
+from cryptography import x509
+
+from ca.certificates import Identity
+from ca.errors import NameRefused
+from ca.names import alias_of, check_domain, check_label, display_name, is_relay_name, split_alias
+from rossec.errors import ConfigurationError, RelayRefused
+from rossec.overlay.link_frames import BOX, is_mailbox, is_seat
 
 VERSION: Final = 1
 
+MAX_PEERS: Final = 64
+MAX_PEERS_FILE: Final = 64 * 1024
+_FORM: Final = "rossec-overlay"
+_BOX: Final = re.compile(r"[0-9a-f]{32}", re.ASCII)
+_HINT: Final = "it is written by `rossec relay card`, `add` and `remove`: use these"
 
-def read_document(
-    data: bytes, form: str, keys: frozenset[str], *, limit: int, hint: str
-) -> dict[str, Any]:
-    """The entries of a document of this form, without the entry that names it.
+MAX_CARD: Final = 4 * 1024
+_RELAY_CARDS_FORM: Final = "rossec-relay-card"
+_RELAY_CARDS_HINT: Final = "ask for the file that `rossec relay card` wrote at the other site"
 
-    Args:
-        data: the content of the file.
-        form: what it is: `rossec-seat`.
-        keys: of its entries, all of which it has. Their values are the caller's to check.
-        limit: bytes it may have.
-        hint: of the error: how to get another one.
+MAX_SEAT_FILE: Final = 16 * 1024
+MAX_LOCATORS: Final = 16
+OPEN_SEAT: Final = "open"  # of everybody, at a router without seats
+_PASSWORD: Final = re.compile(r"[A-Za-z0-9_-]{22,128}", re.ASCII)
+# Nothing more: what Zenoh takes behind a `?` or `#` would change the settings of the session.
+_LOCATOR: Final = re.compile(
+    r"(?P<protocol>quic|tls|tcp)/"
+    r"(?P<host>\[[0-9A-Fa-f:.]{2,45}\]|[A-Za-z0-9]([A-Za-z0-9._-]{0,252}))"
+    r":(?P<port>[0-9]{1,5})",
+    re.ASCII,
+)
+_ROUTERS_FORM: Final = "rossec-seat"
+_AGAIN: Final = "ask the operator of the router for it again: rossec router seats show NAME"
 
-    Raises:
-        ConfigurationError: anything else.
-    """
+
+def read_document(data: bytes, form: str, keys: frozenset[str], *, limit: int, hint: str) -> dict[str, Any]:
     if len(data) > limit:
         raise ConfigurationError(f"a {form} file has at most {limit} bytes", hint)
     try:
@@ -46,12 +64,10 @@ def read_document(
 
 
 def write_document(form: str, entries: Mapping[str, Any]) -> bytes:
-    """What `read_document` reads."""
     return json.dumps({form: VERSION, **entries}, indent=1).encode() + b"\n"
 
 
 def is_texts(value: object) -> bool:
-    """Whether a value is a list of texts."""
     return isinstance(value, list) and all(isinstance(each, str) for each in value)
 
 
@@ -64,3 +80,221 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not JSON")
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A relay of another site, as `label`.
+
+    For each peer there is a mailbox of its own, told to nobody else, so that each peer is cut alone. A
+    link that arrives in it must come from that peer's domain and relay, and a link to that peer must be
+    answered by it (docs/spec/overlay.md). Without its card, `relay` and `mailbox` are empty.
+    """
+
+    label: str
+    box: str = field(repr=False)  # of the own mailbox that is told to it alone, hexadecimal
+    domain: str | None = None  # label of its foreign domain; empty: the own one; None: nobody has said it
+    relay: str = ""  # the name it is certified for
+    mailbox: str = field(default="", repr=False)  # the key of its mailbox for this relay
+
+    def __post_init__(self) -> None:
+        try:
+            check_label(self.label)
+            if self.domain:
+                check_label(self.domain)
+        except NameRefused as error:
+            raise ConfigurationError(str(error), error.hint) from error
+        if _BOX.fullmatch(self.box) is None:
+            raise ConfigurationError(f"the mailbox for {self.label} has {2 * BOX} digits", _HINT)
+        if not self.relay and not self.mailbox:
+            return
+        if not is_relay_name(self.relay):
+            raise ConfigurationError(
+                f"{self.relay[:255]!a} is not the name of a relay", "/relay, or /relay/attic"
+            )
+        if not is_mailbox(self.mailbox) or self.domain is None:
+            raise ConfigurationError(f"the card of {self.label} is not complete", _HINT)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether its card is here, so that links with it can be made."""
+        return bool(self.relay)
+
+    @property
+    def name(self) -> str:
+        return alias_of(self.domain, self.relay) if self.domain else self.relay
+
+    @property
+    def shown(self) -> str:
+        return display_name(self.domain or "", self.relay) if self.relay else ""
+
+    def check(self, found: Identity) -> None:
+        """Return if an authenticated relay is this peer."""
+        alias = split_alias(found.name) if found.is_foreign else None
+        label, name = ("", found.name) if alias is None else alias
+        if not self.is_complete or (label, name) != (self.domain, self.relay):
+            raise RelayRefused(
+                f"{display_name(label, name)} is at the mailbox of {self.label},"
+                f" not {self.shown or 'a relay whose card is here'}",
+                f"exchange cards anew: rossec relay remove {self.label}",
+            )
+
+
+Peers = Mapping[str, Peer]  # by label
+
+
+def checked_peers(peers: Iterable[Peer]) -> dict[str, Peer]:
+    found: dict[str, Peer] = {}
+    for each in peers:
+        for other in found.values():
+            if each.label == other.label:
+                raise ConfigurationError(f"two peers are called {each.label}", "give each its own label")
+            same_relay = each.is_complete and (each.domain, each.relay) == (other.domain, other.relay)
+            same_mailbox = each.is_complete and each.mailbox == other.mailbox
+            if same_relay or each.box == other.box or same_mailbox:
+                raise ConfigurationError(
+                    f"{other.label} and {each.label} are one relay", f"rossec relay remove {other.label}"
+                )
+        found[each.label] = each
+    if len(found) > MAX_PEERS:
+        raise ConfigurationError(f"at most {MAX_PEERS} peers of a relay", "run another relay")
+    return found
+
+
+def read_peers(data: bytes, name: str) -> dict[str, Peer]:
+    try:
+        found = read_document(data, _FORM, frozenset({"peers"}), limit=MAX_PEERS_FILE, hint=_HINT)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{name}: {error}", error.hint) from error
+    rows = found["peers"]
+    if not isinstance(rows, list):
+        raise ConfigurationError(f"{name} is not a list of peers of this form", _HINT)
+    return checked_peers(_peer(row, name) for row in rows)
+
+
+def write_peers(peers: Peers) -> bytes:
+    rows = [asdict(each) for _, each in sorted(peers.items())]
+    return write_document(_FORM, {"peers": rows})
+
+
+def _peer(row: object, name: str) -> Peer:
+    match row:
+        case {
+            "label": str() as label,
+            "box": str() as box,
+            "domain": (str() | None) as domain,
+            "relay": str() as relay,
+            "mailbox": str() as mailbox,
+            **rest,
+        } if not rest:
+            return Peer(label, box, domain, relay, mailbox)
+    raise ConfigurationError(f"{name} has a peer that is not in form", _HINT)
+
+
+@dataclass(frozen=True)
+class RelayCard:
+    """What one relay's operator hands to another's, to link their sites.
+
+    It is not signed: the peer proves by its certificate who it is, and a forged card only leads to a
+    mailbox where that proof fails. Whoever reads a card can send to that mailbox, and no more, so it is
+    handed to its receiver alone. Routers are not in it: each site has its own.
+    """
+
+    domain: str  # the trust domain of the relay, as its authority has named it
+    relay: str
+    mailbox: str = field(repr=False)  # the key of its mailbox for the receiver of the card
+
+    def __post_init__(self) -> None:
+        try:
+            check_domain(self.domain)
+        except NameRefused as error:
+            raise RelayRefused(f"in the relay's card: {error}", _RELAY_CARDS_HINT) from error
+        if not is_relay_name(self.relay) or not is_mailbox(self.mailbox):
+            raise RelayRefused("the card names no relay, or no mailbox", _RELAY_CARDS_HINT)
+
+    @classmethod
+    def read(cls, data: bytes) -> Self:
+        keys = frozenset(each.name for each in fields(cls))
+        refused = RelayRefused("this is not the card of a relay", _RELAY_CARDS_HINT)
+        try:
+            found = read_document(data, _RELAY_CARDS_FORM, keys, limit=MAX_CARD, hint=_RELAY_CARDS_HINT)
+        except ConfigurationError as error:
+            raise refused from error
+        if not is_texts(list(found.values())):
+            raise refused
+        return cls(**found)
+
+    def write(self) -> str:
+        return write_document(_RELAY_CARDS_FORM, asdict(self)).decode()
+
+
+@dataclass(frozen=True)
+class Routers:
+    """Which routers carry a site's links, and its seat there: the seat file.
+
+    `rossec router seats add` writes it, the operator of the routers hands it to the site, and `rossec
+    relay seat` keeps it. Whoever has the file has the seat. Routers behind TLS are verified by
+    `root_certificate` alone, never by the authorities of the web.
+    """
+
+    locators: tuple[str, ...]  # where they listen: any of them will do
+    seat: str  # name of the customer, a part of its keys (`rossec.overlay.link_frames`)
+    password: str = field(default="", repr=False)  # empty at a router that is open to all
+    root_certificate: str = field(default="", repr=False)  # PEM; empty without TLS
+
+    def __post_init__(self) -> None:
+        if not 0 < len(self.locators) <= MAX_LOCATORS:
+            raise ConfigurationError(f"a seat names 1 to {MAX_LOCATORS} routers", _AGAIN)
+        for each in self.locators:
+            check_locator(each)
+        check_seat(self.seat)
+        if self.seat != OPEN_SEAT or self.password:
+            check_password(self.password)
+        if not self.root_certificate and not any(map(is_encrypted, self.locators)):
+            return
+        try:
+            (_certificate,) = x509.load_pem_x509_certificates(self.root_certificate.encode())
+        except ValueError:
+            raise ConfigurationError(
+                "a seat at a router with TLS needs the certificate of its authority", _AGAIN
+            ) from None
+
+    @classmethod
+    def read(cls, data: bytes) -> Self:
+        keys = frozenset(each.name for each in fields(cls))
+        found = read_document(data, _ROUTERS_FORM, keys, limit=MAX_SEAT_FILE, hint=_AGAIN)
+        locators = found.pop("locators")
+        if not is_texts(locators) or not is_texts(list(found.values())):
+            raise ConfigurationError("the seat file has a value of another type", _AGAIN)
+        return cls(tuple(locators), **found)
+
+    def write(self) -> bytes:
+        return write_document(_ROUTERS_FORM, asdict(self))
+
+
+def check_seat(seat: str) -> str:
+    if not is_seat(seat):
+        raise ConfigurationError(
+            f"{seat[:40]!a} is not the name of a seat", "at most 32 of the characters a-z and 0-9"
+        )
+    return seat
+
+
+def check_password(password: str) -> str:
+    if not _PASSWORD.fullmatch(password):
+        raise ConfigurationError("the password of a seat is not in form", _AGAIN)
+    return password
+
+
+def check_locator(locator: str) -> tuple[str, str, int]:
+    match = _LOCATOR.fullmatch(locator)
+    if match is None or not 0 < int(match["port"]) < 1 << 16:
+        raise ConfigurationError(
+            f"{locator[:80]!a} is not the address of a router",
+            "it looks like tls/router.example.org:7447, with quic/, tls/ or tcp/",
+        )
+    return match["protocol"], match["host"].strip("[]"), int(match["port"])
+
+
+def is_encrypted(locator: str) -> bool:
+    return not locator.startswith("tcp/")

@@ -8,28 +8,259 @@ address are, and a peer that is not authenticated is sent three times what it se
 import asyncio
 import logging
 import secrets
+from collections import deque
+from collections.abc import Awaitable, Callable
 from functools import partial
-from typing import Final
+from typing import Final, Protocol
 
-from grants.token_bucket import TokenBucket
+from ca.certificates import Identity
+from grants.limits import TokenBucket
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.opening import WireProtocol
+from rossec.channel.records import Bytes
 from rossec.errors import LinkEnded
-from rossec.net.aio.accepted import AcceptedStreams, Handler
 from rossec.net.aio.client import authenticate
+from rossec.net.aio.server import AcceptedStreams, Handler
 from rossec.net.aio.stream import SecureStream
-from rossec.net.aio.transport import TransportOwner
+from rossec.net.aio.transport import BaseStream, TransportOwner
 from rossec.net.context import SecureContext
-from rossec.overlay.carriers import FrameCarrier
-from rossec.overlay.link import Link
-from rossec.overlay.link_frames import LINK_ID, Kind, kind_of, link_of, refusal
-from rossec.overlay.link_transport import LinkTransport
-from rossec.overlay.mailboxes import BOX, mailbox
+from rossec.overlay.documents import Routers
+from rossec.overlay.link import ENDED, Link, LinkStats
+from rossec.overlay.link_frames import BOX, LINK_ID, LinkFrameKind, kind_of, link_of, mailbox, refusal
+from rossec.overlay.zenoh_carrier import Carrier
+
+STALLED: Final = 15.0  # seconds: half of what a link endures
 
 _log = logging.getLogger("rossec.overlay.endpoint")
 ADDRESS: Final = "a link"  # of the peer, in messages: keys of mailboxes are told to nobody
 OPENS_PER_SECOND: Final = 32
 PROTOCOL: Final = WireProtocol.HTTP
+
+
+class MailboxReader(Protocol):
+    def close(self) -> None: ...
+
+
+class FrameCarrier(Protocol):
+    @property
+    def heard_at(self) -> float: ...
+
+    def put(self, key: str, data: bytes) -> None:
+        # Send a frame to a mailbox; never raises for one that is lost.
+        ...
+
+    def subscribe(self, key: str, callback: Callable[[bytes], None]) -> MailboxReader: ...
+    def reopen(self) -> None: ...
+
+
+class LinkTransport:
+    """The link of one connection as its transport (`net.aio.transport`); starts at the first write.
+
+    What the owner does not read is not told to the link as consumed, so its window closes and the
+    peer waits, as a kernel's would. `on_closed` is called once, when no frame is wanted any more.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        key: str,
+        carrier: FrameCarrier,
+        on_closed: Callable[[], None],
+        owner: TransportOwner,
+    ) -> None:
+        self.link = link
+        self.local_address = ""  # nobody who comes by a link is near
+        self.reason: LinkEnded | None = None  # why the link ended, if not in order
+        self.closed = False
+        self._key = key
+        self._carrier = carrier
+        self._on_closed = on_closed
+        self._owner = owner
+        self._loop = asyncio.get_running_loop()
+        self._arrived: deque[Bytes] = deque()
+        self._timer: asyncio.TimerHandle | None = None
+        self._reading = self._lagging = self._flush_due = self._ending = False
+
+    # -- frames
+
+    def frame_received(self, frame: bytes) -> None:
+        if self.closed:
+            return
+        try:
+            self._arrived.extend(self.link.receive(frame, self._loop.time()))
+        except LinkEnded as error:
+            self._break(error)
+            return
+        except BaseException:  # a bug: nothing more passes
+            self.abort()
+            raise
+        if self._arrived:
+            self._deliver()
+        self._flush_soon()
+
+    def validated(self) -> None:
+        if not self.closed:
+            self.link.validated()
+            self._flush_soon()
+
+    def _flush_soon(self) -> None:
+        if not self._flush_due:
+            self._flush_due = True
+            self._loop.call_soon(self._flush)
+
+    def _flush(self) -> None:
+        self._flush_due = False
+        if self.closed:
+            return
+        self._send()
+        if self._lagging and self.link.backlog == 0:
+            self._lagging = False
+            self._owner.resume_writing()
+        self._settle()
+
+    def _settle(self) -> None:
+        if self.closed:
+            return
+        link = self.link
+        if link.peer_ended and self._reading and not self._arrived and not self._ending:
+            self._ending = True
+            self._reading = False
+            self._owner.eof_received()
+            self.finish()
+        elif link.state in ENDED:
+            self._close()
+
+    def _send(self) -> None:
+        link, put = self.link, self._carrier.put
+        for frame in link.frames_to_send(self._loop.time()):
+            put(self._key, frame)
+        deadline = link.deadline()
+        if deadline is not None and (self._timer is None or deadline < self._timer.when()):
+            if self._timer is not None:
+                self._timer.cancel()
+            self._timer = self._loop.call_at(deadline, self._on_timer)
+
+    # -- reading
+
+    @property
+    def reading(self) -> bool:
+        return self._reading
+
+    def resume_reading(self) -> None:
+        if not (self._reading or self._ending or self.closed):
+            self._reading = True
+            if self._arrived or self.link.peer_ended:
+                self._loop.call_soon(self._read_on)
+
+    def _read_on(self) -> None:
+        if not self.closed:
+            self._deliver()
+            self._flush_soon()
+
+    def pause_reading(self) -> None:
+        self._reading = False
+
+    def _deliver(self) -> None:
+        arrived, link = self._arrived, self.link
+        while arrived and self._reading and not self.closed:
+            piece = arrived.popleft()
+            buffer = self._owner.get_buffer()
+            count = len(piece)
+            if count > len(buffer):
+                count = len(buffer)
+                arrived.appendleft(memoryview(piece)[count:])
+                piece = memoryview(piece)[:count]
+            buffer[:count] = piece
+            link.consumed(count, self._loop.time())
+            try:
+                self._owner.buffer_updated(count)
+            except BaseException:  # a bug, perhaps in a guard: nothing more passes
+                self.abort()
+                raise
+
+    # -- writing
+
+    def limit_unsent(self) -> None:
+        """Nothing to do: what the link's window does not take waits in `backlog`."""
+
+    @property
+    def backlog(self) -> int:
+        return self.link.backlog
+
+    @property
+    def writable(self) -> bool:
+        return self.link.writable
+
+    def write(self, data: Bytes) -> None:
+        if self.closed:
+            return
+        self.link.write(data, self._loop.time())
+        self._send()
+        if self.link.backlog:
+            self._lagging = True
+
+    # -- ends
+
+    def write_eof(self) -> None:
+        if not self.closed:
+            self.link.finish(self._loop.time())
+            self._flush_soon()
+
+    def finish(self) -> None:
+        self._ending, self._reading = True, False
+        self.write_eof()
+
+    def abort(self) -> None:
+        if self.closed:
+            return
+        if self.link.state not in ENDED:
+            self._carrier.put(self._key, self.link.reset())
+        self._close()
+
+    def _break(self, error: LinkEnded) -> None:
+        self.reason = error.bare()
+        for frame in self.link.frames_to_send(self._loop.time()):
+            self._carrier.put(self._key, frame)
+        self._close()
+
+    def _close(self) -> None:
+        self.closed = True
+        self._reading = False
+        self._arrived.clear()
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        self._on_closed()
+        self._loop.call_soon(self._owner.connection_lost)
+        del self._owner, self._on_closed  # no reference cycle with the owner
+
+    # -- time
+
+    def _on_timer(self) -> None:
+        self._timer = None
+        now = self._loop.time()
+        try:
+            self.link.tick(now)
+        except LinkEnded as error:
+            self._break(error)
+            return
+        since = self.link.silent_since
+        # Nothing at all came from the routers: the session with them is at fault, not the link.
+        if since is not None and now - max(since, self._carrier.heard_at) > STALLED:
+            self._carrier.reopen()
+        self._flush()
+
+
+def idle_round_trip(stream: BaseStream) -> float:
+    """The shortest round trip of the link under a stream; 0: none yet, or it is not over a link."""
+    transport = stream.transport
+    return transport.link.stats.least_s if isinstance(transport, LinkTransport) else 0.0
+
+
+def stats_of(stream: BaseStream) -> LinkStats:
+    if not isinstance(stream.transport, LinkTransport):
+        raise TypeError("this connection is not over a link")
+    return stream.transport.link.stats
 
 
 async def dial_link(
@@ -38,65 +269,37 @@ async def dial_link(
     """Open a link to a mailbox and authenticate; the caller judges who answered (`peer`).
 
     Certificates are sent whole: a link is dialled seldom, and lasts.
-
-    Args:
-        carrier: the own session with the routers.
-        key: the mailbox of the peer.
-        seat: the own one, in which a mailbox for the answers is made.
-        context: as for `connect`; its deadline of handshakes holds.
-
-    Raises:
-        HandshakeTimeout: nobody answers in that mailbox.
-        ChannelError: the handshake failed; the leaf says how.
-        OverlayUnavailable: the carrier is closed.
     """
-    caller = _Caller(carrier, key, mailbox(seat, secrets.token_bytes(BOX)))
+    reply_key = mailbox(seat, secrets.token_bytes(BOX))
+    link = Link.open(secrets.token_bytes(LINK_ID), reply_key, _now())
+    transport: LinkTransport | None = None
+
+    def receive(frame: bytes) -> None:
+        if transport is not None and link_of(frame) == link.link_id:
+            transport.frame_received(frame)
+
+    def make(owner: TransportOwner) -> LinkTransport:
+        nonlocal transport
+        transport = LinkTransport(link, key, carrier, reader.close, owner)
+        return transport
+
+    reader = carrier.subscribe(reply_key, receive)
     try:
-        waiting = authenticate(context.initiator(PROTOCOL), caller.make, ADDRESS)
+        waiting = authenticate(context.initiator(PROTOCOL), make, ADDRESS)
     except BaseException:
-        caller.close()
+        reader.close()
         raise
     stream = await waiting
-    if caller.transport is not None:
-        caller.transport.validated()
+    if isinstance(stream.transport, LinkTransport):
+        stream.transport.validated()
     return stream
-
-
-class _Caller:
-    """A link that is dialled, and the mailbox where its answers arrive."""
-
-    def __init__(self, carrier: FrameCarrier, key: str, reply_key: str) -> None:
-        self._carrier = carrier
-        self._key = key
-        self._link = Link.open(secrets.token_bytes(LINK_ID), reply_key, _now())
-        self.transport: LinkTransport | None = None
-        self._reader = carrier.subscribe(reply_key, self._receive)
-
-    def make(self, owner: TransportOwner) -> LinkTransport:
-        """The transport, for its owner."""
-        self.transport = LinkTransport(self._link, self._key, self._carrier, self.close, owner)
-        return self.transport
-
-    def _receive(self, frame: bytes) -> None:
-        if self.transport is not None and link_of(frame) == self._link.link_id:
-            self.transport.frame_received(frame)
-
-    def close(self) -> None:
-        """The answers are read no more."""
-        self._reader.close()
 
 
 class LinkListener(AcceptedStreams[PeerT]):
     """A mailbox in which links arrive; `handler` runs once for each authenticated peer.
 
-    The link ends when the handler returns. Who the peer is, is for the handler to judge.
-
-    Args:
-        carrier: the own session with the routers.
-        key: the mailbox.
-        context: as for `rossec.net.aio.serve`; its limits of half-open connections hold.
-        handler: of one authenticated connection.
-        address: of the peers, in messages and in those limits: which mailbox they came by.
+    The link ends when the handler returns. Who the peer is, is for the handler to judge. `address`
+    is that of the peers, in messages and in the context's limits: which mailbox they came by.
     """
 
     def __init__(
@@ -122,18 +325,12 @@ class LinkListener(AcceptedStreams[PeerT]):
         transport = self._links.get(link_id)
         if transport is not None:
             transport.frame_received(frame)
-        elif kind_of(frame) in {Kind.OPEN, Kind.PROBE} and self._may_look():
-            if kind_of(frame) == Kind.OPEN:
+        elif kind_of(frame) in {LinkFrameKind.OPEN, LinkFrameKind.PROBE} and self._looks.refill(_now()) >= 1:
+            self._looks.tokens -= 1
+            if kind_of(frame) == LinkFrameKind.OPEN:
                 self._open(frame)
             elif (answer := refusal(frame)) is not None:
                 self._carrier.put(*answer)
-
-    def _may_look(self) -> bool:
-        """Whether a frame of an unknown link is looked at now."""
-        if self._looks.refill(_now()) < 1:
-            return False
-        self._looks.tokens -= 1
-        return True
 
     def _open(self, frame: bytes) -> None:
         try:
@@ -147,7 +344,6 @@ class LinkListener(AcceptedStreams[PeerT]):
             self._links[link.link_id].frame_received(frame)
 
     def _make(self, link: Link, owner: TransportOwner) -> LinkTransport:
-        """The transport of an accepted link, found by its frames until it is closed."""
         forget = partial(self._links.__delitem__, link.link_id)
         transport = LinkTransport(link, link.reply_key, self._carrier, forget, owner)
         self._links[link.link_id] = transport
@@ -159,10 +355,34 @@ class LinkListener(AcceptedStreams[PeerT]):
         super()._on_authenticated(stream)
 
     async def close(self) -> None:
-        """Read the mailbox no more, abort every link, wait until the handlers are gone."""
         self._reader.close()
         await super().close()
 
 
 def _now() -> float:
     return asyncio.get_running_loop().time()
+
+
+class RouterNetwork:
+    """A carrier and the identity whose links it carries."""
+
+    def __init__(self, carrier: Carrier, routers: Routers, context: SecureContext[Identity]) -> None:
+        self.seat: Final = routers.seat
+        self._carrier = carrier
+        self._context = context
+
+    @property
+    def router(self) -> str:
+        return self._carrier.router
+
+    async def dial(self, mailbox: str) -> SecureStream[Identity]:
+        return await dial_link(self._carrier, mailbox, self.seat, self._context)
+
+    def listen(
+        self, mailbox: str, serve: Callable[[SecureStream[Identity]], Awaitable[None]], label: str
+    ) -> LinkListener[Identity]:
+        """Call `serve` with each authenticated link that arrives in this mailbox.
+
+        Unfinished handshakes are limited for each `label`, that of the peer it was told to.
+        """
+        return LinkListener(self._carrier, mailbox, self._context, serve, address=f"a link from {label}")

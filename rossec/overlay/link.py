@@ -6,24 +6,53 @@ called sends at most three times what it received until `validated` (a forged re
 amplify), and routers, who see the identifier of a link, can end it, as they could by dropping.
 """
 
+from dataclasses import dataclass
+from enum import IntEnum, auto
 from typing import Final, Self
 
 from rossec.channel.records import Bytes
 from rossec.errors import LinkEnded
 from rossec.overlay import link_frames as frames
-from rossec.overlay.link_frames import HEAD, MAX_FRAME, OPEN_SIZE, Frame, Kind
-from rossec.overlay.link_receiver import Receiver
-from rossec.overlay.link_sender import Sender
-from rossec.overlay.link_states import ENDED, NEXT, OPEN, LinkState, LinkStats
-from rossec.overlay.link_timing import FIRST_WINDOW, KEEPALIVE, LINGER, SILENCE
+from rossec.overlay.link_frames import HEAD, MAX_FRAME, OPEN_SIZE, LinkFrame, LinkFrameKind
+from rossec.overlay.link_halves import FIRST_WINDOW, KEEPALIVE, LINGER, SILENCE, Receiver, Sender
 
 AMPLIFICATION: Final = 3
 _HIGH_WATER: Final = 64 * 1024  # bytes not sent yet, above which a writer should wait
 
 
-class Link:
-    """A link of this side. `reply_key`: the mailbox of the side that opened it."""
+class LinkState(IntEnum):
+    IDLE = auto()  # called from here, and nothing written yet
+    OPENING = auto()  # OPEN was sent
+    RUNNING = auto()
+    DRAINING = auto()  # `finish` was called
+    DONE = auto()  # both sides ended
+    RESET = auto()
 
+
+ENDED: Final = frozenset({LinkState.DONE, LinkState.RESET})
+OPEN: Final = frozenset({LinkState.RUNNING, LinkState.DRAINING})
+NEXT: Final = {
+    (LinkState.IDLE, "write"): LinkState.OPENING,
+    (LinkState.IDLE, "finish"): LinkState.DONE,
+    (LinkState.OPENING, "answer"): LinkState.RUNNING,
+    (LinkState.RUNNING, "finish"): LinkState.DRAINING,
+    (LinkState.DRAINING, "drained"): LinkState.DONE,
+}
+"""What changes a state; a reset ends every one, and the rest changes none."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStats:
+    """What a link measured: round trips (smoothed, least; 0: none yet), octets of its streams."""
+
+    srtt_s: float
+    retransmissions: int
+    sent: int
+    received: int
+    least_s: float = 0.0
+
+
+class Link:
     def __init__(self, link_id: bytes, reply_key: str, now: float, *, opener: bool) -> None:
         if len(link_id) != frames.LINK_ID:
             raise ValueError(f"a link identifier has {frames.LINK_ID} bytes")
@@ -37,31 +66,19 @@ class Link:
         self._sender = Sender()
         self._receiver = Receiver()
         self._began = now
-        self._silent_since: float | None = None  # since when an answer is missing
+        self.silent_since: float | None = None  # since when an answer is missing
         self._probe_at: float | None = None
         self._end_offset: int | None = None  # of this side's END, when it was sent
         self._end_at: float | None = None  # when the last acknowledgements are given up
 
     @classmethod
     def open(cls, link_id: bytes, reply_key: str, now: float) -> Self:
-        """A link to another mailbox; it begins with the first `write`.
-
-        Args:
-            link_id: 16 random bytes.
-            reply_key: the own mailbox in which the answers arrive, for this link alone.
-            now: seconds.
-        """
         return cls(link_id, reply_key, now, opener=True)
 
     @classmethod
     def accept(cls, frame: bytes, now: float) -> Self:
-        """The called side of a link, from its OPEN; then pass that frame to `receive`.
-
-        Raises:
-            LinkEnded: not an OPEN in form.
-        """
         opened = frames.read(frame)
-        if opened.kind != Kind.OPEN or opened.offset != 0 or opened.received != 0:
+        if opened.kind != LinkFrameKind.OPEN or opened.offset != 0 or opened.received != 0:
             raise LinkEnded("a link that does not begin with its OPEN")
         reply_key, _ = frames.split_return_address(opened.body)
         return cls(opened.link, reply_key, now, opener=False)
@@ -69,11 +86,6 @@ class Link:
     # -- receiving
 
     def receive(self, frame: bytes, now: float) -> list[Bytes]:
-        """Take a frame of this link; returns bytes of the stream, in order, as views of frames.
-
-        Raises:
-            LinkEnded: the peer reset the link, or sent what is malformed; the link is over.
-        """
         if self.state in ENDED:
             return []
         try:
@@ -81,16 +93,16 @@ class Link:
             self._octets_in += len(frame)
             return self._take(read, now)
         except LinkEnded:
-            told = frame[:1] == bytes((Kind.RESET,))  # a reset is not answered
+            told = frame[:1] == bytes((LinkFrameKind.RESET,))  # a reset is not answered
             last = self.reset()
             self._out = [] if told else [last]
             raise
 
-    def _take(self, frame: Frame, now: float) -> list[Bytes]:
+    def _take(self, frame: LinkFrame, now: float) -> list[Bytes]:
         kind = frame.kind
         if frame.link != self.link_id:
             raise LinkEnded("a frame of another link")
-        if kind == Kind.RESET:
+        if kind == LinkFrameKind.RESET:
             raise LinkEnded("the other side reset the link")
         if self.state is LinkState.IDLE:
             raise LinkEnded("an answer to a link that was not opened")
@@ -98,75 +110,64 @@ class Link:
             self._move("answer")
         progress = self._sender.received(frame.received, frame.limit, now)
         found: list[Bytes] = []
-        if kind == Kind.DATA:
+        if kind == LinkFrameKind.DATA:
             found = self._receiver.data(frame.offset, frame.body, now)
-        elif kind == Kind.ACK:
+        elif kind == LinkFrameKind.ACK:
             self._sender.seen(frame.offset, frames.read_ranges(frame), now)
-        elif kind == Kind.OPEN:
-            found = self._reopened(frame, now)
-        elif kind == Kind.PROBE:
+        elif kind == LinkFrameKind.OPEN:
+            reply_key, body = frames.split_return_address(frame.body)
+            if self._opener or frame.offset != 0 or reply_key != self.reply_key:
+                raise LinkEnded("another OPEN for a link that is open")
+            found = self._receiver.data(0, body, now)
+        elif kind == LinkFrameKind.PROBE:
             self._receiver.probed(frame.offset, now)
         else:
             self._receiver.end(frame.offset, now)
         self._settle(progress, now)
         return found
 
-    def _reopened(self, frame: Frame, now: float) -> list[Bytes]:
-        """The OPEN, the first one or again."""
-        reply_key, body = frames.split_return_address(frame.body)
-        if self._opener or frame.offset != 0 or reply_key != self.reply_key:
-            raise LinkEnded("another OPEN for a link that is open")
-        return self._receiver.data(0, body, now)
-
     def consumed(self, count: int, now: float) -> None:
-        """The application took `count` bytes of what `receive` returned: the peer may send more."""
         if self.state not in ENDED:
             self._receiver.consumed(count, now)
 
     @property
     def peer_ended(self) -> bool:
-        """Whether the peer ended its stream: after what was received, nothing follows."""
         return self._receiver.ended
 
     # -- sending
 
     def write(self, data: Bytes, now: float) -> None:
-        """Send `data`, which may change afterwards, as soon as may be; after the end, never."""
+        # Send `data`, which may change afterwards, as soon as may be; after the end, never.
         size = len(data)
         if size == 0:
             return
         if self.state is LinkState.IDLE:
-            self._send_open(data, now)
+            address = frames.return_address(self.reply_key, OPEN_SIZE - HEAD - len(data))
+            first = memoryview(data)[:FIRST_WINDOW]
+            self._move("write")
+            self._began = now
+            self._transmit(LinkFrameKind.OPEN, [address, first], len(first), now)
+            self._sender.queue(memoryview(data)[FIRST_WINDOW:])
         elif self.state is LinkState.RUNNING:
             if self._sender.fits(size) and HEAD + size <= self._allowance():
-                self._transmit(Kind.DATA, [data], size, now)
+                self._transmit(LinkFrameKind.DATA, [data], size, now)
             else:
                 self._sender.queue(data)
         elif self.state is LinkState.OPENING:
             self._sender.queue(data)
 
-    def _send_open(self, data: Bytes, now: float) -> None:
-        """OPEN, with what there is to say at once; the rest waits for an answer."""
-        address = frames.return_address(self.reply_key, OPEN_SIZE - HEAD - len(data))
-        first = memoryview(data)[:FIRST_WINDOW]
-        self._move("write")
-        self._began = now
-        self._transmit(Kind.OPEN, [address, first], len(first), now)
-        self._sender.queue(memoryview(data)[FIRST_WINDOW:])
-
-    def _transmit(self, kind: Kind, pieces: list[Bytes], size: int, now: float) -> None:
-        """Send a frame that is kept until it is acknowledged."""
+    def _transmit(self, kind: LinkFrameKind, pieces: list[Bytes], size: int, now: float) -> None:
         sender = self._sender
         frame = frames.joined(self._head(kind, sender.next), pieces)
         sender.sent(frame, size, now)
         self._put(frame)
-        if self._silent_since is None:
-            self._silent_since = now
+        if self.silent_since is None:
+            self.silent_since = now
             self._probe_at = now + sender.round_trip.wait
 
-    def _head(self, kind: Kind, offset: int) -> bytes:
+    def _head(self, kind: LinkFrameKind, offset: int) -> bytes:
         receiver = self._receiver
-        receiver.told(ack=kind is Kind.ACK)
+        receiver.told(ack=kind is LinkFrameKind.ACK)
         return frames.head(kind, self.link_id, offset, receiver.expected, receiver.limit)
 
     def _put(self, frame: bytes) -> None:
@@ -174,23 +175,19 @@ class Link:
         self._out.append(frame)
 
     def _allowance(self) -> int:
-        """How many octets may leave now; one RESET is always left."""
         if self._validated or self._opener:
             return MAX_FRAME
         return AMPLIFICATION * self._octets_in - self._octets_out - HEAD
 
     @property
     def writable(self) -> bool:
-        """Whether a writer need not wait."""
         return self._sender.backlog <= _HIGH_WATER
 
     @property
     def backlog(self) -> int:
-        """Bytes that were written and not sent for the first time."""
         return self._sender.backlog
 
     def frames_to_send(self, now: float) -> list[bytes]:
-        """The frames that may leave now, in order: all of them for the peer's mailbox."""
         if self.state not in ENDED:
             self._pump(now)
             self._acknowledge(now)
@@ -207,11 +204,11 @@ class Link:
             pieces = sender.cut(self._allowance() - HEAD)
             if not pieces:
                 return
-            self._transmit(Kind.DATA, pieces, sum(map(len, pieces)), now)
+            self._transmit(LinkFrameKind.DATA, pieces, sum(map(len, pieces)), now)
         draining = self.state is LinkState.DRAINING and self._end_offset is None
         if draining and self._allowance() >= HEAD:
             self._end_offset = sender.next
-            self._transmit(Kind.END, [], 1, now)
+            self._transmit(LinkFrameKind.END, [], 1, now)
 
     def _acknowledge(self, now: float) -> None:
         receiver = self._receiver
@@ -219,23 +216,19 @@ class Link:
             return
         body = frames.pack_ranges(receiver.ranges())
         if HEAD + len(body) <= self._allowance():
-            self._put(self._head(Kind.ACK, max(receiver.seen, receiver.expected)) + body)
+            self._put(self._head(LinkFrameKind.ACK, max(receiver.seen, receiver.expected)) + body)
         else:
             receiver.told(ack=True)  # the peer asks again
 
     # -- ends
 
     def validated(self) -> None:
-        """The peer is authenticated: it may be sent, and may send, as much as a link carries.
-
-        Both sides call it; a side that never does is over after `SILENCE`.
-        """
+        # Both sides call it; a side that never does is over after `SILENCE`.
         if not self._validated and self.state not in ENDED:
             self._validated = True
             self._receiver.widen(self._began)
 
     def finish(self, now: float) -> None:
-        """End this side's stream after what was written; done when the peer ended its own too."""
         if self.state is LinkState.OPENING:
             self._out = [self.reset()]  # nobody answered: nothing is to be drained
         elif (self.state, "finish") in NEXT:
@@ -243,8 +236,8 @@ class Link:
             self._pump(now)
 
     def reset(self) -> bytes:
-        """End the link at once; returns the frame that says so."""
-        frame = frames.head(Kind.RESET, self.link_id, 0, self._receiver.expected, 0)
+        # End the link at once; returns the frame that says so.
+        frame = frames.head(LinkFrameKind.RESET, self.link_id, 0, self._receiver.expected, 0)
         self._over(LinkState.RESET)
         self._out = []
         return frame
@@ -257,16 +250,15 @@ class Link:
             self.state = state
 
     def _over(self, state: LinkState) -> None:
-        """Keep nothing but frames that may still leave."""
         self.state = state
         self._sender.forget()
         self._receiver.forget()
-        self._probe_at = self._end_at = self._silent_since = None
+        self._probe_at = self._end_at = self.silent_since = None
 
     # -- time
 
     def _settle(self, progress: bool, now: float) -> None:
-        """After a frame of the peer: is all said, and until when must it answer again?"""
+        # After a frame of the peer: is all said, and until when must it answer again?
         sender = self._sender
         if self._end_offset is not None and sender.base >= self._end_offset:
             if self._receiver.ended and not sender.in_flight:
@@ -277,29 +269,23 @@ class Link:
                 self._end_at = now + LINGER
         if sender.in_flight and not progress:
             return
-        self._silent_since = now if sender.in_flight else None
+        self.silent_since = now if sender.in_flight else None
         asks = sender.waiting or (self._opener and not self._validated)
         self._probe_at = now + (sender.round_trip.wait if asks else KEEPALIVE)
 
     def deadline(self) -> float | None:
-        """When to call `tick` at the latest; None: never."""
         if self.state in ENDED:
             return None
         times = (self._over_at(), self._probe_at, self._receiver.ack_at, self._end_at)
         return min((at for at in times if at is not None), default=None)
 
     def _over_at(self) -> float | None:
-        since = self._silent_since
+        since = self.silent_since
         if not self._validated and (since is None or self._began < since):
             since = self._began
         return None if since is None or self.state is LinkState.IDLE else since + SILENCE
 
     def tick(self, now: float) -> None:
-        """Let time pass: ask for what is overdue, give up what is over.
-
-        Raises:
-            LinkEnded: no progress for `SILENCE`, or not validated so long.
-        """
         if self.state in ENDED:
             return
         over = self._over_at()
@@ -315,10 +301,9 @@ class Link:
             self._probe(now)
 
     def _probe(self, now: float) -> None:
-        """Ask how far the peer is; before it ever answered, with the OPEN itself."""
-        if self._silent_since is None:
-            self._silent_since = now
-        silence = now - self._silent_since
+        if self.silent_since is None:
+            self.silent_since = now
+        silence = now - self.silent_since
         self._probe_at = now + self._sender.round_trip.again(silence)
         if self.state is LinkState.OPENING:
             self._put(self._sender.repeat_first(now))
@@ -328,18 +313,12 @@ class Link:
             padded = 0 if self._validated else OPEN_SIZE - HEAD
             body = frames.return_address(self.reply_key, padded)
         if HEAD + len(body) <= self._allowance():
-            self._put(self._head(Kind.PROBE, self._sender.next) + body)
+            self._put(self._head(LinkFrameKind.PROBE, self._sender.next) + body)
 
     # -- measured
 
     @property
-    def silent_since(self) -> float | None:
-        """Since when an answer is missing; None: none is."""
-        return self._silent_since
-
-    @property
     def stats(self) -> LinkStats:
-        """What was measured so far."""
         sender = self._sender
         trip, received = sender.round_trip, self._receiver.expected
         return LinkStats(trip.srtt_s, sender.retransmissions, sender.next, received, trip.least_s)

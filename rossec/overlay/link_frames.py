@@ -1,13 +1,14 @@
-"""The frames of a link, docs/spec/overlay.md section 3: written, and read strictly. Pure.
+"""The frames of a link, written, and read strictly; keys of mailboxes. Pure. docs/spec/overlay.md section 3.
 
-```
-kind(1) link(16) offset(8) received(8) limit(8) body
-```
+    kind(1) link(16) offset(8) received(8) limit(8) body
 
 Every frame says how far the sender of it has received, and how far it may be sent to. Nothing in it
-is authenticated: the bytes that it carries are, inside. What is not in form is `LinkEnded`.
+is authenticated: the bytes that it carries are, inside. What is not in form is `LinkEnded`. A mailbox is
+`rossec/1/<seat>/<box>`: its key has no name, label, domain or topic in it. Whoever puts to a key that
+came from outside checks it here first: a key with a wildcard would be put to many mailboxes.
 """
 
+import re
 from dataclasses import dataclass
 from enum import IntEnum
 from struct import Struct
@@ -15,7 +16,10 @@ from typing import Final
 
 from rossec.channel.records import HEADER, MAX_PLAINTEXT, TAG, Bytes
 from rossec.errors import LinkEnded
-from rossec.overlay.mailboxes import is_mailbox
+
+BOX: Final = 16  # bytes
+_KEY: Final = re.compile(r"rossec/1/[a-z0-9]{1,32}/[0-9a-f]{32}")
+_SEAT: Final = re.compile(r"[a-z0-9]{1,32}")
 
 _HEAD: Final = Struct(">B16sQQQ")
 _RANGE: Final = Struct(">QQ")
@@ -29,9 +33,23 @@ MAX_RANGES: Final = 32
 _LAST: Final = 1 << 62
 
 
-class Kind(IntEnum):
-    """What a frame is."""
+def is_seat(name: str) -> bool:
+    return _SEAT.fullmatch(name) is not None
 
+
+def is_mailbox(key: str) -> bool:
+    return _KEY.fullmatch(key) is not None
+
+
+def mailbox(seat: str, box: bytes) -> str:
+    """The key of the mailbox `box` (16 random bytes) of a seat."""
+    key = f"rossec/1/{seat}/{box.hex()}"
+    if not is_mailbox(key):
+        raise ValueError("not the key of a mailbox")
+    return key
+
+
+class LinkFrameKind(IntEnum):
     OPEN = 1  # the first of a link, with where to answer
     DATA = 2
     ACK = 3  # offset: how far the peer's frames were seen to go; body: what came beyond `received`
@@ -41,19 +59,17 @@ class Kind(IntEnum):
 
 
 _LENGTHS: Final[dict[int, tuple[int, int]]] = {
-    Kind.OPEN: (OPEN_SIZE - HEAD, MAX_BODY),
-    Kind.DATA: (1, MAX_BODY),
-    Kind.ACK: (0, MAX_RANGES * _RANGE.size),
-    Kind.RESET: (0, 0),
-    Kind.END: (0, 0),
-    Kind.PROBE: (0, OPEN_SIZE),
+    LinkFrameKind.OPEN: (OPEN_SIZE - HEAD, MAX_BODY),
+    LinkFrameKind.DATA: (1, MAX_BODY),
+    LinkFrameKind.ACK: (0, MAX_RANGES * _RANGE.size),
+    LinkFrameKind.RESET: (0, 0),
+    LinkFrameKind.END: (0, 0),
+    LinkFrameKind.PROBE: (0, OPEN_SIZE),
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
-    """A frame in form; `body` is a view of what was received."""
-
+class LinkFrame:
     kind: int
     link: bytes
     offset: int
@@ -62,8 +78,7 @@ class Frame:
     body: memoryview
 
 
-def head(kind: Kind, link: bytes, offset: int, received: int, limit: int) -> bytes:
-    """What stands before the body."""
+def head(kind: LinkFrameKind, link: bytes, offset: int, received: int, limit: int) -> bytes:
     return _HEAD.pack(kind, link, offset, received, limit)
 
 
@@ -73,16 +88,10 @@ def link_of(data: bytes) -> bytes | None:
 
 
 def kind_of(data: bytes) -> int:
-    """The kind of a frame that `link_of` knows a link of."""
     return data[0]
 
 
-def read(data: bytes) -> Frame:
-    """Read one frame.
-
-    Raises:
-        LinkEnded: not in form.
-    """
+def read(data: bytes) -> LinkFrame:
     if not HEAD <= len(data) <= MAX_FRAME:
         raise LinkEnded("a frame of a forbidden length")
     kind, link, offset, received, limit = _HEAD.unpack_from(data)
@@ -91,27 +100,17 @@ def read(data: bytes) -> Frame:
         raise LinkEnded("a frame of an unknown kind, or of a length that its kind cannot have")
     if offset > _LAST or limit > _LAST or received > _LAST:
         raise LinkEnded("a frame with an offset that no link reaches")
-    return Frame(kind, link, offset, received, limit, memoryview(data)[HEAD:])
+    return LinkFrame(kind, link, offset, received, limit, memoryview(data)[HEAD:])
 
 
 def return_address(reply_key: str, size: int) -> bytes:
-    """The body of a PROBE, and the beginning of that of an OPEN: where to answer, and padding.
-
-    Args:
-        reply_key: the mailbox in which the sender waits.
-        size: how long the body has to be at least.
-    """
     key = reply_key.encode("ascii")
     padding = max(0, size - 3 - len(key))
     return bytes((len(key),)) + key + padding.to_bytes(2) + bytes(padding)
 
 
 def split_return_address(body: memoryview) -> tuple[str, memoryview]:
-    """The mailbox to answer to, and the bytes after the padding.
-
-    Raises:
-        LinkEnded: not in form, not the key of a mailbox, or padding that is not zero.
-    """
+    """The mailbox to answer to, and the bytes after the padding."""
     length = body[0] if body else 0
     key = bytes(body[1 : 1 + length]).decode("ascii", "replace")
     padding = int.from_bytes(body[1 + length : 3 + length])
@@ -124,16 +123,10 @@ def split_return_address(body: memoryview) -> tuple[str, memoryview]:
 
 
 def pack_ranges(ranges: list[tuple[int, int]]) -> bytes:
-    """The body of an ACK: (first, end) of what came beyond the first gap, in order."""
     return b"".join(_RANGE.pack(first, end) for first, end in ranges[:MAX_RANGES])
 
 
-def read_ranges(frame: Frame) -> list[tuple[int, int]]:
-    """The ranges of an ACK.
-
-    Raises:
-        LinkEnded: not in order, overlapping, or beyond what was seen.
-    """
+def read_ranges(frame: LinkFrame) -> list[tuple[int, int]]:
     if len(frame.body) % _RANGE.size:
         raise LinkEnded("an acknowledgement with half a range")
     ranges = list(_RANGE.iter_unpack(frame.body))
@@ -146,7 +139,6 @@ def read_ranges(frame: Frame) -> list[tuple[int, int]]:
 
 
 def joined(head_: bytes, pieces: list[Bytes]) -> bytes:
-    """A frame of its head and the pieces of its body: the one copy that is made of them."""
     return b"".join((head_, *pieces))
 
 
@@ -156,11 +148,11 @@ def refusal(frame: bytes) -> tuple[str, bytes] | None:
     So a relay that was started again ends at once what it knows nothing of. None: nothing, as for
     every other frame of an unknown link.
     """
-    if kind_of(frame) != Kind.PROBE:
+    if kind_of(frame) != LinkFrameKind.PROBE:
         return None
     try:
         probe = read(frame)
         reply_key, _ = split_return_address(probe.body)
     except LinkEnded:
         return None
-    return reply_key, head(Kind.RESET, probe.link, 0, 0, 0)
+    return reply_key, head(LinkFrameKind.RESET, probe.link, 0, 0, 0)

@@ -1,34 +1,328 @@
-"""The masters of a relay's site: its own, and those of the domain that follow each other in a mesh.
+"""The masters of a relay's site, and the relay as a node of its own domain. A shell.
 
-A shell. The own master names the others; each says which doors it wants, and where targets that are
-registered at it are.
+The own master names the others, which follow each other in a mesh; each says which forwarded ports it
+wants, and where targets that are registered at it are. It is polled, so it needs no address of the
+relay, and only it decides where a target is: what a relay of another site asks for is answered from
+its registrations, or refused.
 """
 
 import asyncio
-from collections.abc import Mapping
+import contextlib
+import logging
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from functools import partial
+from secrets import SystemRandom
+from typing import Final, Protocol
 
 from ca.certificates import Identity
-from ca.errors import HintedError
-from rossec.errors import RelayRefused
-from rossec.master.state.doors import MASTER
-from rossec.net.aio import SecureStream, WireProtocol, connect
-from rossec.net.aio.tasks import TaskSet
-from rossec.overlay.master_link import DoorTable, MasterLink
-from rossec.overlay.member import RelayMember
-from rossec.ros.settings import parse_uri
+from ca.errors import HintedError, RevocationsStale
+from ca.names import shown
+from ca.revocation.trust_status import Standing
+from rossec import clock
+from rossec.channel.edhoc.credentials import KnownCertificates
+from rossec.channel.opening import post_quantum
+from rossec.environment import own_home, own_master
+from rossec.errors import (
+    AnswerMalformed,
+    AnswerRefused,
+    ChannelClosed,
+    RelayRefused,
+    RossecError,
+    StreamRefused,
+)
+from rossec.home import NodeHome
+from rossec.host.runner import TaskSet
+from rossec.master.state.forwarded_ports import Door, PeerWay, Target
+from rossec.master.state.registry import is_connectable
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
+from rossec.net.rpc.calls import CallFailed, RpcClient
+from rossec.overlay.mux import MASTER
+from rossec.overlay.wanted_ports import Orders, WantedDoors
+from rossec.participant.access import Access
+from rossec.participant.connections import ConnectionTable, Dialer
+from rossec.participant.membership import LoadedIdentity, Membership
+from rossec.participant.registrations import PublisherGrace, Retry
+from rossec.peer_limits import printable
+from rossec.ros import names
+from rossec.ros.names import RELAY_DOORS, RELAY_TARGET, Settings, build_door, parse_uri
+from rossec.ros.xmlrpc import Fault
+
+_log = logging.getLogger("rossec.overlay")
+
+OLD_MASTER: Final = 30.0  # seconds until a master that knows no relays is asked again
+_Failures: Final = (HintedError, OSError, TimeoutError)
+
+Dial = Callable[[], Awaitable[SecureStream[Identity]]]
+"""Connects with the master as the relay, for HTTP; who answers is checked here."""
+
+
+class RelayMember:
+    """The identity of the relay that is certified as `name`, kept current at its own master.
+
+    As every form of a node it keeps a session with its master, so that lists of domains, revocations
+    and a renewed certificate arrive. It registers nothing and has no slave API: the master's answer
+    to a call that waits (`rossec.relayDoors`) is the sign that lists may have changed, and it asks
+    for them then (`refresh`). Every link is in its table of connections, which cuts it.
+    """
+
+    def __init__(self, name: str, environ: Mapping[str, str]) -> None:
+        self.settings: Final[Settings] = names.read((), environ, default_name=name)
+        home = NodeHome.of(own_home(environ), name)
+        loaded = LoadedIdentity(home, name, own_master(environ))
+        self.home: Final = home
+        self.name: Final = name
+        self.master: Final = loaded.master
+        self.identity: Final = loaded.identity
+        self.standing: Final[Standing] = loaded.standing
+        self.access: Final = Access(loaded.standing, master=loaded.master)
+        suites = post_quantum(environ)
+        verify = loaded.anchors.verify
+        self.context: Final = SecureContext(
+            loaded.live_credentials, verify, suites=suites, known=KnownCertificates(), renews=Identity.renews
+        )
+        self.link_context: Final = SecureContext(  # certificates by value, as links are made rarely
+            loaded.live_credentials, verify, suites=suites, renews=Identity.renews
+        )
+        self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
+            loaded.standing, master=loaded.master
+        )
+        self._links: set[SecureStream[Identity]] = set()
+        self._failed = False
+        self._dialer = Dialer(name, self.context, self.access.check_peer)
+        grace = PublisherGrace(clock.counter())
+        self._membership = Membership(loaded, self.access, self._connections, grace, self)
+        self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    def start(self) -> None:
+        self._membership.start()
+
+    async def wait_ended(self) -> None:
+        """Wait until it ends by itself."""
+        await asyncio.shield(self._ended)
+
+    async def close(self) -> None:
+        """End the session and every link."""
+        self._abort_links("the relay ends")
+        await self._membership.close()
+        self._ended.cancel()
+
+    async def refresh(self) -> None:
+        """Ask the master now for lists that are new, and cut what they end.
+
+        A master that is out of reach, or refuses, is asked again with the next heartbeat.
+        """
+        try:
+            await self._membership.session.refresh()
+        except (HintedError, OSError, TimeoutError, Fault) as error:
+            _log.debug("%s: no lists from the master: %s", self.name, error)
+
+    def admit(self, link: SecureStream[Identity]) -> None:
+        """Count a link with an authenticated relay until it is closed; it is cut when it must end.
+
+        A foreign relay may come while its domain's revocations are stale, or the masters of two
+        domains could never tell each other: `check_target` says for what.
+        """
+        self._connections.accept(link, link.peer, link.abort)  # a list may arrive meanwhile
+        self._links.add(link)
+        link.when_closed(partial(self._forget, link))
+        if self._failed:
+            raise ChannelClosed("the relay has failed")
+        try:
+            self.check_peer(link.peer)
+        except RevocationsStale:
+            if not link.peer.is_foreign:
+                raise
+            for key in link.peer.keys:
+                self.standing.own.check(key, clock.now())
+
+    def check_target(self, peer: Identity, kind: str) -> None:
+        """Return if a link with `peer` may lead to a target of this kind now."""
+        try:
+            self.check_peer(peer)
+        except RevocationsStale:
+            if kind != MASTER or not peer.is_foreign:
+                raise
+
+    def _forget(self, link: SecureStream[Identity]) -> None:
+        self._connections.forget(link)
+        self._links.discard(link)
+
+    def check_peer(self, peer: Identity) -> None:
+        """Raise a `CAError` when `peer` is revoked, or this is not known."""
+        self.access.check_peer(peer, clock.now())
+
+    @property
+    def is_connected(self) -> bool:
+        return self._membership.session.is_open
+
+    def _abort_links(self, reason: str) -> None:
+        for link in tuple(self._links):
+            link.abort(reason)
+
+    # -- hooks of the membership (MembershipHooks)
+
+    async def dial_master(self) -> SecureStream[Identity]:
+        return await self._dialer.rpc(self.settings.master_host, self.settings.master_port)
+
+    async def dial_watch(self) -> SecureStream[Identity]:
+        return await self.dial_master()
+
+    async def restore(self) -> None:
+        """Nothing is registered."""
+
+    async def rights_changed(self) -> None:
+        """No registration waits for a right."""
+
+    def maintain(self) -> None:
+        """Nothing is due each second: a link ends by itself with the certificate of its peer."""
+
+    def crashed(self, error: BaseException) -> None:
+        """Cut every link, and admit none: nothing would cut it."""
+        self._failed = True
+        self._abort_links("the relay has failed")
+        if not self._ended.done():
+            self._ended.set_exception(error)
+
+
+class MasterPorts(Protocol):
+    async def open(self, target: Target, master: str) -> Door: ...
+    def release(self, target: Target, master: str) -> None: ...
+    def take_dropped(self, master: str) -> Collection[Target]: ...  # what it wants, of peers that went
+    def ways(self) -> Mapping[str, PeerWay]: ...
+
+
+class MasterLink:
+    """One master of the own domain.
+
+    Args:
+        name: the name it is certified for.
+        relay: the relay's own name.
+        instance: random, of this run of the relay.
+        on_masters: called with the masters that this one says shall be polled too.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        relay: str,
+        instance: str,
+        dial: Dial,
+        doors: MasterPorts,
+        on_masters: Callable[[Mapping[str, str]], None],
+    ) -> None:
+        self.name: Final = name
+        self.error = ""  # why the master is not polled now; empty: it is
+        self._relay = relay
+        self._instance = instance
+        self._dial = dial
+        self._doors = doors
+        self._on_masters = on_masters
+        self._wanted = WantedDoors()
+        self._asking: RpcClient | None = None
+        self._turn = asyncio.Lock()
+        self._retry = Retry(SystemRandom().random)
+
+    async def run(self) -> None:
+        try:
+            while True:
+                pause = await self._poll_until_failure()
+                await asyncio.sleep(pause)
+        finally:
+            for target in self._wanted.held:
+                self._doors.release(target, self.name)
+
+    async def close(self) -> None:
+        async with self._turn:
+            if self._asking is not None:
+                await self._asking.close()
+
+    async def target(self, domain: str, kind: str, name: str) -> tuple[str, int]:
+        try:
+            answer = await self._ask(domain, kind, name)
+        except (AnswerRefused, Fault) as error:
+            text = error.faultString if isinstance(error, Fault) else error
+            raise StreamRefused(printable(f"{self.name}: {text}")) from error
+        match answer:
+            case [str() as host, int() as port] if is_connectable(build_door(host, port), "http"):
+                return host, port
+            case _:
+                raise AnswerMalformed(f"{self.name} says that a target is nowhere")
+
+    async def _ask(self, domain: str, kind: str, name: str) -> object:
+        for _ in range(2):  # the master ends a connection that was silent for long
+            kept = self._asking
+            async with self._turn:
+                if self._asking is None or self._asking.closed:
+                    self._asking = RpcClient(await self._connected())
+                client = self._asking
+            try:
+                return await client.ask(RELAY_TARGET, self._relay, domain, kind, name)
+            except RossecError:
+                if client is not kept or not client.closed:
+                    raise
+        raise CallFailed(f"{self.name} ends every connection")
+
+    async def _connected(self) -> SecureStream[Identity]:
+        stream = await self._dial()
+        peer = stream.peer
+        if peer.is_foreign or peer.wildcard or peer.name != self.name:
+            stream.abort("not the master of this relay")
+            raise RelayRefused(
+                f"{shown(peer.name)} answers at the address of {self.name}",
+                "check ROS_MASTER_URI, and the URIs in: rossec federation list",
+            )
+        return stream
+
+    async def _poll_until_failure(self) -> float:
+        try:
+            client = RpcClient(await self._connected())
+            try:
+                self._wanted.connected()
+                while True:
+                    report = self._wanted.report()
+                    ways = {peer: way._asdict() for peer, way in self._doors.ways().items()}
+                    answer = await client.ask(
+                        RELAY_DOORS, self._relay, self._instance, self._wanted.seen, report, ways
+                    )
+                    orders = self._wanted.take(answer, len(report))
+                    self._retry.succeeded()
+                    self.error = ""
+                    await self._carry_out(orders)
+            finally:
+                with contextlib.suppress(*_Failures):
+                    await client.close()
+        except Fault as fault:
+            self._report(f"it is older than this relay, update it: {fault.faultString}")
+            return OLD_MASTER
+        except _Failures as error:
+            hint = error.hint if isinstance(error, HintedError) else ""
+            self._report(f"{error} ({hint})" if hint else str(error) or type(error).__name__)
+        return self._retry.pause(asyncio.get_running_loop().time())
+
+    async def _carry_out(self, orders: Orders) -> None:
+        for target in orders.close:
+            self._doors.release(target, self.name)
+        again = self._wanted.lost(self._doors.take_dropped(self.name))
+        for target in (*orders.open, *again):
+            try:
+                self._wanted.opened(target, await self._doors.open(target, self.name))
+            except _Failures as error:
+                if self._wanted.failed(target):
+                    where = f"{target.name} of {target.peer}"
+                    _log.warning("no door for %s: %s", where, printable(error))
+        self._on_masters(orders.masters)
+
+    def _report(self, text: str) -> None:
+        text = printable(text)
+        if text != self.error:
+            _log.warning("%s: %s", self.name, text)
+        self.error = text
 
 
 class OwnMasters:
-    """The links of a relay to masters of its own domain.
+    """The links of a relay to masters of its own domain; `instance`: random, of this run of it."""
 
-    Args:
-        member: the relay's identity.
-        instance: random, of this run of the relay.
-        doors: those of the relay.
-    """
-
-    def __init__(self, member: RelayMember, instance: str, doors: DoorTable) -> None:
+    def __init__(self, member: RelayMember, instance: str, doors: MasterPorts) -> None:
         self._member = member
         self._instance = instance
         self._doors = doors
@@ -40,31 +334,21 @@ class OwnMasters:
         self._failed: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def start(self) -> None:
-        """Begin with the own master."""
-        dial = self._member.dial_master
-        own = self._member.master
+        member = self._member
         self._tasks.spawn(self._refresh(), "asking for lists")
-        self._begin(MasterLink(
-            own, self._member.name, self._instance, dial, self._doors, self._answered
-        ))  # fmt: skip
+        dial = member.dial_master
+        self._begin(MasterLink(member.master, member.name, self._instance, dial, self._doors, self._answered))
 
     async def wait_failed(self) -> None:
-        """Wait until a part crashes, and raise that."""
         await asyncio.shield(self._failed)
 
     async def close(self) -> None:
-        """End every connection with a master."""
         await self._tasks.close()
         for link in self._links.values():
             await link.close()
         self._failed.cancel()
 
     async def target(self, domain: str, kind: str, name: str) -> tuple[str, int]:
-        """Host and port of a target, of the master at which it is; see `MasterLink.target`.
-
-        Raises:
-            HintedError: no master has it, or shows it to that domain.
-        """
         if kind == MASTER:
             links = [self._links[name]] if name in self._links else []
         else:
@@ -80,7 +364,6 @@ class OwnMasters:
         raise refusal
 
     def status(self) -> dict[str, str]:
-        """Why each master is not polled, by its name; empty: it is."""
         return {name: link.error for name, link in self._links.items()}
 
     def _begin(self, link: MasterLink) -> None:
@@ -88,7 +371,6 @@ class OwnMasters:
         self._runs[link.name] = self._tasks.spawn(link.run(), f"doors of {link.name}")
 
     async def _refresh(self) -> None:
-        """Ask for lists after each answer; while that takes, answers count as one."""
         while True:
             await self._lists_due.wait()
             self._lists_due.clear()
@@ -99,7 +381,6 @@ class OwnMasters:
             self._failed.set_exception(error)
 
     def _answered(self, masters: Mapping[str, str]) -> None:
-        """The own master has answered: lists may be new, and the mesh another one."""
         self._lists_due.set()
         own = self._member.master
         named = {name: uri for name, uri in masters.items() if name != own}
@@ -110,11 +391,11 @@ class OwnMasters:
         for name, uri in named.items():
             if name not in self._uris:
                 self._uris[name] = uri
-                self._begin(self._link_to(name, uri))
-
-    def _link_to(self, name: str, uri: str) -> MasterLink:
-        dial = partial(self._dial, uri)
-        return MasterLink(name, self._member.name, self._instance, dial, self._doors, _ignore)
+                dial = partial(self._dial, uri)
+                link = MasterLink(
+                    name, self._member.name, self._instance, dial, self._doors, lambda _masters: None
+                )
+                self._begin(link)  # only the own master says which others there are
 
     async def _dial(self, uri: str) -> SecureStream[Identity]:
         address = parse_uri(uri, "the master's URI")
@@ -125,7 +406,3 @@ class OwnMasters:
             stream.abort("the master's identity is revoked or cannot be checked")
             raise
         return stream
-
-
-def _ignore(_masters: Mapping[str, str]) -> None:
-    """Only the own master says which others there are."""

@@ -1,34 +1,42 @@
-"""The streams of one link between two relays: numbers, credit, limits. Pure.
+"""The streams of one link between two relays: numbers, credit, limits, and their units as bytes. Pure.
 
 Only the relay that made the link opens streams; it numbers them 0, 1, 2, ... and no number is used
-again. Each direction of a stream has its own credit, so that no stream fills the link's memory and
-a slow one stops itself alone. What a relay may not do ends the link; what it may do too often is
-refused for that stream. Specification: docs/spec/overlay.md.
+again. Each direction of a stream has its own credit, so that no stream fills the link's memory and a
+slow one stops itself alone. What a relay may not do ends the link; what it may do too often is refused
+for that stream. A unit is a deterministic CBOR array `[stream, verb, ...]`; what arrives at once is a
+sequence of them (RFC 8742). Specification: docs/spec/overlay.md.
 """
 
 from collections import Counter
 from dataclasses import dataclass
-from enum import Enum, auto
-from typing import Final, TypeAlias
+from enum import Enum, IntEnum, auto
+from typing import Final, NamedTuple, TypeAlias
 
+from ca.encoding import head
+from ca.errors import NameRefused
+from ca.names import MAX_NAME, check_name
 from rossec.channel.records import Bytes
 from rossec.errors import StreamRefused
-from rossec.overlay.mux_units import (
-    Credit,
-    Data,
-    End,
-    Open,
-    Reset,
-    Target,
-    Unit,
-    credit_unit,
-    data_head,
-    end_unit,
-    open_unit,
-    read_units,
-    reset_unit,
-)
-from rossec.overlay.stream_window import FIRST, MOST, Fund, ReceiveWindow
+
+MASTER: Final = "master"
+NODE: Final = "node"
+SERVICE: Final = "service"
+KINDS: Final = (MASTER, NODE, SERVICE)  # a kind's number is its place here
+
+HEADROOM: Final = 16  # bytes: no head of a data unit is longer
+MAX_DATA: Final = 64 * 1024 - HEADROOM  # payload of a unit; with its head it is one small record
+MAX_SEQUENCE: Final = 128 * 1024  # what arrives at once: a burst of small units, or one of data
+_MAX_STREAM: Final = (1 << 32) - 1
+
+_UINT, _BYTES, _TEXT, _ARRAY = 0, 0x40, 0x60, 0x80
+_WIDTHS: Final = {24: (1, 24), 25: (2, 1 << 8), 26: (4, 1 << 16)}  # bytes, and least value
+
+_LENGTHS: Final = (4, 3, 3, 2, 2)  # items of a unit, by its verb
+
+FIRST: Final = 256 * 1024  # bytes
+MOST: Final = 4 * 1024 * 1024  # the window of a link
+FUND: Final = 32 * 1024 * 1024
+SHORTEST_ROUND: Final = 0.005  # seconds: two relays and two programs take turns
 
 STREAMS: Final = 256
 FOR_ONE_NAME: Final = STREAMS // 2
@@ -40,81 +48,273 @@ _ANSWERS: Final = 2  # of a target: the second one follows message_3, which auth
 LAST_STREAM: Final = (1 << 32) - 1
 
 
-class Role(Enum):
-    """Which side of the link this is."""
+class StreamTarget(NamedTuple):
+    kind: str
+    name: str
 
+    def __str__(self) -> str:
+        return f"{self.kind} {self.name}"
+
+
+class Verb(IntEnum):
+    OPEN = 0
+    DATA = 1
+    CREDIT = 2
+    END = 3
+    RESET = 4
+
+
+_DATA: Final = int(Verb.DATA)
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    stream: int
+    target: StreamTarget
+
+
+@dataclass(slots=True)  # one for each unit: frozen ones take three times as long to make
+class Data:
+    stream: int
+    payload: memoryview  # of what arrived
+
+
+@dataclass(frozen=True, slots=True)
+class Credit:
+    stream: int
+    amount: int
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    stream: int
+
+
+@dataclass(frozen=True, slots=True)
+class Reset:
+    stream: int
+
+
+Unit: TypeAlias = Open | Data | Credit | End | Reset
+
+
+def open_unit(stream: int, target: StreamTarget) -> bytes:
+    name = target.name.encode()
+    kind = KINDS.index(target.kind)
+    return _begin(Verb.OPEN, stream) + head(_UINT, kind) + head(_TEXT, len(name)) + name
+
+
+def data_head(stream: int, length: int) -> bytes:
+    """What precedes `length` bytes of payload in `[stream, 1, payload]`."""
+    return _begin(Verb.DATA, stream) + head(_BYTES, length)
+
+
+def credit_unit(stream: int, amount: int) -> bytes:
+    return _begin(Verb.CREDIT, stream) + head(_UINT, amount)
+
+
+def end_unit(stream: int) -> bytes:
+    return _begin(Verb.END, stream)
+
+
+def reset_unit(stream: int) -> bytes:
+    return _begin(Verb.RESET, stream)
+
+
+def _begin(verb: Verb, stream: int) -> bytes:
+    return head(_ARRAY, _LENGTHS[verb]) + head(_UINT, stream) + head(_UINT, verb)
+
+
+def read_units(data: Bytes) -> list[Unit]:
+    """The units in `data`, which is a whole sequence of them."""
+    if len(data) > MAX_SEQUENCE:
+        raise StreamRefused(f"{len(data)} bytes of units where at most {MAX_SEQUENCE} are allowed")
+    reader = _Reader(memoryview(data))
+    units: list[Unit] = []
+    while reader.at < reader.size:
+        units.append(_read_unit(reader))
+    return units
+
+
+def _read_unit(reader: "_Reader") -> Unit:
+    length = reader.head(_ARRAY, 4)
+    stream = reader.head(_UINT, _MAX_STREAM)
+    verb = reader.head(_UINT, 4)
+    if length != _LENGTHS[verb]:
+        raise StreamRefused(f"a unit of {length} items with the verb {verb}")
+    if verb == _DATA:  # the usual one first
+        return Data(stream, reader.take(reader.head(_BYTES, MAX_DATA, 1)))
+    match Verb(verb):
+        case Verb.CREDIT:
+            return Credit(stream, reader.head(_UINT, _MAX_STREAM, 1))
+        case Verb.OPEN:
+            kind = KINDS[reader.head(_UINT, len(KINDS) - 1)]
+            raw = bytes(reader.take(reader.head(_TEXT, MAX_NAME)))
+            try:
+                return Open(stream, StreamTarget(kind, check_name(raw.decode("ascii"))))
+            except (UnicodeDecodeError, NameRefused) as error:
+                raise StreamRefused(f"a stream to {raw!r}, which is not a name") from error
+        case Verb.END:
+            return End(stream)
+        case _:
+            return Reset(stream)
+
+
+class _Reader:
+    # By hand, not by `cbor2`: a payload is a view of what arrived and is never copied.
+
+    __slots__ = ("_data", "at", "size")
+
+    def __init__(self, data: memoryview) -> None:
+        self._data = data
+        self.size = len(data)
+        self.at = 0
+
+    def take(self, length: int) -> memoryview:
+        begin = self.at
+        end = begin + length
+        if end > self.size:
+            raise StreamRefused("a unit that ends too early")
+        self.at = end
+        return self._data[begin:end]
+
+    def head(self, major: int, most: int, least: int = 0) -> int:
+        if self.at >= self.size:
+            raise StreamRefused("a unit that ends too early")
+        value = self._data[self.at] ^ major
+        self.at += 1
+        if value >= 24:
+            width, shortest = _WIDTHS.get(value, (0, 0))
+            if not width:
+                raise StreamRefused("a unit with an item of another type or size")
+            value = int.from_bytes(self.take(width))
+            if value < shortest:
+                raise StreamRefused("a unit whose numbers are not in their shortest form")
+        if not least <= value <= most:
+            raise StreamRefused(f"a unit with {value} where {least} to {most} are allowed")
+        return value
+
+
+class Fund:
+    """Bytes that the windows of one link may have beyond their first ones."""
+
+    __slots__ = ("left",)
+
+    def __init__(self, left: int = FUND) -> None:
+        self.left = left
+
+
+class ReceiveWindow:
+    """One direction of a stream at its receiver; `allowed`: what the peer may still send.
+
+    `allowed` and `held` (bytes that arrived and were not taken) are never more than `size`. It grows
+    while the program takes half of it within a round trip and lets nothing wait (as TCP's "dynamic
+    right-sizing"). Measured by the round trip of an idle way: the queue that it makes must not widen it.
+    """
+
+    __slots__ = ("_began", "_fund", "_taken", "allowed", "held", "size")
+
+    def __init__(self, fund: Fund) -> None:
+        self.size = self.allowed = FIRST
+        self.held = 0
+        self._fund = fund
+        self._began = 0.0  # when the round began in which `_taken` bytes were taken
+        self._taken = 0
+
+    def arrived(self, length: int) -> None:
+        self.allowed -= length
+        self.held += length
+
+    def took(self, count: int, now: float, round_trip_s: float) -> int:
+        if count > self.held:
+            raise ValueError("more was taken than arrived")
+        self.held -= count
+        self._taken += count
+        round_s = max(round_trip_s, SHORTEST_ROUND)
+        elapsed = now - self._began
+        if round_trip_s > 0 and elapsed >= round_s:
+            wanted = int(2 * self._taken * round_s / elapsed)
+            self._began, self._taken = now, 0
+            if self.held > self.size // 2:  # a program that lags gets no credit until it has shrunk
+                self._resize(max(FIRST, self.size // 2, self.allowed + self.held))
+            elif wanted > self.size and self.held == 0:
+                self._resize(min(wanted, 2 * self.size, MOST, self.size + self._fund.left))
+        credit = self.size - self.allowed - self.held
+        if credit < self.size // 4:
+            return 0
+        self.allowed += credit
+        return credit
+
+    def _resize(self, size: int) -> None:
+        self._fund.left -= size - self.size
+        self.size = size
+
+    def close(self) -> None:
+        self._resize(FIRST)
+
+
+class Role(Enum):
     CALLER = auto()
     CALLED = auto()
 
 
-class Phase(Enum):
-    """Which directions of a stream are open."""
-
+class StreamPhase(Enum):
     OPEN = auto()
     ENDED_HERE = auto()  # this side sends nothing more
     ENDED_THERE = auto()
 
 
 class Side(Enum):
-    """Who ends a direction."""
-
     HERE = auto()
     THERE = auto()
 
 
-_AFTER_END: Final[dict[tuple[Phase, Side], Phase | None]] = {  # None: the stream is over
-    (Phase.OPEN, Side.HERE): Phase.ENDED_HERE,
-    (Phase.OPEN, Side.THERE): Phase.ENDED_THERE,
-    (Phase.ENDED_HERE, Side.THERE): None,
-    (Phase.ENDED_THERE, Side.HERE): None,
+_AFTER_END: Final[dict[tuple[StreamPhase, Side], StreamPhase | None]] = {  # None: the stream is over
+    (StreamPhase.OPEN, Side.HERE): StreamPhase.ENDED_HERE,
+    (StreamPhase.OPEN, Side.THERE): StreamPhase.ENDED_THERE,
+    (StreamPhase.ENDED_HERE, Side.THERE): None,
+    (StreamPhase.ENDED_THERE, Side.HERE): None,
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
-    """The caller opened a stream: connect it to its target."""
-
+class StreamOpened:
     stream: int
-    target: Target
+    target: StreamTarget
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
-    """A stream of the caller was refused, as it has too many: send `reply`."""
-
+class OpeningRefused:
     stream: int
-    target: Target
+    target: StreamTarget
     reply: bytes
 
 
-Event: TypeAlias = Opened | Refused | Data | Credit | End | Reset
+Event: TypeAlias = StreamOpened | OpeningRefused | Data | Credit | End | Reset
 """`Credit`: the stream may send again; the others are the peer's."""
 
 
 @dataclass(slots=True)
 class _Stream:
-    target: Target
+    target: StreamTarget
     opened: float
     window: ReceiveWindow
-    phase: Phase = Phase.OPEN
+    phase: StreamPhase = StreamPhase.OPEN
     may_send: int = FIRST
     asked: bool = False  # the caller spoke last
     answers: int = 0
     connecting: bool = False
 
     def spoke(self, *, to_target: bool) -> None:
-        """Count how often the target answered: see `_ANSWERS`."""
         if self.asked and not to_target:
             self.answers += 1
         self.asked = to_target
 
 
 class Mux:
-    """One side of the streams of a link; the next one opened has the number `first`."""
-
     def __init__(self, role: Role, first: int = 0) -> None:
         self._streams: dict[int, _Stream] = {}
-        self._for_name: Counter[Target] = Counter()
+        self._for_name: Counter[StreamTarget] = Counter()
         self._fund = Fund()
         self._abandoned: set[int] = set()  # over, and still being connected at the called side
         self._next = first
@@ -129,74 +329,51 @@ class Mux:
 
     @property
     def used_up(self) -> bool:
-        """Whether the link has no more numbers for streams: make another."""
         return self._next > LAST_STREAM
 
     # -- opening
 
-    def crowded(self, target: Target, now: float) -> str:
-        """Why no stream to `target` may be opened now (seconds, monotonic); empty: one may."""
+    def crowded(self, target: StreamTarget, now: float) -> str:
         if len(self._streams) >= STREAMS:
             return f"{STREAMS} streams are open"
         if self._for_name[target] >= FOR_ONE_NAME:
             return f"{FOR_ONE_NAME} streams to it are open"
-        new = len(self._abandoned) + self._young_since(now - self._young_seconds)
-        return f"{YOUNG} streams are new" if new >= YOUNG else ""
-
-    def _young_since(self, since: float) -> int:
-        """Streams that were opened after `since` and are not in use yet, up to `YOUNG`."""
-        young = 0
+        young = len(self._abandoned)  # and those that are not in use yet
         for each in reversed(self._streams.values()):  # the newest first
-            if each.opened <= since or young >= YOUNG:
+            if each.opened <= now - self._young_seconds or young >= YOUNG:
                 break
             young += each.answers < _ANSWERS
-        return young
+        return f"{YOUNG} streams are new" if young >= YOUNG else ""
 
     def connected(self, stream: int) -> None:
-        """The called side is done with connecting the stream, whatever came of it.
-
-        Until then one that is over counts as new: a peer that opens streams and breaks them off
-        at once would have any number of targets looked for (as CVE-2023-44487, of HTTP/2).
-        """
+        # Until then one that is over counts as new: a peer that opens streams and breaks them off at once
+        # would have any number of targets looked for (as CVE-2023-44487, of HTTP/2).
         self._abandoned.discard(stream)
         if stream in self._streams:
             self._streams[stream].connecting = False
 
-    def open(self, target: Target, now: float) -> tuple[int, bytes]:
-        """The number of a new stream, and the unit that opens it.
-
-        Raises:
-            StreamRefused: there is no room, or this side may open none.
-        """
+    def open(self, target: StreamTarget, now: float) -> tuple[int, bytes]:
         reason = self.crowded(target, now) if self._caller else "only the caller opens streams"
         if reason or self.used_up:
             raise StreamRefused(f"no stream to {target}: {reason or 'the link is used up'}")
         return self._add(target, now), open_unit(self._next - 1, target)
 
-    def _add(self, target: Target, now: float) -> int:
+    def _add(self, target: StreamTarget, now: float) -> int:
         number = self._next
         self._next += 1
-        self._streams[number] = _Stream(
-            target, now, ReceiveWindow(self._fund), connecting=not self._caller
-        )
+        self._streams[number] = _Stream(target, now, ReceiveWindow(self._fund), connecting=not self._caller)
         self._for_name[target] += 1
         return number
 
     # -- sending
 
     def credit(self, stream: int) -> int:
-        """How many bytes may be sent in the stream now; 0 too if it is over."""
         found = self._streams.get(stream)
-        if found is None or found.phase is Phase.ENDED_HERE:
+        if found is None or found.phase is StreamPhase.ENDED_HERE:
             return 0
         return found.may_send
 
     def data(self, stream: int, length: int) -> bytes:
-        """The head of a unit with `length` bytes, which are sent after it; costs credit.
-
-        Raises:
-            StreamRefused: the stream is over, or has not that much credit: an error here.
-        """
         if not 0 < length <= self.credit(stream):
             raise StreamRefused(f"{length} bytes beyond the credit of stream {stream}")
         found = self._streams[stream]
@@ -205,27 +382,20 @@ class Mux:
         return data_head(stream, length)
 
     def took(self, stream: int, count: int, now: float = 0.0, round_trip_s: float = 0.0) -> bytes:
-        """The program took `count` received bytes; the unit that gives credit, if it is time.
-
-        Args:
-            round_trip_s: of the link when it is idle; 0 (windows stay as they are) if not known.
-        """
         found = self._streams.get(stream)
-        if found is None or found.phase is Phase.ENDED_THERE:
+        if found is None or found.phase is StreamPhase.ENDED_THERE:
             return b""
         credit = found.window.took(count, now, round_trip_s)
         return credit_unit(stream, credit) if credit else b""
 
     def end(self, stream: int) -> bytes:
-        """The unit that ends this direction; empty if it has ended."""
         found = self._streams.get(stream)
-        if found is None or found.phase is Phase.ENDED_HERE:
+        if found is None or found.phase is StreamPhase.ENDED_HERE:
             return b""
         self._end(stream, found, Side.HERE)
         return end_unit(stream)
 
     def reset(self, stream: int) -> bytes:
-        """The unit that breaks the stream off; empty if it is over."""
         if stream not in self._streams:
             return b""
         self._remove(stream)
@@ -234,21 +404,21 @@ class Mux:
     # -- receiving
 
     def receive(self, data: Bytes, now: float) -> list[Event]:
-        """What the units in `data` mean, in order.
+        events = (
+            self._opened(unit, now) if isinstance(unit, Open) else self._heard(unit)
+            for unit in read_units(data)
+        )
+        return [event for event in events if event is not None]
 
-        Raises:
-            StreamRefused: they are malformed, or nothing that the peer may send: end the link.
-        """
-        events = []
-        for unit in read_units(data):
-            event = self._receive(unit, now)
-            if event is not None:
-                events.append(event)
-        return events
+    def _opened(self, unit: Open, now: float) -> Event:
+        if self._caller or unit.stream != self._next:
+            raise StreamRefused(f"stream {unit.stream} is opened, which is not its turn")
+        if self.crowded(unit.target, now):
+            self._next += 1
+            return OpeningRefused(unit.stream, unit.target, reset_unit(unit.stream))
+        return StreamOpened(self._add(unit.target, now), unit.target)
 
-    def _receive(self, unit: Unit, now: float) -> Event | None:
-        if isinstance(unit, Open):
-            return self._opened(unit, now)
+    def _heard(self, unit: Data | Credit | End | Reset) -> Event | None:
         found = self._streams.get(unit.stream)
         if found is None:
             if unit.stream >= self._next:
@@ -256,36 +426,22 @@ class Mux:
             return None  # on its way when the stream was broken off here
         match unit:
             case Data():
-                self._arrived(found, unit)
+                length = len(unit.payload)
+                if found.phase is StreamPhase.ENDED_THERE:
+                    raise StreamRefused(f"bytes in stream {unit.stream} after its end")
+                if length > found.window.allowed:
+                    raise StreamRefused(f"{length} bytes in stream {unit.stream} beyond its credit")
+                found.window.arrived(length)
+                found.spoke(to_target=not self._caller)
             case Credit():
-                self._credited(found, unit)
+                if found.may_send + unit.amount > MOST:
+                    raise StreamRefused(f"credit for stream {unit.stream} beyond {MOST} bytes")
+                found.may_send += unit.amount
             case End():
                 self._end(unit.stream, found, Side.THERE)
             case Reset():
                 self._remove(unit.stream)
         return unit
-
-    def _opened(self, unit: Open, now: float) -> Event:
-        if self._caller or unit.stream != self._next:
-            raise StreamRefused(f"stream {unit.stream} is opened, which is not its turn")
-        if self.crowded(unit.target, now):
-            self._next += 1
-            return Refused(unit.stream, unit.target, reset_unit(unit.stream))
-        return Opened(self._add(unit.target, now), unit.target)
-
-    def _arrived(self, found: _Stream, unit: Data) -> None:
-        length = len(unit.payload)
-        if found.phase is Phase.ENDED_THERE:
-            raise StreamRefused(f"bytes in stream {unit.stream} after its end")
-        if length > found.window.allowed:
-            raise StreamRefused(f"{length} bytes in stream {unit.stream} beyond its credit")
-        found.window.arrived(length)
-        found.spoke(to_target=not self._caller)
-
-    def _credited(self, found: _Stream, unit: Credit) -> None:
-        if found.may_send + unit.amount > MOST:
-            raise StreamRefused(f"credit for stream {unit.stream} beyond {MOST} bytes")
-        found.may_send += unit.amount
 
     def _end(self, stream: int, found: _Stream, side: Side) -> None:
         if (found.phase, side) not in _AFTER_END:
@@ -301,7 +457,6 @@ class Mux:
         found.window.close()
         if found.connecting:
             self._abandoned.add(stream)
-        target = found.target
-        self._for_name[target] -= 1
-        if not self._for_name[target]:
-            del self._for_name[target]
+        self._for_name[found.target] -= 1
+        if not self._for_name[found.target]:
+            del self._for_name[found.target]

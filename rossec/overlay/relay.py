@@ -1,94 +1,210 @@
-"""The relay of a site: what its parts are, and who of them knows whom. A shell.
+"""The relay of a site: what its parts are, who of them knows whom, and the link to each peer. A shell.
 
-Doors lead connections of this site into the link to their peer; links that peers make lead to what
-the masters of this site show. Masters say which doors there are. A peer is cut when its card is
-removed here, its domain is trusted no more, or its identity is revoked.
+Forwarded ports lead connections of this site into the link to their peer; links that peers make lead
+to what the masters of this site show. Masters say which ports there are. A peer is cut when its card
+is removed here, its domain is trusted no more, or its identity is revoked.
 """
 
 import asyncio
 import logging
 import secrets
 import socket
+import time
 from collections.abc import Awaitable, Callable, Mapping
+from copy import copy
+from enum import Enum
 from functools import partial
 from typing import Any, Final, Protocol, TypeAlias
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown
-from ca.domains.lists import ForeignDomain
 from ca.errors import HintedError
-from ca.names import RELAY, is_master_name
-from ca.patterns import covers
-from rossec.errors import ChannelError, OverlayUnavailable, RelayRefused, StreamRefused
-from rossec.master.state.doors import Way
-from rossec.net import withheld_log
+from ca.names import RELAY, is_master_name, pattern_covers, shown
+from rossec.errors import (
+    ChannelError,
+    HandshakeFailed,
+    HandshakeTimeout,
+    OverlayUnavailable,
+    PeerRefused,
+    RelayRefused,
+    StreamRefused,
+)
+from rossec.host.runner import TaskSet
+from rossec.master.state.forwarded_ports import PeerWay
 from rossec.net.aio import SecureStream
-from rossec.net.aio.tasks import TaskSet
-from rossec.overlay.door_table import DoorTable
-from rossec.overlay.doors import Door
-from rossec.overlay.link_transport import idle_round_trip
-from rossec.overlay.mailboxes import mailbox
-from rossec.overlay.masters import OwnMasters
-from rossec.overlay.member import RelayMember
-from rossec.overlay.mux import Role
-from rossec.overlay.mux_units import Target
-from rossec.overlay.peer_link import LinkState, PeerLink
-from rossec.overlay.peers import Peer, Peers
-from rossec.overlay.pump import Pump
-from rossec.overlay.streams import Dial, Streams
-from rossec.overlay.targets import Peer as RemoteRelay
-from rossec.overlay.targets import Targets
-from rossec.overlay.topic_ports import TopicPorts
-from rossec.ros.text import printable
-from rossec.sidecar.loopback_port import Admission
+from rossec.overlay.documents import Peer, Peers
+from rossec.overlay.endpoint import idle_round_trip
+from rossec.overlay.forwarded_ports import DoorTable, PeerTarget
+from rossec.overlay.link_frames import mailbox
+from rossec.overlay.masters import OwnMasters, RelayMember
+from rossec.overlay.mux import Role, StreamTarget
+from rossec.overlay.streams import Dial, Pump, Streams
+from rossec.overlay.targets import LinkPeer as RemoteRelay
+from rossec.overlay.targets import Targets, TopicPorts
+from rossec.participant import delivery
+from rossec.peer_limits import printable
+from rossec.sidecar.loopback_port import PortAdmission
+
+IDLE_FOR: Final = 300.0  # seconds without a stream, after which a link is closed
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 5.0  # seconds between two attempts
+_log = logging.getLogger("rossec.overlay")
+
+DialPeer: TypeAlias = Callable[[Peer], Awaitable[SecureStream[Identity]]]
+"""Makes a link to a peer, which is that peer and admitted. Raises a `HintedError` or `OSError`."""
+
+_SILENT: Final = "does its relay run, does it have the newest card of this one, and is a router in reach?"
+_ENDED: Final = (
+    "the other relay's log says why; it must trust this domain (there: rossec domain list) and have"
+    " this relay's card (there: rossec relay list)"
+)
 
 MAX_CALLED: Final = 2  # links that one peer has made: a new one, and one that it may have given up
 _PERIOD: Final = 1.0
-_log = logging.getLogger("rossec.overlay")
 _audit = logging.getLogger("rossec.audit")
+
 _Serve: TypeAlias = Callable[[SecureStream[Identity]], Awaitable[None]]
 
 
-class Closable(Protocol):
-    """What reads a mailbox."""
+class PeerLinkState(Enum):
+    IDLE = "idle"
+    DIALLING = "dialling"
+    LINKED = "linked"
+    FAILED = "failed"
+
+
+class PeerLink:
+    """The link that is made to `peer`, while connections to it are wanted.
+
+    It is dialled when the first connection needs it and kept while it carries any, and a while longer.
+    A failure is told at once to those who ask soon after: nodes try again by themselves.
+    """
+
+    def __init__(self, peer: Peer, dial: DialPeer, clock: Callable[[], float] = time.monotonic) -> None:
+        self.peer: Final = peer
+        self.error = self.hint = ""  # why there is no link, though one was wanted
+        self._dial = dial
+        self._clock = clock
+        self._tasks = TaskSet()
+        self.stream: SecureStream[Identity] | None = None
+        self._streams: Streams | None = None
+        self._carrying: asyncio.Task[None] | None = None
+        self._dialling: asyncio.Task[Streams | RelayRefused] | None = None
+        self._pause = 0.0
+        self._said = ""  # in the log, of a failure that goes on
+        self._not_before = 0.0
+
+    @property
+    def state(self) -> PeerLinkState:
+        if self._dialling is not None:
+            return PeerLinkState.DIALLING
+        if self._streams is not None:
+            return PeerLinkState.LINKED
+        return PeerLinkState.FAILED if self.error else PeerLinkState.IDLE
+
+    @property
+    def carried(self) -> int:
+        return 0 if self._streams is None else len(self._streams)
+
+    async def carry(self, target: StreamTarget, sock: socket.socket) -> None:
+        try:
+            streams = await self._open_streams()
+        except BaseException:
+            sock.close()
+            raise
+        await streams.carry(target, sock)
+
+    def tick(self) -> None:
+        since = None if self._streams is None else self._streams.idle_since
+        if since is not None and self._clock() - since > IDLE_FOR and self._carrying is not None:
+            self._settle()
+            self._carrying.cancel()
 
     async def close(self) -> None:
-        """Read it no more."""
+        await self._tasks.close()
+
+    # -- making one
+
+    async def _open_streams(self) -> Streams:
+        if self._streams is not None and not self._streams.used_up:
+            return self._streams
+        if self._dialling is None:
+            if self._clock() < self._not_before:
+                raise RelayRefused(self.error, self.hint)
+            self._dialling = self._tasks.spawn(self._make(), f"dialling {self.peer.label}")
+            self._dialling.add_done_callback(self._dialled)
+        found = await asyncio.shield(self._dialling)
+        if isinstance(found, RelayRefused):
+            raise copy(found)  # others wait for it too
+        return found
+
+    async def _make(self) -> Streams | RelayRefused:
+        try:
+            stream = await self._dial(self.peer)
+        except (TimeoutError, HandshakeTimeout):  # nobody reads that mailbox
+            return self._failed(f"{self.peer.label} does not answer", _SILENT)
+        except HintedError as error:
+            return self._failed(str(error), error.hint)
+        except OSError as error:
+            return self._failed(f"no link to {self.peer.label}: {error}", _SILENT)
+        self.error = self.hint = ""
+        self._not_before = 0.0
+        streams = Streams(stream, Role.CALLER, self.peer.label, round_trip=partial(idle_round_trip, stream))
+        self.stream, self._streams = stream, streams
+        self._carrying = self._tasks.spawn(self._run(stream, streams), f"to {self.peer.label}")
+        _log.info("link to %s", self.peer.label)
+        return streams
+
+    def _dialled(self, _: object) -> None:
+        self._dialling = None
+
+    def _failed(self, text: str, hint: str) -> RelayRefused:
+        self._pause = min(max(2 * self._pause, _FIRST_PAUSE), _LONGEST_PAUSE)
+        self._not_before = self._clock() + self._pause
+        self.error, self.hint = printable(text), printable(hint)
+        if self.error != self._said:
+            _log.warning("no link to %s: %s (%s)", self.peer.label, self.error, self.hint)
+        self._said = self.error
+        return RelayRefused(self.error, self.hint)
+
+    def _settle(self) -> None:
+        self._pause, self._said = 0.0, ""
+
+    async def _run(self, stream: SecureStream[Identity], streams: Streams) -> None:
+        try:
+            await streams.run()
+        except (HandshakeFailed, PeerRefused) as error:  # whoever is called judges last
+            if self.stream is stream:
+                self._failed(str(error), _ENDED)
+        except (ChannelError, StreamRefused) as error:
+            _log.warning("the link to %s ended: %s", self.peer.label, printable(error))
+            if self.stream is stream:
+                self.error, self.hint = printable(error), _ENDED
+                self._settle()
+        finally:
+            if self.stream is stream:
+                self.stream = self._streams = self._carrying = None
+
+
+class Closable(Protocol):
+    async def close(self) -> None: ...
 
 
 class LinkNetwork(Protocol):
-    """The routers, as a relay uses them: see `rossec.overlay.network`."""
-
     @property
-    def router(self) -> str:
-        """The router in use; empty: none."""
-
+    def router(self) -> str: ...
     @property
-    def seat(self) -> str:
-        """The seat there."""
-
-    async def dial(self, mailbox: str) -> SecureStream[Identity]:
-        """A link to whoever reads this mailbox. Raises a `RossecError` or `TimeoutError`."""
-
-    def listen(self, mailbox: str, serve: _Serve, label: str) -> Closable:
-        """Call `serve` with each authenticated link that arrives in the mailbox of a peer."""
+    def seat(self) -> str: ...
+    async def dial(self, mailbox: str) -> SecureStream[Identity]: ...
+    def listen(self, mailbox: str, serve: _Serve, label: str) -> Closable: ...
 
 
 class Relay:
-    """One relay, from `run` to its end.
-
-    Args:
-        member: its identity.
-        network: the routers.
-        admission: where doors are, and who may use them.
-        read_peers: the peers as of now.
-    """
+    """One relay, from `run` to its end; `admission`: where forwarded ports are, and for whom."""
 
     def __init__(
         self,
         member: RelayMember,
         network: LinkNetwork,
-        admission: Admission,
+        admission: PortAdmission,
         read_peers: Callable[[], Peers],
     ) -> None:
         self._member = member
@@ -107,30 +223,25 @@ class Relay:
         self._problem = ""
 
     async def run(self) -> None:
-        """Relay until cancelled.
-
-        Raises:
-            BaseException: what a part of it crashed with; every link is cut.
-        """
+        """Relay until cancelled."""
         self._member.start()
         await self._take_peers()
         self._masters.start()
         try:
             await asyncio.gather(
-                self._maintain(), self._member.wait_ended(), self._masters.wait_failed(),
+                self._maintain(),
+                self._member.wait_ended(),
+                self._masters.wait_failed(),
                 asyncio.shield(self._failure),
-            )  # fmt: skip
+            )
         finally:
-            await self._close()
-
-    async def _close(self) -> None:
-        await self._masters.close()
-        await self._table.close()
-        for label in tuple(self._peers):
-            await self._drop(label)
-        await self._tasks.close()
-        await self._member.close()
-        self._failure.cancel()
+            await self._masters.close()
+            await self._table.close()
+            for label in tuple(self._peers):
+                await self._drop(label)
+            await self._tasks.close()
+            await self._member.close()
+            self._failure.cancel()
 
     def _crashed(self, error: BaseException) -> None:
         if not self._failure.done():
@@ -140,24 +251,18 @@ class Relay:
         router = self._network.router
         while True:
             await asyncio.sleep(_PERIOD)
-            router = self._note_router(router)
+            before, router = router, self._network.router
+            if router and router != before:
+                _log.warning("router %s is in use now", router)
+            elif router != before:
+                _log.warning("no router takes the seat %s any more; links wait", self._network.seat)
             await self._take_peers()
             for link in self._links.values():
                 link.tick()
 
-    def _note_router(self, before: str) -> str:
-        """Say when another router is in use than before, or none; returns which."""
-        router = self._network.router
-        if router and router != before:
-            _log.warning("router %s is in use now", router)
-        elif router != before:
-            _log.warning("no router takes the seat %s any more; links wait", self._network.seat)
-        return router
-
     # -- peers
 
     async def _take_peers(self) -> None:
-        """Take the peers as they are now; a file that is damaged changes nothing."""
         try:
             found = {label: each for label, each in self._read_peers().items() if each.is_complete}
             self._problem = ""
@@ -169,21 +274,17 @@ class Relay:
         for label in [label for label, peer in self._peers.items() if found.get(label) != peer]:
             await self._drop(label)
         for label in found.keys() - self._peers.keys():
-            self._add(found[label])
-
-    def _add(self, peer: Peer) -> None:
-        key = mailbox(self._network.seat, bytes.fromhex(peer.box))
-        try:
-            serve = partial(self._serve, peer)
-            self._mailboxes[peer.label] = self._network.listen(key, serve, peer.label)
-        except OverlayUnavailable as error:  # tried again in a second
-            _log.warning("%s: %s", peer.label, error)
-            return
-        self._peers[peer.label] = peer
-        self._links[peer.label] = PeerLink(peer, self._dial)
+            peer = found[label]
+            key = mailbox(self._network.seat, bytes.fromhex(peer.box))
+            try:
+                self._mailboxes[label] = self._network.listen(key, partial(self._serve, peer), label)
+            except OverlayUnavailable as error:  # tried again in a second
+                _log.warning("%s: %s", label, error)
+                continue
+            self._peers[label] = peer
+            self._links[label] = PeerLink(peer, self._dial)
 
     async def _drop(self, label: str) -> None:
-        """A peer is gone, or its card is another one."""
         del self._peers[label]
         _audit.info("no links with %s any more", label)
         self._table.drop_peer(label)
@@ -192,24 +293,22 @@ class Relay:
         for stream, _ in self._called.pop(label, []):
             stream.abort("the peer is removed")
 
-    def ways(self) -> Mapping[str, Way]:
-        """How each peer is reached, by its label: what the masters show to people."""
+    def ways(self) -> Mapping[str, PeerWay]:
         return {label: self._way(link) for label, link in self._links.items()}
 
-    def _way(self, link: PeerLink) -> Way:
+    def _way(self, link: PeerLink) -> PeerWay:
         called = self._called.get(link.peer.label, [])
         streams = [link.stream, *(stream for stream, _ in reversed(called))]
         found = next((stream for stream in streams if stream is not None), None)
         rtt, repeated = (0.0, 0) if found is None else measured(found)
         carried = link.carried + sum(len(each) for _, each in called)
-        is_idle = link.state is LinkState.IDLE
-        state = LinkState.LINKED if is_idle and called else link.state
-        return Way(state.value, rtt, repeated, self._network.router, carried)
+        is_idle = link.state is PeerLinkState.IDLE
+        state = PeerLinkState.LINKED if is_idle and called else link.state
+        return PeerWay(state.value, rtt, repeated, self._network.router, carried)
 
     # -- links
 
-    async def _carry(self, door: Door, sock: socket.socket) -> None:
-        """Carry what came in at a door. Owns `sock`."""
+    async def _carry(self, door: PeerTarget, sock: socket.socket) -> None:
         link = self._links.get(door.peer)
         if link is None:
             sock.close()
@@ -217,28 +316,25 @@ class Relay:
         await link.carry(door.target, sock)
 
     async def _dial(self, peer: Peer) -> SecureStream[Identity]:
-        """A link to `peer`; raises as `DialPeer`."""
-        self._check_admitted(peer)
-        stream = await self._network.dial(peer.mailbox)
-        self._admit(peer, stream)
-        return stream
-
-    def _check_admitted(self, peer: Peer) -> None:
-        """Say before the handshake what would be less clear after it."""
-        if not peer.domain:
-            return
-        listed = self._member.standing.anchors.listed(peer.domain)
-        if listed is None:
+        # Say before the handshake what would be less clear after it.
+        listed = self._member.standing.anchors.listed(peer.domain) if peer.domain else None
+        if peer.domain and listed is None:
             raise RelayRefused(
                 f"no trusted domain is called {peer.domain}",
                 "at this side's authority: rossec domain accept CARD",
             )
-        if not any(covers(pattern, peer.relay) for pattern in listed.entry.admitted):
+        admitted = () if listed is None else listed.entry.admitted
+        if listed is not None and not any(pattern_covers(pattern, peer.relay) for pattern in admitted):
+            # The options that admit whom the list admits, and so its relays too, but nobody else.
+            nodes = [each for each in admitted if not is_master_name(each.replace("*", "x"))]
+            options = " ".join(f"--admit '{each}'" for each in nodes or [RELAY])
             raise RelayRefused(
                 f"{peer.shown} is not admitted: the domain was accepted before relays were",
-                "at this side's authority: rossec domain limit"
-                f" {peer.domain} {_admit(listed.entry)}",
+                f"at this side's authority: rossec domain limit {peer.domain} {options}",
             )
+        stream = await self._network.dial(peer.mailbox)
+        self._admit(peer, stream)
+        return stream
 
     def _admit(self, peer: Peer, stream: SecureStream[Identity]) -> None:
         try:
@@ -249,14 +345,13 @@ class Relay:
             raise
 
     async def _serve(self, peer: Peer, stream: SecureStream[Identity]) -> None:
-        """Carry what the link of a peer brings, until it ends."""
         try:
             self._admit(peer, stream)
         except HintedError as error:
             where = f"the mailbox for {peer.label}"
-            withheld_log.warn(_audit, withheld_log.REFUSED, where, shown(stream.peer.name), error)
+            delivery.warn(_audit, delivery.REFUSED, where, shown(stream.peer.name), error)
             return
-        remote = RemoteRelay(peer.label, peer.domain or "", peer.name)
+        remote = RemoteRelay(peer.domain or "", peer.name)
         dial = partial(self._connect, stream.peer, self._targets.dial_for(remote))
         round_trip = partial(idle_round_trip, stream)
         streams = Streams(stream, Role.CALLED, peer.label, dial, round_trip=round_trip)
@@ -273,44 +368,37 @@ class Relay:
         finally:
             called.remove(entry)
 
-    async def _connect(
-        self, found: Identity, dial: Dial, target: Target, pump: Pump
-    ) -> socket.socket:
+    async def _connect(self, found: Identity, dial: Dial, target: StreamTarget, pump: Pump) -> socket.socket:
         self._member.check_target(found, target.kind)
         return await dial(target, pump)
 
     # -- for people
 
     def status(self) -> dict[str, Any]:
-        """The relay for people and programs."""
         return {
             "relay": self._member.name,
             "domain": self._member.identity.domain,
             "seat": self._network.seat,
             "router": self._network.router,
             "masters": self._masters.status(),
-            "peers": [self._peer_status(label) for label in sorted(self._links)],
+            "peers": [
+                {
+                    "label": label,
+                    "relay": link.peer.shown,
+                    **self._way(link)._asdict(),
+                    "called": len(self._called.get(label, [])),
+                    "error": link.error,
+                    "hint": link.hint,
+                }
+                for label, link in sorted(self._links.items())
+            ],
             "doors": len(self._table),
             "problem": self._problem,
         }
 
-    def _peer_status(self, label: str) -> dict[str, Any]:
-        link = self._links[label]
-        called = self._called.get(label, [])
-        return {
-            "label": label, "relay": link.peer.shown, **self._way(link)._asdict(),
-            "called": len(called), "error": link.error, "hint": link.hint,
-        }  # fmt: skip
-
-
-def _admit(entry: ForeignDomain) -> str:
-    """The options that admit whom the list admits, and so its relays too, but nobody else."""
-    nodes = [each for each in entry.admitted if not is_master_name(each.replace("*", "x"))]
-    return " ".join(f"--admit '{each}'" for each in nodes or [RELAY])
-
 
 def measured(stream: SecureStream[Identity]) -> tuple[float, int]:
-    """Round trip in milliseconds, and retransmissions of a link."""
+    # Round trip in milliseconds, and retransmissions of a link.
     link = getattr(stream.transport, "link", None)
     if link is None:  # it has ended, or is none of the overlay
         return 0.0, 0

@@ -9,12 +9,11 @@ finer levels it would name mailboxes.
 import asyncio
 import logging
 import threading
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from rossec.errors import ConfigurationError, OverlayUnavailable, RossecError
-from rossec.overlay.router_home import RouterHome
-from rossec.overlay.router_settings import RouterSettings, zenoh_settings
-from rossec.overlay.seats import Seats
+from rossec.overlay.homes import RouterHome
+from rossec.overlay.router_settings import RouterSettings, Seats, zenoh_settings
 from rossec.overlay.zenoh_carrier import open_session
 
 _log = logging.getLogger("rossec.overlay.router")
@@ -23,27 +22,8 @@ _CERTIFICATE_PERIOD: Final = 24 * 3600.0  # seconds
 CLOSING: Final = 5.0  # seconds
 
 
-class Session(Protocol):
-    """What is used here of `zenoh.Session`."""
-
-    @property
-    def info(self) -> Any:
-        """Whom it is connected with."""
-        ...
-
-    def close(self) -> Any:
-        """End it; blocks."""
-        ...
-
-
 class Router:
-    """One router, of the directory `home`; used on one loop.
-
-    Args:
-        home: prepared.
-        settings: what it was told.
-        is_open: it has no seats, whoever reaches it may use it.
-    """
+    """One router, of the directory `home`; used on one loop. `is_open`: whoever reaches it may use it."""
 
     def __init__(self, home: RouterHome, settings: RouterSettings, *, is_open: bool) -> None:
         self._home = home
@@ -51,17 +31,10 @@ class Router:
         self._is_open = is_open
         self._seats_version: tuple[int, ...] = ()
         self._certificate_due = 0.0
-        self._session: Session | None = None
+        self._session: Any = None
         self._joined = 0
 
     async def start(self) -> None:
-        """Listen.
-
-        Raises:
-            ConfigurationError: there are no seats, or there are though it is open; a file is
-                damaged.
-            OverlayUnavailable: zenoh is not installed, or cannot listen there.
-        """
         self._seats_version = self._home.seats_version()
         await self._begin(seats_of(self._home, is_open=self._is_open))
 
@@ -84,7 +57,9 @@ class Router:
         """Watch what it was started with, and take over what changes, until cancelled."""
         while True:
             await asyncio.sleep(_PERIOD)
-            self._report_joined()
+            if self._session is not None and self.joined != self._joined:
+                self._joined = self.joined
+                _log.info("sessions with other routers: %d", self._joined)
             try:
                 await self._take_over()
             except (RossecError, OSError) as error:
@@ -100,41 +75,26 @@ class Router:
 
     @property
     def joined(self) -> int:
-        """How many other routers it has a session with."""
         return 0 if self._session is None else len(self._session.info.routers_zid())
 
-    def _report_joined(self) -> None:
-        if self._session is not None and self.joined != self._joined:
-            self._joined = self.joined
-            _log.info("sessions with other routers: %d", self._joined)
-
     async def _take_over(self) -> None:
-        """Begin anew if seats changed, if the certificate may be old, or if it is not listening."""
+        # Begin anew if seats changed, if the certificate may be old, or if it is not listening.
         due = asyncio.get_running_loop().time() >= self._certificate_due
-        if self._session is not None and not due and not self._seats_changed():
-            return
-        seats = self._seats_now()  # if they are damaged, the old ones stay in force
+        if self._session is not None and not due:
+            version = self._home.seats_version()
+            changed, self._seats_version = version != self._seats_version, version
+            if not changed:
+                return
+        seats: Seats | None = self._home.seats()  # if they are damaged, the old ones stay in force
+        if self._is_open:
+            seats = seats_of(self._home, is_open=True)
         await self.close()
         await self._begin(seats)
         _log.info("the router began anew, with the seats and the certificate of now")
 
-    def _seats_now(self) -> Seats | None:
-        """As `seats_of`; but when the last seat was taken away, nobody is let in any more."""
-        seats = self._home.seats()
-        return seats_of(self._home, is_open=True) if self._is_open else seats
-
-    def _seats_changed(self) -> bool:
-        version = self._home.seats_version()
-        changed, self._seats_version = version != self._seats_version, version
-        return changed
-
 
 def seats_of(home: RouterHome, *, is_open: bool) -> Seats | None:
-    """The seats of a router that begins; None: it is open to all.
-
-    Raises:
-        ConfigurationError: there are none, and it was not said that it is open, or both.
-    """
+    """The seats of a router that begins; None: it is open to all."""
     seats = home.seats()
     if is_open and seats.names:
         raise ConfigurationError(

@@ -1,140 +1,292 @@
-"""What a router is told by its operator, and Zenoh's settings that follow from it. Pure.
+"""What a router is told by its operator, its seats, and Zenoh's settings that follow from both. Pure.
 
-What was told is kept in the router's directory, for the seat files that name it. A router does not
-answer in Zenoh's administration, is found by no scouting, and keeps what is malformed or too large
-for a mailbox from everybody. Routers with seats join each other over TLS or QUIC alone: the side
-that connects knows by the certificate whom it joined, and would otherwise forward nothing.
+Seats are the accounts at the routers of one operator. A seat may read the mailboxes below its own name
+and send to any mailbox; everything else is denied: reading others', asking which mailboxes exist,
+queries, presence, Zenoh's own administration. A router is found by no scouting, and keeps what is
+malformed or too large for a mailbox from everybody. Routers with seats join each other over TLS or QUIC
+alone: the side that connects is told no user, knows by the certificate whom it joined, and would
+otherwise forward nothing. What the settings are for is in section 3.6 of docs/spec/overlay.md.
 """
 
+import base64
+import hashlib
 import ipaddress
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final, Self
 
 from rossec.errors import ConfigurationError
-from rossec.overlay.documents import is_texts, read_document, write_document
+from rossec.overlay import documents
 from rossec.overlay.link_frames import MAX_FRAME
-from rossec.overlay.routers import MAX_LOCATORS, check_locator, is_encrypted
-from rossec.overlay.seats import ROUTER_USER, Seats, open_access_control
-from rossec.overlay.zenoh_settings import COMMON
+
+MAX_SEATS_FILE: Final = 256 * 1024
+MAX_SEATS: Final = 512  # each costs two rules, which a router looks through for every new session
+ROUTER_USER: Final = "_router"  # no seat's name has this character
+ROUTER_NAME: Final = "rossec router"  # common name of every router's certificate
+EVERY_MAILBOX: Final = "rossec/1/*/*"  # two segments: a put to rossec/** fits no rule
+_FORM: Final = "rossec-seats"
+_HINT: Final = "it is written by `rossec router seats`: put back a copy"
+_SEND: Final = "send"
+_ACCEPTED: Final = "router-accepted"
+_JOINED: Final = "router-joined"
+_FORWARD: Final = ("forward", "forward-declared")
+
+Entry = dict[str, Any]
+
+LEASE_MS: Final = 2000
+_WAIT_US: Final = 50_000
+_DROP: Final = "transport/link/tx/queue/congestion_control/drop/"
+
+COMMON: Final[dict[str, object]] = {
+    "listen/endpoints": [],
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "adminspace/enabled": False,
+    "timestamping/enabled": False,
+    "transport/shared_memory/enabled": False,
+    "transport/link/tx/lease": LEASE_MS,
+    "transport/unicast/open_timeout": 1000,
+    "transport/unicast/accept_timeout": 1000,
+    f"{_DROP}wait_before_drop": _WAIT_US,
+    f"{_DROP}max_wait_before_drop_fragments": _WAIT_US,
+    "connect/retry": {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2},
+}
+"""Of routers and of relays."""
 
 LISTEN: Final = ("tls/[::]:7447",)
-MAX_FILE: Final = 16 * 1024
+MAX_SETTINGS_FILE: Final = 16 * 1024
 MAX_HOSTS: Final = 16
 _MESSAGE: Final = MAX_FRAME + 4096  # bytes, with Zenoh's own around a frame
-_SIZE_LIMIT: Final = {
-    "flows": ["ingress"],
-    "messages": ["put"],
-    "key_exprs": ["**"],
-    "size_limit": MAX_FRAME,
-}
-_FORM: Final = "rossec-router"
-_HINT: Final = "remove the file, and start the router with --listen, --join and --host again"
+_SIZE_LIMIT: Final = {"flows": ["ingress"], "messages": ["put"], "key_exprs": ["**"], "size_limit": MAX_FRAME}
+_ROUTER_SETTINGS_FORM: Final = "rossec-router"
+_ROUTER_SETTINGS_HINT: Final = "remove the file, and start the router with --listen, --join and --host again"
 _LOCAL: Final = ("localhost", "127.0.0.1", "::1")
 
 
 @dataclass(frozen=True)
-class RouterSettings:
-    """One router.
+class Seats:
+    """The passwords of the seats, by name, and that by which the operator's routers join each other."""
 
-    Attributes:
-        hosts: names and addresses by which relays reach it.
-        listen: where it listens, `tls/[::]:7447`.
-        join: locators of other routers of the operator.
-    """
-
-    hosts: tuple[str, ...] = ()
-    listen: tuple[str, ...] = LISTEN
-    join: tuple[str, ...] = ()
+    router: str = field(repr=False)
+    passwords: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        """Raise `ConfigurationError` unless all of it is in form."""
-        if not self.listen or max(map(len, (self.listen, self.join))) > MAX_LOCATORS:
+        documents.check_password(self.router)
+        if len(self.passwords) > MAX_SEATS:
+            raise ConfigurationError(f"at most {MAX_SEATS} seats", "remove what nobody uses")
+        for seat, password in self.passwords.items():
+            if documents.check_seat(seat) == documents.OPEN_SEAT:
+                raise ConfigurationError(
+                    f"{documents.OPEN_SEAT} is the seat at a router without seats", "give it another name"
+                )
+            documents.check_password(password)
+
+    @property
+    def region(self) -> str:
+        return hashlib.sha256(b"rossec region " + self.router.encode()).hexdigest()[:32]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(sorted(self.passwords))
+
+    @classmethod
+    def read(cls, data: bytes) -> Self:
+        found = documents.read_document(
+            data, _FORM, frozenset({"router", "seats"}), limit=MAX_SEATS_FILE, hint=_HINT
+        )
+        match found:
+            case {"router": str() as router, "seats": dict() as seats} if all(
+                isinstance(each, str) for each in seats.values()
+            ):
+                return cls(router, seats)
+        raise ConfigurationError(f"the {_FORM} file has a value of another type", _HINT)
+
+    def write(self) -> bytes:
+        return documents.write_document(_FORM, {"router": self.router, "seats": dict(self.passwords)})
+
+    def add(self, seat: str, password: str) -> Self:
+        if seat in self.passwords:
             raise ConfigurationError(
-                f"a router listens at 1 to {MAX_LOCATORS} addresses, and joins as many at most"
+                f"there is a seat {seat} already",
+                f"its file again: rossec router seats show {seat}; a new password: remove it first",
+            )
+        return replace(self, passwords={**self.passwords, seat: password})
+
+    def remove(self, seat: str) -> Self:
+        self.password(seat)
+        return replace(self, passwords={name: each for name, each in self.passwords.items() if name != seat})
+
+    def password(self, seat: str) -> str:
+        if seat not in self.passwords:
+            raise ConfigurationError(
+                f"there is no seat {seat[:40]!a}", f"there are: {', '.join(self.names) or 'none'}"
+            )
+        return self.passwords[seat]
+
+    def dictionary(self) -> bytes:
+        users = {**self.passwords, ROUTER_USER: self.router}
+        return "".join(f"{name}:{each}\n" for name, each in sorted(users.items())).encode()
+
+    def access_control(self) -> Entry:
+        routers = [
+            {"id": _ACCEPTED, "usernames": [ROUTER_USER]},
+            {"id": _JOINED, "cert_common_names": [ROUTER_NAME]},
+        ]
+        rules = [_rule(_SEND, "ingress", "put", EVERY_MAILBOX)]
+        subjects: list[Entry] = []
+        policies: list[Entry] = []
+        for seat in self.names:
+            # What only this seat may: declare that it reads a mailbox of its own, and get what is there.
+            # Nothing allows that a declaration goes out to it: it would name a mailbox of another seat, or
+            # tell by a pattern whether there is one that begins so, and with that all digits of it in turn.
+            rules.append(_rule(f"read-{seat}", "ingress", "declare_subscriber", _mailboxes(seat)))
+            rules.append(_rule(f"get-{seat}", "egress", "put", _mailboxes(seat)))
+            subjects.append({"id": f"seat-{seat}", "usernames": [seat]})
+            policies.append(_policy(f"seat-{seat}", _SEND, f"read-{seat}", f"get-{seat}"))
+        return _access_control(
+            [*rules, *_forwarding(EVERY_MAILBOX)],
+            [*subjects, *routers],
+            [*policies, _policy(_ACCEPTED, *_FORWARD), _policy(_JOINED, *_FORWARD)],
+        )
+
+
+def open_access_control() -> Entry:
+    return _access_control(
+        _forwarding(_mailboxes(documents.OPEN_SEAT)), [{"id": "everybody"}], [_policy("everybody", *_FORWARD)]
+    )
+
+
+def _access_control(rules: list[Entry], subjects: list[Entry], policies: list[Entry]) -> Entry:
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+def _forwarding(keys: str) -> list[Entry]:
+    put, declare = _FORWARD
+    return [_rule(put, "both", "put", keys), _rule(declare, "both", "declare_subscriber", keys)]
+
+
+def _mailboxes(seat: str) -> str:
+    return f"rossec/1/{seat}/*"
+
+
+def _rule(name: str, flow: str, message: str, keys: str) -> Entry:
+    flows = ["ingress", "egress"] if flow == "both" else [flow]
+    return {"id": name, "permission": "allow", "flows": flows, "messages": [message], "key_exprs": [keys]}
+
+
+def _policy(subject: str, *rules: str) -> Entry:
+    return {"rules": list(rules), "subjects": [subject]}
+
+
+def client_settings(routers: documents.Routers) -> dict[str, object]:
+    """Of a relay's session: with one of the routers, another one when that fails.
+
+    It listens nowhere: no port of a site is open for it.
+    """
+    settings = {
+        **COMMON,
+        "mode": "client",
+        "connect/endpoints": list(routers.locators),
+        "connect/timeout_ms": 0,  # each is tried once; who opens the session tries again
+        "connect/exit_on_failure": True,
+    }
+    if routers.password:
+        settings["transport/auth/usrpwd/user"] = routers.seat
+        settings["transport/auth/usrpwd/password"] = routers.password
+    if routers.root_certificate:
+        root = base64.b64encode(routers.root_certificate.encode()).decode()
+        settings["transport/link/tls/root_ca_certificate_base64"] = root
+        settings["transport/link/tls/verify_name_on_connect"] = True
+    return settings
+
+
+@dataclass(frozen=True)
+class RouterSettings:
+    """What one router was told; kept in its directory, for the seat files that name it."""
+
+    hosts: tuple[str, ...] = ()  # names and addresses by which relays reach it
+    listen: tuple[str, ...] = LISTEN
+    join: tuple[str, ...] = ()  # locators of other routers of the operator
+
+    def __post_init__(self) -> None:
+        if not self.listen or max(map(len, (self.listen, self.join))) > documents.MAX_LOCATORS:
+            raise ConfigurationError(
+                f"a router listens at 1 to {documents.MAX_LOCATORS} addresses, and joins as many at most"
             )
         if len(self.hosts) > MAX_HOSTS:
             raise ConfigurationError(f"a router has at most {MAX_HOSTS} names and addresses")
         for locator in (*self.listen, *self.join):
-            check_locator(locator)
+            documents.check_locator(locator)
         for host in self.hosts:
-            check_locator(_locator("tls", host, 1))
+            documents.check_locator(_locator("tls", host, 1))
         for locator in self.join:
-            if is_wildcard(check_locator(locator)[1]):
+            if is_wildcard(documents.check_locator(locator)[1]):
                 raise ConfigurationError(
                     f"{locator} is no router to join", "give the address of another router"
                 )
 
     @classmethod
     def read(cls, data: bytes) -> Self:
-        """The content of the file.
-
-        Raises:
-            ConfigurationError: it is not one.
-        """
         keys = frozenset(each.name for each in fields(cls))
-        found = read_document(data, _FORM, keys, limit=MAX_FILE, hint=_HINT)
-        if not all(map(is_texts, found.values())):
-            raise ConfigurationError(f"the {_FORM} file has a value of another type", _HINT)
+        found = documents.read_document(
+            data, _ROUTER_SETTINGS_FORM, keys, limit=MAX_SETTINGS_FILE, hint=_ROUTER_SETTINGS_HINT
+        )
+        if not all(map(documents.is_texts, found.values())):
+            raise ConfigurationError(
+                f"the {_ROUTER_SETTINGS_FORM} file has a value of another type", _ROUTER_SETTINGS_HINT
+            )
         return cls(**{name: tuple(value) for name, value in found.items()})
 
     def write(self) -> bytes:
-        """The file."""
-        return write_document(_FORM, asdict(self))
+        return documents.write_document(_ROUTER_SETTINGS_FORM, asdict(self))
 
     @property
     def certified(self) -> tuple[str, ...]:
         """What the router's certificate is for: its hosts, where it listens, and this host."""
-        addresses = (check_locator(each)[1] for each in self.listen)
+        addresses = (documents.check_locator(each)[1] for each in self.listen)
         named = (each for each in addresses if not is_wildcard(each))
         return tuple(dict.fromkeys((*self.hosts, *named, *_LOCAL)))
 
     @property
     def locators(self) -> tuple[str, ...]:
-        """Where relays find it, and then the routers that it joins.
-
-        Raises:
-            ConfigurationError: it listens at every address, and no host was said.
-        """
+        """Where relays find it, and then the routers that it joins."""
         own = self.own_locators
         if not own:
             raise ConfigurationError(
                 "it is not known by which name relays reach this router",
                 "say it once: --host router.example.org, or an address",
             )
-        return tuple(dict.fromkeys((*own, *self.join)))[:MAX_LOCATORS]
+        return tuple(dict.fromkeys((*own, *self.join)))[: documents.MAX_LOCATORS]
 
     @property
     def own_locators(self) -> tuple[str, ...]:
-        """Where relays find it, as far as that is known."""
-        return tuple(locator for each in self.listen for locator in self._reached(each))
-
-    def _reached(self, listened: str) -> list[str]:
-        protocol, host, port = check_locator(listened)
-        if not is_wildcard(host):
-            return [listened]
-        return [_locator(protocol, each, port) for each in self.hosts]
+        found: list[str] = []
+        for each in self.listen:
+            protocol, host, port = documents.check_locator(each)
+            if is_wildcard(host):
+                found += [_locator(protocol, known, port) for known in self.hosts]
+            else:
+                found.append(each)
+        return tuple(found)
 
 
 @dataclass(frozen=True)
 class RouterFiles:
-    """The files that Zenoh reads by itself."""
-
     users: Path
     root_certificate: Path
     key: Path
     certificate: Path
 
 
-def zenoh_settings(
-    settings: RouterSettings, seats: Seats | None, files: RouterFiles
-) -> dict[str, object]:
-    """Paths of Zenoh's configuration with their values; without seats the router is open to all.
-
-    Raises:
-        ConfigurationError: it has seats, and joins another without TLS.
-    """
+def zenoh_settings(settings: RouterSettings, seats: Seats | None, files: RouterFiles) -> dict[str, object]:
+    """Paths of Zenoh's configuration with their values; without seats the router is open to all."""
     found = {
         **COMMON,
         "mode": "router",
@@ -145,14 +297,30 @@ def zenoh_settings(
         "connect/exit_on_failure": False,
         "transport/link/rx/max_message_size": _MESSAGE,
         "low_pass_filter": [_SIZE_LIMIT],
-        **_tls(settings, files),
-    }  # fmt: skip
+    }
+    if any(map(documents.is_encrypted, (*settings.listen, *settings.join))):
+        found |= {
+            "transport/link/tls/root_ca_certificate": str(files.root_certificate),
+            "transport/link/tls/listen_private_key": str(files.key),
+            "transport/link/tls/listen_certificate": str(files.certificate),
+            "transport/link/tls/verify_name_on_connect": True,
+        }
     if seats is None:
         return {**found, "access_control": open_access_control()}
-    _check_joined(settings)
+    plain = [each for each in settings.join if not documents.is_encrypted(each)]
+    if plain:
+        raise ConfigurationError(
+            f"a router with seats does not join {plain[0]}: nothing says who answers there",
+            "join it by tls/ or quic/",
+        )
+    # Customers and what they connect as routers are below; their routes are not the routers' own.
+    # Else one who connects as a router to two of them, and claims that the way is short, would be sent what
+    # they have for each other, which the access control then drops.
+    below = [{"modes": ["client", "peer"]}], [{"region_names": [seats.region], "negated": True}]
     return {
         **found,
-        **_regions(seats.region),
+        "region_name": seats.region,
+        "gateway": {"south": [{"filters": filters} for filters in below]},
         "access_control": seats.access_control(),
         "transport/auth/usrpwd/user": ROUTER_USER,
         "transport/auth/usrpwd/password": seats.router,
@@ -178,37 +346,6 @@ def is_wildcard(host: str) -> bool:
         return ipaddress.ip_address(host).is_unspecified
     except ValueError:
         return False
-
-
-def _tls(settings: RouterSettings, files: RouterFiles) -> dict[str, object]:
-    if not any(map(is_encrypted, (*settings.listen, *settings.join))):
-        return {}
-    return {
-        "transport/link/tls/root_ca_certificate": str(files.root_certificate),
-        "transport/link/tls/listen_private_key": str(files.key),
-        "transport/link/tls/listen_certificate": str(files.certificate),
-        "transport/link/tls/verify_name_on_connect": True,
-    }
-
-
-def _regions(own: str) -> dict[str, object]:
-    """Customers and what they connect as routers are below; their routes are not the routers' own.
-
-    Else one who connects as a router to two of them, and claims that the way is short, would be
-    sent what they have for each other, which the access control then drops.
-    """
-    below = [{"modes": ["client", "peer"]}], [{"region_names": [own], "negated": True}]
-    south = [{"filters": filters} for filters in below]
-    return {"region_name": own, "gateway": {"south": south}}
-
-
-def _check_joined(settings: RouterSettings) -> None:
-    plain = [each for each in settings.join if not is_encrypted(each)]
-    if plain:
-        raise ConfigurationError(
-            f"a router with seats does not join {plain[0]}: nothing says who answers there",
-            "join it by tls/ or quic/",
-        )
 
 
 def _locator(protocol: str, host: str, port: int) -> str:

@@ -1,11 +1,11 @@
-"""TLS of routers: the authority of one operator's routers, and their certificates. Pure.
+"""TLS of one operator's routers: their authority, their certificates, and what they share. Pure.
 
-It is trusted by sites for routers alone, and by nothing else (no browser, no system store): so it
-has no name constraints, and may certify whatever host the operator moves a router to. It issues to
-no other authority (pathlen 0), for TLS servers alone. P-256: what every TLS library knows.
+The authority is trusted by sites for routers alone, and by nothing else (no browser, no system store):
+so it has no name constraints, and may certify whatever host the operator moves a router to. It issues
+to no other authority (pathlen 0), for TLS servers alone. P-256: what every TLS library knows.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from ipaddress import ip_address
 from typing import Final, Self
@@ -22,16 +22,22 @@ from cryptography.hazmat.primitives.serialization import (
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from rossec.errors import ConfigurationError
-from rossec.overlay.seats import ROUTER_NAME
+from rossec.overlay import router_settings
+from rossec.overlay.documents import MAX_LOCATORS, check_locator, is_texts, read_document, write_document
+from rossec.overlay.router_settings import ROUTER_NAME, Seats
 
 DAY: Final = 86400
 LIFETIME: Final = 20 * 365 * DAY  # every seat file has it: a new authority means new files for all
 LEAF_LIFETIME: Final = 365 * DAY
 BACKDATE: Final = 3600  # seconds; clocks of hosts differ
 _ROOT: Final = "rossec routers"
-_LEAF: Final = ROUTER_NAME
 _SERVER: Final = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
 _DAMAGED: Final = "put back a copy of the directory, or remove it and give out new seats"
+
+MAX_SHARE_FILE: Final = 2 * router_settings.MAX_SEATS_FILE
+_FORM: Final = "rossec-routers"
+_KEYS: Final = frozenset({"authority_key", "authority", "seats", "join"})
+_HINT: Final = "write it again, at the other router: rossec router share"
 
 
 @dataclass(frozen=True)
@@ -43,7 +49,6 @@ class RouterAuthority:
 
     @classmethod
     def create(cls, key: ec.EllipticCurvePrivateKey, *, now: int, serial: int) -> Self:
-        """A new one, valid for twenty years; `serial` is 127 random bits."""
         builder = (
             _builder(key.public_key(), _ROOT, serial, now - BACKDATE, now + LIFETIME)
             .issuer_name(_subject(_ROOT))
@@ -56,11 +61,6 @@ class RouterAuthority:
 
     @classmethod
     def load(cls, key: bytes, certificate: bytes) -> Self:
-        """The authority from both files, PEM.
-
-        Raises:
-            ConfigurationError: one is damaged, or they do not belong together.
-        """
         found = load_key(key)
         try:
             (root,) = x509.load_pem_x509_certificates(certificate)
@@ -72,41 +72,29 @@ class RouterAuthority:
 
     @property
     def pem(self) -> bytes:
-        """The certificate."""
         return self.certificate.public_bytes(Encoding.PEM)
 
     def issue(
         self, key: ec.EllipticCurvePublicKey, hosts: tuple[str, ...], *, now: int, serial: int
     ) -> bytes:
-        """A router's certificate (PEM) for `hosts`, names or addresses, valid for a year.
-
-        Raises:
-            ConfigurationError: the authority itself is not valid now.
-        """
         end = int(self.certificate.not_valid_after_utc.timestamp())
         if not int(self.certificate.not_valid_before_utc.timestamp()) <= now < end:
             raise ConfigurationError("the routers' authority is not valid now", "check the clock")
         builder = (
-            _builder(key, _LEAF, serial, now - BACKDATE, min(now + LEAF_LIFETIME, end))
+            _builder(key, ROUTER_NAME, serial, now - BACKDATE, min(now + LEAF_LIFETIME, end))
             .issuer_name(self.certificate.subject)
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
             .add_extension(_usage(authority=False), critical=True)
             .add_extension(x509.SubjectAlternativeName(map(_general, hosts)), critical=False)
             .add_extension(_SERVER, critical=False)
             .add_extension(
-                x509.AuthorityKeyIdentifier(_key_identifier(self.key).digest, None, None),
-                critical=False,
+                x509.AuthorityKeyIdentifier(_key_identifier(self.key).digest, None, None), critical=False
             )
         )
         return builder.sign(self.key, hashes.SHA256()).public_bytes(Encoding.PEM)
 
-    def is_current(
-        self, certificate: bytes, key: bytes, hosts: tuple[str, ...], *, now: int
-    ) -> bool:
-        """Whether a router's certificate (PEM) is of this authority, for this key and `hosts`.
-
-        One that has less than a third of its time left is not.
-        """
+    def is_current(self, certificate: bytes, key: bytes, hosts: tuple[str, ...], *, now: int) -> bool:
+        # One that has less than a third of its time left is not.
         try:
             (leaf,) = x509.load_pem_x509_certificates(certificate)
             leaf.verify_directly_issued_by(self.certificate)
@@ -120,16 +108,10 @@ class RouterAuthority:
 
 
 def key_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
-    """PKCS#8, without a passphrase."""
     return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
 
 
 def load_key(pem: bytes) -> ec.EllipticCurvePrivateKey:
-    """A private key.
-
-    Raises:
-        ConfigurationError: it is damaged, or not of P-256.
-    """
     try:
         key = load_pem_private_key(pem, None)
     except (ValueError, TypeError):
@@ -179,3 +161,39 @@ def _usage(*, authority: bool) -> x509.KeyUsage:
         encipher_only=False,
         decipher_only=False,
     )
+
+
+@dataclass(frozen=True)
+class Share:
+    """What a further router needs. All of the file is secret; with it one is the operator."""
+
+    authority: RouterAuthority = field(repr=False)
+    seats: Seats
+    join: tuple[str, ...]  # where the router listens that wrote it, and those that it joins itself
+
+    def write(self) -> bytes:
+        return write_document(
+            _FORM,
+            {
+                "authority_key": key_pem(self.authority.key).decode(),
+                "authority": self.authority.pem.decode(),
+                "seats": self.seats.write().decode(),
+                "join": list(self.join),
+            },
+        )
+
+    @classmethod
+    def read(cls, data: bytes) -> Self:
+        found = read_document(data, _FORM, _KEYS, limit=MAX_SHARE_FILE, hint=_HINT)
+        match found:
+            case {
+                "authority_key": str() as key,
+                "authority": str() as pem,
+                "seats": str() as listed,
+                "join": list() as join,
+            } if is_texts(join) and 0 < len(join) <= MAX_LOCATORS:
+                authority = RouterAuthority.load(key.encode(), pem.encode())
+                for each in join:
+                    check_locator(each)
+                return cls(authority, Seats.read(listed.encode()), tuple(join))
+        raise ConfigurationError(f"the {_FORM} file has a value of another type", _HINT)

@@ -1,9 +1,9 @@
 """The streams of one link at work: a `Mux` on a secure stream, a `Pump` for each connection.
 
-What arrives for a stream is written to its connection at once, and never waited for: a connection
-that lags gets no credit, and the others go on. While the link itself lags, connections are not
-read; afterwards each is read once, in the order in which they had to wait. What is malformed ends
-the link, and with it every connection it carried.
+What arrives for a stream is written to its connection at once, and never waited for: a connection that
+lags gets no credit, and the others go on. While the link itself lags, connections are not read;
+afterwards each is read once, in the order in which they had to wait. What is malformed ends the link,
+and with it every connection it carried.
 """
 
 import asyncio
@@ -11,60 +11,170 @@ import logging
 import socket
 import time
 from collections.abc import Awaitable, Callable
-from typing import Final, Protocol, TypeAlias
+from typing import Final, Protocol, TypeAlias, TypeVar
 
 from ca.errors import HintedError
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelError, LinkCrowded, StreamRefused
-from rossec.net import withheld_log
-from rossec.net.aio.tasks import TaskSet
-from rossec.overlay.mux import FOR_ONE_NAME, STREAMS, YOUNG, Mux, Opened, Refused, Role
-from rossec.overlay.mux_units import HEADROOM, MAX_DATA, Credit, Data, End, Reset, Target
-from rossec.overlay.pump import Pump
+from rossec.host.runner import TaskSet
+from rossec.net.aio.transport import Transport
+from rossec.overlay import mux
+from rossec.participant import delivery
 
-CONNECT_SECONDS: Final = (
-    10.0  # to find and reach a target; also how long a connection waits for room
+_KEEPALIVE: Final = (
+    (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
+    (socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 60),  # a host that vanished must not hold a stream
+    (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 15),
 )
+Found = TypeVar("Found")
+
+CONNECT_SECONDS: Final = 10.0  # to find and reach a target; also how long a connection waits for room
 MOST_WAITING: Final = 256  # connections that wait for room
 MOST_UNSENT: Final = 8 * 1024 * 1024  # twice a link's window: the peer reads nothing, but asks
 _CROWDED: Final = "it has too many streams"
 _FEWER: Final = (
-    f"a link carries {STREAMS} connections, {FOR_ONE_NAME} to one name and {YOUNG} new ones at a "
+    f"a link carries {mux.STREAMS} connections, {mux.FOR_ONE_NAME} to one name and {mux.YOUNG} new ones at a "
     "time: nodes try again, or let one subscribe from there and publish for the others"
 )
 _log = logging.getLogger("rossec.overlay")
 
-Dial: TypeAlias = Callable[[Target, Pump], Awaitable[socket.socket]]
+
+class StreamEnd(Protocol):
+    def buffer_for(self, stream: int) -> memoryview | None: ...  # None: `Pump.resume` says when
+    def send(self, stream: int, count: int) -> None: ...
+    def took(self, stream: int, count: int) -> None: ...  # so many received bytes, by the program
+    def end(self, stream: int) -> bool: ...
+    def reset(self, stream: int) -> None: ...
+
+
+class Pump:
+    """One TCP connection of this site and its stream of a link: bytes both ways, ends as ends.
+
+    No queue: the socket is read when the stream has credit and the link has room, straight into the
+    buffer from which the unit is sealed. Bytes for a program that lags wait here, no more of them than
+    the credit given. A broken connection is passed on as a broken one.
+    """
+
+    def __init__(self, stream: int, end: StreamEnd) -> None:
+        self._stream = stream
+        self._end = end
+        self._transport: Transport | None = None
+        self._early = bytearray()  # what arrived before there was a socket
+        self._early_end = False
+        self._read_all = False  # the program sends nothing more
+        self._changed = asyncio.Event()
+        self._held = 0  # received bytes the program has not taken
+        self.over: Final = asyncio.Event()
+
+    @property
+    def connected(self) -> bool:
+        return self._transport is not None
+
+    def connect(self, sock: socket.socket) -> None:
+        if self.over.is_set():
+            sock.close()
+            return
+        for option in _KEEPALIVE:
+            sock.setsockopt(*option)
+        self._transport = Transport(sock, self)
+        early, self._early = self._early, bytearray()
+        if early:
+            self._write(early, self._transport)
+        if self._early_end:
+            self._transport.write_eof()
+        self._transport.resume_reading()
+
+    async def first_bytes(self, decide: Callable[[bytes], Found | None]) -> Found:
+        while (found := decide(bytes(self._early))) is None:
+            if self._early_end or self.over.is_set():
+                raise StreamRefused("a stream that ended before it said anything")
+            self._changed.clear()
+            await self._changed.wait()
+        return found
+
+    # -- called for the stream
+
+    def arrived(self, payload: Bytes) -> None:
+        self._held += len(payload)
+        if self._transport is None:
+            self._early += payload
+            self._changed.set()
+        else:
+            self._write(payload, self._transport)
+
+    def _write(self, payload: Bytes, transport: Transport) -> None:
+        transport.write(payload)
+        self._account(transport)
+
+    def _account(self, transport: Transport) -> None:
+        taken = self._held - transport.backlog
+        if taken > 0:
+            self._held -= taken
+            self._end.took(self._stream, taken)
+
+    def ended(self, *, over: bool) -> None:
+        self._early_end = True
+        self._changed.set()
+        if self._transport is not None:
+            self._transport.write_eof()
+            if over:
+                self._transport.finish()
+
+    def resume(self) -> None:
+        if self._transport is not None and not self._read_all:
+            self._transport.resume_reading()
+            self._transport.read_now()
+
+    def break_off(self) -> None:
+        if self._transport is None:
+            self.connection_lost()
+        else:
+            self._transport.reset()
+
+    # -- called by the transport
+
+    def get_buffer(self) -> memoryview:
+        buffer = self._end.buffer_for(self._stream)
+        if buffer is None:
+            if self._transport is not None:
+                self._transport.pause_reading()
+            raise BlockingIOError
+        return buffer
+
+    def buffer_updated(self, count: int) -> None:
+        self._end.send(self._stream, count)
+
+    def eof_received(self) -> bool:
+        self._read_all = True
+        return self._end.end(self._stream)
+
+    def resume_writing(self) -> None:
+        if self._transport is not None:
+            self._account(self._transport)
+
+    def connection_lost(self) -> None:
+        self._end.reset(self._stream)
+        self.over.set()
+        self._changed.set()
+
+
+Dial: TypeAlias = Callable[[mux.StreamTarget, Pump], Awaitable[socket.socket]]
 """Connects to a target. Raises a `HintedError` or an `OSError`."""
 
 
 class LinkStream(Protocol):
-    """What is used of `rossec.net.aio.SecureStream`."""
-
     @property
-    def backlog(self) -> int:
-        """Bytes that were written and not sent."""
-
+    def backlog(self) -> int: ...
     def on_ready(
         self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
-    ) -> None:
-        """Call back when `next_unit` has a new result; `take` is offered a unit at once."""
-
-    def next_unit(self) -> bytes | None:
-        """The next unit. Raises a `ChannelError` after the end."""
-
-    def write_nowait(self, data: Bytes) -> bool:
-        """Send one unit; false: the link lags now."""
-
-    async def drain(self) -> None:
-        """Wait until the link does not lag."""
-
-    def abort(self, reason: str) -> None:
-        """End the link."""
+    ) -> None: ...
+    def next_unit(self) -> bytes | None: ...
+    def write_nowait(self, data: Bytes) -> bool: ...
+    async def drain(self) -> None: ...
+    def abort(self, reason: str) -> None: ...
 
 
-async def refuse_streams(target: Target, _pump: Pump) -> socket.socket:
-    """The `Dial` of the caller's side, where nothing is opened."""
+async def refuse_streams(target: mux.StreamTarget, _pump: Pump) -> socket.socket:
     raise StreamRefused(f"a stream to {target} where none is opened")
 
 
@@ -73,17 +183,15 @@ class Streams:
 
     Args:
         link: authenticated; this is its only user.
-        role: whether this side made the link.
         peer: the label of the relay at the other end, for the log.
         dial: connects the called side to targets.
-        clock: monotonic, in seconds.
         round_trip: of the link when it is idle, in seconds; 0 if that is not known.
     """
 
     def __init__(
         self,
         link: LinkStream,
-        role: Role,
+        role: mux.Role,
         peer: str,
         dial: Dial = refuse_streams,
         clock: Callable[[], float] = time.monotonic,
@@ -95,9 +203,9 @@ class Streams:
         self._dial = dial
         self._clock = clock
         self._round_trip = round_trip
-        self._mux = Mux(role)
+        self._mux = mux.Mux(role)
         self._pumps: dict[int, Pump] = {}
-        self._buffer = memoryview(bytearray(HEADROOM + MAX_DATA))
+        self._buffer = memoryview(bytearray(mux.HEADROOM + mux.MAX_DATA))
         self._waiting: dict[int, None] = {}  # read when the link has room, in this order
         self._draining = False
         self._openers: set[asyncio.Future[None]] = set()
@@ -110,16 +218,9 @@ class Streams:
 
     @property
     def used_up(self) -> bool:
-        """Whether no further stream can ever be opened: the next one needs another link."""
         return self._mux.used_up or self._over.done()
 
     async def run(self) -> None:
-        """Carry until the link ends.
-
-        Raises:
-            ChannelError: how the link ended.
-            StreamRefused: the peer broke the rules, so the link was ended.
-        """
         try:
             self._link.on_ready(self._ready, self._take)
             self._ready()
@@ -134,13 +235,7 @@ class Streams:
 
     # -- the caller's side
 
-    async def carry(self, target: Target, sock: socket.socket) -> None:
-        """Open a stream to `target` for this connection; returns when it is over. Owns `sock`.
-
-        Raises:
-            LinkCrowded: there was no room; `sock` is closed.
-            StreamRefused: the link has ended; `sock` is closed.
-        """
+    async def carry(self, target: mux.StreamTarget, sock: socket.socket) -> None:
         try:
             async with asyncio.timeout(CONNECT_SECONDS):
                 await self._room_for(target)
@@ -160,7 +255,7 @@ class Streams:
         finally:
             pump.break_off()
 
-    async def _room_for(self, target: Target) -> None:
+    async def _room_for(self, target: mux.StreamTarget) -> None:
         if len(self._openers) >= MOST_WAITING:
             raise LinkCrowded(f"too many connections wait for {self._peer}", _FEWER)
         while not self._over.done() and self._mux.crowded(target, self._clock()):
@@ -180,13 +275,13 @@ class Streams:
 
     # -- the called side
 
-    async def _connect(self, number: int, pump: Pump, target: Target) -> None:
+    async def _connect(self, number: int, pump: Pump, target: mux.StreamTarget) -> None:
         try:
             async with asyncio.timeout(CONNECT_SECONDS):
                 sock = await self._dial(target, pump)
             pump.connect(sock)
         except (HintedError, OSError, TimeoutError) as error:
-            withheld_log.warn(_log, withheld_log.REFUSED, str(target), self._peer, error)
+            delivery.warn(_log, delivery.REFUSED, str(target), self._peer, error)
         finally:
             self._mux.connected(number)
             if not pump.connected:
@@ -202,7 +297,6 @@ class Streams:
             self._fail(error)
 
     def _take(self, unit: bytes) -> bool:
-        """Handle a unit at once."""
         if self._over.done():
             return True
         try:
@@ -216,28 +310,25 @@ class Streams:
             self._wake_openers()
         return True
 
-    def _handle(self, event: Opened | Refused | Data | Credit | End | Reset) -> None:
+    def _handle(
+        self, event: mux.StreamOpened | mux.OpeningRefused | mux.Data | mux.Credit | mux.End | mux.Reset
+    ) -> None:
         match event:
-            case Opened(number, target):
+            case mux.StreamOpened(number, target):
                 self._tasks.spawn(self._connect(number, self._add(number), target), str(target))
-            case Refused(_, target, reply):
-                withheld_log.warn(_log, withheld_log.REFUSED, str(target), self._peer, _CROWDED)
+            case mux.OpeningRefused(_, target, reply):
+                delivery.warn(_log, delivery.REFUSED, str(target), self._peer, _CROWDED)
                 self._write(reply)
-            case _:
-                pump = self._pumps.get(event.stream)
-                if pump is not None:
-                    self._tell(pump, event)
-
-    def _tell(self, pump: Pump, event: Data | Credit | End | Reset) -> None:
-        match event:
-            case Data(_, payload):
+            case mux.Data(stream, payload) if pump := self._pumps.get(stream):
                 pump.arrived(payload)
-            case Credit():
+            case mux.Credit(stream) if pump := self._pumps.get(stream):
                 pump.resume()
-            case End(stream):
+            case mux.End(stream) if pump := self._pumps.get(stream):
                 pump.ended(over=stream not in self._mux)
-            case Reset():
+            case mux.Reset(stream) if pump := self._pumps.get(stream):
                 pump.break_off()
+            case _:  # its connection is over
+                pass
 
     def _add(self, number: int) -> Pump:
         self.idle_since = None
@@ -247,31 +338,27 @@ class Streams:
     # -- from pumps
 
     def buffer_for(self, stream: int) -> memoryview | None:
-        """As of `StreamEnd`: at most what may be sent."""
         if self._draining:
             self._waiting[stream] = None
             return None
-        room = min(self._mux.credit(stream), MAX_DATA)
-        return self._buffer[HEADROOM : HEADROOM + room] if room else None
+        room = min(self._mux.credit(stream), mux.MAX_DATA)
+        return self._buffer[mux.HEADROOM : mux.HEADROOM + room] if room else None
 
     def send(self, stream: int, count: int) -> None:
-        """As of `StreamEnd`; the head is written in front of the payload, which is not copied."""
+        # The head is written in front of the payload, which is not copied.
         head = self._mux.data(stream, count)
-        begin = HEADROOM - len(head)
-        self._buffer[begin:HEADROOM] = head
-        self._write(self._buffer[begin : HEADROOM + count])
+        begin = mux.HEADROOM - len(head)
+        self._buffer[begin : mux.HEADROOM] = head
+        self._write(self._buffer[begin : mux.HEADROOM + count])
 
     def took(self, stream: int, count: int) -> None:
-        """As of `StreamEnd`."""
         self._write(self._mux.took(stream, count, self._clock(), self._round_trip()))
 
     def end(self, stream: int) -> bool:
-        """As of `StreamEnd`."""
         self._write(self._mux.end(stream))
         return stream in self._mux
 
     def reset(self, stream: int) -> None:
-        """As of `StreamEnd`; also after a connection was closed in order."""
         if self._pumps.pop(stream, None) is None:
             return
         self._write(self._mux.reset(stream))
@@ -282,7 +369,7 @@ class Streams:
     # -- to the link
 
     def _write(self, unit: Bytes) -> None:
-        """Send a unit; only small ones are written while the link lags."""
+        # Send a unit; only small ones are written while the link lags.
         if not unit or self._over.done():
             return
         try:
@@ -297,7 +384,6 @@ class Streams:
             self._fail(StreamRefused("the peer asks without reading"))
 
     async def _drain(self) -> None:
-        """Read connections again when the link has room, each once and in their order."""
         try:
             await self._link.drain()
         except ChannelError as error:

@@ -1,25 +1,38 @@
 """The called side of a stream: to which address it leads, and a connection to there.
 
-A relay connects to nothing but what its own master says is registered there and, for a foreign
-peer, exported to it; an address is never the peer's. A target on this host is dialled from an
-address that says by whom: through a relay nobody is near (`rossec.net.host.relayed`). The first
-bytes show whether the caller speaks rossec, without which nothing is connected, and which of a
-node's two ports is meant. A program that is no node is not connected either (`topic_ports`).
+A relay connects to nothing but what its own master says is registered there and, for a foreign peer,
+exported to it; an address is never the peer's. A target on this host is dialled from an address that
+says by whom: through a relay nobody is near (`rossec.host.addresses`). The first bytes show whether
+the caller speaks rossec, without which nothing is connected, and which of a node's two ports is meant.
+A program that is no node is not connected either: `TopicPorts` finds out.
 """
 
 import asyncio
 import socket
+import time
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Final, NamedTuple, Protocol, TypeAlias
 
-from rossec.channel.opening import Accepted, WireProtocol, classify_caller
+from ca.certificates import Identity
+from ca.names import shown
+from rossec import clock
+from rossec.channel.opening import Accepted, classify_caller
 from rossec.errors import RelayRefused
-from rossec.net.aio.dial import dial
-from rossec.net.host.relayed import is_near, source_for
-from rossec.overlay.mux_units import MASTER, NODE, SERVICE, Target
-from rossec.overlay.pump import Pump
-from rossec.ros.settings import is_loopback
+from rossec.host.addresses import is_near, source_for
+from rossec.net.aio import SecureContext, WireProtocol, connect
+from rossec.net.aio.client import dial
+from rossec.net.rpc.calls import RpcClient
+from rossec.overlay.mux import MASTER, NODE, SERVICE, StreamTarget
+from rossec.overlay.streams import Pump
+from rossec.ros.names import PORTS, is_loopback
+from rossec.ros.xmlrpc import Fault
+
+KEPT_SECONDS: Final = 30.0
+MOST: Final = 4096
+_SERVICE: Final = ""  # as a node's name: of whichever node it is
+Place: TypeAlias = tuple[str, int]  # numeric address and port
 
 CONNECT_SECONDS: Final = 5.0
 HTTP: Final = WireProtocol.HTTP
@@ -28,78 +41,131 @@ _PROTOCOLS: Final = {MASTER: (HTTP,), NODE: (HTTP, TCPROS), SERVICE: (TCPROS,)}
 _LOOPBACK: Final = "127.0.0.1"
 _EVERY: Final = "0.0.0.0"  # noqa: S104 - dialled from `source` it would mean that
 
+Resolve: TypeAlias = Callable[[str, str, str], Awaitable[Place]]
+"""What the own master answers for a domain's label, a kind and a name. Raises a `HintedError`."""
 
-class Peer(NamedTuple):
-    """The relay at the other end of a link.
 
-    Attributes:
-        label: what it is called here.
-        domain: the label of its foreign domain; empty: the own one.
-        name: its name here, `/remote/hospital/relay` or `/relay/ward`.
+@dataclass(slots=True)
+class _Known:
+    turn: asyncio.Lock = field(default_factory=asyncio.Lock)
+    place: Place = "", 0
+    until: float = 0.0
+
+
+class TopicPorts:
+    """Where nodes of the own domain are: the relay `name` calls at each place, and checks who answers.
+
+    An address that a node registered may be anybody's. So a relay brings callers to it only after a
+    handshake of its own, and to the numeric address where that was: a name may be resolved to another
+    one the next time. A node there has the name that is registered; at a service's address it is some
+    node of the domain, as callers check which one. Whom it admits is that node's decision.
     """
 
-    label: str
-    domain: str
-    name: str
+    def __init__(
+        self, context: SecureContext[Identity], name: str, check_peer: Callable[[Identity, int], None]
+    ) -> None:
+        self._context = context
+        self._name = name
+        self._check_peer = check_peer
+        self._nodes: dict[tuple[str, str, int], _Known] = {}  # the oldest first
+
+    async def of(self, name: str, host: str, port: int) -> Place:
+        return await self._kept(name, host, port, partial(self._ask, name))
+
+    async def provider(self, host: str, port: int) -> Place:
+        return await self._kept(_SERVICE, host, port, self._call_at)
+
+    def forget(self, name: str, host: str, port: int) -> None:
+        for each in (name, _SERVICE):
+            self._nodes.pop((each, host, port), None)
+
+    async def _kept(
+        self, name: str, host: str, port: int, find: Callable[[str, int], Awaitable[Place]]
+    ) -> Place:
+        key = name, host, port
+        known = self._nodes.get(key)
+        if known is None:
+            if len(self._nodes) >= MOST:
+                del self._nodes[next(iter(self._nodes))]
+            known = self._nodes[key] = _Known()
+        async with known.turn:
+            if known.until < time.monotonic():
+                known.place = await find(host, port)
+                known.until = time.monotonic() + KEPT_SECONDS
+            return known.place
+
+    async def _call_at(self, host: str, port: int) -> Place:
+        stream = await connect(host, port, self._context, WireProtocol.TCPROS)
+        try:
+            if stream.peer.is_foreign:
+                raise RelayRefused(f"{shown(stream.peer.name)} answers at a service's address")
+            self._check_peer(stream.peer, clock.now())
+            return stream.address, port
+        finally:
+            await stream.close()
+
+    async def _ask(self, name: str, host: str, port: int) -> Place:
+        stream = await connect(host, port, self._context, WireProtocol.HTTP)
+        try:
+            peer = stream.peer
+            if peer.is_foreign or not peer.covers(name):
+                raise RelayRefused(f"{shown(peer.name)} answers at the address that {shown(name)} registered")
+            self._check_peer(peer, clock.now())
+            answer = await RpcClient(stream).ask(PORTS, self._name)
+        except Fault as fault:
+            raise RelayRefused(
+                f"{shown(name)} is older than this relay: {fault.faultString}", "update its rossec"
+            ) from fault
+        finally:
+            await stream.close()
+        match answer:
+            case [int() as found] if 0 < found < 1 << 16 and not isinstance(found, bool):
+                return stream.address, found
+            case _:
+                raise RelayRefused(f"{shown(name)} does not say where its topics are")
 
 
-Resolve: TypeAlias = Callable[[str, str, str], Awaitable[tuple[str, int]]]
-"""Host and port for a domain's label, a kind and a name: what the own master answers.
+class LinkPeer(NamedTuple):
+    """The relay at the other end of a link."""
 
-Raises a `HintedError` where the master refuses, or cannot be asked.
-"""
+    domain: str  # the label of its foreign domain; empty: the own one
+    name: str  # its name here, `/remote/hospital/relay` or `/relay/ward`
 
 
 class NodePorts(Protocol):
-    """As `rossec.overlay.topic_ports.TopicPorts`: numeric addresses, at which it was looked."""
-
-    async def of(self, name: str, host: str, port: int) -> tuple[str, int]:
-        """Where the node's topics are whose slave API is there. Raises a `HintedError`."""
-
-    async def provider(self, host: str, port: int) -> tuple[str, int]:
-        """Where the service is that is there. Raises a `HintedError`."""
-
-    def forget(self, name: str, host: str, port: int) -> None:
-        """Ask again next time."""
+    async def of(self, name: str, host: str, port: int) -> Place: ...
+    async def provider(self, host: str, port: int) -> Place: ...
+    def forget(self, name: str, host: str, port: int) -> None: ...
 
 
 class Targets:
-    """Connects streams to targets of this site."""
-
     def __init__(self, resolve: Resolve, node_ports: NodePorts) -> None:
         self._resolve = resolve
         self._node_ports = node_ports
 
-    def dial_for(self, peer: Peer) -> Callable[[Target, Pump], Awaitable[socket.socket]]:
-        """The `Dial` of a link with this peer."""
+    def dial_for(self, peer: LinkPeer) -> Callable[[StreamTarget, Pump], Awaitable[socket.socket]]:
         return partial(self._dial, peer)
 
-    async def _dial(self, peer: Peer, target: Target, pump: Pump) -> socket.socket:
+    async def _dial(self, peer: LinkPeer, target: StreamTarget, pump: Pump) -> socket.socket:
         protocol = await pump.first_bytes(_protocol)
         if protocol not in _PROTOCOLS[target.kind]:
             raise RelayRefused(f"a caller of the {target.kind} {target.name} in {protocol.value}")
         host, port = await self._resolve(peer.domain, target.kind, target.name)
-        place = await self._place(target, protocol, host, port)
+        place = host, port  # of a master: it says where it is itself
+        if target.kind == SERVICE:
+            place = await self._node_ports.provider(host, port)
+        elif target.kind == NODE:
+            address, topics = await self._node_ports.of(target.name, host, port)
+            place = address, topics if protocol is TCPROS else port
         try:
             return await dial_from(source_for(peer.name), *place)
         except OSError:
             self._node_ports.forget(target.name, host, port)
             raise
 
-    async def _place(
-        self, target: Target, protocol: WireProtocol, host: str, port: int
-    ) -> tuple[str, int]:
-        """Where to connect to, of what is registered at this address."""
-        if target.kind == MASTER:  # it says where it is itself
-            return host, port
-        if target.kind == SERVICE:
-            return await self._node_ports.provider(host, port)
-        address, topics = await self._node_ports.of(target.name, host, port)
-        return address, topics if protocol is TCPROS else port
-
 
 def _protocol(first: bytes) -> WireProtocol | None:
-    """The protocol in which a caller of rossec opens the connection; None: not clear yet."""
+    # The protocol in which a caller of rossec opens the connection; None: not clear yet.
     match classify_caller(first):
         case None:
             return None
@@ -110,35 +176,27 @@ def _protocol(first: bytes) -> WireProtocol | None:
 
 
 async def dial_from(source: str, host: str, port: int) -> socket.socket:
-    """A connection to `host`; from the address `source`, if it is this host.
-
-    Raises:
-        RelayRefused: it turned out to be this host after all.
-        OSError: it has no address, or nobody accepts.
-        TimeoutError: no answer.
-    """
     loop = asyncio.get_running_loop()
     found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     here = [address for *_, (address, *_) in found if _is_here(str(address))]
     if here:
-        return await _dial_here(source, str(here[0]), port)
+        address = str(here[0])
+        sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            sock.setblocking(False)
+            sock.bind((source, 0))
+            where = _LOOPBACK if ":" in address or address == _EVERY else address
+            await loop.sock_connect(sock, (where, port))
+        except BaseException:
+            sock.close()
+            raise
+        return sock
     sock = await dial(host, port, CONNECT_SECONDS)
     try:
-        _check_elsewhere(sock)
-    except BaseException:
-        sock.close()
-        raise
-    return sock
-
-
-async def _dial_here(source: str, address: str, port: int) -> socket.socket:
-    """From `source`, which is of IPv4: as 127.0.0.1, if the address is of IPv6 or of every host."""
-    sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    try:
-        sock.setblocking(False)
-        sock.bind((source, 0))
-        where = (_LOOPBACK if ":" in address or address == _EVERY else address, port)
-        await asyncio.get_running_loop().sock_connect(sock, where)
+        # Refuse a connection to this host that is not from an address that says by whom.
+        near, far = str(sock.getsockname()[0]), str(sock.getpeername()[0])
+        if is_near(far, near):
+            raise RelayRefused(f"the target at {far} is this host after all")
     except BaseException:
         sock.close()
         raise
@@ -146,17 +204,10 @@ async def _dial_here(source: str, address: str, port: int) -> socket.socket:
 
 
 def _is_here(address: str) -> bool:
-    """Whether this host has the address, or would take it for its own, as 0.0.0.0."""
+    # Whether this host has the address, or would take it for its own, as 0.0.0.0.
     try:
         with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as sock:
             sock.bind((address, 0))
     except OSError:
         return is_loopback(address)
     return True
-
-
-def _check_elsewhere(sock: socket.socket) -> None:
-    """Refuse a connection to this host that is not from an address that says by whom."""
-    near, far = str(sock.getsockname()[0]), str(sock.getpeername()[0])
-    if is_near(far, near):
-        raise RelayRefused(f"the target at {far} is this host after all")

@@ -9,18 +9,24 @@ import asyncio
 import logging
 from collections import deque
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from json import dumps
 from threading import Lock
+from time import monotonic
 from typing import TYPE_CHECKING, Final, Self
 
 from rossec.errors import OverlayUnavailable
-from rossec.overlay.routers import Routers
-from rossec.overlay.send_queue import SendQueue
-from rossec.overlay.zenoh_settings import client_settings
+from rossec.overlay.documents import Routers
+from rossec.overlay.router_settings import client_settings
 
-if TYPE_CHECKING:  # 32 MB of library: loaded when a session is opened
+if TYPE_CHECKING:
     import zenoh
+
+
+SLOW: Final = 0.02  # seconds
+CALM: Final = 1.0
+MOST_WAITING: Final = 4 * 1024 * 1024  # bytes, as one link may have on the way
 
 _log = logging.getLogger("rossec.overlay.carrier")
 _MOST_WAITING: Final = 16 * 1024 * 1024  # bytes for one subscription; a link sends at most 4 MiB
@@ -30,18 +36,58 @@ _TURN_BYTES: Final = 1024 * 1024  # delivered, then other work of the loop has i
 _TURN_OVERHEAD: Final = 16 * 1024  # bytes that are opened in the time a message costs
 
 
-def open_session(settings: Mapping[str, object]) -> "zenoh.Session":
-    """A session with these settings (`rossec.overlay.zenoh_settings`); blocks until it is open.
+class CarrierQueue:
+    """Messages on their way to the session: at once, unless that would stop the loop.
 
-    Raises:
-        OverlayUnavailable: zenoh is not installed, or refuses.
+    A put takes microseconds, until the uplink is full: then Zenoh waits 50 ms for room before it drops
+    the message, and everything else in the process would wait too. From the first put that was slow, a
+    thread puts, until it has nothing left and was quick for a second. What finds no room in its queue
+    is dropped, as Zenoh would.
     """
+
+    def __init__(self, send: Callable[[str, bytes], None]) -> None:
+        self._send = send
+        self._thread: ThreadPoolExecutor | None = None
+        self._lock = Lock()
+        self._waiting = 0
+        self._slow_until = 0.0
+        self._closed = False
+
+    def put(self, key: str, data: bytes) -> None:
+        if self._waiting == 0 and monotonic() >= self._slow_until:
+            self._send_timed(key, data)
+        elif self._waiting + len(data) <= MOST_WAITING and not self._closed:
+            if self._thread is None:
+                self._thread = ThreadPoolExecutor(1, "rossec-overlay")
+            with self._lock:
+                self._waiting += len(data)
+            self._thread.submit(self._send_queued, key, data)
+
+    def _send_timed(self, key: str, data: bytes) -> None:
+        began = monotonic()
+        self._send(key, data)
+        ended = monotonic()
+        if ended - began > SLOW:
+            self._slow_until = ended + CALM
+
+    def _send_queued(self, key: str, data: bytes) -> None:
+        try:
+            self._send_timed(key, data)
+        finally:
+            with self._lock:
+                self._waiting -= len(data)
+
+    def close(self) -> None:
+        self._closed = True
+        if self._thread is not None:
+            self._thread.shutdown(wait=False, cancel_futures=True)
+
+
+def open_session(settings: Mapping[str, object]) -> "zenoh.Session":
     try:
         import zenoh  # noqa: PLC0415 - as above
     except ImportError as error:
-        raise OverlayUnavailable(
-            "eclipse-zenoh is not installed", "pip install rossec[overlay]"
-        ) from error
+        raise OverlayUnavailable("eclipse-zenoh is not installed", "pip install rossec[overlay]") from error
     config = zenoh.Config()
     for path, value in settings.items():
         config.insert_json5(path, dumps(value))
@@ -53,23 +99,16 @@ def open_session(settings: Mapping[str, object]) -> "zenoh.Session":
         raise OverlayUnavailable(f"Zenoh cannot begin: {reason}") from error
 
 
-class Subscription:
-    """A mailbox that is read; made by `Carrier.subscribe`."""
-
-    __slots__ = ("_callback", "_carrier", "key", "subscriber", "waiting")
-
+class CarrierSubscription:
     def __init__(self, carrier: "Carrier", key: str, callback: Callable[[bytes], None]) -> None:
         self._carrier = carrier
         self._callback: Callable[[bytes], None] | None = callback
         self.key = key
-        self.waiting = 0
-        """Bytes that arrived and were not delivered; written by the carrier, under its lock."""
-        self.subscriber: zenoh.Subscriber[None] | None = None
-        """What the present session has of it."""
+        self.waiting = 0  # bytes, not delivered yet; written by the carrier, under its lock
+        self.subscriber: zenoh.Subscriber[None] | None = None  # what the present session has of it
 
     def deliver(self, data: bytes) -> None:
-        """Hand over one message, unless the subscription was closed meanwhile."""
-        if self._callback is None:
+        if self._callback is None:  # closed meanwhile
             return
         try:
             self._callback(data)
@@ -77,7 +116,6 @@ class Subscription:
             _log.exception("a message of the overlay was not handled")
 
     def close(self) -> None:
-        """Read this mailbox no more."""
         if self._callback is not None:
             self._callback = None
             self._carrier.forget(self)
@@ -93,23 +131,18 @@ class Carrier:
         self._failure = zenoh.ZError
         self._loop = asyncio.get_running_loop()
         self._session = session
-        self._queue = SendQueue(self._put)
-        self._subscriptions: set[Subscription] = set()
-        self._arrived: deque[tuple[Subscription, bytes]] = deque()
+        self._queue = CarrierQueue(self._put)
+        self._subscriptions: set[CarrierSubscription] = set()
+        self._arrived: deque[tuple[CarrierSubscription, bytes]] = deque()
         self._lock = Lock()
         self._woken = False
         self._reopening: asyncio.Task[None] | None = None
         self.closed = False
-        self.heard_at = self._loop.time()
-        """When a message arrived last, whichever it was, or a session was opened."""
+        self.heard_at = self._loop.time()  # when a message arrived last, or a session was opened
 
     @classmethod
     async def open(cls, routers: Routers) -> Self:
-        """Connect to one of the routers.
-
-        Raises:
-            OverlayUnavailable: zenoh is not installed, or no router takes this seat.
-        """
+        """Connect to one of the routers."""
         return cls(routers, await _open(routers))
 
     @property
@@ -123,50 +156,37 @@ class Carrier:
     # -- sending
 
     def put(self, key: str, data: bytes) -> None:
-        """Send a message to this mailbox; nobody says whether it arrives.
-
-        Args:
-            key: of one mailbox: `rossec.overlay.mailboxes.is_mailbox`.
-            data: at most `rossec.overlay.link_frames.MAX_FRAME` octets.
-        """
+        """Send at most `MAX_FRAME` octets to this mailbox; nobody says whether they arrive."""
         self._queue.put(key, data)
 
     def _put(self, key: str, data: bytes) -> None:
-        """Wait up to 50 ms for room (`rossec.overlay.send_queue`), then drop: Zenoh's default."""
         with suppress(self._failure):  # the session is being replaced: one more loss
             self._session.put(key, data)
 
     # -- receiving
 
-    def subscribe(self, key: str, callback: Callable[[bytes], None]) -> Subscription:
-        """Call back on the loop with each message that arrives in this mailbox.
-
-        Raises:
-            OverlayUnavailable: the session does not take it.
-        """
-        subscription = Subscription(self, key, callback)
+    def subscribe(self, key: str, callback: Callable[[bytes], None]) -> CarrierSubscription:
+        """Call back on the loop with each message that arrives in this mailbox."""
+        subscription = CarrierSubscription(self, key, callback)
         self._declare(subscription)
         self._subscriptions.add(subscription)
         return subscription
 
-    def _declare(self, subscription: Subscription) -> None:
+    def _declare(self, subscription: CarrierSubscription) -> None:
         receive = self._receiver(subscription)
         try:
             subscription.subscriber = self._session.declare_subscriber(subscription.key, receive)
         except self._failure as error:
             raise OverlayUnavailable("the session with the routers is closed") from error
 
-    def forget(self, subscription: Subscription) -> None:
-        """As of `Subscription.close`."""
+    def forget(self, subscription: CarrierSubscription) -> None:
         self._subscriptions.discard(subscription)
         subscriber, subscription.subscriber = subscription.subscriber, None
         if subscriber is not None:
             with suppress(self._failure):  # of a session that is gone
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
 
-    def _receiver(self, subscription: Subscription) -> "Callable[[zenoh.Sample], None]":
-        """What Zenoh calls, in its threads."""
-
+    def _receiver(self, subscription: CarrierSubscription) -> "Callable[[zenoh.Sample], None]":
         def receive(sample: "zenoh.Sample") -> None:
             if str(sample.key_expr) != subscription.key:
                 return  # put to a pattern: whoever did does not know this mailbox
@@ -185,12 +205,7 @@ class Carrier:
 
     def _deliver(self) -> None:
         self.heard_at = self._loop.time()
-        for subscription, data in self._take():
-            subscription.deliver(data)
-
-    def _take(self) -> list[tuple[Subscription, bytes]]:
-        """What arrived, as much as may be delivered in one turn of the loop."""
-        taken: list[tuple[Subscription, bytes]] = []
+        taken: list[tuple[CarrierSubscription, bytes]] = []
         size = 0
         with self._lock:
             while self._arrived and size < _TURN_BYTES:
@@ -201,7 +216,8 @@ class Carrier:
             self._woken = bool(self._arrived)
         if self._woken:
             self._loop.call_soon(self._deliver)
-        return taken
+        for subscription, data in taken:
+            subscription.deliver(data)
 
     # -- the session
 
@@ -241,7 +257,6 @@ class Carrier:
                 await asyncio.sleep(_REOPEN_AFTER)
 
     async def close(self) -> None:
-        """Close the session and every subscription."""
         self.closed = True
         if self._reopening is not None:
             self._reopening.cancel()
@@ -253,7 +268,6 @@ class Carrier:
 
 
 async def _open(routers: Routers) -> "zenoh.Session":
-    """A session, opened in a thread; if nobody waits for it any more, it is closed again."""
     settings = client_settings(routers)
     opening = asyncio.get_running_loop().run_in_executor(None, open_session, settings)
     try:

@@ -1,37 +1,65 @@
-"""A connection whose peer was authorized: under which decision, until when, and what ends it.
+"""A connection whose peer was authorized: under which decision, until when, what ends it, and what replaces
+it.
 
-The decision may be replaced while it is open, by one on grants that the peer presents later.
+The state of limited rights (rates) is one store for all nodes of this process: closing and reopening a node,
+publishing a topic again, or reconnecting does not reset it.
 """
 
-from collections.abc import Callable, Iterator
+import logging
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Final, Generic, Protocol, TypeVar
+from threading import Lock
+from typing import Any, Final, Generic, Protocol, TypeAlias, TypeVar, cast
 
 from ca.certificates import Identity
-from ca.domains.aliases import split_alias
-from ca.domains.served import alias_of_served
-from ca.domains.standing import Standing
-from ca.errors import NotAdmitted, RevocationsStale, Revoked
+from ca.encoding import encode
+from ca.errors import HintedError, NotAdmitted, RevocationsStale, Revoked
+from ca.names import alias_of_served, shown, split_alias
+from ca.revocation.trust_status import Standing
 from grants.decision import Decision
+from grants.guard import MemoryScope, MemoryStore
+from grants.limits import TokenBucket
+from grants.model import Right
 from rossec import clock
+from rossec.channel.negotiation import GrantsPresented, IdentityRenewed, Renewal
+from rossec.errors import LimitExceeded
+from rossec.participant.access import HandshakeAccess
+from rossec.peer_limits import printable
 
 # Existing connections survive missing timestamps this long; new ones are refused at once.
 STALE_GRACE: Final = 60
+PACE: Final = 3  # seconds between two presentations of this node on one connection
+_HEADER: Final = 30  # seconds a connection header may be older than the connection's authorization
+_RETRY: Final = 2  # seconds until what was refused is judged again; twice as long each time
+_LONGEST: Final = 60
+_AT_ONCE: Final = 256  # presentations of one key that are judged: one for each connection it may have
+_A_SECOND: Final = 8.0
+_PEERS: Final = 1024  # budgets that are kept; full ones are as good as none
+_NOTHING: Final = encode([])
+_OTHERS: Final = {
+    Right.SUBSCRIBE: Right.PUBLISH,
+    Right.PUBLISH: Right.SUBSCRIBE,
+    Right.CALL: Right.PROVIDE,
+    Right.PROVIDE: Right.CALL,
+}
+"""The right of this side on a connection, by the one of the peer."""
+_MEMORIES: Final = MemoryStore(clock.time, Lock)
+_log = logging.getLogger("rossec.node")
+
+
+def memory_scope(node: str) -> MemoryScope:
+    return MemoryScope(_MEMORIES, (node,))
 
 
 class PeerStream(Protocol):
-    """A stream whose peer is authenticated."""
-
     @property
-    def peer(self) -> Identity:
-        """Identity of the peer."""
+    def peer(self) -> Identity: ...
 
-    def pad_units(self, multiple: int) -> None:
-        """Pad what is sent from now on to a multiple of so many bytes; 0: do not."""
+    # Pad what is sent from now on to a multiple of so many bytes; 0: do not.
+    def pad_units(self, multiple: int) -> None: ...
 
-    def abort(self, reason: str) -> None:
-        """End it at once; from any thread, if threads share the table."""
+    def abort(self, reason: str) -> None: ...
 
 
 StreamT = TypeVar("StreamT", bound=PeerStream)
@@ -40,24 +68,14 @@ GuardT = TypeVar("GuardT")
 
 @dataclass
 class Presented:
-    """What was presented on one open connection.
+    """What was presented on one open connection."""
 
-    Attributes:
-        by_peer: its newest grants, which may not be in force (yet); empty: none since the header.
-        retry_at: when they are judged again; None: they were accepted, or there are none.
-        pause: seconds until they are judged once more after that.
-        by_self: the newest grants of this node; empty: those of its header, if any.
-        version: of this node's rights, when `by_self` was compared with them; below 0: never.
-        next_at: when this node may present again.
-        opened: when the connection was authorized.
-    """
-
-    by_peer: bytes = b""
-    retry_at: int | None = None
-    pause: int = 0
-    by_self: bytes = b""
-    version: int = -1
-    next_at: int = 0
+    by_peer: bytes = b""  # its newest grants, which may not be in force (yet); empty: none since the header
+    retry_at: int | None = None  # when they are judged again; None: they were accepted, or there are none
+    pause: int = 0  # seconds until they are judged once more after that
+    by_self: bytes = b""  # the newest grants of this node; empty: those of its header, if any
+    version: int = -1  # of this node's rights, when `by_self` was compared with them; below 0: never
+    next_at: int = 0  # when this node may present again
     opened: int = field(default_factory=clock.now)
 
 
@@ -65,22 +83,17 @@ class Presented:
 class AuthorizedConnection(Generic[StreamT, GuardT]):
     """A connection admitted by `decision`.
 
-    Attributes:
-        guard: applies the restrictions of the decision to what passes; None: nothing does here.
-        rebuild: makes the guard for another decision of the same peer, right and name; it raises a
-            `HintedError` where that cannot be applied to this connection. None: it takes none.
-        swap: puts another guard in the place of the one in force; None: it is this attribute.
-        presented: what both sides have presented since it is open.
-        ends: when the grant or the certificate of the peer expires (seconds).
+    `rebuild` makes the guard for another decision of the same peer, right and name; it raises a `HintedError`
+    where that cannot be applied to this connection. None: it takes none.
     """
 
     stream: StreamT
     decision: Decision
-    guard: GuardT
+    guard: GuardT  # applies the restrictions of the decision to what passes; None: nothing does here
     rebuild: Callable[[Decision], GuardT] | None = None
-    swap: Callable[[GuardT], None] | None = None
-    presented: Presented = field(default_factory=Presented)
-    ends: int = field(init=False)
+    swap: Callable[[GuardT], None] | None = None  # replaces the guard in force; None: it is the attribute
+    presented: Presented = field(default_factory=Presented)  # by both sides, since it is open
+    ends: int = field(init=False)  # when the grant or the certificate of the peer expires (seconds)
 
     def __post_init__(self) -> None:
         self.update_end()
@@ -88,7 +101,6 @@ class AuthorizedConnection(Generic[StreamT, GuardT]):
             self.stream.pad_units(self.decision.pad)
 
     def update_end(self) -> None:
-        """The decision or the peer's certificate is another one."""
         self.ends = min(self.decision.expires, self.stream.peer.not_after)
 
     def replace(self, decision: Decision, guard: GuardT) -> None:
@@ -117,12 +129,17 @@ class AuthorizedConnection(Generic[StreamT, GuardT]):
         """
         if now >= self.ends:
             return "its grant or its certificate has expired"
-        errors = {entry: _error_of(*entry, standing, now) for entry in self._entries(standing)}
+        # What ends it when revoked, with the domain whose list says so.
+        peer = self.stream.peer
+        of_peer = dict.fromkeys((standing.anchors.own.domain, peer.domain))
+        of_grants = of_peer | dict.fromkeys(grant.domain for grant in self.decision.grants)
+        entries = [*product(of_peer, peer.keys), *product(of_grants, self.decision.grant_ids)]
+        errors = {(domain, entry): _error_of(domain, entry, standing, now) for domain, entry in entries}
         for error in errors.values():  # all of them before staleness, which the first may have too
             if isinstance(error, Revoked | NotAdmitted):
                 return str(error)
         try:
-            standing.check_trust(self.stream.peer, now)
+            standing.check_trust(peer, now)
             _check_label(self.decision, standing)
         except NotAdmitted as error:
             return str(error)
@@ -132,14 +149,6 @@ class AuthorizedConnection(Generic[StreamT, GuardT]):
             if stale is not None and now >= standing.status_valid_until(*entry) + STALE_GRACE:
                 return str(stale)
         return None
-
-    def _entries(self, standing: Standing) -> Iterator[tuple[str, bytes]]:
-        """What ends it when revoked, with the domain whose list says so."""
-        peer, own = self.stream.peer, standing.anchors.own.domain
-        of_peer = dict.fromkeys((own, peer.domain))
-        of_grants = of_peer | dict.fromkeys(grant.domain for grant in self.decision.grants)
-        yield from product(of_peer, peer.keys)
-        yield from product(of_grants, self.decision.grant_ids)
 
 
 def _error_of(
@@ -153,11 +162,8 @@ def _error_of(
 
 
 def _check_label(decision: Decision, standing: Standing) -> None:
-    """Return while the label in an alias stands for the domain of the grants.
-
-    What a gateway serves is of the own domain's grants, and ends with the label. Whose label it is
-    then, the gateway's own connections to the origin have been cut for.
-    """
+    # What a gateway serves is of the own domain's grants, and ends with the label. Whose label it is then,
+    # the gateway's own connections to the origin have been cut for.
     served = alias_of_served(decision.name)
     found = split_alias(decision.name if served is None else served)
     if found is None:
@@ -168,3 +174,151 @@ def _check_label(decision: Decision, standing: Standing) -> None:
     domain = None if listed is None else listed.entry.domain
     if any(grant.domain != domain for grant in decision.grants):
         raise NotAdmitted(f"{found[0]} is no longer the domain it was")
+
+
+Connection: TypeAlias = AuthorizedConnection[Any, Any]
+
+
+class RenewableStream(Protocol):
+    def on_renewal(self, callback: Callable[[Renewal[Identity]], None]) -> None: ...
+
+    def present_grants(self, data: bytes) -> bool: ...
+
+
+class _Budgets:
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._buckets: dict[bytes | str, TokenBucket] = {}
+
+    def admits(self, peer: Identity, now: int) -> bool:
+        source = peer.domain if peer.is_foreign else peer.thumbprint
+        with self._lock:
+            bucket = self._buckets.get(source)
+            if bucket is None:
+                if len(self._buckets) >= _PEERS:
+                    left = self._buckets.items()
+                    self._buckets = {key: each for key, each in left if each.refill(now) < _AT_ONCE}
+                bucket = self._buckets[source] = TokenBucket(_A_SECOND, _AT_ONCE)
+            if bucket.refill(now) < 1:
+                return False
+            bucket.tokens -= 1
+            return True
+
+
+class RenewedGrants:
+    """Renewed grants on open connections: those of the peer are judged, this node's are presented.
+
+    What a peer presents is judged as in its connection header, by the same function: for the key of the
+    connection, the right and the name it has. If that authorizes it, the decision takes the place of the one
+    in force between two messages, whether it is longer, narrower or wider; it is checked once more then, as a
+    revocation may have arrived while it was judged. If not, the one in force stays, and is not prolonged;
+    what was refused is judged again, since the list it needs may be on its way, and once more when the
+    connection would end. A decision that cannot be applied to a connection that is open ends it: it is made
+    anew under it. Thread-safe; nothing is judged with a lock held.
+    """
+
+    def __init__(self, access: HandshakeAccess) -> None:
+        self._access = access
+        self._budgets = _Budgets()
+        self._replacing = Lock()
+        self._version = -1
+        self._changed_at = 0
+
+    # -- what peers present
+
+    def opened(self, connection: Connection, on_renewed: Callable[[Connection], None]) -> None:
+        if connection.rebuild is None:
+            return
+
+        def take(renewal: Renewal[Identity]) -> None:
+            try:
+                self._take(connection, renewal, on_renewed)
+            except Exception:  # noqa: BLE001 - fail closed: a check that crashes leaves nothing open
+                _log.exception("a renewal of %s cannot be judged", _peer(connection))
+                connection.stream.abort("what the peer presents cannot be judged")
+
+        cast("RenewableStream", connection.stream).on_renewal(take)
+
+    def _take(
+        self, connection: Connection, renewal: Renewal[Identity], on_renewed: Callable[[Connection], None]
+    ) -> None:
+        match renewal:
+            case IdentityRenewed():
+                connection.update_end()
+                on_renewed(connection)
+            case GrantsPresented(data):
+                connection.presented.by_peer = data
+                connection.presented.pause = _RETRY
+                held = connection.decision
+                self._judge_within_budget(connection, clock.now())
+                if connection.decision is not held:
+                    on_renewed(connection)
+            case _:
+                why = printable(renewal.reason)
+                _log.info("%s presents a certificate that is refused: %s", _peer(connection), why)
+
+    def retry(self, connections: Iterable[Connection], now: int) -> None:
+        for connection in connections:
+            retry_at = connection.presented.retry_at
+            if retry_at is not None and retry_at <= now:
+                self._judge_within_budget(connection, now)
+
+    def _judge_within_budget(self, connection: Connection, now: int) -> None:
+        if not self._budgets.admits(connection.stream.peer, now) or not self.continues(connection, now):
+            presented = connection.presented
+            presented.retry_at = now + presented.pause
+            presented.pause = min(2 * presented.pause, _LONGEST)
+
+    def continues(self, connection: Connection, now: int) -> bool:
+        # Whether what the peer has presented authorizes the connection, which may be about to end.
+        held, data, rebuild = connection.decision, connection.presented.by_peer, connection.rebuild
+        if not data or rebuild is None:
+            return False
+        try:
+            decision = self._access.authorize(connection.stream.peer, data, held.right, held.name, now)
+        except HintedError as error:
+            _log.info("%s presents grants that are refused: %s", _peer(connection), printable(error))
+            return False
+        connection.presented.retry_at = None
+        try:
+            guard = rebuild(decision)
+        except HintedError as error:
+            reason = f"what the peer may do now needs a new connection: {printable(error)}"
+            _log.info("closed the connection with %s: %s", _peer(connection), reason)
+            connection.stream.abort(reason)
+            return True
+        with self._replacing:
+            if connection.decision is held:
+                connection.replace(decision, guard)
+                return True
+        return self.continues(connection, now)  # another thread was faster, maybe with what was before
+
+    # -- what this node presents
+
+    def present(self, connections: Iterable[Connection], version: int, now: int) -> None:
+        if version != self._version:
+            self._version, self._changed_at = version, now
+        for connection in connections:
+            presented = connection.presented
+            if connection.rebuild is None or presented.version == version:
+                continue
+            if presented.version < 0 and presented.opened > self._changed_at + _HEADER:
+                presented.version = version  # its header had them
+            elif now >= presented.next_at:
+                self._present(connection, version, now)
+
+    def _present(self, connection: Connection, version: int, now: int) -> None:
+        presented, decision = connection.presented, connection.decision
+        presented.version = version
+        try:
+            grants = self._access.present(_OTHERS[decision.right], decision.name, now)
+            if grants in (_NOTHING, presented.by_self):
+                return
+            if cast("RenewableStream", connection.stream).present_grants(grants):
+                presented.by_self, presented.next_at = grants, now + PACE
+        except (HintedError, LimitExceeded) as error:
+            _log.info("not presented to %s: %s", _peer(connection), printable(error))
+
+
+def _peer(connection: Connection) -> str:
+    return f"{shown(connection.stream.peer.name)} ({shown(connection.decision.name)})"

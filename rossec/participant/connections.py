@@ -1,44 +1,51 @@
-"""The connections of one identity: how many a peer may have, and what cuts them.
+"""The connections of one identity: those a node makes, how many a peer may have, and what cuts them.
 
-A connection is in the table before it is checked once more, and checked before data passes: a
-revocation that arrives while it is admitted finds it there, or is found by the check. Thread-safe;
-a connection is cut with no lock held. What a form of a node adds is the stream.
+A connection is in the table before it is checked once more, and checked before data passes: a revocation that
+arrives while it is admitted finds it there, or is found by the check. The tables are thread-safe; a
+connection is cut with no lock held. What a form of a node adds is the stream.
 """
 
+import asyncio
+import contextlib
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import partial
 from threading import Lock
-from typing import Any, Final, Generic, NamedTuple
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown
-from ca.domains.standing import Standing
 from ca.errors import NotAdmitted
+from ca.names import is_alias, shown
+from ca.revocation.trust_status import Standing
 from rossec import clock
-from rossec.errors import ChannelClosed, LimitExceeded
-from rossec.net.aio import SecureStream
-from rossec.net.aio.accepted import Handler
-from rossec.participant.authorized import AuthorizedConnection, StreamT
-from rossec.participant.renewed_grants import RenewedGrants
+from rossec.errors import ChannelClosed, ConnectionHeaderRefused, LimitExceeded
+from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
+from rossec.net.aio.server import Handler
+from rossec.net.limits import UNSHOWN_BODY
+from rossec.net.rpc.calls import Dispatch, RpcClient, serve_calls
+from rossec.participant import slave_api
+from rossec.participant.access import Access, wire_name
+from rossec.participant.authorized import AuthorizedConnection, PeerStream, RenewedGrants, StreamT
+from rossec.participant.handshakes import caller_for
+from rossec.ros import names
 from rossec.ros.names import MASTER
 
 PEER_CONNECTIONS: Final = 256  # of one identity, one for each topic or service: rosbag uses all
 UNSHOWN_CONNECTIONS: Final = 32
 """Of those, the ones by which no grant was shown (yet): each is for a header, or a short call."""
 
+WATCH_PERIOD: Final = 1.0  # seconds between checks; an expiry is exact to the second
+FOLLOW_PERIOD: Final = 1.0  # seconds, at most, from the master's list to the end of a connection
+_REASON: Final = "the master lists this publisher no longer"
+
+Address = tuple[str, int]
+CheckPeer = Callable[[Identity, int], None]
+PublisherT = TypeVar("PublisherT")
 _log = logging.getLogger("rossec.node")
 
 
-def _source(peer: Identity) -> bytes | str:
-    """What a limit on connections is for: the key, of a foreigner the domain."""
-    return f"domain {peer.domain}" if peer.is_foreign else peer.thumbprint
-
-
 class _Accepted(NamedTuple):
-    """A connection that a peer made, authorized or not; a plain peer is an address."""
-
     source: bytes | str
     peer: Identity | str
     abort: Callable[[str], None]
@@ -46,24 +53,14 @@ class _Accepted(NamedTuple):
 
 
 class ConnectionTable(Generic[StreamT]):
-    """The connections of one identity.
-
-    Args:
-        standing: what ends them.
-        lock: held while `standing` is read, if threads share it.
-        most: how many connections one peer may have made (N8); None: `PEER_CONNECTIONS`.
-        master: the name of the own master, which may have more.
-
-    Attributes:
-        renewed: judges what peers present on open connections; None: no connection takes renewals.
-    """
+    """The connections of one identity; `lock` is held while `standing` is read, if threads share it."""
 
     def __init__(
         self,
         standing: Standing,
         lock: AbstractContextManager[object] = nullcontext(),  # noqa: B008 - has no state
-        most: int | None = None,
-        master: str = MASTER,
+        most: int | None = None,  # connections of one peer (N8); None: `PEER_CONNECTIONS`
+        master: str = MASTER,  # which may have more
     ) -> None:
         self._standing = standing
         self._standing_lock = lock
@@ -73,21 +70,17 @@ class ConnectionTable(Generic[StreamT]):
         self._accepted: dict[object, _Accepted] = {}
         self._authorized: set[AuthorizedConnection[StreamT, Any]] = set()
         self._closed: str | None = None
-        self.renewed: RenewedGrants | None = None
+        self.renewed: RenewedGrants | None = None  # None: no connection takes renewals
 
     # -- what peers connect
 
     def bounded(self, handler: Handler[Identity]) -> Handler[Identity]:
-        """Call `handler` for the connections that `accept` admits.
-
-        The master may have more: one for each program, of which a sidecar's identity has many.
-        """
+        """Call `handler` for the connections that `accept` admits; the master may have more. It has one for
+        each program, of which a sidecar's identity has many."""
 
         async def serve_one(stream: SecureStream[Identity]) -> None:
             try:
-                self.accept(
-                    stream, stream.peer, stream.abort, limited=stream.peer.name != self._master
-                )
+                self.accept(stream, stream.peer, stream.abort, limited=stream.peer.name != self._master)
             except LimitExceeded:
                 _log.warning("%s has too many connections", shown(stream.peer.name))
                 stream.abort("too many connections of one identity")
@@ -98,21 +91,14 @@ class ConnectionTable(Generic[StreamT]):
         return serve_one
 
     def accept(
-        self,
-        key: object,
-        peer: Identity | str,
-        abort: Callable[[str], None],
-        *,
-        limited: bool = True,
+        self, key: object, peer: Identity | str, abort: Callable[[str], None], *, limited: bool = True
     ) -> None:
-        """Count a connection of `peer` until `forget` is called with the same key.
-
-        A foreign authority certifies any number of keys, so its domain counts as one peer.
-
-        Raises:
-            LimitExceeded: it has too many already, or too many that are not authorized.
-        """
-        source, name = (peer, peer) if isinstance(peer, str) else (_source(peer), peer.name)
+        """Count a connection of `peer` until `forget` is called with the same key. A foreign authority
+        certifies any number of keys, so its domain counts as one peer."""
+        source: bytes | str = peer if isinstance(peer, str) else peer.thumbprint
+        if not isinstance(peer, str) and peer.is_foreign:
+            source = f"domain {peer.domain}"
+        name = peer if isinstance(peer, str) else peer.name
         most = PEER_CONNECTIONS if self._most is None else self._most
         with self._lock:
             if limited:
@@ -129,7 +115,6 @@ class ConnectionTable(Generic[StreamT]):
             self._accepted[key] = _Accepted(source, peer, abort)
 
     def forget(self, key: object) -> None:
-        """Stop counting a connection; one that is not counted is ignored."""
         with self._lock:
             self._accepted.pop(key, None)
 
@@ -141,7 +126,6 @@ class ConnectionTable(Generic[StreamT]):
 
     @property
     def domains(self) -> frozenset[str]:
-        """The trust domains of the peers that are connected."""
         with self._lock:
             peers = [each.peer for each in self._accepted.values()]
             peers += [each.stream.peer for each in self._authorized]
@@ -149,15 +133,10 @@ class ConnectionTable(Generic[StreamT]):
 
     @property
     def next_expiry(self) -> int | None:
-        """When the first connection expires."""
         return min((connection.ends for connection in self), default=None)
 
     def add(self, connection: AuthorizedConnection[StreamT, Any]) -> None:
-        """Add a connection; no data may have passed yet.
-
-        Raises:
-            ChannelClosed: it is not allowed any more; it is not added.
-        """
+        """Add a connection; no data may have passed yet."""
         with self._lock:
             self._authorized.add(connection)
             accepted = self._accepted.get(connection.stream)
@@ -172,7 +151,6 @@ class ConnectionTable(Generic[StreamT]):
             self.renewed.opened(connection, self._renewed)
 
     def _renewed(self, connection: AuthorizedConnection[StreamT, Any]) -> None:
-        """The peer's certificate or grants were renewed: what they need may be revoked here."""
         with self._lock:
             accepted = self._accepted.get(connection.stream)
             if accepted is not None:
@@ -182,7 +160,6 @@ class ConnectionTable(Generic[StreamT]):
             self.check(connection)
 
     def discard(self, connection: AuthorizedConnection[StreamT, Any]) -> bool:
-        """The connection is gone; returns whether it was in the table."""
         with self._lock:
             known = connection in self._authorized
             self._authorized.discard(connection)
@@ -190,7 +167,6 @@ class ConnectionTable(Generic[StreamT]):
 
     @contextmanager
     def track(self, connection: AuthorizedConnection[StreamT, Any]) -> Iterator[None]:
-        """Keep a connection in the table while the block runs; raises as `add`."""
         self.add(connection)
         try:
             yield
@@ -198,11 +174,6 @@ class ConnectionTable(Generic[StreamT]):
             self.discard(connection)
 
     def check(self, connection: AuthorizedConnection[StreamT, Any]) -> None:
-        """Return while the connection may stay open.
-
-        Raises:
-            ChannelClosed: it must end, and is aborted.
-        """
         now = clock.now()
         with self._standing_lock:
             reason = connection.termination_reason(self._standing, now)
@@ -215,10 +186,7 @@ class ConnectionTable(Generic[StreamT]):
     # -- what must end
 
     def cut_ended(self, now: int) -> None:
-        """Cut every connection that must end at `now`, and every one of a revoked identity.
-
-        Also those of a domain that is not trusted any more, authorized or not.
-        """
+        """Cut what must end at `now`, and all of a revoked identity, or of a domain no longer trusted."""
         connections = tuple(self)
         with self._lock:
             accepted = tuple(self._accepted.values())
@@ -231,9 +199,7 @@ class ConnectionTable(Generic[StreamT]):
             if self.discard(connection):
                 connection.stream.abort(reason)
                 name, right = connection.stream.peer.name, connection.decision.name
-                _log.warning(
-                    "closed the connection with %s (%s): %s", shown(name), shown(right), reason
-                )
+                _log.warning("closed the connection with %s (%s): %s", shown(name), shown(right), reason)
         for each, reason in refused:
             if reason is not None:
                 each.abort(reason)
@@ -241,14 +207,13 @@ class ConnectionTable(Generic[StreamT]):
             self.renewed.retry(self, now)
 
     def _continues(self, connection: AuthorizedConnection[StreamT, Any], now: int) -> bool:
-        """Whether a connection that must end goes on with what its peer presented meanwhile."""
+        # Whether a connection that must end goes on with what its peer presented meanwhile.
         if self.renewed is None or not self.renewed.continues(connection, now):
             return False
         with self._standing_lock:
             return connection.termination_reason(self._standing, now) is None
 
     def _refusal(self, peer: Identity | str, now: int) -> str | None:
-        """Why no connection with `peer`, authorized or not, may stand; None: it may."""
         if isinstance(peer, str):
             return None
         domains = dict.fromkeys((self._standing.anchors.own.domain, peer.domain))
@@ -266,3 +231,174 @@ class ConnectionTable(Generic[StreamT]):
         for connection in self:
             self.discard(connection)
             connection.stream.abort(reason)
+
+
+class ConnectionWatchdog:
+    """Cuts connections that have expired, were revoked, or whose revocation data is stale.
+
+    It waits for the clock only: a master that hangs must not keep an expired connection open.
+    `expire_confirmation` expires the confirmation of the revocation list at that time.
+    """
+
+    def __init__(self, connections: ConnectionTable[Any], expire_confirmation: Callable[[int], None]) -> None:
+        self._connections = connections
+        self._expire_confirmation = expire_confirmation
+        self._setbacks = clock.Setbacks()
+
+    async def run(self) -> None:
+        while True:
+            expiry = self._connections.next_expiry
+            left = WATCH_PERIOD if expiry is None else expiry - clock.time()
+            await asyncio.sleep(max(0.0, min(WATCH_PERIOD, left)))
+            self.check(clock.now())
+
+    def check(self, now: int) -> None:
+        # Cut what must end; after the clock was set back, wait for fresh revocation data.
+        if self._setbacks.any_new():
+            _log.warning(
+                "the host's clock went back: new connections are refused"
+                " until the master confirms its revocation list again"
+            )
+            self._expire_confirmation(now - 1)
+        self._connections.cut_ended(now)
+
+
+class FollowedPublishers(Generic[PublisherT]):
+    """The connections of one identity to publishers of aliases: they end when those are no longer listed.
+
+    What a gateway serves replaces the origin's publishers, and the reverse. roscpp and the built-in node
+    leave a publisher that is listed no longer; rospy never does, and would get every message twice, over one
+    line more. So its connections are ended for it. Topics of the own domain are left as ROS has them.
+    `is_listed`: whether the master lists a publisher of a topic, or may list it again.
+    """
+
+    def __init__(self, is_listed: Callable[[str, PublisherT], bool]) -> None:
+        self._is_listed = is_listed
+        self._lock = Lock()
+        self._followed: dict[PeerStream, tuple[str, PublisherT]] = {}
+
+    def add(self, stream: PeerStream, topic: str, publisher: PublisherT) -> None:
+        if is_alias(topic):
+            with self._lock:
+                self._followed[stream] = topic, publisher
+
+    def discard(self, stream: PeerStream) -> None:
+        with self._lock:
+            self._followed.pop(stream, None)
+
+    def leave_unlisted(self) -> None:
+        with self._lock:
+            followed = tuple(self._followed.items())
+        for stream, (topic, publisher) in followed:
+            if not self._is_listed(topic, publisher):
+                self.discard(stream)
+                stream.abort(_REASON)
+
+
+class OwnAddresses:
+    """The addresses a node registered as its own: only a connection to one of them may reach itself. An
+    address that a peer sends is not enough: the answer to `requestTopic` could send a node back to itself."""
+
+    def __init__(self) -> None:
+        self.host = ""  # that it registers; empty while it does not listen
+        self._ports: set[int] = set()
+
+    def add_ports(self, host: str, *ports: int) -> None:
+        self.host = host
+        self._ports.update(ports)
+
+    def is_own(self, address: Address) -> bool:
+        host, port = address
+        return self.host != "" and _plain(host) == _plain(self.host) and port in self._ports
+
+    def check_redirect(self, first: Address, then: Address) -> None:
+        if self.is_own(then) and not self.is_own(first):
+            host, port = first
+            raise ConnectionHeaderRefused(f"the node at {host} port {port} sends this node to itself")
+
+
+def _plain(host: str) -> str:
+    return host.lower().removeprefix("[").removesuffix("]")
+
+
+class Dialer:
+    """Connects as one node; `certified`: its name without an anonymous suffix, by default the same.
+
+    A peer is checked before anything is sent: its certificate by the channel, its revocation here. That a
+    publisher lacks the right shows in its answer only; by then it has received the topic's name, which the
+    master has sent it as well, and the subscriber's grant for that topic.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        context: SecureContext[Identity],
+        check_peer: CheckPeer,
+        own_addresses: OwnAddresses | None = None,
+        certified: str = "",
+    ) -> None:
+        self._name = name
+        self._certified = certified or name
+        self._context = context
+        self._check_peer = check_peer
+        self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
+
+    async def rpc(self, host: str, port: int) -> SecureStream[Identity]:
+        return await self._connect(host, port, WireProtocol.HTTP)
+
+    async def topic(self, uri: str, topic: str) -> SecureStream[Identity]:
+        """Connect to the TCPROS port that the node at `uri` names in its answer to `requestTopic`. At a
+        relay's forwarded port that is the same port again: the node names an address of its own network."""
+        api = names.parse_uri(uri, "a publisher's URI")
+        stream = await self.rpc(*api)
+        self._check_identity(stream)
+        try:
+            name = wire_name(stream.peer, topic, self._certified)
+            caller = caller_for(stream.peer, self._name, self._certified)
+            answer = await RpcClient(stream).ask("requestTopic", caller, name, [["TCPROS"]])
+        finally:
+            stream.close_soon()  # the peer could make this take longer than a caller has
+        match answer:
+            case ["TCPROS", str() as host, int() as port] if 0 < port < 1 << 16:
+                named = host, port
+            case _:
+                raise ConnectionHeaderRefused(
+                    f"{shown(stream.peer.name)} offers no connection for {shown(topic)}"
+                )
+        address = api if names.is_door(uri) else named
+        self._own_addresses.check_redirect(api, address)
+        stream = await self._connect(*address, WireProtocol.TCPROS)
+        self._check_identity(stream)
+        return stream
+
+    async def service(self, uri: str) -> SecureStream[Identity]:
+        host, port = names.parse_uri(uri, "a service's URI", scheme="rosrpc")
+        stream = await self._connect(host, port, WireProtocol.TCPROS)
+        self._check_identity(stream)
+        return stream
+
+    async def _connect(self, host: str, port: int, protocol: WireProtocol) -> SecureStream[Identity]:
+        to_itself = self._own_addresses.is_own((host, port))
+        return await connect(host, port, self._context, protocol, to_itself=to_itself)
+
+    def _check_identity(self, stream: SecureStream[Identity]) -> None:
+        try:
+            self._check_peer(stream.peer, clock.now())
+        except BaseException:
+            stream.abort("the peer's identity is revoked or cannot be checked")
+            raise
+
+
+async def serve_peer(stream: SecureStream[Identity], dispatch: Dispatch[Identity], access: Access) -> None:
+    """Answer the calls of a peer, to a node or a sidecar's program, until it closes or its time is over.
+
+    The master's calls are parsed before those of others, as a revocation is one; its connection has no time
+    limit. Another peer has little to say to a node, so it says it in small bodies, and in time.
+    """
+    if access.is_master(stream.peer):
+        stream.raise_unit_limit()
+        await serve_calls(stream, dispatch, urgent=True)
+        return
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(slave_api.DEADLINE):
+            await serve_calls(stream, dispatch, bound=lambda: UNSHOWN_BODY)

@@ -1,30 +1,92 @@
-"""Message definitions, and which side's definition a guard is built from. Pure.
+"""Message definitions, which side's definition a guard is built from, and the guard of a connection. Pure.
 
-ROS's md5 proves less than it seems: array brackets after the name of a message type are not part
-of it (genmsg, `compute_md5_text`), so `Vector3[0] linear` has the md5 of `Vector3 linear`. A peer
-that chooses the text could make a guard check other bytes than the receiver reads. So a guard is
-built from the definition of the side that applies it: the receiver's own, or the one installed on
-its host. A restricted publisher's definition is used only where the receiver's md5 proves it.
+ROS's md5 proves less than it seems: array brackets after the name of a message type are not part of it
+(genmsg, `compute_md5_text`), so `Vector3[0] linear` has the md5 of `Vector3 linear`. A peer that chooses the
+text could make a guard check other bytes than the receiver reads. So a guard is built from the definition of
+the side that applies it: the receiver's own, or the one installed on its host. A restricted publisher's
+definition is used only where the receiver's md5 proves it.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, TypeAlias
 
 from ca.errors import HintedError
+from ca.names import closest
 from grants.decision import Decision
 from grants.errors import DefinitionIncomplete, DefinitionRefused
 from grants.filters import layout
 from grants.filters.layout import Layout
-from grants.guard import check_type
+from grants.guard import Guard, MemoryScope, check_type, needed_keys
 from rossec.errors import ConnectionHeaderRefused
-from rossec.participant.header_fields import Fields, text
-from rossec.participant.type_packages import what_to_install
+from rossec.participant.handshakes import Fields, text
 from rossec.ros.names import ANY_TYPE
 
+_IN_ROS: Final = frozenset(
+    {
+        "actionlib_msgs",
+        "diagnostic_msgs",
+        "geometry_msgs",
+        "map_msgs",
+        "move_base_msgs",
+        "nav_msgs",
+        "pcl_msgs",
+        "rosgraph_msgs",
+        "sensor_msgs",
+        "shape_msgs",
+        "std_msgs",
+        "std_srvs",
+        "stereo_msgs",
+        "tf2_msgs",
+        "trajectory_msgs",
+        "visualization_msgs",
+    }
+)
+"""Of these Debian has the definitions in `ros-...`."""
+_OTHERS: Final = {
+    "actionlib": "libactionlib-dev",
+    "bond": "libbond-dev",
+    "nodelet": "libnodelet-dev",
+    "roscpp": "ros-roscpp-msg",
+    "topic_tools": "ros-topic-tools-srvs",
+}
 _RESTRICTED: Final = "the publisher's right is restricted, so this host must know the type"
 _ROS_PATH: Final = "sidecars and gateways look for .msg files along ROS_PACKAGE_PATH"
+
+
+def what_to_install(type_name: str) -> str:
+    package = type_name.partition("/")[0]
+    ours = f"of ROS for Ubuntu: ros-noetic-{_dashed(package)}"
+    if (theirs := _debian(package)) is not None:
+        return f"it is in Debian's package {theirs} ({ours}): apt install {theirs}"
+    return (
+        f"Debian does not have it ({ours}); of a workspace: name the folder of {package} in ROS_PACKAGE_PATH"
+    )
+
+
+def unknown_type(type_name: str, known: Iterable[str]) -> str:
+    """The hint where a message type is not known: one of that package, or what to install."""
+    package, _, leaf = type_name.partition("/")
+    pairs = (name.partition("/") for name in known)
+    same = [each for its, _, each in pairs if its == package]
+    if same:
+        near = closest(leaf, same)
+        meant = f"did you mean {package}/{near}? " if near is not None else ""
+        own = f"one of your own: register_type(), or the folder of its {package} in ROS_PACKAGE_PATH"
+        return f"{meant}it is none of {package} as it is known here; {own}"
+    near = None if _debian(package) is not None else closest(type_name, known)
+    if near is not None:
+        return f"did you mean {near}? else {what_to_install(type_name)}"
+    return what_to_install(type_name)
+
+
+def _debian(package: str) -> str | None:
+    return f"ros-{_dashed(package)}" if package in _IN_ROS else _OTHERS.get(package)
+
+
+def _dashed(package: str) -> str:
+    return package.replace("_", "-").lower()
 
 
 @dataclass(frozen=True)
@@ -42,12 +104,6 @@ class Definition:
 
     @cached_property
     def layout(self) -> Layout:
-        """Where the fields of a message are in its bytes.
-
-        Raises:
-            DefinitionRefused: the text is not a definition.
-            ConnectionHeaderRefused: its md5sum is another one.
-        """
         shape = layout.parse(self.name, self.definition)
         if shape.md5 != self.md5sum:
             raise ConnectionHeaderRefused(
@@ -65,18 +121,14 @@ def size_of(kind: Definition) -> int | None:
         return None
 
 
+FilterKey = Callable[[str], bytes]
 FindDefinition: TypeAlias = Callable[[str], Definition | None]
 """Finds the definition installed on this host by type name; None: not installed."""
 
 
 def from_header(fields: Mapping[str, bytes]) -> Definition:
-    """The type one side of a connection claims in its header; the definition may be missing.
-
-    It is checked where it is needed: `Definition.layout` refuses text that is not UTF-8.
-
-    Raises:
-        ConnectionHeaderRefused: the type or md5sum is missing or is not text.
-    """
+    """The type one side of a connection claims in its header; the definition may be missing. It is checked
+    where it is needed: `Definition.layout` refuses text that is not UTF-8."""
     definition = fields.get("message_definition", b"").decode(errors="surrogateescape")
     return Definition(text(fields, "type"), text(fields, "md5sum"), definition)
 
@@ -95,9 +147,6 @@ def receiver_definition(
         own: the receiver's type: `*` for any, and roscpp sends no definition.
         claimed: the type the publisher claims.
         find_installed: called for types that the grant names, and no others.
-
-    Raises:
-        ConnectionHeaderRefused, GrantError: it is not known, or the right is for another type.
     """
     if own.definition or not needs_definition(decision):
         return sender_definition(own, decision, find_installed)
@@ -116,18 +165,12 @@ def receiver_definition(
     return trusted
 
 
-def sender_definition(
-    own: Definition, decision: Decision, find_installed: FindDefinition
-) -> Definition:
+def sender_definition(own: Definition, decision: Decision, find_installed: FindDefinition) -> Definition:
     """The definition of the messages a program sends, as it claims.
 
     It may repeat the claim of its own publisher, as `topic_tools relay` does: where the type is
     installed on this host, both definitions must be the same. Where it says less than its type
     has, nested types or all of it, the one that is installed here counts.
-
-    Raises:
-        ConnectionHeaderRefused, GrantError: they differ, or the text is not a definition or is of
-        another type.
     """
     if not needs_definition(decision):
         return own
@@ -140,11 +183,7 @@ def sender_definition(
     if is_proven:
         return own
     trusted = find_installed(own.name)
-    if (
-        trusted is None
-        or trusted.md5sum != own.md5sum
-        or trusted.layout.digest == own.layout.digest
-    ):
+    if trusted is None or trusted.md5sum != own.md5sum or trusted.layout.digest == own.layout.digest:
         return own
     raise ConnectionHeaderRefused(
         f"the program's definition of {own.name} is not the one this host knows",
@@ -153,15 +192,8 @@ def sender_definition(
 
 
 def _instead_of(own: Definition, error: HintedError, find_installed: FindDefinition) -> Definition:
-    """The installed definition for one that lacks nested types, or is empty.
-
-    rosnodejs sends no nested types, other clients nothing at all. It is what the guard is built
-    from and what receivers are told, so that both read the same.
-
-    Raises:
-        ConnectionHeaderRefused: none with the md5sum is installed; or there is a text, and it is
-            of another type.
-    """
+    # rosnodejs sends no nested types, other clients nothing at all. It is what the guard is built from and
+    # what receivers are told, so that both read the same.
     if isinstance(error, ConnectionHeaderRefused) and own.definition.strip():
         raise error
     trusted = find_installed(own.name)
@@ -174,16 +206,11 @@ def _instead_of(own: Definition, error: HintedError, find_installed: FindDefinit
     ) from error
 
 
-def forwarded_definition(
-    sent: Definition, decision: Decision, find_installed: FindDefinition
-) -> Definition:
+def forwarded_definition(sent: Definition, decision: Decision, find_installed: FindDefinition) -> Definition:
     """The definition of messages that are forwarded for somebody who is not trusted.
 
     As `sender_definition`, but where the md5sum does not prove it this host has to know the type:
     the restrictions of a subscriber may protect it from the sender.
-
-    Raises:
-        ConnectionHeaderRefused, GrantError: as there; or the type is not installed.
     """
     if needs_definition(decision) and not _is_proven(sent):
         trusted = find_installed(sent.name)
@@ -197,17 +224,11 @@ def forwarded_definition(
 
 
 def definition_fields(kind: Definition, decision: Decision) -> Fields:
-    """Header fields that replace the publisher's, where a guard depends on the definition.
-
-    Programs that accept any type (rosbag, relays) use the definition in the header.
-    """
+    """Header fields that replace the publisher's, where a guard depends on the definition. Programs that
+    accept any type (rosbag, relays) use the definition in the header."""
     if not needs_definition(decision):
         return {}
-    return {
-        "type": kind.name.encode(),
-        "md5sum": kind.md5sum.encode(),
-        "message_definition": kind.octets,
-    }
+    return {"type": kind.name.encode(), "md5sum": kind.md5sum.encode(), "message_definition": kind.octets}
 
 
 def reported_definition(own: Definition, claimed: Definition) -> Definition:
@@ -225,3 +246,19 @@ def _is_proven(definition: Definition) -> bool:
 
 def _either(own: str, claimed: str) -> str:
     return claimed if own == ANY_TYPE else own
+
+
+def guard_for(
+    kind: Definition, decision: Decision, filter_key: FilterKey, memory: MemoryScope
+) -> Guard | None:
+    """The guard that applies restrictions to the messages of one connection; None: nothing to apply.
+
+    Each side applies those of the other: a publisher the subscriber's, before a message is sent; a subscriber
+    the publisher's, before a message is accepted. `memory` finds what earlier connections of the same key
+    have used up. Without a guard, the watchdog still closes the connection when the right expires.
+    """
+    if not decision.restrictions:
+        return None
+    keys = {key: filter_key(key) for key in needed_keys(decision.restrictions)}
+    shape = kind.layout if needs_definition(decision) else None
+    return Guard(shape, decision, keys, memory)

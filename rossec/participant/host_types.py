@@ -1,9 +1,8 @@
-"""The message types this host knows: .msg files of its packages, and those of ROS Noetic.
+"""The message types this host knows: .msg files of its packages, and those of ROS Noetic. A shell.
 
-A shell, and the one place that says where types come from: for policies, for every command, and for
-guards of programs that do not send their message definition (roscpp's subscribers do not, nor do
-tools that accept any type). Packages are looked for along ROS_PACKAGE_PATH, then where Debian and
-ROS install them.
+The one place that says where types come from: for policies, for every command, and for guards of programs
+that do not send their message definition (roscpp's subscribers do not, nor do tools that accept any type).
+Packages are looked for along ROS_PACKAGE_PATH, then where Debian and ROS install them.
 """
 
 import os
@@ -38,46 +37,30 @@ def known_type(name: str) -> Definition | None:
                 pending += sorted(layout.dependencies(current, texts[current]))
             if len(texts) > MAX_TYPES:
                 return None
-        whole = "\n".join((texts.pop(name), *(_section(*item) for item in texts.items())))
+        own = texts.pop(name)
+        whole = "\n".join((own, *(f"{SEPARATOR}\nMSG: {other}\n{text}" for other, text in texts.items())))
         return Definition(name, layout.parse(name, whole).md5, whole)
     except (MessageError, DefinitionRefused):
         return None
 
 
 def definition_of(name: str) -> str:
-    """The definition text of the type `name`: that by which this host's guards would read it.
-
-    Raises:
-        MessageError: an unknown type.
-    """
+    """The definition text of the type `name`: that by which this host's guards would read it."""
     found = known_type(name)
-    if found is not None:
-        return found.definition
+    return _registered(name) if found is None else found.definition
+
+
+def layout_of(name: str) -> layout.Layout:
+    return layout.parse(name, definition_of(name))
+
+
+def _registered(name: str) -> str:
     from rossec.participant.message_types import registered_type  # noqa: PLC0415 - 15 MB, rarely needed
 
     return registered_type(name).definition
 
 
-def layout_of(name: str) -> layout.Layout:
-    """The layout of the type `name`; raises as `definition_of`."""
-    return layout.parse(name, definition_of(name))
-
-
 def _text(name: str) -> str:
-    """The definition of `name` alone; a local package may use standard types."""
-    found = _read(name)
-    if found is None:
-        from rossec.participant.message_types import registered_type  # noqa: PLC0415 - 15 MB, rarely needed
-
-        found = registered_type(name).definition.partition(SEPARATOR)[0]
-    return found
-
-
-def _section(name: str, text: str) -> str:
-    return f"{SEPARATOR}\nMSG: {name}\n{text}"
-
-
-def _read(name: str) -> str | None:
     package, leaf = name.split("/")
     for directory in _directories(package):
         path = directory / "msg" / f"{leaf}.msg"
@@ -86,17 +69,15 @@ def _read(name: str) -> str | None:
                 return path.read_text(errors="replace")  # comments may be in any encoding
         except OSError:
             continue
-    return None
+    return _registered(name).partition(SEPARATOR)[0]
 
 
 def places(variables: Mapping[str, str]) -> list[str]:
-    """Where packages are: ROS_PACKAGE_PATH, then what is installed."""
     given = variables.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
     return list(dict.fromkeys(place for place in (*given, *INSTALLED) if place))
 
 
 def _directories(package: str) -> Iterator[Path]:
-    """The candidate directories: in a directory of packages, the package itself, or below."""
     for place in map(Path, places(os.environ)):
         yield place / package
         if place.name == package:
@@ -107,11 +88,8 @@ def _directories(package: str) -> Iterator[Path]:
 
 @lru_cache(maxsize=16)
 def _below(place: Path) -> Mapping[str, tuple[Path, ...]]:
-    """Folders further down by their names, as in a workspace of several repositories.
-
-    A package contains none, so the search ends where there is a package.xml. It is made once for
-    each process: guards ask for every connection. What is directly in a place is always found.
-    """
+    # A package contains none, so the search ends where there is a package.xml. It is made once for each
+    # process: guards ask for every connection. What is directly in a place is always found.
     found: dict[str, tuple[Path, ...]] = {}
     pending, seen = [(place, 0)], 0
     while pending and seen < _MOST_FOLDERS:
@@ -126,7 +104,7 @@ def _below(place: Path) -> Mapping[str, tuple[Path, ...]]:
 
 
 def _folders(place: Path) -> list[Path]:
-    """The folders in a folder, not those behind links: these may lead in circles."""
+    # The folders in a folder, not those behind links: these may lead in circles.
     try:
         with os.scandir(place) as entries:
             found = [each.path for each in entries if each.is_dir(follow_symlinks=False)]

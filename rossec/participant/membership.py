@@ -1,12 +1,11 @@
-"""The membership of one identity at the master, for every form of a node.
+"""The membership of one identity at the master, for every form of a node, and its session there.
 
-On each connection to the master it fetches and renews the node's grants, presents them, and has
-everything registered again. Meanwhile it takes grants that are delivered or arrive in the node's
-directory, renews grants and the identity, requests proofs, and takes revocation data. A list is on
-disk before it is used.
-
-What a form registers is behind `MembershipHooks`. Fail closed: if a task crashes, connections might
-not be cut any more, so the form closes all (`crashed`).
+On each connection the node checks that the peer is its master in its own trust domain, loads revocations,
+fetches, renews and presents its grants and registers everything again, so that a master can restart without
+the node's program noticing. Meanwhile it takes what is delivered, renews, requests proofs and takes
+revocation data: the heartbeat fetches it as well, since pushed updates alone could be suppressed unnoticed
+(RFC 9770 section 11 requires the same). Fail closed: if a task crashes, connections might not be cut any
+more, so the form closes all (`crashed`).
 """
 
 import asyncio
@@ -14,53 +13,204 @@ import contextlib
 import logging
 from collections.abc import Awaitable, Callable
 from contextlib import AbstractContextManager, nullcontext
+from secrets import SystemRandom
 from typing import Any, Final, Protocol
 
 from ca.certificates import Identity
-from ca.errors import HintedError
+from ca.errors import CAError, ClocksDisagree, HintedError, RevocationRefused, RevocationsStale
+from ca.names import shown
+from ca.revocation.lists import digest, is_tree, open_timestamp
 from rossec import clock
 from rossec.channel.edhoc.credentials import LiveCredentials
-from rossec.errors import AnswerRefused, CallRefused
+from rossec.environment import OWN_MASTER
+from rossec.errors import AnswerRefused, CallRefused, ChannelError, ConfigurationError, RossecError
 from rossec.home import NodeHome
-from rossec.net.aio import SecureStream
-from rossec.net.aio.tasks import TaskSet
-from rossec.participant.access_interfaces import HandshakeAccess, HeldGrants
-from rossec.participant.connections import ConnectionTable
-from rossec.participant.domain_updates import DomainUpdates
-from rossec.participant.grant_delivery import GrantDelivery, GrantWatch
-from rossec.participant.grant_directory import GrantDirectory
-from rossec.participant.grant_renewal import Renewals, renew
-from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
-from rossec.participant.master_session import MasterSession
-from rossec.participant.presentation import MAX_CALL, batches
-from rossec.participant.publisher_grace import PublisherGrace
-from rossec.participant.renewed_grants import RenewedGrants
-from rossec.participant.revocation_proofs import Provable, prove
-from rossec.participant.revocation_watch import ConnectionWatchdog
+from rossec.host.runner import TaskSet
+from rossec.net.aio import SecureStream, as_master
+from rossec.net.rpc.calls import RpcClient
+from rossec.participant.access import MAX_CALL, NO_LIST, HandshakeAccess, HeldGrants, batches
+from rossec.participant.authorized import RenewedGrants
+from rossec.participant.connections import ConnectionTable, ConnectionWatchdog
+from rossec.participant.master_updates import DomainUpdates, GrantDelivery, GrantDirectory, GrantWatch
+from rossec.participant.registrations import PublisherGrace, Retry
+from rossec.participant.renewals import (
+    IdentityRenewal,
+    MasterCall,
+    Provable,
+    Renewals,
+    prove,
+    renew,
+    renew_identity,
+)
 from rossec.ros import names
 from rossec.ros.names import MASTER, PRESENT_GRANTS
 from rossec.ros.xmlrpc import Fault
-from rossec.saved_domains import DomainFiles
-from rossec.saved_revocations import saved_revocations
+from rossec.saved_statements import DomainFiles, saved_revocations
 
+HEARTBEAT: Final = 10.0
 PERIOD: Final = 1.0  # seconds between checks for new grants and renewals
+_SAID_AGAIN: Final = 60.0  # seconds after which a cause that lasts is logged again
 
 _log = logging.getLogger("rossec.node")
 
 
+class MasterSession:
+    """Calls to the master, over a connection that is kept open."""
+
+    def __init__(
+        self,
+        name: str,  # the node's own, the `caller_id` of every call
+        dial: Callable[[], Awaitable[SecureStream[Identity]]],
+        refresh: Callable[[bytes, bytes, Identity], None],  # takes the newest list and timestamp, or raises
+        restore: Callable[["MasterSession"], Awaitable[None]],  # called on each new connection
+        held: Callable[[], bytes],  # the signed revocation list, which the master then need not send
+        prove: Callable[[MasterCall], Awaitable[int]],  # requests proofs; how many were accepted
+        master: str = MASTER,  # the certified name of the node's own
+        follow: Callable[[MasterCall], Awaitable[None]] | None = None,  # after each heartbeat
+        explain: Callable[[], str] = str,  # the cause of a failure, if the node knows it itself
+    ) -> None:
+        self._name = name
+        self._dial = dial
+        self._refresh = refresh
+        self._restore = restore
+        self._held = held
+        self._prove = prove
+        self._master = master
+        self._follow = follow
+        self._explain = explain
+        self._client: RpcClient | None = None
+        self._stream: SecureStream[Identity] | None = None
+        self._is_restored = False
+
+    @property
+    def is_open(self) -> bool:
+        return self._is_restored and self._client is not None and not self._client.closed
+
+    async def call(self, method: str, *params: object) -> object:
+        return await self._connected().ask(method, self._name, *params)
+
+    async def forward(self, method: str, *params: object) -> object:
+        return await self._connected().call(method, *params)
+
+    def _connected(self) -> RpcClient:
+        if self._client is None or self._client.closed:
+            raise RossecError("the master is out of reach", "is `rossec master` running there?")
+        return self._client
+
+    async def open(self) -> SecureStream[Identity]:
+        try:
+            stream = await self._dial()
+        except ChannelError as error:
+            raise as_master(error) from error
+        if stream.peer.name != self._master:
+            stream.abort("not the master")
+            raise ConfigurationError(
+                f"the node at the master's address is {shown(stream.peer.name)}, not {self._master}",
+                f"check ROS_MASTER_URI, and {OWN_MASTER} if there are several masters",
+            )
+        await self.close()
+        self._client, self._stream = RpcClient(stream), stream
+        try:
+            await self._heartbeat()
+            await self._restore(self)
+        except BaseException:  # no caller may use a session that failed to open
+            await self.close()
+            raise
+        self._is_restored = True
+        return stream
+
+    async def run(self) -> None:
+        # Send heartbeats, and reconnect whenever the connection is lost. Runs until cancelled.
+        retry = Retry(SystemRandom().random)
+        said, said_at = "", 0.0
+        while True:
+            try:
+                if self._client is None or self._client.closed:
+                    await self.open()
+                    _log.info("%s: connected to the master again", self._name)
+                if self._stream is not None:
+                    with contextlib.suppress(TimeoutError):
+                        async with asyncio.timeout(HEARTBEAT):
+                            await self._stream.wait_ended()
+                await self.refresh()
+                retry.succeeded()
+                said = ""
+            except (HintedError, OSError, Fault) as error:
+                text, now = self._explain() or str(error), asyncio.get_running_loop().time()
+                if text != said or now - said_at >= _SAID_AGAIN:
+                    _log.warning("%s: no answer from the master: %s", self._name, text)
+                    said, said_at = text, now
+                await self.close()
+                await asyncio.sleep(retry.pause(now))
+
+    async def refresh(self) -> None:
+        await self._heartbeat()
+        if self._follow is not None:
+            await self._follow(self.call)
+
+    async def close(self) -> None:
+        client, self._client = self._client, None
+        self._is_restored = False
+        if client is not None:
+            await client.close()
+
+    async def _heartbeat(self) -> None:
+        try:
+            await self._fetch_revocations()
+        except RevocationRefused:
+            if not await self._send_held_list():
+                raise
+            await self._fetch_revocations()
+
+    async def _send_held_list(self) -> bool:
+        # A master whose list was rolled back: new nodes would accept the old one. Of a tree a node does not
+        # have the entries, which the master needs.
+        newest = self._held()
+        if not newest or is_tree(newest):
+            return False
+        try:
+            newer = await self.call("rossec.updateRevocations", newest) == 1
+        except (AnswerRefused, Fault) as error:
+            _log.warning("%s: the master refuses this node's revocation list: %s", self._name, error)
+            return False
+        if newer:
+            _log.warning(
+                "%s: the master had an older revocation list than this node, and has received"
+                " the newer one: was its home restored from a backup?",
+                self._name,
+            )
+        return newer
+
+    async def _fetch_revocations(self) -> None:
+        answer = await self.call("rossec.revocationsSince", digest(self._held()))
+        match answer, self._stream:
+            case [bytes() as revocations, bytes() as timestamp], SecureStream(peer=master):
+                try:
+                    self._apply(revocations, timestamp, master)
+                except RevocationsStale:  # of a tree: the master's own key has no proof yet
+                    if not await self._prove(self.call):
+                        raise
+                    self._apply(revocations, timestamp, master)
+            case _:
+                raise CAError(*NO_LIST)
+
+    def _apply(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
+        def corrects_clock() -> bool:
+            # Only the answer to the node's own call may do so: it is at most as old as the call.
+            return clock.correct(open_timestamp(timestamp, master.public_key).issued)
+
+        try:
+            self._refresh(revocations, timestamp, master)
+        except ClocksDisagree:  # only then: a revoked master sets no clock
+            if not corrects_clock():
+                raise
+            self._refresh(revocations, timestamp, master)
+        else:
+            corrects_clock()
+
+
 class LoadedIdentity:
-    """An enrolled node as its directory has it when it starts.
-
-    Args:
-        home: the directory.
-        name: the name the node runs under, which its identity covers.
-        master: the certified name of its own master.
-
-    Raises:
-        ConfigurationError: no identity, or another node's.
-        CertificateRefused, KeyRefused: the identity or the key is invalid.
-        RevocationRefused, DomainsRefused: a saved list is not the authority's.
-    """
+    """An enrolled node as its directory has it when it starts; its identity covers `name`."""
 
     def __init__(self, home: NodeHome, name: str, master: str = MASTER) -> None:
         self.home = home
@@ -76,11 +226,8 @@ class LoadedIdentity:
 
 
 class MembershipAccess(HeldGrants, HandshakeAccess, Provable, Protocol):
-    """The grants and the revocation data of this node."""
-
     @property
-    def foreign_domains(self) -> frozenset[str]:
-        """See `Access.foreign_domains`."""
+    def foreign_domains(self) -> frozenset[str]: ...
 
     def update_revocations(
         self,
@@ -89,53 +236,30 @@ class MembershipAccess(HeldGrants, HandshakeAccess, Provable, Protocol):
         master: Identity,
         now: int,
         persist: Callable[[bytes], None],
-    ) -> None:
-        """See `Access.update_revocations`."""
+    ) -> None: ...
 
-    def expire_confirmation(self, until: int) -> None:
-        """See `Access.expire_confirmation`."""
+    def expire_confirmation(self, until: int) -> None: ...
 
-    def current(self, now: int) -> list[bytes]:
-        """See `Access.current`."""
+    def current(self, now: int) -> list[bytes]: ...
 
 
 class MembershipHooks(Protocol):
-    """What differs between the forms of a node."""
+    async def dial_master(self) -> SecureStream[Identity]: ...
 
-    async def dial_master(self) -> SecureStream[Identity]:
-        """Connect to the master."""
+    async def dial_watch(self) -> SecureStream[Identity]: ...
 
-    async def dial_watch(self) -> SecureStream[Identity]:
-        """Connect to the master once more, beside the session."""
+    async def restore(self) -> None: ...
 
-    async def restore(self) -> None:
-        """Make every registration again; the grants are presented."""
+    async def rights_changed(self) -> None: ...
 
-    async def rights_changed(self) -> None:
-        """Grants are new or renewed: registrations may be made that were refused before."""
+    def maintain(self) -> None: ...
 
-    def maintain(self) -> None:
-        """Called once in a period."""
-
-    def crashed(self, error: BaseException) -> None:
-        """A task has crashed: close everything. Called once."""
+    def crashed(self, error: BaseException) -> None: ...
 
 
 class Membership:
-    """Keeps one identity connected to the master.
-
-    Args:
-        access: of `identity`; with a lock if threads share it.
-        connections: cut when they must end.
-        grace: the publishers that a restarted master may not list yet.
-        lock: held while `identity.standing` is changed, if threads share it.
-
-    Attributes:
-        domains: what is known of foreign domains.
-        session: the session with the master.
-        tasks: the tasks of this identity; a crash of one of them ends everything.
-        rights_version: incremented for new grants and lists: what was refused may be tried again.
-    """
+    """Keeps one identity connected to the master. `lock` is held while `identity.standing` is changed, if
+    threads share it; then `access` has a lock, too."""
 
     def __init__(
         self,
@@ -157,14 +281,15 @@ class Membership:
             identity.standing, identity.identity.thumbprint, access, self._grant_directory
         )
         self.domains = DomainUpdates(
-            identity.standing, identity.domain_files, self._domains_changed,
-            lambda: access.foreign_domains | connections.domains, lock,
-        )  # fmt: skip
+            identity.standing,
+            identity.domain_files,
+            self._domains_changed,
+            lambda: access.foreign_domains | connections.domains,
+            lock,
+        )
         self._renewals = Renewals(access)
         self._renewed = connections.renewed = RenewedGrants(access)
-        self._identity_renewal = IdentityRenewal(
-            identity.home, identity.live_credentials, clock.now()
-        )
+        self._identity_renewal = IdentityRenewal(identity.home, identity.live_credentials, clock.now())
         self.session = MasterSession(
             identity.name,
             hooks.dial_master,
@@ -177,20 +302,15 @@ class Membership:
             lambda: self._identity_renewal.ended(clock.now()),
         )
         self._watch = GrantWatch(
-            identity.name, self._delivery, hooks.dial_watch, lambda: self.session.is_open,
-            identity.master,
-        )  # fmt: skip
-        self.tasks = TaskSet(self._crashed)
+            identity.name, self._delivery, hooks.dial_watch, lambda: self.session.is_open, identity.master
+        )
+        self.tasks = TaskSet(self._crashed)  # a crash of one of them ends everything
         self._has_crashed = False
         self._domains_are_new = False
-        self.rights_version = 0
+        self.rights_version = 0  # incremented for new grants and lists: what was refused may be tried again
 
     def start(self, opening: Callable[[], Awaitable[None]] | None = None) -> None:
-        """Start the tasks: the session, the watchdog, and maintenance.
-
-        Args:
-            opening: opens the session; None: it is open.
-        """
+        """Start the session (which `opening` opens, unless it is open), the watchdog, and maintenance."""
         name = self._identity.name
         watchdog = ConnectionWatchdog(self._connections, self._access.expire_confirmation)
         self.tasks.spawn(watchdog.run(), f"{name}: watchdog")
@@ -199,16 +319,11 @@ class Membership:
         self.tasks.spawn(self._watch.run(), f"{name}: waiting for grants")
 
     async def close(self) -> None:
-        """Stop every task and end the session; registrations at the master stay."""
         await self.tasks.close()
         await self.session.close()
 
     def update_revocations(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take a newer list (empty: the one held) and a timestamp, then close what they end.
-
-        Raises:
-            CAError: either is refused. What a valid list revokes is closed nevertheless.
-        """
+        """Take a newer list (empty: the one held) and a timestamp, then close what they end."""
         now, before = clock.now(), self._identity.revocations.data
         try:
             self._access.update_revocations(
@@ -220,26 +335,23 @@ class Membership:
                 self.rights_version += 1
 
     def take_push(self, method: str, params: tuple[object, ...], master: Identity) -> None:
-        """Take what the master pushes, one of `SIGNED_UPDATES`; `params` without the caller_id.
-
-        Raises:
-            CAError: it is refused. What it revokes or ends is closed nevertheless.
-            CallRefused: not such a call.
-        """
+        """Take what the master pushes, one of `SIGNED_UPDATES`; `params` without the caller_id."""
         match method, params:
             case names.REVOCATION_UPDATE, (bytes() as revocations, bytes() as timestamp):
                 self.update_revocations(revocations, timestamp, master)
             case names.DOMAINS_UPDATE, (bytes() as data,):
                 self.domains.take_domains(data)
             case names.FOREIGN_UPDATE, (
-                str() as domain, bytes() as revocations, bytes() as timestamp, list() as chain,
-            ):  # fmt: skip
-                self.domains.take_foreign(domain, revocations, timestamp, chain)
+                str() as domain,
+                bytes() as data,
+                bytes() as timestamp,
+                list() as chain,
+            ):
+                self.domains.take_foreign(domain, data, timestamp, chain)
             case _:
                 raise CallRefused(f"{method} has other parameters")
 
     def _domains_changed(self, is_new: bool) -> None:
-        """Cut what foreign statements end; what was refused may be tried again."""
         self._connections.cut_ended(clock.now())
         if is_new:
             self.rights_version += 1
@@ -251,10 +363,7 @@ class Membership:
         await self.session.run()
 
     async def _restore(self, session: MasterSession) -> None:
-        """Renew, present and register everything again: the master may have been restarted.
-
-        What is held is presented before anything is fetched: calls of the program go on meanwhile.
-        """
+        # What is held is presented before anything is fetched: calls of the program go on meanwhile.
         self._grace.session_opened()
         with contextlib.suppress(AnswerRefused):  # requested again later
             if await renew(session.call, self._renewals, clock.now()):
@@ -285,7 +394,6 @@ class Membership:
             await self._delivery.save()
 
     def _take_new(self, *, from_directory: bool = True) -> list[bytes]:
-        """The grants that were delivered, or have appeared in the directory; they are held."""
         new = self._delivery.take_new()
         if from_directory:
             new += self._grant_directory.take_new()
@@ -295,7 +403,6 @@ class Membership:
         return new
 
     async def _update(self, new: list[bytes]) -> None:
-        """Present `new` grants, renew what is due, request proofs and foreign revocations."""
         call = self.session.call
         await self.domains.fetch_wanted(call)
         new = self._presentable(new)
@@ -310,7 +417,7 @@ class Membership:
             self._connections.cut_ended(clock.now())
 
     def _presentable(self, new: list[bytes]) -> list[bytes]:
-        """`new` grants, or all: those of a domain count only once it is listed."""
+        # `new` grants, or all: those of a domain count only once it is listed.
         if not self._domains_are_new:
             return new
         self._domains_are_new = False

@@ -1,9 +1,8 @@
 """Message types by their ROS 1 name: definition text, md5, serialization. No ROS install needed.
 
-`rosbags` provides the definitions of Noetic's standard packages and the serialization, transforms
-and sound are in `further_types`; other types are found in the packages of this host (`host_types`),
-or added from their `.msg` text. The ROS 2 names (`pkg/msg/Type`) that `rosbags` uses do not leave
-this module.
+`rosbags` provides the definitions of Noetic's standard packages and the serialization; what it leaves out is
+below. Other types are found in the packages of this host (`host_types`), or added from their `.msg` text. The
+ROS 2 names (`pkg/msg/Type`) that `rosbags` uses do not leave this module.
 """
 
 import re
@@ -19,11 +18,31 @@ from rosbags.typesys.base import TypesysError, normalize_fieldname
 from rosbags.typesys.store import Typestore
 
 from rossec.errors import MessageError
-from rossec.participant.definitions import Definition
-from rossec.participant.further_types import FURTHER_TYPES
+from rossec.participant.definitions import Definition, unknown_type
 from rossec.participant.host_types import known_type
-from rossec.participant.type_packages import unknown_type
 
+_TRANSFORMS: Final = "geometry_msgs/TransformStamped[] transforms\n"
+
+FURTHER_TYPES: Final[Mapping[str, str]] = {
+    "tf2_msgs/TFMessage": _TRANSFORMS,
+    "tf/tfMessage": _TRANSFORMS,
+    "tf2_msgs/TF2Error": (
+        "uint8 NO_ERROR = 0\nuint8 LOOKUP_ERROR = 1\nuint8 CONNECTIVITY_ERROR = 2\n"
+        "uint8 EXTRAPOLATION_ERROR = 3\nuint8 INVALID_ARGUMENT_ERROR = 4\n"
+        "uint8 TIMEOUT_ERROR = 5\nuint8 TRANSFORM_ERROR = 6\n\nuint8 error\nstring error_string\n"
+    ),
+    "audio_common_msgs/AudioData": "uint8[] data\n",
+    "audio_common_msgs/AudioDataStamped": ("std_msgs/Header header\naudio_common_msgs/AudioData audio\n"),
+    "audio_common_msgs/AudioInfo": (
+        "uint8 channels\nuint32 sample_rate\nstring sample_format\nuint32 bitrate\nstring coding_format\n"
+    ),
+}
+"""The text of the .msg file, by name; a type comes after those it uses: transforms and sound, which are in
+the vocabulary (`grants.vocabulary.contents`), so a policy can name them also on a host without ROS."""
+
+_TIMES: Final = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
+# rosbags' names of ROS base types that numpy does not know under the same name
+_NUMPY: Final = {"octet": "uint8", "byte": "int8", "char": "uint8"}
 _SEGMENT: Final = re.compile("[A-Za-z][A-Za-z0-9_]*")  # rosbags makes Python code of it
 _NO_FIELDS: Final = "structure_needs_at_least_one_member"
 _CHECK_TEXT: Final = "check the text of the .msg file, and register the types it uses first"
@@ -36,13 +55,8 @@ class MessageType(Definition):
     """A message type whose messages can be created, serialized and deserialized."""
 
     def create(self, /, **fields: object) -> Message:
-        """Create a message with every field at its zero value, then set `fields`.
-
-        A field that is a keyword of Python is named as it is or as its attribute: `from_`.
-
-        Raises:
-            MessageError: a field the type does not have.
-        """
+        """Create a message with every field at its zero value, then set `fields`. A field that is a keyword
+        of Python is named as it is or as its attribute: `from_`."""
         message = _zero(_ros2_name(self.name))
         names = _field_names(_ros2_name(self.name))
         attributes = {attribute_of(name) for name in names}
@@ -54,11 +68,7 @@ class MessageType(Definition):
         return message
 
     def serialize(self, message: Message) -> memoryview:
-        """ROS 1 wire bytes of `message`, without the length prefix.
-
-        Raises:
-            MessageError: the value of a field has a wrong type or range.
-        """
+        """ROS 1 wire bytes of `message`, without the length prefix."""
         try:
             data: memoryview = _store().serialize_ros1(message, _ros2_name(self.name))
         except Exception as error:
@@ -68,11 +78,6 @@ class MessageType(Definition):
         return data
 
     def deserialize(self, data: bytes | memoryview) -> Message:
-        """Message from its ROS 1 wire bytes.
-
-        Raises:
-            MessageError: bytes that are not exactly one message of this type.
-        """
         try:
             return _store().deserialize_ros1(data, _ros2_name(self.name))
         except Exception as error:
@@ -81,13 +86,8 @@ class MessageType(Definition):
 
 @cache
 def message_type(name: str) -> MessageType:
-    """Look up a type by its ROS name, for example `geometry_msgs/PoseStamped`.
-
-    A type that is not a standard one, nor was registered, is that of its package on this host.
-
-    Raises:
-        MessageError: an unknown type.
-    """
+    """Look up a type by its ROS name, for example `geometry_msgs/PoseStamped`. A type that is not a standard
+    one, nor was registered, is that of its package on this host."""
     try:
         return registered_type(name)
     except MessageError:
@@ -99,18 +99,11 @@ def message_type(name: str) -> MessageType:
 
 
 def registered_type(name: str) -> MessageType:
-    """A standard type, or one that was registered; packages are not looked at.
-
-    Raises:
-        MessageError: an unknown type.
-    """
+    """A standard type, or one that was registered; packages are not looked at."""
     try:
         definition, md5sum = _store().generate_msgdef(_ros2_name(name), ros_version=1)
     except TypesysError as error:
-        raise MessageError(
-            f"unknown message type {name!r}",
-            unknown_type(name, type_names()),
-        ) from error
+        raise MessageError(f"unknown message type {name!r}", unknown_type(name, type_names())) from error
     return MessageType(name, md5sum, definition)
 
 
@@ -120,11 +113,7 @@ def type_names() -> list[str]:
 
 
 def register_type(name: str, definition: str) -> MessageType:
-    """Add the type `name` from the text of its `.msg` file; nested types must be known already.
-
-    Raises:
-        MessageError: the text is not a message definition, or the name is taken by another type.
-    """
+    """Add the type `name` from the text of its `.msg` file; nested types must be known already."""
     register_types({name: definition})
     return message_type(name)
 
@@ -147,7 +136,6 @@ def register_types(definitions: Mapping[str, str]) -> None:
 
 
 def _check_nested(name: str, types: Mapping[str, Any]) -> None:
-    """Refuse an unknown nested type before anything is registered."""
     for _, fields in types.values():
         if len({attribute_of(field) for field, _ in fields}) < len(fields):
             raise MessageError(f"cannot register {name}: two fields of one name", _CHECK_TEXT)
@@ -160,22 +148,18 @@ def _check_nested(name: str, types: Mapping[str, Any]) -> None:
 
 
 def field_names(message: Message) -> list[str]:
-    """Names of the fields of `message`, in order of its definition."""
     return _field_names(message.__msgtype__)
 
 
 def attribute_of(field: str) -> str:
-    """The attribute of a message that has `field`: a keyword of Python has `_` behind it."""
     return str(normalize_fieldname(field))
 
 
 def field_value(message: Message, field: str) -> Any:
-    """The value of `field`, by its name in the definition."""
     return getattr(message, attribute_of(field))
 
 
 def set_field(message: Message, field: str, value: object) -> None:
-    """Set `field`, by its name in the definition."""
     setattr(message, attribute_of(field), value)
 
 
@@ -195,12 +179,6 @@ def element_type(message: Message, field: str) -> str:
 def _element(message: Message, field: str) -> Any:
     _, fields = _store().fielddefs[message.__msgtype__]
     return dict(fields)[field][1][0]
-
-
-_TIMES: Final = {
-    "builtin_interfaces/msg/Time": "time",
-    "builtin_interfaces/msg/Duration": "duration",
-}
 
 
 def _field_names(inner: str) -> list[str]:
@@ -223,10 +201,6 @@ def _ros2_name(name: str) -> str:
     return f"{package}/msg/{leaf}"
 
 
-# rosbags' names of ROS base types that numpy does not know under the same name
-_NUMPY: Final = {"octet": "uint8", "byte": "int8", "char": "uint8"}
-
-
 def _zero(inner: str) -> Message:
     _, fields = _store().fielddefs[inner]
     values: dict[str, Any] = {attribute_of(name): _zero_field(kind) for name, kind in fields}
@@ -236,7 +210,9 @@ def _zero(inner: str) -> Message:
 def _zero_field(kind: Any) -> object:
     match kind:
         case (Nodetype.BASE, (base, _)):
-            return _zero_base(base)
+            if base == "string":
+                return ""
+            return np.zeros((), dtype=_NUMPY.get(base, base)).item()
         case (Nodetype.NAME, inner):
             return _zero(inner)
         case (Nodetype.ARRAY, (element, length)):
@@ -245,12 +221,6 @@ def _zero_field(kind: Any) -> object:
             return _zero_array(element, 0)
         case _:
             raise MessageError(f"unknown field kind {kind!r}")
-
-
-def _zero_base(base: str) -> object:
-    if base == "string":
-        return ""
-    return np.zeros((), dtype=_NUMPY.get(base, base)).item()
 
 
 def _zero_array(element: Any, length: int) -> object:

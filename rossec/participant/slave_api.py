@@ -1,72 +1,92 @@
-"""The node's slave API: which calls it answers, and from whom.
+"""The node's slave API: which calls it answers, and from whom. Pure dispatch; every kind of node shares it.
 
-Pure dispatch. Only the master's identity may control a node (attacks N1-N3). Any authenticated node
-may call `requestTopic`, and the answer is the same whether the topic exists or not: the grant is
-checked on the topic connection (N5). All other calls disclose information (N4): they are for the
-master, and for peers that have presented a grant for them (`slave_rights`), as `rosnode ping`,
-`info` and `kill` need; a relay of the own domain asks for the TCPROS port. UDPROS is never offered
-(N10).
+Only the master controls a node (attacks N1-N3). An operator with the admin right may shut it down, one with
+the graph right may read its state (N4), as `rosnode ping`, `info` and `kill` need; both present their grants
+first, with `rossec.presentGrants`. Any authenticated node may call `requestTopic`: the answer is the same for
+every topic, whether it exists or not, and the topic connection requires the grant (N5). A relay of the own
+domain learns the TCPROS port, to which it leads connections from other sites. Every other method is refused
+(L1); UDPROS is never offered (N10).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from ca.certificates import Identity
-from ca.domains.aliases import is_alias, shown
 from ca.errors import HintedError
-from rossec.participant.remote_names import answer_for
-from rossec.participant.slave_rights import RELAY_ONLY, SLAVE_CALLS, is_relay
-from rossec.ros.names import (
-    DOMAINS_UPDATE,
-    FOREIGN_UPDATE,
-    MASTER,
-    PORTS,
-    REVOCATION_UPDATE,
-)
+from ca.names import is_alias, is_relay_name, shown
+from grants.model import Right
+from rossec.errors import CallRefused
+from rossec.participant.access import HandshakeAccess
+from rossec.participant.handshakes import answer_for
+from rossec.ros import names
+from rossec.ros.names import DOMAINS_UPDATE, FOREIGN_UPDATE, MASTER, PORTS, REVOCATION_UPDATE
 
 Answer = list[object]
 TCPROS: Final = "TCPROS"
 DEADLINE: Final = 30.0  # seconds a connection of a peer that is not the master may last
 _ERROR: Final = -1
-ALIAS_ASKED: Final = (
-    "a name below /remote is the caller's alias; a peer is asked by the origin's name"
-)
+ALIAS_ASKED: Final = "a name below /remote is the caller's alias; a peer is asked by the origin's name"
 NO_TRANSPORT: Final = (
     "rossec: only TCPROS, inside the secure channel; in C++: ros::TransportHints().reliable()"
 )
+OPEN: Final = frozenset({"requestTopic"})
+MASTER_ONLY: Final = frozenset({"publisherUpdate", "paramUpdate"})
+RELAY_ONLY: Final = frozenset({PORTS})
+SLAVE_CALLS: Final[Mapping[str, Right]] = {
+    "shutdown": Right.ADMIN,
+    "getPid": Right.GRAPH,
+    "getBusInfo": Right.GRAPH,
+    "getBusStats": Right.GRAPH,
+    "getSubscriptions": Right.GRAPH,
+    "getPublications": Right.GRAPH,
+    "getMasterUri": Right.GRAPH,
+    "getName": Right.GRAPH,
+    "getUri": Right.GRAPH,
+}
+
+
+def is_relay(peer: Identity) -> bool:
+    return is_relay_name(peer.name) and not peer.is_foreign
+
+
+def check_slave_call(
+    method: str, peer: Identity, node: str, presented: bytes | None, access: HandshakeAccess, now: int
+) -> None:
+    """Return if `peer`, with the grants `presented`, may call `method` of the node `node`."""
+    access.check_peer(peer, now)
+    known = method in MASTER_ONLY or method in SLAVE_CALLS
+    if method in OPEN or (known and access.is_master(peer)):
+        return
+    if method in RELAY_ONLY and is_relay(peer):
+        return
+    right = SLAVE_CALLS.get(method)
+    if right is None:
+        if method in MASTER_ONLY:
+            raise CallRefused(f"{method} is for the master alone")
+        raise CallRefused(f"{method} is for a relay alone" if method in RELAY_ONLY else "no such method")
+    access.authorize(peer, presented, right, node, now)
 
 
 class SlaveEvents(Protocol):
-    """Handles the calls in the node."""
+    def publishers_changed(self, topic: str, uris: list[str]) -> None: ...
 
-    def publishers_changed(self, topic: str, uris: list[str]) -> None:
-        """The master's list of publishers of a topic this node subscribes to."""
+    def parameter_changed(self, key: str, value: object) -> None: ...
 
-    def parameter_changed(self, key: str, value: object) -> None:
-        """A parameter at, above or below one this node subscribes to."""
+    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None: ...
 
-    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        """The list and a fresh timestamp. Raises a `CAError` when either is refused."""
+    def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None: ...
 
-    def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
-        """A list of domains, or of foreign revocations; see `Membership.take_push`."""
+    # The master shuts this node down, for example because another one has its name.
+    def shutdown_requested(self, reason: str) -> None: ...
 
-    def shutdown_requested(self, reason: str) -> None:
-        """The master shuts this node down, for example because another one has its name."""
+    def topic_endpoint(self) -> tuple[str, int]: ...
 
-    def topic_endpoint(self) -> tuple[str, int]:
-        """Host and port where TCPROS connections are accepted."""
-
-    def describe(self) -> Mapping[str, object]:
-        """Values of the informational methods, by method name."""
+    def describe(self) -> Mapping[str, object]: ...
 
 
 @dataclass(frozen=True)
 class SlaveMethod:
-    """The rule of one method: the types of the parameters after caller_id, and who may call."""
-
     kinds: tuple[type, ...]
     default: object
     master_only: bool = True
@@ -93,12 +113,7 @@ RULES: Final[Mapping[str, SlaveMethod]] = {
 
 
 def refusal(
-    method: str,
-    params: tuple[object, ...],
-    peer: Identity,
-    *,
-    authorized: bool = False,
-    master: str = MASTER,
+    method: str, params: tuple[object, ...], peer: Identity, *, authorized: bool = False, master: str = MASTER
 ) -> Answer | None:
     """The error answer to a call that `peer` may not make; None: it may.
 
@@ -108,24 +123,21 @@ def refusal(
     rule = RULES.get(method)
     if rule is None:
         return [_ERROR, "rossec: no such method", 0]
-    only = _only_for(method, peer, master)
+    if method in RELAY_ONLY:
+        only = None if is_relay(peer) else "a relay"
+    else:
+        only = "the master" if rule.master_only and peer.name != master else None
     if only is not None and not (authorized and method in SLAVE_CALLS):
         return [_ERROR, f"rossec: {method} is for {only} alone", rule.default]
     unnamed = without_caller(params, rule.default)
     if unnamed is not None:
         return unnamed
-    if not _fits(params, rule.kinds):
+    expected = (str, *rule.kinds)
+    if len(params) != len(expected) or not all(map(isinstance, params, expected)):
         return [_ERROR, "Error: bad call arity or types", rule.default]
     if not peer.covers(str(params[0])):
         return [_ERROR, f"rossec: caller_id is not {shown(peer.name)}", rule.default]
     return alias_asked(method, params)
-
-
-def _only_for(method: str, peer: Identity, master: str) -> str | None:
-    """Who alone may call a method that `peer` may not; None: it may."""
-    if method in RELAY_ONLY:
-        return None if is_relay(peer) else "a relay"
-    return "the master" if RULES[method].master_only and peer.name != master else None
 
 
 def alias_asked(method: str, params: tuple[object, ...]) -> Answer | None:
@@ -170,60 +182,39 @@ class SlaveApi:
     def __init__(self, events: SlaveEvents, master: str = MASTER) -> None:
         self._events = events
         self._master = master
-        self._methods: dict[str, Callable[..., Answer]] = {
-            "publisherUpdate": self._publisher_update,
-            "paramUpdate": self._param_update,
-            "shutdown": self._shutdown,
-            REVOCATION_UPDATE: self._revocation_update,
-            DOMAINS_UPDATE: partial(self._push, DOMAINS_UPDATE),
-            FOREIGN_UPDATE: partial(self._push, FOREIGN_UPDATE),
-            "requestTopic": self._request_topic,
-            PORTS: self._ports,
-        }
 
     async def __call__(
         self, method: str, params: tuple[object, ...], peer: Identity, *, authorized: bool = False
     ) -> object:
-        """Answer one call of the authenticated `peer`: always `[code, status, value]`."""
         refused = refusal(method, params, peer, authorized=authorized, master=self._master)
         if refused is not None:
             return refused
-        run = self._methods.get(method, partial(self._describe, method))
         try:
-            return run(peer, *params[1:])
+            return self._run(method, params[1:], peer)
         except HintedError as error:
             return [_ERROR, f"rossec: {error}", RULES[method].default]
 
-    def _publisher_update(self, _: Identity, topic: str, uris: list[object]) -> Answer:
-        self._events.publishers_changed(topic, [uri for uri in uris if isinstance(uri, str)])
+    def _run(self, method: str, params: tuple[Any, ...], peer: Identity) -> Answer:
+        # What `RULES` says of the parameters was checked.
+        events = self._events
+        match method:
+            case "publisherUpdate":
+                topic, uris = params
+                events.publishers_changed(topic, [uri for uri in uris if isinstance(uri, str)])
+            case "paramUpdate":
+                events.parameter_changed(*params)
+            case "shutdown":
+                events.shutdown_requested(*params)
+                return [1, "shutdown", 0]
+            case names.REVOCATION_UPDATE:
+                revocations, timestamp = params
+                events.revocations_arrived(revocations, timestamp, peer)
+            case names.DOMAINS_UPDATE | names.FOREIGN_UPDATE:
+                events.push_arrived(method, params, peer)
+            case "requestTopic":
+                return topic_offer(params[1], *events.topic_endpoint())
+            case names.PORTS:
+                return ports_answer(events.topic_endpoint()[1])
+            case _:
+                return [1, "", answer_for(peer, method, events.describe()[method])]
         return [1, "", 0]
-
-    def _param_update(self, _: Identity, key: str, value: object) -> Answer:
-        self._events.parameter_changed(key, value)
-        return [1, "", 0]
-
-    def _shutdown(self, _: Identity, reason: str) -> Answer:
-        self._events.shutdown_requested(reason)
-        return [1, "shutdown", 0]
-
-    def _revocation_update(self, master: Identity, revocations: bytes, timestamp: bytes) -> Answer:
-        self._events.revocations_arrived(revocations, timestamp, master)
-        return [1, "", 0]
-
-    def _push(self, method: str, master: Identity, *params: object) -> Answer:
-        self._events.push_arrived(method, params, master)
-        return [1, "", 0]
-
-    def _request_topic(self, _: Identity, _topic: str, protocols: list[object]) -> Answer:
-        return topic_offer(protocols, *self._events.topic_endpoint())
-
-    def _ports(self, _: Identity) -> Answer:
-        return ports_answer(self._events.topic_endpoint()[1])
-
-    def _describe(self, method: str, peer: Identity) -> Answer:
-        return [1, "", answer_for(peer, method, self._events.describe()[method])]
-
-
-def _fits(params: tuple[object, ...], kinds: tuple[type, ...]) -> bool:
-    expected = (str, *kinds)
-    return len(params) == len(expected) and all(map(isinstance, params, expected))

@@ -3,20 +3,23 @@
 POST, one `Content-length`, keep-alive. Never chunked: roscpp's XmlRpc++ cannot read it, and two
 encodings of a length are ambiguous. Stricter than a general server may be (RFC 9112): no bare LF,
 no folded line, no repeated length, so that no two readers of one stream can disagree about where a
-request ends. Header and body limits are checked before a body byte is kept. Input is never
-echoed back. A request with `Origin` comes from a web page in a browser of this host, without its
-user's knowledge: refused. A general library costs 130 us a call here, more than the call itself;
-the tests compare this module with one.
+request ends. Header and body limits are checked before a body byte is kept. Input is never echoed
+back. A general library costs 130 us a call here, more than the call itself; the tests compare this
+module with one.
 """
 
 import re
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple
 
 from rossec.errors import HttpRefused
-from rossec.ros.httpread import END, Oversized, Reader
 from rossec.ros.xmlrpc import BODY_LIMIT
 
+HEADERS_LIMIT: Final = 8 * 1024
+DROP_LIMIT: Final = 64 * 1024 * 1024
+"""Bytes of a body that are read although it is too long, only to answer so."""
+END: Final = b"\r\n\r\n"
 _REASONS: Final = {
     400: b"Bad Request",
     403: b"Forbidden",
@@ -28,7 +31,7 @@ _REASONS: Final = {
 COMPACT: Final = b"rossec-cbor/1"
 """What a connection may be switched to (RFC 9110 section 7.8): docs/spec/compact.md."""
 _OFFER: Final = b"\r\nConnection: Upgrade\r\nUpgrade: " + COMPACT
-_SWITCH: Final = b"HTTP/1.1 101 Switching Protocols" + _OFFER + b"\r\n\r\n"
+SWITCH: Final = b"HTTP/1.1 101 Switching Protocols" + _OFFER + b"\r\n\r\n"
 _MAX_CACHED: Final = 512  # bytes of a head whose parsed form is cached
 _TOKEN: Final = rb"[!#$%&'*+.^_`|~0-9A-Za-z-]+"
 _REQUEST: Final = re.compile(rb"(%s) ([\x21-\x7e]+) HTTP/1\.([01])" % _TOKEN)
@@ -38,20 +41,112 @@ _LENGTH: Final = re.compile(rb"[0-9]{1,18}")
 _ONCE: Final = (b"content-length", b"host", b"transfer-encoding")
 
 
-class _Head(NamedTuple):
-    """The part of a message before its body: the version and the fields."""
+@dataclass(frozen=True)
+class Oversized:
+    """Takes the place of a body that was longer than the limit, and is not kept.
 
+    It is read to its end: a client that still writes would not read an answer, and roscpp repeats
+    a call without one for ever.
+    """
+
+    length: int
+
+
+class HttpReader:
+    # Bytes in, whole messages out, one at a time.
+
+    def __init__(self, limit: int) -> None:
+        self.limit = limit
+        self._data = b""
+        self._rest: list[bytes] = []
+        self._rest_size = 0  # of the pieces, none of which is empty
+        self._begin = 0  # of the body, once the head is known
+        self._end = 0
+        self._dropped = 0  # bytes of a body that is too long
+        self._left = 0  # and how many are still to come
+
+    @property
+    def pending(self) -> bool:
+        # Whether a message has begun and was not taken.
+        return bool(self._data or self._rest or self._left)
+
+    @property
+    def in_body(self) -> bool:
+        # Whether the head of a message is known, and its body was not taken.
+        return self._begin > 0 or self._dropped > 0
+
+    def feed(self, data: bytes) -> None:
+        if self._left and data:
+            taken = min(self._left, len(data))
+            self._left -= taken
+            data = data[taken:]
+        if data:
+            self._rest.append(data)
+            self._rest_size += len(data)
+
+    def head(self) -> bytes | None:
+        # The head without its end, or None while it is not complete.
+        self._join()
+        found = self._data.find(END, 0, HEADERS_LIMIT + len(END))
+        if found < 0:
+            if self._data and not b"A" <= self._data[:1] <= b"Z":
+                raise HttpRefused("malformed HTTP")
+            if len(self._data) > HEADERS_LIMIT:
+                raise HttpRefused("HTTP headers that are too long", status=431)
+            return None
+        return self._data[:found]
+
+    def expect(self, head: bytes, length: int) -> None:
+        if length > self.limit:
+            raise HttpRefused(f"an HTTP body longer than {self.limit} bytes", status=413)
+        self._begin = len(head) + len(END)
+        self._end = self._begin + length
+
+    def drop(self, head: bytes, length: int) -> None:
+        if length > DROP_LIMIT:
+            raise HttpRefused(f"an HTTP body longer than {self.limit} bytes", status=413)
+        rest = self._data[len(head) + len(END) :]
+        self._data, self._dropped, self._left = b"", length, length
+        self.feed(rest)
+
+    def body(self) -> bytes | Oversized | None:
+        # The body, or None while it is not complete.
+        if self._dropped:
+            if self._left:
+                return None
+            dropped, self._dropped = Oversized(self._dropped), 0
+            return dropped
+        if len(self._data) + self._rest_size < self._end:
+            return None
+        self._join()
+        body = self._data[self._begin : self._end]
+        self.skip(self._end)
+        return body
+
+    def rest(self, begin: int) -> bytes:
+        rest, self._data = self._data[begin:], b""
+        return rest
+
+    def skip(self, count: int) -> None:
+        self._data = self._data[count:]
+        self._begin = self._end = 0
+
+    def _join(self) -> None:
+        if self._rest:
+            self._data = b"".join((self._data, *self._rest))
+            self._rest, self._rest_size = [], 0
+
+
+class _Head(NamedTuple):
     minor: bytes
     fields: dict[bytes, bytes]
 
     @property
     def closes(self) -> bool:
-        """Whether the connection ends after this exchange."""
         return self.minor == b"0" or b"close" in self._options
 
     @property
     def switches(self) -> bool:
-        """Whether it offers, or takes, the compact form."""
         named = self.fields.get(b"upgrade") == COMPACT and b"upgrade" in self._options
         return named and self.minor == b"1"
 
@@ -62,34 +157,24 @@ class _Head(NamedTuple):
 
 
 class HttpServer:
-    """The server's side of one connection: `feed`, `next_request`, `respond`, again."""
-
     def __init__(self, *, limit: int = BODY_LIMIT) -> None:
-        self._reader = Reader(limit)
+        self._reader = HttpReader(limit)
         self._answering = False
         self._last = False  # the current request asks to close the connection
-        self.is_offered = False
-        """The current request offers the compact form: it may be answered with `switch`."""
-        self.closing = False
-        """No more requests are accepted on this connection (HTTP/1.0, close, an error)."""
+        self.is_offered = False  # the current request may be answered with `SWITCH`
+        self.closing = False  # no more requests are accepted (HTTP/1.0, close, an error)
 
     @property
     def pending(self) -> bool:
-        """A request has begun and is not complete."""
+        # A request has begun and is not complete.
         return self._reader.pending
 
     def feed(self, data: bytes) -> None:
-        """Take bytes from the peer."""
         if self.closing:
             raise HttpRefused("HTTP bytes after the end of the connection")
         self._reader.feed(data)
 
     def feed_whole(self, data: bytes) -> bytes | Oversized | None:
-        """`feed` and `next_request` in one: a fast path where `data` is one whole request.
-
-        Raises:
-            HttpRefused: as they do.
-        """
         if not (self._answering or self.closing or self._reader.pending):
             end = data.find(END, 0, _MAX_CACHED)
             if end >= 0:
@@ -102,53 +187,36 @@ class HttpServer:
         return self.next_request()
 
     def next_request(self) -> bytes | Oversized | None:
-        """The body of the next complete request, or None while there is none.
-
-        Raises:
-            HttpRefused: answer with `refuse(error.status)`, then close.
-        """
         if self._answering or self.closing:
             return None
         if not self._reader.in_body:
-            head = self._reader.head()
-            if head is None:
+            data = self._reader.head()
+            if data is None:
                 return None
-            self._begin(head)
+            head = _request_head(data) if len(data) > _MAX_CACHED else _cached_request_head(data)
+            if head.length > self._reader.limit:
+                self._reader.drop(data, head.length)
+            else:
+                self._reader.expect(data, head.length)
+            self._last, self.is_offered = head.closes, head.offers
         body = self._reader.body()
         self._answering = body is not None
         return body
 
     def respond(self, body: bytes) -> bytes:
-        """The bytes of a `200 OK` with an XML body; afterwards the next request may be read."""
         self._answering = False
         self.closing = self._last
         return _message(b"HTTP/1.1 200 OK", body, close=self._last)
 
     def refuse(self, status: int) -> bytes:
-        """The bytes of an error response, with its reason as text, that ends the connection."""
         if self.closing:
             return b""
         self.closing = True
         reason = _REASONS[status]
         return _message(b"HTTP/1.1 %d %s" % (status, reason), reason + b"\n", close=True)
 
-    def _begin(self, data: bytes) -> None:
-        head = _request_head(data) if len(data) > _MAX_CACHED else _cached_request_head(data)
-        if head.length > self._reader.limit:
-            self._reader.drop(data, head.length)
-        else:
-            self._reader.expect(data, head.length)
-        self._last = head.closes
-        self.is_offered = head.offers
-
-    def switch(self) -> bytes:
-        """The head that takes the offer; nothing else of HTTP follows on this connection."""
-        return _SWITCH
-
 
 class _RequestHead(NamedTuple):
-    """The parsed head of a request."""
-
     length: int
     closes: bool
     offers: bool
@@ -164,7 +232,7 @@ def _request_head(data: bytes) -> _RequestHead:
     head = _Head(request[3], _fields(rest))
     if head.minor == b"1" and b"host" not in head.fields:
         raise HttpRefused("malformed HTTP")
-    if b"origin" in head.fields:
+    if b"origin" in head.fields:  # from a browser of this host, without its user's knowledge
         raise HttpRefused("an HTTP request from a web page", status=403)
     offers = head.switches and not head.closes
     return _RequestHead(_length(head.fields), head.closes, offers)
@@ -175,10 +243,8 @@ _cached_request_head = lru_cache(256)(_request_head)
 
 
 class HttpClient:
-    """The client's side of one connection: `request`, `feed`, `next_response`, again."""
-
     def __init__(self, host: str, *, path: str = "/", limit: int = BODY_LIMIT) -> None:
-        self._reader = Reader(limit)
+        self._reader = HttpReader(limit)
         self._first = f"POST {path} HTTP/1.1\r\nHost: {host}".encode("ascii")
         self._offers = False
         self.switched: bytes | None = None
@@ -188,29 +254,23 @@ class HttpClient:
 
     @property
     def closing(self) -> bool:
-        """The server will not answer another request on this connection."""
+        # The server will not answer another request on this connection.
         return self._waiting or self._last
 
     def request(self, body: bytes, *, offers: bool = False) -> bytes:
-        """The bytes of one POST request; `offers` the compact form from the answer on."""
         self._waiting, self._offers = True, offers
         first = self._first + _OFFER if offers else self._first
         return _message(first, body, close=False)
 
     def feed(self, data: bytes) -> None:
-        """Take bytes from the peer."""
         self._reader.feed(data)
 
     def take_back(self) -> None:
-        """The last request is not sent."""
+        # The last request is not sent.
         self._waiting = self._offers = False
 
     def next_response(self) -> bytes | None:
-        """The body of the response, or None while it is not complete.
-
-        Raises:
-            HttpRefused: malformed, too long, or a status other than 200.
-        """
+        # The body of the response, or None while it is not complete.
         while not self._reader.in_body:
             data = self._reader.head()
             if data is None or self.switched is not None:
@@ -270,6 +330,4 @@ def _length(fields: dict[bytes, bytes]) -> int:
 
 def _message(first: bytes, body: bytes, *, close: bool) -> bytes:
     end = b"\r\nConnection: close" if close else b""
-    return b"%s\r\nContent-Type: text/xml\r\nContent-length: %d%s\r\n\r\n%s" % (
-        first, len(body), end, body,
-    )  # fmt: skip
+    return b"%s\r\nContent-Type: text/xml\r\nContent-length: %d%s\r\n\r\n%s" % (first, len(body), end, body)

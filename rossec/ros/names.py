@@ -1,21 +1,32 @@
-"""ROS names as programs write them: relative, private and global, resolved against a node's name.
+"""ROS names as programs write them, and a program's settings from command line and environment. Pure.
 
-The syntax of a complete name is `ca.names`'s; here is only the resolution, equal to
-`rosgraph.names` so that stock callers get the names they expect. Command line and environment are
-read in `rossec.ros.settings`.
+Names are relative, private or global, resolved against a node's name. The syntax of a complete name
+is `ca.names`'s; here is only the resolution, equal to `rosgraph.names` so that stock callers get the
+names they expect. Common mistakes in settings are refused here with their remedy, before they
+surface as "connection refused".
 """
 
-from collections.abc import Iterator, Mapping
+import ipaddress
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
+from urllib.parse import urlsplit
 
 from ca import names
+from ca.errors import NameRefused
 from ca.names import check_name
+from rossec.errors import ConfigurationError
 
 SEPARATOR: Final = "/"
 PRIVATE: Final = "~"
 ANY_TYPE: Final = "*"
 MASTER: Final = names.MASTER  # the name a domain's first master is certified for
 AUTHORITY: Final = "/ca"  # the name the authority's own node is certified for
+DEFAULT_MASTER_URI: Final = "http://localhost:11311"
+DEFAULT_PORT: Final = 11311
+DOOR_PATH: Final = "/via"  # of a slave API's URI that a relay serves
+_ASSIGN: Final = ":="
+_SPECIAL: Final = frozenset({"__name", "__ns", "__master", "__ip", "__hostname", "__log"})
 PRESENT_GRANTS: Final = "rossec.presentGrants"  # to the master, and to the slave API of a node
 REVOCATION_UPDATE: Final = "rossec.revocationUpdate"  # from the master to a node
 DOMAINS: Final = "rossec.domains"  # to the master
@@ -45,13 +56,11 @@ def canonical(name: str) -> str:
 
 
 def namespace(name: str) -> str:
-    """The namespace a node lives in, with a trailing slash: `/robot1/camera` -> `/robot1/`."""
     head, _, _ = name.removesuffix(SEPARATOR).rpartition(SEPARATOR)
     return head + SEPARATOR
 
 
 def join(prefix: str, name: str) -> str:
-    """`name` under `prefix`; a private or global name is returned as it is."""
     if not prefix or name.startswith((PRIVATE, SEPARATOR)):
         return name
     return prefix.removesuffix(SEPARATOR) + SEPARATOR + name
@@ -75,7 +84,6 @@ def resolve(name: str, node: str, remappings: Mapping[str, str] | None = None) -
 
 
 def search_paths(space: str, key: str) -> Iterator[tuple[str, str]]:
-    """As searchParam, from `space`, innermost first: what must exist, and what is then found."""
     above = [part for part in space.split(SEPARATOR) if part]
     first, *_ = key.split(SEPARATOR)
     for length in range(len(above), -1, -1):
@@ -83,10 +91,175 @@ def search_paths(space: str, key: str) -> Iterator[tuple[str, str]]:
         yield join(prefix, first), join(prefix, key)
 
 
-def resolve_checked(name: str, node: str, remappings: Mapping[str, str] | None = None) -> str:
-    """Like `resolve`, for names that must be well-formed.
+@dataclass(frozen=True)
+class Settings:
+    """One program's settings."""
 
-    Raises:
-        NameRefused: the result is not an absolute ROS name.
+    name: str  # absolute name of the node
+    master_uri: str  # master_uri, master_host, master_port: where the master is
+    master_host: str
+    master_port: int
+    address: str | None  # what the node registers (ROS_HOSTNAME, else ROS_IP), or None: find one
+    ipv6: bool  # prefer IPv6 (ROS_IPV6=on)
+    remappings: Mapping[str, str] = field(default_factory=dict)  # resolved name -> resolved name
+    # private parameters by their resolved name, values as written
+    parameters: Mapping[str, str] = field(default_factory=dict)
+    arguments: tuple[str, ...] = ()  # what is left for the program itself
+
+    def resolve(self, name: str) -> str:
+        """The absolute, remapped form of a name the program uses."""
+        return check_name(resolve(name, self.name, self.remappings))
+
+
+def read(argv: Sequence[str], environ: Mapping[str, str], *, default_name: str) -> Settings:
+    # 1. Assignments (`__name:=` and the like are ROS's own), and what is left for the program.
+    assignments: list[tuple[str, str]] = []
+    arguments: list[str] = []
+    for argument in argv:
+        key, found, value = argument.partition(_ASSIGN)
+        if not found:
+            arguments.append(argument)
+            continue
+        key, value = key.strip(), value.strip()
+        if not key or not value:
+            raise ConfigurationError(
+                f"the argument {argument!r} lacks a side of ':='", "write it without spaces: from:=to"
+            )
+        if key.startswith("__") and key not in _SPECIAL:
+            known = ", ".join(sorted(_SPECIAL))
+            raise ConfigurationError(
+                f"the argument {argument!r} is not one of ROS's own", f"ROS knows {known}"
+            )
+        assignments.append((key, value))
+    # 2. The node, its master and its address.
+    special = {key: value for key, value in assignments if key.startswith("__")}
+    name = _node_name(special, environ, default_name)
+    uri = special.get("__master", environ.get("ROS_MASTER_URI", DEFAULT_MASTER_URI))
+    host, port = parse_uri(uri, "ROS_MASTER_URI")
+    address = _address(special, environ)
+    ipv6 = environ.get("ROS_IPV6", "off")
+    if ipv6 not in ("on", "off", ""):
+        raise ConfigurationError(f"ROS_IPV6 is {ipv6!r}", "ROS knows only on and off")
+    # 3. Private parameters, `_param:=value`; all else remaps.
+    remappings = {
+        _checked(resolve(key, name), "a remapped name"): _checked(resolve(value, name), "a remapped name")
+        for key, value in assignments
+        if not key.startswith("_")
+    }
+    parameters = {
+        _checked(resolve(PRIVATE + key[1:], name), "a parameter"): value
+        for key, value in assignments
+        if key.startswith("_") and not key.startswith("__")
+    }
+    return Settings(name, uri, host, port, address, ipv6 == "on", remappings, parameters, tuple(arguments))
+
+
+def own_address(environ: Mapping[str, str]) -> str | None:
+    """ROS_HOSTNAME or ROS_IP; None: neither is set."""
+    return _address({}, environ)
+
+
+def parse_uri(uri: str, what: str = "uri", *, scheme: str = "http") -> tuple[str, int]:
+    """Host and port of an `http://host:port` URI; of a service's, `scheme` is `rosrpc`."""
+    hint = f"it looks like {scheme}://localhost:{DEFAULT_PORT}, with {scheme}:// and a port"
+    try:
+        parts = urlsplit(uri)
+    except ValueError as error:  # a bracket that is not closed
+        raise ConfigurationError(f"{what} is {uri!r}, which names no host", hint) from error
+    if parts.scheme != scheme:
+        raise ConfigurationError(f"{what} is {uri!r}, which does not begin with {scheme}://", hint)
+    try:
+        host, port = parts.hostname, parts.port
+    except ValueError as error:
+        raise ConfigurationError(f"{what} is {uri!r}, whose port is not a number", hint) from error
+    if not host:
+        raise ConfigurationError(f"{what} is {uri!r}, which names no host", hint)
+    if not port:
+        raise ConfigurationError(f"{what} is {uri!r}, which has no port", f"add :{DEFAULT_PORT}")
+    return host, port
+
+
+def build_uri(host: str, port: int, *, scheme: str = "http") -> str:
+    """The URI that `parse_uri` takes apart; a numeric IPv6 host is put in brackets."""
+    return f"{scheme}://[{host}]:{port}/" if ":" in host else f"{scheme}://{host}:{port}/"
+
+
+def is_door(uri: str) -> bool:
+    """Whether a slave API's URI is a relay's door: `http://host:port/via`.
+
+    At a door the node's TCPROS connections are accepted too, so the address in its answer to
+    `requestTopic` is not used: it is one of the node's own network.
     """
-    return check_name(resolve(name, node, remappings))
+    try:
+        return urlsplit(uri).path == DOOR_PATH
+    except ValueError:
+        return False
+
+
+def build_door(host: str, port: int) -> str:
+    """The URI of the door of a node, that `is_door` recognizes."""
+    return build_uri(host, port).removesuffix("/") + DOOR_PATH
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this host can reach `host`, an address or name, without a resolver.
+
+    A name is loopback only if it is `localhost`: 127.example.org may be any host.
+    """
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host.lower() == "localhost"
+
+
+def _node_name(special: Mapping[str, str], environ: Mapping[str, str], default: str) -> str:
+    inherited, _, base = default.rpartition(SEPARATOR)
+    base = special.get("__name", base)
+    base = base.removeprefix(SEPARATOR)
+    if not base or SEPARATOR in base:
+        raise ConfigurationError(
+            f"the node name {special.get('__name', default)!r} contains a namespace",
+            "give the namespace with __ns:=/name",
+        )
+    space = special.get("__ns") or inherited or environ.get("ROS_NAMESPACE", SEPARATOR)
+    joined = f"/{space}/{base}"
+    return _checked(canonical(joined), "the node name")
+
+
+def _address(special: Mapping[str, str], environ: Mapping[str, str]) -> str | None:
+    for key, source in (("__hostname", special), ("__ip", special)):
+        if key in source:
+            return _check_address(key, source[key])
+    for key in ("ROS_HOSTNAME", "ROS_IP"):
+        if key in environ:
+            return _check_address(key, environ[key])
+    return None
+
+
+def _check_address(key: str, value: str) -> str:
+    if not value:
+        raise ConfigurationError(f"{key} is set but empty", f"unset {key}, or give an address")
+    if "://" in value or "/" in value:
+        raise ConfigurationError(f"{key} is {value!r}, an URI", "give the bare address, no http://")
+    if key.lower().endswith("ip") and not _is_ip(value):
+        raise ConfigurationError(
+            f"{key} is {value!r}, which is not an IP address", "for a host name use ROS_HOSTNAME"
+        )
+    if ":" in value and not _is_ip(value):
+        raise ConfigurationError(f"{key} is {value!r}, with a port", "give the address alone")
+    return value
+
+
+def _is_ip(value: str) -> bool:
+    try:
+        ipaddress.ip_address(value)
+    except ValueError:
+        return False
+    return True
+
+
+def _checked(name: str, what: str) -> str:
+    try:
+        return check_name(name)
+    except NameRefused as error:
+        raise ConfigurationError(f"{what} {name!a} is not a ROS name", error.hint) from error

@@ -1,23 +1,24 @@
-"""XML-RPC calls and responses as bytes, and ROS's `[code, status, value]` convention.
+"""XML-RPC calls and responses as bytes, and ROS's `[code, status, value]` convention. Pure.
 
 The standard library marshals. What it lacks is here: a size limit before the parse, no document
 type and no entity (the billion-laughs bomb needs both), a bound on nesting (values are walked
-recursively later), UTF-8 only, and one class of error for all failures.
-Values are what XML-RPC has: bool, int, float, str, bytes, datetime, list, dict with str keys.
+recursively later), UTF-8 only, and one class of error for all failures. Values are what XML-RPC has:
+bool, int, float, str, bytes, datetime, list, dict with str keys. The usual ones are written and read
+without the library, which is slower; the tests compare the two.
 """
 
+import binascii
+import re
+import xmlrpc
 import xmlrpc.client
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from typing import Final, NamedTuple, NoReturn, TypeVar
 from xml.parsers import expat
 
 from rossec.errors import AnswerMalformed, AnswerRefused, XmlRpcRefused
-from rossec.ros import xmlwrite
-from rossec.ros.text import printable
-from rossec.ros.xmlscan import Body, scan
+from rossec.peer_limits import printable
 
-Fault = xmlrpc.client.Fault
-"""What a server answers when there is no value: `Fault(faultCode, faultString)`."""
+Fault = xmlrpc.client.Fault  # What a server answers when there is no value: `Fault(faultCode, faultString)`
 
 FAULT_CODE: Final = 1  # the only one stock ROS uses
 BODY_LIMIT: Final = 4 * 1024 * 1024  # as XML, some 30,000 parameters
@@ -28,6 +29,30 @@ _TAGS_PER_LEVEL: Final = 3  # value, array, data; or value, struct, member
 _TAGS_AROUND: Final = 6
 METHOD_LIMIT: Final = 256
 NOT_ENCODABLE: Final = (TypeError, OverflowError, ValueError, RecursionError)
+ResultT = TypeVar("ResultT")
+_PROLOG: Final = "<?xml version='1.0'?>\n"
+_BEGIN: Final = f"{_PROLOG}<methodResponse>\n<params>\n<param>\n"
+_END: Final = "</param>\n</params>\n</methodResponse>\n"
+_ONE: Final = len("<params>\n<param>\n"), -len("</param>\n</params>\n")
+_INTS: Final = range(-(2**31), 2**31)
+_SCANNED_PROLOG: Final = re.compile(
+    r"(?:<\?xml version=(['\"])1\.0\1(?: encoding=(['\"])(?i:utf-8)\2)?\s?\?>\s*)?", re.ASCII
+)
+# The text excludes what has a meaning in XML ('<', '&', ']]>') and what XML forbids.
+_TOKEN: Final = re.compile(r"<(/?[A-Za-z0-9]+)>([\t\n\r\x20-\x25\x27-\x3b\x3d-\x5c\x5e-\x7e]*)")
+_TEXT: Final = r"[\t\n\x20-\x25\x27-\x3b\x3d-\x5c\x5e-\x7e]*"
+# A call as rospy and roscpp send nearly all of theirs: scalar parameters only.
+_FLAT: Final = re.compile(
+    rf"(?:<\?xml version=(['\"])1\.0\1\?>[ \t\n]*)?<methodCall>[ \t\n]*"
+    rf"<methodName>({_TEXT})</methodName>[ \t\n]*<params>[ \t\n]*"
+    rf"((?:<param>[ \t\n]*<value>(?:<(string|int|i4|boolean|double)>{_TEXT}</\4>|{_TEXT})</value>"
+    rf"[ \t\n]*</param>[ \t\n]*)*)</params>[ \t\n]*</methodCall>[ \t\n]*"
+)
+_FLAT_VALUE: Final = re.compile(rf"<value>(?:<([a-z0-9]+)>)?({_TEXT})<")
+_INT: Final = re.compile(r"-?[0-9]{1,18}")
+_TRUTH: Final = {"0": False, "1": True}
+
+Tokens = Iterator[tuple[str, str]]
 
 
 class Call(NamedTuple):
@@ -43,46 +68,60 @@ class Encoded(NamedTuple):
     body: bytes
 
 
-def dump_call(method: str, params: Sequence[object]) -> bytes:
-    """The body of a request.
+class EncodedList(list[object]):
+    """A list that keeps its encodings; it must not change any more."""
 
-    Raises:
-        XmlRpcRefused: a parameter cannot be carried (None, an integer beyond 32 bits, ...).
-    """
+    __slots__ = ("_text", "compact", "pieces")
+
+    def __init__(self, items: list[object]) -> None:
+        super().__init__(items)
+        self._text: str | None = None
+        # the other form's encoding, if it was made, of `pieces` values (`rossec.ros.compact_values`)
+        self.compact: bytes | None = None
+        self.pieces = 0
+
+    @property
+    def text(self) -> str:
+        """The value element."""
+        if self._text is None:
+            self._text = _array(self)
+        return self._text
+
+
+class Body(NamedTuple):
+    params: tuple[object, ...]
+    method: str | None
+    root: str | None
+
+
+class _NotPlainError(Exception):
+    pass
+
+
+def dump_call(method: str, params: Sequence[object]) -> bytes:
     try:
-        return xmlwrite.call(method, params).encode()
+        return call_text(method, params).encode()
     except NOT_ENCODABLE as error:
         raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
 
 
 def dump_response(value: object) -> bytes:
-    """The body of a response that holds `value`, or a fault if `value` is one, or is `Encoded`.
-
-    Raises:
-        XmlRpcRefused: the value cannot be carried.
-    """
     if isinstance(value, Encoded):
         return value.body
     try:
         if isinstance(value, Fault):
             return xmlrpc.client.dumps(value).encode()
-        return xmlwrite.response(value).encode()
+        return response_text(value).encode()
     except NOT_ENCODABLE as error:
         raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
 
 
 def load_call(data: bytes, *, limit: int = BODY_LIMIT) -> Call:
-    """The one call that fills `data`.
-
-    Raises:
-        XmlRpcRefused: too long, too deep, malformed, or not a call.
-    """
     _check_size(data, limit)
     return _call_in(scan(data, DEPTH_LIMIT) or run_out(_parse(data)))
 
 
 def call_steps(data: bytes, *, limit: int = BODY_LIMIT) -> Generator[None, None, Call]:
-    """As `load_call`, in steps: it yields after each."""
     _check_size(data, limit)
     return _call_in((yield from _body_steps(data)))
 
@@ -97,18 +136,11 @@ def _call_in(body: Body) -> Call:
 
 
 def load_response(data: bytes, *, limit: int = BODY_LIMIT) -> object:
-    """The one value of a response.
-
-    Raises:
-        Fault: the server answered with a fault, whose text is made printable.
-        XmlRpcRefused: too long, too deep, malformed, or not a response.
-    """
     _check_size(data, limit)
     return _value_in(scan(data, DEPTH_LIMIT) or run_out(_parse(data)))
 
 
 def response_steps(data: bytes, *, limit: int = BODY_LIMIT) -> Generator[None, None, object]:
-    """As `load_response`, in steps: it yields after each."""
     _check_size(data, limit)
     return _value_in((yield from _body_steps(data)))
 
@@ -123,11 +155,7 @@ def _value_in(body: Body) -> object:
     return params[0]
 
 
-ResultT = TypeVar("ResultT")
-
-
 def run_out(steps: Generator[None, None, ResultT]) -> ResultT:
-    """The result of all steps, taken at once."""
     try:
         while True:
             next(steps)
@@ -137,12 +165,6 @@ def run_out(steps: Generator[None, None, ResultT]) -> ResultT:
 
 
 def value_of(answer: object) -> object:
-    """The value in ROS's `[1, status, value]`.
-
-    Raises:
-        AnswerRefused: the code is not 1; the message is the status text, made printable.
-        AnswerMalformed: anything but such a triple.
-    """
     if not isinstance(answer, list | tuple) or len(answer) != 3:
         raise AnswerMalformed("an answer that is not [code, status, value]")
     code, status, value = answer
@@ -164,10 +186,8 @@ def is_unknown_method(error: Exception) -> bool:
 
 
 def too_long(size: int, limit: int) -> Fault:
-    """What is answered in place of a response that is longer than peers accept."""
     return Fault(
-        FAULT_CODE,
-        f"rossec: the answer has {size} bytes, at most {limit} are sent: ask for less at a time",
+        FAULT_CODE, f"rossec: the answer has {size} bytes, at most {limit} are sent: ask for less at a time"
     )
 
 
@@ -177,13 +197,195 @@ def _check_size(data: bytes, limit: int) -> None:
 
 
 def _body_steps(data: bytes) -> Generator[None, None, Body]:
-    """The content of `data`: what is short is scanned, which is quicker, but one step."""
     plain = scan(data, DEPTH_LIMIT) if len(data) <= STEP else None
     return plain or (yield from _parse(data))
 
 
+# Written exactly as the library does it; rare types (doubles, times, structs, base64) are left to it.
+
+
+def call_text(method: str, params: Iterable[object]) -> str:
+    written = "".join([f"<param>\n{_value(param)}</param>\n" for param in params])
+    head = f"{_PROLOG}<methodCall>\n<methodName>{method}</methodName>\n"
+    return f"{head}<params>\n{written}</params>\n</methodCall>\n"
+
+
+def response_text(value: object) -> str:
+    return f"{_BEGIN}{_value(value)}{_END}"
+
+
+def _value(value: object) -> str:
+    kind = type(value)
+    if kind is str:
+        return string_text(value)  # type: ignore[arg-type]
+    if kind is int and value in _INTS:
+        return f"<value><int>{value}</int></value>\n"
+    if kind is EncodedList:
+        return value.text  # type: ignore[attr-defined,no-any-return]
+    if kind is list or kind is tuple:
+        return _array(value)  # type: ignore[arg-type]
+    begin, end = _ONE
+    return xmlrpc.client.dumps((value,))[begin:end]  # type: ignore[arg-type]
+
+
+def _array(items: "list[object] | tuple[object, ...]") -> str:
+    return f"<value><array><data>\n{''.join(map(_value, items))}</data></array></value>\n"
+
+
+def string_text(text: str) -> str:
+    if "&" in text or "<" in text or ">" in text:
+        text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    return f"<value><string>{text}</string></value>\n"
+
+
+# The fast path for a body: the plain form of nearly every call. Plain means ASCII, no attributes,
+# entities, comments or sections, and only the elements below, each in its place. For anything else,
+# errors included, `scan` returns None, and the XML parser decides: this can only be faster than the
+# parser, never more lenient.
+def scan(data: bytes, depth: int) -> Body | None:
+    """The content of the body `data`; None: not plain, or nested deeper than `depth`."""
+    try:
+        text = data.decode("ascii")
+        flat = _FLAT.fullmatch(text)
+        if flat is not None:
+            values = tuple([_SCALARS[kind](part) for kind, part in _FLAT_VALUE.findall(flat[3])])
+            return Body(values, flat[2], "methodCall")
+        prolog = _SCANNED_PROLOG.match(text)
+        begin = 0 if prolog is None else prolog.end()
+        pairs = _TOKEN.findall(text, begin)
+        if begin + sum(len(tag) + len(rest) + 2 for tag, rest in pairs) != len(text):
+            return None  # some text is not part of a token
+        tokens = iter(pairs)
+        body = _body(tokens, depth)
+        return body if next(tokens, None) is None else None
+    except (_NotPlainError, StopIteration, ValueError):
+        return None
+
+
+def _body(tokens: Tokens, depth: int) -> Body:
+    root = _tag(tokens)
+    method = None
+    if root == "methodCall":
+        tag, text = next(tokens)
+        if tag != "methodName":
+            raise _NotPlainError
+        method = _string(text)
+        _expect(tokens, "/methodName")
+    elif root != "methodResponse":
+        raise _NotPlainError
+    _expect(tokens, "params")
+    params: list[object] = []
+    while (tag := _tag(tokens)) == "param":
+        params.append(_scanned_value(tokens, depth))
+        _expect(tokens, "/param")
+    if tag != "/params":
+        raise _NotPlainError
+    _expect(tokens, f"/{root}")
+    return Body(tuple(params), method, root)
+
+
+def _scanned_value(tokens: Tokens, depth: int) -> object:
+    tag, text = next(tokens)
+    if tag != "value":
+        raise _NotPlainError
+    return _typed(tokens, text, depth)
+
+
+def _typed(tokens: Tokens, outer: str, depth: int) -> object:
+    tag, text = next(tokens)
+    if tag == "/value":  # no type: a string
+        _check_blank(text)
+        return _string(outer)
+    _check_blank(outer)
+    scalar = _SCALARS.get(tag)
+    if scalar is not None:
+        value = scalar(text)
+        _expect(tokens, f"/{tag}")
+    elif depth > 0 and tag in ("array", "struct"):
+        _check_blank(text)
+        value = _scanned_array(tokens, depth - 1) if tag == "array" else _struct(tokens, depth - 1)
+    else:
+        raise _NotPlainError
+    _expect(tokens, "/value")
+    return value
+
+
+def _scanned_array(tokens: Tokens, depth: int) -> list[object]:
+    _expect(tokens, "data")
+    values: list[object] = []
+    while True:
+        tag, text = next(tokens)
+        if tag == "/data":
+            _check_blank(text)
+            _expect(tokens, "/array")
+            return values
+        if tag != "value":
+            raise _NotPlainError
+        values.append(_typed(tokens, text, depth))
+
+
+def _struct(tokens: Tokens, depth: int) -> dict[str, object]:
+    values: dict[str, object] = {}
+    while (tag := _tag(tokens)) == "member":
+        name, text = next(tokens)
+        if name != "name":
+            raise _NotPlainError
+        key = _string(text)
+        _expect(tokens, "/name")
+        values[key] = _scanned_value(tokens, depth)
+        _expect(tokens, "/member")
+    if tag != "/struct":
+        raise _NotPlainError
+    return values
+
+
+def _string(text: str) -> str:
+    if "\r" in text:  # XML reads a line feed
+        raise _NotPlainError
+    return text
+
+
+def _int(text: str) -> int:
+    if _INT.fullmatch(text) is None:
+        raise _NotPlainError
+    return int(text)
+
+
+def _boolean(text: str) -> bool:
+    if text not in _TRUTH:
+        raise _NotPlainError
+    return _TRUTH[text]
+
+
+_SCALARS: Final[dict[str, Callable[[str], object]]] = {
+    "": _string,
+    "string": _string,
+    "int": _int,
+    "i4": _int,
+    "boolean": _boolean,
+    "double": float,
+    "base64": binascii.a2b_base64,
+}
+
+
+def _tag(tokens: Tokens) -> str:
+    tag, text = next(tokens)
+    _check_blank(text)
+    return tag
+
+
+def _expect(tokens: Tokens, wanted: str) -> None:
+    tag, text = next(tokens)
+    if tag != wanted or (text and not text.isspace()):
+        raise _NotPlainError
+
+
+def _check_blank(text: str) -> None:
+    if text and not text.isspace():
+        raise _NotPlainError
+
+
 def _parse(data: bytes) -> Generator[None, None, Body]:
-    """The content, of a fault itself with the root `_FAULT`; yields after each `STEP` bytes."""
     if data.startswith((b"\xff", b"\xfe")):  # expat obeys a UTF-16 mark despite its encoding
         raise XmlRpcRefused("malformed XML-RPC: not UTF-8")
     target = _Target()
@@ -191,7 +393,9 @@ def _parse(data: bytes) -> Generator[None, None, Body]:
     try:
         for end in range(STEP, len(data), STEP):
             parser.Parse(data[end - STEP : end], False)
-            _check_markup(end - parser.CurrentByteIndex)
+            unparsed = end - parser.CurrentByteIndex
+            if unparsed > _MARKUP_LIMIT:
+                raise XmlRpcRefused(f"a tag or comment of more than {_MARKUP_LIMIT} bytes")
             yield
         parser.Parse(data[(len(data) - 1) // STEP * STEP :] if data else b"", True)
         return Body(target.close(), target.getmethodname(), target.root)
@@ -203,21 +407,18 @@ def _parse(data: bytes) -> Generator[None, None, Body]:
         raise XmlRpcRefused("malformed XML-RPC") from error
 
 
-def _check_markup(unparsed: int) -> None:
-    if unparsed > _MARKUP_LIMIT:
-        raise XmlRpcRefused(f"a tag or comment of more than {_MARKUP_LIMIT} bytes")
-
-
 _FAULT: Final = "fault"  # as root of a body, which no body has that was parsed
 _MALFORMED: Final = (
-    expat.ExpatError, xmlrpc.client.Error, ValueError, TypeError, LookupError,
+    expat.ExpatError,
+    xmlrpc.client.Error,
+    ValueError,
+    TypeError,
+    LookupError,
     ArithmeticError,  # of decimal: the library reads <bigdecimal>
-)  # fmt: skip
+)
 
 
 class _Target(xmlrpc.client.Unmarshaller):
-    """The library's unmarshaller with a bound on depth; stores the root element."""
-
     def __init__(self) -> None:
         super().__init__(use_builtin_types=True)
         self.xml("", None)  # no encoding: the parser already returns text

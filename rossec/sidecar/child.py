@@ -1,10 +1,10 @@
-"""The program a private sidecar was started for: its environment, its signals, its end.
+"""The program a private sidecar was started for: its environment, its signals, its end. A shell.
 
-A shell. The program gets the loopback master in its environment, nothing else: no secret is there
-or on its command line. It inherits the descriptors passed to us, as with `<(...)` of a shell. Its
-orphans become our children (subreaper), so that they remain its descendants. Signals of other
-processes are forwarded; signals of the kernel (Ctrl-C) the terminal has sent to the program as
-well. Only signalfd(2) tells the two apart.
+The program gets the loopback master in its environment, nothing else: no secret is there or on its
+command line. It inherits the descriptors passed to us, as with `<(...)` of a shell, and its own limit of
+them. Its orphans become our children (subreaper), so that they remain its descendants. Signals of other
+processes are forwarded; signals of the kernel (Ctrl-C) the terminal has sent to the program as well.
+Only signalfd(2) tells the two apart.
 """
 
 import asyncio
@@ -12,31 +12,42 @@ import contextlib
 import ctypes
 import json
 import os
+import resource
 import signal
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Final
+from contextlib import suppress
+from typing import Final, TypeAlias
 
 from ca.errors import HintedError
 from rossec.errors import ConfigurationError
-from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
-from rossec.sidecar.descriptors import Limits, restore_limit
+from rossec.sidecar.core.layers import LOOPBACK, Loopback
 
-OUTSIDE: Final = "ROSSEC_OUTSIDE"
-"""The variable in which a nested `rossec run` finds what the outer one replaced."""
+Limits: TypeAlias = tuple[int, int]  # the soft and the hard one
+ENOUGH: Final = 1 << 16
+_WHICH: Final = resource.RLIMIT_NOFILE
 
+OUTSIDE: Final = "ROSSEC_OUTSIDE"  # in it a nested `rossec run` finds what the outer one replaced
 _REPLACED: Final = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOSTNAME", "ROS_IPV6")
 _FORWARDED: Final = (
-    signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT,
-    signal.SIGUSR1, signal.SIGUSR2, signal.SIGCONT,
-)  # fmt: skip
-_PACKAGES: Final = {
-    "rosrun": "rosbash", "roscd": "rosbash", "rosed": "rosbash", "rviz": "rviz",
-    **{tool: f"python3-{tool}" for tool in (
-        "rosbag", "roslaunch", "rosmsg", "rosnode", "rosparam", "rosservice", "rostopic",
-    )},
-}  # fmt: skip
-"""Which of Debian's packages has a tool that is not installed."""
+    signal.SIGINT,
+    signal.SIGTERM,
+    signal.SIGHUP,
+    signal.SIGQUIT,
+    signal.SIGUSR1,
+    signal.SIGUSR2,
+    signal.SIGCONT,
+)
+_PACKAGES: Final = {  # of Debian, for a tool that is not installed
+    "rosrun": "rosbash",
+    "roscd": "rosbash",
+    "rosed": "rosbash",
+    "rviz": "rviz",
+    **{
+        tool: f"python3-{tool}"
+        for tool in ("rosbag", "roslaunch", "rosmsg", "rosnode", "rosparam", "rosservice", "rostopic")
+    },
+}
 _NOT_FOUND, _NOT_EXECUTABLE, _SIGNALLED = 127, 126, 128
 _SUBREAPER: Final = 36  # PR_SET_CHILD_SUBREAPER
 _DEATH_SIGNAL: Final = 1  # PR_SET_PDEATHSIG
@@ -45,12 +56,23 @@ _SIGNAL: Final = struct.Struct("=Iii116x")  # signalfd_siginfo: number, errno, c
 _BY_KERNEL: Final = 0x80  # SI_KERNEL
 
 
-def outer_environment(environ: Mapping[str, str]) -> dict[str, str]:
-    """The environment as it was before an outer `rossec run` changed it.
+def raise_limit() -> Limits:
+    # Every connection of a program needs two descriptors here. The usual soft limit of 1024 is for programs
+    # that use select(2), which this process does not. The program may, so it gets the original limit.
+    before = resource.getrlimit(_WHICH)
+    soft, hard = before
+    wanted = ENOUGH if hard == resource.RLIM_INFINITY else min(hard, ENOUGH)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        with suppress(OSError, ValueError):  # a container may forbid it
+            resource.setrlimit(_WHICH, (wanted, hard))
+    return before
 
-    Raises:
-        ConfigurationError: the saved variable is damaged.
-    """
+
+def restore_limit(before: Limits) -> None:
+    resource.setrlimit(_WHICH, before)
+
+
+def outer_environment(environ: Mapping[str, str]) -> dict[str, str]:
     saved = environ.get(OUTSIDE)
     if saved is None:
         return dict(environ)
@@ -63,12 +85,8 @@ def outer_environment(environ: Mapping[str, str]) -> dict[str, str]:
 
 
 def program_environment(
-    environ: Mapping[str, str],
-    settled: Mapping[str, str],
-    master_uri: str,
-    loopback: Loopback = LOOPBACK,
+    environ: Mapping[str, str], settled: Mapping[str, str], master_uri: str, loopback: Loopback = LOOPBACK
 ) -> dict[str, str]:
-    """The environment for the program; a nested `rossec run` restores what was `settled`."""
     before = {key: settled[key] for key in _REPLACED if key in settled}
     unchanged = {key: value for key, value in environ.items() if key not in _REPLACED}
     own = {"ROS_IP": loopback.host}
@@ -78,26 +96,11 @@ def program_environment(
 
 
 def adopt_orphans() -> None:
-    """Become the parent of the program's orphans.
-
-    Raises:
-        OSError: the kernel refuses.
-    """
     if LIBC.prctl(_SUBREAPER, 1, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl PR_SET_CHILD_SUBREAPER")
 
 
-async def run(
-    command: Sequence[str], environ: Mapping[str, str], limits: Limits | None = None
-) -> int:
-    """Run the program to its end; its exit code, or 128 plus the signal that ended it.
-
-    Args:
-        limits: of descriptors, for the program.
-
-    Raises:
-        NoSuchProgram: it cannot be started.
-    """
+async def run(command: Sequence[str], environ: Mapping[str, str], limits: Limits | None = None) -> int:
     with _blocked_signals() as (mask, signals):
 
         def prepare() -> None:
@@ -121,9 +124,7 @@ async def _start(
             *command, env=dict(environ), preexec_fn=prepare, close_fds=False
         )
     except FileNotFoundError:
-        raise NoSuchProgram(
-            f"{command[0]}: there is no such program", _NOT_FOUND, command[0]
-        ) from None
+        raise NoSuchProgram(f"{command[0]}: there is no such program", _NOT_FOUND, command[0]) from None
     except OSError as error:
         reason = error.strerror or "no reason given"
         raise NoSuchProgram(f"{command[0]} cannot be executed: {reason}", _NOT_EXECUTABLE) from None
@@ -141,30 +142,22 @@ class NoSuchProgram(HintedError):
 
 @contextlib.contextmanager
 def _blocked_signals() -> Iterator[tuple[set[int | signal.Signals], int]]:
-    """Block the forwarded signals; yields the previous mask and a signalfd descriptor.
-
-    They are blocked before the program starts: none is lost.
-    """
+    # They are blocked before the program starts: none is lost.
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, _FORWARDED)
     try:
-        signals = _signalfd(_FORWARDED)
+        wanted = ctypes.create_string_buffer(128)  # sigset_t
+        LIBC.sigemptyset(wanted)
+        for number in _FORWARDED:
+            LIBC.sigaddset(wanted, number)
+        signals: int = LIBC.signalfd(-1, wanted, os.O_CLOEXEC | os.O_NONBLOCK)
+        if signals < 0:
+            raise OSError(ctypes.get_errno(), "signalfd")
         try:
             yield mask, signals
         finally:
             os.close(signals)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-
-def _signalfd(numbers: Sequence[signal.Signals]) -> int:
-    wanted = ctypes.create_string_buffer(128)  # sigset_t
-    LIBC.sigemptyset(wanted)
-    for number in numbers:
-        LIBC.sigaddset(wanted, number)
-    descriptor: int = LIBC.signalfd(-1, wanted, os.O_CLOEXEC | os.O_NONBLOCK)
-    if descriptor < 0:
-        raise OSError(ctypes.get_errno(), "signalfd")
-    return descriptor
 
 
 @contextlib.contextmanager
@@ -188,7 +181,6 @@ def _forwarding_signals(program: asyncio.subprocess.Process, signals: int) -> It
 
 
 def _pending_signals(signals: int) -> Iterator[tuple[int, int]]:
-    """Each pending signal, with its code."""
     with contextlib.suppress(BlockingIOError):
         while True:
             number, _, code = _SIGNAL.unpack(os.read(signals, _SIGNAL.size))
@@ -196,7 +188,6 @@ def _pending_signals(signals: int) -> Iterator[tuple[int, int]]:
 
 
 def _reap(own: int) -> None:
-    """Reap adopted children that have ended; the program itself is waited for elsewhere."""
     with contextlib.suppress(ChildProcessError):
         while (found := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is not None:
             if found.si_pid == own:

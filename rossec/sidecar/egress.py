@@ -1,60 +1,159 @@
-"""Loopback ports for peers: programs call a peer's slave API, subscribe to topics, call services.
+"""Loopback ports for peers: programs call a peer's slave API, subscribe to topics, call services. A shell.
 
-A shell. Each connection runs one layer after another; an error closes that connection on both
-sides.
+Each connection runs one layer after another; an error closes that connection on both sides. Faults that
+a program may not print are logged here: rosnode says "killed" whatever a node answers.
 """
 
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Mapping
-from typing import Final
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, Generic, TypeVar
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown
 from ca.errors import HintedError
+from ca.names import shown
+from grants.request import MissingRight, is_dispensable, missing_right, refusal
 from rossec import clock
 from rossec.channel.opening import WireProtocol
-from rossec.errors import HangUp, RossecError
+from rossec.errors import HangUp, PeerUnreachable, RossecError
+from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.bounds import message_limit, unit_limit
-from rossec.net.rpc.client import serve_calls
-from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.connections import ConnectionTable
-from rossec.participant.followed_publishers import PERIOD, FollowedPublishers
-from rossec.participant.header_fields import text
-from rossec.participant.limit_memory import memory_scope
-from rossec.participant.topic_guard import FilterKey
-from rossec.ros import header
-from rossec.ros.header import MESSAGE_LIMIT
+from rossec.net.limits import message_limit, unit_limit
+from rossec.net.rpc.calls import serve_calls
+from rossec.participant.authorized import AuthorizedConnection, memory_scope
+from rossec.participant.connections import FOLLOW_PERIOD, ConnectionTable, FollowedPublishers
+from rossec.participant.definitions import FilterKey
+from rossec.participant.handshakes import text
+from rossec.participant.registrations import nothing_shown, shows_nothing, unheard_refusal
+from rossec.peer_limits import printable
+from rossec.ros import tcpros
+from rossec.ros.tcpros import MESSAGE_LIMIT
 from rossec.sidecar import pump
-from rossec.sidecar.core import slave_calls, tcpros
-from rossec.sidecar.core.copies import ReplaceableGuard
-from rossec.sidecar.core.endpoints import Endpoint
-from rossec.sidecar.core.layers import AgentState
-from rossec.sidecar.core.program_memory import ProgramMemories
-from rossec.sidecar.core.replacing import Replacing
-from rossec.sidecar.core.tcpros import AdmittedConnection
+from rossec.sidecar.core import node_connections
+from rossec.sidecar.core.guards import ProgramMemories, ReplaceableGuard, Replacing
+from rossec.sidecar.core.layers import AgentState, ListeningAddress
+from rossec.sidecar.core.node_connections import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
-from rossec.sidecar.loopback_port import LoopbackPort
-from rossec.sidecar.plain_stream import PlainStream
-from rossec.sidecar.port_pool import PortPool
+from rossec.sidecar.loopback_port import LoopbackPort, PlainStream, PortPool
 from rossec.sidecar.pump import split_header
-from rossec.sidecar.refusals import RefusalLog
+
+T = TypeVar("T")
+_log = logging.getLogger("rossec.sidecar")
+_PREFIX = "rossec: "
+_WHERE: Final = "is ROS_IP or ROS_HOSTNAME right on its side, and its name known on this host?"
+COLLECTED_FOR: Final = 1.0  # seconds
+SAID_FOR: Final = 3600.0
+_REMEMBERED: Final = 1024
+_LINE: Final = 2000  # characters
 
 HEADER_DEADLINE: Final = 15.0  # includes the handshake with the peer
 
-_log = logging.getLogger("rossec.sidecar")
+
+class Said(Generic[T]):
+    """What was said within the last hour."""
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self._now = now
+        self._said: OrderedDict[T, float] = OrderedDict()
+
+    def add(self, what: T) -> bool:
+        now = self._now()
+        if now - self._said.get(what, -SAID_FOR) < SAID_FOR:
+            return False
+        self._said[what] = now
+        self._said.move_to_end(what)
+        if len(self._said) > _REMEMBERED:
+            self._said.popitem(last=False)
+        return True
+
+
+class MissingRights:
+    """What the programs of one identity asked for and no grant gives.
+
+    A program asks for much at its start. What no rule gives it is collected for a second and logged as
+    one line, which says what rule is missing; the same is not logged again within an hour. What a client
+    library asks for by itself is no warning: the program works without it (`grants.request`).
+    """
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self._said = Said[MissingRight](now)
+        self._new: list[MissingRight] = []
+
+    def add(self, missing: MissingRight) -> bool:
+        if is_dispensable(missing.right, missing.own) or not self._said.add(missing):
+            return False
+        self._new.append(missing)
+        return True
+
+    def take(self) -> list[str]:
+        # One line for each node of what is new since the last call.
+        new, self._new = self._new, []
+        nodes: dict[str, list[MissingRight]] = {}
+        for each in new:
+            nodes.setdefault(each.node, []).append(each)
+        return [
+            refusal(node, [(each.right, each.in_rule) for each in found]) for node, found in nodes.items()
+        ]
+
+
+class RefusalLog:
+    def __init__(self) -> None:
+        self._missing = MissingRights(clock.counter())
+        self._reasons, self._paths = Said[str](clock.counter()), Said[str](clock.counter())
+        self._timer: asyncio.TimerHandle | None = None
+
+    def log(self, refuser: str, method: str, answer: object, params: Sequence[object] = ()) -> None:
+        # Of an answer in which rossec refuses a call, or that does not reach the program.
+        match answer:
+            case [code, str(status), *_] if code != 1 and status.startswith(_PREFIX):
+                missing = missing_right(status)
+                if missing is None:
+                    self._refused(refuser, method, status.removeprefix(_PREFIX))
+                elif self._missing.add(missing) and self._timer is None:
+                    loop = asyncio.get_running_loop()
+                    self._timer = loop.call_later(COLLECTED_FOR, self.flush)
+            case _ if (reason := unheard_refusal(method, params, answer)) is not None:
+                self._refused(refuser, method, reason)
+            case _:
+                pass
+
+    def log_own(self, node: str, method: str, answer: object) -> None:
+        # Of an answer that the sidecar itself gives; what the master refused went through `log`.
+        match answer:
+            case [-1, str(status), *_] if status.startswith(_PREFIX):
+                if missing_right(status) is None:
+                    self._refused(f"the sidecar of {node}", method, status.removeprefix(_PREFIX))
+            case _ if shows_nothing(method, answer):
+                text = nothing_shown(node)
+                if self._reasons.add(text):
+                    _log.warning("%s: %s", method, printable(text))
+            case _:
+                pass
+
+    def _refused(self, refuser: str, method: str, reason: str) -> None:
+        if self._reasons.add(reason):
+            _log.warning("%s refuses %s: %s", refuser, method, printable(reason, _LINE))
+
+    def unreachable(self, peer: str, error: PeerUnreachable) -> None:
+        # The program sees a closed connection, and tries again in silence.
+        if isinstance(error.__cause__, ConnectionRefusedError) or not self._paths.add(peer):
+            return
+        _log.warning("%s is out of reach: %s (%s)", printable(peer), printable(str(error)), _WHERE)
+
+    def flush(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        for line in self._missing.take():
+            _log.warning("%s", printable(line, _LINE))
 
 
 class Egress:
     """The loopback ports of one identity.
 
-    Args:
-        services: the services of its agent.
-        filter_key: finds a key for pseudonyms by its name.
-        on_topic_ended: called with the topic and the start (monotonic) of a connection that ended.
+    `on_topic_ended` is called with the topic and the start (monotonic) of a connection that ended.
     """
 
     def __init__(
@@ -72,35 +171,28 @@ class Egress:
         self._on_topic_ended = on_topic_ended
         self._tasks = TaskSet()
         self._refusals = RefusalLog()
-        self._memories: ProgramMemories[CommandExecutor] = ProgramMemories(
-            memory_scope(agent.identity.name)
-        )
-        self._followed: FollowedPublishers[Endpoint] = FollowedPublishers(agent.is_listed)
+        self._memories: ProgramMemories[CommandExecutor] = ProgramMemories(memory_scope(agent.identity.name))
+        self._followed: FollowedPublishers[ListeningAddress] = FollowedPublishers(agent.is_listed)
         self.ports = PortPool(self._close_port)
 
-    def open(self, remote: Endpoint) -> int:
-        """The loopback port for `remote`; it listens."""
+    def open(self, remote: ListeningAddress) -> int:
         listener = self._port_for(remote)
         listener.open()
         return listener.port
 
-    def refuse(self, remote: Endpoint) -> int:
-        """The loopback port for `remote`; the kernel refuses callers."""
+    def refuse(self, remote: ListeningAddress) -> int:
         listener = self._port_for(remote)
         listener.suspend()
         return listener.port
 
     async def close(self) -> None:
-        """Close every port."""
         self._refusals.flush()
         for listener in self.ports:
             await listener.close()
         await self._tasks.close()
 
-    def _port_for(self, remote: Endpoint) -> LoopbackPort:
-        serve = (
-            self._serve_tcpros if remote.protocol is WireProtocol.TCPROS else self._serve_slave_api
-        )
+    def _port_for(self, remote: ListeningAddress) -> LoopbackPort:
+        serve = self._serve_tcpros if remote.protocol is WireProtocol.TCPROS else self._serve_slave_api
 
         async def handler(program: PlainStream) -> None:
             await serve(remote, program)
@@ -108,16 +200,15 @@ class Egress:
         callers = self._services.callers
         return self.ports.get_or_open(remote, lambda: LoopbackPort(callers, handler))
 
-    def _close_port(self, _: Endpoint, listener: LoopbackPort) -> None:
+    def _close_port(self, _: ListeningAddress, listener: LoopbackPort) -> None:
         self._agent.endpoints.remove_egress(listener.port)
         self._tasks.spawn(listener.close(), f"loopback port {listener.port}")
 
-    async def _serve_slave_api(self, remote: Endpoint, program: PlainStream) -> None:
-        """A program's calls to a peer's slave API."""
+    async def _serve_slave_api(self, remote: ListeningAddress, program: PlainStream) -> None:
         executor = CommandExecutor(self._services)
 
         async def dispatch(method: str, params: tuple[object, ...], _: str) -> object:
-            layer = slave_calls.handle_program_call(self._agent, remote, method, params)
+            layer = node_connections.handle_program_call(self._agent, remote, method, params)
             answer = await executor.run(layer)
             self._refusals.log(remote.uri, method, answer)
             return answer
@@ -127,8 +218,7 @@ class Egress:
         finally:
             await executor.close()
 
-    async def _serve_tcpros(self, remote: Endpoint, program: PlainStream) -> None:
-        """A program that subscribes to a peer's topic, or calls its service."""
+    async def _serve_tcpros(self, remote: ListeningAddress, program: PlainStream) -> None:
         executor = CommandExecutor(self._services)
         fields: Mapping[str, bytes] = {}
         began = time.monotonic()
@@ -136,10 +226,14 @@ class Egress:
             try:
                 async with asyncio.timeout(HEADER_DEADLINE):
                     fields, after_request = await split_header(program)
-                    layer = tcpros.connect_to_peer(
-                        self._agent, remote, fields, self._filter_key,
-                        lambda name: self._memories.acquire(name, executor), clock.now(),
-                    )  # fmt: skip
+                    layer = node_connections.connect_to_peer(
+                        self._agent,
+                        remote,
+                        fields,
+                        self._filter_key,
+                        lambda name: self._memories.acquire(name, executor),
+                        clock.now(),
+                    )
                     admitted = await executor.run(layer)
             except HangUp as error:
                 _log.info("no connection to %s: %s", remote.uri, error)
@@ -147,15 +241,15 @@ class Egress:
                 return
             except HintedError as error:
                 _log.warning("no connection to %s: %s (%s)", remote.uri, error, error.hint)
-                await program.send(header.error_header(f"rossec: {error}"))
+                await program.send(tcpros.error_header(f"rossec: {error}"))
                 await program.close()
                 return
             if executor.stream is not None:
                 began = time.monotonic()
-                self._follow(executor.stream, remote, fields)
-                await self._forward(
-                    admitted, program, executor.stream, after_request, executor.after_header
-                )
+                api = self._agent.endpoints.api_of(remote)
+                if api is not None and "topic" in fields:
+                    self._followed.add(executor.stream, text(fields, "topic"), api)
+                await self._forward(admitted, program, executor.stream, after_request, executor.after_header)
                 self._topic_ended(fields, began)
         except (RossecError, TimeoutError) as error:
             _log.info("a connection to %s ended: %s", remote.uri, error)
@@ -165,21 +259,13 @@ class Egress:
                 self._followed.discard(executor.stream)
             await executor.close()
 
-    def _follow(
-        self, stream: SecureStream[Identity], remote: Endpoint, fields: Mapping[str, bytes]
-    ) -> None:
-        api = self._agent.endpoints.api_of(remote)
-        if api is not None and "topic" in fields:
-            self._followed.add(stream, text(fields, "topic"), api)
-
     async def leave_publishers(self) -> None:
-        """Periodically leave what the master lists no longer, until cancelled."""
         while True:
-            await asyncio.sleep(PERIOD)
+            await asyncio.sleep(FOLLOW_PERIOD)
             self._followed.leave_unlisted()
 
     def _topic_ended(self, fields: Mapping[str, bytes], began: float) -> None:
-        """A connection with this header has ended, or could not be made; of a service: nothing."""
+        # A connection with this header has ended, or could not be made; of a service: nothing.
         if "topic" in fields:
             self._on_topic_ended(text(fields, "topic"), began)
 
@@ -197,7 +283,7 @@ class Egress:
             stream, admitted.decision, admitted.guard, replacing.rebuild, replacing.swap
         )
         with self._connections.track(connection), pump.log_end(shown(stream.peer.name)):
-            await program.send(header.encode(admitted.answer))
+            await program.send(tcpros.encode(admitted.answer))
             if admitted.service:
                 await pump.exchange(program, stream, after_request, after_answer)
             else:

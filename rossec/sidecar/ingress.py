@@ -1,9 +1,9 @@
-"""Network ports for programs: peers call a slave API, subscribe to topics, call services.
+"""Network ports for programs: peers call a slave API, subscribe to topics, call services. A shell.
 
-A shell. Each connection runs one layer after another; an error closes that connection on both
-sides. A refused peer is told why its own grants do not suffice, and no more. A network port leads
-to the socket that listened when it was opened, not to whoever has the number of its port later:
-the master would have another program shut down in the place of one that has ended.
+Each connection runs one layer after another; an error closes that connection on both sides. A refused
+peer is told why its own grants do not suffice, and no more. A network port leads to the socket that
+listened when it was opened, not to whoever has the number of its port later: the master would have
+another program shut down in the place of one that has ended.
 """
 
 import asyncio
@@ -13,36 +13,39 @@ from collections.abc import Callable
 from typing import Final
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown
-from ca.errors import HintedError
+from ca.errors import HintedError, RevocationsStale
+from ca.names import shown
 from rossec import clock
 from rossec.channel.opening import WireProtocol
+from rossec.channel.records import ChannelLimits
 from rossec.errors import CallRefused, ChannelClosed, HangUp
-from rossec.net.aio import SecureStream
-from rossec.net.aio.server import SecureServer
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.host.peeruid import Holder
-from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.connections import ConnectionTable
-from rossec.participant.limit_memory import memory_scope
-from rossec.participant.slave_serving import serve_peer
-from rossec.participant.topic_guard import FilterKey
-from rossec.ros import header, names
-from rossec.ros.names import SIGNED_UPDATES
-from rossec.sidecar import pump, wish_pump
-from rossec.sidecar.connector import PeerConnector
-from rossec.sidecar.core import slave_calls, tcpros
-from rossec.sidecar.core.copies import CopyTracker
-from rossec.sidecar.core.endpoints import Endpoint
-from rossec.sidecar.core.layers import AgentState
-from rossec.sidecar.core.program_memory import ProgramMemories
-from rossec.sidecar.core.replacing import Replacing
-from rossec.sidecar.core.tcpros import AdmittedConnection
+from rossec.host.local_sockets import Holder
+from rossec.host.runner import TaskSet
+from rossec.net.aio import SecureContext, SecureStream, connect
+from rossec.net.aio.server import Handler, SecureServer, serve
+from rossec.net.limits import ACCEPTED, PREAUTH_LIMIT
+from rossec.participant.access import Access
+from rossec.participant.authorized import AuthorizedConnection, memory_scope
+from rossec.participant.connections import ConnectionTable, serve_peer
+from rossec.participant.definitions import FilterKey
+from rossec.ros import names, tcpros
+from rossec.ros.names import SIGNED_UPDATES, is_loopback
+from rossec.ros.tcpros import MESSAGE_LIMIT
+from rossec.ros.xmlrpc import BODY_LIMIT
+from rossec.sidecar import pump
+from rossec.sidecar.core import node_connections
+from rossec.sidecar.core.guards import CopyTracker, ProgramMemories, Replacing
+from rossec.sidecar.core.layers import AgentState, ListeningAddress
+from rossec.sidecar.core.node_connections import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
-from rossec.sidecar.plain_stream import PlainStream
-from rossec.sidecar.port_pool import PortPool
-from rossec.sidecar.pump import split_header
-from rossec.sidecar.wish_pump import WishSender
+from rossec.sidecar.loopback_port import PlainStream, PortPool, bind_free_port
+from rossec.sidecar.pump import WishSender, split_header
+
+# Peers send headers and requests; what programs send leaves in small units.
+ACCEPT_LIMITS: Final = {
+    **ACCEPTED,
+    WireProtocol.TCPROS: ChannelLimits(unit=MESSAGE_LIMIT + BODY_LIMIT, preauth_limit=PREAUTH_LIMIT),
+}
 
 HEADER_DEADLINE: Final = 15.0  # includes the handshake with the program
 _ENDED: Final = 64  # ports of ended programs that are kept bound: `rosnode cleanup` tries them
@@ -51,14 +54,35 @@ _log = logging.getLogger("rossec.sidecar")
 PushHandler = Callable[[str, tuple[object, ...], Identity], None]
 
 
-class Ingress:
-    """The network ports of one identity.
+class PeerConnector:
+    """Connects one identity to peers, each checked before anything is sent to it, and listens for them."""
 
-    Args:
-        services: the services of its agent.
-        filter_key: finds a key for pseudonyms by its name.
-        on_push: takes a signed update from the master.
-    """
+    def __init__(self, context: SecureContext[Identity], access: Access) -> None:
+        self._context = context
+        self._access = access
+
+    async def dial(
+        self, remote: ListeningAddress, *, allow_stale: bool = False, own_identity: bool = False
+    ) -> SecureStream[Identity]:
+        stream = await connect(
+            remote.host, remote.port, self._context, remote.protocol, to_itself=own_identity
+        )
+        try:
+            self._access.check_peer(stream.peer, clock.now())
+        except HintedError as error:
+            if not (allow_stale and isinstance(error, RevocationsStale)):
+                stream.abort("the peer's identity is invalid")
+                raise HangUp(str(error), error.hint) from error
+        return stream
+
+    def listen(self, handler: Handler[Identity], host: str, protocol: WireProtocol) -> SecureServer[Identity]:
+        # The port is bound explicitly, so that the kernel reserves it while the server is suspended.
+        bind = host if is_loopback(host) else None
+        return bind_free_port(lambda port: serve(handler, bind, port, self._context, protocol))
+
+
+class Ingress:
+    """The network ports of one identity; `on_push` takes a signed update from the master."""
 
     def __init__(
         self,
@@ -79,13 +103,10 @@ class Ingress:
         self._copies = CopyTracker()
         self._memories = ProgramMemories(memory_scope(agent.identity.name), self._is_dead)
         self.ports = PortPool(self._close_port, self._is_dead)
-        self._listeners: dict[Endpoint, list[Holder]] = {}  # of each port, when it was opened
-        self._ended: PortPool[int, SecureServer[Identity]] = PortPool(
-            self._close_ended, limit=_ENDED
-        )
+        self._listeners: dict[ListeningAddress, list[Holder]] = {}  # of each port, when it was opened
+        self._ended: PortPool[int, SecureServer[Identity]] = PortPool(self._close_ended, limit=_ENDED)
 
-    def open(self, local: Endpoint) -> int:
-        """The network port for the program that listens at `local` now; it listens."""
+    def open(self, local: ListeningAddress) -> int:
         listeners = self._services.callers.listeners(local.port)
         if not self.leads_to(local, listeners):
             for each in [each for each in self._listeners if each.port == local.port]:
@@ -96,15 +117,11 @@ class Ingress:
         server.resume()
         return server.port
 
-    def leads_to(self, local: Endpoint, listeners: list[Holder]) -> bool:
-        """Whether `listeners` are those for which the port of `local` was opened.
-
-        Also if there is no such port, or nothing listened when it was opened.
-        """
+    def leads_to(self, local: ListeningAddress, listeners: list[Holder]) -> bool:
+        # Also if there is no such port, or nothing listened when it was opened.
         return not listeners or self._listeners.get(local, listeners) == listeners
 
-    def _retire(self, local: Endpoint) -> None:
-        """Its program has ended and another one has the port: refuse callers for good."""
+    def _retire(self, local: ListeningAddress) -> None:
         del self._listeners[local]
         server = self.ports.remove(local)
         if server is not None:
@@ -112,22 +129,18 @@ class Ingress:
             self._agent.endpoints.remove_ingress(local, server.port)
             self._ended.get_or_open(server.port, lambda: server)
 
-    def suspend(self, local: Endpoint) -> None:
-        """Refuse callers for `local`: the program has ended."""
+    def suspend(self, local: ListeningAddress) -> None:
         server = self.ports.get(local)
         if server is not None:
             server.suspend()
 
     async def close(self) -> None:
-        """Close every port."""
         for server in (*self.ports, *self._ended):
             await server.close()
         await self._tasks.close()
 
-    def _listen(self, local: Endpoint) -> SecureServer[Identity]:
-        serve = (
-            self._serve_tcpros if local.protocol is WireProtocol.TCPROS else self._serve_slave_api
-        )
+    def _listen(self, local: ListeningAddress) -> SecureServer[Identity]:
+        serve = self._serve_tcpros if local.protocol is WireProtocol.TCPROS else self._serve_slave_api
 
         async def handler(stream: SecureStream[Identity]) -> None:
             with contextlib.suppress(TimeoutError):
@@ -136,7 +149,7 @@ class Ingress:
         host = self._agent.endpoints.host
         return self._connector.listen(self._connections.bounded(handler), host, local.protocol)
 
-    def _close_port(self, local: Endpoint, server: SecureServer[Identity]) -> None:
+    def _close_port(self, local: ListeningAddress, server: SecureServer[Identity]) -> None:
         self._agent.endpoints.remove_ingress(local, server.port)
         self._agent.forget(local)
         self._listeners.pop(local, None)
@@ -145,14 +158,13 @@ class Ingress:
     def _close_ended(self, port: int, server: SecureServer[Identity]) -> None:
         self._tasks.spawn(server.close(), f"network port {port}")
 
-    def _is_dead(self, local: Endpoint) -> bool:
+    def _is_dead(self, local: ListeningAddress) -> bool:
         listeners = self._services.callers.listeners(local.port)
         return not listeners or not self.leads_to(local, listeners)
 
     # --- XML-RPC
 
-    async def _serve_slave_api(self, local: Endpoint, stream: SecureStream[Identity]) -> None:
-        """A peer's calls to a program's slave API."""
+    async def _serve_slave_api(self, local: ListeningAddress, stream: SecureStream[Identity]) -> None:
         presented: list[bytes] = []
         executor = CommandExecutor(self._services)
 
@@ -160,7 +172,10 @@ class Ingress:
             try:
                 match method, params:
                     case update, (_, *rest) if update in SIGNED_UPDATES:
-                        return self._take_push(peer, update, (*rest,))
+                        if not self._agent.access.is_master(peer):
+                            raise CallRefused(f"{update} is for the master alone")
+                        self._on_push(update, (*rest,), peer)
+                        return [1, "", 0]
                     case names.PRESENT_GRANTS, (_, bytes() as grants):
                         presented[:] = [grants]
                     case _:
@@ -168,7 +183,7 @@ class Ingress:
                 now = clock.now()
                 proof = presented[0] if presented else None
                 agent = self._agent
-                layer = slave_calls.handle_peer_call(agent, local, peer, method, params, proof, now)
+                layer = node_connections.handle_peer_call(agent, local, peer, method, params, proof, now)
                 return await executor.run(layer)
             except HangUp:
                 raise
@@ -181,36 +196,32 @@ class Ingress:
         finally:
             await executor.close()
 
-    def _take_push(self, peer: Identity, method: str, params: tuple[object, ...]) -> object:
-        if not self._agent.access.is_master(peer):
-            raise CallRefused(f"{method} is for the master alone")
-        self._on_push(method, params, peer)
-        return [1, "", 0]
-
     # --- TCPROS
 
-    async def _serve_tcpros(self, local: Endpoint, stream: SecureStream[Identity]) -> None:
-        """A peer that subscribes to a program's topic, or calls its service."""
+    async def _serve_tcpros(self, local: ListeningAddress, stream: SecureStream[Identity]) -> None:
         executor = CommandExecutor(self._services)
         try:
             try:
                 async with asyncio.timeout(HEADER_DEADLINE):
                     fields, after_request = await split_header(stream)
-                    layer = tcpros.admit_peer(
-                        self._agent, local, fields, stream.peer, self._filter_key,
-                        lambda name: self._memories.acquire(name, local), clock.now(),
-                    )  # fmt: skip
+                    layer = node_connections.admit_peer(
+                        self._agent,
+                        local,
+                        fields,
+                        stream.peer,
+                        self._filter_key,
+                        lambda name: self._memories.acquire(name, local),
+                        clock.now(),
+                    )
                     admitted = await executor.run(layer)
             except HangUp:
                 raise
             except HintedError as error:
                 _log.warning("refused %s: %s (%s)", shown(stream.peer.name), error, error.hint)
-                await stream.send(header.error_header(f"rossec: {error}"))
+                await stream.send(tcpros.error_header(f"rossec: {error}"))
                 return
             if executor.program is not None:
-                await self._forward(
-                    admitted, executor.program, stream, after_request, executor.after_header
-                )
+                await self._forward(admitted, executor.program, stream, after_request, executor.after_header)
         except (HangUp, ChannelClosed) as error:
             _log.info("%s: %s", shown(stream.peer.name), error)
         finally:
@@ -234,7 +245,7 @@ class Ingress:
                 stream, decision, admitted.guard, replacing.rebuild, replacing.swap
             )
             with self._connections.track(connection):
-                await stream.send(header.encode(admitted.answer))
+                await stream.send(tcpros.encode(admitted.answer))
                 if admitted.service:
                     stream.raise_unit_limit()
                     await pump.exchange(program, stream, after_answer, after_request)
@@ -243,7 +254,7 @@ class Ingress:
                 elif admitted.wishes:
                     sender = WishSender(stream, admitted.wishes)
                     sender.put(initial)
-                    await wish_pump.publish(program, stream, guard, after_answer, sender)
+                    await pump.publish_as_wished(program, stream, guard, after_answer, sender)
                 else:
                     if initial:
                         await stream.send(*pump.framed(initial))

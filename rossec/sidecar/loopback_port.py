@@ -1,4 +1,4 @@
-"""A loopback port that keeps its number: open to allowed programs, or suspended.
+"""A loopback port that keeps its number: open to allowed programs, or suspended; its streams; pools of ports.
 
 A suspended port is bound but does not listen: the kernel refuses callers as for a dead node, and no
 other process gets the port (`rosnode ping` and `cleanup` rely on both). The address is 127.0.0.1 if
@@ -10,14 +10,20 @@ import asyncio
 import contextlib
 import logging
 import socket
-from collections.abc import Awaitable, Callable
-from functools import partial
-from typing import Final, Protocol, TypeVar
+from collections.abc import Awaitable, Callable, Hashable, Iterator
+from contextlib import suppress
+from typing import Final, Generic, Protocol, TypeVar
 
-from rossec.errors import ConfigurationError, PeerUserRefused
-from rossec.net.aio.tasks import TaskSet
-from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.channel.records import Bytes
+from rossec.errors import ChannelClosed, ConfigurationError, PeerUserRefused
+from rossec.host.runner import TaskSet
+from rossec.net.aio.transport import BaseStream, Transport
+from rossec.sidecar.core.layers import LOOPBACK, Loopback
+
+_SMALL: Final = 8 * 1024
+_LARGE: Final = 512 * 1024  # two records of the channel: what a peer reads at a time
+_LINGER: Final = 2.0
+_CLOSED: Final = "the program closed the connection"
 
 _BACKLOG: Final = 64
 _ATTEMPTS: Final = 16
@@ -31,33 +37,97 @@ _WITHOUT_IPV4: Final = (
 PAUSE: Final = 1.0  # seconds, when this process is out of descriptors
 
 _log = logging.getLogger("rossec.sidecar")
-Handler = Callable[[PlainStream], Awaitable[None]]
+
 Bound = TypeVar("Bound")
 
+LIMIT: Final = 512  # each way; a process has 1024 descriptors by default
 
-class Admission(Protocol):
+KeyT = TypeVar("KeyT", bound=Hashable)
+
+_HINT: Final = "give some of the nodes an identity of their own"
+
+
+class PlainStream(BaseStream):
+    """A plain TCP connection with a program of this host: bytes as they come, with back-pressure.
+
+    It has the methods of `SecureStream`, so that both kinds can be served and forwarded alike. Its
+    buffer is small until a program fills it: fifty idle nodes must not cost fifty large buffers.
+    """
+
+    peer = "a program of this host"
+
+    def __init__(self, sock: socket.socket) -> None:
+        super().__init__()
+        self.socket: Final = sock  # by which the kernel says whose the other end is
+        self._buffer = memoryview(bytearray(_SMALL))
+        self.transport = Transport(sock, self)
+        self.transport.resume_reading()
+
+    # -- called by the transport
+
+    def get_buffer(self) -> memoryview:
+        return self._buffer
+
+    def buffer_updated(self, count: int) -> None:
+        self._deliver(self._buffer[:count])
+        if count == len(self._buffer) < _LARGE:
+            self._buffer = memoryview(bytearray(_LARGE))
+        if self._units:
+            self._notify()
+
+    def eof_received(self) -> None:
+        self.error = ChannelClosed(_CLOSED)
+        self._notify()
+
+    def resume_writing(self) -> None:
+        self._wake_waiters()
+
+    def connection_lost(self) -> None:
+        self.eof_received()
+
+    # -- for users
+
+    def write_nowait(self, data: Bytes) -> bool:
+        if self.transport.closed:
+            raise ChannelClosed(_CLOSED)
+        self.transport.write(data)
+        return self.transport.writable
+
+    async def send(self, *pieces: Bytes) -> None:
+        for piece in pieces:
+            self.write_nowait(piece)
+        await self.drain()
+
+    async def close(self) -> None:
+        self.transport.write_eof()
+        try:
+            with suppress(ChannelClosed, TimeoutError):
+                async with asyncio.timeout(_LINGER):
+                    while True:
+                        await self.receive()
+        finally:
+            self.transport.abort()
+
+    def abort(self, _reason: str = "") -> None:
+        self.transport.abort()
+
+
+Handler = Callable[[PlainStream], Awaitable[None]]
+
+
+class PortAdmission(Protocol):
     """Where a port is, and who may connect: `Callers`, for programs of this host."""
 
     @property
-    def loopback(self) -> Loopback:
-        """The address of the port."""
-
-    async def check(self, sock: socket.socket) -> None:
-        """Return if the program at the other end may connect.
-
-        Raises:
-            PeerUserRefused: it may not.
-        """
+    def loopback(self) -> Loopback: ...
+    async def check(self, sock: socket.socket) -> None: ...
 
 
 class LocalPort:
     """One port; suspended until `open`. `attend` serves an admitted connection and owns it."""
 
     def __init__(
-        self,
-        callers: Admission,
-        attend: Callable[[socket.socket], Awaitable[None]],
-        port: int = 0,
+        self, callers: PortAdmission, attend: Callable[[socket.socket], Awaitable[None]], port: int = 0
     ) -> None:
         self._callers = callers
         self._attend = attend
@@ -70,11 +140,9 @@ class LocalPort:
 
     @property
     def connections(self) -> int:
-        """The number of open connections."""
         return len(self._tasks)
 
     def open(self) -> None:
-        """Listen."""
         if not self._is_open:
             self._is_open = True
             # Open connections may still use the port; a suspended port must not be bound by others.
@@ -137,26 +205,19 @@ class LocalPort:
 
 
 class LoopbackPort(LocalPort):
-    """A port whose handler gets a stream; it is closed when the handler returns."""
+    def __init__(self, callers: PortAdmission, handler: Handler, port: int = 0) -> None:
+        async def attend(sock: socket.socket) -> None:
+            stream = PlainStream(sock)
+            try:
+                await handler(stream)
+            finally:
+                stream.abort()
 
-    def __init__(self, callers: Admission, handler: Handler, port: int = 0) -> None:
-        super().__init__(callers, partial(_attend_stream, handler), port)
-
-
-async def _attend_stream(handler: Handler, sock: socket.socket) -> None:
-    stream = PlainStream(sock)
-    try:
-        await handler(stream)
-    finally:
-        stream.abort()
+        super().__init__(callers, attend, port)
 
 
 def find_loopback() -> Loopback:
-    """The loopback address of this host.
-
-    Raises:
-        ConfigurationError: there is none, or no name for it.
-    """
+    """The loopback address of this host."""
     if _is_here(LOOPBACK.address):
         return LOOPBACK
     if not _is_here(_IPV6):
@@ -181,7 +242,6 @@ def _is_here(address: str) -> bool:
 
 
 def _addresses(name: str) -> set[str]:
-    """The addresses of `name` for a program that prefers IPv6."""
     try:
         found = socket.getaddrinfo(name, None, socket.AF_INET6, socket.SOCK_STREAM)
     except OSError:
@@ -197,9 +257,6 @@ def bind_loopback(port: int = 0, loopback: Loopback = LOOPBACK) -> socket.socket
     """A socket bound to `port` of loopback, by default any free one.
 
     The port is bound explicitly: only then does Linux reserve it while the socket does not listen.
-
-    Raises:
-        OSError: the port is taken.
     """
     if port:
         return _bind(loopback.address, port, reuse=True)
@@ -221,7 +278,6 @@ def _bind(address: str, port: int, *, reuse: bool = False) -> socket.socket:
 
 
 def bind_free_port(bind: Callable[[int], Bound]) -> Bound:
-    """The result of `bind` for a free port; tried again if another process took the port."""
     for _ in range(_ATTEMPTS - 1):
         with contextlib.suppress(OSError):
             return bind(free_port())
@@ -229,8 +285,68 @@ def bind_free_port(bind: Callable[[int], Bound]) -> Bound:
 
 
 def free_port() -> int:
-    """A port that was just free at every IPv4 address: there may be no 127.0.0.1."""
     with socket.socket() as sock:
         sock.bind(("0.0.0.0", 0))  # noqa: S104 - it never listens
         found: int = sock.getsockname()[1]
         return found
+
+
+class PooledPort(Protocol):
+    @property
+    def connections(self) -> int: ...
+
+
+PortT = TypeVar("PortT", bound=PooledPort)
+
+
+class PortPool(Generic[KeyT, PortT]):
+    """A bounded pool with one port for each endpoint, or what else names where a port leads.
+
+    An endpoint requested again gets the same port. When the pool is full, the least recently requested
+    port without connections that `may_evict` names is closed. On the network that is only the port of a
+    dead program: peers keep the address of a live one for any time. On loopback it is any port: programs
+    look the port up before they connect.
+    """
+
+    def __init__(
+        self,
+        on_evict: Callable[[KeyT, PortT], None],
+        may_evict: Callable[[KeyT], bool] = lambda _: True,
+        limit: int = LIMIT,
+        hint: str = _HINT,
+    ) -> None:
+        self._on_evict = on_evict
+        self._may_evict = may_evict
+        self._limit = limit
+        self._hint = hint
+        self._ports: dict[KeyT, PortT] = {}  # the most recently requested last
+
+    def get(self, endpoint: KeyT) -> PortT | None:
+        """The port for `endpoint`, if there is one; does not count as a request."""
+        return self._ports.get(endpoint)
+
+    def get_or_open(self, endpoint: KeyT, open_port: Callable[[], PortT]) -> PortT:
+        """The port for `endpoint`, opened if there is none."""
+        port = self._ports.pop(endpoint, None)
+        if port is None:
+            if len(self._ports) >= self._limit:
+                for each, idle in self._ports.items():
+                    if idle.connections == 0 and self._may_evict(each):
+                        del self._ports[each]
+                        self._on_evict(each, idle)
+                        break
+                else:
+                    why = f"more than {self._limit} addresses in use in one process"
+                    raise ConfigurationError(why, self._hint)
+            port = open_port()
+        self._ports[endpoint] = port
+        return port
+
+    def keys(self) -> tuple[KeyT, ...]:
+        return tuple(self._ports)
+
+    def remove(self, endpoint: KeyT) -> PortT | None:
+        return self._ports.pop(endpoint, None)
+
+    def __iter__(self) -> Iterator[PortT]:
+        return iter(tuple(self._ports.values()))

@@ -1,82 +1,74 @@
-"""Forwards bytes between a program and a peer, after the TCPROS handshake.
+"""Forwards bytes between a program and a peer, after the TCPROS handshake. A shell.
 
-A shell. Unrestricted bytes are forwarded without inspection; restricted messages pass the guard one
-by one. An end that lags slows the other end down, or misses messages if the guard keeps state. When
-one end closes, the other is closed after it got what was sent; on any error, also of a guard, both
-are aborted.
+Unrestricted bytes are forwarded without inspection; restricted messages pass the guard one by one. An
+end that lags slows the other end down, or misses messages if the guard keeps state. When one end
+closes, the other is closed after it got what was sent; on any error, also of a guard, both are aborted.
 """
 
 import asyncio
 import contextlib
 import logging
 import struct
+from collections import deque
 from collections.abc import Coroutine, Iterator
+from time import monotonic
 from typing import Final
 
 from ca.certificates import Identity
-from ca.domains.aliases import shown
 from ca.errors import HintedError
+from ca.names import shown
 from grants.errors import GrantError
 from rossec import clock
 from rossec.errors import ChannelClosed, ConnectionHeaderRefused, HeaderRefused
-from rossec.net import withheld_log
 from rossec.net.aio import SecureStream
-from rossec.net.aio.arrivals import next_messages
-from rossec.participant.header_fields import Fields
-from rossec.ros import header
-from rossec.ros.framing import Framing
-from rossec.ros.header import MESSAGE_LIMIT, FrameReader
-from rossec.sidecar.core.copies import MessageGuard, SharedGuard
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.net.aio.stream import next_messages
+from rossec.participant import delivery
+from rossec.participant.delivery import LARGE, WishedRate, Wishes, deflated
+from rossec.participant.handshakes import Fields
+from rossec.ros import tcpros
+from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
+from rossec.sidecar.core.guards import MessageGuard, SharedGuard
+from rossec.sidecar.loopback_port import PlainStream
 
 _LENGTH: Final = struct.Struct("<I")
 _log = logging.getLogger("rossec.sidecar")
 Buffer = bytes | bytearray | memoryview
 
+_LAGGING: Final = 64 * 1024  # bytes that wait, above which a peer lags
+
 
 async def split_header(end: PlainStream | SecureStream[Identity]) -> tuple[Fields, bytes]:
-    """The connection header that `end` sends first, and the bytes that came after it.
-
-    Raises:
-        HeaderRefused: malformed or too long; the length is checked before anything is buffered.
-        ChannelError: the connection is closed.
-    """
+    """The connection header that `end` sends first, and the bytes that came after it."""
     data = b""
     while len(data) < _LENGTH.size or len(data) < _LENGTH.size + _length(data):
         data += await end.receive()
     size = _LENGTH.size + _length(data)
-    return header.decode(data[_LENGTH.size : size]), data[size:]
+    return tcpros.decode(data[_LENGTH.size : size]), data[size:]
 
 
 def _length(data: bytes) -> int:
     (length,) = _LENGTH.unpack_from(data)
-    if length > header.HEADER_LIMIT:
+    if length > tcpros.HEADER_LIMIT:
         raise HeaderRefused(f"a connection header of {length} bytes")
     return int(length)
 
 
 @contextlib.contextmanager
 def log_end(peer: str) -> Iterator[None]:
-    """If the connection with `peer` ends, only the block ends."""
     try:
         yield
     except* HintedError as group:  # also the guard's: a grant that expires between two messages
         _log.info("the connection with %s ended: %s", peer, group.exceptions[0])
 
 
-async def exchange(
-    program: PlainStream, peer: SecureStream[Identity], outward: bytes, inward: bytes
-) -> None:
+async def exchange(program: PlainStream, peer: SecureStream[Identity], outward: bytes, inward: bytes) -> None:
     """Forward bytes in both directions, for a service; the bytes after the headers go first."""
-    await run_both(
-        program, peer, to_peer(program, peer, outward), to_program(peer, program, inward)
-    )
+    await run_both(program, peer, to_peer(program, peer, outward), to_program(peer, program, inward))
 
 
 async def publish(
     program: PlainStream, peer: SecureStream[Identity], guard: MessageGuard | None, initial: bytes
 ) -> None:
-    """Forward a program's messages to a subscribing peer; `initial` came after its header."""
     await run_both(program, peer, outgoing(program, peer, guard, initial), expect_no_data(peer))
 
 
@@ -88,19 +80,20 @@ async def subscribe(
     max_length: int = MESSAGE_LIMIT,
 ) -> None:
     """Forward a peer's messages to a subscribing program; a guard takes none above `max_length`."""
-    direction = incoming(peer, program, guard, initial, max_length)
+    if guard is None:
+        direction = to_program(peer, program, initial)
+    else:
+        direction = send_filtered(peer, program, guard, initial, max_length)
     await run_both(program, peer, direction, expect_no_data(program))
 
 
 async def to_peer(program: PlainStream, peer: SecureStream[Identity], initial: bytes) -> None:
-    """Forward everything the program sends, until it closes."""
     if initial:
         await peer.send(initial)
     await program.forward(peer.write_nowait, peer.drain)
 
 
 async def to_program(peer: SecureStream[Identity], program: PlainStream, initial: bytes) -> None:
-    """Forward everything the peer sends, until it closes."""
     if initial:
         await program.send(initial)
     await peer.forward(program.write_nowait, program.drain)
@@ -109,25 +102,11 @@ async def to_program(peer: SecureStream[Identity], program: PlainStream, initial
 def outgoing(
     program: PlainStream, peer: SecureStream[Identity], guard: MessageGuard | None, initial: bytes
 ) -> Coroutine[None, None, None]:
-    """Forward a program's messages, through the guard if there is one."""
     if guard is None:
         return to_peer(program, peer, initial)
     if isinstance(guard, SharedGuard):
         return send_filtered_nowait(program, peer, guard, initial)
     return send_filtered(program, peer, guard, initial)
-
-
-def incoming(
-    peer: SecureStream[Identity],
-    program: PlainStream,
-    guard: MessageGuard | None,
-    initial: bytes,
-    max_length: int = MESSAGE_LIMIT,
-) -> Coroutine[None, None, None]:
-    """Forward a peer's messages, through the guard if the publisher is restricted."""
-    if guard is None:
-        return to_program(peer, program, initial)
-    return send_filtered(peer, program, guard, initial, max_length)
 
 
 async def send_filtered(
@@ -137,13 +116,7 @@ async def send_filtered(
     initial: bytes,
     max_length: int = MESSAGE_LIMIT,
 ) -> None:
-    """Forward each message as the guard returns it; one that cannot be checked is withheld.
-
-    Raises:
-        GrantExpired, ChannelClosed: the grant has expired, or an end is closed.
-        FrameRefused: the framing is invalid.
-        LimitExceeded: a message does not arrive in time.
-    """
+    """Forward each message as the guard returns it; one that cannot be checked is withheld."""
     framing = Framing(FrameReader(max_length))
     (peer,) = (shown(end.peer.name) for end in (source, sink) if not isinstance(end, PlainStream))
     messages = framing.feed(initial, clock.now())
@@ -175,19 +148,15 @@ async def send_filtered_nowait(
         messages = await next_messages(program, framing)
 
 
-def _filter_messages(
-    guard: MessageGuard, messages: list[bytes], peer: str, now: float
-) -> list[Buffer]:
-    """The messages that pass the guard, as sent."""
+def _filter_messages(guard: MessageGuard, messages: list[bytes], peer: str, now: float) -> list[Buffer]:
     return [piece for message in messages for piece in framed(filtered(guard, message, peer, now))]
 
 
 def filtered(guard: MessageGuard, message: bytes, peer: str, now: float) -> list[Buffer]:
-    """What the guard lets pass of a message for `peer`, in pieces; empty: it is withheld."""
     try:
         return guard.apply(message, now) or []
     except GrantError as error:
-        withheld_log.warn(_log, "%(peer)s: withheld a message: %(cause)s", "", peer, error)
+        delivery.warn(_log, "%(peer)s: withheld a message: %(cause)s", "", peer, error)
         return []
 
 
@@ -197,17 +166,13 @@ def framed(pieces: list[Buffer]) -> list[Buffer]:
 
 
 async def expect_no_data(end: PlainStream | SecureStream[Identity]) -> None:
-    """A subscriber sends nothing after its header."""
     await end.receive()
     raise ConnectionHeaderRefused("a subscriber that sends data")
 
 
 @contextlib.contextmanager
 def _until_closed() -> Iterator[None]:
-    """End the block when an end is closed in order.
-
-    Nothing is awaited in `except*`: it would turn a cancellation there into a group, a crash.
-    """
+    # Nothing is awaited in `except*`: it would turn a cancellation there into a group, a crash.
     try:
         yield
     except* ChannelClosed:
@@ -217,7 +182,6 @@ def _until_closed() -> Iterator[None]:
 async def run_both(
     program: PlainStream, peer: SecureStream[Identity], *directions: "asyncio._CoroutineLike[None]"
 ) -> None:
-    """Run all directions, until one end is closed; then close the other."""
     try:
         with _until_closed():
             async with asyncio.TaskGroup() as group:
@@ -227,3 +191,86 @@ async def run_both(
     finally:
         program.abort()
         peer.abort("the other end was closed")
+
+
+class WishSender:
+    """Sends filtered messages to `peer` as it wishes."""
+
+    def __init__(self, peer: SecureStream[Identity], wishes: Wishes) -> None:
+        self.newest = wishes.newest  # a message replaces those that wait
+        self._peer = peer
+        self._deflate = wishes.deflate
+        self._rate = None if wishes.rate is None else WishedRate(wishes.rate)
+        self._held = 0  # bytes that wait
+        self._waiting: deque[list[Buffer]] = deque(maxlen=1 if wishes.newest else None)
+        self._wake, self._idle = asyncio.Event(), asyncio.Event()
+        self._idle.set()
+        if wishes.newest:
+            peer.transport.limit_unsent()
+
+    @property
+    def lags(self) -> bool:
+        return self._held > _LAGGING or self._peer.lags
+
+    def put(self, pieces: list[Buffer]) -> None:
+        if not pieces or (self._rate is not None and not self._rate.admits(monotonic())):
+            return
+        self._held = sum(map(len, pieces)) + (0 if self.newest else self._held)
+        self._waiting.append(pieces)
+        self._idle.clear()
+        self._wake.set()
+
+    async def idle(self) -> None:
+        await self._idle.wait()
+
+    async def run(self) -> None:
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            while self._waiting:
+                if self.newest:
+                    await self._peer.flushed()
+                pieces = self._waiting.popleft()
+                size = sum(map(len, pieces))
+                self._held -= size
+                if self._deflate:
+                    large = size >= LARGE
+                    pieces = [await asyncio.to_thread(deflated, pieces) if large else deflated(pieces)]
+                await self._peer.send(*framed(pieces))
+            self._idle.set()
+
+
+async def publish_as_wished(
+    program: PlainStream,
+    peer: SecureStream[Identity],
+    guard: MessageGuard | None,
+    initial: bytes,
+    sender: WishSender,
+) -> None:
+    forwarding = forward_as_wished(program, shown(peer.peer.name), guard, initial, sender)
+    await run_both(program, peer, forwarding, sender.run(), expect_no_data(peer))
+
+
+async def forward_as_wished(
+    program: PlainStream, peer: str, guard: MessageGuard | None, initial: bytes, sender: WishSender
+) -> None:
+    # The guard comes first, as without wishes: if it keeps state, or only the newest message is wished,
+    # messages are checked as they come, and a peer that lags misses some; else it slows the program down.
+    # What the program sent before it closed is delivered.
+    framing = Framing(FrameReader())
+    messages = framing.feed(initial, clock.now())
+    keeps_state = isinstance(guard, SharedGuard)
+    while True:
+        now = clock.time()
+        if guard is not None:
+            guard.check(now)
+        if sender.newest or not keeps_state or not sender.lags:
+            for message in messages:
+                sender.put([message] if guard is None else filtered(guard, message, peer, now))
+        if not sender.newest and not keeps_state:
+            await sender.idle()
+        try:
+            messages = await next_messages(program, framing)
+        except ChannelClosed:
+            await sender.idle()
+            raise

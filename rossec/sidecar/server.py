@@ -1,52 +1,277 @@
-"""The sidecar of a host or of one program: a master on loopback, and an agent for each identity.
+"""The sidecar of a host or of one program: a master on loopback, and an agent for each identity. A shell.
 
-A shell. The identity of a call follows from the caller_id, never from data of a peer: with
-`identity` it is always that one; otherwise each program uses the one enrolled for its name. The
-caller_id of roscpp's `NodeHandle::searchParam` is a namespace of its node: there it is the program.
+The identity of a call follows from the caller_id, never from data of a peer: with `identity` it is
+always that one; otherwise each program uses the one enrolled for its name. The caller_id of roscpp's
+`NodeHandle::searchParam` is a namespace of its node: there it is the program.
 """
 
 import asyncio
 import logging
+import time
 from functools import partial
 from pathlib import Path
 from typing import Final
 
+from ca.certificates import Identity
 from ca.errors import HintedError, NameRefused
-from ca.names import check_name
-from rossec import home_hints
+from ca.names import check_name, shown
+from grants.model import Right
+from rossec import clock, environment
+from rossec.channel.edhoc.credentials import KnownCertificates
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import WireProtocol
-from rossec.errors import ConfigurationError, HangUp
+from rossec.errors import ConfigurationError, HangUp, PeerUnreachable
 from rossec.home import NodeHome
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
-from rossec.net.rpc.client import serve_calls
-from rossec.participant.caller_names import SEARCH
+from rossec.host.runner import TaskSet
+from rossec.net.aio import SecureContext, SecureStream
+from rossec.net.limits import HalfOpen, HalfOpenCount
+from rossec.net.rpc.calls import serve_calls
+from rossec.participant.access import Access
+from rossec.participant.connections import ConnectionTable
+from rossec.participant.host_types import known_type
+from rossec.participant.membership import LoadedIdentity, Membership
+from rossec.participant.registrations import GRAPH, SEARCH, PublisherGrace
 from rossec.participant.slave_api import without_caller
-from rossec.ros.names import MASTER
-from rossec.ros.settings import Settings, is_loopback
+from rossec.ros.names import MASTER, Settings, is_loopback
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.agent import Agent
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.core.endpoints import Endpoint
-from rossec.sidecar.core.master_calls import MULTICALL, rule_of
-from rossec.sidecar.loopback_port import LoopbackPort
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.sidecar.core import master_calls
+from rossec.sidecar.core.layers import AgentState, EndpointMap, Layer, ListeningAddress
+from rossec.sidecar.core.master_calls import MULTICALL, ResubscribeQueue, rule_of
+from rossec.sidecar.egress import Egress, RefusalLog
+from rossec.sidecar.executor import AgentServices, SlaveApiClient, run_layer
+from rossec.sidecar.ingress import ACCEPT_LIMITS, Ingress, PeerConnector
+from rossec.sidecar.loopback_port import LoopbackPort, PlainStream
+
+LIFETIME: Final = 5.0
+
+_PERIOD: Final = 1.0
+
+_log = logging.getLogger("rossec.sidecar")
 
 _TAKEN: Final = "is roscore or another sidecar running? choose another port with --port"
-_log = logging.getLogger("rossec.sidecar")
 LIMIT: Final = 256  # identities in use
+
+
+class ConnectionCache:
+    """Connections to peers' slave APIs, cached briefly for the program that looked them up.
+
+    A port is opened only if the peer answers; the program that then connects to it reuses that one.
+    """
+
+    def __init__(self) -> None:
+        self._clients: dict[ListeningAddress, SlaveApiClient] = {}
+        self._tasks = TaskSet()
+
+    def put(self, remote: ListeningAddress, client: SlaveApiClient) -> None:
+        old = self._clients.pop(remote, None)
+        self._clients[remote] = client
+        self._tasks.spawn(self._close_later(remote, client, old), "a cached connection")
+
+    def take(self, remote: ListeningAddress) -> SlaveApiClient | None:
+        return self._clients.pop(remote, None)
+
+    async def close(self) -> None:
+        await self._tasks.close()
+
+    async def _close_later(
+        self, remote: ListeningAddress, client: SlaveApiClient, old: SlaveApiClient | None
+    ) -> None:
+        if old is not None:
+            await old.rpc.close()
+        await asyncio.sleep(LIFETIME)
+        if self._clients.get(remote) is client:
+            del self._clients[remote]
+            await client.rpc.close()
+
+
+class Resubscriber:
+    """Publisher updates for the programs of one identity where no master sends one.
+
+    Programs need not handle a topic whose connection ended and that they may subscribe to again, or
+    publishers that a restarted master did not list again.
+    """
+
+    def __init__(self, services: AgentServices, agent: AgentState) -> None:
+        self._services = services
+        self._agent = agent
+        self._to_resubscribe = ResubscribeQueue()
+
+    def on_topic_ended(self, topic: str, began: float) -> None:
+        self._to_resubscribe.add(topic, began, time.monotonic())
+        name = shown(topic)
+        if not self._may_subscribe(topic):
+            _log.warning("%s: no grant for subscribe on %s any more", self._services.name, name)
+
+    async def run(self) -> None:
+        while True:
+            await asyncio.sleep(_PERIOD)
+            await self._run_logged("expired publishers", master_calls.drop_expired_publishers(self._agent))
+            for topic in self._to_resubscribe.take_due(time.monotonic(), self._may_subscribe):
+                await self._run_logged(topic, master_calls.resubscribe(self._agent, topic))
+
+    def _may_subscribe(self, topic: str) -> bool:
+        return self._agent.access.holds(Right.SUBSCRIBE, topic, clock.now())
+
+    async def _run_logged(self, subject: str, layer: Layer[None]) -> None:
+        try:
+            await run_layer(self._services, layer)
+        except (HintedError, OSError, Fault) as error:
+            what = shown(subject)
+            _log.info("%s: cannot subscribe again: %s: %s", self._services.name, what, error)
+
+
+class Agent:
+    """Acts for the identity in `home`; if a task of it fails, all its connections are closed.
+
+    Args:
+        master_uri: of the loopback master.
+        half_open: the unauthenticated connections at all ports of this process.
+        master_name: the certified name of the secured master.
+    """
+
+    def __init__(
+        self,
+        home: NodeHome,
+        settings: Settings,
+        callers: Callers,
+        master_uri: str,
+        half_open: HalfOpenCount,
+        suites: tuple[int, ...] = PRODUCTION,
+        master_name: str = MASTER,
+    ) -> None:
+        self.home = home
+        self.callers = callers
+        self._settings = settings
+        loaded = LoadedIdentity(home, home.name, master_name)
+        access = Access(loaded.standing, master=master_name)
+        endpoints = EndpointMap(settings.address or "", callers.loopback.host)
+        publisher_grace = PublisherGrace(clock.counter())
+        self.state = AgentState(loaded.identity, access, endpoints, master_uri, known_type, publisher_grace)
+        context = SecureContext(
+            loaded.live_credentials,
+            loaded.anchors.verify,
+            suites=suites,
+            known=KnownCertificates(),
+            accept_limits=ACCEPT_LIMITS,
+            half_open=half_open,
+            renews=Identity.renews,
+        )
+        self._connector = PeerConnector(context, access)
+        self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
+            loaded.standing, master=master_name
+        )
+        self._membership = Membership(loaded, access, self._connections, publisher_grace, self)
+        self._resubscriber = Resubscriber(self, self.state)
+        self._ingress = Ingress(
+            self, self.state, self._connector, self._connections, home.filter_key, self._membership.take_push
+        )
+        self._egress = Egress(
+            self, self.state, self._connections, home.filter_key, self._resubscriber.on_topic_ended
+        )
+        self._cache = ConnectionCache()
+        # What it offers as `AgentServices`, beside the methods below.
+        self.open_ingress, self.suspend_ingress = self._ingress.open, self._ingress.suspend
+        self.leads_to = self._ingress.leads_to
+        self.open_egress, self.refuse_egress = self._egress.open, self._egress.refuse
+        self.cache_client, self.cached_client = self._cache.put, self._cache.take
+        self._refusals = RefusalLog()
+        self._has_failed = False
+        self._start_lock = asyncio.Lock()
+        self._started = False
+
+    @property
+    def name(self) -> str:
+        return self.home.name
+
+    async def handle_call(self, method: str, params: tuple[object, ...]) -> object:
+        await self._ensure_started()
+        answer = await run_layer(self, master_calls.handle_call(self.state, method, params))
+        if method not in GRAPH or not self._holds(Right.GRAPH, self.name):
+            self._refusals.log_own(self.name, method, answer)
+        return answer
+
+    async def close(self) -> None:
+        self._refusals.flush()
+        await self._ingress.close()
+        await self._egress.close()
+        await self._cache.close()
+        await self._membership.close()
+
+    # --- agent services
+
+    async def dial(self, remote: ListeningAddress) -> SecureStream[Identity]:
+        own_identity = self.state.endpoints.program_at(remote) is not None
+        return await self._connector.dial(remote, own_identity=own_identity)
+
+    def note_unreachable(self, remote: ListeningAddress, error: PeerUnreachable) -> None:
+        self._refusals.unreachable(remote.uri, error)
+
+    def check_peer(self, peer: Identity) -> None:
+        self.state.access.check_peer(peer, clock.now())
+
+    async def call_master(self, method: str, params: tuple[object, ...]) -> object:
+        # Refusals are logged, since a program may not print them.
+        answer = await self._membership.session.forward(method, *params)
+        self._refusals.log("the master", method, answer, params)
+        return answer
+
+    def proof(self, right: Right, name: str) -> bytes:
+        return self.state.access.present(right, name, clock.now())
+
+    # --- master and watchdog
+
+    async def _ensure_started(self) -> None:
+        async with self._start_lock:
+            if self._has_failed:
+                raise HangUp("a task of this identity has failed")
+            if self._started:
+                return
+            try:
+                stream = await self._membership.session.open()
+            except (HintedError, OSError, TimeoutError) as error:
+                _log.warning("%s: the master does not answer: %s", self.name, error)
+                raise HangUp(str(error)) from error
+            self.state.endpoints.host = self._settings.address or stream.local_address
+            self._started = True
+            self._membership.start()
+            self._membership.tasks.spawn(self._resubscriber.run(), f"{self.name}: resubscribe")
+            self._membership.tasks.spawn(self._egress.leave_publishers(), f"{self.name}: publishers to leave")
+
+    # --- hooks of the membership (MembershipHooks)
+
+    async def dial_master(self) -> SecureStream[Identity]:
+        host, port = self._settings.master_host, self._settings.master_port
+        return await self._connector.dial(ListeningAddress(WireProtocol.HTTP, host, port), allow_stale=True)
+
+    async def dial_watch(self) -> SecureStream[Identity]:
+        return await self.dial_master()
+
+    async def restore(self) -> None:
+        await run_layer(self, master_calls.restore(self.state, self._holds))
+
+    async def rights_changed(self) -> None:
+        # Make registrations again that were refused: roscpp and rospy never do so themselves.
+        await run_layer(self, master_calls.rights_changed(self.state, self._holds))
+
+    def _holds(self, right: Right, name: str) -> bool:
+        return self.state.access.holds(right, name, clock.now())
+
+    def maintain(self) -> None: ...
+
+    def crashed(self, _: BaseException) -> None:
+        self._has_failed = True
+        self._connections.close("a task of this identity has failed")
+        self._membership.tasks.spawn(self.close(), f"{self.name}: closing after a failure")
 
 
 class Sidecar:
     """Serves the programs that `callers` allows.
 
     Args:
-        home: ROSSEC_HOME.
-        settings: where the secured master is, and how peers reach this host.
         identity: the name whose identity every program uses, if any.
         each: programs with their own identity use that instead.
         port: of the loopback master; 0 for any.
-        suites: cipher suites of the channel, offered and accepted.
         master_name: the certified name of the secured master.
     """
 
@@ -70,15 +295,6 @@ class Sidecar:
         self._master_name = master_name
         self._half_open = HalfOpenCount(HalfOpen())
         self._agents: dict[str, Agent] = {}
-        self._master = self._bind_master(port)
-        self._default = None if identity is None else self._agent(NodeHome.of(home, identity))
-
-    @property
-    def uri(self) -> str:
-        """The ROS_MASTER_URI for programs."""
-        return Endpoint(WireProtocol.HTTP, self._callers.loopback.host, self._master.port).uri
-
-    def _bind_master(self, port: int) -> LoopbackPort:
         try:
             master = LoopbackPort(self._callers, self._serve, port)
         except OSError as error:
@@ -91,14 +307,17 @@ class Sidecar:
                 f"ROS_MASTER_URI, {self._settings.master_uri}, is the sidecar's own address",
                 "set it to where the secured master is, for the sidecar alone",
             )
-        return master
+        self._master = master
+        self._default = None if identity is None else self._agent(NodeHome.of(home, identity))
+
+    @property
+    def uri(self) -> str:
+        return ListeningAddress(WireProtocol.HTTP, self._callers.loopback.host, self._master.port).uri
 
     def start(self) -> None:
-        """Start to accept programs."""
         self._master.open()
 
     async def close(self) -> None:
-        """Close all connections."""
         await self._master.close()
         await asyncio.gather(*(agent.close() for agent in self._agents.values()))
 
@@ -110,7 +329,7 @@ class Sidecar:
     ) -> object:
         if method == MULTICALL and params == ([],):  # no caller: roslaunch without parameters
             return []
-        refused = _missing_caller(method, params)
+        refused = None if method == MULTICALL else without_caller(params, rule_of(method).default)
         if refused is not None:
             return refused
         try:
@@ -128,10 +347,7 @@ class Sidecar:
             return [-1, f"rossec: {error}", 0]
 
     async def _searching(self, program: PlainStream, space: str) -> Agent | None:
-        """The agent of the program that searches from `space`; None: that of the name `space`.
-
-        Several nodes in `space`, or one that has this very name: the process decides.
-        """
+        # Several nodes in `space`, or one that has this very name: the process decides.
         if self._default is not None and not self._each:
             return None
         prefix = space.rstrip("/") + "/"
@@ -170,7 +386,7 @@ class Sidecar:
         if not (home.path / "node.key").exists():
             if self._default is not None:
                 return self._default
-            hint = f"{home_hints.missing_node(self._home, name)}; or use --as"
+            hint = f"{environment.missing_node(self._home, name)}; or use --as"
             raise ConfigurationError(f"{name} has no identity here", hint)
         if len(self._agents) >= LIMIT:
             raise ConfigurationError("too many identities in one sidecar")
@@ -179,19 +395,18 @@ class Sidecar:
     def _agent(self, home: NodeHome) -> Agent:
         if home.name not in self._agents:
             self._agents[home.name] = Agent(
-                home, self._settings, self._callers, self.uri, self._half_open, self._suites,
+                home,
+                self._settings,
+                self._callers,
+                self.uri,
+                self._half_open,
+                self._suites,
                 self._master_name,
-            )  # fmt: skip
+            )
         return self._agents[home.name]
 
 
-def _missing_caller(method: str, params: tuple[object, ...]) -> object | None:
-    """The refusal of a call without caller_id; it needs no identity."""
-    return None if method == MULTICALL else without_caller(params, rule_of(method).default)
-
-
 def _caller(method: str, params: tuple[object, ...]) -> str:
-    """The caller_id of a call; of a multicall, the first in its elements."""
     if method != MULTICALL:
         return str(params[0])
     for element in params[0] if params and isinstance(params[0], list) else ():

@@ -30,9 +30,13 @@ RIGHTS: Final = Right.SUBSCRIBE | Right.CALL | Right.PUBLISH | Right.PROVIDE
 def header_for(site: Site, kind: str, name: str) -> Mapping[str, str | bytes]:
     grants = [site.grant(EVE, RIGHTS, "/**")]
     return {
-        "callerid": EVE, kind: name, "type": "*", "md5sum": "*", "probe": "1",
+        "callerid": EVE,
+        kind: name,
+        "type": "*",
+        "md5sum": "*",
+        "probe": "1",
         FIELD: encode(list(grants)),
-    }  # fmt: skip
+    }
 
 
 async def check_refused(site: Site, uri: str, port: int) -> None:
@@ -56,10 +60,7 @@ async def test_rospy_refuses_an_alias(tmp_path: Path) -> None:
     async with attacked(tmp_path) as victim:
         await check_refused(victim.site, victim.uri, victim.port)
         fields = header_for(victim.site, "topic", STATE)
-        assert (
-            "callerid"
-            in (await send_header(victim.port, credentials(victim.site), fields, 1)).fields
-        )
+        assert "callerid" in (await send_header(victim.port, credentials(victim.site), fields, 1)).fields
         await victim.goes_on()
 
 
@@ -102,9 +103,7 @@ async def test_a_program_with_every_right_offers_nothing_below_remote(
 
 
 @pytest.mark.attack("alias-on-wire")
-async def test_a_publisher_that_answers_with_an_alias_is_refused(
-    site: Site, witness: Witness
-) -> None:
+async def test_a_publisher_that_answers_with_an_alias_is_refused(site: Site, witness: Witness) -> None:
     own, grants = credentials(site), [signed(site, right=Right.PUBLISH)]
     async with impostor(own, answer(grants, topic=ALIAS)) as uri:
         refused = await led(site, witness, uri)

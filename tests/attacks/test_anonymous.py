@@ -6,29 +6,11 @@ import pytest
 
 from rossec.errors import CallerMismatch
 from rossec.ros.names import MASTER
-from tests.support.attacker import (
-    EVE,
-    call,
-    credentials,
-    expect_refused,
-    fields_for,
-    listen,
-    send_header,
-)
+from tests.support.attacker import EVE, call, credentials, expect_refused, fields_for, listen, send_header
 from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, Witness
 
-OTHERS: Final = [
-    "/robot",
-    "/viewer",
-    MASTER,
-    "/ca",
-    "/eve_",
-    "/evex",
-    "/eve_1/a",
-    "/a/eve_1",
-    "eve_1",
-]
+OTHERS: Final = ["/robot", "/viewer", MASTER, "/ca", "/eve_", "/evex", "/eve_1/a", "/a/eve_1", "eve_1"]
 
 
 @pytest.fixture
@@ -68,9 +50,7 @@ async def test_a_suffix_without_a_certified_wildcard(
 
 @pytest.mark.attack("anonymous-tail")
 @pytest.mark.parametrize("name", OTHERS)
-async def test_the_master_and_slave_apis_under_another_name(
-    eve: Site, witness: Witness, name: str
-) -> None:
+async def test_the_master_and_slave_apis_under_another_name(eve: Site, witness: Witness, name: str) -> None:
     assert eve.master is not None
     uri, own = eve.master.uri, credentials(eve)
     for method, *params in (

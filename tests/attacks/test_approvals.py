@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from ca.approvals.approval import Approval
-from ca.approvals.statement import Grant
+from ca.approvals.passkeys import Approval
+from ca.approvals.statement import GrantStatement
 from ca.errors import (
     ApprovalOutdated,
     ApprovalRefused,
@@ -62,7 +62,7 @@ def store(shell: Shell, device: Passkey) -> Iterator[Store]:
 
 def grant(store: Store, id: bytes = b"i" * 16, payload: bytes = SHOWN) -> Approval:  # noqa: A002
     """A statement, without any assertion."""
-    what = Grant(b"r" * 16, hashlib.sha256(payload).digest())
+    what = GrantStatement(b"r" * 16, hashlib.sha256(payload).digest())
     nothing = Assertion(b"", b"", b"", b"")
     return Approval.of(state(what, id=id, store=store, made=NOW), payload, nothing, NOW)  # type: ignore[arg-type]  # the same fields
 
@@ -187,9 +187,7 @@ def test_an_approval_that_nobody_gave_is_refused(
 
 
 @pytest.mark.attack("forged-approval")
-def test_two_browsers_at_one_statement_approve_it_once(
-    shell: Shell, store: Store, device: Passkey
-) -> None:
+def test_two_browsers_at_one_statement_approve_it_once(shell: Shell, store: Store, device: Passkey) -> None:
     statement = grant(store)
     both = [signed(statement, device.sign(challenge(statement))) for _ in range(2)]
     with closing(AuthorityHome.at(shell.root).store()) as other:
@@ -200,18 +198,14 @@ def test_two_browsers_at_one_statement_approve_it_once(
 
 
 @pytest.mark.attack("restored-approval")
-def test_nothing_from_before_a_restore_approves_after_it(
-    shell: Shell, store: Store, device: Passkey
-) -> None:
+def test_nothing_from_before_a_restore_approves_after_it(shell: Shell, store: Store, device: Passkey) -> None:
     waits, shown = grant(store), grant(store, b"j" * 16)
     store.approvals.add(signed(waits, device.sign(challenge(waits))))
     file = str(shell.root / "backup")
     assert shell.unlocked("ca", "backup", file).code == 0
     store.remove_passkey(device.id, "stolen", NOW)
     store.close()
-    said = shell.unlocked(
-        "ca", "restore", file, "--without-list", "--over", "home", "--forget", "2"
-    )
+    said = shell.unlocked("ca", "restore", file, "--without-list", "--over", "home", "--forget", "2")
     assert "no phone can approve any more" in said.err
     with closing(AuthorityHome.at(shell.root).store()) as restored:
         assert restored.approvals.waiting() == []

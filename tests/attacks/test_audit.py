@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ca.keys.signer import KeySigner
-from rossec.operation.audit import AuditFile, with_hash
-from rossec.operation.audit_mark import mark
+from ca.keys.signing import KeySigner
+from rossec.host.audit import AuditFile, mark, with_hash
 from rossec.ros.names import MASTER
 from tests.support.commands import Shell, refused
 from tests.support.pki import new_signer

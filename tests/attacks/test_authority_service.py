@@ -10,16 +10,16 @@ from pathlib import Path
 
 import pytest
 
+from ca.certificates import PROFILE as RENEWAL
 from ca.encoding import Value
 from ca.errors import PassphraseRefused
-from ca.renewal import PROFILE as RENEWAL
 from rossec.authority.home import AuthorityHome
-from rossec.authority.keyservice import inner_messages, messages
+from rossec.authority.keyservice import messages
+from rossec.authority.keyservice import messages as inner_messages
 from rossec.authority.keyservice.client import KeyServiceClient
-from rossec.authority.keyservice.face_process import FaceOptions, FaceProcess
 from rossec.authority.keyservice.inner_channel import InnerChannel
-from rossec.authority.keyservice.inner_messages import InnerRequest
-from rossec.authority.keyservice.messages import Request
+from rossec.authority.keyservice.messages import InnerRequest, ServiceRequest
+from rossec.authority.keyservice.process import FrontEndOptions, FrontEndProcess
 from rossec.errors import (
     AuthorityLocked,
     KeyMessageRefused,
@@ -28,7 +28,7 @@ from rossec.errors import (
     PeerUserRefused,
     SigningRefused,
 )
-from rossec.net.host.peeruid import UnixPeer
+from rossec.host.local_sockets import UnixPeer
 from tests.support.commands import PASSPHRASE
 from tests.support.keyservice import RunningService, running_service
 from tests.support.pki import new_signer
@@ -58,9 +58,7 @@ def found(home: AuthorityHome) -> KeyServiceClient:
 
 
 @pytest.mark.attack("agent-oracle")
-def test_bytes_that_are_no_statement_are_not_signed(
-    home: AuthorityHome, service: RunningService
-) -> None:
+def test_bytes_that_are_no_statement_are_not_signed(home: AuthorityHome, service: RunningService) -> None:
     """A program of the user has the agent sign a challenge of another protocol."""
     seen: list[bytes] = []
 
@@ -75,7 +73,7 @@ def test_bytes_that_are_no_statement_are_not_signed(
     client = found(home)
     for message in (b"challenge", b"", bytes(64 * 1024), *seen):
         with pytest.raises(SigningRefused):
-            client.ask(Request("sign", (message,)))
+            client.ask(ServiceRequest("sign", (message,)))
     assert sum("refused to sign" in line for line in service.audit) == 4
     client.close()
 
@@ -85,8 +83,11 @@ def test_bytes_that_are_no_statement_are_not_signed(
 def test_another_user_cannot_connect(home: AuthorityHome, service: RunningService) -> None:
     done = subprocess.run(
         [sys.executable, "-c", CONNECT, str(home.path / messages.SOCKET)],
-        user=NOBODY, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        user=NOBODY,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert "PermissionError" in done.stderr
 
 
@@ -128,8 +129,8 @@ def test_passphrases_cannot_be_tried_at_will(home: AuthorityHome, service: Runni
 @pytest.mark.attack("key-impostor")
 def test_a_program_that_plays_the_service_signs_nothing(home: AuthorityHome) -> None:
     """It has the socket's place while no service runs, and another key."""
-    from ca.keys.key_files import generate
-    from ca.keys.signer import KeySigner
+    from ca.keys.private_keys import generate
+    from ca.keys.signing import KeySigner
     from rossec.authority.keyservice.client import RemoteSigner
     from tests.rossec.authority.keyservice.test_client import Impostor
 
@@ -169,7 +170,7 @@ def test_the_face_is_not_answered_at_the_socket_of_commands(home: AuthorityHome)
         service.operations.unlock(PASSPHRASE, 0, "a test")
         client = found(home)
         with pytest.raises(KeyServiceFailed):
-            client.ask(Request("status"))
+            client.ask(ServiceRequest("status"))
         client.close()
 
 
@@ -177,8 +178,8 @@ def test_the_face_is_not_answered_at_the_socket_of_commands(home: AuthorityHome)
 def test_a_face_that_ended_its_connection_is_still_refused(home: AuthorityHome) -> None:
     """It is given time to end, and uses it to ask as a program of the user."""
     answer = home.path / "answer"
-    options = FaceOptions(str(home.path), str(answer))
-    face = FaceProcess(home, options, os.environ, module="tests.support.takenface")
+    options = FrontEndOptions(str(home.path), str(answer))
+    face = FrontEndProcess(home, options, os.environ, module="tests.support.takenface")
 
     async def run() -> None:
         face.spawn()
@@ -198,7 +199,7 @@ async def _refuse_join(_: Value) -> Value:
 
 @pytest.mark.attack("sleeping-host")
 def test_a_machine_that_slept_wakes_up_locked(home: AuthorityHome) -> None:
-    from rossec.authority.keyservice.held_key import HeldKey
+    from rossec.authority.keyservice.operations import HeldKey
 
     seconds = [1000.0]
     held = HeldKey(home.load_key, lambda: seconds[0])

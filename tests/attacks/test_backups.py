@@ -17,7 +17,7 @@ import cbor2
 import pytest
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
-from ca.store import backup
+from ca.keys import passphrases
 from rossec.authority.backup import back_up
 from rossec.authority.home import AuthorityHome
 from tests.ca.keys.test_pbes2 import asking
@@ -41,7 +41,7 @@ def genuine(tmp_path_factory: pytest.TempPathFactory) -> Content:
     home = AuthorityHome.create(
         tmp_path_factory.mktemp("genuine") / "home", "home", PASSPHRASE, int(time.time())
     )
-    return backup.unseal(back_up(home, PASSPHRASE), PASSPHRASE)
+    return passphrases.unseal(back_up(home, PASSPHRASE), PASSPHRASE)
 
 
 @pytest.fixture(scope="module")
@@ -50,15 +50,15 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Content:
     home = AuthorityHome.create(
         tmp_path_factory.mktemp("foreign") / "home", "home", PASSPHRASE, int(time.time())
     )
-    return backup.unseal(back_up(home, PASSPHRASE), PASSPHRASE)
+    return passphrases.unseal(back_up(home, PASSPHRASE), PASSPHRASE)
 
 
 def sealed(content: object) -> bytes:
     """A backup of any content, without the checks of `seal`."""
-    salt, nonce = secrets.token_bytes(backup.SALT_SIZE), secrets.token_bytes(backup.NONCE_SIZE)
-    head = backup.MAGIC + salt + nonce
+    salt, nonce = (secrets.token_bytes(passphrases.SALT_SIZE), secrets.token_bytes(passphrases.NONCE_SIZE))
+    head = passphrases.MAGIC + salt + nonce
     plain = cbor2.dumps(content, canonical=True)
-    return head + AESGCM(backup._key(PASSPHRASE, salt)).encrypt(nonce, plain, head)
+    return head + AESGCM(passphrases._key(PASSPHRASE, salt)).encrypt(nonce, plain, head)
 
 
 def restore(shell: Shell, data: bytes) -> Said:
@@ -85,11 +85,29 @@ def test_the_genuine_one_is_restored(empty: Shell, genuine: Content) -> None:
 
 
 NAMES = [
-    "../evil", "../../evil", "/tmp/rossec-evil", "node/../../evil", "node/../evil", "a/b", "..",
-    ".", "", "node/", "node//x", "evil\x00.pem", "evil\n.pem", "evil\u202e.pem", "ev\u0456l",
+    "../evil",
+    "../../evil",
+    "/tmp/rossec-evil",
+    "node/../../evil",
+    "node/../evil",
+    "a/b",
+    "..",
+    ".",
+    "",
+    "node/",
+    "node//x",
+    "evil\x00.pem",
+    "evil\n.pem",
+    "evil\u202e.pem",
+    "ev\u0456l",
     ".ssh",
-    "ca.db-wal", "ca.db-shm", "ca.db-journal", "node/x-journal", "node", "inbox",
-]  # fmt: skip
+    "ca.db-wal",
+    "ca.db-shm",
+    "ca.db-journal",
+    "node/x-journal",
+    "node",
+    "inbox",
+]
 
 
 @pytest.mark.parametrize("name", NAMES, ids=ascii)
@@ -112,8 +130,8 @@ def test_a_backup_of_invalid_content(empty: Shell, content: object) -> None:
 def test_a_huge_one(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     file = empty.root / "huge"
     with file.open("wb") as out:
-        out.write(backup.MAGIC)
-        out.truncate(backup.MAX_BACKUP + 1)
+        out.write(passphrases.MAGIC)
+        out.truncate(passphrases.MAX_BACKUP + 1)
     said = empty.unlocked("ca", "restore", str(file))
     assert said.code == 1
     assert "is larger than" in said.err
@@ -130,9 +148,7 @@ def test_a_part_is_garbage(empty: Shell, genuine: Content, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["ca.key", "ca.pem", "ca.db"])
-def test_a_part_is_of_another_authority(
-    empty: Shell, genuine: Content, foreign: Content, name: str
-) -> None:
+def test_a_part_is_of_another_authority(empty: Shell, genuine: Content, foreign: Content, name: str) -> None:
     refused(empty, sealed({**genuine, name: foreign[name]}))
 
 
@@ -142,9 +158,7 @@ def test_two_certificates(empty: Shell, genuine: Content, foreign: Content) -> N
 
 
 @pytest.mark.parametrize("costs", [(2**14, 8, 5000), (2**30, 8, 1)], ids=["time", "memory"])
-def test_a_key_that_costs_minutes_to_try(
-    empty: Shell, genuine: Content, costs: tuple[int, int, int]
-) -> None:
+def test_a_key_that_costs_minutes_to_try(empty: Shell, genuine: Content, costs: tuple[int, int, int]) -> None:
     text = base64.encodebytes(asking(*costs))
     kind = b"ENCRYPTED PRIVATE KEY-----\n"
     pem = b"-----BEGIN " + kind + text + b"-----END " + kind
@@ -154,8 +168,7 @@ def test_a_key_that_costs_minutes_to_try(
 
 
 RECORDS = {
-    "a trigger that forgets": "CREATE TRIGGER t BEFORE INSERT ON revocation"
-    " BEGIN SELECT RAISE(IGNORE); END",
+    "a trigger that forgets": "CREATE TRIGGER t BEFORE INSERT ON revocation BEGIN SELECT RAISE(IGNORE); END",
     "a trigger on the log": "CREATE TRIGGER t AFTER INSERT ON log BEGIN DELETE FROM csr; END",
     "a trigger in place of ours": "DROP TRIGGER revocation_no_DELETE; CREATE TRIGGER"
     " revocation_no_DELETE BEFORE DELETE ON revocation BEGIN SELECT 1; END",
@@ -182,9 +195,7 @@ def crafted(genuine: Mapping[str, bytes], script: str, tmp_path: Path) -> Conten
 
 
 @pytest.mark.parametrize("script", RECORDS.values(), ids=RECORDS)
-def test_a_record_with_a_trigger(
-    empty: Shell, genuine: Content, script: str, tmp_path: Path
-) -> None:
+def test_a_record_with_a_trigger(empty: Shell, genuine: Content, script: str, tmp_path: Path) -> None:
     refused(empty, sealed(crafted(genuine, script, tmp_path)), "does not contain a valid authority")
 
 
@@ -202,9 +213,7 @@ TRAPS: dict[str, Trap] = {
 
 
 @pytest.mark.parametrize("trap", TRAPS.values(), ids=TRAPS)
-def test_a_link_at_the_destination(
-    empty: Shell, genuine: Content, trap: Trap, tmp_path: Path
-) -> None:
+def test_a_link_at_the_destination(empty: Shell, genuine: Content, trap: Trap, tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     trap(empty.root / "ca", elsewhere)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.master.operation.limits import MasterLimits
+from rossec.master.operation.config import MasterLimits
 from rossec.ros import xmlrpc
 from tests.support.attacker import EVE, HOST
 from tests.support.site import Site
@@ -17,9 +17,7 @@ from tests.support.witness import until
 T = "std_msgs/String"
 CALL = xmlrpc.dump_call("registerPublisher", (EVE, "/t", T, "http://127.0.0.1:9/"))
 POST = b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: %d\r\n\r\n" % len(CALL) + CALL
-OPENING = (
-    b"GET /rossec HTTP/1.1\r\nHost: rossec\r\nConnection: Upgrade\r\nUpgrade: rossec/1\r\n\r\n"
-)
+OPENING = b"GET /rossec HTTP/1.1\r\nHost: rossec\r\nConnection: Upgrade\r\nUpgrade: rossec/1\r\n\r\n"
 HEAD = b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: %d\r\n\r\n"
 
 

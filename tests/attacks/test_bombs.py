@@ -17,10 +17,10 @@ import pytest
 from PIL import Image
 
 from ca.enrollment import qr
-from rossec.console.scanning import supervisor as scanning
-from rossec.console.scanning.client import ScannerClient
 from rossec.console.scanning.frames import MAX_PICTURE
-from rossec.console.scanning.supervisor import ScannerSupervisor
+from rossec.console.server import supervisor as scanning
+from rossec.console.server.supervisor import ScannerSupervisor
+from rossec.console.server.web import ScannerClient
 from rossec.errors import ConfigurationError, PictureRefused
 from rossec.inprocess.options import read
 from tests.support.commands import PASSPHRASE
@@ -42,8 +42,12 @@ def refused(home: Path, *words: str, code: int = 1) -> str:
     done = subprocess.run(
         (sys.executable, "-m", "rossec", *words),
         env={**os.environ, "ROSSEC_HOME": str(home), "ROS_IP": "127.0.0.1"},
-        capture_output=True, text=True, check=False, timeout=500, preexec_fn=limited,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=500,
+        preexec_fn=limited,
+    )
     assert "Traceback" not in done.stderr
     assert done.returncode == code, (done.returncode, done.stderr[-500:])
     assert done.stderr.startswith("rossec: error: ")
@@ -112,22 +116,25 @@ MESSAGES = {
 
 @pytest.mark.parametrize("text", MESSAGES.values(), ids=MESSAGES)
 def test_a_message_to_publish(tmp_path: Path, text: str) -> None:
-    refused(
-        tmp_path, "topic", "pub", "/chatter", "std_msgs/Int32MultiArray", text, "--as", "/talker"
-    )
+    refused(tmp_path, "topic", "pub", "/chatter", "std_msgs/Int32MultiArray", text, "--as", "/talker")
 
 
 @pytest.mark.parametrize("text", MESSAGES.values(), ids=MESSAGES)
 def test_a_message_in_a_file(tmp_path: Path, text: str) -> None:
     message = tmp_path / "message.yaml"
     message.write_text(text)
-    (tmp_path / "policy.yaml").write_text(
-        "rossec: 1\nrules: []\ntypes: {/chatter: std_msgs/Int32MultiArray}"
-    )
+    (tmp_path / "policy.yaml").write_text("rossec: 1\nrules: []\ntypes: {/chatter: std_msgs/Int32MultiArray}")
     refused(
-        tmp_path, "explain", "/talker", "publish", "/chatter", "--policy",
-        str(tmp_path / "policy.yaml"), "--message", str(message),
-    )  # fmt: skip
+        tmp_path,
+        "explain",
+        "/talker",
+        "publish",
+        "/chatter",
+        "--policy",
+        str(tmp_path / "policy.yaml"),
+        "--message",
+        str(message),
+    )
 
 
 POLICIES = {
@@ -198,8 +205,10 @@ def test_a_picture_of_finder_patterns(tmp_path: Path) -> None:
     secret.chmod(0o600)
     subprocess.run(
         (sys.executable, "-m", "rossec", "ca", "init", "home", "--passphrase-file", str(secret)),
-        env={**os.environ, "ROSSEC_HOME": str(home)}, check=True, capture_output=True,
-    )  # fmt: skip
+        env={**os.environ, "ROSSEC_HOME": str(home)},
+        check=True,
+        capture_output=True,
+    )
     picture = tmp_path / "photo.png"
     picture.write_bytes(finder_patterns(420))
     assert picture.stat().st_size < 40_000

@@ -8,16 +8,16 @@ from collections.abc import AsyncIterator, Callable, Iterator
 
 import lakers
 import pytest
+from aiocoap import Message
 from aiocoap.numbers import codes
 from aiocoap.oscore import NotAProtectedMessage
 
 from ca.encoding import encode
-from rossec.border import wire
-from rossec.border.contexts import OscoreContext
+from rossec.border import messages
 from rossec.border.handshakes import MAX_PENDING
-from rossec.border.wire import Message
+from rossec.border.messages import OscoreContext
 from rossec.errors import DatagramRefused
-from rossec.net.aio.tasks import TaskSet
+from rossec.host.runner import TaskSet
 from tests.support.border import LAMP, BorderSite
 from tests.support.rawthing import EDHOC, RawThing
 from tests.support.site import Site
@@ -34,9 +34,7 @@ async def border(site: Site) -> AsyncIterator[BorderSite]:
 
 
 @contextlib.asynccontextmanager
-async def raw(
-    border: BorderSite, name: str = LAMP, kid: bytes = b"\x2c"
-) -> AsyncIterator[RawThing]:
+async def raw(border: BorderSite, name: str = LAMP, kid: bytes = b"\x2c") -> AsyncIterator[RawThing]:
     """A thing that is stated; `name` empty: one that is not."""
     thing = RawThing(border.address, border.key.credential, LINKS, kid, encode({"data": 1.5}))
     if name:
@@ -59,19 +57,16 @@ def message_1() -> bytes:
     """A handshake's first message, as any thing sends it."""
     first = bytes(lakers.EdhocInitiator().prepare_message_1(b"\x05", None))
     message = Message(code=codes.POST, uri_path=EDHOC, payload=b"\xf5" + first)
-    message.mtype, message.mid = wire.CON, secrets.randbelow(1 << 16)
+    message.mtype, message.mid = messages.CON, secrets.randbelow(1 << 16)
     message.token = secrets.token_bytes(4)
-    return wire.write(message)
+    return messages.write(message)
 
 
 @contextlib.contextmanager
 def sockets(border: BorderSite, many: int) -> Iterator[list[socket.socket]]:
     """Attackers with so many addresses."""
     with contextlib.ExitStack() as stack:
-        made = [
-            stack.enter_context(socket.socket(socket.AF_INET6, socket.SOCK_DGRAM))
-            for _ in range(many)
-        ]
+        made = [stack.enter_context(socket.socket(socket.AF_INET6, socket.SOCK_DGRAM)) for _ in range(many)]
         for each in made:
             each.setblocking(False)
             each.connect(border.address)
@@ -122,9 +117,7 @@ async def test_recorded_derivations_of_a_secret_change_nothing(border: BorderSit
 
 
 @pytest.mark.attack("thing-forgery")
-async def test_a_thing_that_is_not_stated_is_refused_as_one_with_a_wrong_key(
-    border: BorderSite,
-) -> None:
+async def test_a_thing_that_is_not_stated_is_refused_as_one_with_a_wrong_key(border: BorderSite) -> None:
     """The same answer, to the byte, whether the kid is that of a thing here or not."""
     async with raw(border), raw(border, "", b"\x2d") as unknown, raw(border, "", b"\x2c") as wrong:
         answers = []
@@ -197,9 +190,7 @@ async def _flood(many: list[socket.socket]) -> None:
 
 
 @pytest.mark.attack("thing-flood")
-async def test_a_flood_of_datagrams_and_resets_delays_no_call_of_a_thing(
-    border: BorderSite,
-) -> None:
+async def test_a_flood_of_datagrams_and_resets_delays_no_call_of_a_thing(border: BorderSite) -> None:
     """With its kid, its address, and all message IDs; this thing repeats nothing."""
     async with raw(border) as thing:
         assert await thing.register()
@@ -208,8 +199,8 @@ async def test_a_flood_of_datagrams_and_resets_delays_no_call_of_a_thing(
         assert found is not None
         eve = OscoreContext(secrets.token_bytes(16), b"", kid, b"")
         sealed, _ = eve.seal(Message(code=codes.POST, uri_path=("rd",)))
-        sealed.mtype, sealed.mid, sealed.token = wire.NON, 1, b"t"
-        forged = wire.write(sealed)
+        sealed.mtype, sealed.mid, sealed.token = messages.NON, 1, b"t"
+        forged = messages.write(sealed)
         with sockets(border, 8) as many:
             flood = TaskSet()
             flood.spawn(_flood_of(many, forged))
@@ -217,7 +208,7 @@ async def test_a_flood_of_datagrams_and_resets_delays_no_call_of_a_thing(
                 for number in range(20):
                     assert await thing.request(codes.GET, ("x",)) == codes.NOT_FOUND
                     for mid in range(number * 3277, (number + 1) * 3277):
-                        endpoint.receive(wire.empty(wire.RST, mid & 0xFFFF), found.address, 0.0)
+                        endpoint.receive(messages.empty(messages.RST, mid & 0xFFFF), found.address, 0.0)
                 assert endpoint.counts.refused + border.router.server.lost > 1000  # of the flood
             finally:
                 await flood.close()
@@ -232,9 +223,7 @@ async def _flood_of(many: list[socket.socket], data: bytes) -> None:
 
 
 @pytest.mark.attack("thing-flood")
-async def test_a_flood_with_the_kid_of_a_secret_does_not_keep_its_thing_out(
-    border: BorderSite,
-) -> None:
+async def test_a_flood_with_the_kid_of_a_secret_does_not_keep_its_thing_out(border: BorderSite) -> None:
     fan = border.secret_thing("/things/fan")
     eve = OscoreContext(secrets.token_bytes(16), b"", fan.kid, b"")
     async with fan:
@@ -243,12 +232,12 @@ async def test_a_flood_with_the_kid_of_a_secret_does_not_keep_its_thing_out(
                 sealed, _ = eve.seal(Message(code=codes.POST, uri_path=("rd",)))
                 kid_context = encode(secrets.token_bytes(8)) if number % 2 else b""
                 if kid_context:
-                    from rossec.border.contexts import name_context
+                    from rossec.border.messages import name_context
 
                     name_context(sealed, kid_context)
-                sealed.mtype, sealed.mid, sealed.token = wire.CON, number, b"t"
+                sealed.mtype, sealed.mid, sealed.token = messages.CON, number, b"t"
                 with contextlib.suppress(BlockingIOError):
-                    many[number % 4].send(wire.write(sealed))
+                    many[number % 4].send(messages.write(sealed))
             async with asyncio.timeout(DEADLINE):
                 assert (await fan.register()).dotted == "2.04"
         server = border.router.server

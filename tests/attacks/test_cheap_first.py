@@ -7,14 +7,14 @@ from typing import Final
 
 import pytest
 
-from ca.enrollment.join_messages import Refused, RefuseReason, read
-from ca.enrollment.join_request import JoinRequest
+from ca.enrollment.invitation import JoinRequest
+from ca.enrollment.join import RefusedMessage, RefuseReason, read
 from ca.errors import RevocationRefused, RollbackRefused
+from ca.revocation.lists import RevocationTree, TreeEntries, sign_tree
 from ca.revocation.merkle import Tree
-from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
 from ca.store.record import Store
 from rossec.errors import AnswerMalformed
-from rossec.federation.answers import MAX_PARTS, SiteCursor
+from rossec.federation.site_state import MAX_PARTS, SiteCursor
 from tests.rossec.authority.keyservice.test_work import Working
 from tests.rossec.master.rights.trust_world import World
 from tests.support.authority import DAY
@@ -113,9 +113,14 @@ def test_entries_are_read_in_steps(world: World, monkeypatch: pytest.MonkeyPatch
 def test_a_followed_master_that_begins_anew_for_ever_is_given_up() -> None:
     cursor = SiteCursor()
     part = {
-        "instance": "a", "version": 1, "cursor": 1, "whole": True, "more": True,
-        "added": [["node", "/n", "http://h:1/"]], "removed": [],
-    }  # fmt: skip
+        "instance": "a",
+        "version": 1,
+        "cursor": 1,
+        "whole": True,
+        "more": True,
+        "added": [["node", "/n", "http://h:1/"]],
+        "removed": [],
+    }
     for _ in range(MAX_PARTS):
         assert cursor.take(part) is None
     with pytest.raises(AnswerMalformed, match="parts"):
@@ -137,7 +142,7 @@ def test_a_request_of_a_stranger_reads_no_revocations(
         for name in ("revocations", "revoked_entries", "unrevoked_grants", "count_revoked"):
             patched.setattr(Store, name, never, raising=False)
         answer, joined = working.work.join(forged)
-    assert read(answer) == Refused(RefuseReason.REFUSED)
+    assert read(answer) == RefusedMessage(RefuseReason.REFUSED)
     assert joined is None
     assert working.work.join(request.to_bytes())[1] == "/fleet/a"
 

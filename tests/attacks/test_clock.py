@@ -14,13 +14,13 @@ from typing import Final
 import pytest
 
 from ca.errors import RevocationRefused, RevocationsStale
-from ca.revocation.state import Timestamp, digest, sign_timestamp
+from ca.revocation.lists import Timestamp, digest, sign_timestamp
 from grants.model import Right
 from rossec import clock
 from rossec.clock import Clock, counter
 from rossec.master.server.server import MasterServer
 from rossec.node import Node
-from rossec.participant import master_session
+from rossec.participant import membership
 from rossec.participant.authorized import STALE_GRACE
 from rossec.ros.names import MASTER
 from tests.rossec.sidecar.program import Program, sidecar
@@ -42,9 +42,7 @@ class ClockControl:
     def __init__(self) -> None:
         self.set = 0.0  # by how much
         self.passed = 0.0  # seconds that need no waiting
-        self.clock = Clock(
-            lambda: time.time() + self.set + self.passed, lambda: counter()() + self.passed
-        )
+        self.clock = Clock(lambda: time.time() + self.set + self.passed, lambda: counter()() + self.passed)
 
 
 @pytest.fixture
@@ -139,9 +137,7 @@ async def pair(tmp_path: Path) -> AsyncIterator[SidecarPair]:
 
 
 @pytest.mark.attack("clock-set-back")
-async def test_a_connection_of_a_sidecar_ends_with_its_grant(
-    pair: SidecarPair, hand: ClockControl
-) -> None:
+async def test_a_connection_of_a_sidecar_ends_with_its_grant(pair: SidecarPair, hand: ClockControl) -> None:
     stream, source = await connect(pair)
     await stop_master(pair.site)
     hand.set, hand.passed = -HOUR, LIFE + 1
@@ -205,13 +201,10 @@ async def test_a_master_does_not_restore_expired_rights(site: Site, hand: ClockC
 
 @pytest.mark.attack("clock-set-back")
 async def test_a_whole_site_set_back_continues(
-    site: Site,
-    hand: ClockControl,
-    caplog: pytest.LogCaptureFixture,
-    monkeypatch: pytest.MonkeyPatch,
+    site: Site, hand: ClockControl, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An attacker that forges NTP gains nothing, and ends no connection."""
-    monkeypatch.setattr(master_session, "HEARTBEAT", 0.2)
+    monkeypatch.setattr(membership, "HEARTBEAT", 0.2)
     async with undisturbed(site) as witness:
         before = clock.now()
         hand.set = -HOUR
@@ -227,7 +220,7 @@ async def test_a_wrong_clock_may_be_corrected_with_the_master(
     site: Site, hand: ClockControl, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The node's host was an hour ahead; the master's was not."""
-    monkeypatch.setattr(master_session, "HEARTBEAT", 0.2)
+    monkeypatch.setattr(membership, "HEARTBEAT", 0.2)
     assert site.master is not None
     site.master.state.clock = time.time
     site.enroll("/robot")
@@ -247,9 +240,7 @@ async def test_a_delayed_update_does_not_correct_the_clock(site: Site, hand: Clo
         held = robot.revocations.current
         assert held is not None
         then = clock.now() - HOUR
-        stamp = sign_timestamp(
-            signer, Timestamp(held.seq, digest(robot.revocations.data), then, 30)
-        )
+        stamp = sign_timestamp(signer, Timestamp(held.seq, digest(robot.revocations.data), then, 30))
         hand.set = -HOUR
         with pytest.raises(RevocationRefused, match="too old"):
             robot.revocations_arrived(b"", stamp, site.identity(MASTER))

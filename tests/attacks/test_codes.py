@@ -8,7 +8,7 @@ import pytest
 
 from ca.enrollment import qr
 from ca.errors import CodeRefused
-from ca.store.lifecycle import RequestState
+from ca.store.values import RequestState
 from rossec.authority.home import AuthorityHome
 from tests.support.commands import PASSPHRASE, Said, Shell
 from tests.support.enrolling import Robot, WaitingRobot
@@ -50,9 +50,7 @@ def test_a_reused_label_gives_the_same_identity(shell: Shell) -> None:
 def test_a_label_used_for_another_key(shell: Shell) -> None:
     label, thief = WaitingRobot(Robot(), label=True), Robot()
     with WaitingRobot(thief, label=True) as waiting:
-        said = shell.unlocked(
-            "ca", "enroll", qr.label_code(Robot().csr), "--address", waiting.where, "--yes"
-        )
+        said = shell.unlocked("ca", "enroll", qr.label_code(Robot().csr), "--address", waiting.where, "--yes")
     assert said.code == 1
     assert certificates(shell, thief.name) == []
     assert label.trusted == []
@@ -76,9 +74,8 @@ def test_a_label_that_was_denied(shell: Shell) -> None:
     with WaitingRobot(robot, label=True) as waiting:
         assert enroll(shell, waiting, "--later").code == 0
         (row,) = [
-            row for row in AuthorityHome.at(shell.root).store().requests.all()
-            if row.name == robot.name
-        ]  # fmt: skip
+            row for row in AuthorityHome.at(shell.root).store().requests.all() if row.name == robot.name
+        ]
         assert shell("ca", "deny", row.digest.hex()[:8]).code == 0
     with WaitingRobot(robot, label=True) as waiting:
         said = enroll(shell, waiting)
@@ -89,10 +86,21 @@ def test_a_label_that_was_denied(shell: Shell) -> None:
 
 
 ADDRESSES = [
-    "\x1b[2J\x1b[H:1", "a\x00b:1", "a\nrossec: enrolled:1", "\x07:1", "a b:1", "a..b:1",
-    "a" * 64, "-rf:1", "[::1%\x1b[2J]:1", "../x:1", "a:00000000001", "http://a/:1",
-    ":1", "[]:1",
-]  # fmt: skip
+    "\x1b[2J\x1b[H:1",
+    "a\x00b:1",
+    "a\nrossec: enrolled:1",
+    "\x07:1",
+    "a b:1",
+    "a..b:1",
+    "a" * 64,
+    "-rf:1",
+    "[::1%\x1b[2J]:1",
+    "../x:1",
+    "a:00000000001",
+    "http://a/:1",
+    ":1",
+    "[]:1",
+]
 
 
 @pytest.mark.parametrize("address", ADDRESSES, ids=ascii)
@@ -108,10 +116,22 @@ def test_an_invalid_address(shell: Shell, address: str) -> None:
 
 GOOD = qr.label_code(b"request")
 CODES = [
-    GOOD + "\x00", GOOD + "\u200b", "\u200b" + GOOD, GOOD.replace("R", "\u0280", 1), GOOD.lower(),
-    GOOD[:-1], GOOD + GOOD[7:], GOOD.replace(GOOD[9], "\uff21", 1), "\u202e" + GOOD[::-1],
-    GOOD[:20] + "\n" + GOOD[20:], "ROSSEC:", "", "-", "--yes", GOOD[:12] + "\u0661" + GOOD[13:],
-]  # fmt: skip
+    GOOD + "\x00",
+    GOOD + "\u200b",
+    "\u200b" + GOOD,
+    GOOD.replace("R", "\u0280", 1),
+    GOOD.lower(),
+    GOOD[:-1],
+    GOOD + GOOD[7:],
+    GOOD.replace(GOOD[9], "\uff21", 1),
+    "\u202e" + GOOD[::-1],
+    GOOD[:20] + "\n" + GOOD[20:],
+    "ROSSEC:",
+    "",
+    "-",
+    "--yes",
+    GOOD[:12] + "\u0661" + GOOD[13:],
+]
 
 
 @pytest.mark.parametrize("code", CODES, ids=ascii)
@@ -125,10 +145,28 @@ def test_a_text_that_looks_like_a_code(shell: Shell, code: str) -> None:
 
 
 NAMES = [
-    "/c\u0430mera", "/camera\u200b", "/camera\u202egpj", "/../camera", "/camera/..", "/a//b", "/a/",
-    "/-rf", "//camera", "/camera\x00", "/camera\n", "/\uff43amera", "/a.b", "/a\\b", "~/a", "a", "",
-    "/\u0131d", "/camera\x1b[2J", "/1a", "/cafe\u0301",
-]  # fmt: skip
+    "/c\u0430mera",
+    "/camera\u200b",
+    "/camera\u202egpj",
+    "/../camera",
+    "/camera/..",
+    "/a//b",
+    "/a/",
+    "/-rf",
+    "//camera",
+    "/camera\x00",
+    "/camera\n",
+    "/\uff43amera",
+    "/a.b",
+    "/a\\b",
+    "~/a",
+    "a",
+    "",
+    "/\u0131d",
+    "/camera\x1b[2J",
+    "/1a",
+    "/cafe\u0301",
+]
 
 
 @pytest.mark.parametrize("name", NAMES, ids=ascii)
@@ -147,9 +185,7 @@ def test_an_invalid_name_creates_no_file(shell: Shell, name: str) -> None:
     assert sorted(shell.root.parent.rglob("*")) == before
 
 
-@pytest.mark.parametrize(
-    "domain", ["h\u043eme", "home\u200b", "HOME", "ho me", "home/x", "", "home\n"]
-)
+@pytest.mark.parametrize("domain", ["h\u043eme", "home\u200b", "HOME", "ho me", "home/x", "", "home\n"])
 def test_a_domain_that_looks_like_another(shell: Shell, domain: str) -> None:
     said = shell("node", "request", "/camera", "--domain", domain)
     assert said.code == 1

@@ -9,7 +9,7 @@ import pytest
 
 from ca.errors import RevocationRefused, RollbackRefused
 from grants import document
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.ros.names import MASTER
 from tests.support.attacker import EVE, HOST, call, credentials, dial, flip, revoke, signed
 from tests.support.site import Site
@@ -43,9 +43,7 @@ SLAVE_CALLS: Final[list[tuple[str, tuple[object, ...]]]] = [
 
 @pytest.mark.attack("steered-node")
 @pytest.mark.parametrize("victim", ["/robot", "/viewer"])
-async def test_only_the_master_controls_or_queries_a_node(
-    site: Site, witness: Witness, victim: str
-) -> None:
+async def test_only_the_master_controls_or_queries_a_node(site: Site, witness: Witness, victim: str) -> None:
     """N1 to N4, also under the master's name and with every other trick of spelling."""
     node = witness.robot if victim == "/robot" else witness.viewer
     stream = await dial(node.uri, credentials(site))
@@ -80,9 +78,7 @@ async def test_an_older_or_forged_revocation_list_is_refused_by_the_node(
     forged = flip(old, len(old) - 1)
     master, floor = credentials(site, MASTER), witness.robot.revocations.floor
     for data, said in ((old, "older"), (forged, "verify"), (b"", "COSE")):
-        answer = await call(
-            witness.robot.uri, master, "rossec.revocationUpdate", MASTER, data, b"timestamp"
-        )
+        answer = await call(witness.robot.uri, master, "rossec.revocationUpdate", MASTER, data, b"timestamp")
         assert isinstance(answer, list)
         assert answer[0] == -1
         assert said in answer[1]
@@ -105,9 +101,7 @@ async def test_an_older_or_forged_revocation_list_is_refused_by_the_master(
     await revoke(site, witness, signed(site))
     newest = site.authority.store.newest_list()
     for data, said in ((old, "older"), (flip(old, len(old) - 1), "verify"), (b"", "COSE")):
-        answer = await call(
-            site.master.uri, credentials(site), "rossec.updateRevocations", EVE, data
-        )
+        answer = await call(site.master.uri, credentials(site), "rossec.updateRevocations", EVE, data)
         assert isinstance(answer, list)
         assert answer[0] == -1
         assert said in answer[1]
@@ -144,9 +138,7 @@ async def test_no_node_registers_the_address_of_another(site: Site, witness: Wit
     site.publish(EVE, "/eve/**")
     eve = credentials(site)
     await call(site.master.uri, eve, "rossec.presentGrants", EVE, site.enroll(EVE).grants())
-    answer = await call(
-        site.master.uri, eve, "registerPublisher", EVE, "/eve/x", POSE, witness.robot.uri
-    )
+    answer = await call(site.master.uri, eve, "registerPublisher", EVE, "/eve/x", POSE, witness.robot.uri)
     assert isinstance(answer, list)
     assert answer[0] == -1
     assert "another node" in answer[1]

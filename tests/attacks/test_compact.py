@@ -10,12 +10,11 @@ import pytest
 from grants.model import Right
 from rossec.errors import ChannelError, CompactRefused, HttpRefused, RossecError
 from rossec.net.aio import SecureStream, WireProtocol, serve
-from rossec.net.bounds import UNSHOWN_BODY, UNSHOWN_UNIT
-from rossec.net.rpc.client import RpcClient
-from rossec.ros import compact
-from rossec.ros.callclient import CallClient, value_in
-from rossec.ros.callserver import CallServer
-from rossec.ros.compactwrite import encoded
+from rossec.net.limits import UNSHOWN_BODY, UNSHOWN_UNIT
+from rossec.net.rpc.calls import RpcClient
+from rossec.ros import calls
+from rossec.ros.calls import CallClient, CallServer, value_in
+from rossec.ros.compact_values import encoded
 from rossec.ros.xmlrpc import BODY_LIMIT, Fault
 from tests.rossec.ros.test_compactread import REFUSED
 from tests.support.attacker import EVE, HOST, credentials, dial
@@ -82,11 +81,11 @@ NO_UNITS = {
     "a name that has a number": bytes.fromhex("83185201") + encoded("getParam"),
     "a method that is a list": bytes.fromhex("8318520180"),
     "another mark": bytes.fromhex("831853011600"),
-    "an answer": compact.dump_answer(1, [1, "", 0]),
+    "an answer": calls.dump_compact_answer(1, [1, "", 0]),
     "two calls": unit(b"\x01") * 2,
     "a request of HTTP": CallClient("x").request(GET_PID, (EVE,)),
     "the rest of a request": b"\r\n",
-}  # fmt: skip
+}
 
 
 async def is_refused(site: Site, uri: str, name: str) -> None:
@@ -137,7 +136,7 @@ async def test_a_parameter_cannot_be_set_that_xml_rpc_cannot_read(site: Site) ->
 async def test_a_call_out_of_its_turn_ends_the_connection(site: Site) -> None:
     for turn in (0, 2, 3, 23):
         async with switched(site, master(site)) as (stream, _):
-            await stream.send(compact.dump_call(turn, GET_PID, (EVE,)))
+            await stream.send(calls.dump_compact_call(turn, GET_PID, (EVE,)))
             await hung_up(stream)
 
 
@@ -158,27 +157,26 @@ async def test_calls_while_one_is_answered_end_the_connection_and_that_call(site
         await stream.send(client.request("rossec.watchGrants", (EVE, b"")))
         for turn in range(2, 20):
             with contextlib.suppress(ChannelError):
-                await stream.send(compact.dump_call(turn, GET_PID, (EVE,)))
+                await stream.send(calls.dump_compact_call(turn, GET_PID, (EVE,)))
         await hung_up(stream)
     await still_served(site, master(site))
 
 
 @pytest.mark.attack("compact-turns")
 @pytest.mark.parametrize(
-    "lie",
-    ["an old answer", "a later answer", "two answers", "HTTP", "a call", "a body", "nothing asked"],
+    "lie", ["an old answer", "a later answer", "two answers", "HTTP", "a call", "a body", "nothing asked"]
 )
 async def test_a_peer_that_answers_out_of_turn_is_left(site: Site, lie: str) -> None:
     """No answer is ever taken for that to another call."""
     good = [1, "", 7]
     lies = {
-        "an old answer": compact.dump_answer(0, good),
-        "a later answer": compact.dump_answer(2, good),
-        "two answers": compact.dump_answer(1, good) + compact.dump_answer(2, good),
+        "an old answer": calls.dump_compact_answer(0, good),
+        "a later answer": calls.dump_compact_answer(2, good),
+        "two answers": calls.dump_compact_answer(1, good) + calls.dump_compact_answer(2, good),
         "HTTP": b"HTTP/1.1 200 OK\r\nContent-Length: 0\r\n\r\n",
-        "a call": compact.dump_call(1, GET_PID, ()),
+        "a call": calls.dump_compact_call(1, GET_PID, ()),
         "a body": bytes.fromhex("8301f64101"),
-        "nothing asked": compact.dump_answer(1, good),
+        "nothing asked": calls.dump_compact_answer(1, good),
     }
 
     async def answer(stream: SecureStream[Any]) -> None:
@@ -195,9 +193,7 @@ async def test_a_peer_that_answers_out_of_turn_is_left(site: Site, lie: str) -> 
     own = unlimited(credentials(site), site.anchor.verify)
     server = serve(answer, HOST, 0, own, WireProtocol.HTTP)
     try:
-        client = RpcClient(
-            await dial(f"http://{HOST}:{server.port}/", credentials(site, "/viewer"))
-        )
+        client = RpcClient(await dial(f"http://{HOST}:{server.port}/", credentials(site, "/viewer")))
         assert await client.ask(GET_PID, "/viewer") == 7
         if lie == "nothing asked":  # it is read as the answer to the next call, once
             assert await client.ask(GET_PID, "/viewer") == 7
@@ -209,9 +205,7 @@ async def test_a_peer_that_answers_out_of_turn_is_left(site: Site, lie: str) -> 
 
 
 @pytest.mark.attack("compact-rights")
-async def test_neither_form_has_a_right_that_the_other_has_not(
-    site: Site, witness: Witness
-) -> None:
+async def test_neither_form_has_a_right_that_the_other_has_not(site: Site, witness: Witness) -> None:
     """The table of rights is one; `tests/rossec/master/test_compact_differential.py` has all."""
     async with caller(site, EVE) as eve:
         calls: list[tuple[object, ...]] = [
@@ -232,9 +226,7 @@ async def test_neither_form_has_a_right_that_the_other_has_not(
 
 
 @pytest.mark.attack("compact-rights")
-async def test_a_node_refuses_by_number_what_it_refuses_by_name(
-    site: Site, witness: Witness
-) -> None:
+async def test_a_node_refuses_by_number_what_it_refuses_by_name(site: Site, witness: Witness) -> None:
     forged: list[tuple[object, ...]] = [
         ("publisherUpdate", TOPIC, []),
         ("paramUpdate", "/p", 1),
@@ -288,9 +280,7 @@ async def test_a_switch_to_anything_else_is_refused(site: Site, answer: bytes) -
     own = unlimited(credentials(site), site.anchor.verify)
     server = serve(lie, HOST, 0, own, WireProtocol.HTTP)
     try:
-        client = RpcClient(
-            await dial(f"http://{HOST}:{server.port}/", credentials(site, "/viewer"))
-        )
+        client = RpcClient(await dial(f"http://{HOST}:{server.port}/", credentials(site, "/viewer")))
         with pytest.raises(RossecError):
             await client.ask(GET_PID, "/viewer")
         assert client.closed

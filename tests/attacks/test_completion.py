@@ -14,23 +14,34 @@ from typing import Final
 
 import pytest
 
-from rossec.cli.completion import seen
+from rossec.cli.completion import values
 from rossec.cli.completion.shells import script
 
 pytestmark = [pytest.mark.attack("hostile-completion"), pytest.mark.timeout(300)]
 
 ROSSEC: Final = str(Path(sys.executable).with_name("rossec"))
-SHELLS: Final = {
-    "bash": ("--norc", "--noprofile", "-i"),
-    "zsh": ("-f", "-i"),
-    "fish": ("--no-config", "-i"),
-}
+SHELLS: Final = {"bash": ("--norc", "--noprofile", "-i"), "zsh": ("-f", "-i"), "fish": ("--no-config", "-i")}
 HOSTILE: Final = (
-    "good$(touch PWNED)", "good`touch PWNED`", "good;touch PWNED", "good\ntouch PWNED\n",
-    "good'\"$(touch PWNED)", "good*", "good\x1b]0;PWNED\x07", "good\x1b[2J", "good\tplain,x",
-    "good,plain,$(touch PWNED)", "-good", "good\u202edwoP", "~good", "good|touch PWNED",
-    "good&touch PWNED&", "${x:=PWNED}good", "good>PWNED", "good\\", "!!good",
-)  # fmt: skip
+    "good$(touch PWNED)",
+    "good`touch PWNED`",
+    "good;touch PWNED",
+    "good\ntouch PWNED\n",
+    "good'\"$(touch PWNED)",
+    "good*",
+    "good\x1b]0;PWNED\x07",
+    "good\x1b[2J",
+    "good\tplain,x",
+    "good,plain,$(touch PWNED)",
+    "-good",
+    "good\u202edwoP",
+    "~good",
+    "good|touch PWNED",
+    "good&touch PWNED&",
+    "${x:=PWNED}good",
+    "good>PWNED",
+    "good\\",
+    "!!good",
+)
 PATIENCE: Final = 30.0  # seconds
 
 
@@ -43,8 +54,8 @@ def home(tmp_path: Path) -> Path:
     for text in HOSTILE:
         (path / "nodes" / text.replace("/", ".")).mkdir(exist_ok=True)
     named = [f"/{text}" for text in HOSTILE]
-    kept = {kind: [*named, "/good"] for kind in (seen.TOPIC, seen.NODE, seen.TYPE, seen.SERVICE)}
-    (path / seen.NAME).write_text(json.dumps({"master": "", "names": kept}))
+    kept = {kind: [*named, "/good"] for kind in (values.TOPIC, values.NODE, values.TYPE, values.SERVICE)}
+    (path / values.NAME).write_text(json.dumps({"master": "", "names": kept}))
     (path / "ca" / "policy.yaml").write_text("\n".join([*named, "/good"]))
     with sqlite3.connect(path / "ca" / "ca.db") as db:
         db.execute("CREATE TABLE certificate (name, thumbprint, not_after)")
@@ -66,9 +77,7 @@ def environ(home: Path) -> dict[str, str]:
 @pytest.mark.parametrize("line", ["node show ", "topic echo ", "topic echo /x ", "ca renew "])
 def test_no_hostile_name_is_offered(home: Path, shell: str, line: str) -> None:
     typed = {"COMP_LINE": f"rossec {line}", "_ROSSEC_COMPLETE": f"{shell}_complete"}
-    done = subprocess.run(
-        [ROSSEC], capture_output=True, text=True, check=True, env=environ(home) | typed,
-    )  # fmt: skip
+    done = subprocess.run([ROSSEC], capture_output=True, text=True, check=True, env=environ(home) | typed)
     words = {row.replace(",", "\t").split("\t")[1] for row in done.stdout.splitlines()}
     assert "/good" in words or "std_msgs/String" in words
     assert all(set(word) <= set("_./-:+") | {c for c in word if c.isalnum()} for word in words)

@@ -115,9 +115,7 @@ def test_a_form_of_another_site_does_nothing(
 
 
 @pytest.mark.attack("console-framed")
-def test_a_page_is_not_shown_within_another_site(
-    owner: Window, other_port: str, site: ConsoleSite
-) -> None:
+def test_a_page_is_not_shown_within_another_site(owner: Window, other_port: str, site: ConsoleSite) -> None:
     """A press on a game is a press on a button below it."""
     OtherSite.page = FRAME.format(origin=site.origin)
     owner.page.goto(f"http://localhost:{other_port}")
@@ -141,16 +139,20 @@ def test_another_user_of_the_host_has_no_console(site: ConsoleSite, tmp_path: Pa
     mine = subprocess.run([sys.executable, *ask], capture_output=True, text=True, check=True)
     assert mine.stdout == "200 True\n"
     theirs = subprocess.run(
-        ["/usr/bin/python3", *ask], user=NOBODY, group=NOBODY,
-        extra_groups=[], cwd="/", capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        ["/usr/bin/python3", *ask],
+        user=NOBODY,
+        group=NOBODY,
+        extra_groups=[],
+        cwd="/",
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert theirs.stdout == "403 False\n"
 
 
 @pytest.mark.attack("console-codes")
-def test_a_code_that_was_used_sets_up_no_phone(
-    chromium: Chromium, owner: Window, site: ConsoleSite
-) -> None:
+def test_a_code_that_was_used_sets_up_no_phone(chromium: Chromium, owner: Window, site: ConsoleSite) -> None:
     """Somebody saw it over a shoulder; whoever is second has nothing."""
     code = code_of(site)
     with chromium.window(site.origin, checked=False) as second:

@@ -21,9 +21,8 @@ from ca.errors import (
 )
 from grants import document
 from rossec.authority.backup import back_up, restore
-from rossec.authority.console.questions import Questions
-from rossec.authority.console.records import many
-from rossec.authority.console.views import GrantQuestion, Outcome, Prepared
+from rossec.authority.console.grant_requests import Questions
+from rossec.authority.console.messages import ApprovalOutcome, GrantQuestion, Prepared, many
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.requests import GrantRequestStore
@@ -272,9 +271,7 @@ def test_a_phone_that_was_removed_approves_nothing_not_even_what_waits(acts: Act
         sent(acts, other, signed)
     acts.unlock()
     acts.approving.carry_out_waiting()
-    assert acts.outcome(waits.id) == Outcome(
-        waits.id, "failed", "its phone was removed: stolen", b""
-    )
+    assert acts.outcome(waits.id) == ApprovalOutcome(waits.id, "failed", "its phone was removed: stolen", b"")
     with acts.store() as store:
         assert not store.identities.by_name("/lamp")
 
@@ -312,9 +309,10 @@ def test_a_session_alone_takes_away_and_gives_nothing(acts: Acts) -> None:
         with pytest.raises(KeyServiceRefused, match="a phone has to approve"):
             acts.removals.revoke_node(master, "thief")
     for kind, *arguments in (
-        ("invitation", "/thief/*", 10, 3600, True), ("delegate", 86400, 3600),
+        ("invitation", "/thief/*", 10, 3600, True),
+        ("delegate", 86400, 3600),
         ("revoke-master", "thief", MASTER),
-    ):  # fmt: skip
+    ):
         prepared = acts.prepare(str(kind), *arguments)
         with pytest.raises(PasskeyUnknown):
             acts.touch(prepared, Passkey())

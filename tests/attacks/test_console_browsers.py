@@ -99,9 +99,7 @@ def test_of_two_browsers_at_one_question_one_wins_and_the_other_is_told(
         for window in (owner, other):
             end = window.page.locator(".end-mark, [data-problem]:visible")
             expect(end).to_have_count(1, timeout=60_000)
-        won = [
-            each for each in (owner, other) if each.page.url.startswith(f"{site.origin}/approved/")
-        ]
+        won = [each for each in (owner, other) if each.page.url.startswith(f"{site.origin}/approved/")]
         (lost,) = [each for each in (owner, other) if each not in won]
         assert len(won) == 1
         problem = lost.page.locator("[data-problem]:visible")
@@ -114,9 +112,7 @@ def test_of_two_browsers_at_one_question_one_wins_and_the_other_is_told(
 
 
 @pytest.mark.attack("stolen-console-session")
-def test_a_stolen_cookie_denies_and_revokes(
-    chromium: Chromium, owner: Window, site: ConsoleSite
-) -> None:
+def test_a_stolen_cookie_denies_and_revokes(chromium: Chromium, owner: Window, site: ConsoleSite) -> None:
     """Taking away is never harder than giving, so whoever has the session can."""
     site.run("grant", "request", "/porch", "--subscribe", LIGHT, "--why", "to be seen")
     owner.open("/")
@@ -175,12 +171,7 @@ def test_a_stolen_cookie_adds_no_phone(
     ids=["join code", "delegation", "master"],
 )
 def test_a_stolen_cookie_makes_nothing_that_a_phone_has_to_approve(
-    chromium: Chromium,
-    owner: Window,
-    site: ConsoleSite,
-    page: str,
-    fields: dict[str, str],
-    button: str,
+    chromium: Chromium, owner: Window, site: ConsoleSite, page: str, fields: dict[str, str], button: str
 ) -> None:
     before = site.run("console", "approvals"), site.run("ca", "invitations", "--all")
     with thief(chromium, owner) as other:
@@ -194,9 +185,7 @@ def test_a_stolen_cookie_makes_nothing_that_a_phone_has_to_approve(
 
 
 @pytest.mark.attack("stolen-console-session")
-def test_a_stolen_cookie_ends_with_the_session(
-    chromium: Chromium, owner: Window, site: ConsoleSite
-) -> None:
+def test_a_stolen_cookie_ends_with_the_session(chromium: Chromium, owner: Window, site: ConsoleSite) -> None:
     with thief(chromium, owner) as other:
         other.open("/who")
         assert other.page.url == site.origin + "/who"

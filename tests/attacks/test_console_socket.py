@@ -11,12 +11,18 @@ from pathlib import Path
 import pytest
 
 from ca.errors import HintedError, OtherChallenge
-from rossec.authority.console.access import Access
-from rossec.authority.console.client import Assertion, ConsoleClient, Registration
-from rossec.authority.console.codes import MAX_FAILURES
-from rossec.authority.console.messages import MAX_REQUEST, OPERATIONS, SOCKET
-from rossec.authority.console.records import from_value
-from rossec.authority.console.views import LoginChallenge
+from rossec.authority.console.access import ConsoleAccess
+from rossec.authority.console.client import ConsoleClient
+from rossec.authority.console.messages import (
+    MAX_REQUEST,
+    OPERATIONS,
+    SOCKET,
+    LoginChallenge,
+    PasskeyAssertion,
+    PasskeyRegistration,
+    from_value,
+)
+from rossec.authority.console.phone_codes import MAX_FAILURES
 from rossec.authority.keyservice import messages
 from rossec.errors import KeyMessageRefused, KeyServiceFailed, PhoneCodeRefused
 from tests.support.commands import PASSPHRASE
@@ -69,8 +75,11 @@ def use_key(service: ServiceProcess, way: str) -> set[str]:
     """What a program of the user gets at the service's socket, if it comes in this way."""
     done = subprocess.run(
         [sys.executable, "-I", "-c", USE, str(service.directory), way, PASSPHRASE, USE],
-        capture_output=True, text=True, check=False, timeout=60,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
     assert done.returncode == 0, done.stderr
     return set(done.stdout.splitlines())
 
@@ -87,9 +96,13 @@ async def test_the_socket_of_the_console_signs_and_unlocks_nothing(service: Serv
     path = service.directory / SOCKET
     assert not OPERATIONS.keys() & set(KEY_AT_ALL)
     for request in (
-        [1, "sign", b"m"], [1, "unlock", 60, PASSPHRASE], [1, "lock"], [1, "phone-code"],
-        [1, "prepare", "everything", []], [1, "status", 1],
-    ):  # fmt: skip
+        [1, "sign", b"m"],
+        [1, "unlock", 60, PASSPHRASE],
+        [1, "lock"],
+        [1, "phone-code"],
+        [1, "prepare", "everything", []],
+        [1, "status", 1],
+    ):
         reader, writer = await asyncio.open_unix_connection(path)
         writer.write(messages.frame(request))  # type: ignore[arg-type]
         head = await reader.readexactly(messages.HEAD)
@@ -108,13 +121,13 @@ async def test_what_a_session_knows_adds_no_phone(service: ServiceProcess) -> No
         asked = await client.new_passkey(ORIGIN, RP_ID)
         answer = phone.register(asked.challenge)
         with pytest.raises(PhoneCodeRefused):
-            await client.add_passkey(Registration(asked.id, code, "Eve's", *answer))
+            await client.add_passkey(PasskeyRegistration(asked.id, code, "Eve's", *answer))
     asked = await client.new_passkey(ORIGIN, RP_ID)
-    proposed = Registration(asked.id, link, "Eve's", *phone.register(asked.challenge))
+    proposed = PasskeyRegistration(asked.id, link, "Eve's", *phone.register(asked.challenge))
     proposal = await client.propose_passkey(proposed)
     assert await client.phones() == (), "it waits for a phone that is there"
     with pytest.raises(HintedError):
-        await client.approve(proposal.id, Assertion(*phone.sign(asked.challenge)))
+        await client.approve(proposal.id, PasskeyAssertion(*phone.sign(asked.challenge)))
     assert await client.phones() == ()
     await client.close()
 
@@ -125,8 +138,11 @@ def test_another_user_cannot_come_to_the_console(service: ServiceProcess) -> Non
     program = "import socket, sys; socket.socket(socket.AF_UNIX).connect(sys.argv[1])"
     done = subprocess.run(
         [sys.executable, "-c", program, str(service.directory / SOCKET)],
-        user=NOBODY, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        user=NOBODY,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert "PermissionError" in done.stderr
 
 
@@ -168,8 +184,10 @@ def test_a_program_in_the_place_of_the_service_is_not_believed() -> None:
         path.parent.chmod(0o777)
         with subprocess.Popen(
             [sys.executable, "-I", "-c", LISTEN, str(path)],
-            user=NOBODY, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        ) as impostor:  # fmt: skip
+            user=NOBODY,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        ) as impostor:
             assert impostor.stdout is not None
             assert impostor.stdout.readline() == b"ready\n"
             with pytest.raises(KeyServiceFailed, match="another user listens"):
@@ -180,7 +198,7 @@ def test_a_program_in_the_place_of_the_service_is_not_believed() -> None:
 @pytest.mark.attack("console-codes")
 def test_a_code_is_used_once_whoever_is_first(tmp_path: Path) -> None:
     site = ConsoleWork(tmp_path)
-    access = Access(site.work, site.audit.append, site.elapsed)
+    access = ConsoleAccess(site.work, site.audit.append, site.elapsed)
     code = access.phone_code("a person")
     ask(access, "redeem", code)
     with pytest.raises(PhoneCodeRefused):
@@ -191,7 +209,7 @@ def test_a_code_is_used_once_whoever_is_first(tmp_path: Path) -> None:
 @pytest.mark.attack("console-codes")
 def test_codes_cannot_be_tried_at_will_and_trying_keeps_nobody_out(tmp_path: Path) -> None:
     site = ConsoleWork(tmp_path)
-    access = Access(site.work, site.audit.append, site.elapsed)
+    access = ConsoleAccess(site.work, site.audit.append, site.elapsed)
     code = access.phone_code("a person")
     for number in range(MAX_FAILURES):
         with pytest.raises(PhoneCodeRefused, match="not valid"):
@@ -207,7 +225,7 @@ def test_codes_cannot_be_tried_at_will_and_trying_keeps_nobody_out(tmp_path: Pat
 def test_a_clock_that_stands_makes_no_code_last(tmp_path: Path) -> None:
     """The host's clock is stopped or set back; what ends codes and challenges is another one."""
     site = ConsoleWork(tmp_path)
-    access, phone = Access(site.work, site.audit.append, site.elapsed), Passkey()
+    access, phone = ConsoleAccess(site.work, site.audit.append, site.elapsed), Passkey()
     code = access.phone_code("a person")
     asked = from_value(LoginChallenge, ask(access, "new-passkey", ORIGIN, RP_ID))
     site.seconds += 130

@@ -6,8 +6,8 @@ from typing import Any, Final
 
 import pytest
 
+from grants.decision import Reach
 from grants.model import Right
-from grants.reach import Reach
 from rossec.errors import ChannelError, RossecError
 from rossec.master.rights.statements import TrustState
 from rossec.ros import xmlrpc
@@ -24,11 +24,7 @@ def _crash(*_: object, **__: object) -> Any:
     raise RuntimeError("a fault in the guard")
 
 
-GUARDS: Final[list[tuple[type, str]]] = [
-    (TrustState, "caller"),
-    (TrustState, "_confirm"),
-    (Reach, "covers"),
-]
+GUARDS: Final[list[tuple[type, str]]] = [(TrustState, "caller"), (TrustState, "_confirm"), (Reach, "covers")]
 
 
 @pytest.mark.attack("crashed-check")
@@ -48,7 +44,7 @@ async def test_f1_a_check_that_crashes_admits_no_caller(
                 with contextlib.suppress(RossecError, xmlrpc.Fault):
                     assert (await eve(method, *params))[0] == -1
         assert not list(site.master.state.registry.nodes())
-        assert not site.master._effects.stopping.is_set()
+        assert not site.master.effects.stopping.is_set()
     async with caller(site, EVE) as eve:
         assert (await eve("hasParam", "/p"))[2] is False
 

@@ -10,10 +10,10 @@ import pytest
 from grants import document
 from grants.model import Right
 from rossec.errors import ChannelError, RossecError
-from rossec.master.api.deposit_calls import DEPOSIT_LIMIT
-from rossec.master.operation.limits import MasterLimits
-from rossec.master.rights.presented_grants import MAX_HELD
-from rossec.net.rpc.client import RpcClient
+from rossec.master.api.statement_calls import DEPOSIT_LIMIT
+from rossec.master.operation.config import MasterLimits
+from rossec.master.rights.held_grants import MAX_HELD
+from rossec.net.rpc.calls import RpcClient
 from rossec.ros.names import AUTHORITY
 from tests.attacks.test_intermediates import below
 from tests.support.attacker import EVE, credentials, dial, revoke, signed
@@ -76,9 +76,7 @@ async def test_only_the_authoritys_own_node_deposits_grants(
 
 
 @pytest.mark.attack("deposit-by-another")
-async def test_a_name_below_an_intermediate_is_not_the_authority(
-    site: Site, witness: Witness
-) -> None:
+async def test_a_name_below_an_intermediate_is_not_the_authority(site: Site, witness: Witness) -> None:
     """Whoever holds an intermediate certifies `/ca` for a key of its own."""
     site.enroll(AUTHORITY)
     below(site, AUTHORITY)
@@ -111,9 +109,7 @@ async def test_a_node_is_given_the_grants_of_its_own_key_only(site: Site, witnes
 
 
 @pytest.mark.attack("delivery-of-a-withdrawn-grant")
-async def test_a_withdrawn_grant_is_neither_given_nor_deposited_again(
-    site: Site, witness: Witness
-) -> None:
+async def test_a_withdrawn_grant_is_neither_given_nor_deposited_again(site: Site, witness: Witness) -> None:
     """Deposited before it was revoked, and after; and a key that was revoked."""
     grant, key = signed(site), site.subscribe("/lost", TOPIC)
     async with authority(site) as office, caller(site, EVE) as eve:
@@ -162,9 +158,7 @@ async def test_deposits_are_bounded_in_a_call_and_for_a_key(site: Site, witness:
             await office(DEPOSIT, [bytes(5 << 20)])
     async with authority(site) as office:
         assert (await office(DEPOSIT, many[:-1]))[2] == [""] * MAX_HELD
-        assert (await office(DEPOSIT, many[-1:]))[2] == [
-            "the master takes at most 64 grants of one node"
-        ]
+        assert (await office(DEPOSIT, many[-1:]))[2] == ["the master takes at most 64 grants of one node"]
         twice = [{"methodName": DEPOSIT, "params": [AUTHORITY, []]}] * 2
         answers: Any = await office.client.call("system.multicall", twice)
         assert "more than one" in answers[1]["faultString"]
@@ -174,9 +168,7 @@ async def test_deposits_are_bounded_in_a_call_and_for_a_key(site: Site, witness:
 
 
 @pytest.mark.attack("deposit-flood")
-async def test_calls_that_wait_are_bounded_by_the_connections_of_a_key(
-    site: Site, witness: Witness
-) -> None:
+async def test_calls_that_wait_are_bounded_by_the_connections_of_a_key(site: Site, witness: Witness) -> None:
     assert site.master is not None
     own, limit = credentials(site), MasterLimits().connections_without_right
     async with contextlib.AsyncExitStack() as stack:

@@ -14,14 +14,14 @@ from typing import Final
 import pytest
 
 from rossec.channel.opening import WireProtocol
-from rossec.enrollment.node import WaitingNode
+from rossec.enrollment.enroll import WaitingNode
 from rossec.errors import ChannelError
 from rossec.net.aio import connect
-from rossec.net.halfopen import HalfOpen
+from rossec.net.limits import HalfOpen
 from rossec.net.threads.secure_socket import SecureSocket
 from rossec.participant import connections
-from rossec.ros.settings import parse_uri
-from rossec.sidecar.core.endpoints import local_endpoint
+from rossec.ros.names import parse_uri
+from rossec.sidecar.core.layers import local_endpoint
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import HOST, credentials
 from tests.support.contexts import unlimited
@@ -53,14 +53,20 @@ sys.stdin.read()
 
 
 @contextlib.asynccontextmanager
-async def flood(
-    port: int, data: bytes, *sources: str, count: int = CONNECTIONS
-) -> AsyncIterator[None]:
+async def flood(port: int, data: bytes, *sources: str, count: int = CONNECTIONS) -> AsyncIterator[None]:
     """Open connections; each sends `data` and stays open."""
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-c", FLOOD, HOST, str(port), str(count), data.hex(), *sources,
-        stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
-    )  # fmt: skip
+        sys.executable,
+        "-c",
+        FLOOD,
+        HOST,
+        str(port),
+        str(count),
+        data.hex(),
+        *sources,
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+    )
     try:
         assert process.stdout is not None
         assert await process.stdout.readline() == b"ALL\n"
@@ -94,10 +100,7 @@ async def watched(pid: int | None = None) -> AsyncIterator[list[int]]:
 async def served(site: Site, port: int, protocol: WireProtocol) -> None:
     """An honest caller is authenticated at its first attempt."""
     stream = await connect(
-        HOST,
-        port,
-        unlimited(site.enroll("/honest").credentials(), site.anchor.verify),
-        protocol,
+        HOST, port, unlimited(site.enroll("/honest").credentials(), site.anchor.verify), protocol
     )
     stream.abort("done")
 

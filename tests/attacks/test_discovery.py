@@ -18,7 +18,7 @@ from tests.support.site import Site
 ROSSEC = (sys.executable, "-m", "rossec")
 FLOOD = """
 import sys, time
-from rossec.discovery.multicast import MulticastSocket
+from rossec.discovery.local_links import MulticastSocket
 group, data = MulticastSocket(listen=False), bytes.fromhex(sys.argv[1])
 print("flooding", flush=True)
 while True:
@@ -87,17 +87,19 @@ FLOODS = {
 
 
 @pytest.mark.parametrize("data", FLOODS.values(), ids=FLOODS)
-def test_a_master_is_found_in_a_flood(
-    hosts: Hosts, home: Site, tmp_path: Path, data: object
-) -> None:
+def test_a_master_is_found_in_a_flood(hosts: Hosts, home: Site, tmp_path: Path, data: object) -> None:
     assert callable(data)
     env = {**os.environ, "ROSSEC_HOME": str(home.root)}
     with flooded(hosts.far, data(home, tmp_path)):
         for _ in range(2):
             done = subprocess.run(
                 hosts.far.at(*ROSSEC, "discover", "--as", "/robot", "--json"),
-                env=env, capture_output=True, text=True, check=False, timeout=300,
-            )  # fmt: skip
+                env=env,
+                capture_output=True,
+                text=True,
+                check=False,
+                timeout=300,
+            )
             assert done.returncode == 0, done.stderr
             (row,) = [json.loads(line) for line in done.stdout.splitlines()]
             assert row["key"] == home.identity("/master").thumbprint.hex()

@@ -5,12 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.anchors import Anchors
-from ca.domains.card_codes import card_code, check_code
-from ca.domains.cards import CARD, open_card
-from ca.domains.lists import sign_domains
+from ca.domains.trust import CARD, Anchors, open_card, sign_domains
+from ca.enrollment.qr import card_code, check_code
 from ca.errors import CardRefused, DomainsRefused, LogDamaged, StoreError
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
 from ca.store.record import Store
 from grants.model import Draft, Permission, Right
 from rossec.authority.home import AuthorityHome
@@ -24,8 +22,7 @@ from tests.support.pki import DAY, NOW, Site
 def card_of(site: Site, signer: Site | None = None) -> bytes:
     """A card for the root of `site`, by the key of `signer`, whatever a card should be."""
     return CARD.sign(
-        KeySigner((signer or site).key),
-        {4: NOW + 7 * DAY, 6: NOW, -70037: site.root, -70038: ["/**"]},
+        KeySigner((signer or site).key), {4: NOW + 7 * DAY, 6: NOW, -70037: site.root, -70038: ["/**"]}
     )
 
 
@@ -43,8 +40,12 @@ def test_a_card_that_another_has_made_or_changed() -> None:
         open_card(genuine, NOW + 7 * DAY)
     for wide in (["/**"] * 17, [], ["/a*"]):
         with pytest.raises(CardRefused):
-            open_card(CARD.sign(KeySigner(hospital.key), {
-                4: NOW + DAY, 6: NOW, -70037: hospital.root, -70038: [*wide]}), NOW)  # fmt: skip
+            open_card(
+                CARD.sign(
+                    KeySigner(hospital.key), {4: NOW + DAY, 6: NOW, -70037: hospital.root, -70038: [*wide]}
+                ),
+                NOW,
+            )
 
 
 @pytest.mark.attack("old-domains")
@@ -68,54 +69,54 @@ def test_an_old_list_does_not_bring_a_removed_domain_back(tmp_path: Path) -> Non
 
 @pytest.fixture
 def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AuthorityService:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     AuthorityHome.create(tmp_path / "home", "home", PASSPHRASE, NOW)
     return AuthorityService(tmp_path / "home", lambda: PASSPHRASE, lambda _: 1, lambda: NOW)
 
 
 @pytest.mark.attack("taken-label")
-def test_another_domain_does_not_get_the_name_label_or_key_of_one(
-    office: AuthorityService,
-) -> None:
+def test_another_domain_does_not_get_the_name_label_or_key_of_one(office: AuthorityService) -> None:
     hospital = foreign(Site.create("hospital"))
-    office.accept_domain(hospital)
+    office.domains.accept(hospital)
     again = foreign(Site.create("hospital"))  # who calls itself so too
     for other in (again, foreign(Site.create("cafe"), "hospital")):
         with pytest.raises(StoreError):
-            office.accept_domain(other)
-    own = dataclasses.replace(
-        again, domain="home", root=office.home.anchor().certificate, label="here"
-    )
+            office.domains.accept(other)
+    own = dataclasses.replace(again, domain="home", root=office.home.anchor().certificate, label="here")
     with pytest.raises(DomainsRefused):
-        office.accept_domain(own)
+        office.domains.accept(own)
     assert [row.read() for row in office.unlock().store.domains.accepted()] == [hospital]
 
 
 @pytest.mark.attack("taken-label")
 def test_a_label_is_no_way_to_the_grants_of_who_had_it(office: AuthorityService) -> None:
     hospital = foreign(Site.create("hospital"))
-    office.accept_domain(hospital)
+    office.domains.accept(hospital)
     authority = office.unlock()
     draft = Draft(
-        "home", "/remote/hospital/rounds/a", b"k" * 32, NOW, NOW + DAY, NOW + DAY, b"s" * 16,
+        "home",
+        "/remote/hospital/rounds/a",
+        b"k" * 32,
+        NOW,
+        NOW + DAY,
+        NOW + DAY,
+        b"s" * 16,
         (Permission("/door", Right.CALL),),
-    )  # fmt: skip
+    )
     authority.issue_grant(draft, NOW)
-    office.remove_domain("hospital", "", revoke_grants=False)
+    office.domains.remove("hospital", "", revoke_grants=False)
     for other in (foreign(Site.create("cafe"), "hospital"), foreign(Site.create("hospital"))):
         with pytest.raises(ConfigurationError, match="a grant names hospital"):
-            office.accept_domain(other)
+            office.domains.accept(other)
     assert authority.store.domains.accepted() == []
 
 
 @pytest.mark.attack("rewritten-record")
-def test_a_domain_that_was_written_into_the_record_is_found(
-    office: AuthorityService, tmp_path: Path
-) -> None:
+def test_a_domain_that_was_written_into_the_record_is_found(office: AuthorityService, tmp_path: Path) -> None:
     """By who can write the record and its log, but has not the key."""
     hospital = foreign(Site.create("hospital"))
-    office.accept_domain(hospital)
-    office.remove_domain("hospital", "", revoke_grants=False)
+    office.domains.accept(hospital)
+    office.domains.remove("hospital", "", revoke_grants=False)
     held = office.home.domain_list()
     assert held is not None
     mallory = KeySigner(Site.create("home").key)

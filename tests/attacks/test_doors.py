@@ -18,9 +18,8 @@ from rossec.errors import IdentityRefused, PlainPeer, RossecError
 from rossec.net.aio import SecureStream, serve
 from rossec.participant.access import FIELD
 from rossec.participant.message_types import message_type
-from rossec.ros import header
-from rossec.ros.names import MASTER
-from rossec.ros.settings import parse_uri
+from rossec.ros import tcpros
+from rossec.ros.names import MASTER, parse_uri
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import EVE, HOST, call, credentials
 from tests.support.contexts import unlimited
@@ -37,14 +36,17 @@ async def false_topic(site: Site, name: str, topic: str, kind: str) -> AsyncIter
     """A TCPROS port of the enrolled node `name`, which has no right to publish; it does at once."""
     shape, own = message_type(kind), site.enroll(name)
     fields: dict[str, str | bytes] = {
-        "callerid": name, "topic": topic, "type": shape.name, "md5sum": shape.md5sum,
+        "callerid": name,
+        "topic": topic,
+        "type": shape.name,
+        "md5sum": shape.md5sum,
         FIELD: encode(list(own.grants())),
-    }  # fmt: skip
-    lie = header.frame(bytes(shape.serialize(shape.create())))
+    }
+    lie = tcpros.frame(bytes(shape.serialize(shape.create())))
 
     async def lies(stream: SecureStream[Identity]) -> None:
         await stream.receive()
-        await stream.send(header.encode(fields), lie)
+        await stream.send(tcpros.encode(fields), lie)
         await stream.wait_ended()
 
     context = unlimited(own.credentials(), site.anchor.verify)
@@ -57,7 +59,7 @@ async def plain_port() -> AsyncIterator[int]:
     """A port of a plain program, which answers a header with a header."""
 
     async def answer(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        writer.write(header.encode({"callerid": "/robot", "md5sum": "*", "type": "*"}))
+        writer.write(tcpros.encode({"callerid": "/robot", "md5sum": "*", "type": "*"}))
         await writer.drain()
         writer.close()
 
@@ -78,9 +80,7 @@ async def led(site: Site, witness: Witness, found: Door) -> type[Exception]:
     return type(refusals[0])
 
 
-async def test_a_node_without_the_right_is_refused_behind_a_door(
-    site: Site, witness: Witness
-) -> None:
+async def test_a_node_without_the_right_is_refused_behind_a_door(site: Site, witness: Witness) -> None:
     api = parse_uri(witness.robot.uri)[1]
     async with false_topic(site, EVE, TOPIC, POSE) as port:
         with door(api, port) as found:
@@ -136,8 +136,9 @@ async def test_a_sidecar_refuses_what_a_door_leads_to(site: Site, kind: str) -> 
         with door(parse_uri(honest.uri)[1], port) as found:
             own, grants = credentials(site, "/talker"), site.enroll("/talker").grants()
             for method, *params in (
-                ("rossec.presentGrants", grants), ("registerPublisher", "/word", TYPE, found.uri),
-            ):  # fmt: skip
+                ("rossec.presentGrants", grants),
+                ("registerPublisher", "/word", TYPE, found.uri),
+            ):
                 answer = await call(site.master.uri, own, str(method), "/talker", *params)
                 assert isinstance(answer, list)
                 assert answer[0] == 1, answer

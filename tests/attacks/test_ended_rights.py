@@ -6,7 +6,7 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from tests.support.attacker import EVE, call, dial
 from tests.support.caller import caller
 from tests.support.site import Site
@@ -46,9 +46,7 @@ async def test_d1_an_older_delegation_stays_withdrawn(site: Site) -> None:
 
 
 @pytest.mark.attack("outlived-right")
-async def test_d2_a_node_that_never_restarts_loses_its_right_at_once(
-    site: Site, witness: Witness
-) -> None:
+async def test_d2_a_node_that_never_restarts_loses_its_right_at_once(site: Site, witness: Witness) -> None:
     """Its connections stay open meanwhile, and it gets no calls."""
     async with caller(site, EVE, {"/t": Right.SUBSCRIBE, "/p": Right.PARAM_GET}) as eve:
         await eve("registerSubscriber", "/t", T, eve.uri)

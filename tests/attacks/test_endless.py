@@ -41,9 +41,9 @@ async def site(tmp_path: Path) -> AsyncIterator[Site]:
 @pytest.fixture
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     """Seconds, not minutes, in this process; ROBOT sets its own."""
-    monkeypatch.setattr("rossec.progress.WINDOW", WINDOW)
-    monkeypatch.setattr("rossec.progress.STEP", 1)
-    monkeypatch.setattr("rossec.net.aio.arrivals.PATIENCE", 1.0)
+    monkeypatch.setattr("rossec.peer_limits.WINDOW", WINDOW)
+    monkeypatch.setattr("rossec.peer_limits.STEP", 1)
+    monkeypatch.setattr("rossec.net.aio.stream.PATIENCE", 1.0)
 
 
 @contextlib.asynccontextmanager
@@ -57,10 +57,10 @@ ROBOT: Final = (
     SECURE
     + f"""
 import rospy, sys
-import rossec.progress, rossec.inprocess.sockets
+import rossec.peer_limits, rossec.inprocess.sockets
 from importlib import import_module
-rossec.progress.WINDOW = {WINDOW}
-rossec.progress.STEP = 1
+rossec.peer_limits.WINDOW = {WINDOW}
+rossec.peer_limits.STEP = 1
 rossec.inprocess.sockets.PATIENCE = 1.0
 package, name = sys.argv[1].split("/")
 rospy.init_node("robot")
@@ -80,9 +80,10 @@ async def rospy(site: Site, directory: Path, kind: str) -> AsyncIterator[None]:
 async def behind_a_sidecar(site: Site, _directory: Path, kind: str) -> AsyncIterator[None]:
     own = message_type(kind)
     fields = {
-        "type": kind.encode(), "md5sum": own.md5sum.encode(),
+        "type": kind.encode(),
+        "md5sum": own.md5sum.encode(),
         "message_definition": own.definition.encode(),
-    }  # fmt: skip
+    }
     async with sidecar(site) as near, Program("/robot", near) as robot:
         stream, _ = await subscribed(robot, TOPIC, fields)
         yield
@@ -117,9 +118,7 @@ async def begin(link: SubscriberConnection, size: int) -> None:
 
 
 @forms
-async def test_buffered_bytes_are_limited_by_the_type(
-    site: Site, tmp_path: Path, form: Form
-) -> None:
+async def test_buffered_bytes_are_limited_by_the_type(site: Site, tmp_path: Path, form: Form) -> None:
     """Before any deadline: 20 MB of a unit are sent where a message has 48 bytes."""
     async with met(site, tmp_path, form, FIXED) as (publisher, link):
         with contextlib.suppress(Exception):  # it may end before all is sent

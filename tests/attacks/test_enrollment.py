@@ -15,20 +15,19 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtensionOID
 
-from ca.enrollment import qr, transcript
-from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
+from ca.enrollment import qr, sides
 from ca.enrollment.messages import (
     Acknowledgement,
     Delivery,
     Done,
+    EnrollmentOffer,
     Message,
-    Offer,
     frame,
     length,
     read,
     write,
 )
-from ca.enrollment.node import NodeState
+from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeState
 from ca.errors import (
     AcknowledgementRefused,
     ConflictingOffer,
@@ -37,7 +36,7 @@ from ca.errors import (
     RequestRefused,
     RequestSwapped,
 )
-from rossec.enrollment import authority
+from rossec.enrollment import enroll
 from tests.ca.test_requests import CA_TRUE, SAN, crafted
 from tests.support.enrolling import Robot, WaitingRobot, clock, fresh
 from tests.support.pki import Site, uris
@@ -91,17 +90,17 @@ async def enrolled_through(
 ) -> AuthorityEnrollment:
     core = core or scanned(robot)
     async with between(robot, change) as port:
-        await authority.fetch(core, "127.0.0.1", port, clock)
+        await enroll.fetch(core, "127.0.0.1", port, clock)
         made = offer_of(core)
-        await authority.deliver(core, made, "127.0.0.1", port, clock, lambda _: None)
+        await enroll.deliver(core, made, "127.0.0.1", port, clock, lambda _: None)
     return core
 
 
-def forged(csr: bytes, secret: bytes = b"") -> Offer:
+def forged(csr: bytes, secret: bytes = b"") -> EnrollmentOffer:
     """An offer of Mallory's authority for the robot's own request."""
     leaf, nonce = MALLORY.authority.issue(csr, now=clock(), serial=3), fresh()
-    agreed = transcript.transcript(csr, [leaf], MALLORY.root, nonce)
-    return Offer((leaf,), MALLORY.root, nonce, transcript.tag(secret, agreed) if secret else b"")
+    agreed = sides.transcript(csr, [leaf], MALLORY.root, nonce)
+    return EnrollmentOffer((leaf,), MALLORY.root, nonce, sides.tag(secret, agreed) if secret else b"")
 
 
 def honest(message: Message) -> Message:
@@ -136,7 +135,7 @@ async def test_a_swapped_authority_without_the_code_is_refused() -> None:
     robot_ = Robot()
 
     def swap(message: Message) -> Message:
-        return forged(robot_.csr, bytes(16)) if isinstance(message, Offer) else message
+        return forged(robot_.csr, bytes(16)) if isinstance(message, EnrollmentOffer) else message
 
     with WaitingRobot(robot_) as robot:
         with pytest.raises(EnrollmentOver, match="the node refused the offer"):
@@ -152,7 +151,7 @@ async def test_a_swapped_authority_and_a_label() -> None:
     robot_ = Robot()
 
     def swap(message: Message) -> Message:
-        return forged(robot_.csr) if isinstance(message, Offer) else message
+        return forged(robot_.csr) if isinstance(message, EnrollmentOffer) else message
 
     with (
         WaitingRobot(robot_, label=True, person=lambda _: None) as robot,
@@ -178,7 +177,7 @@ async def test_a_swapped_authority_and_a_replayed_answer() -> None:
     assert [type(message) for message in kept] == [Acknowledgement, Done]
 
     def swap(message: Message) -> Message:
-        if isinstance(message, Offer):
+        if isinstance(message, EnrollmentOffer):
             return forged(robot_.csr)
         return kept[0] if isinstance(message, Acknowledgement) else message
 
@@ -226,11 +225,9 @@ async def test_a_stolen_screen_code_used_first(site: Site) -> None:
         writer.write(frame(write(forged(robot_.csr, secret))))
         assert length(await reader.readexactly(4)) > 0  # the node has answered the thief
         core = scanned(robot)
-        await authority.fetch(core, robot._host, robot.port, clock)
+        await enroll.fetch(core, robot._host, robot.port, clock)
         with pytest.raises(ConflictingOffer, match="another party has its code"):
-            await authority.deliver(
-                core, offer_of(core, site), robot._host, robot.port, clock, pytest.fail
-            )
+            await enroll.deliver(core, offer_of(core, site), robot._host, robot.port, clock, pytest.fail)
         writer.close()
         assert robot.core.state is NodeState.OVER
     assert core.digits == ""
@@ -241,12 +238,10 @@ async def test_a_stolen_screen_code_used_first(site: Site) -> None:
 async def test_a_code_used_twice() -> None:
     with WaitingRobot(Robot()) as robot:
         core = scanned(robot)
-        await authority.fetch(core, robot._host, robot.port, clock)
+        await enroll.fetch(core, robot._host, robot.port, clock)
         second = scanned(robot)
-        await authority.fetch(second, robot._host, robot.port, clock)
-        await authority.deliver(
-            core, offer_of(core), robot._host, robot.port, clock, lambda _: None
-        )
+        await enroll.fetch(second, robot._host, robot.port, clock)
+        await enroll.deliver(core, offer_of(core), robot._host, robot.port, clock, lambda _: None)
         with pytest.raises(EnrollmentRefused, match="enrolled already"):
             robot.core.receive(offer_of(second), clock())
     assert len(robot.trusted) == 1
@@ -279,9 +274,7 @@ def rsa_request() -> bytes:
 
 
 DNS_WILDCARD = x509.SubjectAlternativeName([x509.DNSName("*.home")])
-BOTH = x509.SubjectAlternativeName(
-    [x509.UniformResourceIdentifier("spiffe://home/a"), x509.DNSName("a")]
-)
+BOTH = x509.SubjectAlternativeName([x509.UniformResourceIdentifier("spiffe://home/a"), x509.DNSName("a")])
 P384 = ec.generate_private_key(ec.SECP384R1())
 BIDI = raw_name("spiffe://home/a\u202eb".encode())
 HOSTILE = {
@@ -289,22 +282,16 @@ HOSTILE = {
     "two names": (crafted((BOTH, True)), "asks for 2 names where exactly one URI"),
     "a wildcard of DNS": (crafted((DNS_WILDCARD, True)), "asks for 1 names where exactly one URI"),
     "a wildcard": (crafted((uris("spiffe://home/*"), True)), r"name: '/\*' is not an absolute"),
-    "a wildcard tail": (
-        Robot("/rviz", wildcard=True).csr, "all names that begin with /rviz_",
-    ),
-    "P-384": (
-        crafted((SAN, True), key=P384), "a key that is not P-256",
-    ),
+    "a wildcard tail": (Robot("/rviz", wildcard=True).csr, "all names that begin with /rviz_"),
+    "P-384": (crafted((SAN, True), key=P384), "a key that is not P-256"),
     "RSA": (rsa_request(), "a key that is not P-256"),
     "no proof of possession": (unproven(), "does not prove that the node has the key"),
     "an over-long name": (long_name(), "a name of 256 characters where at most 255"),
     "a NUL": (crafted(raw_name(b"spiffe://home/a\0b")), r"name: '/a\\x00b' is not an absolute"),
-    "bidi": (
-        crafted(BIDI), r"name: '/a\\u202eb' is not an absolute",
-    ),
+    "bidi": (crafted(BIDI), r"name: '/a\\u202eb' is not an absolute"),
     "another domain": (crafted((uris("spiffe://lab/a"), True)), "for trust domain 'lab'"),
     "too much": (bytes(2049), "a request of 2049 bytes"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.attack("hostile-request")

@@ -74,9 +74,7 @@ async def test_a_header_without_a_grant_is_refused_alike(
             said = set()
             for name in (there, ABSENT):
                 asked = {"callerid": EVE, kind: name, "type": "*", "md5sum": "*", "probe": "1"}
-                said.add(
-                    (await send_header(port, credentials(site), asked)).error.replace(name, "X")
-                )
+                said.add((await send_header(port, credentials(site), asked)).error.replace(name, "X"))
             assert len(said) == 1, said
     assert (robot.calls, robot.headers) == ([], [])
 

@@ -7,7 +7,7 @@ import pytest
 from rossec import clock
 from rossec.clock import Clock, counter
 from rossec.node import Node
-from rossec.participant.publisher_grace import GRACE
+from rossec.participant.registrations import GRACE
 from tests.support.blocked import BlockedNodes
 from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, until
@@ -66,8 +66,8 @@ async def test_a_publisher_that_is_not_named_is_still_authorized(
         await until(lambda: pose.links and sight.links)
         absent.names = {"/robot"}
         await site.restart_master()
-        await until(lambda: viewer._topics._grace._missing)
+        await until(lambda: viewer.topics._grace._missing)
         [link] = sight.links
         await viewer._membership.session.call("rossec.updateRevocations", site.revoke(right))
         await until(lambda: link not in sight.links)
-        assert viewer._topics._grace.to_follow(TOPIC) == [robot.uri]
+        assert viewer.topics._grace.to_follow(TOPIC) == [robot.uri]

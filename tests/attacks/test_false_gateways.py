@@ -73,7 +73,7 @@ CASES: Final = {
     ),
     "a gateway without a right": Case("/gateway", SERVED, NOT_OURS, by_hospital="/**"),
     "a gateway for another topic": Case("/gateway", SERVED, "no grant", by_home="/gateway/a/**"),
-}  # fmt: skip
+}
 
 
 def false_publisher(sites: Sites, case: Case) -> FalsePublisher:

@@ -11,7 +11,7 @@ import pytest
 import pytest_asyncio
 
 from rossec.home import NodeHome
-from rossec.saved_domains import DomainFiles
+from rossec.saved_statements import DomainFiles
 from tests.support.mesh import Mesh, mesh_of
 from tests.support.trust import accept, carry
 from tests.support.witness import until
@@ -48,8 +48,9 @@ async def lying(mesh: Mesh, name: str = "/master", **lies: object) -> AsyncItera
     (mesh.root / "list").write_bytes(newest or b"")
     process = await asyncio.create_subprocess_exec(
         *ward.host.at(sys.executable, "-m", "tests.support.lyingsite", name, json.dumps(known)),
-        env=ward.environ, stdout=asyncio.subprocess.PIPE,
-    )  # fmt: skip
+        env=ward.environ,
+        stdout=asyncio.subprocess.PIPE,
+    )
     assert process.stdout is not None
     try:
         async with asyncio.timeout(30):
@@ -79,18 +80,18 @@ async def test_addresses_that_mean_another_machine_here_are_not_taken(mesh: Mesh
     """Loopback, link-local, that of an own node; an ordinary one is."""
     own: Any = await mesh["hall"].see("lookupNode", "/robot")
     uris = {
-        "loop": "http://127.0.0.1:11311/", "link": "http://169.254.1.1:4242/",
-        "own": own, "far": "http://10.98.0.9:4242/",
-    }  # fmt: skip
+        "loop": "http://127.0.0.1:11311/",
+        "link": "http://169.254.1.1:4242/",
+        "own": own,
+        "far": "http://10.98.0.9:4242/",
+    }
     facts = [["node", f"/rounds/{name}", uri] for name, uri in uris.items()]
     facts += [["publisher", f"/{name}", f"/rounds/{name}"] for name in uris]
     facts += [["type", f"/{name}", "std_msgs/String"] for name in uris]
     async with lying(mesh, facts=facts), asyncio.timeout(30):
         while "/remote/hospital/far" not in await names(mesh):  # noqa: ASYNC110 - asking
             await asyncio.sleep(0.1)
-        assert [name for name in await names(mesh) if name.startswith("/remote")] == [
-            "/remote/hospital/far"
-        ]
+        assert [name for name in await names(mesh) if name.startswith("/remote")] == ["/remote/hospital/far"]
         await mesh["hall"].crew.hears("/viewer", POSE)
 
 

@@ -10,15 +10,15 @@ import pytest
 
 from ca.authority import create_root
 from ca.errors import DomainsRefused, Revoked
-from ca.keys.publickey import thumbprint
+from ca.keys.signing import thumbprint
 from grants.model import Right
-from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.credentials import KnownCertificates
 from rossec.errors import RossecError
-from rossec.master.operation.limits import MasterLimits
+from rossec.master.operation.config import MasterLimits
 from rossec.master.rights.domain_trust import GRACE
 from rossec.net.aio import WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
-from rossec.ros.settings import parse_uri
+from rossec.net.rpc.calls import RpcClient
+from rossec.ros.names import parse_uri
 from rossec.ros.xmlrpc import Fault
 from tests.rossec.master.visiting import HOSPITAL, Hospital, VisitWorld
 from tests.rossec.master.world import EVERYTHING, T, ends, until
@@ -122,7 +122,7 @@ async def test_an_older_list_of_its_domain_revives_nobody(world: VisitWorld) -> 
     old = world.hospital.word()
     world.take(world.robot)
     with pytest.raises(Exception, match="older"):
-        world.server._effects.take_foreign(HOSPITAL, *old)
+        world.server.effects.take_foreign(HOSPITAL, *old)
     await refused(world, world.robot)
 
 
@@ -133,7 +133,7 @@ async def test_stale_revocations_end_a_visit_after_a_minute(world: VisitWorld) -
     world.trust.caller(identity, now + 3600)
     world.trust.caller(identity, now + 3700)  # stale since 100 s, noticed now
     world.server.state.clock = lambda: now + 3700 + GRACE
-    world.server._effects.close_revoked()
+    world.server.effects.close_revoked()
     await ends(client.ask("getPid", world.robot.name))
 
 
@@ -158,9 +158,7 @@ async def test_a_hospital_grants_nothing_of_the_home(world: VisitWorld) -> None:
 
 
 @pytest.mark.attack("foreign-grants")
-async def test_a_grant_of_the_hospital_for_an_own_node_counts_there_alone(
-    world: VisitWorld,
-) -> None:
+async def test_a_grant_of_the_hospital_for_an_own_node_counts_there_alone(world: VisitWorld) -> None:
     own = await world.node("/robot", {"/own": Right.SUBSCRIBE})
     grant = world.hospital.site.grant(own.member, {"/pose": Right(255)})
     assert await own.ask("rossec.presentGrants", [grant]) == 2
@@ -218,9 +216,7 @@ async def test_a_domain_has_a_limited_number_of_connections(
     caplog.set_level(logging.WARNING, "rossec")
     world.server._admission._limits = MasterLimits(connections_per_domain=4)
     robots = [world.hospital.site.enroll(f"/rounds/robot{number}") for number in range(6)]
-    found = await asyncio.gather(
-        *(world.connect(robot) for robot in robots), return_exceptions=True
-    )
+    found = await asyncio.gather(*(world.connect(robot) for robot in robots), return_exceptions=True)
     assert sum(isinstance(each, RpcClient) for each in found) == 4
     assert "hospital:/rounds/robot" in caplog.text
     await world.node("/robot")  # others have room
@@ -258,9 +254,7 @@ async def test_a_certificate_named_by_its_hash_is_verified_again(world: VisitWor
     assert known.is_introduced(world.master.credentials.chain[0])
     world.trust.update_domains(world.lists.next())
     with pytest.raises(RossecError):
-        await RpcClient(await connect(host, port, context, WireProtocol.HTTP)).ask(
-            "getPid", world.robot.name
-        )
+        await RpcClient(await connect(host, port, context, WireProtocol.HTTP)).ask("getPid", world.robot.name)
 
 
 @pytest.mark.attack("foreign-node")
@@ -272,9 +266,9 @@ async def test_a_master_of_a_stale_domain_is_let_in_without_a_right(world: Visit
     assert await visitor.ask("getSystemState") == [[], [], []]
     with pytest.raises(RossecError):
         await visitor.ask("registerPublisher", "/t", T, visitor.uri)
-    world.server._effects.take_foreign("clinic.example", *other.word())
+    world.server.effects.take_foreign("clinic.example", *other.word())
     await visitor.ask("registerPublisher", "/t", T, visitor.uri)
     with pytest.raises(Revoked):  # it says so itself; its word does not count, the list does
-        world.server._effects.take_foreign("clinic.example", *other.word(other.master))
+        world.server.effects.take_foreign("clinic.example", *other.word(other.master))
     await ends(visitor.ask("getPid"))
     await refused(world, other.master)

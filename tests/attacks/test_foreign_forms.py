@@ -9,13 +9,13 @@ from typing import Any, Final
 import pytest
 
 from ca.errors import HintedError
-from ca.revocation.state import MAX_AGE, Timestamp, digest, open_list, sign_timestamp
+from ca.revocation.lists import MAX_AGE, Timestamp, digest, open_list, sign_timestamp
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.net.aio import SecureStream, connect
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.node import Node
-from rossec.ros import header
+from rossec.ros import tcpros
 from rossec.ros.names import MASTER
 from tests.attacks.test_existence import ports
 from tests.rossec.sidecar.program import Program, sidecar
@@ -45,7 +45,7 @@ class Stay:
         seq = open_list(data, self.hospital.anchor.public_key).seq
         stamp = Timestamp(seq, digest(data), self.hospital.now(), MAX_AGE)
         assert self.home.master is not None
-        self.home.master._effects.take_foreign(
+        self.home.master.effects.take_foreign(
             DOMAIN, data, sign_timestamp(signer.signer, stamp), signer.chain
         )
 
@@ -61,7 +61,7 @@ class Stay:
         while True:
             with contextlib.suppress(HintedError):
                 stream = await connect(HOST, self.port, own)
-                await stream.send(header.encode(fields_for(EVE, self.topic, [grant])))
+                await stream.send(tcpros.encode(fields_for(EVE, self.topic, [grant])))
                 if b"error=" not in await stream.receive():
                     return stream
             assert time.monotonic() < end, "it was never let in"
@@ -85,10 +85,11 @@ class Stay:
         """The hospital's master, which is admitted, controls nothing."""
         client = RpcClient(await dial(uri, credentials(self.hospital, MASTER)))
         for method, *params in (
-            ("shutdown", "now"), ("publisherUpdate", self.topic, []),
+            ("shutdown", "now"),
+            ("publisherUpdate", self.topic, []),
             ("rossec.domainsUpdate", b""),
             ("rossec.foreignRevocationUpdate", DOMAIN, b"", b"", []),
-        ):  # fmt: skip
+        ):
             answer: Any = await client.call(str(method), MASTER, *params)
             assert answer[0] == -1
         await client.close()

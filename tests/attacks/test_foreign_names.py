@@ -7,21 +7,29 @@ import pytest
 
 from grants.model import Right
 from rossec.master.rights.access_rules import RULES, Scope
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from tests.rossec.master.visiting import HOSPITAL, VisitWorld
 from tests.rossec.master.world import EVERYTHING, T
 from tests.support.authority import EnrolledNode
 
 ALIAS = "/remote/hospital/rounds/robot3"
 OURS: dict[str, tuple[object, ...]] = {
-    "rossec.renewGrants": ([],), "rossec.renewIdentity": (b"",),
-    "rossec.updateDelegation": (b"",), "rossec.updateRevocations": (b"",),
-    "rossec.updateRevocationTree": (b"", b""), "rossec.domains": (b"",),
-    "rossec.updateDomains": (b"",), "rossec.foreignRevocations": (HOSPITAL, b""),
-    "rossec.foreignRevocationProofs": (HOSPITAL, []), "rossec.depositGrants": ([],),
-    "rossec.deliveryStates": ([],), "rossec.revocationStanding": (), "rossec.recentDenials": (),
-    "rossec.watchRenewals": (0,), "rossec.settleRenewals": ([],),
-}  # fmt: skip
+    "rossec.renewGrants": ([],),
+    "rossec.renewIdentity": (b"",),
+    "rossec.updateDelegation": (b"",),
+    "rossec.updateRevocations": (b"",),
+    "rossec.updateRevocationTree": (b"", b""),
+    "rossec.domains": (b"",),
+    "rossec.updateDomains": (b"",),
+    "rossec.foreignRevocations": (HOSPITAL, b""),
+    "rossec.foreignRevocationProofs": (HOSPITAL, []),
+    "rossec.depositGrants": ([],),
+    "rossec.deliveryStates": ([],),
+    "rossec.revocationStanding": (),
+    "rossec.recentDenials": (),
+    "rossec.watchRenewals": (0,),
+    "rossec.settleRenewals": ([],),
+}
 """What only nodes of the own domain, or its authority's, may call."""
 
 
@@ -57,9 +65,7 @@ async def test_a_foreigner_with_the_name_of_one_of_ours(world: VisitWorld, name:
         assert answer[0] == -1
         assert "only" in answer[1]
         assert "own" in answer[1]
-    assert await ask(visitor.client, member, "getSystemState") == [
-        1, "current system state", [[], [], []]
-    ]  # fmt: skip
+    assert await ask(visitor.client, member, "getSystemState") == [1, "current system state", [[], [], []]]
     await visitor.ask("registerPublisher", "/visit", T, visitor.uri)
     await visitor.ask("unregisterPublisher", "/pose", own.uri)
     registry = world.server.state.registry

@@ -6,15 +6,15 @@ from typing import Any, Final
 import pytest
 
 from ca.errors import CAError, NotAdmitted, RevocationsStale, Revoked
-from ca.revocation.state import MAX_AGE, Timestamp, digest, open_list, sign_timestamp
+from ca.revocation.lists import MAX_AGE, Timestamp, digest, open_list, sign_timestamp
 from grants.errors import GrantError, GrantMissing
 from grants.model import Right
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.errors import IdentityRefused, PeerRefused
 from rossec.home import NodeHome
 from rossec.net.aio import SecureStream, connect
-from rossec.net.rpc.client import RpcClient
-from rossec.ros import header
+from rossec.net.rpc.calls import RpcClient
+from rossec.ros import tcpros
 from rossec.ros.names import MASTER
 from tests.support import trust
 from tests.support.attacker import (
@@ -55,7 +55,7 @@ class Visitor:
         seq = open_list(data, by.anchor.public_key).seq
         stamp = Timestamp(seq, digest(data), by.now() - age, MAX_AGE)
         assert self.home.master is not None
-        self.home.master._effects.take_foreign(
+        self.home.master.effects.take_foreign(
             DOMAIN, data, sign_timestamp(signer.signer, stamp), signer.chain
         )
         await until(lambda: self.held == data)
@@ -84,7 +84,7 @@ class Visitor:
         links = len(self.witness.publisher.links)
         own = unlimited(self.eve, self.home.anchor.verify)
         stream = await connect(HOST, self.witness.topic_port, own)
-        await stream.send(header.encode(fields_for(EVE, TOPIC, [grant])))
+        await stream.send(tcpros.encode(fields_for(EVE, TOPIC, [grant])))
         await until(lambda: len(self.witness.publisher.links) == links + 1)
         return stream
 
@@ -129,18 +129,14 @@ async def test_a_foreigner_without_trust_is_refused_in_the_handshake(
             await visit.list(trust.remove(visit.home, DOMAIN))
         case _:
             trust.remove(visit.home, DOMAIN)
-            await visit.list(
-                trust.accept(visit.home, visit.hospital, "other", admitted=("/rounds/*",))
-            )
+            await visit.list(trust.accept(visit.home, visit.hospital, "other", admitted=("/rounds/*",)))
     with pytest.raises(PeerRefused):
         await visit.ask(grant, eve=eve)
     refused(caplog, CAError)
 
 
 @pytest.mark.attack("foreign-node")
-async def test_the_trust_that_ended_admits_nobody(
-    visit: Visitor, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_the_trust_that_ended_admits_nobody(visit: Visitor, caplog: pytest.LogCaptureFixture) -> None:
     grant = visit.shared()
     trust.remove(visit.home, DOMAIN)
     await visit.list(trust.accept(visit.home, visit.hospital, "other", lifetime=1))
@@ -194,30 +190,25 @@ async def test_old_lists_of_the_hospital_are_played_back(visit: Visitor) -> None
     stamp = sign_timestamp(signer.signer, Timestamp(1, digest(old), visit.home.now(), MAX_AGE))
     robot, master = visit.witness.robot, visit.home.identity(MASTER)
     with pytest.raises(CAError):
-        robot.push_arrived(
-            "rossec.foreignRevocationUpdate", (DOMAIN, old, stamp, list(signer.chain)), master
-        )
+        robot.push_arrived("rossec.foreignRevocationUpdate", (DOMAIN, old, stamp, list(signer.chain)), master)
     said = await visit.ask(visit.shared())
     assert "is revoked" in said.error
 
 
 @pytest.mark.attack("foreign-node")
-async def test_a_list_confirmed_under_another_root_counts_for_nothing(
-    visit: Visitor, tmp_path: Path
-) -> None:
+async def test_a_list_confirmed_under_another_root_counts_for_nothing(visit: Visitor, tmp_path: Path) -> None:
     forger = Site(tmp_path / "forger", DOMAIN)
     robot, master = visit.witness.robot, visit.home.identity(MASTER)
     data = forger.revoke(visit.hospital.identity(EVE).thumbprint)
     theirs = visit.hospital.revoke(bytes(32))
     for signer, site, said in (
-        (forger.enroll(MASTER), forger, data), (forger.enroll(MASTER), forger, theirs),
+        (forger.enroll(MASTER), forger, data),
+        (forger.enroll(MASTER), forger, theirs),
         (visit.home.enroll(MASTER), visit.home, theirs),
         (visit.hospital.enroll("/rounds"), visit.hospital, theirs),
-    ):  # fmt: skip
+    ):
         own: NodeHome = signer
-        stamp = sign_timestamp(
-            own.credentials().signer, Timestamp(2, digest(said), site.now(), MAX_AGE)
-        )
+        stamp = sign_timestamp(own.credentials().signer, Timestamp(2, digest(said), site.now(), MAX_AGE))
         word = (DOMAIN, said, stamp, list(own.credentials().chain))
         with pytest.raises(CAError):
             robot.push_arrived("rossec.foreignRevocationUpdate", word, master)
@@ -231,9 +222,12 @@ async def test_a_grant_that_the_hospital_signed_opens_nothing_of_the_home(
     visit: Visitor, domain: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     grant = signed(
-        visit.hospital, pattern="/**", right=Right.SUBSCRIBE,
-        domain=domain, holder=visit.hospital.identity(EVE).thumbprint,
-    )  # fmt: skip
+        visit.hospital,
+        pattern="/**",
+        right=Right.SUBSCRIBE,
+        domain=domain,
+        holder=visit.hospital.identity(EVE).thumbprint,
+    )
     said = await visit.ask(grant)
     assert said.error
     refused(caplog, GrantError)
@@ -307,9 +301,7 @@ async def test_what_stands_is_cut_within_a_second(visit: Visitor, by: str) -> No
 
 
 @pytest.mark.attack("foreign-node")
-async def test_a_forged_or_old_list_of_domains_admits_nobody(
-    visit: Visitor, tmp_path: Path
-) -> None:
+async def test_a_forged_or_old_list_of_domains_admits_nobody(visit: Visitor, tmp_path: Path) -> None:
     """Pushed by the own master, whose key was stolen: it signs no list."""
     robot, master = visit.witness.robot, visit.home.identity(MASTER)
     old = robot._membership._identity.anchors.data

@@ -12,20 +12,10 @@ import pytest
 from grants.filters import layout
 from grants.model import Restriction, Right
 from rossec.node import Node
-from rossec.node.raw_publisher import RawPublisher
-from rossec.node.raw_subscriber import RawSource
+from rossec.node.publisher import RawPublisher
+from rossec.node.subscriber import RawSource
 from rossec.participant.definitions import Definition
-from tests.attacks.test_layouts import (
-    CALM,
-    CLAMP,
-    CLAMPED,
-    FAST,
-    SLOWED,
-    TRUE,
-    TWIST,
-    forged,
-    mallory,
-)
+from tests.attacks.test_layouts import CALM, CLAMP, CLAMPED, FAST, SLOWED, TRUE, TWIST, forged, mallory
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -63,9 +53,7 @@ async def site(tmp_path: Path) -> AsyncIterator[Site]:
         yield site
 
 
-async def test_what_a_publisher_may_send_is_judged_by_the_definition_of_this_host(
-    site: Site,
-) -> None:
+async def test_what_a_publisher_may_send_is_judged_by_the_definition_of_this_host(site: Site) -> None:
     box = Box()
     async with site.node("/box") as node, mallory(site, CLAMPED) as publisher:
         await node.topics.subscribe_raw(CLAMPED, box)
@@ -83,9 +71,7 @@ async def forwarding(node: Node, definition: str) -> RawPublisher:
     return made
 
 
-async def test_a_restricted_reader_gets_nothing_by_a_definition_that_is_not_its_own(
-    site: Site,
-) -> None:
+async def test_a_restricted_reader_gets_nothing_by_a_definition_that_is_not_its_own(site: Site) -> None:
     """Who has no restriction gets the bytes as they are."""
     async with site.node("/forwarder") as forwarder, site.node("/robot") as robot:
         publisher = await forwarding(forwarder, forged(CLAMPED))

@@ -78,9 +78,7 @@ FILTERED = {"searchParam", "getParamNames"}
 
 @pytest.mark.attack("frozen-master")
 @pytest.mark.parametrize("held", [None, "/robot/n3/p7"])
-async def test_a_node_with_few_rights_does_not_block_the_master(
-    full: Site, held: str | None
-) -> None:
+async def test_a_node_with_few_rights_does_not_block_the_master(full: Site, held: str | None) -> None:
     async with (
         caller(full, EVE, {held: LITTLE} if held else {}) as eve,
         caller(full, "/other", {"/other/**": LITTLE}) as other,
@@ -140,9 +138,7 @@ async def test_an_answer_over_the_limit_is_not_serialized(full: Site) -> None:
 
 @pytest.mark.attack("frozen-master")
 @pytest.mark.parametrize("pattern", ["/eve/**/x", "/eve/*/x"])
-async def test_a_node_with_a_parameter_tree_does_not_block_the_master(
-    site: Site, pattern: str
-) -> None:
+async def test_a_node_with_a_parameter_tree_does_not_block_the_master(site: Site, pattern: str) -> None:
     """Deep, or queried with many patterns: every leaf is covered, in many turns."""
     beside = {f"/eve/*/x{number}": LITTLE for number in range(50)}
     deep: object = {"x": 1}

@@ -20,11 +20,12 @@ from rossec.channel.opening import WireProtocol, first_bytes
 from rossec.channel.records import Frame
 from rossec.cli.policy import simulate
 from rossec.errors import ChannelError, ConfigurationError, LimitExceeded
-from rossec.net.aio import SecureContext, SecureServer, SecureStream, connect, driver, serve
-from rossec.net.bounds import ACCEPTED, BATCH_LIMIT, DIALLED
-from rossec.net.rpc.client import serve_calls
-from rossec.participant.dialer import Dialer
-from rossec.ros.header import MESSAGE_LIMIT
+from rossec.net.aio import SecureContext, SecureServer, SecureStream, connect, serve
+from rossec.net.aio import stream as secure_stream
+from rossec.net.limits import ACCEPTED, BATCH_LIMIT, DIALLED
+from rossec.net.rpc.calls import serve_calls
+from rossec.participant.connections import Dialer
+from rossec.ros.tcpros import MESSAGE_LIMIT
 from tests.rossec.participant.test_dialer import Talker
 from tests.support.contexts import context
 from tests.support.secure_sockets import background, dial, make_listener
@@ -61,9 +62,7 @@ def large_ones() -> list[int]:
 
 
 @asynccontextmanager
-async def strangers(
-    server: SecureServer[FakeIdentity], announced: int
-) -> AsyncIterator[list[socket.socket]]:
+async def strangers(server: SecureServer[FakeIdentity], announced: int) -> AsyncIterator[list[socket.socket]]:
     """Callers that send an opening, the header of a frame, and nothing more: 82 octets."""
     head = first_bytes(WireProtocol.HTTP) + (Frame.HANDSHAKE << 28 | announced).to_bytes(4)
     assert len(head) == 82
@@ -85,8 +84,9 @@ async def test_82_octets_of_a_stranger_hold_no_more_than_they_need() -> None:
         tracemalloc.start()
         try:
             async with strangers(server, 2240):
-                await until(lambda: sum(len(each.connection._buffer) for each in server._streams)
-                            == 4 * CALLERS)  # fmt: skip
+                await until(
+                    lambda: sum(len(each.connection._buffer) for each in server._streams) == 4 * CALLERS
+                )
                 found = tracemalloc.take_snapshot()
                 assert server.connections == CALLERS
         finally:
@@ -178,9 +178,7 @@ def test_an_endless_unit_is_dropped_at_its_limit_in_programs_with_threads() -> N
 
 
 @pytest.mark.attack("endless-unit-kept")
-async def test_a_subscriber_keeps_nothing_of_a_granted_publisher_of_endless_units(
-    site: Site,
-) -> None:
+async def test_a_subscriber_keeps_nothing_of_a_granted_publisher_of_endless_units(site: Site) -> None:
     site.publish(EVE, TOPIC)
     site.subscribe(ROBOT, TOPIC)
     async with site.node(EVE) as eve, site.node(ROBOT) as robot:
@@ -247,7 +245,7 @@ async def test_a_publisher_that_keeps_its_connection_open_is_subscribed_to(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The wait for its end took all of the time that a subscriber has for the handshake."""
-    monkeypatch.setattr(driver, "LINGER", 60.0)
+    monkeypatch.setattr(secure_stream, "LINGER", 60.0)
     site = Site(tmp_path / "site")
     talker = OpenEnded(site, EVE)
     own = SecureContext(site.enroll(ROBOT).credentials(), site.anchor.verify)

@@ -33,8 +33,12 @@ def rossec(home: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         (sys.executable, "-m", "rossec", *words),
         env={**os.environ, "ROSSEC_HOME": str(home), "ROS_IP": "127.0.0.1"},
-        capture_output=True, text=True, check=False, timeout=300, stdin=subprocess.DEVNULL,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+        stdin=subprocess.DEVNULL,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -125,10 +129,8 @@ ROBOT = ("nodes", "robot")
         (given("ca"), "the authority", "ca belongs to nobody"),
         (given("ca", "ca.db"), "the authority", "ca.db belongs to nobody"),
     ],
-)  # fmt: skip
-def test_a_part_of_the_home_that_others_can_write(
-    home: Path, change: Change, words: str, said: str
-) -> None:
+)
+def test_a_part_of_the_home_that_others_can_write(home: Path, change: Change, words: str, said: str) -> None:
     path = home / "nodes" / "robot" / "grants"
     (path / f"{'00' * 16}.grant").write_bytes(b"something")
     change(home)
@@ -161,9 +163,13 @@ def test_a_configuration_that_others_can_write(home: Path, mode: int) -> None:
         "except Exception as error: raise SystemExit(str(error))"
     )
     done = subprocess.run(
-        (sys.executable, "-c", program), env={**os.environ, "ROSSEC_HOME": str(home)},
-        capture_output=True, text=True, check=False, timeout=300,
-    )  # fmt: skip
+        (sys.executable, "-c", program),
+        env={**os.environ, "ROSSEC_HOME": str(home)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
     refused(done, f"rossec.toml {said}")
 
 

@@ -9,8 +9,8 @@ from aiocoap.numbers import codes
 
 from ca.encoding import encode
 from grants.model import Right
-from rossec.border.master_visits import MasterVisits
-from rossec.border.quotas import MAX_BODY, MESSAGE_BURST
+from rossec.border.constrained_node import MasterVisits
+from rossec.border.conversations import MAX_BODY, MESSAGE_BURST
 from rossec.errors import DatagramRefused
 from tests.support.border import LAMP, BorderSite
 from tests.support.constrained import Value
@@ -116,16 +116,13 @@ async def test_a_state_of_too_many_blocks_is_given_up(border: BorderSite) -> Non
     "links",
     [
         b",".join(
-            b'</t%d>;rt="ros.pub";if="std_msgs/Float32";title="~t%d"' % (each, each)
-            for each in range(65)
+            b'</t%d>;rt="ros.pub";if="std_msgs/Float32";title="~t%d"' % (each, each) for each in range(65)
         ),
         b"<" * 7000,
         b"x" * 9000,
         b'</t>;rt="ros.pub";if="std_msgs/Float32";title="~a/../b"',
         b'</t>;rt="ros.pub";if="../../etc/passwd";title="~a"',
-        b",".join(
-            b'</%s>;rt="ros.pub";if="std_msgs/Float32";title="~a"' % each for each in (b"t", b"u")
-        ),
+        b",".join(b'</%s>;rt="ros.pub";if="std_msgs/Float32";title="~a"' % each for each in (b"t", b"u")),
     ],
 )
 async def test_lists_of_resources_that_are_too_much_or_malformed(
@@ -163,9 +160,7 @@ async def test_the_name_of_another_needs_a_grant_of_it(border: BorderSite) -> No
 
 
 @pytest.mark.attack("thing-names")
-async def test_a_thing_that_was_renamed_is_not_served_under_its_old_name(
-    border: BorderSite,
-) -> None:
+async def test_a_thing_that_was_renamed_is_not_served_under_its_old_name(border: BorderSite) -> None:
     async with raw(border) as eve:
         assert await eve.register()
         await until(lambda: EVE in border.router.bridges)
@@ -186,9 +181,7 @@ async def test_a_revoked_thing_is_cut_and_does_not_return(border: BorderSite, wh
         assert await eve.register()
         await until(lambda: seen.links)
         statement = border.roster_statement(EVE)
-        await border.revoke(
-            statement.id if what == "statement" else statement.credential.thumbprint
-        )
+        await border.revoke(statement.id if what == "statement" else statement.credential.thumbprint)
         assert EVE not in border.router.bridges
         await until(lambda: not seen.links)
         received = seen.received
@@ -201,9 +194,7 @@ async def test_a_revoked_thing_is_cut_and_does_not_return(border: BorderSite, wh
 
 
 @pytest.mark.attack("revoked-thing")
-async def test_a_statement_that_expired_or_was_forgotten_ends_the_thing(
-    border: BorderSite,
-) -> None:
+async def test_a_statement_that_expired_or_was_forgotten_ends_the_thing(border: BorderSite) -> None:
     async with raw(border) as eve, raw(border, LAMP, b"\x2c") as lamp:
         assert await eve.register()
         assert await lamp.register()
@@ -219,9 +210,7 @@ async def test_a_view_of_a_thing_is_what_the_grant_says(border: BorderSite) -> N
     """The doctor reads every value, the heating what is rounded: filtered at the border router."""
     from grants.model import Restriction, filter_rules
 
-    rounded = Restriction(
-        type="std_msgs/Float32", filters=filter_rules({"data": {"round": {"step": 5.0}}})
-    )
+    rounded = Restriction(type="std_msgs/Float32", filters=filter_rules({"data": {"round": {"step": 5.0}}}))
     topic = f"{EVE}/temperature"
     border.site.subscribe("/doctor", topic)
     border.site.subscribe("/heating", topic, rounded)
@@ -270,8 +259,7 @@ async def test_a_thing_that_is_revoked_while_it_is_offered_registers_nothing(
 
     monkeypatch.setattr(MasterVisits, "call", slow)
     links = b",".join(
-        b'</t%d>;rt="ros.pub";if="std_msgs/Float32";title="~t%d";ct=60' % (each, each)
-        for each in range(14)
+        b'</t%d>;rt="ros.pub";if="std_msgs/Float32";title="~t%d";ct=60' % (each, each) for each in range(14)
     )
     async with raw(border, links=links) as eve:
         assert await eve.register()

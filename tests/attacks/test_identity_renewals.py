@@ -7,14 +7,14 @@ from typing import Any
 
 import pytest
 
-from ca.certificates import build_request
+from ca.certificates import sign_renewal
 from ca.errors import RenewalRefused, Revoked, StoreError
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.renewal import sign_renewal
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 from rossec.authority.renewals import renew_by_name, renew_recorded
 from rossec.home import NodeHome
-from rossec.master.rights.identity_renewals import IdentityRenewals, Settlement
+from rossec.master.rights.renewals import IdentityRenewals, Settlement
 from rossec.ros.names import RENEW_IDENTITY, SETTLE_RENEWALS, WATCH_RENEWALS
 from tests.support.attacker import EVE, call, credentials
 from tests.support.site import DAY, Site

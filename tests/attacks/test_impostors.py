@@ -15,10 +15,10 @@ from rossec.channel.edhoc.credentials import Credentials
 from rossec.demo.intruder import UnverifiedPeer, accept_any
 from rossec.errors import CallerMismatch, ConnectionHeaderRefused, ForeignIdentity
 from rossec.net.aio import SecureStream, WireProtocol, serve
-from rossec.net.rpc.client import serve_calls
+from rossec.net.rpc.calls import serve_calls
 from rossec.node import message_type
 from rossec.participant.access import FIELD
-from rossec.ros import header
+from rossec.ros import tcpros
 from rossec.ros.names import MASTER
 from tests.support.attacker import EVE, HOST, call, credentials, flip, signed
 from tests.support.contexts import unlimited
@@ -46,11 +46,11 @@ def answer(grants: list[bytes], **changes: str) -> dict[str, str | bytes]:
 async def impostor(own: Credentials, fields: dict[str, str | bytes]) -> AsyncIterator[str]:
     """A node that sends each caller `fields` and a message at once; its API URI."""
     kind = message_type(POSE)
-    lie = header.frame(bytes(kind.serialize(kind.create())))
+    lie = tcpros.frame(bytes(kind.serialize(kind.create())))
 
     async def topic(stream: SecureStream[UnverifiedPeer]) -> None:
         await stream.receive()
-        await stream.send(header.encode(fields), lie)
+        await stream.send(tcpros.encode(fields), lie)
         await stream.wait_ended()
 
     async def where(method: str, params: tuple[object, ...], peer: UnverifiedPeer) -> object:
@@ -69,9 +69,7 @@ async def impostor(own: Credentials, fields: dict[str, str | bytes]) -> AsyncIte
 async def led(site: Site, witness: Witness, uri: str) -> HintedError:
     """Let the master name `uri` besides the true publisher; returns why the viewer refuses it."""
     both = [witness.robot.uri, uri]
-    told = await call(
-        witness.viewer.uri, credentials(site, MASTER), "publisherUpdate", MASTER, TOPIC, both
-    )
+    told = await call(witness.viewer.uri, credentials(site, MASTER), "publisherUpdate", MASTER, TOPIC, both)
     assert told == [1, "", 0]
     refusals = witness.subscriber.refusals
     await until(lambda: len(refusals) > 0)
@@ -82,11 +80,7 @@ async def led(site: Site, witness: Witness, uri: str) -> HintedError:
 CASES: Final[list[tuple[str, Make, type[HintedError]]]] = [
     ("may subscribe", signed, GrantMissing),
     ("another topic", lambda s: signed(s, right=PUBLISH, pattern="/robot/scan"), GrantMissing),
-    (
-        "another key",
-        lambda s: signed(s, right=PUBLISH, holder=s.identity("/robot").thumbprint),
-        GrantNotHeld,
-    ),
+    ("another key", lambda s: signed(s, right=PUBLISH, holder=s.identity("/robot").thumbprint), GrantNotHeld),
     (
         "expired",
         lambda s: signed(s, right=PUBLISH, not_before=1, expires=int(time.time()), cap=1 << 31),
@@ -117,9 +111,7 @@ async def test_a_publisher_without_grants_is_refused(site: Site, witness: Witnes
 
 
 @pytest.mark.attack("false-publisher")
-async def test_a_publisher_with_the_name_of_another_is_refused(
-    site: Site, witness: Witness
-) -> None:
+async def test_a_publisher_with_the_name_of_another_is_refused(site: Site, witness: Witness) -> None:
     fields = answer(site.enroll("/robot").grants(), callerid="/robot")
     async with impostor(credentials(site), fields) as uri:
         assert type(await led(site, witness, uri)) is CallerMismatch

@@ -8,17 +8,16 @@ from typing import Final
 import pytest
 
 from ca.authority import Authority
-from ca.certificates import from_pem
+from ca.certificates import build_intermediate_request, from_pem
 from ca.errors import Revoked
-from ca.intermediates import build_intermediate_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
 from grants.model import Restriction, Right
 from rossec.authority.renewals import sign_intermediate
 from rossec.authority.signing import SigningAuthority
 from rossec.errors import ChannelError
-from rossec.master.api.revoked_calls import MAX_BELOW_INTERMEDIATE, MAX_CALLS, MAX_CONNECTIONS
-from rossec.net.rpc.client import CallFailed, RpcClient
+from rossec.master.api.dispatch import MAX_BELOW_INTERMEDIATE, MAX_CALLS, MAX_CONNECTIONS
+from rossec.net.rpc.calls import CallFailed, RpcClient
 from rossec.participant.authorized import STALE_GRACE
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, wait_closed
@@ -189,9 +188,7 @@ rospy.spin()
 
 @pytest.mark.ros
 @pytest.mark.attack("revoked-intermediate")
-async def test_a_connection_of_two_rospy_programs_below_it_is_closed(
-    site: Site, tmp_path: Path
-) -> None:
+async def test_a_connection_of_two_rospy_programs_below_it_is_closed(site: Site, tmp_path: Path) -> None:
     site.publish("/talker", "/words")
     site.subscribe("/hearer", "/words")
     intermediate = below(site, "/talker", "/hearer")
@@ -227,9 +224,7 @@ async def test_a_revoked_identity_gets_the_list_and_nothing_else(site: Site) -> 
 
 
 @pytest.mark.attack("revoked-intermediate")
-async def test_a_revoked_intermediate_cannot_exhaust_the_master_with_names(
-    site: Site,
-) -> None:
+async def test_a_revoked_intermediate_cannot_exhaust_the_master_with_names(site: Site) -> None:
     """Each has a limit of its own; without one for the intermediate they use every descriptor."""
     assert site.master is not None
     names = [f"/eve_{number}" for number in range(MAX_BELOW_INTERMEDIATE + 8)]

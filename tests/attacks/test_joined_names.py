@@ -9,17 +9,16 @@ from pathlib import Path
 import pytest
 
 from ca.authority import Authority
-from ca.certificates import from_pem
-from ca.enrollment.join_messages import Waiting, WaitReason
-from ca.intermediates import build_intermediate_request
+from ca.certificates import build_intermediate_request, from_pem
+from ca.enrollment.join import WaitingMessage, WaitReason
 from ca.store.record import Store
-from rossec.authority import joining
+from rossec.authority import invitations
 from rossec.authority.renewals import sign_intermediate
 from rossec.authority.signing import SigningAuthority
 from tests.support.joining import JoinSite, asked, issued
 from tests.support.pki import NOW, new_signer
 
-PERSON = Waiting(WaitReason.PERSON)
+PERSON = WaitingMessage(WaitReason.PERSON)
 
 
 @pytest.fixture
@@ -49,11 +48,11 @@ def test_an_invitation_of_an_intermediate_for_a_name_of_the_root(home: JoinSite,
     host, mine = below(home), new_signer()
     code = host.invite(uses=2)
     csr = asked(name, mine)
-    assert joining.join(host.authority, host.request(code, csr), NOW) == PERSON
+    assert invitations.join(host.authority, host.request(code, csr), NOW) == PERSON
     assert host.store.identities.by_name(name) == []
     assert host.store.invitations.uses(code.id) == []
     host.authority.issue(csr, NOW)  # the person: nobody else has it
-    assert issued(joining.join(host.authority, host.request(code, csr), NOW))
+    assert issued(invitations.join(host.authority, host.request(code, csr), NOW))
     host.store.log.audit(host.authority.signer.public_key)
 
 

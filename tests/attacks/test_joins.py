@@ -13,28 +13,28 @@ from pathlib import Path
 
 import pytest
 
-from ca.enrollment.join_authority import LiveIdentity
-from ca.enrollment.join_messages import (
+from ca.enrollment.invitation import JoinRequest
+from ca.enrollment.join import (
     Issued,
     Join,
     JoinAnswer,
     JoinMessage,
-    Refused,
+    LiveIdentity,
+    NodeJoin,
+    RefusedMessage,
     RefuseReason,
-    Waiting,
+    WaitingMessage,
     WaitReason,
     read,
     write,
 )
-from ca.enrollment.join_node import NodeJoin
-from ca.enrollment.join_request import JoinRequest
 from ca.enrollment.messages import frame, length
 from ca.errors import JoinRefused, NotTheAuthority, OfferRefused
 from ca.store.record import Store
-from rossec.authority import joining
+from rossec.authority import invitations
 from rossec.authority.signing import SigningAuthority
-from rossec.enrollment import join_node, wire
-from rossec.enrollment.join_server import JoinServer
+from rossec.enrollment import join, sessions
+from rossec.enrollment.join import JoinServer
 from tests.support.joining import HOUR, JoinSite, asked, fresh, issued, refusal
 from tests.support.pki import NOW, new_signer
 
@@ -76,23 +76,21 @@ async def between(home: JoinSite, change: Change) -> AsyncIterator[list[bytes]]:
 
 
 @pytest.mark.attack("join-code")
-async def test_the_network_does_not_see_the_secret_and_cannot_use_what_it_sees(
-    home: JoinSite,
-) -> None:
+async def test_the_network_does_not_see_the_secret_and_cannot_use_what_it_sees(home: JoinSite) -> None:
     csr, mine = asked("/fleet/a"), asked("/fleet/mallory")
     async with between(home, lambda message: message) as seen:
         code = home.invite(uses=2)
-        await join_node.join(code, lambda _: csr, clock)
+        await join.join(code, lambda _: csr, clock)
     assert not any(code.secret in data for data in seen)
     [sent] = [found for found in map(read, seen) if isinstance(found, Join)]
     async with home.serving() as server:
         core = NodeJoin(code, fresh())  # its hello needs the id only, which she has seen
         for change in (sent, replace(sent, csr=mine), replace(sent, name="/fleet/mallory")):
             reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
-            wire.send(writer, core.hello())
-            await wire.receive(reader)
-            wire.send(writer, write(change))
-            assert read(await wire.receive(reader)) == Refused(REFUSED)
+            sessions.send(writer, core.hello())
+            await sessions.receive(reader)
+            sessions.send(writer, write(change))
+            assert read(await sessions.receive(reader)) == RefusedMessage(REFUSED)
             writer.close()
     assert len(home.store.invitations.uses(code.id)) == 1
 
@@ -103,7 +101,7 @@ def test_secrets_are_guessed(home: JoinSite) -> None:
     for _ in range(50):
         guess = replace(code, secret=secrets.token_bytes(16))
         request = replace(home.request(guess, asked("/fleet/a")), invitation=code.id)
-        assert refusal(joining.join(home.authority, request, NOW)) is REFUSED
+        assert refusal(invitations.join(home.authority, request, NOW)) is REFUSED
     issued(home.join(code))  # guesses do not end it for its owner
 
 
@@ -121,14 +119,12 @@ def test_a_stolen_code_after_its_time_its_uses_or_its_end(home: JoinSite) -> Non
 
 @pytest.mark.attack("join-code")
 @pytest.mark.parametrize("fails", [True, False])
-async def test_an_expiry_or_pattern_changed_in_the_code_changes_nothing(
-    home: JoinSite, fails: bool
-) -> None:
+async def test_an_expiry_or_pattern_changed_in_the_code_changes_nothing(home: JoinSite, fails: bool) -> None:
     """They are the authority's to decide: the code only repeats them."""
     code = replace(home.invite(lasts=60), pattern="/**", expires=NOW + 10 * HOUR)
     now = NOW + 61 if fails else NOW
     request = home.request(code, asked("/fleet/a" if fails else "/other/a"))
-    answer = joining.join(home.authority, request, now)
+    answer = invitations.join(home.authority, request, now)
     assert refusal(answer) is (ENDED if fails else RefuseReason.NAME)
 
 
@@ -144,7 +140,7 @@ def test_the_last_use_is_taken_once_by_many_at_once(home: JoinSite) -> None:
         with closing(Store.open(home.site.root / "ca.db")) as store:
             authority = SigningAuthority(home.authority.authority, store, home.site.root)
             start.wait()
-            answers.append(joining.join(authority, request, NOW))
+            answers.append(invitations.join(authority, request, NOW))
 
     threads = [threading.Thread(target=ask, args=(request,)) for request in requests]
     for thread in threads:
@@ -152,28 +148,26 @@ def test_the_last_use_is_taken_once_by_many_at_once(home: JoinSite) -> None:
     for thread in threads:
         thread.join()
     assert sum(isinstance(answer, Issued) for answer in answers) == 2
-    assert sum(answer == Refused(ENDED) for answer in answers) == 6
+    assert sum(answer == RefusedMessage(ENDED) for answer in answers) == 6
     assert len(home.store.invitations.uses(code.id)) == 2
     home.store.log.audit(home.site.anchor.public_key)
 
 
 @pytest.mark.attack("join-impostor")
 @pytest.mark.parametrize("name", ["/robot", "/master", "/fleet/ca", "/ca_1"])
-async def test_an_enrolled_node_that_plays_the_authority_gets_nothing(
-    home: JoinSite, name: str
-) -> None:
+async def test_an_enrolled_node_that_plays_the_authority_gets_nothing(home: JoinSite, name: str) -> None:
     """It has a chain to the root that the code names: a hash of the root alone would pass it."""
     own = home.site.enroll(name).credentials()
     harvested: list[JoinRequest] = []
 
     async def harvest(request: JoinRequest) -> JoinAnswer:
         harvested.append(request)
-        return Waiting(WaitReason.LOCKED)
+        return WaitingMessage(WaitReason.LOCKED)
 
     fake = JoinServer(lambda: LiveIdentity(own.signer, own.chain, home.root), harvest)
     async with home.serving(fake):
         with pytest.raises(NotTheAuthority, match="a node of this site"):
-            await join_node.join(home.invite(), lambda _: asked("/fleet/a"), clock)
+            await join.join(home.invite(), lambda _: asked("/fleet/a"), clock)
     assert harvested == []
 
 
@@ -183,27 +177,25 @@ async def test_a_copied_certificate_and_a_recorded_welcome_are_not_live(home: Jo
     fake = JoinServer(lambda: replace(true, signer=new_signer()), home.admit)
     async with home.serving(fake):
         with pytest.raises(NotTheAuthority, match="does not have the key"):
-            await join_node.join(home.invite(), lambda _: asked("/fleet/a"), clock)
+            await join.join(home.invite(), lambda _: asked("/fleet/a"), clock)
     async with between(home, lambda message: message) as seen:
         code = home.invite(uses=2)
-        await join_node.join(code, lambda _: asked("/fleet/a"), clock)
+        await join.join(code, lambda _: asked("/fleet/a"), clock)
 
     async def replay(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        await wire.receive(reader)
-        wire.send(writer, seen[1])
+        await sessions.receive(reader)
+        sessions.send(writer, seen[1])
         writer.close()
 
     server = await asyncio.start_server(replay, "127.0.0.1", 0)
     async with server:
         where = f"127.0.0.1:{server.sockets[0].getsockname()[1]}"
         with pytest.raises(NotTheAuthority, match="does not have the key"):
-            await join_node.join(replace(code, address=where), lambda _: asked("/fleet/a"), clock)
+            await join.join(replace(code, address=where), lambda _: asked("/fleet/a"), clock)
 
 
 @pytest.mark.attack("join-impostor")
-async def test_an_answer_that_is_not_the_authoritys_is_not_taken(
-    home: JoinSite, tmp_path: Path
-) -> None:
+async def test_an_answer_that_is_not_the_authoritys_is_not_taken(home: JoinSite, tmp_path: Path) -> None:
     """Another authority's identity for the node's own request, or another node's."""
     mallory, csr = JoinSite(tmp_path / "mallory"), asked("/fleet/a")
     other = home.site.enroll("/fleet/b").credentials().chain
@@ -215,7 +207,7 @@ async def test_an_answer_that_is_not_the_authoritys_is_not_taken(
 
         async with between(home, swap):
             with pytest.raises(OfferRefused):
-                await join_node.join(home.invite(), lambda _: csr, clock)
+                await join.join(home.invite(), lambda _: csr, clock)
 
 
 @pytest.mark.attack("join-impostor")
@@ -225,7 +217,7 @@ async def test_a_request_swapped_on_its_way(home: JoinSite) -> None:
 
     async with between(home, swap):
         with pytest.raises(JoinRefused):
-            await join_node.join(home.invite(), lambda _: asked("/fleet/a"), clock)
+            await join.join(home.invite(), lambda _: asked("/fleet/a"), clock)
     assert home.store.identities.by_name("/fleet/a") == []
 
 
@@ -237,7 +229,7 @@ def test_names_that_an_invitation_does_not_give(home: JoinSite) -> None:
     for name in ("/ca", "/master", "/master/kitchen"):
         assert refusal(home.join(wide, name)) is RefuseReason.NAME
     request = home.request(replace(code, wildcard=True), asked("/fleet/a", wildcard=True))
-    assert refusal(joining.join(home.authority, request, NOW)) is RefuseReason.REQUEST
+    assert refusal(invitations.join(home.authority, request, NOW)) is RefuseReason.REQUEST
     assert home.store.invitations.uses(code.id) == home.store.invitations.uses(wide.id) == []
 
 
@@ -249,7 +241,7 @@ def test_the_name_of_a_node_is_not_taken_over(home: JoinSite, revoked: bool) -> 
     issued(home.join(code, "/fleet/a"))
     if revoked:
         home.authority.revoke_identity("/fleet/a", "stolen", NOW)
-    assert home.join(code, "/fleet/a") == Waiting(WaitReason.PERSON)
+    assert home.join(code, "/fleet/a") == WaitingMessage(WaitReason.PERSON)
     assert len(home.store.identities.by_name("/fleet/a")) == 1
 
 
@@ -257,9 +249,9 @@ def test_the_name_of_a_node_is_not_taken_over(home: JoinSite, revoked: bool) -> 
 def test_what_waits_for_a_person_is_bounded_for_a_code(home: JoinSite) -> None:
     code = home.invite(uses=100)
     issued(home.join(code, "/fleet/a"))
-    answers = [home.join(code, "/fleet/a") for _ in range(joining.MAX_WAITING + 5)]
-    assert len(home.store.requests.open()) == joining.MAX_WAITING
-    assert answers[-5:] == [Refused(RefuseReason.BUSY)] * 5
+    answers = [home.join(code, "/fleet/a") for _ in range(invitations.MAX_WAITING + 5)]
+    assert len(home.store.requests.open()) == invitations.MAX_WAITING
+    assert answers[-5:] == [RefusedMessage(RefuseReason.BUSY)] * 5
     issued(home.join(home.invite(), "/fleet/b"))
 
 
@@ -269,11 +261,11 @@ async def test_open_sessions_do_not_keep_another_host_out(home: JoinSite) -> Non
         held = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(40)]
         sock = await asyncio.open_connection("127.0.0.1", server.port, local_addr=("127.0.0.2", 0))
         core = NodeJoin(home.invite(), fresh())
-        wire.send(sock[1], core.hello())
+        sessions.send(sock[1], core.hello())
         async with asyncio.timeout(20):
-            core.receive(await wire.receive(sock[0]), NOW)
-            wire.send(sock[1], core.join(asked("/fleet/a")))
-            core.receive(await wire.receive(sock[0]), NOW)
+            core.receive(await sessions.receive(sock[0]), NOW)
+            sessions.send(sock[1], core.join(asked("/fleet/a")))
+            core.receive(await sessions.receive(sock[0]), NOW)
         assert core.identity.root == home.root
         for _, writer in (*held, sock):
             writer.close()
@@ -286,9 +278,9 @@ def test_a_stranger_reaches_no_parser(home: JoinSite, monkeypatch: pytest.Monkey
 
     code = home.invite()
     request = home.request(code, asked("/fleet/a"))
-    monkeypatch.setattr(joining, "check_request", parser)
+    monkeypatch.setattr(invitations, "check_request", parser)
     for number in range(200):
         lying = replace(request, csr=number.to_bytes(2) * 1024)
-        assert refusal(joining.join(home.authority, lying, NOW)) is REFUSED
+        assert refusal(invitations.join(home.authority, lying, NOW)) is REFUSED
     with pytest.raises(AssertionError, match="parsed"):
-        joining.join(home.authority, request, NOW)
+        invitations.join(home.authority, request, NOW)

@@ -16,9 +16,9 @@ import pytest
 from grants.filters import layout
 from grants.model import Restriction, Right, filter_rules
 from rossec.node import Publisher, message_type
-from rossec.participant.header_fields import Fields
-from rossec.participant.topic_handshake import TopicEndpoint as Topic
-from rossec.ros.header import FrameReader
+from rossec.participant.handshakes import Fields
+from rossec.participant.handshakes import TopicEndpoint as Topic
+from rossec.ros.tcpros import FrameReader
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.fleet import SECURE, entitle, environment, program
 from tests.support.sidecarprogram import subscribed
@@ -112,9 +112,7 @@ rospy.spin()
 @pytest.mark.ros
 @topics
 @pytest.mark.parametrize("reads", ["typed", "any"])
-async def test_rospy_uses_the_class_it_reads_with(
-    site: Site, tmp_path: Path, topic: str, reads: str
-) -> None:
+async def test_rospy_uses_the_class_it_reads_with(site: Site, tmp_path: Path, topic: str, reads: str) -> None:
     """A program that takes any type gets the definition the guard was built from."""
     env = environment(site, tmp_path / "logs")
     async with mallory(site, topic) as publisher, program(env, ROBOT, topic, reads) as robot:
@@ -137,11 +135,7 @@ OF_ROSBAG: Final = {"type": b"*", "md5sum": b"*"}
 async def test_a_sidecar_uses_the_definition_of_its_program_or_host(
     site: Site, topic: str, fields: Fields
 ) -> None:
-    async with (
-        sidecar(site) as near,
-        mallory(site, topic) as publisher,
-        Program("/robot", near) as robot,
-    ):
+    async with sidecar(site) as near, mallory(site, topic) as publisher, Program("/robot", near) as robot:
         stream, answer = await subscribed(robot, topic, fields)
         await publisher.wait_for_subscribers()
         for message in (FAST, CALM):

@@ -11,18 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from grants.filters.compile import preset
 from grants.filters.layout import parse
-from grants.filters.presets import preset
 from grants.model import Restriction
-from grants.vocabulary.describe import describe
-from grants.vocabulary.resolve import resolve
-from grants.vocabulary.words import DataWord
+from grants.vocabulary.contents import DataWord, describe
+from grants.vocabulary.levels import resolve
 from rossec.participant.message_types import message_type
 from tests.support.site import Site
 
-IMAGE, BATTERY, GOALS = (
-    "sensor_msgs/Image", "sensor_msgs/BatteryState", "actionlib_msgs/GoalStatusArray",
-)  # fmt: skip
+IMAGE, BATTERY, GOALS = ("sensor_msgs/Image", "sensor_msgs/BatteryState", "actionlib_msgs/GoalStatusArray")
 TOPIC = "/robot/seen"
 HIGH, WIDE = 1080, 1920
 
@@ -53,9 +50,9 @@ async def test_a_face_in_a_large_picture_is_one_square(site: Site) -> None:
     rng = np.random.default_rng(3)
     picture = rng.integers(0, 256, (HIGH, WIDE), np.uint8)
     async with seen(site, IMAGE, blurred) as (publisher, messages):
-        publisher.publish(publisher.create(
-            height=HIGH, width=WIDE, encoding="mono8", step=WIDE, data=picture.reshape(-1)
-        ))  # fmt: skip
+        publisher.publish(
+            publisher.create(height=HIGH, width=WIDE, encoding="mono8", step=WIDE, data=picture.reshape(-1))
+        )
         got = (await anext(messages)).data.reshape(HIGH, WIDE)
     borders = [np.flatnonzero((np.diff(got, axis=axis) != 0).any(1 - axis)) + 1 for axis in (0, 1)]
     for found in borders:
@@ -73,9 +70,9 @@ async def test_another_shape_for_the_same_bytes_shows_no_more(site: Site) -> Non
     async with seen(site, IMAGE, every) as (publisher, messages):
         for high in (480, 1, 2, 4800, 640 * 480):
             wide = 640 * 480 // high
-            publisher.publish(publisher.create(
-                height=high, width=wide, encoding="mono8", step=wide, data=data
-            ))  # fmt: skip
+            publisher.publish(
+                publisher.create(height=high, width=wide, encoding="mono8", step=wide, data=data)
+            )
             got = (await anext(messages)).data.reshape(high, wide)
             for axis in (0, 1):
                 changes = (np.diff(got, axis=axis) != 0).any(1 - axis)
@@ -89,10 +86,16 @@ async def test_a_battery_does_not_tell_the_dock(site: Site, level: str) -> None:
     async with seen(site, BATTERY, at_level(BATTERY, level)) as (publisher, messages):
         got = []
         for status, current in ((1, 2.5), (2, -0.5), (2, -4.0)):
-            publisher.publish(publisher.create(
-                power_supply_status=status, current=current, voltage=12 + current, percentage=0.7,
-                cell_voltage=np.array([4 + current / 9] * 3, np.float32), serial_number="7",
-            ))  # fmt: skip
+            publisher.publish(
+                publisher.create(
+                    power_supply_status=status,
+                    current=current,
+                    voltage=12 + current,
+                    percentage=0.7,
+                    cell_voltage=np.array([4 + current / 9] * 3, np.float32),
+                    serial_number="7",
+                )
+            )
             got.append(await anext(messages))
     shown = [bytes(message_type(BATTERY).serialize(each)) for each in got]
     assert len(set(shown)) == 1

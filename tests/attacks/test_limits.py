@@ -13,7 +13,7 @@ from ca.encoding import encode
 from grants.model import Restriction, Right
 from rossec.net.aio import connect
 from rossec.participant.access import FIELD
-from rossec.ros import header
+from rossec.ros import tcpros
 from tests.support.attacker import EVE, HOST
 from tests.support.contexts import unlimited
 from tests.support.limited import (
@@ -108,18 +108,19 @@ async def test_calls_over_many_connections_share_the_rate(site: Site) -> None:
     async with lamp(site, calls) as node:
         for persistent in ("0", "1") * 5:
             stream = await connect(
-                HOST,
-                node.topic_endpoint()[1],
-                unlimited(site.enroll(EVE).credentials(), site.anchor.verify),
+                HOST, node.topic_endpoint()[1], unlimited(site.enroll(EVE).credentials(), site.anchor.verify)
             )
             fields = {
-                "callerid": EVE, "service": SERVICE, "md5sum": "*", "persistent": persistent,
+                "callerid": EVE,
+                "service": SERVICE,
+                "md5sum": "*",
+                "persistent": persistent,
                 FIELD: grants,
-            }  # fmt: skip
-            await stream.send(header.encode(fields))
+            }
+            await stream.send(tcpros.encode(fields))
             async with asyncio.timeout(60):
                 assert b"request_type" in await stream.receive()
-                await stream.send(header.frame(b"\1"))
+                await stream.send(tcpros.frame(b"\1"))
                 assert await stream.receive()  # the answer, or that there is none
             stream.abort("done")
     assert calls == [True]

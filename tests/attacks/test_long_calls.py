@@ -10,11 +10,11 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.master.operation.limits import MasterLimits
-from rossec.net.rpc.client import RpcClient
+from rossec.master.operation.config import MasterLimits
+from rossec.net.rpc.calls import RpcClient
 from rossec.participant.connections import UNSHOWN_CONNECTIONS
 from rossec.ros import xmlrpc
-from rossec.ros.callclient import CallClient
+from rossec.ros.calls import CallClient
 from rossec.ros.xmlrpc import Fault
 from tests.support.attacker import EVE, HOST, credentials, dial
 from tests.support.caller import caller
@@ -83,9 +83,7 @@ async def test_others_are_answered_before_many_long_calls_are(site: Site, grante
         (first,) = await stack.enter_async_context(clients(site, site.master.uri, 1))
         await first.call("rossec.presentGrants", EVE, list(site.enroll(EVE).grants()))
         eves = await stack.enter_async_context(clients(site, site.master.uri, count, compact=False))
-        calls = [
-            asyncio.ensure_future(outcome(eve, "setParam", f"{EVE}/long", MANY)) for eve in eves
-        ]
+        calls = [asyncio.ensure_future(outcome(eve, "setParam", f"{EVE}/long", MANY)) for eve in eves]
         answered, longest = 0, 0.0
         while not all(each.done() for each in calls):
             began = time.monotonic()
@@ -112,11 +110,11 @@ async def test_short_calls_with_long_answers_delay_nobody(site: Site) -> None:
         eves = await stack.enter_async_context(clients(site, site.master.uri, COUNT - 2))
         for each in eves:
             await each.call("getPid", EVE)
-        before = site.master._effects.calls
+        before = site.master.effects.calls
         calls = [asyncio.ensure_future(each.fetch("getParam", EVE, f"{EVE}/long")) for each in eves]
         await asyncio.sleep(0)
         assert (await other("getPid"))[0] == 1
-        assert site.master._effects.calls <= before + COUNT // 3
+        assert site.master.effects.calls <= before + COUNT // 3
         answers = [xmlrpc.load_response(each) for each in await asyncio.gather(*calls)]
         assert all(xmlrpc.value_of(each) == MANY for each in answers)
 

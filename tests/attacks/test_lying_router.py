@@ -18,14 +18,14 @@ from rossec.overlay.link_frames import (
     HEAD,
     LINK_ID,
     OPEN_SIZE,
-    Kind,
+    LinkFrameKind,
     head,
     kind_of,
+    mailbox,
     read,
     return_address,
     split_return_address,
 )
-from rossec.overlay.mailboxes import mailbox
 from tests.support.contexts import context
 from tests.support.frame_carriers import MemoryCarrier
 from tests.support.overlay import until
@@ -124,7 +124,7 @@ async def test_it_changes_bytes(to_bob: bool) -> None:
         stream = await dialled(router)
         assert await echoed(stream, MESSAGE) == MESSAGE
         router.twist = lambda key, frame: [
-            changed(frame) if kind_of(frame) == Kind.DATA and (key == BOX) is to_bob else frame
+            changed(frame) if kind_of(frame) == LinkFrameKind.DATA and (key == BOX) is to_bob else frame
         ]
         with pytest.raises(ChannelError):
             await echoed(stream, b"secret")
@@ -134,17 +134,17 @@ async def test_it_changes_bytes(to_bob: bool) -> None:
         assert (bytes(bob.heard) == MESSAGE) is to_bob
 
 
-@pytest.mark.parametrize("kind", [Kind.RESET, Kind.END])
-async def test_it_ends_a_link_and_both_see_that_something_is_missing(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", [LinkFrameKind.RESET, LinkFrameKind.END])
+async def test_it_ends_a_link_and_both_see_that_something_is_missing(kind: LinkFrameKind) -> None:
     async with called() as (router, bob):
         stream = await dialled(router)
         assert await echoed(stream, MESSAGE) == MESSAGE
-        frame = read(router.sent(Kind.OPEN)[0][1])
+        frame = read(router.sent(LinkFrameKind.OPEN)[0][1])
         (answers,) = router.readers.keys() - {BOX}
         for key in (answers, BOX):
-            sent = [read(data) for where, data in router.sent(Kind.DATA) if where == key]
+            sent = [read(data) for where, data in router.sent(LinkFrameKind.DATA) if where == key]
             end = max((each.offset + len(each.body) for each in sent), default=0)
-            router.put(key, head(kind, frame.link, end if kind == Kind.END else 0, 0, 0))
+            router.put(key, head(kind, frame.link, end if kind == LinkFrameKind.END else 0, 0, 0))
         with pytest.raises(ConnectionTruncated):
             await stream.receive()
         await until(lambda: bob.ends == [ConnectionTruncated])
@@ -168,17 +168,17 @@ async def test_it_plays_a_whole_link_again() -> None:
 async def test_it_gives_the_bytes_of_one_link_to_another() -> None:
     async with called() as (router, bob):
         one, two = await dialled(router), await dialled(router)
-        links = [read(frame).link for _, frame in router.sent(Kind.OPEN)]
+        links = [read(frame).link for _, frame in router.sent(LinkFrameKind.OPEN)]
         swap = dict(zip(links, reversed(links), strict=True))
 
         def twist(key: str, frame: bytes) -> list[bytes]:
-            if key != BOX or kind_of(frame) != Kind.DATA:
+            if key != BOX or kind_of(frame) != LinkFrameKind.DATA:
                 return [frame]
             return [frame[:1] + swap[frame[1 : 1 + LINK_ID]] + frame[1 + LINK_ID :]]
 
         router.twist = twist
         await asyncio.gather(one.send(b"of one"), two.send(b"of two"))
-        await until(lambda: len(router.sent(Kind.PROBE)) > 1 or bob.ends)
+        await until(lambda: len(router.sent(LinkFrameKind.PROBE)) > 1 or bob.ends)
         assert bob.heard == b""
         for stream in (one, two):
             stream.abort("the test ends")
@@ -186,14 +186,14 @@ async def test_it_gives_the_bytes_of_one_link_to_another() -> None:
 
 def _forged_open(number: int, body: bytes) -> bytes:
     address = return_address(VICTIM, OPEN_SIZE - HEAD - len(body))
-    return head(Kind.OPEN, number.to_bytes(LINK_ID), 0, 0, 1 << 16) + address + body
+    return head(LinkFrameKind.OPEN, number.to_bytes(LINK_ID), 0, 0, 1 << 16) + address + body
 
 
 async def test_it_forges_openings_that_are_answered_to_a_victim() -> None:
     """As anybody with a seat who knows the mailbox can."""
     impatient = ChannelLimits(handshake_seconds=1)
     async with called(limits=impatient) as (router, bob), await dialled(router) as honest:
-        _, recorded = router.sent(Kind.OPEN)[0]
+        _, recorded = router.sent(LinkFrameKind.OPEN)[0]
         _, hello = split_return_address(read(recorded).body)
         forged = [_forged_open(number, bytes(hello)) for number in range(2000)]
         began = asyncio.get_running_loop().time()
@@ -216,12 +216,12 @@ async def test_it_floods_a_mailbox_with_garbage() -> None:
     dice = Random(7)
     async with called() as (router, bob):
         async with await dialled(router) as honest:
-            link = read(router.sent(Kind.OPEN)[0][1]).link
+            link = read(router.sent(LinkFrameKind.OPEN)[0][1]).link
             other = mailbox("ward", bytes(16))
             for number in range(3000):
                 router.put(BOX, dice.randbytes(dice.randrange(200)))
-                router.put(BOX, head(Kind.PROBE, number.to_bytes(16), 0, 0, 0))
-                router.put(other, head(Kind.ACK, link, 0, 0, 0))
+                router.put(BOX, head(LinkFrameKind.PROBE, number.to_bytes(16), 0, 0, 0))
+                router.put(other, head(LinkFrameKind.ACK, link, 0, 0, 0))
                 if number % 100 == 0:
                     await asyncio.sleep(0)
             assert await echoed(honest, MESSAGE) == MESSAGE

@@ -48,9 +48,7 @@ def plain(port: int, data: bytes) -> bytes:
 
 
 @pytest.mark.attack("master-recon")
-async def test_m1_a_caller_that_is_not_enrolled_learns_nothing(
-    site: Site, witness: Witness
-) -> None:
+async def test_m1_a_caller_that_is_not_enrolled_learns_nothing(site: Site, witness: Witness) -> None:
     assert site.master is not None
     intruder = credentials(Site(site.root.parent / "other", site.anchor.domain), "/viewer")
     answers = set()
@@ -76,8 +74,11 @@ async def test_m1_a_node_sees_only_what_it_is_granted(site: Site, witness: Witne
         await owner("setParam", "/secret/b", 1)
         await owner("registerService", "/secret", "rosrpc://127.0.0.1:9", owner.uri)
         assert [(await eve(method, *params))[2] for method, params in QUERIES[:4]] == [
-            [[], [], []], [], [], [],
-        ]  # fmt: skip
+            [[], [], []],
+            [],
+            [],
+            [],
+        ]
         assert await eve("lookupNode", "/robot") == [-1, "unknown node [/robot]", ""]
         assert await eve("lookupNode", "/nobody") == [-1, "unknown node [/nobody]", ""]
         there = await eve.refused("lookupService", "/secret")
@@ -139,16 +140,14 @@ async def test_m5_the_master_cannot_be_shut_down(site: Site, witness: Witness) -
         refusal(await eve.lie("shutdown", "/master", "now"))
         refusal(await eve.lie("shutdown", "/robot", "now"))
         assert (await eve("getPid"))[0] == 1
-    assert not site.master._effects.stopping.is_set()
+    assert not site.master.effects.stopping.is_set()
 
 
 SAFETY = "/ns/safety/max_speed"
 
 
 @pytest.mark.attack("confused-rights")
-async def test_m6_a_right_to_parameters_does_not_cover_their_parents(
-    site: Site, witness: Witness
-) -> None:
+async def test_m6_a_right_to_parameters_does_not_cover_their_parents(site: Site, witness: Witness) -> None:
     async with (
         caller(site, "/owner", {"/ns/**": PARAMS}) as owner,
         caller(site, EVE, {"/ns/eve/**": PARAMS}) as eve,
@@ -182,17 +181,12 @@ async def test_m6_a_right_to_parameters_does_not_cover_their_parents(
             assert answer[2] in (0, False)
         assert (await eve("searchParam", "ns"))[2] in ("", "/ns")
         assert (await eve("searchParam", SAFETY))[2] == ""
-        assert (await owner("getParam", "/ns"))[2] == {
-            "safety": {"max_speed": 1},
-            "eve": {"own": 1},
-        }
+        assert (await owner("getParam", "/ns"))[2] == {"safety": {"max_speed": 1}, "eve": {"own": 1}}
         await eve("subscribeParam", eve.uri, "/ns/eve")
         await owner("setParam", SAFETY, 2)
         await owner("setParam", "/ns/eve/own", 2)
         await until(lambda: ("paramUpdate", "/ns/eve/own/", 2) in eve.told)
-        assert [told for told in eve.told if told[0] == "paramUpdate"] == [
-            ("paramUpdate", "/ns/eve/own/", 2)
-        ]
+        assert [told for told in eve.told if told[0] == "paramUpdate"] == [("paramUpdate", "/ns/eve/own/", 2)]
 
 
 @pytest.mark.attack("ros-time")
@@ -207,15 +201,13 @@ async def test_m7_ros_time_does_not_extend_a_right(tmp_path: Path) -> None:
         site.grant(EVE, Right.PUBLISH, "/clock", lifetime=60)
         async with caller(site, EVE, {"/use_sim_time": PARAMS}) as eve:
             assert (await eve("setParam", "/use_sim_time", True))[0] == 1
-            assert (await eve("registerPublisher", "/clock", "rosgraph_msgs/Clock", eve.uri))[
-                0
-            ] == 1
+            assert (await eve("registerPublisher", "/clock", "rosgraph_msgs/Clock", eve.uri))[0] == 1
             assert (await eve("setParam", "/eve/p", 1))[0] == 1
             ahead = 61.0
             assert "param-set" in await eve.refused("setParam", "/eve/p", 2)
             await eve.refused("getParam", "/eve/p")
             await eve.refused("registerPublisher", "/clock", "rosgraph_msgs/Clock", eve.uri)
-            site.master._effects.list_changed.set()
+            site.master.effects.list_changed.set()
             registry = site.master.state.registry
             await until(lambda: not list(registry.nodes()))
             assert (await eve("getParam", "/use_sim_time"))[2] is True
@@ -258,7 +250,7 @@ async def test_m8_calls_of_the_master_are_limited(site: Site, witness: Witness) 
             for number in range(300):
                 where = f"http://127.{2 + number // 200}.1.{number % 200}:{port}/"
                 assert (await eve("registerSubscriber", "/t", T, where))[0] == 1
-            clients = site.master._effects.updates.nodes
+            clients = site.master.effects.updates.nodes
             assert 0 < len(clients) <= site.limits.nodes_per_identity + MAX_CLOSING
             await asyncio.sleep(0)
             with contextlib.suppress(BlockingIOError):

@@ -14,9 +14,9 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import ChannelError, RossecError
-from rossec.master.operation.limits import MasterLimits
+from rossec.master.operation.config import MasterLimits
 from rossec.net.aio import SecureStream, WireProtocol, serve
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.ros import xmlrpc
 from rossec.ros.xmlrpc import Fault
 from tests.support.attacker import EVE, HOST, credentials, dial
@@ -27,11 +27,7 @@ from tests.support.witness import until
 
 T = "std_msgs/String"
 LIMITS = MasterLimits(
-    body=64 * 1024,
-    connections_per_identity=4,
-    handshake_seconds=1,
-    request_seconds=1,
-    idle_seconds=2,
+    body=64 * 1024, connections_per_identity=4, handshake_seconds=1, request_seconds=1, idle_seconds=2
 )
 HEAD = b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: %d\r\n\r\n"
 
@@ -88,9 +84,7 @@ async def test_m9_dead_and_slow_nodes_delay_no_other(site: Site) -> None:
         silent = stack.enter_context(socket.create_server((HOST, 0), backlog=64))
         for number in range(50):
             where = silent.getsockname()[1] if number % 2 else 9
-            dead = await stack.enter_async_context(
-                caller(site, f"/dead{number}", {"/t": Right.SUBSCRIBE})
-            )
+            dead = await stack.enter_async_context(caller(site, f"/dead{number}", {"/t": Right.SUBSCRIBE}))
             uri = f"http://127.1.1.{number + 1}:{where}/"
             assert (await dead("registerSubscriber", "/t", T, uri))[0] == 1
         slow = await stack.enter_async_context(caller(site, "/slow", {"/t": Right.SUBSCRIBE}))
@@ -113,14 +107,12 @@ async def test_m9_dead_and_slow_nodes_delay_no_other(site: Site) -> None:
             await talker("unregisterPublisher", "/t", talker.uri)
             await until(lambda: ("publisherUpdate", "/t", []) in live.told)
         assert site.master is not None
-        for client, _ in site.master._effects.updates._clients.values():
+        for client, _ in site.master.effects.updates._clients.values():
             assert len(client._pending) <= 2, "not coalesced"
 
 
 @pytest.mark.attack("master-load")
-async def test_m9_what_a_node_answers_is_bounded(
-    site: Site, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_m9_what_a_node_answers_is_bounded(site: Site, caplog: pytest.LogCaptureFixture) -> None:
     """The master is told to call, and is answered with 32 MiB in one unit."""
     caplog.set_level("INFO")
     given_up = asyncio.Event()
@@ -133,9 +125,7 @@ async def test_m9_what_a_node_answers_is_bounded(
 
     home = site.enroll(EVE)
     async with (
-        serve(
-            flood, HOST, 0, unlimited(home.credentials(), site.anchor.verify), WireProtocol.HTTP
-        ) as server,
+        serve(flood, HOST, 0, unlimited(home.credentials(), site.anchor.verify), WireProtocol.HTTP) as server,
         caller(site, EVE, {"/t": Right.SUBSCRIBE | Right.PUBLISH}) as eve,
     ):
         uri = f"http://{HOST}:{server.port}/"
@@ -217,8 +207,13 @@ async def test_m10_calls_in_a_multicall_are_authorized(site: Site) -> None:
             ("nonsense",),
         )
         assert [answer[0][0] if isinstance(answer, list) else "fault" for answer in answers] == [
-            1, -1, -1, -1, "fault", "fault",
-        ]  # fmt: skip
+            1,
+            -1,
+            -1,
+            -1,
+            "fault",
+            "fault",
+        ]
         with pytest.raises(Fault, match="at most"):
             await multicall(*[("getPid", EVE)] * 4097)
         with pytest.raises(Fault, match="state queries"):

@@ -11,36 +11,33 @@ from typing import cast
 
 import pytest
 
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_authority import AuthorityJoin
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import (
+from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest
+from ca.enrollment.join import (
+    AuthorityJoin,
     Issued,
     Join,
     JoinAnswer,
     JoinMessage,
     NameAnswer,
     Named,
-    Refused,
+    NodeJoin,
+    RefusedMessage,
     RefuseReason,
     read,
     write,
 )
-from ca.enrollment.join_node import NodeJoin
-from ca.enrollment.join_request import JoinRequest
 from ca.enrollment.messages import frame, length
 from ca.errors import HintedError, JoinRefused
 from grants.errors import PolicyRefused
 from grants.policy.read import load
-from rossec.authority import joining
-from rossec.authority.keyservice import join_names
-from rossec.authority.keyservice.face_process import FaceProcess
-from rossec.authority.keyservice.join_names import JoinNames
-from rossec.authority.keyservice.network import NetworkWork
+from rossec.authority import invitations
+from rossec.authority.keyservice import network
+from rossec.authority.keyservice.network import JoinNames, NetworkWork
+from rossec.authority.keyservice.process import FrontEndProcess
 from rossec.clock import now
-from rossec.enrollment import join_node
-from rossec.enrollment.join_server import JoinServer
-from rossec.naming import shipped
+from rossec.enrollment import join
+from rossec.enrollment.join import JoinServer
+from rossec.naming import rule_runner
 from tests.grants.policy.policies import nothing_known
 from tests.rossec.authority.keyservice.test_network import PlayedFace
 from tests.rossec.authority.keyservice.test_work import Working
@@ -52,7 +49,7 @@ from tests.support.witness import until
 
 Change = Callable[[JoinMessage], JoinMessage]
 LAMP = b"<node><group>fleet</group><name>lamp</name></node>"
-RULES = shipped.rules()
+RULES = rule_runner.shipped_rules()
 TO_THE_LETTER = gives("//name")  # rules of somebody careless: the name is what the node says
 
 
@@ -68,8 +65,8 @@ class Authority:
         self.requests: list[JoinRequest] = []
 
     async def name(self, request: JoinClaim | JoinRequest) -> NameAnswer:
-        pattern = joining.allowed_pattern(self.home.store, request, NOW)
-        if isinstance(pattern, Refused):
+        pattern = invitations.allowed_pattern(self.home.store, request, NOW)
+        if isinstance(pattern, RefusedMessage):
             return pattern
         return await self.names.answer(request.metadata, pattern)
 
@@ -78,7 +75,7 @@ class Authority:
         if request.metadata:
             named = await self.name(request)
             if named != Named(request.name):
-                return named if isinstance(named, Refused) else Refused(RefuseReason.NAME)
+                return named if isinstance(named, RefusedMessage) else RefusedMessage(RefuseReason.NAME)
         return await self.home.admit(request)
 
 
@@ -99,8 +96,8 @@ async def serving(home: JoinSite, rules: bytes | None = RULES) -> AsyncIterator[
 async def joins(home: JoinSite, pattern: str, metadata: bytes) -> str:
     """A node that does as it should; the name it gets."""
     code = home.invite(pattern)
-    name = await join_node.ask_name(code, metadata, clock)
-    await join_node.join(code, lambda _: asked(name), clock, metadata)
+    name = await join.ask_name(code, metadata, clock)
+    await join.join(code, lambda _: asked(name), clock, metadata)
     return name
 
 
@@ -109,16 +106,28 @@ async def test_metadata_of_a_node_that_exists_wait_for_a_person(home: JoinSite) 
     async with serving(home):
         assert await joins(home, "/fleet/*", LAMP) == "/fleet/lamp"
         code = home.invite("/fleet/*")
-        assert await join_node.ask_name(code, LAMP, clock) == "/fleet/lamp"
+        assert await join.ask_name(code, LAMP, clock) == "/fleet/lamp"
         with pytest.raises(HintedError, match="a person has to approve"):
-            await join_node.join(code, lambda _: asked("/fleet/lamp"), clock, LAMP)
+            await join.join(code, lambda _: asked("/fleet/lamp"), clock, LAMP)
 
 
 @pytest.mark.attack("claimed-name")
 @pytest.mark.parametrize(
-    "name", ["/ca", "/master", "/master/two", "/relay", "/remote/x/robot", "/gateway", "/../ca",
-             "/fleet/lamp\n/ca", "/*", "/fleet/*", ""],
-)  # fmt: skip
+    "name",
+    [
+        "/ca",
+        "/master",
+        "/master/two",
+        "/relay",
+        "/remote/x/robot",
+        "/gateway",
+        "/../ca",
+        "/fleet/lamp\n/ca",
+        "/*",
+        "/fleet/*",
+        "",
+    ],
+)
 async def test_reserved_names_and_what_is_none_are_not_given(home: JoinSite, name: str) -> None:
     async with serving(home, TO_THE_LETTER) as authority:
         for pattern in ("/**", "/*"):
@@ -142,7 +151,7 @@ async def test_another_name_than_that_of_the_metadata_is_not_issued(home: JoinSi
     async with serving(home):
         code = home.invite()
         with pytest.raises(JoinRefused, match="another name"):
-            await join_node.join(code, lambda _: asked("/fleet/door"), clock, LAMP)
+            await join.join(code, lambda _: asked("/fleet/door"), clock, LAMP)
     assert not home.store.identities.by_name("/fleet/door")
     assert not home.store.invitations.uses(code.id)
 
@@ -151,13 +160,13 @@ async def test_another_name_than_that_of_the_metadata_is_not_issued(home: JoinSi
 async def test_an_authority_without_rules_looks_at_no_metadata(
     home: JoinSite, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(join_names, "RuleRunner", None)  # there is nothing that could look
+    monkeypatch.setattr(network, "RuleRunner", None)  # there is nothing that could look
     async with serving(home, None):
         with pytest.raises(JoinRefused, match="has no rules that give names"):
             await joins(home, "/fleet/*", LAMP)
         code = home.invite()
         with pytest.raises(JoinRefused, match="has no rules that give names"):
-            await join_node.join(code, lambda _: asked("/fleet/lamp"), clock, LAMP)
+            await join.join(code, lambda _: asked("/fleet/lamp"), clock, LAMP)
     assert not home.store.identities.by_name("/fleet/lamp")
 
 
@@ -180,7 +189,7 @@ async def test_a_stranger_s_metadata_reach_no_rules(home: JoinSite) -> None:
             JoinClaim(bytes(32), claim.transcript, LAMP, claim.proof),
             JoinClaim(claim.invitation, bytes(32), LAMP, claim.proof),
         ):
-            assert await authority.name(forged) == Refused(RefuseReason.REFUSED)
+            assert await authority.name(forged) == RefusedMessage(RefuseReason.REFUSED)
         assert reached == []
         assert await authority.name(claim) == Named("/fleet/lamp")
 
@@ -245,10 +254,10 @@ async def test_metadata_cannot_be_taken_out_or_exchanged_on_the_way(home: JoinSi
 async def _refused_between(home: JoinSite, change: Change, error: str) -> None:
     async with between(home, change):
         code = home.invite()
-        name = await join_node.ask_name(code, LAMP, clock)
+        name = await join.ask_name(code, LAMP, clock)
         assert name == "/fleet/door", "the node cannot know better"
         with pytest.raises(JoinRefused, match=error):
-            await join_node.join(code, lambda _: asked(name), clock, LAMP)
+            await join.join(code, lambda _: asked(name), clock, LAMP)
     assert not home.store.identities.by_name(name)
     assert not home.store.invitations.uses(code.id)
 
@@ -272,19 +281,17 @@ rules:
 async def test_slow_metadata_keep_no_other_node_from_joining(tmp_path: Path) -> None:
     """Joins are decided in a thread, rules in processes: the one does not wait for the other."""
     working, face = Working(tmp_path, now()), PlayedFace()
-    network = NetworkWork(tmp_path, working.operations, cast("FaceProcess", face), rules=SLOW)
+    network = NetworkWork(tmp_path, working.operations, cast("FrontEndProcess", face), rules=SLOW)
     code = working.invite(uses=2)
     running = asyncio.ensure_future(network.run())
     try:
         await until(lambda: hasattr(face, "name"), within=40)
-        slow = [
-            asyncio.ensure_future(face.name(working.claim(code, BOMB.encode()))) for _ in range(8)
-        ]
+        slow = [asyncio.ensure_future(face.name(working.claim(code, BOMB.encode()))) for _ in range(8)]
         face.joins.put_nowait(working.request(code))
         async with asyncio.timeout(40):
             assert isinstance(read(cast("bytes", await face.answers.get())), Issued)
             for answer in await asyncio.gather(*slow):
-                assert read(cast("bytes", answer)) == Refused(RefuseReason.METADATA)
+                assert read(cast("bytes", answer)) == RefusedMessage(RefuseReason.METADATA)
     finally:
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)

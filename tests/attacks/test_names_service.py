@@ -9,15 +9,14 @@ import pytest
 from ca.errors import HintedError
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.namespace.message_package import service_type
-from rossec.namespace.topic_names import CALLS, CHILDREN, DEADLINE, SERVICE, TopicNames
-from rossec.naming import shipped
-from rossec.naming.runner import RuleRunner
+from rossec.namespace.topic_names import CALLS, CHILDREN, DEADLINE, SERVICE, TopicNames, service_type
+from rossec.naming import rule_runner
+from rossec.naming.rule_runner import RuleRunner
 from rossec.node import Node
 from tests.rossec.namespace.test_topic_names import BOMB, SLOW
 from tests.support.site import Site
 
-RULES = shipped.rules()
+RULES = rule_runner.shipped_rules()
 
 
 @asynccontextmanager

@@ -17,17 +17,8 @@ from grants.errors import (
     NarrowingOutsideDomain,
 )
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
-from grants.narrowing import NARROWING, sign_narrowing
-from grants.token import pack_chain, peek, unpack
-from tests.support.attacker import (
-    EVE,
-    Reply,
-    credentials,
-    fields_for,
-    refusals,
-    send_header,
-    signed,
-)
+from grants.token import NARROWING, pack_chain, peek, sign_narrowing, unpack
+from tests.support.attacker import EVE, Reply, credentials, fields_for, refusals, send_header, signed
 from tests.support.attacker import revoke as revoke_everywhere
 from tests.support.site import HOUR, Site
 from tests.support.witness import TOPIC, Witness
@@ -51,17 +42,21 @@ class Handing:
         return signed(self.site, expires=now + HOUR, cap=now + HOUR, **wanted)
 
     def handed(
-        self, token: bytes, *permissions: Permission, to: str = EVE, by: str = MALLORY,
-        **changes: Any,
-    ) -> bytes:  # fmt: skip
+        self, token: bytes, *permissions: Permission, to: str = EVE, by: str = MALLORY, **changes: Any
+    ) -> bytes:
         """Another narrowing after `token`."""
         held = peek(token)
         wanted: dict[str, Any] = {
-            "domain": held.domain, "subject": to, "holder": self.site.identity(to).thumbprint,
-            "not_before": held.not_before, "expires": held.expires, "cap": held.expires,
-            "serial": secrets.token_bytes(16), "may_narrow": held.may_narrow - 1,
+            "domain": held.domain,
+            "subject": to,
+            "holder": self.site.identity(to).thumbprint,
+            "not_before": held.not_before,
+            "expires": held.expires,
+            "cap": held.expires,
+            "serial": secrets.token_bytes(16),
+            "may_narrow": held.may_narrow - 1,
             "permissions": permissions or (Permission("/**", Right(255)),),
-        }  # fmt: skip
+        }
         draft = Draft(**(wanted | changes))
         signer = self.site.enroll(by).signer()
         return pack_chain(token, [sign_narrowing(signer, draft, held)])
@@ -77,9 +72,8 @@ async def handing(site: Site, witness: Witness) -> Handing:
 
 
 async def is_refused(
-    handing: Handing, tokens: Sequence[bytes], caplog: pytest.LogCaptureFixture,
-    kind: type[GrantError],
-) -> None:  # fmt: skip
+    handing: Handing, tokens: Sequence[bytes], caplog: pytest.LogCaptureFixture, kind: type[GrantError]
+) -> None:
     reply = await handing.ask(*tokens)
     assert set(reply.fields) == {"error"}
     found = refusals(caplog)[-1]
@@ -101,9 +95,7 @@ async def test_a_link_that_gives_more_gives_nothing(
     await is_refused(handing, [again], caplog, GrantMissing)
 
 
-async def test_each_rule_broken_is_refused(
-    handing: Handing, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_each_rule_broken_is_refused(handing: Handing, caplog: pytest.LogCaptureFixture) -> None:
     good = handing.handed(handing.token)
     (link,) = unpack(good).narrowings
     claims: Any = NARROWING.peek(link)

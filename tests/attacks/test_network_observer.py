@@ -9,7 +9,7 @@ import pytest
 
 from rossec.errors import PeerRefused
 from rossec.net.aio import WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from tests.support.attacker import EVE, HOST, credentials, dial, fields_for, send_header, signed
 from tests.support.contexts import unlimited
 from tests.support.site import Site
@@ -58,9 +58,7 @@ async def test_f8_an_observer_sees_neither_names_nor_grants(site: Site, witness:
         assert await client.ask("rossec.presentGrants", EVE, [grant]) == 1
         assert await client.ask("registerSubscriber", EVE, TOPIC, POSE, "http://127.0.0.1:9/")
         await client.close()
-        holds_none(
-            recorder, TOPIC.encode(), POSE.encode(), b"/eve", b"Grants", grant[-64:], grant[:64]
-        )
+        holds_none(recorder, TOPIC.encode(), POSE.encode(), b"/eve", b"Grants", grant[-64:], grant[:64])
     async with recording(witness.topic_port) as (recorder, port):
         heard = await send_header(port, credentials(site), fields_for(EVE, TOPIC, [grant]), 2000)
         assert FRAME.encode() in heard.after
@@ -68,9 +66,7 @@ async def test_f8_an_observer_sees_neither_names_nor_grants(site: Site, witness:
 
 
 @pytest.mark.attack("foreign-authority")
-async def test_f8_a_peer_of_another_authority_gets_only_a_refusal(
-    site: Site, witness: Witness
-) -> None:
+async def test_f8_a_peer_of_another_authority_gets_only_a_refusal(site: Site, witness: Witness) -> None:
     """The peer may complete the handshake with certificates of its own."""
     assert site.master is not None
     intruder = credentials(Site(site.root.parent / "other", site.anchor.domain), "/viewer")
@@ -84,9 +80,7 @@ async def test_f8_a_peer_of_another_authority_gets_only_a_refusal(
         stream = await connect(HOST, port, unlimited(intruder, look), opening)
         return await stream.receive()
 
-    for port, opening in (
-        (site.master.port, WireProtocol.HTTP), (witness.topic_port, WireProtocol.TCPROS),
-    ):  # fmt: skip
+    for port, opening in ((site.master.port, WireProtocol.HTTP), (witness.topic_port, WireProtocol.TCPROS)):
         async with recording(port) as (recorder, near):
             with pytest.raises(PeerRefused) as caught:
                 await heard(near, opening)

@@ -11,10 +11,11 @@ import pytest
 from grants import document
 from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, sign_request
-from rossec.authority import policy_plan
+from rossec.authority import policyfile
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, read_policy
-from rossec.authority.service import AuthorityService, MasterCall
+from rossec.authority.service import AuthorityService
+from rossec.authority.session import StatementCall
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 from tests.support.consoleacts import POLICY as CONSOLE_POLICY
@@ -40,13 +41,13 @@ TAKEN = POLICY.replace("/camera]", "/map]")
 class Place:
     def __init__(self, root: Path) -> None:
         self.root = root
-        self.answer: Callable[[MasterCall], object] | None = None
+        self.answer: Callable[[StatementCall], object] | None = None
         AuthorityHome.create(root, "home", SECRET, NOW)
         self.service = AuthorityService(root, lambda: SECRET, self._deliver, lambda: NOW)
         self.nodes = {name: self._enroll(name) for name in ("/greedy", "/viewer")}
         self.write(POLICY)
 
-    def _deliver(self, call: MasterCall) -> object:
+    def _deliver(self, call: StatementCall) -> object:
         if self.answer is not None:
             return self.answer(call)
         raise NotDelivered(f"no master for {call.what}")
@@ -54,7 +55,7 @@ class Place:
     def _enroll(self, name: str) -> NodeHome:
         node = NodeHome.of(self.root, name)
         node.create_request("home")
-        bundle = self.service.issue(
+        bundle = self.service.identities.issue(
             node.request(), 30 * DAY, replace_key=None, wildcard=False, source="a test"
         )
         node.install(bundle, NOW)
@@ -69,12 +70,12 @@ class Place:
     def ask(self, node: str, *rights: RequestedRight) -> None:
         asked = GrantRequest("home", node, NOW, secrets.token_bytes(16), rights, "please")
         data = sign_request(self.nodes[node].credentials().signer, asked)
-        self.service.collect_grant_requests(self.policy(), [data])
+        self.service.policy.collect_requests(self.policy(), [data])
 
     def apply(self) -> None:
-        plan = self.service.plan_policy(self.policy())
+        plan = self.service.policy.plan(self.policy())
         with contextlib.suppress(NotDelivered):
-            self.service.apply_policy(plan)
+            self.service.policy.apply(plan)
 
     def grants(self, node: str) -> dict[str, int]:
         """The names in its grants in force, and in how many grants there are."""
@@ -94,27 +95,25 @@ def test_a_node_with_seventy_grants_keeps_no_other_the_camera(place: Place) -> N
     place.apply()
     for number in range(70):
         place.ask("/greedy", RequestedRight(Right.CALL, f"/s/n{number}"))
-        place.service.decide_grants(place.policy())
+        place.service.policy.decide(place.policy())
     place.write(TAKEN)
     place.apply()
     assert place.grants("/viewer").keys() == {"/map", "/lift/up"}
     greedy = place.grants("/greedy")
     assert len(greedy) == 72, "it has what it asked for, in fewer grants"
     assert set(greedy.values()) <= set(range(1, 65))
-    assert place.service.plan_policy(place.policy()).is_empty
+    assert place.service.policy.plan(place.policy()).is_empty
 
 
-@pytest.mark.parametrize(
-    "name", ["/remote/hospital/x"], ids=["a name that another authority grants"]
-)
+@pytest.mark.parametrize("name", ["/remote/hospital/x"], ids=["a name that another authority grants"])
 def test_a_request_that_no_grant_can_have_is_denied_alone(place: Place, name: str) -> None:
     place.ask("/greedy", RequestedRight(Right.PUBLISH, name), RequestedRight(Right.CALL, "/s/a"))
     place.ask("/viewer", RequestedRight(Right.CALL, "/lift/up"))
-    decided = place.service.decide_grants(place.policy())
+    decided = place.service.policy.decide(place.policy())
     assert (decided.allowed, len(decided.denied)) == (2, 1)
     assert place.grants("/viewer").keys() == {"/lift/up"}
     assert place.grants("/greedy").keys() == {"/s/a"}
-    again = place.service.decide_grants(place.policy())
+    again = place.service.policy.decide(place.policy())
     assert (again.grants, again.allowed, again.denied) == ([], 0, [])
 
 
@@ -126,10 +125,13 @@ def test_where_one_node_cannot_be_signed_for_all_else_is_done(
     refuse_to_sign_for("/greedy", monkeypatch)
     said: list[str] = []
     with pytest.raises(NotDelivered):
-        place.service.apply_policy(place.service.plan_policy(place.policy()), said.append)
+        place.service.policy.apply(place.service.policy.plan(place.policy()), said.append)
     assert [line.partition(" (")[0] for line in said] == [
-        "revoked: 1", "signed: 1", "revoked: 1", "not granted: /greedy: too large",
-    ]  # fmt: skip
+        "revoked: 1",
+        "signed: 1",
+        "revoked: 1",
+        "not granted: /greedy: too large",
+    ]
     assert place.grants("/greedy") == {}
     assert place.grants("/viewer").keys() == {"/map", "/lift/up"}
 
@@ -141,18 +143,18 @@ def test_a_node_whose_disk_is_full_keeps_no_other_from_its_grants(place: Place) 
     master = list[bytes]()
     place.answer = lambda call: _deposited(call, master)
     said: list[str] = []
-    place.service.apply_policy(place.service.plan_policy(place.policy()), said.append)
+    place.service.policy.apply(place.service.policy.plan(place.policy()), said.append)
     assert len(place.nodes["/viewer"].grants()) == len(place.grants("/viewer")) > 0
     assert sorted({document.peek(each).subject for each in master}) == ["/greedy", "/viewer"]
     assert any(line.startswith("a grant of /greedy cannot be stored here") for line in said)
-    place.service.complete_policy()
+    place.service.policy.complete()
     for path in place.nodes["/viewer"].grant_files():
         path.unlink()
-    place.service.complete_policy()
+    place.service.policy.complete()
     assert len(place.nodes["/viewer"].grants()) == len(place.grants("/viewer"))
 
 
-def _deposited(call: MasterCall, master: list[bytes]) -> object:
+def _deposited(call: StatementCall, master: list[bytes]) -> object:
     (items, *_) = call.statement
     assert isinstance(items, list)
     if call.method == "rossec.deliveryStates":
@@ -169,14 +171,14 @@ def test_where_a_list_has_no_room_for_all_others_lose_what_was_taken(
     place.apply()
     for number in range(5):
         place.ask("/greedy", RequestedRight(Right.CALL, f"/s/n{number}"))
-        place.service.decide_grants(place.policy())
+        place.service.policy.decide(place.policy())
     place.write(POLICY.replace("who: /greedy", "who: /nobody").replace("/camera]", "/map]"))
-    monkeypatch.setattr(policy_plan, "MAX_LEAVES", 3)
-    plan = place.service.plan_policy(place.policy())
+    monkeypatch.setattr(policyfile, "MAX_LEAVES", 3)
+    plan = place.service.policy.plan(place.policy())
     assert plan.listed == 3
     assert [reason.partition(":")[0] for reason in plan.refused] == ["/greedy"]
     with pytest.raises(NotDelivered):
-        place.service.apply_policy(plan)
+        place.service.policy.apply(plan)
     assert place.grants("/viewer").keys() == {"/map", "/lift/up"}
 
 

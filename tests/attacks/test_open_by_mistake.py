@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import pytest
 
-from rossec.master.api.deposit_calls import WATCH_GRANTS
+from rossec.master.api.statement_calls import WATCH_GRANTS
 from rossec.master.operation.config import Config, parse
 from rossec.ros.names import MASTER
 from tests.support.attacker import EVE
@@ -17,25 +17,14 @@ from tests.support.ports import free_port
 from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, Witness
 
-NOTHING: Final[tuple[object, ...]] = (
-    "",
-    0,
-    [],
-    [[], [], []],
-    b"",
-    [b""],
-    {},
-    {"grants": [], "more": False},
-)
+NOTHING: Final[tuple[object, ...]] = ("", 0, [], [[], [], []], b"", [b""], {}, {"grants": [], "more": False})
 
 
 @pytest.mark.attack("open-by-mistake")
 def test_f11_an_empty_configuration_opens_nothing() -> None:
     assert parse("", "m.yaml") == Config()
     closed = Config()
-    assert (closed.admin, closed.announce, closed.metrics, closed.audit) == (
-        False, False, None, True,
-    )  # fmt: skip
+    assert (closed.admin, closed.announce, closed.metrics, closed.audit) == (False, False, None, True)
 
 
 @pytest.mark.attack("open-by-mistake")
@@ -44,30 +33,53 @@ async def test_f11_a_node_without_grants_has_no_rights(site: Site, witness: Witn
     assert site.master is not None
     assert site.master._answers is not None
     arguments: dict[str, tuple[Any, ...]] = {
-        "lookupService": ("/s",), "lookupNode": ("/robot",), "getPublishedTopics": ("",),
-        "shutdown": ("x",), "getParam": ("/",), "hasParam": ("/p",), "setParam": ("/p", 1),
-        "deleteParam": ("/p",), "searchParam": ("p",), "subscribeParam": ("http://h:1/", "/p"),
-        "unsubscribeParam": ("http://h:1/", "/p"), "registerService": ("/s", "rosrpc://h:1", "http://h:1/"),
-        "unregisterService": ("/s", "rosrpc://h:1"), "rossec.watchGraph": ("", 0),
-        "rossec.presentGrants": ([],), "rossec.renewGrants": ([b"x"],),
-        "rossec.renewIdentity": (b"x",), "rossec.updateDelegation": (b"x",),
-        "rossec.watchRenewals": (0,), "rossec.settleRenewals": ([[bytes(32), b"x", ""]],),
-        "rossec.revocationsSince": (b"x",), "rossec.updateRevocations": (b"x",),
-        "rossec.updateRevocationTree": (b"x", b"x"), "rossec.revocationProofs": ([],),
-        "rossec.trl": (b"\xa0",), "rossec.depositGrants": ([b"x"],),
-        "rossec.deliveryStates": ([],), "rossec.fetchGrants": (b"",),
-        "rossec.domains": (b"x",), "rossec.updateDomains": (b"x",),
+        "lookupService": ("/s",),
+        "lookupNode": ("/robot",),
+        "getPublishedTopics": ("",),
+        "shutdown": ("x",),
+        "getParam": ("/",),
+        "hasParam": ("/p",),
+        "setParam": ("/p", 1),
+        "deleteParam": ("/p",),
+        "searchParam": ("p",),
+        "subscribeParam": ("http://h:1/", "/p"),
+        "unsubscribeParam": ("http://h:1/", "/p"),
+        "registerService": ("/s", "rosrpc://h:1", "http://h:1/"),
+        "unregisterService": ("/s", "rosrpc://h:1"),
+        "rossec.watchGraph": ("", 0),
+        "rossec.presentGrants": ([],),
+        "rossec.renewGrants": ([b"x"],),
+        "rossec.renewIdentity": (b"x",),
+        "rossec.updateDelegation": (b"x",),
+        "rossec.watchRenewals": (0,),
+        "rossec.settleRenewals": ([[bytes(32), b"x", ""]],),
+        "rossec.revocationsSince": (b"x",),
+        "rossec.updateRevocations": (b"x",),
+        "rossec.updateRevocationTree": (b"x", b"x"),
+        "rossec.revocationProofs": ([],),
+        "rossec.trl": (b"\xa0",),
+        "rossec.depositGrants": ([b"x"],),
+        "rossec.deliveryStates": ([],),
+        "rossec.fetchGrants": (b"",),
+        "rossec.domains": (b"x",),
+        "rossec.updateDomains": (b"x",),
         "rossec.foreignRevocations": ("other", b"x"),
-        "rossec.foreignRevocationProofs": ("other", []), "rossec.followSite": ("", 0, []),
-        "rossec.relayDoors": ("x", 0, [], {}), "rossec.relayTarget": ("", "master", "/master"),
+        "rossec.foreignRevocationProofs": ("other", []),
+        "rossec.followSite": ("", 0, []),
+        "rossec.relayDoors": ("x", 0, [], {}),
+        "rossec.relayTarget": ("", "master", "/master"),
         **{f"register{kind}": (TOPIC, POSE, "http://h:1/") for kind in ("Publisher", "Subscriber")},
         **{f"unregister{kind}": (TOPIC, "http://h:1/") for kind in ("Publisher", "Subscriber")},
-    }  # fmt: skip
+    }
     before = site.master.state.registry.version
     told = {
-        "getUri", "getPid", "rossec.revocations", "rossec.revocationsSince", "rossec.trl",
+        "getUri",
+        "getPid",
+        "rossec.revocations",
+        "rossec.revocationsSince",
+        "rossec.trl",
         "unsubscribeParam",
-    }  # fmt: skip
+    }
     async with caller(site, EVE) as eve:
         for method in set(site.master._answers._api.methods) - {WATCH_GRANTS}:  # which waits
             code, status, value = await eve(method, *arguments.get(method, ()))
@@ -75,7 +87,7 @@ async def test_f11_a_node_without_grants_has_no_rights(site: Site, witness: Witn
             nothing = value in NOTHING or value is False
             assert method in told or code == -1 or nothing, (method, value)
     assert site.master.state.registry.version == before
-    assert not site.master._effects.stopping.is_set()
+    assert not site.master.effects.stopping.is_set()
 
 
 @pytest.fixture
@@ -110,9 +122,7 @@ BROKEN: Final[dict[str, Callable[[Path], Any]]] = {
     "a damaged key": _write("node.key", b"-----BEGIN PRIVATE KEY-----\n"),
     "no certificate": lambda path: (path / "node.pem").unlink(),
     "a damaged certificate": _write("node.pem", b"garbage"),
-    "another's certificate": lambda path: (path.with_name("eve") / "node.pem").replace(
-        path / "node.pem"
-    ),
+    "another's certificate": lambda path: (path.with_name("eve") / "node.pem").replace(path / "node.pem"),
     "no authority": lambda path: (path / "ca.pem").unlink(),
     "a damaged authority": _write("ca.pem", b"garbage"),
     "damaged revocations": _write("revocations.cose", b"garbage"),
@@ -122,9 +132,7 @@ BROKEN: Final[dict[str, Callable[[Path], Any]]] = {
 
 @pytest.mark.attack("open-by-mistake")
 @pytest.mark.parametrize("flaw", BROKEN)
-def test_f12_a_master_with_damaged_files_does_not_start(
-    shell: Shell, taken: int, flaw: str
-) -> None:
+def test_f12_a_master_with_damaged_files_does_not_start(shell: Shell, taken: int, flaw: str) -> None:
     refused(shell("master", "--port", str(taken)), "address already in use", "already?")
     BROKEN[flaw](shell.node(MASTER))
     said = shell("master", "--port", str(taken))
@@ -144,9 +152,7 @@ def test_f12_a_master_with_damaged_files_does_not_start(
         ("ROS_MASTER_URI", "https://localhost:11311"),
     ],
 )
-def test_f13_a_misspelt_variable_is_refused(
-    shell: Shell, taken: int, variable: str, value: str
-) -> None:
+def test_f13_a_misspelt_variable_is_refused(shell: Shell, taken: int, variable: str, value: str) -> None:
     shell.environ[variable] = value
     said = shell("master", "--port", str(taken))
     assert said.code == 1
@@ -156,8 +162,7 @@ def test_f13_a_misspelt_variable_is_refused(
 
 @pytest.mark.attack("open-by-mistake")
 @pytest.mark.parametrize(
-    "text",
-    ["audit: ture", "admin: on", "limits: {idle_second: 5}", "limits: {body: -1}", "log: JSON"],
+    "text", ["audit: ture", "admin: on", "limits: {idle_second: 5}", "limits: {body: -1}", "log: JSON"]
 )
 def test_f13_a_misspelt_setting_is_refused(shell: Shell, text: str) -> None:
     config = shell.root / "master.yaml"

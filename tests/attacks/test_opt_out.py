@@ -10,7 +10,8 @@ import pytest
 from grants import document
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import read_policy
-from rossec.authority.service import AuthorityService, MasterCall
+from rossec.authority.service import AuthorityService
+from rossec.authority.session import StatementCall
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 
@@ -29,7 +30,7 @@ rules:
 """
 
 
-def deliver(call: MasterCall) -> object:
+def deliver(call: StatementCall) -> object:
     raise NotDelivered(f"no master for {call.what}")
 
 
@@ -39,7 +40,7 @@ def service(tmp_path: Path) -> Iterator[AuthorityService]:
     made = AuthorityService(tmp_path, lambda: SECRET, deliver, lambda: NOW)
     node = NodeHome.of(tmp_path, "/rviz")
     node.create_request("home")
-    bundle = made.issue(node.request(), 30 * DAY, replace_key=None, wildcard=True, source="a test")
+    bundle = made.identities.issue(node.request(), 30 * DAY, replace_key=None, wildcard=True, source="a test")
     node.install(bundle, NOW)
     path = tmp_path / "ca" / "policy.yaml"
     path.write_text(POLICY % ("true && " * 12))
@@ -48,28 +49,29 @@ def service(tmp_path: Path) -> Iterator[AuthorityService]:
         yield made
 
 
-@pytest.mark.parametrize(("name", "is_node"), [
-    ("/rviz_1234_1700000000000", False), ("/rviz_1234_1700000000000", True), ("/rviz", False),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "is_node"),
+    [("/rviz_1234_1700000000000", False), ("/rviz_1234_1700000000000", True), ("/rviz", False)],
+)
 def test_an_anonymous_node_is_opted_out_with_its_identity(
     service: AuthorityService, name: str, is_node: bool
 ) -> None:
     policy = read_policy(service.rossec_home, None, signs=True)
     with contextlib.suppress(NotDelivered):
-        service.apply_policy(service.plan_policy(policy))
-    done = service.opt_out(policy, name, is_node=is_node)
-    revoked = service.revoke_opted_out(done)
+        service.policy.apply(service.policy.plan(policy))
+    done = service.policy.opt_out(policy, name, is_node=is_node)
+    revoked = service.policy.revoke_opted_out(done)
     assert [grant.subject for grant, _ in revoked] == ["/rviz"]
     assert (done.name, done.is_node) == ("/rviz", True)
     with contextlib.closing(service.home.store()) as store:
         assert [document.peek(row.data) for row in store.unrevoked_grants()] == []
-    plan = service.plan_policy(done.policy)
+    plan = service.policy.plan(done.policy)
     assert plan.signs == 0
 
 
 def test_nothing_else_of_the_policy_changes(service: AuthorityService) -> None:
     before = read_policy(service.rossec_home, None, signs=True)
-    after = service.opt_out(before, "/camera").policy
+    after = service.policy.opt_out(before, "/camera").policy
     assert after.policy.rules[:-1] == before.policy.rules
     assert "bed  room" in after.policy.rules[0].clauses[0].lines()[0]
     assert before.path.stat().st_mode & 0o777 == 0o600

@@ -10,14 +10,13 @@ import pytest
 
 from ca.errors import PathRefused
 from rossec.authority.home import AuthorityHome
-from rossec.master.operation.denial_log import DenialLog
+from rossec.master.server.effects import DenialLog
 from tests.support.commands import PASSPHRASE, Shell
 
 pytestmark = [pytest.mark.attack("linked-output"), pytest.mark.timeout(600)]
 
 SROS2 = (
-    '<policy><profile ns="/" node="n"><topics publish="ALLOW"><topic>x</topic></topics></profile>'
-    "</policy>"
+    '<policy><profile ns="/" node="n"><topics publish="ALLOW"><topic>x</topic></topics></profile></policy>'
 )
 POLICY = "rossec: 1\nrobot: r\nrules: []\n"
 OUTPUTS: dict[str, tuple[str, ...]] = {
@@ -51,9 +50,7 @@ def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], authority: Path) -
 def run(shell: Shell, words: tuple[str, ...], out: Path) -> str:
     """Run a command that must fail; returns its output."""
     xml = shell.root.parent / "policy.xml"
-    plain = [
-        {"OUT": str(out), "XML": str(xml)}.get(word, word) for word in words if word != "SECRET"
-    ]
+    plain = [{"OUT": str(out), "XML": str(xml)}.get(word, word) for word in words if word != "SECRET"]
     said = shell.unlocked(*plain) if "SECRET" in words else shell(*plain)
     assert said.code == 1, said
     return said.err

@@ -23,11 +23,30 @@ from tests.support.witness import POSE, TOPIC, Witness
 
 OWN = "/eve~/**"
 OTHERS = [
-    "/robot/pose", "/robot/status", "/eve_/x", "/evex/x", "/eve1/x", "/x/eve_1/x", "/master/x",
-    "/ca/x", "/eve_1", "/eve", "/eve_1/../robot/pose", "/robot//pose", "//robot/pose/",
-    "/eve_1\u2215x", "/\u0435ve/x", "/eve~/x", "~/../x", "{node}/x", "x", "/remote/lab/eve_1/x",
-    "lab:/eve_1/x", "/gateway/lab/eve_1/x", "/eve_1/%78",
-]  # fmt: skip
+    "/robot/pose",
+    "/robot/status",
+    "/eve_/x",
+    "/evex/x",
+    "/eve1/x",
+    "/x/eve_1/x",
+    "/master/x",
+    "/ca/x",
+    "/eve_1",
+    "/eve",
+    "/eve_1/../robot/pose",
+    "/robot//pose",
+    "//robot/pose/",
+    "/eve_1\u2215x",
+    "/\u0435ve/x",
+    "/eve~/x",
+    "~/../x",
+    "{node}/x",
+    "x",
+    "/remote/lab/eve_1/x",
+    "lab:/eve_1/x",
+    "/gateway/lab/eve_1/x",
+    "/eve_1/%78",
+]
 # As ROS reads names; each is one of its own.
 SPELLED = {"/eve//x": "/eve/x", "//eve/x": "/eve/x", "/eve_1/x/": "/eve_1/x", "~x": "/eve_1/x"}
 pytestmark = pytest.mark.attack("tail-names")
@@ -82,9 +101,7 @@ async def test_a_grant_about_the_tail_of_another_node(
     """Signed by mistake for Eve's key: its subject is the robot, and Eve has no certificate so."""
     listen(caplog)
     grant = signed(eve, subject="/robot", permissions=(Permission("/robot~/pose", Right(255)),))
-    heard = await send_header(
-        witness.topic_port, credentials(eve), fields_for(name, TOPIC, [grant])
-    )
+    heard = await send_header(witness.topic_port, credentials(eve), fields_for(name, TOPIC, [grant]))
     expect_refused(heard, caplog, GrantNotHeld, "anonymous nodes of /robot")
     await witness.goes_on()
 

@@ -22,9 +22,7 @@ def refused(text: str) -> str:
 
 
 @pytest.mark.attack("two-spellings")
-@pytest.mark.parametrize(
-    ("first", "second"), [("~/pose", '"{node}/pose"'), ('"{node}/pose"', "~/pose")]
-)
+@pytest.mark.parametrize(("first", "second"), [("~/pose", '"{node}/pose"'), ('"{node}/pose"', "~/pose")])
 @pytest.mark.parametrize(
     ("part", "said"),
     [
@@ -34,9 +32,7 @@ def refused(text: str) -> str:
         ("see", ("{position: exact}", "{position: no}")),
     ],
 )
-def test_neither_of_two_filters_is_lost(
-    part: str, said: tuple[str, str], first: str, second: str
-) -> None:
+def test_neither_of_two_filters_is_lost(part: str, said: tuple[str, str], first: str, second: str) -> None:
     before = f"  - {{{ALLOWS}, {part}: {{{first}: {said[0]}, "
     at, column = before.rindex(first[0] + first[1]), len(before)
     if first.startswith('"'):
@@ -79,9 +75,7 @@ def test_nothing_else_that_is_keyed_by_names_is_lost(text: str, expected: str) -
 
 
 @pytest.mark.attack("two-spellings")
-@pytest.mark.parametrize(
-    "name", ["/x/", "//x", "/x//y", "x", "/é", "/\uff58", "/x ", "{node}/", "~//p"]
-)
+@pytest.mark.parametrize("name", ["/x/", "//x", "/x//y", "x", "/é", "/\uff58", "/x ", "{node}/", "~//p"])
 def test_a_name_has_no_further_spellings(name: str) -> None:
     with pytest.raises(PolicyRefused):
         rules(f'{{id: a, who: "/a", allow: {{subscribe: ["{name}"]}}}}')

@@ -12,14 +12,14 @@ from ca.encoding import encode
 from grants import document
 from grants.model import Restriction, Right, filter_rules
 from rossec import clock
+from rossec.channel.negotiation import MOST_AT_ONCE
 from rossec.channel.records import MAX_GRANTS, Frame, header
-from rossec.channel.renewals import MOST_AT_ONCE
 from rossec.demo.intruder import accept_any
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureStream, connect
 from rossec.node import Node, Publisher
-from rossec.ros import header as ros_header
-from rossec.ros.header import FrameReader
+from rossec.ros import tcpros as ros_header
+from rossec.ros.tcpros import FrameReader
 from tests.support.attacker import EVE, HOST, credentials, fields_for
 from tests.support.contexts import unlimited
 from tests.support.site import DAY, Site
@@ -102,9 +102,10 @@ async def test_a_grant_of_another_node_gives_nothing_and_prolongs_nothing(site: 
 async def test_a_right_to_something_else_gives_nothing(site: Site) -> None:
     own = site.subscribe(EVE, TOPIC, SHORT)
     others = [
-        site.grant(EVE, Right.SUBSCRIBE, "/robot/other"), site.grant(EVE, Right.PUBLISH, TOPIC),
+        site.grant(EVE, Right.SUBSCRIBE, "/robot/other"),
+        site.grant(EVE, Right.PUBLISH, TOPIC),
         Site(site.root.parent / "elsewhere", "home").subscribe(EVE, TOPIC),
-    ]  # fmt: skip
+    ]
     async with subscribed(site, own) as eve:
         for other in others:
             await eve.present(other)
@@ -181,9 +182,10 @@ async def test_only_her_own_certificate_renewed_takes_the_place(site: Site) -> N
     async with subscribed(site, own) as eve:
         before = eve.link.stream.peer
         for chain in (
-            site.enroll("/other").credentials().chain, elsewhere.enroll(EVE).credentials().chain,
+            site.enroll("/other").credentials().chain,
+            elsewhere.enroll(EVE).credentials().chain,
             (b"no certificate",),
-        ):  # fmt: skip
+        ):
             eve.stream.present_identity(chain)
             assert await eve.hears() == b"a se"
             assert eve.link.stream.peer is before

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from grants.model import Right
-from rossec.master.operation.denial_limit import DENIALS, DenialRateLimit
-from rossec.master.operation.denial_log import MAX_LINES, DenialLog
-from rossec.master.operation.limits import MasterLimits
+from rossec.master.operation.admin import DENIALS, DenialRateLimit
+from rossec.master.operation.config import MasterLimits
+from rossec.master.server.effects import MAX_LINES, DenialLog
 from tests.support.attacker import EVE
 from tests.support.caller import Caller, caller
 from tests.support.site import Site

@@ -16,11 +16,11 @@ from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ChannelClosed, IdentityRefused
 from rossec.net.aio import SecureStream, serve
-from rossec.net.rpc.client import serve_calls
+from rossec.net.rpc.calls import serve_calls
 from rossec.node import Node, Subscriber
 from rossec.participant.slave_api import NO_TRANSPORT
-from rossec.ros.settings import parse_uri
-from rossec.sidecar.core.endpoints import local_endpoint
+from rossec.ros.names import parse_uri
+from rossec.sidecar.core.layers import local_endpoint
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import EVE, HOST, call, credentials
 from tests.support.contexts import unlimited
@@ -112,9 +112,7 @@ async def publisher_that_points(site: Site, port: int) -> AsyncIterator[str]:
         await serve_calls(stream, answer)
 
     verify = site.anchor.verify
-    async with serve(
-        api, HOST, 0, unlimited(credentials(site), verify), WireProtocol.HTTP
-    ) as server:
+    async with serve(api, HOST, 0, unlimited(credentials(site), verify), WireProtocol.HTTP) as server:
         yield f"http://{HOST}:{server.port}/"
 
 
@@ -127,10 +125,7 @@ async def test_an_authorized_publisher_names_the_nodes_own_port(site: Site, robo
 
 async def test_an_authorized_publisher_names_a_redirecting_port(site: Site, robot: Node) -> None:
     heard = await robot.subscriber(TOPIC, STRING)
-    async with (
-        redirecting(robot.topic_endpoint()[1]) as port,
-        publisher_that_points(site, port) as uri,
-    ):
+    async with redirecting(robot.topic_endpoint()[1]) as port, publisher_that_points(site, port) as uri:
         assert str(await refused(heard, uri)) == OWN
 
 

@@ -13,11 +13,7 @@ from tests.support.witness import until
 
 
 def logged_about_eve(caplog: pytest.LogCaptureFixture) -> list[str]:
-    return [
-        text
-        for text in caplog.messages
-        if EVE in text and ("withheld" in text or "refused" in text)
-    ]
+    return [text for text in caplog.messages if EVE in text and ("withheld" in text or "refused" in text)]
 
 
 @pytest.mark.attack("disk-filled-by-refusals")

@@ -70,11 +70,15 @@ async def test_a_master_tells_in_the_next_slot() -> None:
         witness = await world.node("/witness", {DOOR: Right.SUBSCRIBE})
         watcher = await world.node("/watcher", {"/other": Right.SUBSCRIBE})
         draft = Draft(
-            domain=world.site.domain, subject="/watcher", holder=watcher.member.thumbprint,
-            not_before=world.site.now, expires=world.site.now + 900, cap=world.site.now + 900,
+            domain=world.site.domain,
+            subject="/watcher",
+            holder=watcher.member.thumbprint,
+            not_before=world.site.now,
+            expires=world.site.now + 900,
+            cap=world.site.now + 900,
             serial=secrets.token_bytes(16),
             permissions=(Permission(DOOR, Right.SUBSCRIBE, Restriction(slot=SECONDS)),),
-        )  # fmt: skip
+        )
         await watcher.ask("rossec.presentGrants", [sign(world.site.signer, draft)])
         for node in (witness, watcher):
             assert await node.ask("registerSubscriber", DOOR, "*", node.uri) == []
@@ -97,9 +101,7 @@ async def test_a_wait_for_the_graph_does_not_end_with_what_is_not_seen() -> None
         sensor = await world.node("/sensor", {"/**": Right.PUBLISH})
         whole = await watcher.ask("rossec.watchGraph", "", 0)
         async with asyncio.TaskGroup() as tasks:
-            waiting = tasks.create_task(
-                watcher.ask("rossec.watchGraph", whole["instance"], whole["cursor"])
-            )
+            waiting = tasks.create_task(watcher.ask("rossec.watchGraph", whole["instance"], whole["cursor"]))
             await asyncio.sleep(0.1)
             await sensor.ask("registerPublisher", "/hidden", "std_msgs/Bool", sensor.uri)
             await asyncio.sleep(0.3)

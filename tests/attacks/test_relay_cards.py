@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import Identity
-from ca.domains.anchors import Anchors
+from ca.domains.trust import Anchors
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
-from rossec.overlay.peers import Peer
+from rossec.overlay.documents import Peer
 from tests.support.relayedsites import RelayedSite, two_sites
 from tests.support.witness import until
 
@@ -73,9 +73,7 @@ async def test_a_stolen_card_lets_in_nobody_else(sites: Sites, eve: RelayedSite)
     assert await is_let_in(home, office, context_of(office, "/relay"))  # the control
 
 
-async def test_a_site_that_is_not_trusted_has_no_use_of_a_card(
-    sites: Sites, tmp_path: Path
-) -> None:
+async def test_a_site_that_is_not_trusted_has_no_use_of_a_card(sites: Sites, tmp_path: Path) -> None:
     home, office = sites
     stranger = RelayedSite(tmp_path / "stranger", "stranger.example", home.wires)
     stranger.trust(home)

@@ -8,11 +8,11 @@ from contextlib import AsyncExitStack
 import pytest
 
 from ca.certificates import Identity
-from rossec.master.state.doors import Door, Report, Target, Way
+from rossec.host.addresses import source_for
+from rossec.master.state.forwarded_ports import Door, PeerWay, RelayReport, Target
 from rossec.net.aio import SecureStream, WireProtocol, connect
-from rossec.net.host.relayed import source_for
-from rossec.net.rpc.client import RpcClient
-from rossec.ros.settings import parse_uri
+from rossec.net.rpc.calls import RpcClient
+from rossec.ros.names import parse_uri
 from tests.rossec.master.visiting import VisitWorld
 from tests.rossec.master.world import EVERYTHING, T, until
 from tests.support.authority import EnrolledNode
@@ -33,18 +33,14 @@ async def world() -> AsyncIterator[VisitWorld]:
 
 
 @contextlib.asynccontextmanager
-async def caller(
-    world: VisitWorld, member: EnrolledNode, *, relay: str = RELAY
-) -> AsyncIterator[RpcClient]:
+async def caller(world: VisitWorld, member: EnrolledNode, *, relay: str = RELAY) -> AsyncIterator[RpcClient]:
     """A connection by a relay on the master's host; without a `relay` a straight one."""
     async with AsyncExitStack() as stack:
         port = parse_uri(world.server.uri)[1]
         if relay:
             port = await stack.enter_async_context(brought_by(relay, port))
         context = unlimited(member.credentials, world.site.anchor.verify)
-        stream: SecureStream[Identity] = await connect(
-            "127.0.0.1", port, context, WireProtocol.HTTP
-        )
+        stream: SecureStream[Identity] = await connect("127.0.0.1", port, context, WireProtocol.HTTP)
         stack.push_async_callback(stream.close)
         client = RpcClient(stream)
         if member.name != "/relay":
@@ -63,11 +59,12 @@ async def test_m8_a_foreigner_behind_a_relay_on_the_masters_host_registers_no_lo
     name = world.robot.name
     async with caller(world, world.robot) as client:
         for method, *params in (
-            ("registerPublisher", "/pose", T, uri), ("registerSubscriber", "/pose", T, uri),
+            ("registerPublisher", "/pose", T, uri),
+            ("registerSubscriber", "/pose", T, uri),
             ("registerService", "/s", "rosrpc://10.0.0.9:2", uri),
             ("registerService", "/s", uri.replace("http", "rosrpc"), "http://10.0.0.9:1/"),
             ("subscribeParam", uri, "/p"),
-        ):  # fmt: skip
+        ):
             found = await client.call(method, name, *params)
             assert isinstance(found, list)
             assert found[0] == -1, method
@@ -75,18 +72,14 @@ async def test_m8_a_foreigner_behind_a_relay_on_the_masters_host_registers_no_lo
 
 
 @pytest.mark.attack("near-by-relay")
-async def test_m8_a_node_of_the_own_domain_at_another_place_registers_none_either(
-    world: VisitWorld,
-) -> None:
+async def test_m8_a_node_of_the_own_domain_at_another_place_registers_none_either(world: VisitWorld) -> None:
     member = world.site.enroll("/robot")
     async with caller(world, member, relay="/relay/office") as client:
         found = await client.call("registerPublisher", "/robot", "/pose", T, NEAR)
         assert isinstance(found, list)
         assert found[0] == -1
         assert "set ROS_IP or ROS_HOSTNAME" in str(found[1])
-        assert (
-            await client.ask("registerPublisher", "/robot", "/pose", T, "http://10.0.0.9:1/") == []
-        )
+        assert await client.ask("registerPublisher", "/robot", "/pose", T, "http://10.0.0.9:1/") == []
     assert [each.uri for each in world.server.state.registry.nodes()] == ["http://10.0.0.9:1/"]
 
 
@@ -101,12 +94,10 @@ async def test_m8_the_same_calls_of_who_is_near_are_answered(world: VisitWorld) 
 async def test_m8_a_door_is_registered_by_nobody(world: VisitWorld) -> None:
     doors, target = world.server.state.doors, Target("ward", "node", "/bed")
     doors.want("ward", [target])
-    report = Report("one", 0, {target: Door("10.0.0.7", 7001)}, {"ward": Way("up", 1.0, 0, "", 0)})
+    report = RelayReport("one", 0, {target: Door("10.0.0.7", 7001)}, {"ward": PeerWay("up", 1.0, 0, "", 0)})
     doors.hear("/relay", report, world.server.state.now())
     async with caller(world, world.robot) as client:
-        found = await client.call(
-            "registerPublisher", world.robot.name, "/pose", T, "http://10.0.0.7:7001/"
-        )
+        found = await client.call("registerPublisher", world.robot.name, "/pose", T, "http://10.0.0.7:7001/")
         assert isinstance(found, list)
         assert "a relay of this site listens at this address" in str(found[1])
     assert not tuple(world.server.state.registry.nodes())
@@ -124,9 +115,7 @@ async def test_m8_a_relay_that_comes_by_a_relay_has_no_doors_and_no_targets_on_t
     for by, code in ((RELAY, -1), ("", 1)):
         async with caller(world, relay, relay=by) as client:
             target = await client.call("rossec.relayTarget", "/relay", "", "node", "/robot")
-            doors = await client.call(
-                "rossec.relayDoors", "/relay", "one", 0, [door], {"ward": WAY}
-            )
+            doors = await client.call("rossec.relayDoors", "/relay", "one", 0, [door], {"ward": WAY})
             assert isinstance(target, list)
             assert isinstance(doors, list)
             assert (target[0], doors[0]) == (code, code)

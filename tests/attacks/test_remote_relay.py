@@ -18,16 +18,18 @@ from rossec.channel.opening import WireProtocol, first_bytes
 from rossec.errors import ChannelError
 from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureStream
-from rossec.net.rpc.client import RpcClient
-from rossec.overlay.mux import STREAMS, YOUNG
-from rossec.overlay.mux_units import (
+from rossec.net.rpc.calls import RpcClient
+from rossec.overlay.mux import (
     MASTER,
     MAX_DATA,
+    MOST,
     NODE,
     SERVICE,
+    STREAMS,
+    YOUNG,
     Data,
     Reset,
-    Target,
+    StreamTarget,
     Unit,
     credit_unit,
     data_head,
@@ -36,12 +38,11 @@ from rossec.overlay.mux_units import (
     read_units,
     reset_unit,
 )
-from rossec.overlay.stream_window import MOST
 from tests.support.relayedsites import RelayedSite, two_sites
 
 Link = SecureStream[Identity]
 Sites = tuple[RelayedSite, RelayedSite]
-THE_MASTER = Target(MASTER, "/master")
+THE_MASTER = StreamTarget(MASTER, "/master")
 HTTP = first_bytes(WireProtocol.HTTP)
 
 
@@ -107,16 +108,18 @@ async def test_targets_outside_of_what_is_shown_are_refused_alike(sites: Sites) 
     async with office.master.node("/robot") as robot, attacker(sites) as link:
         await robot.publisher("/robot/pose", "std_msgs/String")
         wanted = [
-            Target(NODE, "/robot"), Target(NODE, "/nobody"), Target(NODE, "/relay"),
-            Target(NODE, "/master"), Target(SERVICE, "/robot/stop"), Target(MASTER, "/robot"),
-            Target(NODE, "/remote/home/robot"),
-        ]  # fmt: skip
+            StreamTarget(NODE, "/robot"),
+            StreamTarget(NODE, "/nobody"),
+            StreamTarget(NODE, "/relay"),
+            StreamTarget(NODE, "/master"),
+            StreamTarget(SERVICE, "/robot/stop"),
+            StreamTarget(MASTER, "/robot"),
+            StreamTarget(NODE, "/remote/home/robot"),
+        ]
         for number, target in enumerate(wanted):
             await link.send(open_unit(number, target) + data(number, HTTP))
         found = await answers(link, len(wanted))
-        assert sorted(found, key=lambda unit: unit.stream) == [
-            Reset(number) for number in range(len(wanted))
-        ]
+        assert sorted(found, key=lambda unit: unit.stream) == [Reset(number) for number in range(len(wanted))]
     await honest_call(sites)
 
 
@@ -146,9 +149,7 @@ async def test_a_node_that_registers_anothers_address_brings_nobody_there(sites:
             registry = office.master.server.state.registry
             (node,) = [each for each in registry.nodes() if each.name == "/robot"]
             registry.register_publisher("/robot/scan", "std_msgs/String", node._replace(uri=uri))
-            await link.send(
-                open_unit(0, Target(NODE, "/robot")) + data(0, HTTP + b"GET / HTTP/1.1")
-            )
+            await link.send(open_unit(0, StreamTarget(NODE, "/robot")) + data(0, HTTP + b"GET / HTTP/1.1"))
             sock, _ = await asyncio.get_running_loop().sock_accept(program)
             with sock:  # the relay's own handshake, from the relay's own address
                 assert sock.getpeername()[0] == "127.0.0.1"
@@ -174,7 +175,7 @@ async def test_a_service_registered_at_a_program_brings_nobody_there(sites: Site
         office.master.server.state.registry.register_service("/robot/stop", uri, node)
         async with attacker(sites) as link:
             opening = first_bytes(WireProtocol.TCPROS)
-            await link.send(open_unit(0, Target(SERVICE, "/robot/stop")))
+            await link.send(open_unit(0, StreamTarget(SERVICE, "/robot/stop")))
             await link.send(data(0, opening + b"\nFLUSHALL\n"))
             sock, _ = await asyncio.get_running_loop().sock_accept(program)
             with sock:
@@ -208,7 +209,7 @@ async def test_a_flood_of_streams_is_refused_beyond_the_first(sites: Sites) -> N
     _, office = sites
     async with attacker(sites) as link:
         for number in range(4 * STREAMS):
-            await link.send(open_unit(number, Target(NODE, f"/n{number}")))
+            await link.send(open_unit(number, StreamTarget(NODE, f"/n{number}")))
         refused = {unit.stream for unit in await answers(link, 4 * STREAMS - YOUNG)}
         assert refused == set(range(YOUNG, 4 * STREAMS))
         assert office.relay.ways()["home"].streams == YOUNG
@@ -217,16 +218,14 @@ async def test_a_flood_of_streams_is_refused_beyond_the_first(sites: Sites) -> N
 
 
 @pytest.mark.attack("relay-floods")
-async def test_streams_that_are_broken_off_at_once_have_few_targets_looked_for(
-    sites: Sites,
-) -> None:
+async def test_streams_that_are_broken_off_at_once_have_few_targets_looked_for(sites: Sites) -> None:
     """Opened, answered with an opening, reset: it would cost the attacker 40 bytes each."""
     _, office = sites
     before = len(asyncio.all_tasks())
     most = 0
     async with attacker(sites) as link:
         for number in range(2000):
-            await link.send(open_unit(number, Target(NODE, f"/n{number}")) + data(number, HTTP))
+            await link.send(open_unit(number, StreamTarget(NODE, f"/n{number}")) + data(number, HTTP))
             await link.send(reset_unit(number))
             most = max(most, len(asyncio.all_tasks()) - before)
         await answers(link, 1)
@@ -274,7 +273,7 @@ async def test_bytes_beyond_the_credit_end_the_link(sites: Sites) -> None:
         node = NodeRef("/robot", "http://10.0.0.3:4711/", b"robot")
         office.master.server.state.registry.register_service("/robot/stop", uri, node)
         async with attacker(sites) as link:
-            await link.send(open_unit(0, Target(SERVICE, "/robot/stop")))
+            await link.send(open_unit(0, StreamTarget(SERVICE, "/robot/stop")))
             await link.send(data(0, first_bytes(WireProtocol.TCPROS)))
             sock, _ = await asyncio.get_running_loop().sock_accept(program)
             with sock, contextlib.suppress(ChannelError):
@@ -293,7 +292,7 @@ async def test_a_relay_that_reads_nothing_stops_nobody(sites: Sites) -> None:
         for number in range(1, 20_000):
             with contextlib.suppress(ChannelError):
                 if not link.lags:
-                    link.write_nowait(open_unit(number, Target(NODE, "/robot")))
+                    link.write_nowait(open_unit(number, StreamTarget(NODE, "/robot")))
             if number % 500 == 0:
                 await asyncio.sleep(0)
         await honest_call(sites)

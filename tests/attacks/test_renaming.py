@@ -13,12 +13,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ca.patterns import covers
+from ca.names import pattern_covers
 from grants.errors import GrantMissing
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.naming.metadata import Kind
-from rossec.naming.runner import RuleRunner
+from rossec.naming.requests import NameKind
+from rossec.naming.rule_runner import RuleRunner
 from rossec.participant.access import Access
 from tests.rossec.naming.stylesheets import RULES
 from tests.rossec.participant.test_access import field, revocations
@@ -49,7 +49,7 @@ async def test_a_name_that_claims_gave_is_registered_only_with_a_grant(site: Sit
             (claims("eve", "phones", "robot", mobile=False), "/robot/place", False),
             (claims("eve", "phones", "phones/eve", mobile=False), "/phones/eve/place", True),
         ):
-            assert await rules.name(document, Kind.TOPIC, "place") == name
+            assert await rules.name(document, NameKind.TOPIC, "place") == name
             if is_allowed:
                 answer = await eve("registerPublisher", name, TYPE, eve.uri)
                 assert answer[0] == 1, answer
@@ -75,7 +75,7 @@ def test_whatever_is_claimed_a_right_is_that_of_the_name(tmp_path: Path) -> None
     def check(owner: str, group: str, location: str, mobile: bool) -> None:
         document = claims(owner, group, location, mobile=mobile)
         try:
-            name = loop.run(rules.name(document, Kind.TOPIC, "place"))
+            name = loop.run(rules.name(document, NameKind.TOPIC, "place"))
         except RossecError:
             return
         try:
@@ -85,7 +85,7 @@ def test_whatever_is_claimed_a_right_is_that_of_the_name(tmp_path: Path) -> None
         else:
             is_allowed = True
         seen.add(is_allowed)
-        assert is_allowed is covers(OWN, name)
+        assert is_allowed is pattern_covers(OWN, name)
 
     rules = RuleRunner(RULES)
     with asyncio.Runner() as loop:

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from ca.certificates import check_request
 from ca.errors import BackupRefused
-from ca.revocation.state import Revocations
-from ca.store.lifecycle import RequestState
+from ca.revocation.trust_status import Revocations
+from ca.store.values import RequestState
+from ca.svid import check_request
 from rossec import files
 from rossec.authority.backup import back_up, restore
 from rossec.authority.home import AuthorityHome
@@ -31,8 +31,8 @@ pytestmark = pytest.mark.attack("old-backup")
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
-    monkeypatch.setattr("ca.store.backup._N", 16)
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)
 
 
 @pytest.fixture
@@ -112,9 +112,7 @@ def test_the_hint_names_a_list_that_is_here_and_it_works(site: Shell) -> None:
     site.enroll("/master")
     file = backed_up(site)
     site.unlocked("ca", "revoke", "/robot", *NOBODY)
-    NodeHome.of(site.root, "/master").save_revocations(
-        AuthorityHome.at(site.root).revocation_list()
-    )
+    NodeHome.of(site.root, "/master").save_revocations(AuthorityHome.at(site.root).revocation_list())
     (site.root / "ca").rename(site.root / "lost")
     hint = site.unlocked("ca", "restore", file).err.splitlines()[1]
     named = hint.partition("--list ")[2].partition(";")[0]
@@ -284,9 +282,7 @@ def test_a_kill_at_any_step_leaves_an_authority(
     assert site("ca", "show").code == 0
 
 
-def test_an_interruption_after_the_exchange_keeps_both(
-    site: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interruption_after_the_exchange_keeps_both(site: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     home = AuthorityHome.at(site.root)
     data, exchange = back_up(home, PASSPHRASE), files.exchange
 
@@ -305,9 +301,7 @@ def test_an_interruption_after_the_exchange_keeps_both(
         unlocked.store.log.audit(unlocked.signer.public_key)
 
 
-def test_an_exchange_that_fails_leaves_all_as_it_was(
-    site: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_exchange_that_fails_leaves_all_as_it_was(site: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     data, before = back_up(AuthorityHome.at(site.root), PASSPHRASE), {*site.root.rglob("*")}
 
     def refuses(*_: object) -> None:

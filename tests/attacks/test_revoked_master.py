@@ -12,20 +12,19 @@ from typing import Any, Final
 import pytest
 
 from ca.authority import Authority
-from ca.certificates import from_pem
+from ca.certificates import build_intermediate_request, from_pem
 from ca.errors import RevocationsStale
-from ca.intermediates import build_intermediate_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.revocation.state import Timestamp, digest, sign_timestamp
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import Timestamp, digest, sign_timestamp
 from rossec import clock
 from rossec.authority.renewals import sign_intermediate
 from rossec.authority.signing import SigningAuthority
 from rossec.home import NodeHome
 from rossec.net.aio import SecureStream, WireProtocol, serve
-from rossec.net.rpc.client import serve_calls
+from rossec.net.rpc.calls import serve_calls
 from rossec.node import Node
-from rossec.participant import master_session
+from rossec.participant import membership
 from rossec.ros.names import MASTER
 from tests.attacks.test_clock import HOUR, ClockControl, hand, stop_master
 from tests.attacks.test_intermediates import send_list
@@ -48,9 +47,7 @@ def below(site: Site, tmp_path: Path) -> NodeHome:
     host = SigningAuthority(Authority(signer, root, der), site.authority.store, site.root)
     home = NodeHome.of(tmp_path / "elsewhere", MASTER)
     home.create_request(site.anchor.domain)
-    leaf = host.authority.issue(
-        home.request(), now=site.now(), serial=secrets.randbits(127), lifetime=DAY
-    )
+    leaf = host.authority.issue(home.request(), now=site.now(), serial=secrets.randbits(127), lifetime=DAY)
     home.install(host.bundle(leaf), site.now())
     return home
 
@@ -79,11 +76,7 @@ async def instead_of_the_master(
         await serve_calls(stream, answer)
 
     server = serve(
-        handle,
-        "127.0.0.1",
-        port,
-        unlimited(home.credentials(), site.anchor.verify),
-        WireProtocol.HTTP,
+        handle, "127.0.0.1", port, unlimited(home.credentials(), site.anchor.verify), WireProtocol.HTTP
     )
     try:
         yield told
@@ -122,7 +115,7 @@ async def test_a_revoked_master_does_not_correct_the_clock(
     site: Site, below: NodeHome, hand: ClockControl, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a list that is refused for another reason, and a host's clock that is set."""
-    monkeypatch.setattr(master_session, "HEARTBEAT", 0.2)
+    monkeypatch.setattr(membership, "HEARTBEAT", 0.2)
     site.enroll("/robot")
     async with site.node("/robot") as robot:
         data = site.revoke(below.identity(site.now()).thumbprint)

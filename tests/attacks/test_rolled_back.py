@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import Revoked
-from rossec.ros.names import MASTER
-from rossec.ros.settings import parse_uri
+from rossec.ros.names import MASTER, parse_uri
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import EVE, credentials, expect_refused, fields_for, listen, send_header
 from tests.support.caller import caller
@@ -22,9 +21,7 @@ from tests.support.site import Site
 from tests.support.witness import until
 
 ROBOT, WORDS, TYPE = "/robot", "/fresh/words", "std_msgs/String"
-ROSPY = (
-    SECURE + "import rospy\nrospy.init_node('robot')\nprint('READY', flush=True)\nrospy.spin()\n"
-)
+ROSPY = SECURE + "import rospy\nrospy.init_node('robot')\nprint('READY', flush=True)\nrospy.spin()\n"
 
 
 @contextlib.asynccontextmanager
@@ -51,14 +48,9 @@ Knower = Callable[[Site, Path], AbstractAsyncContextManager[None]]
 
 
 @pytest.mark.attack("rolled-back-master")
-@pytest.mark.parametrize(
-    "knower", [built_in, in_sidecar, pytest.param(in_rospy, marks=pytest.mark.ros)]
-)
+@pytest.mark.parametrize("knower", [built_in, in_sidecar, pytest.param(in_rospy, marks=pytest.mark.ros)])
 async def test_a_master_set_back_gets_the_newer_list_from_nodes(
-    tmp_path: Path,
-    knower: Knower,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+    tmp_path: Path, knower: Knower, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     listen(caplog)
     site = Site(tmp_path / "site")

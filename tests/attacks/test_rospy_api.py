@@ -13,7 +13,7 @@ import pytest_asyncio
 from ca.encoding import encode
 from grants.model import Right
 from rossec.errors import ChannelError, RossecError
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.ros.names import MASTER
 from rossec.ros.xmlrpc import Fault
 from tests.support.attacker import EVE, HOST, call, credentials, dial
@@ -68,16 +68,24 @@ async def test_a_false_publisher_update_is_refused(victim: Victim, uris: list[st
 
 
 RECON = (
-    "getBusInfo", "getBusStats", "getSubscriptions", "getPublications", "getPid", "getMasterUri",
-    "getName", "getUri", "system.listMethods", "_ready", "reg_man", "rossec.revocationUpdate",
-)  # fmt: skip
+    "getBusInfo",
+    "getBusStats",
+    "getSubscriptions",
+    "getPublications",
+    "getPid",
+    "getMasterUri",
+    "getName",
+    "getUri",
+    "system.listMethods",
+    "_ready",
+    "reg_man",
+    "rossec.revocationUpdate",
+)
 
 
 @pytest.mark.attack("existence-oracle")
 @pytest.mark.parametrize("method", RECON)
-async def test_a_peer_without_a_grant_learns_nothing_of_the_node(
-    victim: Victim, method: str
-) -> None:
+async def test_a_peer_without_a_grant_learns_nothing_of_the_node(victim: Victim, method: str) -> None:
     """N4."""
     try:
         answer = await ask(victim, method, EVE)
@@ -97,9 +105,7 @@ async def test_request_topic_does_not_tell_whether_a_topic_exists(victim: Victim
     assert there == absent == [1, "ready", ["TCPROS", HOST, victim.port]]
 
 
-async def answer_with_grant(
-    victim: Victim, name: str, right: Right, method: str, *params: object
-) -> Any:
+async def answer_with_grant(victim: Victim, name: str, right: Right, method: str, *params: object) -> Any:
     """The answer to `name`, which has presented a grant for `right` on the robot."""
     grant = victim.site.grant(name, right, "/robot")
     client = RpcClient(await dial(victim.uri, credentials(victim.site, name)))
@@ -114,11 +120,7 @@ async def answer_with_grant(
 async def test_an_operator_may_query_the_node(victim: Victim) -> None:
     """What `rosnode info` and `rosnode ping` need."""
     process = victim.program.process
-    assert await answer_with_grant(victim, "/operator", Right.GRAPH, "getPid") == [
-        1,
-        "",
-        process.pid,
-    ]
+    assert await answer_with_grant(victim, "/operator", Right.GRAPH, "getPid") == [1, "", process.pid]
     code, _, topics = await answer_with_grant(victim, "/operator", Right.GRAPH, "getPublications")
     assert code == 1
     assert [STATE, "std_msgs/String"] in topics
@@ -191,9 +193,7 @@ async def test_a_call_in_the_name_of_another_is_refused(victim: Victim) -> None:
         ((EVE, STATE, "TCPROS", 3), "Error: bad call arity or types"),
     ],
 )
-async def test_malformed_calls_are_refused(
-    victim: Victim, params: tuple[object, ...], said: str
-) -> None:
+async def test_malformed_calls_are_refused(victim: Victim, params: tuple[object, ...], said: str) -> None:
     assert (await ask(victim, "requestTopic", *params))[:2] == [-1, said]
 
 

@@ -17,13 +17,13 @@ from grants.model import Right
 from rossec.channel.opening import REFUSAL, tcpros_refusal
 from rossec.demo.intruder import accept_any
 from rossec.errors import ChannelError
-from rossec.inprocess.background import PEER_CONNECTIONS
+from rossec.inprocess.process import PEER_CONNECTIONS
 from rossec.net.aio import SecureStream, WireProtocol, connect, serve
-from rossec.net.halfopen import HalfOpen
-from rossec.net.rpc.client import serve_calls
+from rossec.net.limits import HalfOpen
+from rossec.net.rpc.calls import serve_calls
 from rossec.participant.access import FIELD
 from rossec.participant.message_types import message_type
-from rossec.ros import header
+from rossec.ros import tcpros
 from tests.support.attacker import (
     EVE,
     HOST,
@@ -36,16 +36,7 @@ from tests.support.attacker import (
     send_header,
 )
 from tests.support.contexts import unlimited
-from tests.support.victim import (
-    COMMAND,
-    SERVICE,
-    STATE,
-    TYPE,
-    Victim,
-    attacked,
-    for_service,
-    slave_port,
-)
+from tests.support.victim import COMMAND, SERVICE, STATE, TYPE, Victim, attacked, for_service, slave_port
 from tests.support.witness import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
@@ -122,9 +113,7 @@ async def test_a_right_covers_nothing_else(victim: Victim) -> None:
     ]
     answer = await heard(victim, fields_for("/neighbour", STATE, grants), "/neighbour")
     expect_refusal(answer, "no grant")
-    expect_refusal(
-        await heard(victim, for_service("/neighbour", SERVICE, grants), "/neighbour"), "no grant"
-    )
+    expect_refusal(await heard(victim, for_service("/neighbour", SERVICE, grants), "/neighbour"), "no grant")
 
 
 @pytest.mark.attack("unit-before-right")
@@ -170,9 +159,7 @@ async def raw(victim: Victim, data: bytes) -> bytes:
 
 @pytest.mark.attack("half-open")
 @pytest.mark.parametrize("port", [lambda victim: victim.port, slave_port], ids=["topics", "api"])
-async def test_silent_connections_block_no_other(
-    victim: Victim, port: Callable[[Victim], int]
-) -> None:
+async def test_silent_connections_block_no_other(victim: Victim, port: Callable[[Victim], int]) -> None:
     """N8: stock rospy blocks after the first; here a new caller is served meanwhile."""
     count = 2 * HalfOpen().per_address
     with contextlib.ExitStack() as stack:
@@ -213,13 +200,17 @@ async def test_a_false_publisher_is_refused(victim: Victim) -> None:
     async def talk(stream: SecureStream[Identity]) -> None:
         await stream.receive()
         fields: dict[str, str | bytes] = {
-            "callerid": names[0], "topic": COMMAND, "type": kind.name, "md5sum": kind.md5sum,
-            "message_definition": kind.definition, FIELD: encode(list(grants)),
-        }  # fmt: skip
+            "callerid": names[0],
+            "topic": COMMAND,
+            "type": kind.name,
+            "md5sum": kind.md5sum,
+            "message_definition": kind.definition,
+            FIELD: encode(list(grants)),
+        }
         names.reverse()
         data = bytes(kind.serialize(kind.create(data="obey me")))
         with contextlib.suppress(ChannelError):
-            await stream.send(header.encode(fields), header.frame(data) * 5)
+            await stream.send(tcpros.encode(fields), tcpros.frame(data) * 5)
             await stream.receive()
 
     async def answer_calls(stream: SecureStream[Identity]) -> None:
@@ -287,7 +278,7 @@ async def test_connections_are_limited_per_identity(victim: Victim) -> None:
     streams = []
     for _ in range(PEER_CONNECTIONS):
         streams.append(await connect(HOST, victim.port, unlimited(own, site.anchor.verify)))
-        await streams[-1].send(header.encode(fields))
+        await streams[-1].send(tcpros.encode(fields))
         assert b"callerid=/robot" in await streams[-1].receive()
     expect_refusal(await heard(victim, fields, name), "has 64 connections already")
     data = site.revoke(site.identity(name).thumbprint)

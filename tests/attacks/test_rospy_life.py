@@ -16,12 +16,12 @@ pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
 
 FAST: Final = """
 import struct
-from rossec.inprocess import connector
-import rossec.net.threads.carrier
-rossec.net.threads.carrier.SLICE = struct.pack("ll", 1, 0)  # how often a reader looks at the clock
+from rossec.inprocess import identity
+import rossec.net.threads.secure_socket
+rossec.net.threads.secure_socket.SLICE = struct.pack("ll", 1, 0)  # how often a reader looks at the clock
 from rossec.channel.records import ChannelLimits
-limits = dict.fromkeys(connector.WireProtocol, ChannelLimits(seconds=1))
-connector.ACCEPTED = connector.DIALLED = limits
+limits = dict.fromkeys(identity.WireProtocol, ChannelLimits(seconds=1))
+identity.ACCEPTED = identity.DIALLED = limits
 """
 ROBOT: Final = (
     SECURE
@@ -88,10 +88,7 @@ async def pair(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[tuple[
         entitle(site, "/robot", {Right.PUBLISH: TOPICS, Right.PROVIDE: ("/robot/work",)})
         entitle(site, "/viewer", {Right.SUBSCRIBE: TOPICS, Right.CALL: ("/robot/work",)})
         env = environment(site, directory / "logs")
-        async with (
-            program(env, ROBOT, told=True) as robot,
-            program(env, VIEWER, told=True) as viewer,
-        ):
+        async with program(env, ROBOT, told=True) as robot, program(env, VIEWER, told=True) as viewer:
             await robot.read_until("READY")
             await viewer.read_until("ANSWER done")
             if "HEARD still" not in viewer.said:
@@ -106,9 +103,7 @@ async def pair(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[tuple[
 async def test_a_forked_child_cannot_send(pair: tuple[Program, Program]) -> None:
     """Else two messages would be sent with one nonce."""
     robot, viewer = pair
-    while not all(
-        f"HEARD {topic} from the parent" in viewer.said for topic in ("queued", "direct")
-    ):
+    while not all(f"HEARD {topic} from the parent" in viewer.said for topic in ("queued", "direct")):
         await robot.tell("fork")
         assert "a forked process has no connections" in await robot.read_until("CHILD")
         await viewer.read_until("HEARD")

@@ -19,18 +19,15 @@ from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureStream, connect
 from rossec.participant.access import FIELD
-from rossec.ros import header
-from rossec.ros.header import FrameReader
+from rossec.ros import tcpros
+from rossec.ros.tcpros import FrameReader
 from tests.support.attacker import EVE, HOST, fields_for
 from tests.support.contexts import unlimited
 from tests.support.fleet import SECURE, Program, entitle, environment, program
 from tests.support.site import Site
 from tests.support.witness import until
 
-pytestmark = [
-    pytest.mark.ros,
-    pytest.mark.asyncio(loop_scope="module"),
-]
+pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
 COUNT: Final = "/robot/count"
 PLACE: Final = "/robot/place"
 PLAN: Final = "/robot/plan"
@@ -80,7 +77,7 @@ class Target:
         """One more connection of Eve's, with its header answered."""
         credentials, verify = self.site.enroll(EVE).credentials(), self.site.anchor.verify
         stream = await connect(HOST, self.port, unlimited(credentials, verify))
-        await stream.send(header.encode(fields))
+        await stream.send(tcpros.encode(fields))
         return stream
 
     async def subscribe(self, topic: str) -> "Receiver":
@@ -118,12 +115,10 @@ async def target(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Targ
     directory: Path = tmp_path_factory.mktemp("limits")
     async with Site(directory / "site").running() as site:
         entitle(
-            site, "/robot",
-            {
-                Right.PUBLISH: (COUNT, PLACE, PLAN), Right.SUBSCRIBE: (COMMAND,),
-                Right.PROVIDE: (SERVICE,),
-            },
-        )  # fmt: skip
+            site,
+            "/robot",
+            {Right.PUBLISH: (COUNT, PLACE, PLAN), Right.SUBSCRIBE: (COMMAND,), Right.PROVIDE: (SERVICE,)},
+        )
         site.enroll(EVE, wildcard=True)
         for topic, restriction in ((COUNT, SELDOM), (PLACE, HELD), (PLAN, SELDOM)):
             site.subscribe(EVE, topic, restriction)
@@ -170,14 +165,11 @@ async def test_calls_over_many_connections_share_the_rate(target: Target) -> Non
     answers = []
     grants = encode([*target.site.enroll(EVE).grants()])
     for persistent in ("0", "1") * 3:
-        fields = {
-            "callerid": EVE, "service": SERVICE, "md5sum": "*", "persistent": persistent,
-            FIELD: grants,
-        }  # fmt: skip
+        fields = {"callerid": EVE, "service": SERVICE, "md5sum": "*", "persistent": persistent, FIELD: grants}
         stream = await target.connect(fields)
         async with asyncio.timeout(30):
             assert b"md5sum" in await stream.receive()
-            await stream.send(header.frame(b""))
+            await stream.send(tcpros.frame(b""))
             answers.append((await stream.receive())[:1])
         stream.abort("done")
     assert answers == [b"\1", *[b"\0"] * 5]

@@ -15,18 +15,11 @@ import pytest_asyncio
 from ca.certificates import Identity
 from grants.model import Right
 from rossec.channel.connection import Connection
-from rossec.channel.states import Authenticated, UnitReceived
-from rossec.ros import header
-from tests.support.attacker import (
-    HOST,
-    credentials,
-)
-from tests.support.victim import (
-    SERVICE,
-    Victim,
-    attacked,
-    for_service,
-)
+from rossec.channel.edhoc.handshake import EdhocConfig
+from rossec.channel.negotiation import Authenticated, UnitReceived
+from rossec.ros import tcpros
+from tests.support.attacker import HOST, credentials
+from tests.support.victim import SERVICE, Victim, attacked, for_service
 
 pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
 NOWHERE: Final = "/robot/none"
@@ -44,10 +37,8 @@ class Wire:
 
     def __init__(self, victim: Victim, name: str) -> None:
         self.sock = socket.create_connection((HOST, victim.port), timeout=10)
-        self.core = Connection[Identity].initiator(
-            credentials(victim.site, name), victim.site.anchor.verify,
-            random=secrets.token_bytes, now=int(time.time()),
-        )  # fmt: skip
+        config = EdhocConfig(credentials(victim.site, name), victim.site.anchor.verify, secrets.token_bytes)
+        self.core = Connection[Identity].initiator(config, now=int(time.time()))
         self.units: list[bytes] = []
         self.push()
         while not self.pull():
@@ -95,8 +86,7 @@ def changed_header(one: bytes, two: bytes) -> bytes:
 
 @pytest.mark.attack("tampered-records")
 @pytest.mark.parametrize(
-    ("meddle", "called"),
-    [(tampered, 0), (replayed, 1), (reordered, 0), (changed_header, 0)],
+    ("meddle", "called"), [(tampered, 0), (replayed, 1), (reordered, 0), (changed_header, 0)]
 )
 async def test_tampered_records_end_the_connection(
     victim: Victim, meddle: Callable[[bytes, bytes], bytes], called: int
@@ -105,11 +95,11 @@ async def test_tampered_records_end_the_connection(
     grant = victim.site.grant("/clerk", Right.CALL, SERVICE)
     wire = await asyncio.to_thread(Wire, victim, "/clerk")
     fields = for_service("/clerk", SERVICE, [grant], persistent="1")
-    wire.sock.sendall(wire.seal(header.encode(fields)))
+    wire.sock.sendall(wire.seal(tcpros.encode(fields)))
     while not wire.units:
         await asyncio.to_thread(wire.pull)
     before = victim.said.count("RESET")
-    flight = meddle(wire.seal(header.frame(b"")), wire.seal(header.frame(b"")))
+    flight = meddle(wire.seal(tcpros.frame(b"")), wire.seal(tcpros.frame(b"")))
     wire.sock.sendall(flight)
     assert await asyncio.to_thread(wire.ended)
     wire.sock.close()
@@ -125,8 +115,8 @@ async def test_a_truncated_record_delivers_nothing(victim: Victim) -> None:
     grant = victim.site.grant("/clerk", Right.CALL, SERVICE)
     wire = await asyncio.to_thread(Wire, victim, "/clerk")
     fields = for_service("/clerk", SERVICE, [grant])
-    wire.sock.sendall(wire.seal(header.encode(fields)))
-    wire.sock.sendall(wire.seal(header.frame(b""))[:-1])
+    wire.sock.sendall(wire.seal(tcpros.encode(fields)))
+    wire.sock.sendall(wire.seal(tcpros.frame(b""))[:-1])
     wire.sock.shutdown(socket.SHUT_WR)
     assert await asyncio.to_thread(wire.ended)
     wire.sock.close()

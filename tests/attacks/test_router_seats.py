@@ -15,11 +15,11 @@ import pytest
 import zenoh
 
 from rossec.errors import OverlayUnavailable
+from rossec.overlay.documents import Routers
+from rossec.overlay.homes import RouterHome
 from rossec.overlay.link_frames import MAX_FRAME
-from rossec.overlay.router_home import RouterHome
-from rossec.overlay.routers import Routers
+from rossec.overlay.router_settings import client_settings
 from rossec.overlay.zenoh_carrier import Carrier, open_session
-from rossec.overlay.zenoh_settings import client_settings
 from tests.support.overlay import until
 from tests.support.ports import free_port
 from tests.support.routerprocess import RouterProcess, home_with, running
@@ -100,9 +100,7 @@ async def test_it_asks_which_mailboxes_there_are(
     reader = alice.subscribe(HOME, lambda _: None)
     remote = zenoh.Locality.REMOTE
     with attacker(home, mode) as session:
-        asked = [
-            session.declare_publisher(key, allowed_destination=remote) for key in (HOME, *PATTERNS)
-        ]
+        asked = [session.declare_publisher(key, allowed_destination=remote) for key in (HOME, *PATTERNS)]
         tokens: list[object] = []
         for key in PATTERNS[1:]:
             session.liveliness().declare_subscriber(key, tokens.append, history=True)

@@ -16,18 +16,10 @@ from pathlib import Path
 
 import pytest
 
-from rossec.errors import (
-    MetadataRefused,
-    NameUndefined,
-    ProposedNameRefused,
-    RulesExceeded,
-    RulesRefused,
-)
-from rossec.naming import child, frames
-from rossec.naming.child_process import RuleProcess
-from rossec.naming.documents import MAX_INPUT
-from rossec.naming.metadata import Kind
-from rossec.naming.runner import RuleRunner
+from rossec.errors import MetadataRefused, NameUndefined, ProposedNameRefused, RulesExceeded, RulesRefused
+from rossec.naming import child, requests
+from rossec.naming.requests import MAX_INPUT, NameKind
+from rossec.naming.rule_runner import RuleProcess, RuleRunner
 from tests.rossec.naming.stylesheets import PHONE, RULES, request, sheet
 from tests.support.witness import until
 
@@ -110,19 +102,33 @@ RECURSION = (
         ("<name><xsl:value-of select='str:padding(999999999, \"a\")'/></name>", ""),
         (f"{doubling(20)}<xsl:value-of select='count(str:tokenize($v20, \"0\"))'/>", ""),
         (f"{doubling(18)}<xsl:value-of select='str:replace($v18, \"0\", $v18)'/>", ""),
-        ("<xsl:for-each select='//a'>" + loops(2) + "<xsl:value-of select=\"count(key('k', //a)/"
-         "following::a[key('k', .)]/preceding::a)\"/></xsl:for-each>", MANY),
+        (
+            "<xsl:for-each select='//a'>" + loops(2) + "<xsl:value-of select=\"count(key('k', //a)/"
+            "following::a[key('k', .)]/preceding::a)\"/></xsl:for-each>",
+            MANY,
+        ),
         ("<xsl:value-of select=\"count(key('all', //a)[key('all', //a)])\"/>" + loops(3), MANY),
         ("<xsl:copy-of select='//*[//*[//*[//*[. = 1]]]]'/>", MANY),
         ("<xsl:number value='999999999999' format='i'/><xsl:number value='1e300' format='a'/>", ""),
         (loops(1) + "<name>" + "<xsl:copy-of select='//a'/>" * 50 + "</name>", MANY),
     ],
     ids=[
-        "nested loops", "endless doubling", "a megabyte for a name", "endless recursion",
-        "endless templates", "growing recursion", "padding", "tokens", "replacement", "keys",
-        "keys of all", "predicates", "roman numbers", "copies",
+        "nested loops",
+        "endless doubling",
+        "a megabyte for a name",
+        "endless recursion",
+        "endless templates",
+        "growing recursion",
+        "padding",
+        "tokens",
+        "replacement",
+        "keys",
+        "keys of all",
+        "predicates",
+        "roman numbers",
+        "copies",
     ],
-)  # fmt: skip
+)
 async def test_rules_that_take_too_much_are_ended(body: str, content: str) -> None:
     async with answered_meanwhile(rules_with(body, top=RECURSION)) as runner:
         with pytest.raises((RulesExceeded, RulesRefused, NameUndefined, ProposedNameRefused)):
@@ -210,11 +216,31 @@ async def test_rules_that_reach_out_are_refused(body: str, top: str, tmp_path: P
 @pytest.mark.parametrize(
     "value",
     [
-        "../master", "..", "/", "//master", "a/../../master", "~a", "$(find a)", "a b", "a\tb",
-        "a-b", "1a", "é", "\uff41", "\u0430", "a\u200b", "a\x7f", "master\0", "a" * 300,
-        "'or'1'='1", "document('/etc/passwd')", "{1}", "%2e", "\u202e",
+        "../master",
+        "..",
+        "/",
+        "//master",
+        "a/../../master",
+        "~a",
+        "$(find a)",
+        "a b",
+        "a\tb",
+        "a-b",
+        "1a",
+        "é",
+        "\uff41",
+        "\u0430",
+        "a\u200b",
+        "a\x7f",
+        "master\0",
+        "a" * 300,
+        "'or'1'='1",
+        "document('/etc/passwd')",
+        "{1}",
+        "%2e",
+        "\u202e",
     ],
-)  # fmt: skip
+)
 async def test_a_name_that_is_none_does_not_leave(value: str) -> None:
     rules = rules_with("<name>/<xsl:value-of select='/node/name'/></name>")
     async with answered_meanwhile(rules) as runner:
@@ -228,7 +254,7 @@ async def test_a_name_that_others_trust_does_not_leave(value: str) -> None:
     document = f"<node><topic><name>a</name><location>{value}</location></topic></node>".encode()
     async with RuleRunner(RULES) as runner:
         with pytest.raises(ProposedNameRefused, match="which is reserved"):
-            await runner.name(document, Kind.TOPIC, "a")
+            await runner.name(document, NameKind.TOPIC, "a")
 
 
 @pytest.mark.attack("rules-names")
@@ -236,24 +262,22 @@ async def test_a_name_that_others_trust_does_not_leave(value: str) -> None:
 async def test_what_is_asked_for_is_text_and_no_expression(which: str) -> None:
     async with RuleRunner(RULES) as runner:
         with pytest.raises((NameUndefined, MetadataRefused)):
-            await runner.name(PHONE, Kind.TOPIC, which)
+            await runner.name(PHONE, NameKind.TOPIC, which)
 
 
-def taken_over(
-    monkeypatch: pytest.MonkeyPatch, action: Callable[[], object]
-) -> frames.Result | bytes:
+def taken_over(monkeypatch: pytest.MonkeyPatch, action: Callable[[], object]) -> requests.Result | bytes:
     """What comes of a request whose process does what an attacker likes, once it is restricted."""
 
     def answered(_: bytes) -> bytes:
         try:
             action()
         except (OSError, ValueError):  # of setrlimit: not allowed
-            return frames.write_names(["/refused"])
-        return frames.write_names(["/succeeded"])
+            return requests.write_names(["/refused"])
+        return requests.write_names(["/succeeded"])
 
     monkeypatch.setattr(child, "_answered", answered)
-    body = frames.write_request(request(RULES))
-    return frames.read_names(bytes(child.ask(bytearray(body))), 1)[0]
+    body = requests.write_request(request(RULES))
+    return requests.read_names(bytes(child.ask(bytearray(body))), 1)[0]
 
 
 def fork_bomb() -> None:
@@ -279,10 +303,20 @@ def fork_bomb() -> None:
         lambda: os.chroot("/"),
     ],
     ids=[
-        "fork", "exec", "kill", "kill init", "write for others", "read for others", "read a file",
-        "write a file", "socket", "limits", "setuid", "chroot",
+        "fork",
+        "exec",
+        "kill",
+        "kill init",
+        "write for others",
+        "read for others",
+        "read a file",
+        "write a file",
+        "socket",
+        "limits",
+        "setuid",
+        "chroot",
     ],
-)  # fmt: skip
+)
 def test_a_process_that_was_taken_over_reaches_nothing(
     monkeypatch: pytest.MonkeyPatch, action: Callable[[], object]
 ) -> None:
@@ -310,16 +344,16 @@ def test_one_that_takes_memory_or_time_is_ended(monkeypatch: pytest.MonkeyPatch)
 async def test_nothing_of_one_that_was_taken_over_is_there_for_the_next_caller() -> None:
     """It answers twice, and changes what is in its memory: neither reaches anybody."""
     program = (
-        "from rossec.naming import child, frames\n"
+        "from rossec.naming import child, requests\n"
         "honest = child._answered\n"
         "def answered(body):\n"
-        "    child._answered = lambda _: frames.write_names(['/kept'])\n"
-        "    return frames.write_names(['/lie']) * 2 if b'secret' in body else honest(body)\n"
+        "    child._answered = lambda _: requests.write_names(['/kept'])\n"
+        "    return requests.write_names(['/lie']) * 2 if b'secret' in body else honest(body)\n"
         "child._answered = answered\n"
         "child.main()\n"
     )
     command = [sys.executable, "-I", "-c", program]
-    async with RuleRunner(rules_with(""), start=lambda: RuleProcess.start(command)) as runner:
+    async with RuleRunner(rules_with(""), start=lambda: RuleProcess(command)) as runner:
         for _ in range(3):
             assert await runner.name(HONEST) == NAME
             with pytest.raises(RulesExceeded, match="answers in another form"):

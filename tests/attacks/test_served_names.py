@@ -11,8 +11,8 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import AnswerRefused, RossecError
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.registry import Kind
-from rossec.master.state.sites import Site
 from tests.rossec.master.gatewayworld import (
     ALIAS,
     MAY_BE_SERVED,
@@ -61,9 +61,7 @@ async def test_the_gateway_of_another_domain_is_a_visitor(world: ServedWorld) ->
 
 
 @pytest.mark.attack("served-publisher")
-async def test_who_may_clean_up_after_a_gateway_registers_nothing_for_it(
-    world: ServedWorld,
-) -> None:
+async def test_who_may_clean_up_after_a_gateway_registers_nothing_for_it(world: ServedWorld) -> None:
     gateway = await world.gateway()
     admin = await world.node("/admin", EVERYTHING)
     for method, rest in (("registerPublisher", (T, admin.uri)), ("registerSubscriber", (T, ""))):
@@ -107,9 +105,7 @@ async def test_what_a_visitor_publishes_here_is_no_topic_of_its_home(world: Serv
 
 @pytest.mark.attack("served-rights")
 @pytest.mark.parametrize("pattern", ["/remote/hospital/pose", "/remote/**", "/pose", "/remote/*/*"])
-async def test_own_grants_about_the_origin_are_worth_nothing(
-    world: ServedWorld, pattern: str
-) -> None:
+async def test_own_grants_about_the_origin_are_worth_nothing(world: ServedWorld, pattern: str) -> None:
     """An authority does not sign the first two; here it has."""
     await world.gateway()
     node = await world.node("/viewer", {pattern: Right(255)})

@@ -15,21 +15,13 @@ from rossec.errors import ChannelError, RossecError
 from rossec.net.aio import SecureServer, SecureStream, connect, serve
 from rossec.node import Node
 from rossec.node import service as provider
-from rossec.node.listener import first_frame
+from rossec.node.node import first_frame
 from rossec.participant.access import FIELD
-from rossec.participant.service_handshake import ExpectedService, server_header
+from rossec.participant.handshakes import ExpectedService, server_header
 from rossec.participant.service_types import service_type
-from rossec.ros import header
-from rossec.ros import service as wire
-from tests.support.attacker import (
-    EVE,
-    HOST,
-    credentials,
-    expect_refused,
-    listen,
-    send_header,
-    signed,
-)
+from rossec.ros import tcpros
+from rossec.ros import tcpros as wire
+from tests.support.attacker import EVE, HOST, credentials, expect_refused, listen, send_header, signed
 from tests.support.contexts import unlimited
 from tests.support.site import Site
 from tests.support.witness import until
@@ -58,12 +50,8 @@ def switch(request: Any) -> dict[str, object]:
     return {"success": True}
 
 
-def asking(
-    grants: list[bytes] | None, service: str = SERVICE, **changes: str
-) -> dict[str, str | bytes]:
-    fields: dict[str, str | bytes] = {
-        "callerid": EVE, "service": service, "md5sum": "*", **changes
-    }  # fmt: skip
+def asking(grants: list[bytes] | None, service: str = SERVICE, **changes: str) -> dict[str, str | bytes]:
+    fields: dict[str, str | bytes] = {"callerid": EVE, "service": service, "md5sum": "*", **changes}
     return fields if grants is None else {**fields, FIELD: encode(list(grants))}
 
 
@@ -108,9 +96,7 @@ async def test_only_authorized_callers_learn_what_exists(site: Site, lamp: Node)
     heard = await send_header(port_of(lamp), credentials(site), asking(grants, probe="1"))
     assert heard.fields["type"] == BOOL.encode()
     assert heard.after == b""
-    heard = await send_header(
-        port_of(lamp), credentials(site), asking(grants, "/lamp/no", probe="1")
-    )
+    heard = await send_header(port_of(lamp), credentials(site), asking(grants, "/lamp/no", probe="1"))
     assert heard.error == "rossec: /lamp does not provide /lamp/no"
     heard = await send_header(port_of(lamp), credentials(site), asking(grants, md5sum="0" * 32))
     assert "has the md5sum" in heard.error
@@ -126,7 +112,7 @@ async def open_call(
     """Eve's connection after the headers."""
     stream = await connect(HOST, port_of(lamp), unlimited(credentials(site), accept_any))
     try:
-        await stream.send(header.encode(asking([grant or may_call(site)], **changes)))
+        await stream.send(tcpros.encode(asking([grant or may_call(site)], **changes)))
         async with asyncio.timeout(30):
             assert b"request_type" in await stream.receive()
         yield stream
@@ -185,7 +171,7 @@ async def test_a_request_that_never_ends_times_out(
 @pytest.mark.attack("service-occupied")
 async def test_a_malformed_request_fails_only_its_call(site: Site, lamp: Node) -> None:
     async with open_call(site, lamp, persistent="true") as stream:
-        for nonsense in (b"\0\0\0\0", b"\2\0\0\0\1\1", header.frame(bytes(300_000))):
+        for nonsense in (b"\0\0\0\0", b"\2\0\0\0\1\1", tcpros.frame(bytes(300_000))):
             await stream.send(nonsense)
             async with asyncio.timeout(30):
                 answer = await stream.receive()
@@ -264,7 +250,7 @@ async def impostor(
 
     async def play(stream: SecureStream[Any]) -> None:
         await first_frame(stream)
-        await stream.send(header.encode(answer))
+        await stream.send(tcpros.encode(answer))
         heard.append(await stream.receive())
         await stream.send(reply)
         await stream.wait_ended()
@@ -312,9 +298,7 @@ async def test_a_provider_without_the_right_gets_no_request(site: Site, hall: No
 
 
 @pytest.mark.attack("service-no-grant")
-async def test_a_provider_under_another_name_or_type_gets_no_request(
-    site: Site, hall: Node
-) -> None:
+async def test_a_provider_under_another_name_or_type_gets_no_request(site: Site, hall: Node) -> None:
     right = [signed(site, right=Right.PROVIDE, pattern=SERVICE)]
     for changes in ({"callerid": b"/lamp"}, {"md5sum": b"0" * 32}, {"error": b"no\x1b[2J"}):
         heard: list[bytes] = []
@@ -328,13 +312,7 @@ async def test_a_provider_under_another_name_or_type_gets_no_request(
 @pytest.mark.attack("service-no-grant")
 @pytest.mark.parametrize(
     "reply",
-    [
-        b"\2\0\0\0\0",
-        b"\1\xff\xff\xff\xff",
-        b"\1\0\0\0\0",
-        b"\1\5\0\0\0\1\0\0\0\0!",
-        b"\0\3\0\0\0a\nb",
-    ],
+    [b"\2\0\0\0\0", b"\1\xff\xff\xff\xff", b"\1\0\0\0\0", b"\1\5\0\0\0\1\0\0\0\0!", b"\0\3\0\0\0a\nb"],
     ids=["mark", "too long", "no response", "a tail", "a failure"],
 )
 async def test_a_malformed_response_fails_the_call(site: Site, hall: Node, reply: bytes) -> None:

@@ -19,12 +19,11 @@ from grants.model import Restriction, Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import RossecError
 from rossec.net.aio import connect
-from rossec.net.aio.dial import dial
-from rossec.net.halfopen import HalfOpen
-from rossec.net.rpc.client import RpcClient
+from rossec.net.aio.client import dial
+from rossec.net.limits import HalfOpen
+from rossec.net.rpc.calls import RpcClient
 from rossec.sidecar import executor
-from rossec.sidecar.core import tcpros
-from rossec.sidecar.core.endpoints import local_endpoint
+from rossec.sidecar.core.layers import local_endpoint
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.contexts import unlimited
@@ -75,24 +74,26 @@ async def robot(near: Sidecar) -> AsyncIterator[Program]:
 
 async def call_as(uri: str, user: int | None) -> str:
     process = await asyncio.create_subprocess_exec(
-        "/usr/bin/python3", "-c", CALL, uri,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, user=user, env={"PATH": "/usr/bin"},
-    )  # fmt: skip
+        "/usr/bin/python3",
+        "-c",
+        CALL,
+        uri,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        user=user,
+        env={"PATH": "/usr/bin"},
+    )
     said, _ = await process.communicate()
     return said.decode()
 
 
 @pytest.mark.attack("borrowed-identity")
-async def test_the_process_of_another_user_cannot_borrow_the_identity(
-    near: Sidecar, robot: Program
-) -> None:
+async def test_the_process_of_another_user_cannot_borrow_the_identity(near: Sidecar, robot: Program) -> None:
     if os.getuid() != 0:
         pytest.skip("NOT RUN: only root can start a process of another user")
     agent = near._agent_for("/robot")
     public_uri = (
-        f"http://127.0.0.1:{next(iter(agent._egress.ports)).port}/"
-        if any(agent._egress.ports)
-        else ""
+        f"http://127.0.0.1:{next(iter(agent._egress.ports)).port}/" if any(agent._egress.ports) else ""
     )
     assert (await call_as(near.uri, None)).startswith("ANSWERED")
     for uri in filter(None, (near.uri, public_uri)):
@@ -136,9 +137,7 @@ async def test_a_scan_of_open_ports_learns_nothing(site: Site, near: Sidecar) ->
         opened = listening() - before - {robot.slave.port, robot.topics.port}
         assert opened
         for port in opened:
-            answers = await asyncio.gather(
-                *(asyncio.to_thread(probed, port, probe) for probe in PROBES)
-            )
+            answers = await asyncio.gather(*(asyncio.to_thread(probed, port, probe) for probe in PROBES))
             for answer in answers:
                 assert not any(word in answer for word in PRIVATE), answer
         assert robot.calls == []
@@ -181,9 +180,7 @@ def silent_connections(ports: Collection[int], times: int, stack: contextlib.Exi
 
 
 @pytest.mark.attack("sidecar-exhausted")
-async def test_half_open_connections_are_limited_across_ports(
-    near: Sidecar, robot: Program
-) -> None:
+async def test_half_open_connections_are_limited_across_ports(near: Sidecar, robot: Program) -> None:
     """N8: ten ports would use more descriptors than a process has, and programs need some."""
     agent = near._agent_for("/robot")
     for port in range(1, 4):
@@ -209,12 +206,16 @@ async def test_the_slave_api_is_closed_to_peers(site: Site, near: Sidecar, robot
     )
     client = RpcClient(stream)
     for method, params in (
-        ("shutdown", ("/mallory", "x")), ("shutdown", ("/master", "x")),
+        ("shutdown", ("/mallory", "x")),
+        ("shutdown", ("/master", "x")),
         ("publisherUpdate", ("/master", "/word", ["http://evil:1/"])),
-        ("paramUpdate", ("/master", "/k", 1)), ("getPid", ("/mallory",)),
-        ("getBusInfo", ("/mallory",)), ("launch", ("<launch/>",)),
-        ("rossec.revocationUpdate", ("/master", b"", b"")), ("system.multicall", ([],)),
-    ):  # fmt: skip
+        ("paramUpdate", ("/master", "/k", 1)),
+        ("getPid", ("/mallory",)),
+        ("getBusInfo", ("/mallory",)),
+        ("launch", ("<launch/>",)),
+        ("rossec.revocationUpdate", ("/master", b"", b"")),
+        ("system.multicall", ([],)),
+    ):
         answer = await client.call(method, *params)
         assert isinstance(answer, list)
         assert answer[0] == -1, (method, answer)
@@ -229,8 +230,9 @@ async def test_a_program_has_only_the_rights_of_its_agent(site: Site, near: Side
     async with Program("/weak", near) as weak:
         for method, params in (
             ("registerPublisher", ("/word", "std_msgs/String", weak.uri)),
-            ("getParam", ("/secret",)), ("shutdown", ("now",)),
-        ):  # fmt: skip
+            ("getParam", ("/secret",)),
+            ("shutdown", ("now",)),
+        ):
             answer = await weak.ask(weak.master_uri, method, *params)
             assert isinstance(answer, list)
             assert answer[0] == -1, (method, answer)
@@ -250,14 +252,10 @@ async def test_a_failing_check_closes_the_connection(
         raise RuntimeError("a bug")
 
     site.subscribe("/ear", "/word", Restriction(rate=1))
-    async with (
-        sidecar(site) as far,
-        Program("/robot", near) as robot,
-        Program("/ear", far) as ear,
-    ):
+    async with sidecar(site) as far, Program("/robot", near) as robot, Program("/ear", far) as ear:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         uris = await ear.register("registerSubscriber", "/word", "std_msgs/String")
         assert isinstance(uris, list)
-        monkeypatch.setattr(tcpros, "guard_for", crash)
+        monkeypatch.setattr("rossec.participant.definitions.guard_for", crash)
         with pytest.raises(Exception, match=r"closed|reset"):
             await ear.subscribe(uris[0], "/word")

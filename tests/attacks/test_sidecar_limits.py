@@ -12,23 +12,15 @@ from ca.certificates import Identity
 from ca.encoding import encode
 from grants.model import Restriction, Right, filter_rules
 from rossec.net.aio import SecureStream, WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.participant.message_types import message_type
-from rossec.ros import header
-from rossec.ros.header import FrameReader
+from rossec.ros import tcpros
+from rossec.ros.tcpros import FrameReader
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar, string_message
 from tests.support.attacker import EVE, HOST, fields_for
 from tests.support.contexts import unlimited
-from tests.support.limited import (
-    HELD,
-    NEAR_A_BOUNDARY,
-    ONE_MESSAGE,
-    SELDOM,
-    TOPIC,
-    messages,
-    number,
-)
+from tests.support.limited import HELD, NEAR_A_BOUNDARY, ONE_MESSAGE, SELDOM, TOPIC, messages, number
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -75,7 +67,7 @@ class SidecarTarget:
         await client.close()
         before = len(self.robot.connections)
         stream = await connect(HOST, answer[2][2], unlimited(credentials, verify))
-        await stream.send(header.encode(fields_for(EVE, TOPIC, grants)))
+        await stream.send(tcpros.encode(fields_for(EVE, TOPIC, grants)))
         await until(lambda: len(self.robot.connections) == before + 1)
         return stream
 
@@ -118,7 +110,7 @@ async def test_a_new_connection_to_a_sidecar_does_not_reset_hysteresis(site: Sit
         found = []
         for value in NEAR_A_BOUNDARY:
             stream = await eve.connect()
-            await eve.robot.connections[-1].send(header.frame(number(value)))
+            await eve.robot.connections[-1].send(tcpros.frame(number(value)))
             found += await eve.heard(stream)
         assert found == [[number(0)]] * len(NEAR_A_BOUNDARY)
 
@@ -142,7 +134,7 @@ async def test_new_program_names_behind_a_sidecar_do_not_reset_limits(site: Site
                 await robot.register("registerPublisher", TOPIC, "std_msgs/Float64")
                 for eve in (live, SidecarTarget(site, robot, port_of(near))):
                     stream = await eve.connect()
-                    await eve.robot.connections[-1].send(header.frame(number(run)))
+                    await eve.robot.connections[-1].send(tcpros.frame(number(run)))
                     found[run] += await eve.heard(stream)
     assert found == {0: [[number(0)]] * 2, 1: [[], []], 2: [[], []]}
 
@@ -198,7 +190,7 @@ class Pose(Program):
 def pose(x: float, length: int = 0) -> bytes:
     """With its length in front; its frame_id has `length` bytes."""
     frame = struct.pack("<IIII", 0, 0, 0, length) + bytes(length)
-    return header.frame(frame + struct.pack("<7d", x, *[0.0] * 6))
+    return tcpros.frame(frame + struct.pack("<7d", x, *[0.0] * 6))
 
 
 async def positions(stream: SecureStream[Identity], frames: FrameReader, count: int) -> list[float]:
@@ -220,9 +212,7 @@ async def test_an_unread_connection_does_not_reset_hysteresis(site: Site) -> Non
         frames = FrameReader()
         await skip_header(live, frames)
         sending = asyncio.ensure_future(to_slow.send(pose(10.0, 1 << 20) * 40))
-        await asyncio.wait(
-            {sending}, timeout=5
-        )  # all of it, unless the sidecar waits for the reader
+        await asyncio.wait({sending}, timeout=5)  # all of it, unless the sidecar waits for the reader
         for _ in range(2000):  # turns of the loop, each of which reads what there is
             await asyncio.sleep(0)
         await to_live.send(pose(0.9))

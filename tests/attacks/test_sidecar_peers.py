@@ -8,18 +8,18 @@ import pytest
 
 from ca.certificates import Identity
 from ca.encoding import Value, encode
-from ca.revocation.state import Timestamp, digest, sign_timestamp
+from ca.revocation.lists import Timestamp, digest, sign_timestamp
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.aio import SecureServer, SecureStream, connect, serve
-from rossec.net.aio.dial import dial
-from rossec.net.rpc.client import CallFailed, RpcClient, serve_calls
+from rossec.net.aio.client import dial
+from rossec.net.rpc.calls import CallFailed, RpcClient, serve_calls
 from rossec.participant.access import FIELD
-from rossec.ros import header, xmlrpc
-from rossec.ros.settings import parse_uri
+from rossec.ros import tcpros, xmlrpc
+from rossec.ros.names import parse_uri
 from rossec.ros.xmlrpc import Encoded
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.sidecar.loopback_port import PlainStream
 from rossec.sidecar.pump import split_header
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
@@ -49,9 +49,7 @@ async def near(site: Site) -> AsyncIterator[Sidecar]:
         yield near
 
 
-async def connect_as_mallory(
-    site: Site, port: int, protocol: WireProtocol
-) -> SecureStream[Identity]:
+async def connect_as_mallory(site: Site, port: int, protocol: WireProtocol) -> SecureStream[Identity]:
     """Connect as /mallory to a port of the sidecar."""
     credentials = site.enroll("/mallory").credentials()
     return await connect("127.0.0.1", port, unlimited(credentials, site.anchor.verify), protocol)
@@ -72,11 +70,15 @@ async def test_a_right_to_call_gives_no_topic(site: Site, near: Sidecar) -> None
         assert isinstance(answer, list)
         grants: list[Value] = [*site.enroll("/mallory").grants()]
         fields = {
-            "callerid": b"/mallory", "type": b"*", "md5sum": b"*", "topic": b"/word",
-            "service": b"/anything", FIELD: encode(grants),
-        }  # fmt: skip
+            "callerid": b"/mallory",
+            "type": b"*",
+            "md5sum": b"*",
+            "topic": b"/word",
+            "service": b"/anything",
+            FIELD: encode(grants),
+        }
         stream = await connect_as_mallory(site, answer[2][2], WireProtocol.TCPROS)
-        await stream.send(header.encode(fields))
+        await stream.send(tcpros.encode(fields))
         said, _ = await split_header(stream)
         assert b"for a topic or for a service" in said["error"]
         assert robot.headers == []
@@ -93,11 +95,7 @@ async def false_publisher(site: Site, answer: object) -> AsyncIterator[str]:
         await serve_calls(stream, lambda *_: answer)
 
     server = serve(
-        handler,
-        "127.0.0.1",
-        0,
-        unlimited(home.credentials(), site.anchor.verify),
-        WireProtocol.HTTP,
+        handler, "127.0.0.1", 0, unlimited(home.credentials(), site.anchor.verify), WireProtocol.HTTP
     )
     assert site.master is not None
     port = int(site.master.uri.rstrip("/").rpartition(":")[2])
@@ -117,9 +115,7 @@ UNSEEN = xmlrpc.dump_response([1, "", PLAIN]).replace(b"</methodResponse>", b"</
 
 @pytest.mark.attack("address-outside")
 @pytest.mark.parametrize("answer", [[2, "", PLAIN], [True, "", PLAIN], Encoded(UNSEEN)])
-async def test_addresses_outside_the_channel_are_refused(
-    site: Site, near: Sidecar, answer: object
-) -> None:
+async def test_addresses_outside_the_channel_are_refused(site: Site, near: Sidecar, answer: object) -> None:
     """rospy treats any positive code as success; lenient parsers accept what ours refuses."""
     async with false_publisher(site, answer), Program("/robot", near) as robot:
         uris = await robot.register("registerSubscriber", "/lies", "std_msgs/String")
@@ -142,13 +138,9 @@ async def test_only_the_master_sends_revocation_updates(site: Site, near: Sideca
         assert held is not None
         until_then = agent._membership._identity.revocations.fresh_until
         signer = site.enroll("/mallory").credentials().signer
-        stamp = Timestamp(
-            held.seq, digest(agent._membership._identity.revocations.data), site.now() + 4, 30
-        )
+        stamp = Timestamp(held.seq, digest(agent._membership._identity.revocations.data), site.now() + 4, 30)
         client = RpcClient(await connect_as_mallory(site, port_of(near).port, WireProtocol.HTTP))
-        answer = await client.call(
-            "rossec.revocationUpdate", "/master", b"", sign_timestamp(signer, stamp)
-        )
+        answer = await client.call("rossec.revocationUpdate", "/master", b"", sign_timestamp(signer, stamp))
         assert "for the master alone" in str(answer)
         assert agent._membership._identity.revocations.fresh_until < site.now() + 34
         assert agent._membership._identity.revocations.fresh_until >= until_then
@@ -160,16 +152,13 @@ async def test_a_subscriber_that_sends_data_gets_nothing(site: Site, near: Sidec
     """With its header or after it."""
     site.subscribe("/mallory", "/word")
     grants: list[Value] = [*site.enroll("/mallory").grants()]
-    asked = {
-        "callerid": b"/mallory", "type": b"*", "md5sum": b"*", "topic": b"/word",
-        FIELD: encode(grants),
-    }  # fmt: skip
+    asked = {"callerid": b"/mallory", "type": b"*", "md5sum": b"*", "topic": b"/word", FIELD: encode(grants)}
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         client = RpcClient(await connect_as_mallory(site, port_of(near).port, WireProtocol.HTTP))
         answer = await client.call("requestTopic", "/mallory", "/word", [["TCPROS"]])
         assert isinstance(answer, list)
-        for units in ([header.encode(asked) + b"data"], [header.encode(asked), b"data"]):
+        for units in ([tcpros.encode(asked) + b"data"], [tcpros.encode(asked), b"data"]):
             stream = await connect_as_mallory(site, answer[2][2], WireProtocol.TCPROS)
             for unit in units:
                 await stream.send(unit)
@@ -181,9 +170,7 @@ async def test_a_subscriber_that_sends_data_gets_nothing(site: Site, near: Sidec
 
 
 @pytest.mark.attack("outlived-right")
-async def test_a_revoked_peer_is_not_called_over_an_old_connection(
-    site: Site, near: Sidecar
-) -> None:
+async def test_a_revoked_peer_is_not_called_over_an_old_connection(site: Site, near: Sidecar) -> None:
     async with false_publisher(site, [1, "", 4711]) as uri, Program("/robot", near) as robot:
         uris = await robot.register("registerSubscriber", "/lies", "std_msgs/String")
         assert isinstance(uris, list)
@@ -208,10 +195,6 @@ async def test_units_before_authorization_are_limited_to_a_call(site: Site, near
         client = RpcClient(await connect_as_mallory(site, port, WireProtocol.HTTP))
         offered = await client.ask("requestTopic", "/mallory", "/word", [["TCPROS"]])
         assert isinstance(offered, list)
-        await expect_no_room(
-            await connect_as_mallory(site, offered[2], WireProtocol.TCPROS), 300_000
-        )
+        await expect_no_room(await connect_as_mallory(site, offered[2], WireProtocol.TCPROS), 300_000)
         await client.close()
-        await expect_no_room(
-            await connect_as_mallory(site, port, WireProtocol.HTTP), 3 * 1024 * 1024
-        )
+        await expect_no_room(await connect_as_mallory(site, port, WireProtocol.HTTP), 3 * 1024 * 1024)

@@ -85,9 +85,7 @@ async def talking(place: Place) -> AsyncIterator[Publisher]:
 
 @pytest.mark.attack("stopped-master")
 @pytest.mark.parametrize("what", ["key", "grant"])
-async def test_a_revocation_while_the_master_is_stopped_takes_effect(
-    place: Place, what: str
-) -> None:
+async def test_a_revocation_while_the_master_is_stopped_takes_effect(place: Place, what: str) -> None:
     """The authority is on the master's host: the master finds the list in its directory."""
     words = ("ca", "revoke", "/viewer") if what == "key" else ("grant", "revoke", place.grant)
     async with master_of(place, place.root) as send, talking(place) as talker:

@@ -16,7 +16,7 @@ import rossec.cli
 from rossec import terminal
 from rossec.authority.home import AuthorityHome
 from rossec.cli.main import rossec as program
-from rossec.cli.shared.lazy import LazyCommand
+from rossec.cli.shared.context import LazyCommand
 from tests.support.commands import PASSPHRASE, Said, Shell
 
 pytestmark = [pytest.mark.attack("terminal-output"), pytest.mark.timeout(600)]
@@ -26,10 +26,7 @@ _STEERS = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud8
 _FORGED = re.compile("^rossec: ok", re.MULTILINE)
 _PRINTS = {("sys", "stdout"), ("sys", "stderr"), ("click", "echo"), ("click", "secho")}
 # Who writes by itself: its own texts only, with what is not its own through `printable`.
-_OWN_TEXTS = {
-    "shared/busy.py", "shared/invocation.py", "node/enroll_screen.py", "main.py",
-    "demo.py", "border/show_demo.py", "console/show_demo.py",
-}  # fmt: skip
+_OWN_TEXTS = {"shared/options.py", "shared/context.py", "node/enroll.py", "main.py", "demo.py"}
 
 
 def check(text: str) -> None:
@@ -88,9 +85,7 @@ def test_only_codes_are_printed_as_pictures() -> None:
     for path in Path(rossec.cli.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             match node:
-                case ast.Call(
-                    func=ast.Name(id="say_picture" | "note_picture"), args=[ast.Call() as made]
-                ):
+                case ast.Call(func=ast.Name(id="say_picture" | "note_picture"), args=[ast.Call() as made]):
                     assert ast.unparse(made.func) == "qr.terminal"
                 case ast.Call(func=ast.Name(id="say_picture" | "note_picture")):
                     pytest.fail(f"{path}: a picture that is not qr.terminal's")
@@ -120,9 +115,7 @@ def test_json_has_no_half_of_a_surrogate_pair() -> None:
 
 
 @pytest.fixture
-def shell(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> Shell:
+def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Shell:
     def nobody(*_: object, **__: object) -> str:
         raise EOFError
 

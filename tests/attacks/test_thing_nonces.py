@@ -8,21 +8,26 @@ import os
 from typing import Any
 
 import pytest
+from aiocoap import Message
 from aiocoap.numbers import codes
 from aiocoap.optiontypes import BlockOption
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.things.credentials import ThingKey
-from rossec.border import wire
-from rossec.border.contexts import OscoreContext, name_context
+from ca.things.constrained_nodes import ThingKey
+from rossec.border import messages
 from rossec.border.conversations import Conversation
-from rossec.border.endpoint import Endpoint
+from rossec.border.endpoint import CoapAnswer, CoapEndpoint, CoapRequest, Requests
 from rossec.border.handshakes import StaticKey
-from rossec.border.rederivation import NONCE_SIZE, thing_context, unwrapped, wrapped
-from rossec.border.requests import Answer, Request, Requests
-from rossec.border.timers import Timers
-from rossec.border.transmissions import Transmissions
-from rossec.border.wire import Message
+from rossec.border.messages import (
+    NONCE_SIZE,
+    OscoreContext,
+    Timers,
+    Transmissions,
+    name_context,
+    thing_context,
+    unwrapped,
+    wrapped,
+)
 from rossec.errors import DatagramRefused, ThingUnreachable
 
 SECRET, KID, LAMP = bytes(range(16)), b"\x07", "/things/lamp"
@@ -38,7 +43,7 @@ class Site:
         self.registrations = 0
         self.mid = 0
         key = StaticKey(ec.generate_private_key(ec.SECP256R1()))
-        self.endpoint = Endpoint(
+        self.endpoint = CoapEndpoint(
             key, self, self, lambda data, _: self.sent.append(data), os.urandom, lambda: 0.0
         )
         self.context: OscoreContext
@@ -52,7 +57,7 @@ class Site:
 
     def registered(self, conversation: Conversation) -> None:
         self.registrations += 1
-        request = Request(codes.GET, (".well-known", "core"))
+        request = CoapRequest(codes.GET, (".well-known", "core"))
         self.endpoint.requests.start(conversation, request, lambda _: None, self.now)
 
     def left(self, name: str) -> None:
@@ -66,8 +71,8 @@ class Site:
         sealed, self.identifier = context.seal(Message(code=code, uri_path=("rd",)))
         name_context(sealed, wrapped(value))
         self.mid += 1
-        sealed.mtype, sealed.mid, sealed.token = wire.CON, self.mid, b"t"
-        return wire.write(sealed)
+        sealed.mtype, sealed.mid, sealed.token = messages.CON, self.mid, b"t"
+        return messages.write(sealed)
 
     def receive(self, data: bytes, source: Any = THING) -> None:
         self.endpoint.receive(data, source, self.now)
@@ -76,7 +81,7 @@ class Site:
         """The lamp derives a context; returns the registration that begins it."""
         first = os.urandom(NONCE_SIZE)
         self.receive(self.request(thing_context(SECRET, KID, first), first))
-        challenge = wire.read(self.sent[-1])
+        challenge = messages.read(self.sent[-1])
         challenge.code = codes.POST  # read as a request: only its option is of interest
         option = bytes(challenge.opt.oscore)
         value = unwrapped(option[2 : 2 + option[1]])
@@ -87,7 +92,7 @@ class Site:
 
     def nonces(self, begin: int) -> list[bytes]:
         """Partial IVs of the router's requests since `begin`, in whichever context."""
-        found = [wire.read(data) for data in self.sent[begin:]]
+        found = [messages.read(data) for data in self.sent[begin:]]
         return [bytes(each.opt.oscore) for each in found if each.code.is_request()]
 
 
@@ -124,7 +129,7 @@ def test_a_thing_that_counts_messages_anew_after_a_start_gets_no_old_answer(site
     answered = site.sent[-2]
     site.mid = 0
     registration = site.derive()
-    assert wire.number_of(wire.read(registration)) == wire.number_of(wire.read(answered))
+    assert messages.number_of(messages.read(registration)) == messages.number_of(messages.read(answered))
     site.receive(registration)
     assert (site.registrations, answered in site.sent[-2:]) == (2, False)
     begin = len(site.sent)
@@ -137,7 +142,7 @@ class Observed:
 
     def __init__(self) -> None:
         timers = Timers()
-        self.answers: list[Answer | ThingUnreachable] = []
+        self.answers: list[CoapAnswer | ThingUnreachable] = []
         self.sent: list[bytes] = []
         send = Transmissions(lambda data, _: self.sent.append(data), timers, lambda: 0.0)
         self.requests = Requests(send, timers, os.urandom)
@@ -146,10 +151,10 @@ class Observed:
         self.observe()
 
     def observe(self) -> None:
-        request = Request(codes.GET, ("t",), observe=True)
+        request = CoapRequest(codes.GET, ("t",), observe=True)
         self.requests.start(self.conversation, request, self.answers.append, 0.0)
-        self.request = wire.read(self.sent[-1])
-        _, self.identifier = self.lamp.open(wire.read(self.sent[-1]))
+        self.request = messages.read(self.sent[-1])
+        _, self.identifier = self.lamp.open(messages.read(self.sent[-1]))
 
     def notification(self, state: bytes, **options: Any) -> bytes:
         """The octets of a notification. As of a small thing, its Observe option is outside."""
@@ -161,18 +166,18 @@ class Observed:
         return self.sendable(sealed)
 
     def sendable(self, sealed: Message) -> bytes:
-        sealed.token, sealed.mtype, sealed.mid = self.request.token, wire.NON, 7
-        return wire.write(sealed)
+        sealed.token, sealed.mtype, sealed.mid = self.request.token, messages.NON, 7
+        return messages.write(sealed)
 
     def receive(self, data: bytes) -> None:
-        message = wire.read(data)
+        message = messages.read(data)
         found = self.requests.find(message, THING)
         assert found is not None
         self.requests.take(found, message, 0.0)
 
     def without_observe(self, data: bytes) -> bytes:
         """What an attacker makes of a notification: the option that no tag covers is gone."""
-        message = wire.read(data)
+        message = messages.read(data)
         bare = Message(code=message.code, payload=message.payload)
         bare.opt.oscore = message.opt.oscore
         return self.sendable(bare)
@@ -192,7 +197,7 @@ def test_an_old_state_that_says_it_is_no_notification() -> None:
                 observed.receive(again)
     observed.receive(observed.notification(b"new"))
     last = observed.answers[-1]
-    assert isinstance(last, Answer)
+    assert isinstance(last, CoapAnswer)
     assert (last.body, len(observed.answers)) == (b"new", 5)
 
 
@@ -201,9 +206,7 @@ def test_a_state_whose_blocks_do_not_fit_does_not_end_its_observation() -> None:
     """Else it would be observed a second time, beside the first, whenever the thing registers."""
     observed = Observed()
     for _ in range(5):
-        observed.receive(
-            observed.notification(b"x" * 5, block2=BlockOption.BlockwiseTuple(0, True, 6))
-        )
+        observed.receive(observed.notification(b"x" * 5, block2=BlockOption.BlockwiseTuple(0, True, 6)))
     assert (observed.answers, len(observed.requests)) == ([], 1)
     observed.receive(observed.notification(b"fits"))
-    assert isinstance(observed.answers[0], Answer)
+    assert isinstance(observed.answers[0], CoapAnswer)

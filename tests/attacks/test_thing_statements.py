@@ -5,16 +5,15 @@ from pathlib import Path
 
 import pytest
 
-from ca.cose import Profile
 from ca.encoding import encode
 from ca.errors import LogDamaged, StoreError, ThingChanged, ThingOutdated, ThingRefused
-from ca.store import backup
+from ca.keys import passphrases
+from ca.keys.signing import Profile
 from ca.store.record import Store
-from ca.things.credentials import ThingSecret, read_ccs
-from ca.things.statement import THING, open_statement, sign_statement
+from ca.things.constrained_nodes import THING, ThingSecret, open_statement, read_ccs, sign_statement
 from rossec.authority.backup import back_up
 from rossec.home import NodeHome
-from rossec.saved_things import ThingFiles
+from rossec.saved_statements import ThingFiles
 from tests.support.commands import Shell
 from tests.support.pki import new_signer
 from tests.support.thingoffice import ATTIC, BORDER, DAY, LAMP, PASSPHRASE, Office
@@ -23,7 +22,7 @@ from tests.vectors.make_things import cose_key
 
 @pytest.fixture
 def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Office:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     return Office(tmp_path / "home")
 
 
@@ -56,7 +55,7 @@ def test_a_statement_that_the_authority_did_not_make(office: Office) -> None:
 def test_a_statement_for_another_router_or_from_before(office: Office) -> None:
     older = office.sign()
     office.now += 100
-    newer = office.service.renew_thing(LAMP, DAY)
+    newer = office.service.things.renew(LAMP, DAY)
     with pytest.raises(ThingRefused, match="for another border router"):
         router(office, ATTIC).install(newer.data)
     files = router(office)
@@ -94,9 +93,14 @@ def test_a_credential_of_another_form(office: Office, key: dict[int | str, objec
         read_ccs(data)
     assert caught.type.__module__ == "ca.errors"
     claims = {
-        2: LAMP, 3: "home", 4: office.now + 9, 5: office.now, 7: bytes(16), 8: {1: key},
+        2: LAMP,
+        3: "home",
+        4: office.now + 9,
+        5: office.now,
+        7: bytes(16),
+        8: {1: key},
         -70035: office.thumbprint(BORDER),
-    }  # fmt: skip
+    }
     with pytest.raises(ThingRefused):
         router(office).install(THING.sign(office.service.unlock().signer, claims))  # type: ignore[arg-type]
 
@@ -116,7 +120,7 @@ def test_another_things_name_key_or_kid(office: Office) -> None:
             office.sign(**changes)
     with pytest.raises(StoreError):  # the name's identity, with another key
         office.sign(request=office.request(), identity_lifetime=DAY)
-    assert [each.state for each in office.service.things()] == ["in force"]
+    assert [each.state for each in office.service.things.states()] == ["in force"]
 
 
 @pytest.mark.attack("thing-impostor")
@@ -147,13 +151,15 @@ def test_the_keys_of_a_stolen_router_are_of_no_use(office: Office, how: str) -> 
     ids = set()
     for number, name in enumerate(names):
         signed = office.sign(
-            name=name, credential=office.key(bytes([number])), request=office.request(name),
+            name=name,
+            credential=office.key(bytes([number])),
+            request=office.request(name),
             identity_lifetime=DAY,
-        )  # fmt: skip
+        )
         ids.add(signed.statement.id)
     stolen = {office.thumbprint(name) for name in (BORDER, *names)}
     if how == "revoked":
-        office.service.revoke_identity(BORDER, "stolen")
+        office.service.identities.revoke(BORDER, "stolen")
     else:
         office.enroll(BORDER, replaced=BORDER)
     assert stolen | ids == set(office.revoked())
@@ -172,9 +178,7 @@ def test_a_secret_is_nowhere_but_at_its_router(
     shell.enroll(BORDER)
     added = shell("border", "add", LAMP, "--psk", "--secret-out", "lamp.secret")
     described = str(shell.node(BORDER) / "things" / "things.lamp.psk")
-    signed = shell.unlocked(
-        "ca", "thing", LAMP, "--border", BORDER, "--psk", described, "--yes",
-    )  # fmt: skip
+    signed = shell.unlocked("ca", "thing", LAMP, "--border", BORDER, "--psk", described, "--yes")
     labels = shell("border", "labels", described, "--out", "labels.html")
     log = shell("ca", "log")
     shown = shell("ca", "things", "--json")
@@ -195,7 +199,7 @@ def test_a_secret_is_nowhere_but_at_its_router(
 def test_a_backup_of_the_authority_has_no_secret(office: Office) -> None:
     secret = router(office).create_secret(LAMP)
     office.sign(credential=ThingSecret.of(secret, b"\x01"))
-    content = backup.unseal(back_up(office.home, PASSPHRASE), PASSPHRASE)
+    content = passphrases.unseal(back_up(office.home, PASSPHRASE), PASSPHRASE)
     assert "ca.db" in content
     assert not any(secret in data for data in content.values())
 
@@ -206,9 +210,7 @@ def test_a_thing_that_was_written_into_the_record_is_found(office: Office) -> No
     office.sign()
     store = Store.open(office.home.path / "ca.db")
     row = store.things.get(LAMP, office.now)
-    mallory = replace(
-        row.read(), name="/things/door", credential=office.key(b"\x66"), serial=bytes(16)
-    )
+    mallory = replace(row.read(), name="/things/door", credential=office.key(b"\x66"), serial=bytes(16))
     data = sign_statement(new_signer(), mallory)
     store.things.add(row._replace(id=mallory.id, name=mallory.name, data=data), mallory, office.now)
     with pytest.raises(LogDamaged, match="not a statement of this authority"):

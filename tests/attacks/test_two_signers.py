@@ -14,19 +14,18 @@ from pathlib import Path
 
 import pytest
 
+from ca.certificates import Renewal, sign_renewal
 from ca.errors import HintedError
-from ca.keys import key_files
-from ca.keys.signer import KeySigner
-from ca.renewal import Renewal, sign_renewal
-from ca.requests import build_request
-from ca.revocation.lists import MAX_ENTRIES, RevocationList
-from ca.revocation.state import open_statement, sign_list
-from ca.revocation.tree import TreeEntries, is_tree
+from ca.keys import private_keys
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import MAX_ENTRIES, RevocationList, TreeEntries, is_tree, sign_list
+from ca.revocation.trust_status import open_statement
 from ca.store.record import CertificateRow
+from ca.svid import build_request
 from rossec.authority.home import AuthorityHome
 from rossec.authority.renewals import renew
 from rossec.home import NodeHome
-from rossec.master.server.start import master_of
+from rossec.master.server.server import master_of
 from rossec.ros.names import MASTER
 from tests.support.attacker import call
 from tests.support.commands import PASSPHRASE, Shell
@@ -125,9 +124,7 @@ async def master(shell: Shell) -> AsyncIterator[str]:
     """The running master of `shell`; its URI."""
     shell.enroll(MASTER)
     newest = AuthorityHome.at(shell.root).revocation_list()
-    server = master_of(
-        NodeHome.of(shell.root, MASTER), host="127.0.0.1", port=0, newest=newest, now=NOW
-    )
+    server = master_of(NodeHome.of(shell.root, MASTER), host="127.0.0.1", port=0, newest=newest, now=NOW)
     await server.start()
     yield server.uri
     await server.close()
@@ -181,9 +178,7 @@ async def test_a_lost_revocation_is_listed_later(
 
 
 @pytest.mark.attack("revoked-while-renewing")
-def test_a_key_that_is_revoked_while_it_renews_gets_no_successor(
-    home: AuthorityHome,
-) -> None:
+def test_a_key_that_is_revoked_while_it_renews_gets_no_successor(home: AuthorityHome) -> None:
     """The revocation comes after the renewal was checked, and before its successor is recorded."""
     opened, other = home.unlock(PASSPHRASE), home.unlock(PASSPHRASE)
     other.store.database.connection.execute("PRAGMA busy_timeout = 0")
@@ -191,7 +186,7 @@ def test_a_key_that_is_revoked_while_it_renews_gets_no_successor(
     node.create_request("home")
     node.install(opened.issue(node.request(), NOW, DAY), NOW)
     due = NOW + DAY * 3 // 4
-    fresh = build_request(KeySigner(key_files.generate()), "home", "/thief")
+    fresh = build_request(KeySigner(private_keys.generate()), "home", "/thief")
     asked = sign_renewal(node.signer(), node.credentials().chain, fresh, due)
     sign, revoked = opened.authority.renew, []
 

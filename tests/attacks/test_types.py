@@ -16,7 +16,7 @@ from ca.encoding import encode
 from grants.document import GRANT
 from grants.model import Restriction, Right, filter_rules
 from rossec.master.rights.access_rules import RULES
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.participant.slave_api import RULES as SLAVE_RULES
 from rossec.ros.xmlrpc import Fault
 from tests.fuzz.mutants import dumps, mutants
@@ -28,9 +28,29 @@ from tests.support.witness import TOPIC, Witness, until
 pytestmark = pytest.mark.timeout(300)
 ANY: Final = Restriction("geometry_msgs/PoseStamped", (), filter_rules({"header": {"clear": True}}))
 VALUES: Final[tuple[object, ...]] = (
-    0, -1, 2**31 - 1, 1.5, "", "x", "/x", "/**", "\u202e", "x" * 3000, b"", b"\xa0", bytes(32),
-    True, [], [0], [[]], [["TCPROS"]], ["x", b"", 0], {}, {"x": [1]}, {"": {}},
-)  # fmt: skip
+    0,
+    -1,
+    2**31 - 1,
+    1.5,
+    "",
+    "x",
+    "/x",
+    "/**",
+    "\u202e",
+    "x" * 3000,
+    b"",
+    b"\xa0",
+    bytes(32),
+    True,
+    [],
+    [0],
+    [[]],
+    [["TCPROS"]],
+    ["x", b"", 0],
+    {},
+    {"x": [1]},
+    {"": {}},
+)
 TEMPLATES: Final[dict[str, tuple[object, ...]]] = {
     "registerPublisher": (TOPIC, "std_msgs/String", "http://127.0.0.1:9/"),
     "registerSubscriber": (TOPIC, "std_msgs/String", "http://127.0.0.1:9/"),

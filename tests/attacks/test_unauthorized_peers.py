@@ -9,7 +9,8 @@ from typing import Final
 import pytest
 
 from ca.errors import CAError, ForeignCertificate, Revoked
-from grants import claims, document
+from grants import document
+from grants import document as claims
 from grants.errors import (
     GrantError,
     GrantExpired,
@@ -21,16 +22,10 @@ from grants.errors import (
     GrantRevoked,
 )
 from grants.model import Right
-from rossec.errors import (
-    CallerMismatch,
-    ConnectionHeaderRefused,
-    IdentityRefused,
-    PeerRefused,
-    RossecError,
-)
+from rossec.errors import CallerMismatch, ConnectionHeaderRefused, IdentityRefused, PeerRefused, RossecError
 from rossec.net.aio import connect
-from rossec.net.rpc.client import RpcClient
-from rossec.ros import header
+from rossec.net.rpc.calls import RpcClient
+from rossec.ros import tcpros
 from rossec.ros.names import MASTER
 from tests.support.attacker import (
     EVE,
@@ -123,13 +118,11 @@ CASES: Final[list[tuple[str, Callable[[Site], bytes], type[GrantError], str]]] =
     ("a byte more", lambda s: signed(s) + b"\0", GrantMalformed, "not a grant"),
     ("a byte less", lambda s: signed(s)[:-1], GrantMalformed, "not a grant"),
     ("nothing", lambda _: b"", GrantForged, "not a COSE_Sign1"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.attack("bad-grant")
-@pytest.mark.parametrize(
-    ("make", "kind", "said"), [c[1:] for c in CASES], ids=[c[0] for c in CASES]
-)
+@pytest.mark.parametrize(("make", "kind", "said"), [c[1:] for c in CASES], ids=[c[0] for c in CASES])
 async def test_an_invalid_grant_is_refused_with_its_own_error(
     site: Site,
     witness: Witness,
@@ -138,9 +131,7 @@ async def test_an_invalid_grant_is_refused_with_its_own_error(
     kind: type[GrantError],
     said: str,
 ) -> None:
-    heard = await send_header(
-        witness.topic_port, credentials(site), fields_for(EVE, TOPIC, [make(site)])
-    )
+    heard = await send_header(witness.topic_port, credentials(site), fields_for(EVE, TOPIC, [make(site)]))
     expect_refused(heard, caplog, kind, said)
 
 
@@ -192,9 +183,7 @@ def test_no_bit_of_a_grant_can_be_changed(tmp_path: Path) -> None:
     for position in range(len(data)):
         for bit in range(8):
             with pytest.raises((GrantForged, GrantMalformed)):
-                document.open_grant(
-                    flip(data, position, 1 << bit), site.anchor.public_key, int(time.time())
-                )
+                document.open_grant(flip(data, position, 1 << bit), site.anchor.public_key, int(time.time()))
 
 
 @pytest.mark.attack("bad-grant")
@@ -244,9 +233,7 @@ async def test_the_slave_api_refuses_a_peer_revoked_while_connected(site: Site, 
             robot.revocations_arrived(data, b"", site.identity(MASTER))
         with pytest.raises(RossecError):  # the connection is cut,
             await client.call("shutdown", name, "now")
-        client = RpcClient(
-            await dial(robot.uri, credentials(site, name))
-        )  # and a new one is refused
+        client = RpcClient(await dial(robot.uri, credentials(site, name)))  # and a new one is refused
         answer = await client.call("shutdown", name, "now")
         assert isinstance(answer, list)
         assert answer[0] == -1
@@ -259,7 +246,7 @@ async def test_the_slave_api_refuses_a_peer_revoked_while_connected(site: Site, 
 async def test_the_connection_of_a_revoked_node_is_closed(site: Site, witness: Witness) -> None:
     own = unlimited(credentials(site), site.anchor.verify)
     eve = await connect(HOST, witness.topic_port, own)
-    await eve.send(header.encode(fields_for(EVE, TOPIC, [signed(site)])))
+    await eve.send(tcpros.encode(fields_for(EVE, TOPIC, [signed(site)])))
     await until(lambda: len(witness.publisher.links) == 2)
     await revoke(site, witness, site.identity(EVE).thumbprint)
     async with asyncio.timeout(30):
@@ -310,9 +297,7 @@ async def test_a_header_without_caller_or_topic_is_refused(
 
 
 @pytest.mark.attack("unit-before-right")
-async def test_units_before_authorization_are_limited_to_a_header(
-    site: Site, witness: Witness
-) -> None:
+async def test_units_before_authorization_are_limited_to_a_header(site: Site, witness: Witness) -> None:
     """A unit is buffered before it is checked."""
     own = unlimited(credentials(site), site.anchor.verify)
     await expect_no_room(await connect(HOST, witness.topic_port, own), 300_000)
@@ -331,9 +316,7 @@ async def test_an_authorized_subscriber_needs_the_same_type(
 
 
 @pytest.mark.attack("existence-oracle")
-@pytest.mark.parametrize(
-    "changes", [{}, {"md5sum": "0" * 32}, {"type": "std_msgs/String"}, {"probe": "1"}]
-)
+@pytest.mark.parametrize("changes", [{}, {"md5sum": "0" * 32}, {"type": "std_msgs/String"}, {"probe": "1"}])
 @pytest.mark.parametrize("topics", [[], ["/kitchen/door"]], ids=["no grant", "a grant elsewhere"])
 async def test_without_a_grant_the_refusal_does_not_tell_what_exists(
     site: Site, witness: Witness, changes: dict[str, str], topics: list[str]

@@ -14,19 +14,12 @@ from rossec.channel.records import HEADER, TAG, Bytes, Frame
 from rossec.demo.intruder import accept_any
 from rossec.errors import ConnectionHeaderRefused, FrameRefused
 from rossec.net.aio import SecureStream, connect
-from rossec.node import Subscriber, listener
-from rossec.participant import topic_handshake
-from rossec.participant.deflating import deflated
-from rossec.ros import header
-from rossec.ros.header import MESSAGE_LIMIT, FrameReader
-from tests.support.attacker import (
-    EVE,
-    HOST,
-    credentials,
-    expect_refused,
-    fields_for,
-    send_header,
-)
+from rossec.node import Subscriber, node
+from rossec.participant import handshakes
+from rossec.participant.delivery import deflated
+from rossec.ros import tcpros
+from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader
+from tests.support.attacker import EVE, HOST, credentials, expect_refused, fields_for, send_header
 from tests.support.contexts import unlimited
 from tests.support.limited import SELDOM
 from tests.support.site import Site
@@ -50,11 +43,11 @@ async def subscribed(
     own = credentials(site)
     stream = await connect(HOST, witness.topic_port, unlimited(own, accept_any))
     try:
-        await stream.send(header.encode(fields))
+        await stream.send(tcpros.encode(fields))
         frames = FrameReader()
         while not (found := frames.feed(await stream.receive())):
             pass
-        answer = header.decode(found[0])
+        answer = tcpros.decode(found[0])
         assert "error" not in answer, answer
         assert {key: answer[key].decode() for key in wishes if key in answer} == taken
         yield stream, frames
@@ -91,9 +84,7 @@ async def test_no_wish_gives_more_than_the_grant(site: Site, witness: Witness) -
 
 @pytest.mark.attack("wish-beyond-grant")
 async def test_wishes_without_a_right_get_nothing(site: Site, witness: Witness) -> None:
-    reply = await send_header(
-        witness.topic_port, credentials(site), fields_for(EVE, TOPIC, [], **WISHES)
-    )
+    reply = await send_header(witness.topic_port, credentials(site), fields_for(EVE, TOPIC, [], **WISHES))
     assert set(reply.fields) == {"error"}
     assert reply.after == b""
     await witness.goes_on()
@@ -103,11 +94,16 @@ async def test_wishes_without_a_right_get_nothing(site: Site, witness: Witness) 
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("rossec_rate", "0"), ("rossec_rate", "-1"), ("rossec_rate", "1e308"),
-        ("rossec_rate", "nan"), ("rossec_rate", "9" * 40_000), ("rossec_rate", "\u0661"),
-        ("rossec_newest", "yes"), ("rossec_deflate", ""),
+        ("rossec_rate", "0"),
+        ("rossec_rate", "-1"),
+        ("rossec_rate", "1e308"),
+        ("rossec_rate", "nan"),
+        ("rossec_rate", "9" * 40_000),
+        ("rossec_rate", "\u0661"),
+        ("rossec_newest", "yes"),
+        ("rossec_deflate", ""),
     ],
-)  # fmt: skip
+)
 async def test_a_malformed_wish_is_refused(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture, key: str, value: str
 ) -> None:
@@ -249,12 +245,12 @@ async def test_a_publisher_may_not_deflate_unasked(
 ) -> None:
     site.publish(EVE, BOMB)
     site.subscribe("/hall", BOMB)
-    written = topic_handshake.publisher_header
+    written = handshakes.publisher_header
 
     def forged(*arguments: Any, **options: Any) -> dict[str, bytes]:
         return {**written(*arguments, **options), "rossec_deflate": b"1"}
 
-    monkeypatch.setattr(listener, "publisher_header", forged)
+    monkeypatch.setattr(node, "publisher_header", forged)
     async with site.node(EVE) as eve, site.node("/hall") as hall:
         await eve.publisher(BOMB, STRING)
         subscriber = await hall.subscriber(BOMB, STRING, rate=5)

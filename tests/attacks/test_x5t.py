@@ -13,9 +13,8 @@ import pytest
 
 from ca.certificates import Identity
 from ca.encoding import Value
-from rossec.channel.edhoc import known
-from rossec.channel.edhoc.credentials import Credentials
-from rossec.channel.edhoc.known import KnownCertificates, reference
+from rossec.channel.edhoc import credentials as known
+from rossec.channel.edhoc.credentials import Credentials, KnownCertificates, reference
 from rossec.errors import HandshakeFailed, OwnCredentialUnknown, PeerRefused
 from rossec.net.aio import SecureStream, connect, serve
 from rossec.node import Node
@@ -164,19 +163,13 @@ async def test_a_node_that_shares_its_hash_is_reached(
     await reached(site, witness, own, remembered)
 
 
-async def reached(
-    site: Site, witness: Witness, own: Credentials, remembered: KnownCertificates
-) -> None:
-    stream = await connect(
-        HOST, witness.topic_port, unlimited(own, site.anchor.verify, known=remembered)
-    )
+async def reached(site: Site, witness: Witness, own: Credentials, remembered: KnownCertificates) -> None:
+    stream = await connect(HOST, witness.topic_port, unlimited(own, site.anchor.verify, known=remembered))
     await stream.send(b"\0\0\0\0")
     await stream.wait_ended()
 
 
-async def test_a_responder_that_names_the_certificate_of_another(
-    site: Site, witness: Witness
-) -> None:
+async def test_a_responder_that_names_the_certificate_of_another(site: Site, witness: Witness) -> None:
     """Eve answers at the robot's address with its certificate's hash, cached by her caller."""
     robot, eve = site.enroll("/robot").credentials(), credentials(site)
     own, remembered = site.enroll("/caller").credentials(), KnownCertificates()

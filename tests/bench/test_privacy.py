@@ -16,7 +16,7 @@ from bench._registrations import registered
 from bench._trackers import habits
 from bench._views import by_preset
 from bench._watchers import watched
-from grants.filters.rooms import read_plan
+from grants.filters.coarsening import read_plan
 from grants.model import Restriction, filter_rules
 
 SECONDS, TRAINING = 900, 7200
@@ -75,9 +75,7 @@ def test_what_is_left_is_the_best_of_all(positions: dict[str, privacy.Scores]) -
 
 @pytest.mark.attack("common-moments")
 @pytest.mark.parametrize("name", ["two-topics-one-body", "two-frames-one-body"])
-def test_a_body_is_known_no_better_by_two_topics(
-    positions: dict[str, privacy.Scores], name: str
-) -> None:
+def test_a_body_is_known_no_better_by_two_topics(positions: dict[str, privacy.Scores], name: str) -> None:
     assert positions[name] == positions["coarse-position"]
 
 

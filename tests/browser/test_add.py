@@ -35,22 +35,14 @@ class NewNode:
         self.picture = Path(self.environ["ROSSEC_HOME"]) / f"{name.strip('/')}.png"
         options = ("--address", "127.0.0.1", "--png", str(self.picture))
         self.program: Program = site.begin(
-            "rossec",
-            "node",
-            "enroll",
-            name,
-            *options,
-            log=f"{host}{name.strip('/')}",
-            **self.environ,
+            "rossec", "node", "enroll", name, *options, log=f"{host}{name.strip('/')}", **self.environ
         )
         self.code = self.program.said(r"ROSSEC:.*\S")[0]
         self.program.said("waits at")
 
     def confirm(self, digits: str) -> None:
         """The person at the node has compared the digits."""
-        assert digits.replace(" ", "") in self.program.said(r"^digits ([\d ]+)$")[1].replace(
-            " ", ""
-        )
+        assert digits.replace(" ", "") in self.program.said(r"^digits ([\d ]+)$")[1].replace(" ", "")
         self.site.run("node", "confirm", self.name, digits.replace(" ", ""), environ=self.environ)
 
 
@@ -69,9 +61,7 @@ def test_a_camera_that_sees_no_code_goes_on(phone: Window, check: PageCheck) -> 
     check(phone, "add-camera")
 
 
-def test_by_the_camera(
-    chromium: Chromium, phone: Window, site: ConsoleSite, check: PageCheck
-) -> None:
+def test_by_the_camera(chromium: Chromium, phone: Window, site: ConsoleSite, check: PageCheck) -> None:
     node = NewNode(site, "/fridge")
     with Image.open(node.picture) as picture:
         chromium.camera.show(picture)

@@ -60,9 +60,7 @@ def origin() -> Iterator[str]:
     server.server_close()
 
 
-def test_a_sound_page_passes_and_has_its_picture(
-    chromium: Chromium, origin: str, tmp_path: Path
-) -> None:
+def test_a_sound_page_passes_and_has_its_picture(chromium: Chromium, origin: str, tmp_path: Path) -> None:
     with chromium.window(origin) as window:
         window.open("/")
         PageCheck(tmp_path)(window, "sound", "phone", "desktop-dark")
@@ -74,8 +72,7 @@ def test_a_sound_page_passes_and_has_its_picture(
 
 
 @pytest.mark.parametrize(
-    ("path", "finding"),
-    [("/pale", "color-contrast"), ("/wide", "scrolls sideways"), ("/large", "size")],
+    ("path", "finding"), [("/pale", "color-contrast"), ("/wide", "scrolls sideways"), ("/large", "size")]
 )
 def test_a_page_with_a_fault_fails(
     chromium: Chromium, origin: str, tmp_path: Path, path: str, finding: str
@@ -95,9 +92,7 @@ def test_rules_that_are_named_are_the_only_ones(chromium: Chromium, origin: str)
 @pytest.mark.parametrize(
     ("path", "fault"), [("/inline", "CSP: script-src-elem inline"), ("/none", "answer: 500")]
 )
-def test_a_fault_while_loading_is_collected(
-    chromium: Chromium, origin: str, path: str, fault: str
-) -> None:
+def test_a_fault_while_loading_is_collected(chromium: Chromium, origin: str, path: str, fault: str) -> None:
     with pytest.raises(AssertionError, match=fault):
         visit(chromium, origin, path)
 

@@ -63,9 +63,7 @@ def test_a_code_of_the_terminal_that_has_expired_says_what_to_do(
         window.forgive("403")
 
 
-def test_a_join_code_for_anonymous_nodes_too(
-    phone: Window, site: ConsoleSite, check: PageCheck
-) -> None:
+def test_a_join_code_for_anonymous_nodes_too(phone: Window, site: ConsoleSite, check: PageCheck) -> None:
     make_code(phone, "/rviz", anonymous=True)
     text = phone.page.locator("#text").inner_text()
     assert text.startswith("ROSSEC")
@@ -111,9 +109,7 @@ def test_names_that_no_node_can_have_are_refused_in_the_form(phone: Window, name
     phone.forgive("422")
 
 
-def test_a_code_is_made_while_the_key_is_locked_and_its_node_waits(
-    phone: Window, site: ConsoleSite
-) -> None:
+def test_a_code_is_made_while_the_key_is_locked_and_its_node_waits(phone: Window, site: ConsoleSite) -> None:
     """The code needs no signature; the node that joins by it does, and asks again."""
     site.run("ca", "lock")
     make_code(phone, "/attic")

@@ -24,9 +24,7 @@ def open_question(phone: Window) -> None:
     phone.page.wait_for_url(re.compile("/ask/"))
 
 
-def test_the_first_page_says_that_nothing_waits(
-    phone: Window, site: ConsoleSite, check: PageCheck
-) -> None:
+def test_the_first_page_says_that_nothing_waits(phone: Window, site: ConsoleSite, check: PageCheck) -> None:
     site.write_policy(ASKED)
     phone.open("/")
     expect(phone.page.locator("h1")).to_have_text("Nothing waits for you")
@@ -87,9 +85,7 @@ def open_grant(phone: Window, topic: str = CAMERA) -> None:
     phone.page.wait_for_url(re.compile("/grant/"))
 
 
-def test_a_node_is_revoked_by_its_typed_name(
-    phone: Window, site: ConsoleSite, check: PageCheck
-) -> None:
+def test_a_node_is_revoked_by_its_typed_name(phone: Window, site: ConsoleSite, check: PageCheck) -> None:
     phone.open("/node/lamp")
     check(phone, "node", "phone", "desktop")
     phone.page.get_by_role("link", name="Remove /lamp").click()

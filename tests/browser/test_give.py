@@ -27,9 +27,7 @@ rules:
 )
 
 
-def test_without_a_policy_nothing_is_asked(
-    phone: Window, site: ConsoleSite, check: PageCheck
-) -> None:
+def test_without_a_policy_nothing_is_asked(phone: Window, site: ConsoleSite, check: PageCheck) -> None:
     phone.open("/policy")
     expect(phone.page.locator("h1")).to_have_text("There is no policy")
     check(phone, "no-policy")
@@ -106,9 +104,7 @@ def test_another_host_signs(phone: Window, site: ConsoleSite, check: PageCheck) 
     path = Path(found[1])
     phone.open("/intermediate")
     check(phone, "intermediate")
-    phone.page.get_by_label(re.compile("^The request")).fill(
-        base64.encodebytes(path.read_bytes()).decode()
-    )
+    phone.page.get_by_label(re.compile("^The request")).fill(base64.encodebytes(path.read_bytes()).decode())
     press(phone, "Go on")
     assert heading(phone) == "Is this its fingerprint?"
     check(phone, "intermediate-fingerprint")
@@ -129,20 +125,15 @@ def test_the_other_pages(phone: Window, check: PageCheck, path: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("state", "path"),
-    [("no-page", "/nothing"), ("no-node", "/node/nobody"), ("no-topic", "/see/nothing")],
+    ("state", "path"), [("no-page", "/nothing"), ("no-node", "/node/nobody"), ("no-topic", "/see/nothing")]
 )
-def test_what_does_not_exist_is_said_so(
-    phone: Window, check: PageCheck, state: str, path: str
-) -> None:
+def test_what_does_not_exist_is_said_so(phone: Window, check: PageCheck, state: str, path: str) -> None:
     phone.open(path)
     check(phone, state)
     phone.faults = [fault for fault in phone.faults if "404" not in fault]
 
 
-def test_a_screen_on_the_wall_only_shows(
-    chromium: Chromium, site: ConsoleSite, check: PageCheck
-) -> None:
+def test_a_screen_on_the_wall_only_shows(chromium: Chromium, site: ConsoleSite, check: PageCheck) -> None:
     port = free_port()
     options = ("console", "--read-only", "--port", str(port))
     wall = site.begin("rossec", *options, log="wall")

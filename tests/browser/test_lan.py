@@ -14,9 +14,9 @@ from cryptography import x509
 from playwright.sync_api import Error
 from starlette.types import ASGIApp
 
+from rossec.console.server.web import load_bundle, make_context
+from rossec.console.tls.certificates import DIRECTORY, open_authority
 from rossec.console.tls.hand_out import create_hand_out
-from rossec.console.tls.server_context import load, make_context
-from rossec.console.tls.store import DIRECTORY, open_authority
 from tests.rossec.console.tls.test_server_context import serving_once
 from tests.support.browser import Chromium, running_chromium
 from tests.support.console_tls import NAME, bundle, foreign_leaf, new_authority, new_key, pem
@@ -76,7 +76,7 @@ def test_a_browser_that_trusts_it_opens_the_console_and_no_other_site(
                 window.faults = [each for each in window.faults if "RS256" not in each]
             key, server = new_key(), make_context()
             leaf = foreign_leaf(authority, key, [x509.DNSName(BANK)])
-            load(server, bundle(authority, key, leaf))
+            load_bundle(server, bundle(authority, key, leaf))
             with (
                 serving_once(server) as port,
                 chromium.window(f"https://{BANK}:{port}", checked=False) as window,
@@ -99,9 +99,7 @@ def serving(app: ASGIApp) -> Iterator[str]:
             thread.join()
 
 
-def test_the_page_that_hands_the_certificate_out_is_sound(
-    chromium: Chromium, check: PageCheck
-) -> None:
+def test_the_page_that_hands_the_certificate_out_is_sound(chromium: Chromium, check: PageCheck) -> None:
     authority = new_authority()
     app = create_hand_out(authority.data, f"https://{NAME}:7411", lambda: False)
     with serving(app) as origin, chromium.window(origin) as window:

@@ -138,9 +138,7 @@ def test_the_host_adds_a_node_that_the_root_has_not_seen(site: ConsoleSite, host
     assert "/porch" not in site.run("ca", "list")
 
 
-def test_a_grant_that_was_approved_while_locked_is_signed_at_unlock(
-    phone: Window, site: ConsoleSite
-) -> None:
+def test_a_grant_that_was_approved_while_locked_is_signed_at_unlock(phone: Window, site: ConsoleSite) -> None:
     site.run("ca", "lock")
     site.run("grant", "request", "/lamp", "--subscribe", TOPIC, "--why", "to know when it is dark")
     open_question(phone)
@@ -171,9 +169,7 @@ def test_without_a_master_pages_say_what_works_and_what_does_not(
     check(phone, "today-without-master", "phone")
 
 
-def test_what_needs_the_master_waits_for_it(
-    phone: Window, site: ConsoleSite, check: PageCheck
-) -> None:
+def test_what_needs_the_master_waits_for_it(phone: Window, site: ConsoleSite, check: PageCheck) -> None:
     phone.open("/delegate")
     press(phone, "Let it renew")
     expect(phone.page.locator("h1")).to_have_text("Approved. It is not done yet")

@@ -9,11 +9,10 @@ from cryptography import x509
 from cryptography.x509 import verification
 
 from ca.authority import LIFETIME, MAX_LIFETIME, ROOT_LIFETIME, Authority, create_root
-from ca.certificates import TrustAnchor, build_request, to_pem
+from ca.certificates import TrustAnchor, build_intermediate_request, open_renewal, sign_renewal, to_pem
 from ca.errors import CertificateRefused, IssueRefused, KeyRefused, NameRefused, RequestRefused
-from ca.intermediates import build_intermediate_request
-from ca.keys.signer import KeySigner
-from ca.renewal import open_renewal, sign_renewal
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 from tests.support.pki import DAY, NOW, Site, new_signer
 
 SITE = Site.create()
@@ -105,9 +104,7 @@ def test_no_root_without_a_domain() -> None:
 
 
 def test_roots_of_one_domain_have_different_subjects() -> None:
-    first, second = (
-        TrustAnchor.load(create_root(new_signer(), "home", now=NOW, serial=1)) for _ in "ab"
-    )
+    first, second = (TrustAnchor.load(create_root(new_signer(), "home", now=NOW, serial=1)) for _ in "ab")
     assert first.subject != second.subject
     assert first.not_after - first.not_before == 3650 * DAY + 3600
 
@@ -143,7 +140,7 @@ def test_the_verifier_of_cryptography_accepts_it(*, wildcard: bool) -> None:
 def test_an_authority_has_a_p256_key() -> None:
     from cryptography.hazmat.primitives.asymmetric import ec
 
-    from ca.keys.signer import KeySigner
+    from ca.keys.signing import KeySigner
 
     signer = KeySigner(ec.generate_private_key(ec.SECP384R1()))
     with pytest.raises(KeyRefused):
@@ -209,9 +206,7 @@ def test_only_a_root_with_room_makes_intermediates() -> None:
     older.issuer = older.anchor
     for authority in (Authority(HOST, SITE.root, intermediate()), older):
         with pytest.raises(IssueRefused, match="this authority may have no intermediates"):
-            authority.issue_intermediate(
-                request, now=NOW, serial=4, may_enroll=True, lifetime=SEASON
-            )
+            authority.issue_intermediate(request, now=NOW, serial=4, may_enroll=True, lifetime=SEASON)
 
 
 def test_an_intermediate_needs_its_own_key_and_time() -> None:

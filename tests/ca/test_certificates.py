@@ -8,15 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ca import certificates, svid
-from ca.certificates import MAX_CERTIFICATE, Identity, TrustAnchor, from_pem, to_pem
-from ca.errors import (
-    CertificateExpired,
-    CertificateNotYetValid,
-    CertificateRefused,
-    ForeignCertificate,
-)
-from ca.keys.publickey import thumbprint
-from ca.svid import WILDCARD, WILDCARD_VALUE
+from ca.certificates import Identity, TrustAnchor, from_pem, to_pem
+from ca.errors import CertificateExpired, CertificateNotYetValid, CertificateRefused, ForeignCertificate
+from ca.keys.signing import thumbprint
+from ca.svid import MAX_CERTIFICATE, WILDCARD, WILDCARD_VALUE
 from tests.support.pki import (
     DAY,
     NOW,
@@ -110,9 +105,7 @@ def test_the_authority_has_its_time_too() -> None:
     leaf = dataclasses.replace(draft_leaf(SITE), start=NOW - 9 * DAY, end=NOW + 4000 * DAY).build()
     with pytest.raises(CertificateExpired, match="the authority's certificate expired 1 s ago"):
         SITE.anchor.verify([leaf], NOW + 3650 * DAY + 1)
-    with pytest.raises(
-        CertificateNotYetValid, match="authority's certificate becomes valid in 1 s"
-    ):
+    with pytest.raises(CertificateNotYetValid, match="authority's certificate becomes valid in 1 s"):
         SITE.anchor.verify([leaf], NOW - 3601)
 
 

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ca.cose import Profile
 from ca.encoding import Value, encode
 from ca.errors import EncodingError, SignatureError
+from ca.keys.signing import Profile
 from tests.support.pki import new_signer
 
 PROFILE, OTHER = Profile("rossec-test+cwt"), Profile("rossec-other+cwt")
@@ -36,10 +36,7 @@ def test_the_signature_is_over_the_sig_structure() -> None:
     """Rebuilt by hand from RFC 9052 section 4.4."""
     body = encode({1: "a", 2: b"b"})
     message = encode(["Signature1", PROFILE.protected, b"", body])
-    assert PROFILE.open(frame(PROFILE.protected, {}, body, SIGNER.sign(message)), KEY) == {
-        1: "a",
-        2: b"b",
-    }
+    assert PROFILE.open(frame(PROFILE.protected, {}, body, SIGNER.sign(message)), KEY) == {1: "a", 2: b"b"}
 
 
 def test_every_byte_counts() -> None:
@@ -141,8 +138,11 @@ def test_a_statement_whose_payload_is_known_is_compared_and_not_decoded(payload:
     for other in [*changed, *(data[:end] for end in range(len(data))), data + b"\0"]:
         with pytest.raises(SignatureError):
             PROFILE.check(other, KEY, payload)
-    for profile, key, stated in ((OTHER, KEY, payload), (PROFILE, new_signer().public_key, payload),
-                                 (PROFILE, KEY, 7)):  # fmt: skip
+    for profile, key, stated in (
+        (OTHER, KEY, payload),
+        (PROFILE, new_signer().public_key, payload),
+        (PROFILE, KEY, 7),
+    ):
         with pytest.raises(SignatureError):
             profile.check(data, key, stated)
 

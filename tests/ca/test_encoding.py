@@ -9,9 +9,13 @@ from ca.encoding import MAX_DEPTH, MAX_SIZE, Value, decode, decode_sequence, enc
 from ca.errors import EncodingError
 
 leaves = (
-    st.none() | st.booleans() | st.integers(-(2**64), 2**64 - 1) | st.floats(allow_nan=False)
-    | st.text(st.characters(exclude_categories=["Cs"])) | st.binary()
-)  # fmt: skip
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**64), 2**64 - 1)
+    | st.floats(allow_nan=False)
+    | st.text(st.characters(exclude_categories=["Cs"]))
+    | st.binary()
+)
 values = st.recursive(
     leaves,
     lambda inner: (
@@ -49,12 +53,23 @@ def test_every_truncation_and_a_tail(value: Value) -> None:
 @pytest.mark.parametrize(
     ("value", "data"),
     [
-        (0, "00"), (23, "17"), (24, "1818"), (-1, "20"), (2**64 - 1, "1bffffffffffffffff"),
-        (-(2**64), "3bffffffffffffffff"), (1.5, "f93e00"), (math.inf, "f97c00"), (b"", "40"),
-        ("ä", "62c3a4"), ([], "80"), ({}, "a0"), (True, "f5"), (None, "f6"),
+        (0, "00"),
+        (23, "17"),
+        (24, "1818"),
+        (-1, "20"),
+        (2**64 - 1, "1bffffffffffffffff"),
+        (-(2**64), "3bffffffffffffffff"),
+        (1.5, "f93e00"),
+        (math.inf, "f97c00"),
+        (b"", "40"),
+        ("ä", "62c3a4"),
+        ([], "80"),
+        ({}, "a0"),
+        (True, "f5"),
+        (None, "f6"),
         ({-1: 0, 10: 1, 100: 2, "a": 3}, "a40a012000186402616103"),
     ],
-)  # fmt: skip
+)
 def test_vectors(value: Value, data: str) -> None:
     assert encode(value).hex() == data
     assert decode(bytes.fromhex(data)) == value
@@ -63,10 +78,18 @@ def test_vectors(value: Value, data: str) -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        "1817", "190018", "1b0000000000000001", "fa3fc00000", "fb3ff8000000000000", "5800",
-        "a2616100616200ff", "a20a00200000", "a220000a00", "f97e00",
+        "1817",
+        "190018",
+        "1b0000000000000001",
+        "fa3fc00000",
+        "fb3ff8000000000000",
+        "5800",
+        "a2616100616200ff",
+        "a20a00200000",
+        "a220000a00",
+        "f97e00",
     ],
-)  # fmt: skip
+)
 def test_other_encodings_of_the_same_value(data: str) -> None:
     with pytest.raises(EncodingError):
         decode(bytes.fromhex(data))

@@ -37,9 +37,7 @@ def test_one_root(kind: type[errors.HintedError]) -> None:
         (errors.CodeExpired, errors.CodeRefused),
     ],
 )
-def test_leaves_can_be_caught_together(
-    leaf: type[errors.CAError], parent: type[errors.CAError]
-) -> None:
+def test_leaves_can_be_caught_together(leaf: type[errors.CAError], parent: type[errors.CAError]) -> None:
     assert issubclass(leaf, parent)
 
 
@@ -53,7 +51,5 @@ def test_a_bare_error_refers_to_nothing_else() -> None:
     with pytest.raises(errors.EncodingError) as raised:
         raise errors.EncodingError("what happened", "what to do") from ValueError("the cause")
     kept = raised.value.bare()
-    assert (type(kept), str(kept), kept.hint) == (
-        errors.EncodingError, "what happened", "what to do",
-    )  # fmt: skip
+    assert (type(kept), str(kept), kept.hint) == (errors.EncodingError, "what happened", "what to do")
     assert (kept.__traceback__, kept.__cause__, kept.__context__) == (None, None, None)

@@ -12,7 +12,14 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509 import verification
 
 from ca.authority import Authority
-from ca.certificates import build_request, to_pem
+from ca.certificates import (
+    MAY_ENROLL,
+    MAY_RENEW,
+    build_intermediate_request,
+    check_intermediate_request,
+    policy,
+    to_pem,
+)
 from ca.errors import (
     CertificateExpired,
     CertificateNotYetValid,
@@ -21,14 +28,8 @@ from ca.errors import (
     NameRefused,
     RequestRefused,
 )
-from ca.intermediates import (
-    MAY_ENROLL,
-    MAY_RENEW,
-    build_intermediate_request,
-    check_intermediate_request,
-    policy,
-)
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 from tests.support.pki import (
     DAY,
     NOW,

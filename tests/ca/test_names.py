@@ -18,9 +18,7 @@ from ca.names import (
     spiffe_id,
 )
 
-RESERVED = (
-    "/ca", "/master", "/master/kitchen", "/relay", "/relay/attic", "/gateway", "/gateway/attic",
-)  # fmt: skip
+RESERVED = ("/ca", "/master", "/master/kitchen", "/relay", "/relay/attic", "/gateway", "/gateway/attic")
 
 names = st.from_regex(r"(/[A-Za-z][A-Za-z0-9_]{0,9}){1,8}", fullmatch=True)
 domains = st.from_regex(r"[a-z0-9._-]{1,30}", fullmatch=True)
@@ -36,10 +34,29 @@ def test_absolute_names_pass(name: str) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "", "/", "a", "a/b", "//a", "/a//b", "/a/", "~a", "/~a", "/1a", "/_a", "/a-b", "/a b",
-        "/a.b", "/a*", "/*", "/ä", "/a\n", "\n/a", "/a\x00", "/\u0430",  # the last one is Cyrillic
+        "",
+        "/",
+        "a",
+        "a/b",
+        "//a",
+        "/a//b",
+        "/a/",
+        "~a",
+        "/~a",
+        "/1a",
+        "/_a",
+        "/a-b",
+        "/a b",
+        "/a.b",
+        "/a*",
+        "/*",
+        "/ä",
+        "/a\n",
+        "\n/a",
+        "/a\x00",
+        "/\u0430",  # the last one is Cyrillic
     ],
-)  # fmt: skip
+)
 def test_other_texts_are_not_names(name: str) -> None:
     with pytest.raises(NameRefused, match="is not an absolute ROS name") as caught:
         check_name(name)
@@ -50,11 +67,15 @@ def test_other_texts_are_not_names(name: str) -> None:
 @pytest.mark.parametrize(
     ("refused", "proposed"),
     [
-        ("talker-1", "/talker_1"), ("r\u00e9cord", "/record"), ("/t\u00fcr", "/tur"),
-        ("robot", "/robot"), ("/robot/3d", "/robot/n3d"), ("my robot//arm ", "/my_robot/arm"),
+        ("talker-1", "/talker_1"),
+        ("r\u00e9cord", "/record"),
+        ("/t\u00fcr", "/tur"),
+        ("robot", "/robot"),
+        ("/robot/3d", "/robot/n3d"),
+        ("my robot//arm ", "/my_robot/arm"),
         ("/stra\u00dfe", "/strasse"),
     ],
-)  # fmt: skip
+)
 def test_a_refused_name_gets_one_that_works(refused: str, proposed: str) -> None:
     with pytest.raises(NameRefused) as caught:
         check_name(refused)
@@ -146,12 +167,32 @@ def test_a_wildcard_tail_covers(name: str) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "", "/", "/rviz_", "/rvizx", "/rviz1", "/rviz/1", "/rviz_a/b", "/rviz_1/", "/rviz/_1",
-        "/rvi", "/robot1/rviz_1", "rviz_1", "//rviz_1", "/Rviz_1", "/rviz_*", "/rviz*", "/rviz_1\n",
-        "/rviz_1 ", "/rviz_1.2", "/rviz_\u0661", "/rviz_\x00", "/master", "/ca",
+        "",
+        "/",
+        "/rviz_",
+        "/rvizx",
+        "/rviz1",
+        "/rviz/1",
+        "/rviz_a/b",
+        "/rviz_1/",
+        "/rviz/_1",
+        "/rvi",
+        "/robot1/rviz_1",
+        "rviz_1",
+        "//rviz_1",
+        "/Rviz_1",
+        "/rviz_*",
+        "/rviz*",
+        "/rviz_1\n",
+        "/rviz_1 ",
+        "/rviz_1.2",
+        "/rviz_\u0661",
+        "/rviz_\x00",
+        "/master",
+        "/ca",
         "/rviz_" + "1" * 250,
     ],
-)  # fmt: skip
+)
 def test_a_wildcard_tail_covers_nothing_else(name: str) -> None:
     assert not covers("/rviz", name, wildcard=True)
 
@@ -182,11 +223,17 @@ def test_the_master_and_the_authority_are_covered_by_nobody_else(name: str) -> N
 @pytest.mark.parametrize(
     ("name", "is_master"),
     [
-        ("/master", True), ("/master/kitchen", True), ("/master/kitchen/a", False),
-        ("/master/", False), ("/masters", False), ("/master_1", False), ("/ca", False),
-        ("/remote/hospital/master", False), ("/master/kitchen\n", False),
+        ("/master", True),
+        ("/master/kitchen", True),
+        ("/master/kitchen/a", False),
+        ("/master/", False),
+        ("/masters", False),
+        ("/master_1", False),
+        ("/ca", False),
+        ("/remote/hospital/master", False),
+        ("/master/kitchen\n", False),
     ],
-)  # fmt: skip
+)
 def test_the_names_of_masters(name: str, is_master: bool) -> None:
     assert is_master_name(name) is is_master
     assert is_reserved(name) is (is_master or name == "/ca")
@@ -195,11 +242,16 @@ def test_the_names_of_masters(name: str, is_master: bool) -> None:
 @pytest.mark.parametrize(
     ("name", "is_relay"),
     [
-        ("/relay", True), ("/relay/attic", True), ("/relay/attic/a", False), ("/relay/", False),
-        ("/relays", False), ("/relay_1", False), ("/remote/office/relay", False),
+        ("/relay", True),
+        ("/relay/attic", True),
+        ("/relay/attic/a", False),
+        ("/relay/", False),
+        ("/relays", False),
+        ("/relay_1", False),
+        ("/remote/office/relay", False),
         ("/relay/attic\n", False),
     ],
-)  # fmt: skip
+)
 def test_the_names_of_relays(name: str, is_relay: bool) -> None:
     assert is_relay_name(name) is is_relay
     assert is_reserved(name) is is_relay
@@ -208,12 +260,16 @@ def test_the_names_of_relays(name: str, is_relay: bool) -> None:
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("/gateway", True), ("/gateway/attic", True), ("/gateway/attic/a", False),
+        ("/gateway", True),
+        ("/gateway/attic", True),
+        ("/gateway/attic/a", False),
         ("/gateway/", False),
-        ("/gateways", False), ("/gateway_1", False), ("/remote/office/gateway", False),
+        ("/gateways", False),
+        ("/gateway_1", False),
+        ("/remote/office/gateway", False),
         ("/gateway/attic\n", False),
     ],
-)  # fmt: skip
+)
 def test_the_names_of_gateways(name: str, expected: bool) -> None:
     assert is_gateway(name) is expected
     assert is_reserved(name) is expected

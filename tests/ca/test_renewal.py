@@ -3,28 +3,22 @@ import secrets
 import pytest
 
 from ca.authority import Authority
-from ca.certificates import Identity, build_request
-from ca.cose import Profile
-from ca.encoding import Value
-from ca.errors import (
-    CertificateExpired,
-    ForeignCertificate,
-    RenewalRefused,
-    RequestRefused,
-    Revoked,
-)
-from ca.intermediates import build_intermediate_request
-from ca.keys.signer import KeySigner
-from ca.renewal import (
+from ca.certificates import (
     MAX_RENEWAL,
     PROFILE,
+    Identity,
     Renewal,
+    build_intermediate_request,
     open_renewal,
     renew_at,
     retry_delay,
     sign_renewal,
     signed_at,
 )
+from ca.encoding import Value
+from ca.errors import CertificateExpired, ForeignCertificate, RenewalRefused, RequestRefused, Revoked
+from ca.keys.signing import KeySigner, Profile
+from ca.svid import build_request
 from tests.support.pki import DAY, NOW, Site, new_signer
 
 SITE = Site.create()
@@ -68,9 +62,7 @@ def test_the_key_may_stay() -> None:
 
 
 def test_no_successor_lives_longer() -> None:
-    short = SITE.authority.issue(
-        build_request(OLD, "home", "/robot"), now=NOW, serial=3, lifetime=DAY
-    )
+    short = SITE.authority.issue(build_request(OLD, "home", "/robot"), now=NOW, serial=3, lifetime=DAY)
     late = NOW + DAY - 3600
     renewal = asked(chain=(short,), now=late)
     der = SITE.authority.renew(renewal, now=late, serial=4)
@@ -107,16 +99,16 @@ def test_a_short_life_leaves_time_to_ask_again(life: int, pause: int) -> None:
 def test_an_intermediate_that_may_only_renew() -> None:
     host = new_signer()
     request = build_intermediate_request(host, "home")
-    der = SITE.authority.issue_intermediate(
-        request, now=DUE, serial=5, may_enroll=False, lifetime=90 * DAY
-    )
+    der = SITE.authority.issue_intermediate(request, now=DUE, serial=5, may_enroll=False, lifetime=90 * DAY)
     below = Authority(host, SITE.root, der)
     identity = successor(asked(), below)
     assert identity.issuers == (below.issuer.thumbprint,)
     again = open_renewal(
         sign_renewal(NEW, (identity.certificate, der), CSR, DUE + 21 * DAY),
-        SITE.anchor, DUE + 21 * DAY, nothing_is_revoked,
-    )  # fmt: skip
+        SITE.anchor,
+        DUE + 21 * DAY,
+        nothing_is_revoked,
+    )
     assert again.identity == identity
 
 
@@ -149,9 +141,8 @@ def test_the_old_identity_must_be_good() -> None:
 def test_neither_it_nor_its_intermediate_may_be_revoked(which: int) -> None:
     host = new_signer()
     der = SITE.authority.issue_intermediate(
-        build_intermediate_request(host, "home"), now=NOW, serial=5, may_enroll=True,
-        lifetime=90 * DAY,
-    )  # fmt: skip
+        build_intermediate_request(host, "home"), now=NOW, serial=5, may_enroll=True, lifetime=90 * DAY
+    )
     below = Authority(host, SITE.root, der)
     leaf = below.issue(build_request(OLD, "home", "/robot"), now=NOW, serial=6)
     identity = SITE.anchor.verify([leaf, der], NOW)
@@ -204,9 +195,7 @@ def test_unknown_or_missing_fields_are_refused(payload: Value) -> None:
 
 
 def test_a_chain_is_of_certificates() -> None:
-    refused(
-        PROFILE.sign(OLD, {6: DUE, -70021: CSR, -70022: [LEAF, 1]}), "not a list of certificates"
-    )
+    refused(PROFILE.sign(OLD, {6: DUE, -70021: CSR, -70022: [LEAF, 1]}), "not a list of certificates")
 
 
 def test_only_a_renewal_is_opened_as_one() -> None:

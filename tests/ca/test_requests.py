@@ -11,9 +11,8 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import AttributeOID, NameOID
 
 from ca.errors import NameRefused, RequestRefused
-from ca.keys.publickey import thumbprint
-from ca.requests import MAX_REQUEST, build_request, check_request
-from ca.svid import WILDCARD, WILDCARD_VALUE
+from ca.keys.signing import thumbprint
+from ca.svid import MAX_REQUEST, WILDCARD, WILDCARD_VALUE, build_request, check_request
 from tests.support.pki import new_signer, uris, usage
 
 URI = "spiffe://home/robot1/camera"
@@ -129,10 +128,7 @@ COMMON_NAME = [x509.NameAttribute(NameOID.COMMON_NAME, "robot")]
 @pytest.mark.parametrize(
     ("csr", "message"),
     [
-        (
-            crafted((SAN, True), key=ec.generate_private_key(ec.SECP384R1())),
-            "a key that is not P-2",
-        ),
+        (crafted((SAN, True), key=ec.generate_private_key(ec.SECP384R1())), "a key that is not P-2"),
         (crafted((SAN, True), algorithm=hashes.SHA384()), "is not signed with ECDSA and SHA-256"),
         (crafted((SAN, True), subject=COMMON_NAME), "asks for a subject"),
         (crafted((SAN, True), challenge=b"x"), "has other attributes than its extensions"),

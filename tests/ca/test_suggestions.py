@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.names import check_domain, check_name
-from ca.suggestions import closest, proposed_domain, proposed_name
+from ca.names import check_domain, check_name, closest, proposed_domain, proposed_name
 
 
 @given(st.text(max_size=300))

@@ -57,9 +57,7 @@ def test_a_good_root_passes() -> None:
         [(x509.BasicConstraints(ca=False, path_length=None), False)],
     ],
 )
-def test_a_leaf_says_that_it_is_no_ca(
-    constraints: list[tuple[x509.ExtensionType, bool]],
-) -> None:
+def test_a_leaf_says_that_it_is_no_ca(constraints: list[tuple[x509.ExtensionType, bool]]) -> None:
     with pytest.raises(CertificateRefused, match="has no critical basic constraints with CA false"):
         svid.check_leaf(leaf_with(*constraints, USAGE, NAME))
 
@@ -134,10 +132,7 @@ def test_a_certificate_that_is_not_an_authority() -> None:
 
 @pytest.mark.parametrize(
     "key",
-    [
-        ec.generate_private_key(ec.SECP384R1()).public_key(),
-        ed25519.Ed25519PrivateKey.generate().public_key(),
-    ],
+    [ec.generate_private_key(ec.SECP384R1()).public_key(), ed25519.Ed25519PrivateKey.generate().public_key()],
 )
 def test_an_svid_has_a_p256_key(key: ec.EllipticCurvePublicKey | ed25519.Ed25519PublicKey) -> None:
     der = dataclasses.replace(draft_leaf(SITE), public_key=key).build()
@@ -212,9 +207,7 @@ def broken(attribute: str, error: Exception) -> Mock:
 def test_parts_the_library_finds_malformed_later() -> None:
     """`cryptography` parses lazily; what it raises at an access must not escape."""
     with pytest.raises(CertificateRefused, match=MALFORMED):
-        svid.is_signed_by(
-            broken("issuer", ValueError("bad")), SITE.anchor.subject, SITE.anchor.public_key
-        )
+        svid.is_signed_by(broken("issuer", ValueError("bad")), SITE.anchor.subject, SITE.anchor.public_key)
     with pytest.raises(CertificateRefused, match=MALFORMED):
         svid.subject(broken("subject", ValueError("bad")))
     with pytest.raises(CertificateRefused, match=MALFORMED):

@@ -7,12 +7,11 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.authority import Authority, create_root
-from ca.certificates import build_request
+from ca.authority import Authority, UnsignedCertificate, create_root, read_unsigned
+from ca.certificates import build_intermediate_request
 from ca.errors import CertificateRefused
-from ca.intermediates import build_intermediate_request
-from ca.keys.x509signer import X509Signer
-from ca.unsigned import UnsignedCertificate, read_unsigned
+from ca.keys.signing import X509Signer
+from ca.svid import build_request
 from tests.support.pki import new_signer
 
 NOW = 1_800_000_000
@@ -25,9 +24,7 @@ def content(der: bytes) -> bytes:
     return x509.load_der_x509_certificate(der).tbs_certificate_bytes
 
 
-def leaf(
-    name: str = "/robot", *, wildcard: bool = False, authority: Authority = AUTHORITY
-) -> bytes:
+def leaf(name: str = "/robot", *, wildcard: bool = False, authority: Authority = AUTHORITY) -> bytes:
     domain = authority.anchor.domain
     csr = build_request(new_signer(), domain, name, wildcard=wildcard)
     serial = secrets.randbits(127)
@@ -92,10 +89,16 @@ def built(uri: str = "spiffe://home/robot", flaw: str = "") -> bytes:
     key = ec.generate_private_key(ec.SECP384R1() if flaw == "key" else ec.SECP256R1())
     is_ca = flaw == "intermediate"
     usage = x509.KeyUsage(
-        digital_signature=True, content_commitment=False, key_encipherment=flaw == "usage",
-        data_encipherment=False, key_agreement=False, key_cert_sign=False, crl_sign=False,
-        encipher_only=False, decipher_only=False,
-    )  # fmt: skip
+        digital_signature=True,
+        content_commitment=False,
+        key_encipherment=flaw == "usage",
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=False,
+        crl_sign=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
     certificate = x509.load_der_x509_certificate(AUTHORITY.anchor.certificate)
     builder = (
         x509.CertificateBuilder()
@@ -106,9 +109,7 @@ def built(uri: str = "spiffe://home/robot", flaw: str = "") -> bytes:
         .subject_name(x509.Name([]))
         .issuer_name(ISSUER)
         .add_extension(usage, critical=True)
-        .add_extension(
-            x509.SubjectAlternativeName([x509.UniformResourceIdentifier(uri)]), critical=True
-        )
+        .add_extension(x509.SubjectAlternativeName([x509.UniformResourceIdentifier(uri)]), critical=True)
     )
     if flaw != "constraints":
         limits = x509.BasicConstraints(ca=is_ca, path_length=0 if is_ca else None)

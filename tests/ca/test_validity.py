@@ -2,8 +2,8 @@
 
 import pytest
 
+from ca.certificates import check_time, everything_ended, own_end, span, utc, way_back
 from ca.errors import CertificateExpired, CertificateNotYetValid
-from ca.validity import check_time, everything_ended, own_end, span, utc, way_back
 
 END = 1_800_000_000
 DAY = 86_400
@@ -21,9 +21,7 @@ def test_a_certificate_that_is_over_says_the_clock_and_the_commands() -> None:
     check_time("certificate of /robot", 0, END, END, back)
     with pytest.raises(CertificateExpired) as caught:
         check_time("certificate of /robot", 0, END, END + 400 * DAY, back)
-    assert str(caught.value) == (
-        "the certificate of /robot expired 400 days ago, on 2027-01-15 08:00:00 UTC"
-    )
+    assert str(caught.value) == ("the certificate of /robot expired 400 days ago, on 2027-01-15 08:00:00 UTC")
     assert caught.value.hint == (
         "this host's clock says 2028-02-19 08:00:00 UTC: if that is wrong, set this host's clock,"
         " or synchronize it (NTP); else where its authority is: rossec ca renew --expired /robot,"

@@ -18,9 +18,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for number, seed in enumerate(seeds):
             (Path(folder) / f"{number:03}").write_bytes(seed)
-        atheris.Setup(
-            [sys.argv[0], f"-runs={runs}", "-seed=1", folder], lambda data: run(name, data)
-        )
+        atheris.Setup([sys.argv[0], f"-runs={runs}", "-seed=1", folder], lambda data: run(name, data))
         atheris.Fuzz()
 
 

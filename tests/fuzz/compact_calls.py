@@ -3,30 +3,32 @@
 from datetime import datetime
 
 from rossec.errors import CompactRefused
-from rossec.ros import compact
-from rossec.ros.callclient import CallClient
-from rossec.ros.callserver import CallServer
-from rossec.ros.compact import UNPARSED
-from rossec.ros.methodnumbers import METHODS
+from rossec.ros import calls as compact
+from rossec.ros.calls import METHODS, UNPARSED, CallClient, CallServer
 from rossec.ros.xmlrpc import Encoded, Fault
 
 _TREE = {
-    "a": [1, -2, 300, -70000, 2**31 - 1], "rate": 1.5, "on": True, "off": False, "": b"\0\xff",
-    "when": datetime.fromisoformat("2026-11-23T09:08:07"), "é": {"x" * 30: ["y" * 300]},
-}  # fmt: skip
+    "a": [1, -2, 300, -70000, 2**31 - 1],
+    "rate": 1.5,
+    "on": True,
+    "off": False,
+    "": b"\0\xff",
+    "when": datetime.fromisoformat("2026-11-23T09:08:07"),
+    "é": {"x" * 30: ["y" * 300]},
+}
 
 
 def call(data: bytes) -> None:
     """A call, the first of a connection."""
-    method, params = compact.load_call(data, 0)
-    if compact.dump_call(0, method, params) != data:
+    method, params = compact.load_compact_call(data, 0)
+    if compact.dump_compact_call(0, method, params) != data:
         raise AssertionError("two encodings of one call")
 
 
 def answer(data: bytes) -> None:
     """An answer, of any shape."""
-    value = compact.load_answer(data, 0, UNPARSED)
-    if not isinstance(value, Fault) and compact.dump_answer(0, value) != data:
+    value = compact.load_compact_answer(data, 0, UNPARSED)
+    if not isinstance(value, Fault) and compact.dump_compact_answer(0, value) != data:
         raise AssertionError("two encodings of one answer")
 
 
@@ -53,13 +55,13 @@ def client(data: bytes) -> None:
 
 def calls() -> list[bytes]:
     """Calls of each method, with every type."""
-    return [compact.dump_call(0, method, ("/a", _TREE)) for method in (*METHODS[::8], "later")]
+    return [compact.dump_compact_call(0, method, ("/a", _TREE)) for method in (*METHODS[::8], "later")]
 
 
 def answers() -> list[bytes]:
     """An answer of each shape."""
     values = ([1, "ok", _TREE], [[1, "", 0]], 5, Fault(1, "no"), Encoded(b"<x/>"))
-    return [compact.dump_answer(0, value) for value in values]
+    return [compact.dump_compact_answer(0, value) for value in values]
 
 
 def requests() -> list[bytes]:
@@ -71,11 +73,7 @@ def responses() -> list[bytes]:
     """What a server sends: first of all, and then."""
     first, old = _first_answer(), CallServer(compact=False)
     old.take(CallClient("x").request("getPid", ()))
-    return [
-        first,
-        old.respond([1, "", _TREE]),
-        *(b"%b\x01%b" % (unit[:1], unit[2:]) for unit in answers()),
-    ]
+    return [first, old.respond([1, "", _TREE]), *(b"%b\x01%b" % (unit[:1], unit[2:]) for unit in answers())]
 
 
 def _at(turn: int, unit: bytes) -> bytes:

@@ -11,20 +11,26 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from ca.certificates import build_request
 from ca.encoding import decode, encode
-from ca.enrollment import invitation, join_messages, ndef, qr
-from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_authority import AuthorityJoin, LiveIdentity
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import Issued, Refused, RefuseReason, Waiting, WaitReason
-from ca.enrollment.join_node import NodeJoin, NodeJoinState
-from ca.enrollment.join_request import JoinRequest
-from ca.enrollment.join_transcript import sign_claim
+from ca.enrollment import invitation, join, qr
+from ca.enrollment import invitation as ndef
+from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest, sign_claim
+from ca.enrollment.join import (
+    AuthorityJoin,
+    Issued,
+    LiveIdentity,
+    NodeJoin,
+    NodeJoinState,
+    RefusedMessage,
+    RefuseReason,
+    WaitingMessage,
+    WaitReason,
+)
 from ca.enrollment.messages import Delivery, write
+from ca.enrollment.sides import AuthorityEnrollment, AuthorityState
 from ca.errors import HintedError
-from rossec.channel.edhoc.known import KnownCertificates, reference
+from ca.svid import build_request
+from rossec.channel.edhoc.credentials import KnownCertificates, reference
 from rossec.channel.edhoc.messages import (
     decode_bytes,
     decode_error,
@@ -33,16 +39,10 @@ from rossec.channel.edhoc.messages import (
     decode_plaintext_4,
     encode_error,
 )
-from rossec.channel.opening import (
-    WireProtocol,
-    classify_answer,
-    classify_caller,
-    first_bytes,
-    refusal,
-)
+from rossec.channel.opening import WireProtocol, classify_answer, classify_caller, first_bytes, refusal
 from rossec.overlay import link_frames
 from rossec.overlay.link import Link
-from rossec.overlay.link_frames import Kind
+from rossec.overlay.link_frames import LinkFrameKind
 from tests.fuzz import compact_calls
 from tests.support.enrolling import ADDRESS, Robot, offered
 from tests.support.linknet import REPLY, frame, opened
@@ -157,9 +157,7 @@ def _enrolling_authority(data: bytes) -> None:
         assert authority.digits == ""
 
 
-INVITATION: Final = InvitationCode(
-    sha256(HOME.root).digest(), bytes(16), SOME_TIME, ADDRESS, "/robot1/*"
-)
+INVITATION: Final = InvitationCode(sha256(HOME.root).digest(), bytes(16), SOME_TIME, ADDRESS, "/robot1/*")
 OWN: Final = new_signer()
 CA_LEAF: Final = HOME.authority.issue(
     build_request(OWN, "home", "/ca"), now=SOME_TIME, serial=2, lifetime=86400
@@ -180,8 +178,8 @@ def joins() -> list[bytes]:
     node.receive(welcome, SOME_TIME)
     sent = node.join(ROBOT.csr)
     face.receive(sent)
-    answers = Issued((LEAF,)), Waiting(WaitReason.LOCKED), Refused(RefuseReason.BUSY)
-    written = [join_messages.write(answer) for answer in answers]
+    answers = Issued((LEAF,)), WaitingMessage(WaitReason.LOCKED), RefusedMessage(RefuseReason.BUSY)
+    written = [join.write(answer) for answer in answers]
     return [node.hello(), welcome, sent, *written, face.request.to_bytes()]
 
 
@@ -216,7 +214,7 @@ def frames() -> list[bytes]:
     address = link_frames.return_address(REPLY, 560)
     ranges = link_frames.pack_ranges([(20, 30), (40, 50)])
     bodies = (address + b"first", b"bytes", ranges, b"", b"", address)
-    return [frame(kind, 50 * (kind != 1), body) for kind, body in zip(Kind, bodies, strict=True)]
+    return [frame(kind, 50 * (kind != 1), body) for kind, body in zip(LinkFrameKind, bodies, strict=True)]
 
 
 def _link(data: bytes) -> None:
@@ -258,10 +256,7 @@ DECODERS: Final[dict[str, tuple[Target, Callable[[], list[bytes]]]]] = {
         lambda: [INVITATION.text().encode()],
     ),
     "ndef": (ndef.read, lambda: [ndef.write(INVITATION)]),
-    "join_request": (
-        lambda data: JoinRequest.from_bytes(data).verify(INVITATION.key),
-        joins,
-    ),
+    "join_request": (lambda data: JoinRequest.from_bytes(data).verify(INVITATION.key), joins),
     "join_claim": (lambda data: JoinClaim.from_bytes(data).verify(INVITATION.key), claims),
     "joining_node": (_joining_node, joins),
     "joining_authority": (_joining_authority, joins),

@@ -10,15 +10,15 @@ from typing import Any, Final, NamedTuple
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca import renewal
-from ca.cose import Profile
+from ca import certificates
 from ca.encoding import decode, encode
-from ca.enrollment import NONCE_SIZE, messages, transcript
-from ca.keys.publickey import thumbprint
-from ca.keys.signer import KeySigner, Signer
-from ca.requests import build_request
-from ca.revocation import lists, state, tree
-from ca.store import backup, log_entries
+from ca.enrollment import NONCE_SIZE, messages, sides
+from ca.keys import passphrases
+from ca.keys.signing import KeySigner, Profile, Signer, thumbprint
+from ca.revocation import lists, trust_status
+from ca.revocation import lists as tree
+from ca.store import values
+from ca.svid import build_request
 from grants import document, request, token
 from grants import renewal as tickets
 from grants.decision import Decision
@@ -27,12 +27,12 @@ from grants.filters import layout
 from grants.guard import Guard
 from grants.model import Draft, Grant, Permission, Restriction, Right, filter_rules, merge
 from grants.request import RequestedRight
-from rossec.channel.edhoc.known import KnownCertificates, reference
+from rossec.channel.edhoc.credentials import KnownCertificates, reference
 from rossec.channel.edhoc.messages import decode_error, decode_message_1, decode_plaintext
 from rossec.discovery import announcement
-from rossec.master.rights import trl
+from rossec.master.rights import revocation_lists
+from rossec.participant.access import _unpack
 from rossec.participant.message_types import message_type
-from rossec.participant.token_opening import _unpack
 from tests.support.pki import NOW, Site
 from tests.support.wire import ALICE
 
@@ -82,9 +82,15 @@ PLACE: Final = Restriction(
     keep_when_stale=True,
 )
 DRAFT: Final = Draft(
-    "home", "/heating", thumbprint(NODE.public_key), NOW - 10, NOW + 100, NOW + DAY, bytes(16),
+    "home",
+    "/heating",
+    thumbprint(NODE.public_key),
+    NOW - 10,
+    NOW + 100,
+    NOW + DAY,
+    bytes(16),
     (Permission("/pose", Right.SUBSCRIBE, PLACE), Permission("/heating/**", Right.PUBLISH)),
-)  # fmt: skip
+)
 GRANT: Final = document.sign(CA, DRAFT)
 
 
@@ -117,12 +123,9 @@ def _bare_grant(structure: bytes) -> None:
 # --- renewals of grants
 
 DELEGATION: Final = tickets.sign_delegation(
-    CA,
-    tickets.Delegation("home", thumbprint(MASTER.public_key), NOW - 10, NOW + DAY, 3600, bytes(16)),
+    CA, tickets.Delegation("home", thumbprint(MASTER.public_key), NOW - 10, NOW + DAY, 3600, bytes(16))
 )
-TICKET: Final = tickets.sign_ticket(
-    MASTER, tickets.Ticket(document.grant_id(GRANT), NOW - 10, NOW + 60, 0)
-)
+TICKET: Final = tickets.sign_ticket(MASTER, tickets.Ticket(document.grant_id(GRANT), NOW - 10, NOW + 60, 0))
 
 
 def _never(_entry: bytes, _now: int) -> None:
@@ -147,9 +150,7 @@ def _token(structure: bytes) -> None:
 
 # --- revocations
 
-LISTED: Final = lists.RevocationList(
-    1, 2, NOW, NOW + DAY, frozenset({bytes(16), bytes(32), b"\1" * 32})
-)
+LISTED: Final = lists.RevocationList(1, 2, NOW, NOW + DAY, frozenset({bytes(16), bytes(32), b"\1" * 32}))
 LIST: Final = lists.sign_list(CA, LISTED)
 TIMESTAMP: Final = lists.sign_timestamp(MASTER, lists.Timestamp(2, lists.digest(LIST), NOW, 30))
 LISTING: Final = tree.TreeEntries([bytes([number]) * 32 for number in range(9)])
@@ -159,17 +160,17 @@ SIGNED_TREE: Final = tree.sign_tree(CA, TREE)
 
 
 def _list(body: bytes) -> None:
-    held = state.Revocations(CA.public_key)
+    held = trust_status.Revocations(CA.public_key)
     held.update(seal(lists.LIST_PROFILE, CA, body), NOW)
 
 
 def _tree(body: bytes) -> None:
-    held = state.Revocations(CA.public_key)
+    held = trust_status.Revocations(CA.public_key)
     held.update(seal(tree.TREE, CA, body), NOW)
 
 
 def _timestamp(body: bytes) -> None:
-    held = state.Revocations(CA.public_key)
+    held = trust_status.Revocations(CA.public_key)
     held.update(LIST, NOW)
     signed = seal(lists.TIMESTAMP_PROFILE, MASTER, body)
     held.confirm(lists.open_timestamp(signed, MASTER.public_key), NOW)
@@ -193,16 +194,14 @@ def _listing_seed() -> Any:
 
 # --- the authority's own
 
-HEAD: Final = log_entries.sign_head(CA, log_entries.Head(3, bytes(32), NOW))
+HEAD: Final = values.sign_head(CA, values.Head(3, bytes(32), NOW))
 MASTER_LEAF: Final = HOME.authority.issue(
     build_request(MASTER, "home", "/master"), now=NOW - 2 * DAY, serial=7, lifetime=3 * DAY
 )
 NODE_LEAF: Final = HOME.authority.issue(
     build_request(NODE, "home", "/heating"), now=NOW - 2 * DAY, serial=8, lifetime=3 * DAY
 )
-RENEWAL: Final = renewal.sign_renewal(
-    NODE, [NODE_LEAF], build_request(NODE, "home", "/heating"), NOW
-)
+RENEWAL: Final = certificates.sign_renewal(NODE, [NODE_LEAF], build_request(NODE, "home", "/heating"), NOW)
 REQUEST: Final = request.sign_request(
     NODE,
     request.GrantRequest(
@@ -212,11 +211,11 @@ REQUEST: Final = request.sign_request(
 
 
 def _head(body: bytes) -> None:
-    log_entries.open_head(seal(log_entries.HEAD_PROFILE, CA, body), CA.public_key)
+    values.open_head(seal(values.HEAD_PROFILE, CA, body), CA.public_key)
 
 
 def _renewal(body: bytes) -> None:
-    renewal.open_renewal(seal(renewal.PROFILE, NODE, body), HOME.anchor, NOW, _never)
+    certificates.open_renewal(seal(certificates.PROFILE, NODE, body), HOME.anchor, NOW, _never)
 
 
 def _request(body: bytes) -> None:
@@ -225,7 +224,7 @@ def _request(body: bytes) -> None:
 
 
 def _backup(structure: bytes) -> None:
-    backup._read(structure)
+    passphrases._read_files(structure)
 
 
 # --- the network
@@ -242,21 +241,21 @@ def _announcement(body: bytes) -> None:
 
 
 def _query(structure: bytes) -> None:
-    trl.RevocationQueries(NOW).answer(bytes(32), frozenset({bytes(16)}), structure)
+    revocation_lists.RevocationQueries(NOW).answer(bytes(32), frozenset({bytes(16)}), structure)
 
 
 AGREED: Final = bytes(32)
-ACKNOWLEDGED: Final = transcript.sign_acknowledgement(NODE, AGREED, bytes(NONCE_SIZE))
-DONE: Final = transcript.sign_done(NODE, AGREED)
+ACKNOWLEDGED: Final = sides.sign_acknowledgement(NODE, AGREED, bytes(NONCE_SIZE))
+DONE: Final = sides.sign_done(NODE, AGREED)
 
 
 def _acknowledgement(body: bytes) -> None:
-    signed = seal(transcript._ACKNOWLEDGEMENT, NODE, body)
-    transcript.open_acknowledgement(signed, NODE.public_key, AGREED)
+    signed = seal(sides._ACKNOWLEDGEMENT, NODE, body)
+    sides.open_acknowledgement(signed, NODE.public_key, AGREED)
 
 
 def _done(body: bytes) -> None:
-    transcript.check_done(seal(transcript._DONE, NODE, body), NODE.public_key, AGREED)
+    sides.check_done(seal(sides._DONE, NODE, body), NODE.public_key, AGREED)
 
 
 def _sequence(read: Callable[[bytes], object]) -> Callable[[bytes], object]:
@@ -286,8 +285,8 @@ DECODERS: Final[dict[str, Decoder]] = {
     "proof": Decoder((decode(LISTING.prove(b"\3" * 32)),), _proof),
     "absence": Decoder((decode(LISTING.prove(b"\3" * 16)),), _absence),
     "listing": Decoder((decode(LISTING.encoded()),), _listing),
-    "log head": Decoder((payload(log_entries.HEAD_PROFILE, HEAD),), _head),
-    "renewal": Decoder((payload(renewal.PROFILE, RENEWAL),), _renewal),
+    "log head": Decoder((payload(values.HEAD_PROFILE, HEAD),), _head),
+    "renewal": Decoder((payload(certificates.PROFILE, RENEWAL),), _renewal),
     "request": Decoder((payload(request.REQUEST, REQUEST),), _request),
     "backup": Decoder(({"ca.pem": b"x", "node/a": b""},), _backup),
     "announcement": Decoder((payload(announcement.PROFILE, ANNOUNCEMENT),), _announcement),
@@ -295,10 +294,8 @@ DECODERS: Final[dict[str, Decoder]] = {
     "enrollment": Decoder(
         ([1, 1], [1, 2, b"csr"], OFFER, [1, 4, b"x"], [1, 5, b"x"], [1, 6, 1]), messages.read
     ),
-    "acknowledgement": Decoder(
-        (payload(transcript._ACKNOWLEDGEMENT, ACKNOWLEDGED),), _acknowledgement
-    ),
-    "done": Decoder((payload(transcript._DONE, DONE),), _done),
+    "acknowledgement": Decoder((payload(sides._ACKNOWLEDGEMENT, ACKNOWLEDGED),), _acknowledgement),
+    "done": Decoder((payload(sides._DONE, DONE),), _done),
     "message_1": Decoder(
         ([3, 6, bytes(32), 14], [3, [6, 24], bytes(32), b"\x18\x18"]), _sequence(decode_message_1)
     ),
@@ -307,12 +304,10 @@ DECODERS: Final[dict[str, Decoder]] = {
         _sequence(lambda data: decode_plaintext(data, with_c_r=True)),
     ),
     "plaintext_3": Decoder(
-        ([{33: ALICE.chain[0]}, bytes(64)],),
-        _sequence(lambda data: decode_plaintext(data, with_c_r=False)),
+        ([{33: ALICE.chain[0]}, bytes(64)],), _sequence(lambda data: decode_plaintext(data, with_c_r=False))
     ),
     "error": Decoder(([1, "no"], [2, [6, 4]], [3, True]), _sequence(decode_error)),
     "credential": Decoder(
-        (reference(ALICE.chain[0]), {33: ALICE.chain[0]}, ALICE.id_cred, {33: [b"a", b"b"]}),
-        _credential,
+        (reference(ALICE.chain[0]), {33: ALICE.chain[0]}, ALICE.id_cred, {33: [b"a", b"b"]}), _credential
     ),
 }

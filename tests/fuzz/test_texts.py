@@ -13,38 +13,64 @@ from ruamel.yaml import YAML
 from ca.errors import HintedError
 from rossec.authority.policyfile import parse_policy
 from rossec.errors import RossecError
-from rossec.naming import frames, metadata, orders, shipped, xslt
-from rossec.naming.frames import NameRequest
-from rossec.naming.metadata import Kind
-from rossec.naming.proposed import check_proposed
+from rossec.naming import examine, requests, rule_runner, xslt
+from rossec.naming.requests import NameKind, NameRequest, check_proposed
 from rossec.ros import xmlrpc
 from tests.fuzz.mutants import mutants
 from tests.rossec.namespace.launch_texts import FIGURES, simple, transform
 
 POLICIES: Final = sorted((Path(__file__).parents[2] / "examples" / "policies").glob("*.yaml"))
 ELEMENTS: Final = (
-    "<int>abc</int>", "<int></int>", "<i4>99999999999999999999</i4>", f"<int>{'9' * 5000}</int>",
-    "<double>nan</double>", "<double>1e999</double>", "<double>x</double>", "<boolean>2</boolean>",
-    "<base64>!!!</base64>", "<base64>A</base64>", "<dateTime.iso8601>x</dateTime.iso8601>",
-    "<dateTime.iso8601>20260101T00:00:00</dateTime.iso8601>", "<nil/>", "<ex:nil/>", "<i8>5</i8>",
-    "<bigdecimal>1</bigdecimal>", "<bigdecimal>x</bigdecimal>", "<bigdecimal>NaN</bigdecimal>",
-    "<struct></struct>", "<struct><member></member></struct>",
+    "<int>abc</int>",
+    "<int></int>",
+    "<i4>99999999999999999999</i4>",
+    f"<int>{'9' * 5000}</int>",
+    "<double>nan</double>",
+    "<double>1e999</double>",
+    "<double>x</double>",
+    "<boolean>2</boolean>",
+    "<base64>!!!</base64>",
+    "<base64>A</base64>",
+    "<dateTime.iso8601>x</dateTime.iso8601>",
+    "<dateTime.iso8601>20260101T00:00:00</dateTime.iso8601>",
+    "<nil/>",
+    "<ex:nil/>",
+    "<i8>5</i8>",
+    "<bigdecimal>1</bigdecimal>",
+    "<bigdecimal>x</bigdecimal>",
+    "<bigdecimal>NaN</bigdecimal>",
+    "<struct></struct>",
+    "<struct><member></member></struct>",
     "<struct><member><name>a</name></member></struct>",
     "<struct><member><value>b</value><name>a</name></member></struct>",
     "<struct><member><value><int>1</int></value><value>b</value></member></struct>",
     "<struct><member><value><array><data/></array></value><value>b</value></member></struct>",
-    "<array></array>", "<array><value>1</value></array>", "<string>x</string><int>1</int>",
-    "<string>&#0;</string>", "<string>&#xD800;</string>", "<string>&lol;</string>", "plain", "",
-    "<value>x</value>", "<params></params>", "<methodName>x</methodName>",
-    "<fault><value>1</value></fault>", "<array><data>" * 70 + "</data></array>" * 70,
-    "<!-- x --><int>1</int>", "<![CDATA[x]]>", "<?x y?>", "<int>1</string>",
-)  # fmt: skip
+    "<array></array>",
+    "<array><value>1</value></array>",
+    "<string>x</string><int>1</int>",
+    "<string>&#0;</string>",
+    "<string>&#xD800;</string>",
+    "<string>&lol;</string>",
+    "plain",
+    "",
+    "<value>x</value>",
+    "<params></params>",
+    "<methodName>x</methodName>",
+    "<fault><value>1</value></fault>",
+    "<array><data>" * 70 + "</data></array>" * 70,
+    "<!-- x --><int>1</int>",
+    "<![CDATA[x]]>",
+    "<?x y?>",
+    "<int>1</string>",
+)
 _CALL: Final = "<methodCall><methodName>m</methodName><params>{}</params></methodCall>"
 CALLS: Final = (
-    _CALL, _CALL.format("<param><value>{}</value></param>"), "<methodCall>{}</methodCall>",
+    _CALL,
+    _CALL.format("<param><value>{}</value></param>"),
+    "<methodCall>{}</methodCall>",
     "<methodCall><methodName>{}</methodName><params></params></methodCall>",
     _CALL.format("<param><value><array><data><value>{}</value></data></array></value></param>"),
-)  # fmt: skip
+)
 _FAULT: Final = "<member><name>{}</name><value>{{0}}</value></member>"
 ANSWERS: Final = (
     "<methodResponse>{}</methodResponse>",
@@ -57,9 +83,7 @@ ANSWERS: Final = (
 )
 
 
-@pytest.mark.parametrize(
-    ("templates", "load"), [(CALLS, xmlrpc.load_call), (ANSWERS, xmlrpc.load_response)]
-)
+@pytest.mark.parametrize(("templates", "load"), [(CALLS, xmlrpc.load_call), (ANSWERS, xmlrpc.load_response)])
 def test_every_element_of_xml_rpc_in_every_place(
     templates: tuple[str, ...], load: Callable[[bytes], object]
 ) -> None:
@@ -91,9 +115,9 @@ def test_every_type_in_every_place_of_a_policy(path: Path) -> None:
                 raise AssertionError(text[:400]) from error
 
 
-RULES: Final = shipped.rules()
-PHONE: Final = shipped.example("phone.xml")
-QUERIES: Final = ((Kind.NODE, ""), (Kind.TOPIC, "temperature"))
+RULES: Final = rule_runner.shipped_rules()
+PHONE: Final = rule_runner.shipped_example("phone.xml")
+QUERIES: Final = ((NameKind.NODE, ""), (NameKind.TOPIC, "temperature"))
 
 
 def broken(text: bytes, every: int) -> Iterator[bytes]:
@@ -108,19 +132,19 @@ def broken(text: bytes, every: int) -> Iterator[bytes]:
 def test_metadata_with_every_byte_broken() -> None:
     for text in broken(PHONE, 1):
         with suppress(RossecError):
-            metadata.read(text)
-            list(orders.orders(text))
+            requests.read(text)
+            list(examine.orders(text))
         with suppress(RossecError):
-            frames.read_names(xslt.answer(NameRequest(RULES, text, QUERIES)), len(QUERIES))
+            requests.read_names(xslt.answer(NameRequest(RULES, text, QUERIES)), len(QUERIES))
 
 
 def test_rules_with_bytes_broken_at_many_places() -> None:
     for text in broken(RULES, 7):
         with suppress(RossecError):
-            frames.read_names(xslt.answer(NameRequest(text, PHONE, QUERIES)), len(QUERIES))
+            requests.read_names(xslt.answer(NameRequest(text, PHONE, QUERIES)), len(QUERIES))
 
 
-def checked(metadata: bytes, queries: Sequence[tuple[Kind, str]]) -> list[str]:
+def checked(metadata: bytes, queries: Sequence[tuple[NameKind, str]]) -> list[str]:
     return [check_proposed(name) for name in simple(metadata, queries)]
 
 

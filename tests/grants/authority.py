@@ -6,7 +6,7 @@ from typing import Any
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import Value
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
 from grants.document import GRANT, open_grant, sign
 from grants.model import Draft, Grant, Permission, Restriction, Right, filter_rules
 
@@ -18,9 +18,7 @@ OTHER_CA = KeySigner(ec.generate_private_key(ec.SECP256R1()))
 COARSE = Restriction(
     "geometry_msgs/PoseStamped",
     ('msg.header.frame_id == "map"',),
-    filter_rules(
-        {"pose.position": {"round": {"step": 0.5}}, "header.frame_id": {"clear": True}},
-    ),
+    filter_rules({"pose.position": {"round": {"step": 0.5}}, "header.frame_id": {"clear": True}}),
 )
 DRAFT = Draft(
     domain="home",

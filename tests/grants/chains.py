@@ -6,11 +6,10 @@ from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.keys.publickey import thumbprint
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner, thumbprint
 from grants import document, token
 from grants.model import Draft, Grant, Permission, Right
-from grants.narrowing import sign_narrowing
+from grants.token import sign_narrowing
 from tests.grants.authority import CA, NOW, draft
 
 HOLDERS = tuple(KeySigner(ec.generate_private_key(ec.SECP256R1())) for _ in range(4))
@@ -46,8 +45,11 @@ class Made:
 def first(*permissions: Permission, holder: KeySigner = A, **changes: Any) -> Made:
     """A grant to A that may be narrowed three times."""
     wanted: dict[str, Any] = {
-        "holder": key_of(holder), "subject": NAMES[0], "may_narrow": 3, "cap": NOW + 100,
-    } | changes  # fmt: skip
+        "holder": key_of(holder),
+        "subject": NAMES[0],
+        "may_narrow": 3,
+        "cap": NOW + 100,
+    } | changes
     data = document.sign(CA, draft(*(permissions or (EVERYTHING,)), **wanted))
     return Made(data, token.peek(data))
 
@@ -56,9 +58,11 @@ def following(parent: Grant, *permissions: Permission, **changes: Any) -> Draft:
     """The draft of a narrowing after `parent`, for the next holder."""
     depth = len(parent.links)
     wanted: dict[str, Any] = {
-        "holder": key_of(HOLDERS[depth]), "subject": NAMES[depth], "serial": bytes([depth]) * 16,
+        "holder": key_of(HOLDERS[depth]),
+        "subject": NAMES[depth],
+        "serial": bytes([depth]) * 16,
         "may_narrow": parent.may_narrow - 1,
-    } | changes  # fmt: skip
+    } | changes
     base = draft(*(permissions or (EVERYTHING,)), domain=parent.domain)
     end = wanted.setdefault("expires", base.expires)
     return replace(base, **wanted, cap=end)

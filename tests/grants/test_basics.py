@@ -2,8 +2,8 @@
 
 import pytest
 
-from grants.basics import BASICS, is_basic, is_dispensable, is_timed, lasting_name, own_form
 from grants.model import Right
+from grants.request import BASICS, is_basic, is_dispensable, is_timed, lasting_name, own_form
 
 
 @pytest.mark.parametrize(

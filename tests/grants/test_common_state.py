@@ -7,12 +7,11 @@ from typing import Any
 
 import pytest
 
-from grants.common_state import BodyFields, CommonState, frame_reader, group_of
 from grants.decision import Decision
 from grants.errors import MemoryExhausted, RestrictionMismatch
+from grants.filters.coarsening import BodyFields, CommonState, frame_reader, group_of
 from grants.filters.layout import parse
-from grants.guard import Guard
-from grants.memory import MemoryScope, MemoryStore
+from grants.guard import Guard, MemoryScope, MemoryStore
 from grants.model import Restriction, Right, filter_rules
 from rossec.participant.message_types import message_type
 

@@ -15,8 +15,7 @@ from grants.errors import (
     GrantRevoked,
     RestrictionMismatch,
 )
-from grants.model import Grant, Permission, Restriction, Right, filter_rules
-from grants.validity import format_time
+from grants.model import Grant, Permission, Restriction, Right, filter_rules, format_time
 from tests.grants.authority import COARSE, HOLDER, NOW, granted
 
 POSE, SUBSCRIBE, PUBLISH = "/robot/pose", Right.SUBSCRIBE, Right.PUBLISH
@@ -173,9 +172,7 @@ def test_other_errors_of_the_check_are_raised() -> None:
 
 
 def test_restrictions_combine_in_any_order() -> None:
-    coarser = Restriction(
-        COARSE.type, (), filter_rules({"pose.position": {"round": {"step": 2.0}}})
-    )
+    coarser = Restriction(COARSE.type, (), filter_rules({"pose.position": {"round": {"step": 2.0}}}))
     grants = [
         granted(Permission(POSE, SUBSCRIBE), expires=NOW + 50, serial=b"1" * 16),
         granted(Permission("/robot/*", SUBSCRIBE, DAY), serial=b"2" * 16),
@@ -223,9 +220,7 @@ PARAMETERS = (
         (Right.PARAM_GET, "/safety/max_speed", False),  # the right to set does not include get
     ],
 )
-def test_a_parameter_right_covers_descendants_and_no_parent(
-    right: Right, name: str, allowed: bool
-) -> None:
+def test_a_parameter_right_covers_descendants_and_no_parent(right: Right, name: str, allowed: bool) -> None:
     """Parents, prefixes and the order of the rules (faults of earlier systems)."""
     for order in permutations(PARAMETERS):
         found = [granted(permission) for permission in order]

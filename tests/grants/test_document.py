@@ -9,16 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ca.encoding import decode, encode
-from ca.keys.publickey import thumbprint
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner, thumbprint
 from grants import document
-from grants.errors import (
-    ConditionRefused,
-    GrantExpired,
-    GrantForged,
-    GrantMalformed,
-    GrantNotYetValid,
-)
+from grants.errors import ConditionRefused, GrantExpired, GrantForged, GrantMalformed, GrantNotYetValid
 from grants.model import ALL_RIGHTS, Permission, Restriction, Right, filter_rules
 from tests.grants.authority import CA, DRAFT, NOW, OTHER_CA, draft, signed_claims
 
@@ -136,20 +129,11 @@ PROTECTED = document.GRANT.protected
 BODY: bytes = parts()[2]
 FRAMES = {
     "unprotected header": (resign(PROTECTED, BODY, b"\xa1\x04\x41\x00"), GrantForged),
-    "unknown crit": (
-        resign(encode({1: -7, 2: [16, 99], 16: "rossec-grant+cwt", 99: 1}), BODY),
-        GrantForged,
-    ),
+    "unknown crit": (resign(encode({1: -7, 2: [16, 99], 16: "rossec-grant+cwt", 99: 1}), BODY), GrantForged),
     "other type": (resign(encode({1: -7, 2: [16], 16: "rossec-ticket+cwt"}), BODY), GrantForged),
-    "other algorithm": (
-        resign(encode({1: -8, 2: [16], 16: "rossec-grant+cwt"}), BODY),
-        GrantForged,
-    ),
+    "other algorithm": (resign(encode({1: -8, 2: [16], 16: "rossec-grant+cwt"}), BODY), GrantForged),
     "duplicate key": (resign(PROTECTED, b"\xaa\x02\x62/a" + BODY[1:]), GrantMalformed),
-    "long integer": (
-        resign(PROTECTED, BODY.replace(b"\x04\x1a", b"\x04\x1b\0\0\0\0", 1)),
-        GrantMalformed,
-    ),
+    "long integer": (resign(PROTECTED, BODY.replace(b"\x04\x1a", b"\x04\x1b\0\0\0\0", 1)), GrantMalformed),
     "trailing bytes in the payload": (resign(PROTECTED, BODY + b"\0"), GrantMalformed),
     "indefinite length": (resign(PROTECTED, b"\xbf" + BODY[1:] + b"\xff"), GrantMalformed),
     "no tag": (DATA[1:], GrantForged),

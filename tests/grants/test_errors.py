@@ -12,9 +12,7 @@ def test_a_missing_grant_hints_at_what_was_nearly_enough() -> None:
 
 def test_refused_text_says_where() -> None:
     refused = errors.YamlRefused("a tab", "use spaces", line=3, column=7)
-    assert (str(refused), refused.hint, refused.line, refused.column) == (
-        "a tab", "use spaces", 3, 7,
-    )  # fmt: skip
+    assert (str(refused), refused.hint, refused.line, refused.column) == ("a tab", "use spaces", 3, 7)
     assert (errors.YamlRefused("empty").line, errors.YamlRefused("empty").column) == (1, 1)
 
 

@@ -13,18 +13,65 @@ from grants.model import FilterRule
 from tests.grants.messages import EVERYTHING, LAYOUT, SEPARATOR
 
 WORDS = (
-    "int32", "string", "Header", "time", "float64[]", "N", "N[]", "N[3]", "t/N[4294967296]", "a",
-    "b", "]", "\0", "é", " ", "\n", "#", "=", "1",
-    f"\n{SEPARATOR}\nMSG: t/N\n", f"\n{SEPARATOR}\nMSG: ", "[",
-)  # fmt: skip
+    "int32",
+    "string",
+    "Header",
+    "time",
+    "float64[]",
+    "N",
+    "N[]",
+    "N[3]",
+    "t/N[4294967296]",
+    "a",
+    "b",
+    "]",
+    "\0",
+    "é",
+    " ",
+    "\n",
+    "#",
+    "=",
+    "1",
+    f"\n{SEPARATOR}\nMSG: t/N\n",
+    f"\n{SEPARATOR}\nMSG: ",
+    "[",
+)
 definitions = st.lists(st.sampled_from(WORDS), max_size=25).map(" ".join) | st.text(max_size=60)
 tokens = st.sampled_from(
     (
-        "msg.flag", "msg.f64", "msg.text", "msg.i8", "now", "timestamp", ".getHours", "(", ")",
-        "[", "]",        ",", "!", "-", "*", "+", "&&", "||", "==", "<", "in", '"a"', "1", "2.5",
-        "9223372036854775808", "true", ".startsWith", '"Europe/Zurich"', "\\", "é", "__class__",
+        "msg.flag",
+        "msg.f64",
+        "msg.text",
+        "msg.i8",
+        "now",
+        "timestamp",
+        ".getHours",
+        "(",
+        ")",
+        "[",
+        "]",
+        ",",
+        "!",
+        "-",
+        "*",
+        "+",
+        "&&",
+        "||",
+        "==",
+        "<",
+        "in",
+        '"a"',
+        "1",
+        "2.5",
+        "9223372036854775808",
+        "true",
+        ".startsWith",
+        '"Europe/Zurich"',
+        "\\",
+        "é",
+        "__class__",
     )
-)  # fmt: skip
+)
 conditions = st.lists(tokens, max_size=20).map(" ".join) | st.text(max_size=60)
 
 

@@ -9,15 +9,8 @@ from typing import Any
 import pytest
 
 from grants.decision import Decision
-from grants.errors import (
-    ConditionRefused,
-    FilterRefused,
-    GrantExpired,
-    MessageRefused,
-    RestrictionMismatch,
-)
-from grants.guard import Guard, needed_keys
-from grants.memory import Memory
+from grants.errors import ConditionRefused, FilterRefused, GrantExpired, MessageRefused, RestrictionMismatch
+from grants.guard import Guard, Memory, needed_keys
 from grants.model import Restriction, Right, filter_rules, merge
 from tests.grants.messages import layout, text
 
@@ -59,9 +52,7 @@ def test_without_restrictions_the_message_is_untouched() -> None:
 def test_conditions_then_filters() -> None:
     coarse = Restriction("t/T", ('msg.frame == "map"',), filter_rules({"x": rounded(0.5)}))
     guard = Guard(LAYOUT, decision(coarse, when("msg.x < 1.4")))
-    assert received(guard, message()) == message(
-        1.5
-    )  # the condition read 1.3, the receiver gets 1.5
+    assert received(guard, message()) == message(1.5)  # the condition read 1.3, the receiver gets 1.5
     assert received(guard, message(1.45)) is None
     assert received(guard, message(frame="odom")) is None
 
@@ -120,9 +111,7 @@ def test_all_filters_apply_in_one_order(one: Restriction, two: Restriction) -> N
 
 
 def test_filters_for_different_fields_share_one_pass() -> None:
-    guard = Guard(
-        LAYOUT, decision(filtered(x=rounded(0.5)), filtered(y=rounded(2.0)), when("true"))
-    )
+    guard = Guard(LAYOUT, decision(filtered(x=rounded(0.5)), filtered(y=rounded(2.0)), when("true")))
     assert [len(layer.filters) for layer in guard._layers] == [1]
 
 
@@ -173,16 +162,7 @@ def test_a_rate_admits_messages_as_tokens_are_refilled() -> None:
         return [guard.apply(data, NOW + at) is not None for at in times]
 
     assert guard.apply(message(9.0), NOW) is None  # withheld by its condition, and not counted
-    assert admitted(0, 0, 4, 5, 6, 10, 100, 100) == [
-        True,
-        False,
-        False,
-        True,
-        False,
-        True,
-        True,
-        False,
-    ]
+    assert admitted(0, 0, 4, 5, 6, 10, 100, 100) == [True, False, False, True, False, True, True, False]
     assert admitted(50, 51, 54) == [False, False, False]  # a clock set back adds no tokens
     assert admitted(55, 56) == [True, False]
 

@@ -20,9 +20,7 @@ def admitted(rate: float, times: list[float]) -> list[float]:
     return passed
 
 
-@pytest.mark.parametrize(
-    ("rate", "tenths"), [(0.1, 100), (0.3, 34), (0.7, 15), (1 / 30, 300), (1, 10)]
-)
+@pytest.mark.parametrize(("rate", "tenths"), [(0.1, 100), (0.3, 34), (0.7, 15), (1 / 30, 300), (1, 10)])
 def test_a_rate_is_exact_for_ten_messages_a_second(rate: float, tenths: int) -> None:
     """It was counted in whole seconds and as a sum of floats: 11, 4 and 2 s for the first three."""
     passed = admitted(rate, [NOW + n / 10 for n in range(10 * 90)])

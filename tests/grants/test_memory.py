@@ -8,7 +8,7 @@ import pytest
 
 from grants.decision import Decision
 from grants.errors import MemoryExhausted
-from grants.memory import Memory, MemoryScope, MemoryStore
+from grants.guard import Memory, MemoryScope, MemoryStore
 from grants.model import Right
 
 GROUP = (False, "/a")
@@ -35,9 +35,7 @@ def test_a_message_counts_once() -> None:
 def test_rates_of_one_key_admit_no_more_than_the_highest() -> None:
     memory = Memory()
     narrow, wide = memory.bucket(0.2), memory.bucket(1)
-    passed = [
-        memory.take(bucket, object(), now) for now in range(20) for bucket in (narrow, wide, narrow)
-    ]
+    passed = [memory.take(bucket, object(), now) for now in range(20) for bucket in (narrow, wide, narrow)]
     assert sum(passed) == 20
     message_id = object()
     assert [memory.take(bucket, message_id, 90) for bucket in (narrow, wide)] == [True, True]
@@ -92,9 +90,12 @@ def test_memories_are_separate_by_scope_key_right_and_name() -> None:
     memory = scope(decision())
     assert scope(decision()) is memory
     others = [
-        scope(decision(2)), scope(decision(name="/b")), scope(decision(right=Right.PUBLISH)),
-        scope.child("response")(decision()), MemoryScope(scope.store, ("/other",))(decision()),
-    ]  # fmt: skip
+        scope(decision(2)),
+        scope(decision(name="/b")),
+        scope(decision(right=Right.PUBLISH)),
+        scope.child("response")(decision()),
+        MemoryScope(scope.store, ("/other",))(decision()),
+    ]
     assert len({memory, *others}) == 6
     assert len(scope.store) == 6
 

@@ -3,8 +3,8 @@
 import pytest
 from ruamel.yaml import YAML
 
-from grants.missing_rights import MissingRight, missing_right, needed_rule, refusal
 from grants.model import Right
+from grants.request import MissingRight, missing_right, needed_rule, refusal
 
 
 def test_a_status_names_what_is_missing() -> None:

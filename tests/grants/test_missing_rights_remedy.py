@@ -4,8 +4,8 @@ import shlex
 
 import pytest
 
-from grants.missing_rights import grant_command, in_shell, remedy
 from grants.model import Right
+from grants.request import grant_command, in_shell, remedy
 
 
 def test_a_missing_right_has_its_command() -> None:

@@ -7,16 +7,7 @@ import pytest
 
 from ca.errors import PatternRefused
 from grants.errors import FilterRefused, GrantMalformed
-from grants.model import (
-    Draft,
-    FilterRule,
-    Grant,
-    Permission,
-    Restriction,
-    Right,
-    filter_rules,
-    merge,
-)
+from grants.model import Draft, FilterRule, Grant, Permission, Restriction, Right, filter_rules, merge
 
 RULE = FilterRule("a.b[*].c", "round", (("step", 0.5),))
 DRAFT: dict[str, Any] = {
@@ -38,10 +29,7 @@ def test_rights_have_the_bits_of_the_format() -> None:
 
 
 def test_filter_rules_are_sorted() -> None:
-    rules: dict[str, dict[str, object]] = {
-        "b": {"clear": True},
-        "a": {"clamp": {"low": 0, "high": 1}},
-    }
+    rules: dict[str, dict[str, object]] = {"b": {"clear": True}, "a": {"clamp": {"low": 0, "high": 1}}}
     expected = (FilterRule("a", "clamp", (("high", 1), ("low", 0))), FilterRule("b", "clear"))
     assert filter_rules(rules) == expected
     assert [str(rule) for rule in expected] == ["a: clamp high 1 low 0", "b: clear"]
@@ -133,9 +121,12 @@ def test_a_grant_is_a_draft_with_id_and_issuer() -> None:
 def test_every_link_of_a_chain_must_cover() -> None:
     base = Grant.of(Draft(**DRAFT), id=bytes(16), issuer=bytes(32))
     narrow = replace(
-        base, id=b"n" * 16, via=(b"v",), holder=b"h" * 32,
+        base,
+        id=b"n" * 16,
+        via=(b"v",),
+        holder=b"h" * 32,
         permissions=(Permission("/a", Right.CALL | Right.PUBLISH),),
-    )  # fmt: skip
+    )
     chain = replace(base, permissions=base.permissions, chain=(base, narrow))
     assert (base.links, chain.links) == ((base,), (base, narrow))
     assert base.revocable == (base.id,)
@@ -164,14 +155,17 @@ def test_keep_when_stale_does_not_restrict_messages() -> None:
 def test_limits_as_text() -> None:
     lines = [Restriction(rate=rate).lines() for rate in (5, 0.2, 0.1, 1 / 30)]
     assert lines == [
-        ["at most 5 messages a second"], ["at most 0.2 messages a second"],
-        ["at most 0.1 messages a second"], ["at most one message every 30 s"],
-    ]  # fmt: skip
+        ["at most 5 messages a second"],
+        ["at most 0.2 messages a second"],
+        ["at most 0.1 messages a second"],
+        ["at most one message every 30 s"],
+    ]
     assert Restriction(slot=60).lines() == ["one message at the start of each 60 s"]
     assert Restriction(slot=60).restricts_messages
     assert Restriction(slot=60, body="robot").lines() == [
-        "one message at the start of each 60 s", "with all topics of the body robot",
-    ]  # fmt: skip
+        "one message at the start of each 60 s",
+        "with all topics of the body robot",
+    ]
 
 
 def test_padding_is_for_what_is_subscribed_to_alone() -> None:

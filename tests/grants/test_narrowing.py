@@ -8,10 +8,9 @@ from typing import Any
 import pytest
 
 from ca.encoding import Value, encode
-from ca.keys.publickey import thumbprint, thumbprint_of, to_coordinates
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner, thumbprint, thumbprint_of, to_coordinates
 from grants import token
-from grants.claims import issuer_uri, scope_of
+from grants.document import issuer_uri, scope_of
 from grants.errors import (
     ConditionRefused,
     GrantError,
@@ -24,14 +23,7 @@ from grants.errors import (
     NarrowingOutsideDomain,
 )
 from grants.model import Grant, Permission, Restriction, Right
-from grants.narrowing import (
-    NARROWING,
-    check_one_domain,
-    follow,
-    peek_chain,
-    sign_narrowing,
-    verify_chain,
-)
+from grants.token import NARROWING, check_one_domain, follow, peek_chain, sign_narrowing, verify_chain
 from tests.grants.authority import NOW, granted
 from tests.grants.chains import A, B, C, D, Made, first, following, key_of
 
@@ -82,10 +74,18 @@ def test_a_chain_ends_with_the_link_that_ends_first() -> None:
 def claims(parent: Grant, by: KeySigner = A) -> dict[int | str, Value]:
     key = to_coordinates(by.public_key)
     return {
-        1: issuer_uri(thumbprint(by.public_key)), 2: "/b", 3: "home", 4: NOW + 50, 5: NOW - 5,
-        7: bytes(16), 8: {5: key_of(B)}, 9: scope_of([POSE]), -70032: parent.id,
-        -70033: [key[:32], key[32:]], -70034: 0,
-    }  # fmt: skip
+        1: issuer_uri(thumbprint(by.public_key)),
+        2: "/b",
+        3: "home",
+        4: NOW + 50,
+        5: NOW - 5,
+        7: bytes(16),
+        8: {5: key_of(B)},
+        9: scope_of([POSE]),
+        -70032: parent.id,
+        -70033: [key[:32], key[32:]],
+        -70034: 0,
+    }
 
 
 def refusal(parent: Grant, data: bytes) -> type[GrantError]:
@@ -120,9 +120,7 @@ BROKEN: Mapping[str, tuple[Any, type[GrantError]]] = {
     "parameters at a rate": ({9: encode([["/a", 16, {3: {"rate": 1}}]])}, GrantMalformed),
     "a parent that is another": ({-70032: bytes(16)}, NarrowingForOther),
     "a short parent": ({-70032: bytes(15)}, GrantMalformed),
-    "the key of another": (
-        {-70033: [key_of(B), key_of(B)]}, NarrowingForged,
-    ),
+    "the key of another": ({-70033: [key_of(B), key_of(B)]}, NarrowingForged),
     "no point": ({-70033: [bytes(32), bytes(32)]}, NarrowingForged),
     "a short key": ({-70033: [bytes(31), bytes(33)]}, GrantMalformed),
     "no key": ({-70033: []}, GrantMalformed),
@@ -132,7 +130,7 @@ BROKEN: Mapping[str, tuple[Any, type[GrantError]]] = {
     "a truth as a counter": ({-70034: True}, GrantMalformed),
     "a claim more": ({10: 1}, GrantMalformed),
     "a cap": ({-65537: NOW + 50}, GrantMalformed),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", sorted(BROKEN))

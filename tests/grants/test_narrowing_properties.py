@@ -7,14 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from grants.decision import Decision, authorize
+from grants.decision import Decision, Reach, authorize
 from grants.errors import GrantError, GrantMissing, GrantRevoked
 from grants.filters.layout import Layout
-from grants.guard import Guard
-from grants.memory import MemoryScope, MemoryStore
+from grants.guard import Guard, MemoryScope, MemoryStore
 from grants.model import Grant, Permission, Restriction, Right, filter_rules, merge
-from grants.narrowing import verify_chain
-from grants.reach import Reach
+from grants.token import verify_chain
 from tests.grants.authority import NOW
 from tests.grants.chains import A, B, C, D, Made, chain_of, first, key_of
 from tests.grants.messages import layout, text
@@ -25,27 +23,20 @@ patterns = st.lists(segments, min_size=1, max_size=2).map(lambda parts: "/" + "/
 names = st.sampled_from(["/a", "/b", "/a/a", "/a/b", "/b/a/b"])
 treatments = st.one_of(
     st.sampled_from([0.5, 1.0, 2.0, 0.7]).map(lambda step: {"round": {"step": step}}),
-    st.sampled_from([(-1.0, 1.0), (0.4, 0.6)]).map(
-        lambda ends: {"clamp": {"low": ends[0], "high": ends[1]}}
-    ),
+    st.sampled_from([(-1.0, 1.0), (0.4, 0.6)]).map(lambda ends: {"clamp": {"low": ends[0], "high": ends[1]}}),
     st.just({"clear": True}),
 )
 filters = st.dictionaries(st.sampled_from(["x", "y"]), treatments, max_size=2).map(filter_rules)
 coordinates = st.sampled_from([-1.2, -0.6, 0.3, 0.45, 0.55, 0.74, 0.8, 0.95, 1.3, 1.9])
 conditions = st.lists(
-    st.sampled_from(
-        ["msg.x < 0.5", "msg.x >= 0.9", "msg.y > -1.0 || msg.x > 0.0", 'msg.frame != "secret"']
-    ),
+    st.sampled_from(["msg.x < 0.5", "msg.x >= 0.9", "msg.y > -1.0 || msg.x > 0.0", 'msg.frame != "secret"']),
     max_size=2,
 )
 typed = st.builds(
-    lambda rules, texts: Restriction("t/T", (*texts,), rules) if rules or texts else None,
-    filters, conditions,
-)  # fmt: skip
-restrictions = typed | typed | typed | st.just(Restriction(conditions=("now.getHours() < 9",)))
-permissions = st.builds(
-    Permission, patterns, st.sampled_from([*MESSAGE_RIGHTS, Right(3)]), restrictions
+    lambda rules, texts: Restriction("t/T", (*texts,), rules) if rules or texts else None, filters, conditions
 )
+restrictions = typed | typed | typed | st.just(Restriction(conditions=("now.getHours() < 9",)))
+permissions = st.builds(Permission, patterns, st.sampled_from([*MESSAGE_RIGHTS, Right(3)]), restrictions)
 chains = st.lists(st.lists(permissions, min_size=1, max_size=3).map(tuple), min_size=2, max_size=4)
 messages = st.tuples(coordinates, coordinates)
 
@@ -101,9 +92,7 @@ def test_the_bytes_that_leave_are_those_of_the_prefix_filtered_further(
     links: list[tuple[Permission, ...]], right: Right, xy: tuple[float, float], frame: str
 ) -> None:
     shape = layout("float64 x\nfloat64 y\nstring frame")
-    everywhere = [
-        tuple(Permission("/a", right, each.restriction) for each in link) for link in links
-    ]
+    everywhere = [tuple(Permission("/a", right, each.restriction) for each in link) for link in links]
     data = struct.pack("<dd", *xy) + text(frame)
     grants = prefixes(chain_of(everywhere))
     before: bytes | None = data
@@ -139,9 +128,7 @@ def test_rates_add_up_and_count_for_the_first_holder() -> None:
 
     def guard(*made: Made) -> Guard:
         grants = [each.grant for each in made]
-        decision = authorize(
-            grants, Right.SUBSCRIBE, "/a", holder=grants[0].holder, now=NOW, check=accept
-        )
+        decision = authorize(grants, Right.SUBSCRIBE, "/a", holder=grants[0].holder, now=NOW, check=accept)
         return Guard(None, decision, {}, scope)
 
     slow = first(subscribing(Restriction(rate=1.0)))
@@ -185,9 +172,7 @@ def test_every_id_and_key_of_a_chain_can_be_revoked() -> None:
 def test_near_misses_name_the_link() -> None:
     made = chain_of([Permission("/b", Right.SUBSCRIBE), subscribing()])
     with pytest.raises(GrantMissing) as refused:
-        authorize(
-            [made.grant], Right.SUBSCRIBE, "/a", holder=made.grant.holder, now=NOW, check=accept
-        )
+        authorize([made.grant], Right.SUBSCRIBE, "/a", holder=made.grant.holder, now=NOW, check=accept)
     base = made.grant.links[0]
     assert f"grant {base.short_id} is for /b, not /a" in refused.value.near_misses
 
@@ -209,9 +194,7 @@ def test_the_index_agrees_with_the_chain(
     grant = chain_of(links).grant
     reach = Reach.of([grant])
     assert reach.covers(right, name) == grant.covers(right, name)
-    assert reach.covers_any(rights, name) == any(
-        grant.covers(each, name) for each in Right if each in rights
-    )
+    assert reach.covers_any(rights, name) == any(grant.covers(each, name) for each in Right if each in rights)
     if right in PARAMETERS:
         if reach.covers_below(right, name):
             assert all(grant.covers(right, each) for each in below(name))

@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.patterns import check_pattern
+from ca.names import check_pattern
+from grants.decision import Reach
 from grants.model import ALL_RIGHTS, Permission, Restriction, Right
-from grants.reach import Reach
 from tests.ca.test_patterns import COVERED, NOT_COVERED
 
 segments = st.sampled_from(["a", "ab", "a_b", "b"])
@@ -20,9 +20,7 @@ permissions = st.builds(Permission, patterns, st.integers(1, int(ALL_RIGHTS)).ma
 
 
 @given(st.lists(permissions, max_size=4), st.sampled_from(list(Right)), names)
-def test_the_index_agrees_with_the_permissions(
-    held: list[Permission], right: Right, name: str
-) -> None:
+def test_the_index_agrees_with_the_permissions(held: list[Permission], right: Right, name: str) -> None:
     expected = any(permission.covers(right, name) for permission in held)
     assert Reach(held).covers(right, name) == expected
 
@@ -49,24 +47,18 @@ def below(space: str, depth: int) -> list[str]:
 
 
 @given(st.lists(permissions, max_size=3), tree_rights, spaces)
-def test_rights_on_all_names_below_a_namespace(
-    held: list[Permission], right: Right, space: str
-) -> None:
+def test_rights_on_all_names_below_a_namespace(held: list[Permission], right: Right, space: str) -> None:
     """Names one segment below are sufficient: a right to a key includes its descendants."""
     reach = Reach(held)
     # Siblings must be covered by one pattern; several patterns together are not sufficient.
-    single = any(
-        all(permission.covers(right, name) for name in below(space, 1)) for permission in held
-    )
+    single = any(all(permission.covers(right, name) for name in below(space, 1)) for permission in held)
     assert reach.covers_below(right, space) == single
     if reach.covers_below(right, space):
         assert all(reach.covers(right, name) for name in below(space, 2))
 
 
 @given(st.lists(permissions, max_size=3), tree_rights, spaces)
-def test_rights_on_some_name_below_a_namespace(
-    held: list[Permission], right: Right, space: str
-) -> None:
+def test_rights_on_some_name_below_a_namespace(held: list[Permission], right: Right, space: str) -> None:
     somewhere = any(Reach(held).covers(right, name) for name in [space, *below(space, 4)])
     assert Reach(held).touches(right, space) == somewhere
 
@@ -90,9 +82,7 @@ def test_names_that_are_not_covered(pattern: str, name: str) -> None:
     assert not Reach([Permission(pattern, Right.PUBLISH)]).covers(Right.PUBLISH, name)
 
 
-@pytest.mark.parametrize(
-    "name", ["", "a", "/", "/a/", "//a", "/a//b", "/a/1", "/caf\u00e9", "/a" * 200]
-)
+@pytest.mark.parametrize("name", ["", "a", "/", "/a/", "//a", "/a//b", "/a/1", "/caf\u00e9", "/a" * 200])
 def test_invalid_names_are_not_covered(name: str) -> None:
     assert not Reach([Permission("/**", ALL_RIGHTS)]).covers(Right.PUBLISH, name)
 
@@ -124,10 +114,8 @@ SEEN = Right.SUBSCRIBE | Right.PUBLISH | Right.GRAPH
         ([in_slots("/b", 60)], 0),
         ([], 0),
     ],
-)  # fmt: skip
-def test_the_slot_of_a_name_is_the_shortest_by_which_it_is_seen(
-    held: list[Permission], slot: int
-) -> None:
+)
+def test_the_slot_of_a_name_is_the_shortest_by_which_it_is_seen(held: list[Permission], slot: int) -> None:
     assert Reach(held).slot(SEEN, "/a") == slot
 
 

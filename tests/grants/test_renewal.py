@@ -8,11 +8,10 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import Value, encode
 from ca.errors import Revoked
-from ca.keys.publickey import thumbprint
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner, thumbprint
 from grants import document
-from grants.claims import issuer_uri
 from grants.decision import authorize
+from grants.document import issuer_uri
 from grants.errors import (
     GrantExpired,
     GrantForged,
@@ -87,8 +86,7 @@ def test_renewal_changes_only_the_expiry() -> None:
 
 def test_renewal_at_the_bounds() -> None:
     renewed(ticket=replace(VALID_TICKET, expires=VALID_TICKET.not_before + DELEGATED.max_ttl))
-    renewed(ticket=replace(VALID_TICKET, not_before=GRANT.cap - 600, expires=GRANT.cap),
-            now=GRANT.cap - 1)  # fmt: skip
+    renewed(ticket=replace(VALID_TICKET, not_before=GRANT.cap - 600, expires=GRANT.cap), now=GRANT.cap - 1)
     renewed(seq=8)
     renewed(now=VALID_TICKET.not_before)
 
@@ -109,18 +107,30 @@ END = GRANT.cap
 INVALID: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "ticket of another grant": (ticket(grant=bytes(16)), RenewalForOther, "is not for grant"),
     "too long": (ticket(expires=VALID_TICKET.not_before + 601), RenewalTooWide, "more than 600 s"),
-    "beyond the cap": (ticket(not_before=END - 5, expires=END + 1) | {"now": END - 1},
-                       RenewalTooWide, "the grant's cap"),
-    "after the cap": (ticket(not_before=END, expires=END + 1) | {"now": END},
-                      RenewalTooWide, "the grant's cap"),
+    "beyond the cap": (
+        ticket(not_before=END - 5, expires=END + 1) | {"now": END - 1},
+        RenewalTooWide,
+        "the grant's cap",
+    ),
+    "after the cap": (
+        ticket(not_before=END, expires=END + 1) | {"now": END},
+        RenewalTooWide,
+        "the grant's cap",
+    ),
     "beyond the delegation": (delegated(expires=LATER + 100), RenewalTooWide, "delegation's end"),
-    "after the delegation": (delegated(expires=LATER) | ticket(expires=LATER),
-                             RenewalNotInTime, "delegation expired"),
+    "after the delegation": (
+        delegated(expires=LATER) | ticket(expires=LATER),
+        RenewalNotInTime,
+        "delegation expired",
+    ),
     "before the delegation": (delegated(not_before=LATER + 1), RenewalNotInTime, "tion is not"),
     "before the ticket": (ticket(not_before=LATER + 1), RenewalNotInTime, "ticket is not valid"),
     "after the ticket": (ticket(expires=LATER), RenewalNotInTime, "ticket expired"),
-    "before the grant": ({"grant": replace(GRANT, not_before=LATER + 1, expires=LATER + 2)},
-                         RenewalNotInTime, "grant is not valid"),
+    "before the grant": (
+        {"grant": replace(GRANT, not_before=LATER + 1, expires=LATER + 2)},
+        RenewalNotInTime,
+        "grant is not valid",
+    ),
     "revoked grant": ({"revoked": GRANT.id}, GrantRevoked, "grant .*: it is on the list"),
     "revoked delegation": ({"revoked": delegation_id()}, GrantRevoked, "delegation .*: it is on"),
     "foreign signer": ({"signer": OTHER_KEY}, RenewalForged, "does not verify"),
@@ -129,10 +139,13 @@ INVALID: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "another domain": (delegated(domain="work"), RenewalForOther, "or domain"),
     "a grant as ticket": ({"data": DATA}, RenewalForged, "not a statement of kind"),
     "a delegation as ticket": ({"data": sign_delegation(MASTER, DELEGATED)}, RenewalForged, "kind"),
-    "a grant that is not renewable": ({"grant": replace(GRANT, expires=GRANT.cap)},
-                                      RenewalTooWide, "not renewable"),
+    "a grant that is not renewable": (
+        {"grant": replace(GRANT, expires=GRANT.cap)},
+        RenewalTooWide,
+        "not renewable",
+    ),
     "an older own list": ({"seq": 6}, RenewalAhead, "requires revocation list 7, this host has 6"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", INVALID)
@@ -158,9 +171,14 @@ def test_a_ticket_is_not_accepted_as_delegation() -> None:
 
 
 CLAIMS: dict[int | str, Value] = {
-    1: issuer_uri(thumbprint(CA.public_key)), 3: "home", 4: NOW + 100, 5: NOW, 7: bytes(16),
-    8: {5: bytes(32)}, -70010: 600,
-}  # fmt: skip
+    1: issuer_uri(thumbprint(CA.public_key)),
+    3: "home",
+    4: NOW + 100,
+    5: NOW,
+    7: bytes(16),
+    8: {5: bytes(32)},
+    -70010: 600,
+}
 TICKET_CLAIMS: dict[int | str, Value] = {4: NOW + 100, 5: NOW, -70002: 1, -70011: bytes(16)}
 
 

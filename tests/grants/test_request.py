@@ -7,7 +7,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import Value, encode
 from ca.errors import NameRefused, PatternRefused
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
 from grants.document import GRANT
 from grants.errors import GrantForged, GrantMalformed
 from grants.model import Right
@@ -25,17 +25,16 @@ from tests.grants.authority import NOW
 
 NODE = KeySigner(ec.generate_private_key(ec.SECP256R1()))
 REQUESTED = GrantRequest(
-    "home",
-    "/toaster",
-    NOW,
-    bytes(16),
-    (RequestedRight(Right.SUBSCRIBE, "/robot/pose"),),
-    "to toast",
+    "home", "/toaster", NOW, bytes(16), (RequestedRight(Right.SUBSCRIBE, "/robot/pose"),), "to toast"
 )
 CLAIMS: dict[int | str, Value] = {
-    2: "/toaster", 3: "home", 6: NOW, 7: bytes(16), 9: encode([["/robot/pose", 2]]),
+    2: "/toaster",
+    3: "home",
+    6: NOW,
+    7: bytes(16),
+    9: encode([["/robot/pose", 2]]),
     -65538: "to toast",
-}  # fmt: skip
+}
 
 
 def opened(data: bytes, *, domain: str = "home", now: int = NOW) -> GrantRequest:
@@ -71,13 +70,26 @@ def test_a_request_signed_by_another_key_is_refused() -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {2: "toaster"}, {2: 5}, {3: b"home"}, {6: True}, {6: -1}, {7: bytes(15)}, {9: b""},
-        {9: encode([])}, {9: encode([["/a", 3]])}, {9: encode([["/a", 0]])},
-        {9: encode([["/a", 256]])}, {9: encode([["a", 1]])}, {9: encode(["/a"])},
-        {9: encode([["/a", 1, 1]])}, {9: encode([["/a", 1]] * 65)}, {9: encode(5)},
-        {-65538: "x" * 501}, {4: 5},
+        {2: "toaster"},
+        {2: 5},
+        {3: b"home"},
+        {6: True},
+        {6: -1},
+        {7: bytes(15)},
+        {9: b""},
+        {9: encode([])},
+        {9: encode([["/a", 3]])},
+        {9: encode([["/a", 0]])},
+        {9: encode([["/a", 256]])},
+        {9: encode([["a", 1]])},
+        {9: encode(["/a"])},
+        {9: encode([["/a", 1, 1]])},
+        {9: encode([["/a", 1]] * 65)},
+        {9: encode(5)},
+        {-65538: "x" * 501},
+        {4: 5},
     ],
-)  # fmt: skip
+)
 def test_malformed_claims_are_refused(change: dict[int | str, Value]) -> None:
     with pytest.raises(GrantMalformed):
         opened(REQUEST.sign(NODE, {**CLAIMS, **change}))

@@ -5,21 +5,24 @@ from dataclasses import replace
 import pytest
 
 from ca.encoding import encode
-from grants.claims import from_draft, read
-from grants.decision import authorize
-from grants.document import open_grant
+from grants.decision import Reach, authorize, check_tail
+from grants.document import from_draft, open_grant, read_claims
 from grants.errors import GrantMalformed, GrantMissing, GrantNotHeld
 from grants.model import Permission, Right
-from grants.reach import Reach
-from grants.tail import check_tail
 from tests.grants.authority import CA, HOLDER, NOW, draft, granted, signed_claims
 
 RVIZ = granted(Permission("/rviz~/get_loggers", Right.PROVIDE), subject="/rviz")
 NAMES = {
-    "/rviz/get_loggers": True, "/rviz_1/get_loggers": True, "/rviz_1_2/get_loggers": True,
-    "/rviz_/get_loggers": False, "/rvizx/get_loggers": False, "/rviz_1x/set_level": False,
-    "/rviz_1/a/get_loggers": False, "/other/get_loggers": False, "/rviz_1/get_loggers/x": False,
-}  # fmt: skip
+    "/rviz/get_loggers": True,
+    "/rviz_1/get_loggers": True,
+    "/rviz_1_2/get_loggers": True,
+    "/rviz_/get_loggers": False,
+    "/rvizx/get_loggers": False,
+    "/rviz_1x/set_level": False,
+    "/rviz_1/a/get_loggers": False,
+    "/other/get_loggers": False,
+    "/rviz_1/get_loggers/x": False,
+}
 
 
 def _live(_entry: bytes, _now: int) -> None:
@@ -39,9 +42,9 @@ def test_every_place_that_decides_gives_the_same_answer(name: str, expected: boo
 
 
 @pytest.mark.parametrize(
-    ("peer", "tail"), [("/rviz", False), ("/rviz_1", True), ("/other", True),
-                       ("/remote/lab/rviz", True), ("/rvi", True)],
-)  # fmt: skip
+    ("peer", "tail"),
+    [("/rviz", False), ("/rviz_1", True), ("/other", True), ("/remote/lab/rviz", True), ("/rvi", True)],
+)
 def test_who_has_not_the_tail_is_refused(peer: str, tail: bool) -> None:
     with pytest.raises(GrantNotHeld, match="anonymous nodes of /rviz") as refused:
         check_tail(RVIZ, peer, tail=tail)
@@ -68,7 +71,7 @@ def test_a_grant_is_about_no_tail_but_its_subjects(pattern: str) -> None:
     assert isinstance(claims, dict)
     forged = {**claims, 9: encode([[pattern, int(Right.PROVIDE)]])}
     with pytest.raises(GrantMalformed, match="tail pattern of another"):
-        read(encode(forged), bytes(16))
+        read_claims(encode(forged), bytes(16))
     with pytest.raises(GrantMalformed):
         open_grant(signed_claims(forged), CA.public_key, NOW)
 

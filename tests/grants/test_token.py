@@ -8,8 +8,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import encode
 from ca.errors import Revoked
-from ca.keys.publickey import thumbprint
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner, thumbprint
 from grants import document
 from grants.decision import authorize
 from grants.errors import GrantExpired, GrantForged, GrantMalformed, GrantRevoked, RenewalForOther

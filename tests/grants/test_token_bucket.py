@@ -1,6 +1,6 @@
 """A bucket fills at its rate, up to its capacity."""
 
-from grants.token_bucket import TokenBucket
+from grants.limits import TokenBucket
 
 
 def test_a_bucket_fills_at_its_rate_up_to_its_capacity() -> None:

@@ -3,7 +3,7 @@
 import pytest
 
 from grants.errors import GrantExpired, GrantNotYetValid
-from grants.validity import check_time, format_time
+from grants.model import check_time, format_time
 from tests.grants.authority import NOW, granted
 
 

@@ -73,9 +73,14 @@ def test_renewals(vector: dict[str, Any]) -> None:
 
     def renewed() -> object:
         return renew(
-            grant, bytes.fromhex(vector["ticket"]), delegation, key(vector["key"]),
-            now=vector["now"], seq=vector["seq"], check=lambda *_: None,
-        )  # fmt: skip
+            grant,
+            bytes.fromhex(vector["ticket"]),
+            delegation,
+            key(vector["key"]),
+            now=vector["now"],
+            seq=vector["seq"],
+            check=lambda *_: None,
+        )
 
     if vector["failure"] is None:
         renewed()

@@ -8,41 +8,66 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from grants import yaml_text
 from grants.errors import YamlRefused
-from grants.yaml_text import Bounds, load
+from grants.policy import source
+from grants.policy.source import Bounds, load_yaml
 
 
 def refusal(text: str, bounds: Bounds | None = None) -> YamlRefused:
     with pytest.raises(YamlRefused) as caught:
-        load(text, bounds)
+        load_yaml(text, bounds)
     return caught.value
 
 
 @pytest.mark.parametrize(
     ("text", "value"),
     [
-        ("", None), ("# nothing", None), ("~", None), ("null", None), ("''", ""), ("{}", {}),
-        ("5", 5), ("+5", 5), ("-5", -5), ("0x1F", 31), ("0o17", 15),
+        ("", None),
+        ("# nothing", None),
+        ("~", None),
+        ("null", None),
+        ("''", ""),
+        ("{}", {}),
+        ("5", 5),
+        ("+5", 5),
+        ("-5", -5),
+        ("0x1F", 31),
+        ("0o17", 15),
         ("18446744073709551615", 2**64 - 1),
-        ("2.5", 2.5), (".5", 0.5), ("1e3", 1000.0), ("-.inf", -math.inf), (".inf", math.inf),
-        ("true", True), ("FALSE", False), ("yes", "yes"), ("1_000", "1_000"), ("'5'", "5"),
-        ("[1, a]", [1, "a"]), ("{a: {b: [1]}}", {"a": {"b": [1]}}), ("{1: 2}", {1: 2}),
+        ("2.5", 2.5),
+        (".5", 0.5),
+        ("1e3", 1000.0),
+        ("-.inf", -math.inf),
+        (".inf", math.inf),
+        ("true", True),
+        ("FALSE", False),
+        ("yes", "yes"),
+        ("1_000", "1_000"),
+        ("'5'", "5"),
+        ("[1, a]", [1, "a"]),
+        ("{a: {b: [1]}}", {"a": {"b": [1]}}),
+        ("{1: 2}", {1: 2}),
         ("2026-01-02 03:04:05", datetime(2026, 1, 2, 3, 4, 5)),  # noqa: DTZ001 - XML-RPC has no zone
-        ("2026-02-30 03:04:05", "2026-02-30 03:04:05"), ("2026-13-45", "2026-13-45"),
-        ("!!str 5", "5"), ("!!float 5", 5.0), ("!!int '5'", 5), ("! 5", 5), ("!!null ''", None),
-        ("!!bool true", True), ("!!binary aGk=", b"hi"),
+        ("2026-02-30 03:04:05", "2026-02-30 03:04:05"),
+        ("2026-13-45", "2026-13-45"),
+        ("!!str 5", "5"),
+        ("!!float 5", 5.0),
+        ("!!int '5'", 5),
+        ("! 5", 5),
+        ("!!null ''", None),
+        ("!!bool true", True),
+        ("!!binary aGk=", b"hi"),
         ("{<<: {a: 1}, b: 2}", {"<<": {"a": 1}, "b": 2}),
         ("9" * 21, 1e21),
     ],
-)  # fmt: skip
+)
 def test_a_document_has_its_value(text: str, value: object) -> None:
-    found = load(text)
+    found = load_yaml(text)
     assert (found, type(found)) == (value, type(value))
 
 
 def test_nan_is_a_float() -> None:
-    found = load(".nan")
+    found = load_yaml(".nan")
     assert isinstance(found, float)
     assert math.isnan(found)
 
@@ -65,9 +90,7 @@ def test_nan_is_a_float() -> None:
         ("\0", (1, 1), "not YAML: "),
     ],
 )
-def test_text_outside_the_subset_is_refused(
-    text: str, position: tuple[int, int], message: str
-) -> None:
+def test_text_outside_the_subset_is_refused(text: str, position: tuple[int, int], message: str) -> None:
     error = refusal(text)
     assert str(error).startswith(message)
     assert (error.line, error.column) == position
@@ -92,15 +115,15 @@ def test_size_depth_and_events_are_bounded() -> None:
     assert "deeper than 1" in str(refusal("[[1]]", Bounds(depth=1)))
     many = "[" + "1," * 50 + "]"
     assert "more than 40 YAML events" in str(refusal(many, Bounds(events=40)))
-    assert load(many, Bounds(events=60)) == [1] * 50
+    assert load_yaml(many, Bounds(events=60)) == [1] * 50
 
 
 def test_a_large_text_is_refused_before_it_is_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(yaml_text, "YAML", None)
+    monkeypatch.setattr(source, "YAML", None)
     assert "where at most" in str(refusal("a" * (Bounds().size + 1)))
 
 
 @given(st.text(alphabet="ab1.:{}[],&*!|>'\"-? \n#%\t<=~", max_size=40))
 def test_any_text_is_read_or_refused(text: str) -> None:
     with contextlib.suppress(YamlRefused):
-        load(text)
+        load_yaml(text)

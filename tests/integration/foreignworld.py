@@ -60,16 +60,16 @@ def prepare(home: World, hospital: World) -> None:
         listener = f"/{kind}_listener"
         home.enroll(listener)
         for right, pattern in (
-            (Right.SUBSCRIBE, "/*/words"), (Right.SUBSCRIBE, "/*/latched"),
+            (Right.SUBSCRIBE, "/*/words"),
+            (Right.SUBSCRIBE, "/*/latched"),
             (Right.CALL, "/*/switch"),
-        ):  # fmt: skip
+        ):
             share(hospital.site, home.site, listener, right, pattern)
         share(hospital.site, home.site, listener, Right.SUBSCRIBE, "/*/pose", coarse())
     for name in ("/tool", "/rostopic"):  # one name, and any: rostopic makes one up
         home.enroll(
-            name, wildcard=name == "/rostopic",
-            graph="/**", publish="/**", param_set="/**", provide="/**",
-        )  # fmt: skip
+            name, wildcard=name == "/rostopic", graph="/**", publish="/**", param_set="/**", provide="/**"
+        )
         for right in (Right.SUBSCRIBE, Right.CALL, Right.GRAPH):
             share(hospital.site, home.site, name, right, "/**")
     share(hospital.site, home.site, "/master", Right.GRAPH, "/**")
@@ -86,9 +86,7 @@ def follow(other: World, way: str) -> tuple[str, ...]:
 
 
 @contextlib.contextmanager
-def running_programs(
-    home: World, hospital: World, never: Path, pause: float = 0.1
-) -> Iterator[Cast]:
+def running_programs(home: World, hospital: World, never: Path, pause: float = 0.1) -> Iterator[Cast]:
     """The programs of both sites, whose masters run; `pause`: seconds between messages."""
     with contextlib.ExitStack() as stack:
 

@@ -18,7 +18,7 @@ from typing import Final
 
 from grants.model import Right
 from rossec.ros.names import MASTER
-from rossec.sidecar.processes import descendants, parents
+from rossec.sidecar.callers import descendants, parents
 from tests.support.hosts import Host, Hosts
 from tests.support.ports import free_port
 from tests.support.site import DAY, Site
@@ -32,9 +32,14 @@ class Running:
 
     def __init__(self, command: tuple[str, ...], env: dict[str, str]) -> None:
         self.process = subprocess.Popen(
-            command, env=env, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT, text=True, start_new_session=True,
-        )  # fmt: skip
+            command,
+            env=env,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
         self.lines: list[str] = []
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -84,12 +89,15 @@ class World:
         master = f"[{near.ipv6}]" if self.ipv6 else near.ipv4
         return {
             **kept,
-            "ROSSEC_HOME": str(self.site.root), "ROS_IP": own,
+            "ROSSEC_HOME": str(self.site.root),
+            "ROS_IP": own,
             "ROS_IPV6": "on" if self.ipv6 else "off",
             "ROS_MASTER_URI": f"http://{master}:{self.port}/",
-            "ROS_HOME": str(self.directory), "ROS_LOG_DIR": str(self.directory),
-            "PYTHONUNBUFFERED": "1", "PYTHONWARNINGS": "ignore",
-        }  # fmt: skip
+            "ROS_HOME": str(self.directory),
+            "ROS_LOG_DIR": str(self.directory),
+            "PYTHONUNBUFFERED": "1",
+            "PYTHONWARNINGS": "ignore",
+        }
 
     @contextlib.contextmanager
     def started(self, host: Host, *command: str) -> Iterator[Running]:
@@ -125,8 +133,12 @@ class World:
         try:
             return subprocess.run(
                 host.at(ROSSEC, "run", *options, "--", *command),
-                env=self.env(host), text=True, capture_output=True, timeout=DEADLINE, check=False,
-            )  # fmt: skip
+                env=self.env(host),
+                text=True,
+                capture_output=True,
+                timeout=DEADLINE,
+                check=False,
+            )
         except subprocess.TimeoutExpired as late:
             said = b"".join(part for part in (late.stdout, late.stderr) if isinstance(part, bytes))
             raise AssertionError(f"{command} does not end: {said.decode()}") from None
@@ -137,9 +149,7 @@ class World:
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
-    def enroll(
-        self, name: str, *, wildcard: bool = False, lifetime: int = DAY, **rights: str
-    ) -> None:
+    def enroll(self, name: str, *, wildcard: bool = False, lifetime: int = DAY, **rights: str) -> None:
         """Enroll a program with the rights every ROS node needs, and more: `publish="/a /b"`."""
         self.site.enroll(name, lifetime, wildcard=wildcard)
         self.site.publish(name, "/rosout")

@@ -39,16 +39,11 @@ async def test_masters_that_hear_each_other_follow_each_other(two: Mesh) -> None
     async with asyncio.timeout(FOUND):
         await hall.crew.hears("/viewer", HEAT)
         await kitchen.crew.hears("/cook", POSE)
-    for place, label, master in (
-        (hall, "kitchen", "/master/kitchen"),
-        (kitchen, "master", "/master"),
-    ):
+    for place, label, master in ((hall, "kitchen", "/master/kitchen"), (kitchen, "master", "/master")):
         found = (await place.sites())[label]
         assert (found["state"], found["source"]) == ("following", "announced")
         assert found["master"] == master
-    revoked = two.domains["home"].site.revoke(
-        two.domains["home"].site.identity("/robot").thumbprint
-    )
+    revoked = two.domains["home"].site.revoke(two.domains["home"].site.identity("/robot").thumbprint)
     given = time.time()
     await kitchen.deliver("rossec.updateRevocations", revoked)  # it published at the other one
     assert await kitchen.crew.falls_silent("/cook", POSE) - given < 2

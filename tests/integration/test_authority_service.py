@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.operation.audit import read_entries, verify
+from rossec.host.audit import read_entries, verify
 from tests.support.ports import free_port
 from tests.support.serviceprocess import ServiceProcess, children_of, wait_until_gone
 
@@ -69,15 +69,7 @@ def test_one_at_a_time_and_no_restore_meanwhile(service: ServiceProcess) -> None
     second = service.run("ca", "serve", "--no-network", *secret, check=False)
     assert (second.returncode, "service runs from" in second.stderr) == (1, True)
     service.run("ca", "backup", str(service.root / "b"), *secret)
-    restore = (
-        "ca",
-        "restore",
-        str(service.root / "b"),
-        "--over",
-        "home",
-        "--without-list",
-        *secret,
-    )
+    restore = ("ca", "restore", str(service.root / "b"), "--over", "home", "--without-list", *secret)
     refused = service.run(*restore, check=False)
     assert (refused.returncode, "service runs from" in refused.stderr) == (1, True)
     service.terminate()

@@ -12,14 +12,15 @@ import pytest
 
 from ca.certificates import from_pem
 from grants import document
-from rossec.authority import contents, intermediate_home, invitations
+from rossec.authority import backup as backup_files
+from rossec.authority import invitations, renewals
 from rossec.authority.backup import back_up, restore
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.messages import SOCKET
 from rossec.authority.service import AuthorityService
-from rossec.console.address import only_console, write_address
-from rossec.console.tls import store as tls
-from rossec.saved_domains import DomainFiles
+from rossec.console.listening import only_console, write_address
+from rossec.console.tls import certificates as tls
+from rossec.saved_statements import DomainFiles
 from tests.rossec.cli.domain.sites import Neighbours
 from tests.rossec.cli.grant.conftest import enroll
 from tests.support.commands import PASSPHRASE, Shell
@@ -33,12 +34,10 @@ rules:
 
 
 @pytest.fixture
-def used(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> Shell:
+def used(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Shell:
     """The home of an authority in which every part has written its files."""
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
-    monkeypatch.setattr("ca.store.backup._N", 16)
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)
     shell = Shell(tmp_path / "home", capsys)
     assert shell.unlocked("ca", "init", "home", "--master").code == 0
     neighbours = Neighbours(shell, tmp_path, capsys)
@@ -55,9 +54,8 @@ def used(
     of_the_own_node(shell, neighbours)
     of_the_console(shell.root / "ca")
     invitations.invite(
-        AuthorityHome.at(shell.root), "/fleet/*", 2, int(time.time()) + 600, "127.0.0.1:9",
-        int(time.time()),
-    )  # fmt: skip
+        AuthorityHome.at(shell.root), "/fleet/*", 2, int(time.time()) + 600, "127.0.0.1:9", int(time.time())
+    )
     return shell
 
 
@@ -67,8 +65,11 @@ def serving(shell: Shell) -> Iterator[None]:
     options = ("--no-network", "--json", "--passphrase-file", str(shell.secret))
     process = subprocess.Popen(
         [sys.executable, "-I", "-m", "rossec", "ca", "serve", *options],
-        env=shell.environ, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        env=shell.environ,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     assert process.stdout is not None
     with process.stdout:
         assert process.stdout.readline()
@@ -86,7 +87,7 @@ def carry(shell: Shell, neighbours: Neighbours) -> None:
     wish = ("--subscribe", "/robot/pose", "--certificate", certificate, "--out", str(out))
     assert shell.unlocked("grant", "sign", "hospital:/rounds/robot3", *wish).code == 0
     service = AuthorityService(shell.root, lambda: PASSPHRASE, lambda _: None)
-    assert service.deposit([out.read_bytes()]) == []
+    assert service.grants.deposit([out.read_bytes()]) == []
     service.close()
 
 
@@ -122,10 +123,10 @@ def test_every_file_of_a_home_that_used_all_is_declared_once(used: Shell) -> Non
     for part in ("node/foreign", "node/filters", "console/tls", "outgoing", "delegations", "inbox"):
         assert any(name.startswith(part) for name in found), part
     assert {"audit.log", "service.lock", "policy.yaml", "console/lock", "ca.db"} <= found
-    assert contents.undeclared(directory) == []
+    assert backup_files.undeclared(directory) == []
     assert (directory / SOCKET).exists()
     for name in found:
-        assert [each for each in contents.OWNED if each.names(name)], name
+        assert [each for each in backup_files.OWNED if each.names(name)], name
 
 
 def test_it_is_backed_up_comes_back_and_goes_on(
@@ -143,7 +144,7 @@ def test_it_is_backed_up_comes_back_and_goes_on(
     said = new.unlocked("ca", "restore", backup, *again)
     assert said.code == 0, said
     there = new.root / "ca"
-    kept = contents.kept(there)
+    kept = backup_files.kept(there)
     assert {name: before[name] for name in kept} == kept
     assert {name.partition("/")[0] for name in before} - {
         name.partition("/")[0] for name in files_of(there)
@@ -168,20 +169,20 @@ def test_it_is_restored_over_itself_while_it_is_used(used: Shell, tmp_path: Path
     assert used.unlocked("ca", "backup", backup).code == 0
     over = ("ca", "restore", backup, "--over", "home", "--without-list")
     assert used.unlocked(*over).code == 0
-    assert contents.undeclared(used.root / "ca") == []
+    assert backup_files.undeclared(used.root / "ca") == []
     assert used("ca", "log", "verify").code == 0
     used.enroll("/lamp")
 
 
 def test_an_intermediate_has_its_files_in_a_backup(used: Shell, tmp_path: Path) -> None:
     place = tmp_path / "host"
-    request = intermediate_home.begin(place, "home", PASSPHRASE)
+    request = renewals.begin(place, "home", PASSPHRASE)
     carried, bundle = tmp_path / "host.csr", tmp_path / "host.pem"
     carried.write_bytes(request.read_bytes())
     sign = ("ca", "intermediate", "sign", str(carried), "--may", "enroll", "--yes")
     assert used.unlocked(*sign).code == 0
-    intermediate_home.install(place, bundle.read_bytes(), PASSPHRASE, int(time.time()))
-    assert contents.undeclared(place / "ca") == []
+    renewals.install(place, bundle.read_bytes(), PASSPHRASE, int(time.time()))
+    assert backup_files.undeclared(place / "ca") == []
 
     data = back_up(AuthorityHome(place / "ca"), PASSPHRASE)
     done = restore(tmp_path / "again", data, PASSPHRASE, int(time.time()), needs_list=True)

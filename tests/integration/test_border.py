@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from ca.things.credentials import ThingKey
+from ca.things.constrained_nodes import ThingKey
 from rossec.border.handshakes import StaticKey
 from rossec.home import NodeHome
-from rossec.saved_things import ThingFiles
+from rossec.saved_statements import ThingFiles
 from tests.support.border import LAMP, BorderSite
 from tests.support.hosts import Host
 from tests.support.site import Site
@@ -26,7 +26,7 @@ MASTER = """
 import asyncio, sys, time
 from pathlib import Path
 from rossec.home import NodeHome
-from rossec.master.server.start import master_of
+from rossec.master.server.server import master_of
 
 async def main():
     home = NodeHome.of(Path(sys.argv[1]), "/master")
@@ -41,7 +41,7 @@ asyncio.run(main())
 THING = """
 import asyncio, json, sys
 from ca.encoding import encode
-from ca.things.credentials import read_ccs
+from ca.things.constrained_nodes import read_ccs
 from tests.support.constrained import Thing, Value
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
@@ -121,10 +121,9 @@ def set_up(root: Path) -> tuple[BorderSite, Path, Path]:
     pem, ccs = root / "lamp.pem", root / "border.ccs"
     pem.write_bytes(
         key.private_bytes(
-            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8,
-            serialization.NoEncryption(),
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
         )
-    )  # fmt: skip
+    )
     ccs.write_bytes(border.key.credential.ccs)
     return border, pem, ccs
 
@@ -140,10 +139,7 @@ async def test_a_thing_is_served_while_a_fifth_of_all_packets_is_lost(tmp_path: 
             inside = {**environ, "ROS_MASTER_URI": await line(master), "ROS_IP": "127.0.0.1"}
             command = "border", "--listen", house.ipv4, "--port", str(PORT), "--json"
             router = process(inside, *house.at(sys.executable, "-m", "rossec", *command))
-            async with (
-                router as running,
-                program(house, inside, READER, f"{LAMP}/temperature") as reader,
-            ):
+            async with router as running, program(house, inside, READER, f"{LAMP}/temperature") as reader:
                 assert json.loads(await line(running))["ready"] == [house.ipv4, PORT]
                 with wan.lossy(one_of=5):
                     words = house.ipv4, str(PORT), str(ccs), str(pem)

@@ -31,9 +31,7 @@ class Demo:
     link: str
     code: str = ""
 
-    def ask(
-        self, path: str, form: dict[str, str] | None = None, cookie: str = ""
-    ) -> tuple[int, str, str]:
+    def ask(self, path: str, form: dict[str, str] | None = None, cookie: str = "") -> tuple[int, str, str]:
         """Status, cookie and page, as a browser at the link gets them."""
         parts = urlsplit(self.link)
         connection = http.client.HTTPConnection("127.0.0.1", parts.port, timeout=30)
@@ -42,9 +40,7 @@ class Demo:
             headers["Cookie"] = cookie
         if form is not None:
             headers["Content-Type"] = "application/x-www-form-urlencoded"
-        connection.request(
-            "GET" if form is None else "POST", path, urlencode(form or {}) or None, headers
-        )
+        connection.request("GET" if form is None else "POST", path, urlencode(form or {}) or None, headers)
         answer = connection.getresponse()
         body = answer.read().decode()
         connection.close()
@@ -84,9 +80,11 @@ def started(directory: Path) -> Iterator[Demo]:
     environ = {key: text for key, text in os.environ.items() if not key.startswith("ROS")}
     process = subprocess.Popen(
         [ROSSEC, "console", "--demo", "--port", str(free_port())],
-        env={**environ, "TMPDIR": str(directory)}, stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, text=True,
-    )  # fmt: skip
+        env={**environ, "TMPDIR": str(directory)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
     try:
         yield Demo(process, directory, read(process, LINK), read(process, CODE))
     finally:
@@ -137,9 +135,7 @@ def test_the_demo_shows_its_story_and_leaves_nothing(demo: Demo) -> None:
 
 
 def test_a_part_that_ends_ends_the_demo_and_says_which(demo: Demo) -> None:
-    robot = next(
-        int(path.name) for path in Path("/proc").glob("[0-9]*") if is_robot_of(path, demo.directory)
-    )
+    robot = next(int(path.name) for path in Path("/proc").glob("[0-9]*") if is_robot_of(path, demo.directory))
     os.kill(robot, signal.SIGKILL)
     assert demo.process.wait(30) == 1
     assert demo.process.stdout is not None
@@ -159,7 +155,9 @@ def test_the_demo_is_for_localhost(tmp_path: Path) -> None:
     done = subprocess.run(
         [ROSSEC, "console", "--demo", "--lan"],
         env={**os.environ, "TMPDIR": tempfile.mkdtemp(dir=tmp_path)},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 1
     assert "--demo is for localhost" in done.stderr

@@ -10,8 +10,8 @@ import pytest
 
 from ca.approvals.statement import Statement
 from ca.errors import HintedError
-from rossec.authority.console.client import Assertion, ConsoleClient, Registration
-from rossec.authority.console.messages import SOCKET
+from rossec.authority.console.client import ConsoleClient
+from rossec.authority.console.messages import SOCKET, PasskeyAssertion, PasskeyRegistration
 from rossec.errors import PhoneCodeRefused
 from tests.support.passkeys import ORIGIN, RP_ID, Passkey
 from tests.support.ports import free_port
@@ -47,7 +47,7 @@ def code_of(service: ServiceProcess) -> str:
 async def add(client: ConsoleClient, phone: Passkey, code: str, name: str) -> None:
     asked = await client.new_passkey(ORIGIN, RP_ID)
     answer = phone.register(asked.challenge)
-    await client.add_passkey(Registration(asked.id, code, name, *answer))
+    await client.add_passkey(PasskeyRegistration(asked.id, code, name, *answer))
 
 
 async def test_a_phone_comes_in_and_approves(service: ServiceProcess) -> None:
@@ -59,10 +59,10 @@ async def test_a_phone_comes_in_and_approves(service: ServiceProcess) -> None:
     with pytest.raises(PhoneCodeRefused):
         await client.redeem(code)
     asked = await client.login_challenge(ORIGIN)
-    assert await client.login(asked.id, Assertion(*phone.sign(asked.challenge))) == "Ann's phone"
-    prepared = await client.prepare("invitation", "/lamp/*", 2, 3600, False)
+    assert await client.login(asked.id, PasskeyAssertion(*phone.sign(asked.challenge))) == "Ann's phone"
+    prepared = await client.prepare("invitation", ["/lamp/*", 2, 3600, False])
     assert Statement.from_bytes(prepared.statement).challenge == prepared.challenge
-    touch = Assertion(*phone.sign(prepared.challenge))
+    touch = PasskeyAssertion(*phone.sign(prepared.challenge))
     outcome = await client.approve(prepared.id, touch)
     assert outcome.state == "done"
     with pytest.raises(HintedError):
@@ -80,26 +80,24 @@ async def test_a_phone_comes_in_and_approves(service: ServiceProcess) -> None:
     service.run("ca", "log", "verify")
 
 
-async def test_a_service_that_was_killed_knows_phones_and_no_codes(
-    service: ServiceProcess,
-) -> None:
+async def test_a_service_that_was_killed_knows_phones_and_no_codes(service: ServiceProcess) -> None:
     client, phone = ConsoleClient(service.directory / SOCKET), Passkey()
     await add(client, phone, await asyncio.to_thread(code_of, service), "Ann's phone")
     code = await asyncio.to_thread(code_of, service)
     asked = await client.login_challenge(ORIGIN)
-    prepared = await client.prepare("invitation", "/lamp/*", 2, 3600, False)
+    prepared = await client.prepare("invitation", ["/lamp/*", 2, 3600, False])
     await asyncio.to_thread(service.kill)
     await asyncio.to_thread(start, service)
     for attempt in (
         client.redeem(code),
-        client.login(asked.id, Assertion(*phone.sign(asked.challenge))),
-        client.approve(prepared.id, Assertion(*phone.sign(prepared.challenge))),
+        client.login(asked.id, PasskeyAssertion(*phone.sign(asked.challenge))),
+        client.approve(prepared.id, PasskeyAssertion(*phone.sign(prepared.challenge))),
     ):
         with pytest.raises(HintedError):
             await attempt
     assert [each.name for each in await client.phones()] == ["Ann's phone"]
     asked = await client.login_challenge(ORIGIN)
-    assert await client.login(asked.id, Assertion(*phone.sign(asked.challenge))) == "Ann's phone"
+    assert await client.login(asked.id, PasskeyAssertion(*phone.sign(asked.challenge))) == "Ann's phone"
     assert await client.invitations() == ()
     await client.close()
     await asyncio.to_thread(service.run, "ca", "log", "verify")

@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 
 from ca.errors import HintedError
-from rossec.authority.console.client import Assertion, ConsoleClient, Registration
-from rossec.authority.console.messages import SOCKET
-from rossec.authority.console.views import Outcome
+from rossec.authority.console.client import ConsoleClient
+from rossec.authority.console.messages import SOCKET, ApprovalOutcome, PasskeyAssertion, PasskeyRegistration
 from tests.support.passkeys import Passkey
 from tests.support.ports import free_port
 from tests.support.serviceprocess import ServiceProcess
@@ -35,8 +34,9 @@ class Home:
     def start(self) -> None:
         self.master = subprocess.Popen(
             [sys.executable, "-I", "-m", "rossec", "master", "--port", str(self.port)],
-            env=self.service.environ, stdin=subprocess.DEVNULL,
-        )  # fmt: skip
+            env=self.service.environ,
+            stdin=subprocess.DEVNULL,
+        )
         self.service.start("--join-address", f"127.0.0.1:{free_port()}")
 
     async def add_phone(self) -> None:
@@ -46,14 +46,14 @@ class Home:
         with_key.close()
         challenge = await self.client.new_passkey(self.phone.origin, self.phone.rp_id)
         made = self.phone.register(challenge.challenge)
-        await self.client.add_passkey(Registration(challenge.id, code, "Ann's phone", *made))
+        await self.client.add_passkey(PasskeyRegistration(challenge.id, code, "Ann's phone", *made))
 
-    async def approve(self, kind: str, *arguments: int | str | bytes) -> Outcome:
-        prepared = await self.client.prepare(kind, *arguments)
+    async def approve(self, kind: str, *arguments: int | str | bytes) -> ApprovalOutcome:
+        prepared = await self.client.prepare(kind, [*arguments])
         signed = self.phone.sign(prepared.challenge)
-        return await self.client.approve(prepared.id, Assertion(*signed))
+        return await self.client.approve(prepared.id, PasskeyAssertion(*signed))
 
-    async def enroll(self, name: str) -> Outcome:
+    async def enroll(self, name: str) -> ApprovalOutcome:
         await asyncio.to_thread(self.service.run, "node", "request", name)
         csr = (self.service.root / "nodes" / name[1:] / "node.csr").read_bytes()
         return await self.approve("enroll", csr, "a test", False, 30 * DAY, False)
@@ -85,9 +85,7 @@ async def until(holds: Callable[[], Coroutine[Any, Any, bool]], within: float = 
 
 
 @pytest.mark.timeout(240)
-async def test_what_was_done_while_locked_reaches_the_master_when_it_is_unlocked(
-    home: Home,
-) -> None:
+async def test_what_was_done_while_locked_reaches_the_master_when_it_is_unlocked(home: Home) -> None:
     service, client = home.service, home.client
     assert (await home.enroll("/robot")).state == "done"
 

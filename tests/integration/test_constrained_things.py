@@ -102,10 +102,5 @@ def lossy(lan: Lan) -> Iterator[None]:
 def _nft(lan: Lan, host: str, rules: str) -> None:
     environ = {**os.environ, "PATH": f"{os.environ['PATH']}:/usr/sbin:/sbin"}
     subprocess.run(
-        lan[host].at("nft", "-f", "-"),
-        input=rules,
-        text=True,
-        check=True,
-        capture_output=True,
-        env=environ,
+        lan[host].at("nft", "-f", "-"), input=rules, text=True, check=True, capture_output=True, env=environ
     )

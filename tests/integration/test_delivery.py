@@ -24,7 +24,7 @@ import pytest
 from grants import document
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from tests.integration.sidecarworld import ROSSEC, Running, wait
 from tests.support.attacker import credentials, dial, drafted
 from tests.support.caller import Caller
@@ -116,17 +116,27 @@ class Place:
         kept = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
         logs = str(self.root)
         return {
-            **kept, "ROSSEC_HOME": str(self.home(name)), "ROS_IP": "127.0.0.1",
-            "ROS_MASTER_URI": f"http://127.0.0.1:{self.port}/", "ROS_HOME": logs,
-            "ROS_LOG_DIR": logs, "PYTHONPATH": str(PROJECT), "PYTHONUNBUFFERED": "1",
+            **kept,
+            "ROSSEC_HOME": str(self.home(name)),
+            "ROS_IP": "127.0.0.1",
+            "ROS_MASTER_URI": f"http://127.0.0.1:{self.port}/",
+            "ROS_HOME": logs,
+            "ROS_LOG_DIR": logs,
+            "PYTHONPATH": str(PROJECT),
+            "PYTHONUNBUFFERED": "1",
             "PYTHONWARNINGS": "ignore",
-        }  # fmt: skip
+        }
 
     def rossec(self, where: str, *words: str) -> str:
         said = subprocess.run(
-            [ROSSEC, *words], env=self.environ(where), capture_output=True, text=True, timeout=60,
-            stdin=subprocess.DEVNULL, check=False,
-        )  # fmt: skip
+            [ROSSEC, *words],
+            env=self.environ(where),
+            capture_output=True,
+            text=True,
+            timeout=60,
+            stdin=subprocess.DEVNULL,
+            check=False,
+        )
         assert said.returncode == 0, (words, said.stdout, said.stderr)
         return said.stdout
 
@@ -165,9 +175,7 @@ def place(tmp_path: Path) -> Iterator[Place]:
 
 
 @pytest.mark.parametrize("form", TALKERS)
-def test_a_running_node_of_each_form_uses_a_grant_that_is_signed_elsewhere(
-    place: Place, form: str
-) -> None:
+def test_a_running_node_of_each_form_uses_a_grant_that_is_signed_elsewhere(place: Place, form: str) -> None:
     for name in ("/talker", "/listener"):
         place.enroll(name)
     place.start_master()
@@ -222,14 +230,10 @@ async def deposit_until_killed(office: Caller, acknowledged: list[bytes]) -> Non
 def drafted_grant(site: Site, name: str) -> bytes:
     draft = drafted(site, "/robot", "/p", Right.PUBLISH)
     holder = sha256(name.encode()).digest()
-    return document.sign(
-        site.authority.signer, dataclasses.replace(draft, subject=name, holder=holder)
-    )
+    return document.sign(site.authority.signer, dataclasses.replace(draft, subject=name, holder=holder))
 
 
-async def test_a_master_killed_while_grants_are_deposited_has_all_it_acknowledged(
-    tmp_path: Path,
-) -> None:
+async def test_a_master_killed_while_grants_are_deposited_has_all_it_acknowledged(tmp_path: Path) -> None:
     async with master_process(tmp_path / "site") as master:
         site, acknowledged = master.site, list[bytes]()
         site.enroll("/robot")

@@ -29,11 +29,25 @@ MARKER: Final = secrets.token_hex(24).encode()
 LIMIT: Final = 30.0  # seconds: stated in the README
 SLICE: Final = 24
 API_WORDS: Final = (
-    b"methodCall", b"methodResponse", b"methodName", b"registerPublisher", b"registerSubscriber",
-    b"requestTopic", b"publisherUpdate", b"callerid", b"md5sum", b"message_definition",
-    b"tcp_nodelay", b"latching", b"TCPROS", b"rossec_grants", b"rossec.presentGrants",
-    b"rossec.revocations", b"rossec-grant", b"rossec-revocation",
-)  # fmt: skip
+    b"methodCall",
+    b"methodResponse",
+    b"methodName",
+    b"registerPublisher",
+    b"registerSubscriber",
+    b"requestTopic",
+    b"publisherUpdate",
+    b"callerid",
+    b"md5sum",
+    b"message_definition",
+    b"tcp_nodelay",
+    b"latching",
+    b"TCPROS",
+    b"rossec_grants",
+    b"rossec.presentGrants",
+    b"rossec.revocations",
+    b"rossec-grant",
+    b"rossec-revocation",
+)
 
 
 @dataclass(frozen=True)
@@ -145,9 +159,7 @@ def slices(file: Path) -> set[bytes]:
     else:
         forms = [data]
     forms += [base64.b64encode(form[shift:]) for form in tuple(forms) for shift in range(3)]
-    return {
-        form[at : at + SLICE] for form in forms for at in range(0, len(form) - SLICE + 1, SLICE)
-    }
+    return {form[at : at + SLICE] for form in forms for at in range(0, len(form) - SLICE + 1, SLICE)}
 
 
 # --- using the kept home
@@ -178,16 +190,13 @@ def test_the_kept_home_of_the_demo_works(played: Played) -> None:
 
 def shell(line: str, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        ["/bin/bash", "-c", line],
-        env=env, text=True, capture_output=True, timeout=30, check=False,
-    )  # fmt: skip
+        ["/bin/bash", "-c", line], env=env, text=True, capture_output=True, timeout=30, check=False
+    )
 
 
 @contextlib.contextmanager
 def running(line: str, env: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    process = subprocess.Popen(
-        ["/bin/bash", "-c", line], env=env, text=True, stdout=subprocess.PIPE
-    )
+    process = subprocess.Popen(["/bin/bash", "-c", line], env=env, text=True, stdout=subprocess.PIPE)
     try:
         with process:
             yield process
@@ -203,8 +212,12 @@ def test_a_directory_that_exists_is_not_touched(tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("precious")
     done = subprocess.run(
         [ROSSEC, "demo", "--keep", str(tmp_path)],
-        env=environment(), text=True, capture_output=True, timeout=30, check=False,
-    )  # fmt: skip
+        env=environment(),
+        text=True,
+        capture_output=True,
+        timeout=30,
+        check=False,
+    )
     assert done.returncode == 1
     assert done.stderr == (
         f"rossec: error: {tmp_path} exists\nrossec: hint: give a directory that does not exist\n"
@@ -217,8 +230,10 @@ def test_a_step_that_fails_ends_the_demo_with_its_reason(tmp_path: Path) -> None
     with subprocess.Popen(
         [ROSSEC, "demo", "--keep", str(tmp_path / "kept")],
         env=environment(PYTHONUNBUFFERED="1"),
-        text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    ) as demo:  # fmt: skip
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as demo:
         assert demo.stdout is not None
         for line in demo.stdout:
             if " another authority " in line:

@@ -17,8 +17,7 @@ import pytest_asyncio
 
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
-from rossec.ros.names import MASTER, PORTS
-from rossec.ros.settings import build_uri, parse_uri
+from rossec.ros.names import MASTER, PORTS, build_uri, parse_uri
 from tests.integration.sidecarworld import ROSSEC, Running
 from tests.support.attacker import call, credentials
 from tests.support.doors import Door, door
@@ -27,9 +26,7 @@ from tests.support.kinds import KINDS, SPEAKERS, command
 from tests.support.site import Site
 from tests.support.witness import until
 
-pytestmark = [
-    pytest.mark.ros, pytest.mark.timeout(120), pytest.mark.asyncio(loop_scope="module"),
-]  # fmt: skip
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(120), pytest.mark.asyncio(loop_scope="module")]
 ELSEWHERE: Final = "192.0.2.1"  # TEST-NET-1 (RFC 5737)
 PAIRS: Final = tuple(itertools.product(KINDS, KINDS))
 _ROSPY: Final = """
@@ -57,9 +54,7 @@ async def main(kind, *topics):
         print("READY", flush=True)
 asyncio.run(main(*sys.argv[1:]))
 """
-LISTENERS: Final[Mapping[str, str]] = {
-    "inprocess": SECURE + _ROSPY, "builtin": _BUILTIN, "sidecar": _ROSPY,
-}  # fmt: skip
+LISTENERS: Final[Mapping[str, str]] = {"inprocess": SECURE + _ROSPY, "builtin": _BUILTIN, "sidecar": _ROSPY}
 
 
 @dataclass(frozen=True)
@@ -132,9 +127,7 @@ async def cast(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Cast]:
         yield Cast(site, doors, listeners)
 
 
-@pytest.mark.parametrize(
-    ("source", "sink"), PAIRS, ids=[f"{source}-to-{sink}" for source, sink in PAIRS]
-)
+@pytest.mark.parametrize(("source", "sink"), PAIRS, ids=[f"{source}-to-{sink}" for source, sink in PAIRS])
 async def test_a_topic_is_followed_at_the_door(cast: Cast, source: str, sink: str) -> None:
     listener = cast.listeners[sink]
     await until(lambda: f"HEARD {source} kept\n" in listener.said, within=30)

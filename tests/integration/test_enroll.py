@@ -37,9 +37,14 @@ class Host:
         """Start a command; with `terminal`, on a terminal where a person types this answer."""
         at = [sys.executable, "-m", "tests.support.terminal", terminal, "--"] if terminal else []
         return subprocess.Popen(
-            [*at, ROSSEC, *words], env=self.environ, cwd=ROOT, text=True,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        )  # fmt: skip
+            [*at, ROSSEC, *words],
+            env=self.environ,
+            cwd=ROOT,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
 
     def done(self, *words: str) -> str:
         process = self.runs(*words)
@@ -83,11 +88,7 @@ def said(process: subprocess.Popen[str], pattern: str) -> str:
     ("address", "at_a_terminal"), [("127.0.0.1", True), ("::1", False)], ids=["IPv4", "IPv6"]
 )
 def test_a_node_is_enrolled_from_the_picture_on_the_terminal(
-    office: Host,
-    tmp_path: Path,
-    started: list[subprocess.Popen[str]],
-    address: str,
-    at_a_terminal: bool,
+    office: Host, tmp_path: Path, started: list[subprocess.Popen[str]], address: str, at_a_terminal: bool
 ) -> None:
     robot, name = Host(tmp_path / "robot"), f"/robot{'4' if at_a_terminal else '6'}"
     node = robot.runs("node", "enroll", name, "--address", address, terminal="y" * at_a_terminal)
@@ -101,9 +102,7 @@ def test_a_node_is_enrolled_from_the_picture_on_the_terminal(
         for code in zxingcpp.read_barcodes(picture("\n".join(shown), dark=dark))
     }
     (text,) = texts
-    authority = office.runs(
-        "ca", "enroll", text, "--yes", "--passphrase-file", str(office.passphrase)
-    )
+    authority = office.runs("ca", "enroll", text, "--yes", "--passphrase-file", str(office.passphrase))
     started.append(authority)
     introduction = said(authority, "^digits")
     assert f"spiffe://home{name} asks for an identity" in introduction
@@ -131,7 +130,9 @@ def check_identity(office: Host, robot: Host, name: str) -> None:
     assert TrustAnchor.load(root).verify([leaf], int(time.time())).name == name
     done = subprocess.run(
         ["openssl", "verify", "-x509_strict", "-CAfile", trusted, directory / "node.pem"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert not (directory / "enrolling.sock").exists()

@@ -23,9 +23,14 @@ def environ(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 def run(name: str, environ: dict[str, str]) -> subprocess.CompletedProcess[str]:
     program = [sys.executable] if name.endswith(".py") else []
     return subprocess.run(
-        [*program, str(EXAMPLES / name)], env=environ, stdin=subprocess.DEVNULL,
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
+        [*program, str(EXAMPLES / name)],
+        env=environ,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -33,10 +38,7 @@ def enrolled(environ: dict[str, str]) -> Iterator[dict[str, str]]:
     done = run("0_enroll.sh", environ)
     assert done.returncode == 0, done.stderr
     master = subprocess.Popen(
-        [SCRIPTS / "rossec", "master", "--port", "0"],
-        env=environ,
-        stdout=subprocess.PIPE,
-        text=True,
+        [SCRIPTS / "rossec", "master", "--port", "0"], env=environ, stdout=subprocess.PIPE, text=True
     )
     assert master.stdout is not None
     environ["ROS_MASTER_URI"] = master.stdout.readline().split()[-1]

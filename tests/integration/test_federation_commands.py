@@ -14,12 +14,12 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.cli.master.admin import ADMIN_SOCKET
+from rossec.cli.status import ADMIN_SOCKET
 from rossec.errors import ConfigurationError
 from rossec.master.operation.admin import send_command
 from rossec.net.aio import SecureContext, WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
-from rossec.saved_domains import DomainFiles
+from rossec.net.rpc.calls import RpcClient
+from rossec.saved_statements import DomainFiles
 from tests.support.masterprocess import MasterProcess
 from tests.support.masters import domain_list
 from tests.support.site import Site
@@ -39,9 +39,13 @@ class Kitchen(MasterProcess):
 
 def federation(master: MasterProcess, *words: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-I", "-m", "rossec", "federation", *words], env=dict(master.environ),
-        capture_output=True, text=True, timeout=30, check=False,
-    )  # fmt: skip
+        [sys.executable, "-I", "-m", "rossec", "federation", *words],
+        env=dict(master.environ),
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -77,9 +81,7 @@ async def pair(short_path: Path) -> AsyncIterator[tuple[MasterProcess, Kitchen]]
                 await each.process.wait()
 
 
-async def test_a_site_is_followed_lost_found_again_and_removed(
-    pair: tuple[MasterProcess, Kitchen],
-) -> None:
+async def test_a_site_is_followed_lost_found_again_and_removed(pair: tuple[MasterProcess, Kitchen]) -> None:
     hall, kitchen = pair
 
     async def until_state(wanted: str, within: float = 20.0) -> None:
@@ -88,9 +90,7 @@ async def test_a_site_is_followed_lost_found_again_and_removed(
             assert time.monotonic() < end, hall.log.read_text()
             await asyncio.sleep(0.1)
 
-    said = await asyncio.to_thread(
-        federation, hall, "add", kitchen.uri, "--as", "kitchen", "--name", KITCHEN
-    )
+    said = await asyncio.to_thread(federation, hall, "add", kitchen.uri, "--as", "kitchen", "--name", KITCHEN)
     assert said.startswith("kitchen is followed")
     await until_state("following")
     assert "kitchen          following" in await asyncio.to_thread(federation, hall, "status")

@@ -73,9 +73,8 @@ class Home:
         before = contents(self.path)
         ended, _, err = self(*words)
         assert re.fullmatch(
-            f"(rossec: (?!error|hint).*\n)*rossec: error: .*{error}.*\nrossec: hint: .*{hint}.*\n",
-            err,
-        ), err  # fmt: skip
+            f"(rossec: (?!error|hint).*\n)*rossec: error: .*{error}.*\nrossec: hint: .*{hint}.*\n", err
+        ), err
         assert ended == code
         assert contents(self.path) == before
 
@@ -83,9 +82,7 @@ class Home:
 def contents(path: Path) -> Mapping[str, bytes]:
     """Every file; for the authority's database its rows, as SQLite moves pages."""
     files = (file for file in path.rglob("*") if file.is_file() and "ca.db-" not in file.name)
-    return {
-        str(file): dumped(file) if file.suffix == ".db" else file.read_bytes() for file in files
-    }
+    return {str(file): dumped(file) if file.suffix == ".db" else file.read_bytes() for file in files}
 
 
 def dumped(database: Path) -> bytes:
@@ -247,7 +244,7 @@ SUBSCRIBE: Final = (*SIGN, "--subscribe", "/robot/pose")
         ("restrict", "--subscribe", (*SIGN, "--publish", "/x", "--type", POSE, "--clear", "pose")),
         ("/rbot has no", "node request /rbot", ("grant", "sign", "/rbot", "--publish", "/x")),
     ],
-)  # fmt: skip
+)
 def test_a_grant_with_a_mistake_is_not_signed(
     home: Home, error: str, hint: str, words: tuple[str, ...]
 ) -> None:
@@ -315,7 +312,7 @@ def test_an_invalid_message_is_refused(home: Home) -> None:
 
 @pytest.mark.parametrize(
     "words", [("grnt",), ("grant", "sing"), ("ca", "init"), (*SIGN, "--publish", "/x", "--oops")]
-)  # fmt: skip
+)
 def test_an_unknown_command_is_refused(home: Home, words: tuple[str, ...]) -> None:
     home.refuses(2, "", "--help", *words)
 
@@ -326,9 +323,13 @@ def test_an_interrupted_prompt_loses_nothing(home: Home) -> None:
     command = (str(BIN / "rossec"), *SIGN, "--publish", "/x")
     done = subprocess.run(
         [sys.executable, "-m", "tests.support.terminal", "^C", "--", *command],
-        env={**os.environ, **home.variables}, cwd=ROOT,
-        text=True, capture_output=True, timeout=100, check=False,
-    )  # fmt: skip
+        env={**os.environ, **home.variables},
+        cwd=ROOT,
+        text=True,
+        capture_output=True,
+        timeout=100,
+        check=False,
+    )
     assert done.returncode == 130
     assert done.stdout.startswith("passphrase of the authority's key: ")
     assert "Traceback" not in done.stdout + done.stderr

@@ -10,16 +10,7 @@ from typing import Final
 
 import pytest
 
-from tests.integration.foreignworld import (
-    LABEL,
-    TOOL,
-    Cast,
-    follow,
-    pairs,
-    prepare,
-    running_programs,
-    world,
-)
+from tests.integration.foreignworld import LABEL, TOOL, Cast, follow, pairs, prepare, running_programs, world
 from tests.integration.sidecarworld import ROSSEC, wait
 from tests.support.fleet import SECURE
 from tests.support.kinds import KINDS, SEEN
@@ -104,9 +95,7 @@ def test_stock_tools_describe_foreign_nodes(cast: Cast) -> None:
         assert "Unable to communicate" not in said
     said = cast.tool("rosnode", "info", "/sidecar_listener")
     assert f" * topic: /{LABEL}/sidecar/words\n    * to: /{LABEL}/sidecar_speaker (" in said
-    assert "xmlrpc reply from" in cast.tool(
-        "rosnode", "ping", "-c", "1", f"/{LABEL}/builtin_speaker"
-    )
+    assert "xmlrpc reply from" in cast.tool("rosnode", "ping", "-c", "1", f"/{LABEL}/builtin_speaker")
 
 
 @pytest.mark.parametrize(
@@ -118,9 +107,7 @@ def test_stock_tools_describe_foreign_nodes(cast: Cast) -> None:
     ],
     ids=["publish", "set", "delete"],
 )
-def test_stock_tools_offer_nothing_below_remote(
-    cast: Cast, words: tuple[str, ...], reason: str
-) -> None:
+def test_stock_tools_offer_nothing_below_remote(cast: Cast, words: tuple[str, ...], reason: str) -> None:
     done = cast.home.run(cast.home.hosts.far, *words, options=TOOL)
     said = done.stdout + done.stderr
     assert f"{reason} here: names below /remote are those of other masters" in said
@@ -147,9 +134,7 @@ def test_remapped_and_private_names_reach_foreigners(cast: Cast, form: str) -> N
     program = sys.executable, "-c", (SECURE if form == "inprocess" else "") + REMAPPED, *remapping
     secured = program if form == "inprocess" else (ROSSEC, "run", "--", *program)
     with cast.home.started(cast.home.hosts.near, *secured) as running:
-        running.wait_for(
-            f"GOT inprocess kept /{LABEL}/inprocess/latched /{LABEL}/inprocess_speaker\n"
-        )
+        running.wait_for(f"GOT inprocess kept /{LABEL}/inprocess/latched /{LABEL}/inprocess_speaker\n")
         running.wait_for("ANSWERED inprocess answers")
 
 
@@ -161,10 +146,7 @@ def test_rossecs_own_tools_write_the_label(cast: Cast) -> None:
             return running.said
 
     said = own("graph")
-    assert (
-        "hospital:/builtin/words (std_msgs/String)\n  published by hospital:/builtin_speaker\n"
-        in said
-    )
+    assert "hospital:/builtin/words (std_msgs/String)\n  published by hospital:/builtin_speaker\n" in said
     assert "hospital:/builtin/switch provided by hospital:/builtin_speaker\n" in said
     assert "hospital:/builtin/switch\n" in own("service", "list")
     said = own("service", "info", "hospital:/sidecar/switch")

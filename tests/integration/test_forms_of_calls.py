@@ -14,20 +14,23 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.master.server.dialer import SlaveDialer
+from rossec.master.server.updates import SlaveDialer
 from rossec.master.state.registry import NodeRef
-from rossec.net.rpc.client import RpcClient
-from rossec.participant.master_session import MasterSession
-from rossec.ros.callclient import CallClient
-from rossec.ros.callserver import CallServer
+from rossec.net.rpc.calls import RpcClient
+from rossec.participant.membership import MasterSession
+from rossec.ros.calls import CallClient, CallServer
 from tests.support.site import Site
 from tests.support.witness import undisturbed, until
 
 VALUE = {
-    "i": [0, -1, 2**31 - 1, -(2**31)], "d": [0.5, 1.0, -0.0, 1e300], "b": [True, False],
-    "s": ["", "é\t\n", "x" * 300], "raw": bytes(range(256)), "deep": {"er": [[{}], []]},
+    "i": [0, -1, 2**31 - 1, -(2**31)],
+    "d": [0.5, 1.0, -0.0, 1e300],
+    "b": [True, False],
+    "s": ["", "é\t\n", "x" * 300],
+    "raw": bytes(range(256)),
+    "deep": {"er": [[{}], []]},
     "when": datetime.fromisoformat("2026-11-23T09:08:07"),
-}  # fmt: skip
+}
 PARAMS = Right.PARAM_GET | Right.PARAM_SET
 
 
@@ -49,10 +52,10 @@ def without_offers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Callers of before."""
     init = CallClient.__init__
     monkeypatch.setattr(
-        CallClient, "__init__", lambda self, host, **options: init(
-            self, host, **{**options, "compact": False}
-        ),
-    )  # fmt: skip
+        CallClient,
+        "__init__",
+        lambda self, host, **options: init(self, host, **{**options, "compact": False}),
+    )
 
 
 def without_answers(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import pytest
 
-from rossec.cli.shared.message_text import parse_documents
+from rossec.cli.shared.messages import parse_documents
 from tests.integration.sidecarworld import DEADLINE, ROSSEC, World, wait
 from tests.support.hosts import two_hosts
 from tests.support.site import Site
@@ -30,9 +30,13 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
         world = World(hosts, Site(directory / "site"), directory)
         for tool in ("/rostopic", "/rosnode", "/rosservice", "/rosparam", "/me"):
             world.enroll(
-                tool, wildcard=tool != "/me", subscribe="/**", publish="/said /turn /at",
-                call="/**", graph="/**",
-            )  # fmt: skip
+                tool,
+                wildcard=tool != "/me",
+                subscribe="/**",
+                publish="/said /turn /at",
+                call="/**",
+                graph="/**",
+            )
         world.enroll("/hearer", subscribe="/**")
         world.enroll("/robot", publish="/robot/**", provide="/robot/**", param_set="/robot/**")
         program = Path(__file__).parents[1] / "support" / "robotprogram.py"
@@ -59,9 +63,12 @@ def ours(world: World, command: str, *options: str) -> str:
     """What the command of the right column prints."""
     done = subprocess.run(
         world.hosts.far.at(ROSSEC, *shlex.split(command), "--as", "/me", *options),
-        env=world.env(world.hosts.far), text=True, capture_output=True, timeout=DEADLINE,
+        env=world.env(world.hosts.far),
+        text=True,
+        capture_output=True,
+        timeout=DEADLINE,
         check=False,
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -84,9 +91,7 @@ def same(world: World, left: str, right: str) -> None:
 
 def messages(world: World, left: str, right: str) -> None:
     """But for the counter in them, both print the same."""
-    shown = [
-        re.sub(r"seq: [0-9]+", "seq:", text) for text in (ours(world, right), stock(world, left))
-    ]
+    shown = [re.sub(r"seq: [0-9]+", "seq:", text) for text in (ours(world, right), stock(world, left))]
     assert shown[0] == shown[1].replace("1e-05", "1.0e-05")
     assert len(parse_documents(shown[0].replace("seq:", "seq: 0"))) == 2
 
@@ -95,8 +100,7 @@ def figures(world: World, left: str, right: str) -> None:
     """Numbers differ, words do not."""
     said = [ours(world, right, "-n", "4"), stock(world, left, ends=False)]
     shapes = [
-        {re.sub(r"[0-9]+", "0", line) for line in text.splitlines() if "window: " in line}
-        for text in said
+        {re.sub(r"[0-9]+", "0", line) for line in text.splitlines() if "window: " in line} for text in said
     ]
     assert shapes[0]
     assert {re.sub("0+", "0", line)[:5] for line in shapes[0]} == {
@@ -107,8 +111,10 @@ def figures(world: World, left: str, right: str) -> None:
 def published(world: World, left: str, right: str) -> None:
     """What is published is the same message."""
     topic, kind = shlex.split(right)[3:5]
-    heard = [listened(world, topic, kind, lambda: stock(world, left)),
-             listened(world, topic, kind, lambda: ours(world, right))]  # fmt: skip
+    heard = [
+        listened(world, topic, kind, lambda: stock(world, left)),
+        listened(world, topic, kind, lambda: ours(world, right)),
+    ]
     shown = [re.sub(r"(n?secs): *[0-9]+", r"\1: 0", text) for text in heard]
     shown = [re.sub(r"seq: [0-9]+", "seq: 0", text) for text in shown]
     assert shown[0] == shown[1]
@@ -124,13 +130,22 @@ def listened(world: World, topic: str, kind: str, publish: Callable[[], Any]) ->
 
 
 WAYS: Final = {
-    ("rostopic", "list"): alike, ("rostopic", "info"): alike, ("rosnode", "list"): alike,
-    ("rostopic", "type"): same, ("rostopic", "find"): alike, ("rosnode", "info"): alike,
-    ("rostopic", "echo"): messages, ("rostopic", "hz"): figures, ("rostopic", "bw"): figures,
-    ("rostopic", "pub"): published, ("rosservice", "list"): alike,
-    ("rosservice", "type"): same, ("rosservice", "call"): same, ("rosparam", "list"): alike,
+    ("rostopic", "list"): alike,
+    ("rostopic", "info"): alike,
+    ("rosnode", "list"): alike,
+    ("rostopic", "type"): same,
+    ("rostopic", "find"): alike,
+    ("rosnode", "info"): alike,
+    ("rostopic", "echo"): messages,
+    ("rostopic", "hz"): figures,
+    ("rostopic", "bw"): figures,
+    ("rostopic", "pub"): published,
+    ("rosservice", "list"): alike,
+    ("rosservice", "type"): same,
+    ("rosservice", "call"): same,
+    ("rosparam", "list"): alike,
     ("rosparam", "get"): same,
-}  # fmt: skip
+}
 
 
 def test_there_are_rows() -> None:

@@ -33,13 +33,9 @@ LISTENERS: Final = ("/tablet", "/screen", "/phone")
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def world(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Mesh]:
     """Both sites, following each other; the robot publishes."""
-    async with mesh_of(
-        {"ada": ("robot",), "ben": ("house",)}, tmp_path_factory.mktemp("w")
-    ) as mesh:
+    async with mesh_of({"ada": ("robot",), "ben": ("house",)}, tmp_path_factory.mktemp("w")) as mesh:
         enroll(mesh)
-        await asyncio.gather(
-            *(each.begin("--admin", shortened=True) for each in mesh.places.values())
-        )
+        await asyncio.gather(*(each.begin("--admin", shortened=True) for each in mesh.places.values()))
         mesh["house"].follow(mesh["robot"], "ada")
         mesh["robot"].follow(mesh["house"], "ben")
         await mesh["robot"].crew.publish("/robot", POSE, SECRET, TEXT)
@@ -104,9 +100,7 @@ async def test_the_last_latched_message_arrives_in_spite_of_a_rate(world: Mesh) 
         await house(world).do("/tablet", "leave")
 
 
-async def test_all_of_the_house_are_one_subscriber_of_the_robot(
-    world: Mesh, gateway: GatewayProcess
-) -> None:
+async def test_all_of_the_house_are_one_subscriber_of_the_robot(world: Mesh, gateway: GatewayProcess) -> None:
     for name in LISTENERS:
         await subscribe(world, name, POSE)
     assert await links(world, "/robot", POSE) == 1
@@ -139,9 +133,7 @@ async def test_the_filters_of_the_gateways_grant_hold_for_everybody_behind_it(
     assert await links(world, "/robot", TEXT) == 1
 
 
-async def test_a_late_subscriber_is_sent_what_is_latched(
-    world: Mesh, gateway: GatewayProcess
-) -> None:
+async def test_a_late_subscriber_is_sent_what_is_latched(world: Mesh, gateway: GatewayProcess) -> None:
     robot, heard = world["robot"].crew, house(world).heard
     await robot.do("/robot/eyes", "say", MAP, "old")
     await robot.do("/robot/eyes", "say", MAP, "kitchen")
@@ -166,9 +158,7 @@ async def test_the_origin_is_left_when_nobody_listens(world: Mesh, gateway: Gate
     await subscribe(world, "/screen", POSE)
 
 
-async def test_a_gateway_that_is_killed_serves_again_by_itself(
-    world: Mesh, gateway: GatewayProcess
-) -> None:
+async def test_a_gateway_that_is_killed_serves_again_by_itself(world: Mesh, gateway: GatewayProcess) -> None:
     for number in (signal.SIGKILL, signal.SIGTERM):
         await gateway.kill(number)
         await house(world).falls_silent("/tablet", HERE + POSE)
@@ -194,17 +184,13 @@ async def test_the_origin_is_killed_and_comes_back(world: Mesh, gateway: Gateway
     await robot.crew.close()
     await robot.kill()
     await robot.start()
-    robot._crew = await CrewProcess.started(
-        robot.host.prefix, robot.environ, robot.directory / "crew.log"
-    )
+    robot._crew = await CrewProcess.started(robot.host.prefix, robot.environ, robot.directory / "crew.log")
     await robot.crew.publish("/robot", POSE, SECRET, TEXT)
     for name in LISTENERS:
         await house(world).hears(name, HERE + POSE, within=60)
 
 
-async def test_a_second_gateway_serves_when_the_first_is_gone(
-    world: Mesh, gateway: GatewayProcess
-) -> None:
+async def test_a_second_gateway_serves_when_the_first_is_gone(world: Mesh, gateway: GatewayProcess) -> None:
     rules = ("--from", "ada", POSE)
     async with gateway_of(world["house"], *rules, name="/gateway/attic") as second:
         await says(second, "/gateway serves it")
@@ -251,9 +237,7 @@ async def until_served(gateway: GatewayProcess) -> None:
             await asyncio.sleep(0.2)
 
 
-async def test_a_gateway_whose_grant_is_revoked_stops_at_once(
-    world: Mesh, gateway: GatewayProcess
-) -> None:
+async def test_a_gateway_whose_grant_is_revoked_stops_at_once(world: Mesh, gateway: GatewayProcess) -> None:
     """The list is given to the robot's master; the last message is that at the house's nodes."""
     ada, ben = world.domains["ada"], world.domains["ben"]
     key = ben.site.identity("/gateway").thumbprint

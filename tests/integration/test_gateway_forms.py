@@ -15,15 +15,7 @@ from typing import Final
 import pytest
 
 from grants.model import Right
-from tests.integration.foreignworld import (
-    LABEL,
-    TOOL,
-    Cast,
-    follow,
-    pairs,
-    running_programs,
-    world,
-)
+from tests.integration.foreignworld import LABEL, TOOL, Cast, follow, pairs, running_programs, world
 from tests.integration.sidecarworld import ROSSEC, Running, World, wait
 from tests.support.fleet import SECURE
 from tests.support.kinds import KINDS, SEEN, command
@@ -56,9 +48,7 @@ async def main():
             print(f"HEARD {LABEL}/builtin words {{message.data}}", flush=True)
 asyncio.run(main())
 """
-ROVERS: Final = {
-    "inprocess": SECURE + _ROSPY_ROVER, "builtin": _BUILTIN_ROVER, "sidecar": _ROSPY_ROVER,
-}  # fmt: skip
+ROVERS: Final = {"inprocess": SECURE + _ROSPY_ROVER, "builtin": _BUILTIN_ROVER, "sidecar": _ROSPY_ROVER}
 
 
 class Sites:
@@ -95,9 +85,14 @@ def prepare(home: World, hospital: World) -> None:
         home.enroll(f"/{kind}_rover", subscribe=f"{SERVED}/builtin/words")
         share(hospital.site, home.site, f"/{kind}_rover", Right.SUBSCRIBE, "/builtin/words")
     home.enroll(
-        "/rostopic", wildcard=True,
-        subscribe=f"{SERVED}/**", graph="/**", publish="/**", param_set="/**", provide="/**",
-    )  # fmt: skip
+        "/rostopic",
+        wildcard=True,
+        subscribe=f"{SERVED}/**",
+        graph="/**",
+        publish="/**",
+        param_set="/**",
+        provide="/**",
+    )
     home.enroll("/cpp_listener", subscribe=f"{SERVED}/sidecar/words", provide="/cpp_listener/say")
     share(hospital.site, home.site, "/master", Right.GRAPH, "/**")
     share(home.site, hospital.site, "/master", Right.GRAPH, "/master")
@@ -163,9 +158,7 @@ def test_stock_tools_list_and_receive_what_is_served(sites: Sites) -> None:
         running.wait_for("average rate: ")
 
 
-def test_a_roscpp_program_receives_what_is_served(
-    sites: Sites, request: pytest.FixtureRequest
-) -> None:
+def test_a_roscpp_program_receives_what_is_served(sites: Sites, request: pytest.FixtureRequest) -> None:
     probe = str(compiled(request.config.cache.mkdir("roscpp")))
     home = sites.cast.home
     line = probe, "listener", f"/{LABEL}/sidecar/words", "20", "__name:=cpp_listener"

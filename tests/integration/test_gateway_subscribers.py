@@ -85,13 +85,13 @@ async def goes_silent(form: Form, counting: CountingGateway) -> None:
 
 
 @forms
-async def test_a_subscriber_changes_between_gateway_and_origin(
-    begin: Begin, tmp_path: Path
-) -> None:
+async def test_a_subscriber_changes_between_gateway_and_origin(begin: Begin, tmp_path: Path) -> None:
     async with (
-        two_sites(tmp_path) as sites, gateway(sites) as counting, begin(sites, tmp_path) as form,
+        two_sites(tmp_path) as sites,
+        gateway(sites) as counting,
+        begin(sites, tmp_path) as form,
         speaker(sites).listening() as there,
-    ):  # fmt: skip
+    ):
         # The master knows of neither, so a sidecar that asks it again is told of nobody.
         await counting.node._context.call("unregisterPublisher", SERVED, counting.node.uri)
         for _ in range(2):
@@ -108,9 +108,10 @@ async def test_the_home_filters_what_its_gateway_serves(begin: Begin, tmp_path: 
     rules = filter_rules({"data": {"truncate": {"length": 3}}})
     restricted = Restriction(STRING, (), rules)
     async with (
-        two_sites(tmp_path, restriction=restricted) as sites, gateway(sites) as counting,
+        two_sites(tmp_path, restriction=restricted) as sites,
+        gateway(sites) as counting,
         begin(sites, tmp_path) as form,
-    ):  # fmt: skip
+    ):
         await sites.lead(form.uri, counting.node.uri)
         await until(lambda: len(form.heard) > 3)
         assert set(form.heard) == {"ser"}
@@ -127,14 +128,8 @@ ENDS: Final = ("the gateway's grant", "the subscriber's grant", "the gateway's k
 
 @pytest.mark.parametrize("what", ENDS)
 @forms
-async def test_what_is_served_ends_with_a_right_or_the_label(
-    begin: Begin, tmp_path: Path, what: str
-) -> None:
-    async with (
-        two_sites(tmp_path) as sites,
-        gateway(sites) as counting,
-        begin(sites, tmp_path) as form,
-    ):
+async def test_what_is_served_ends_with_a_right_or_the_label(begin: Begin, tmp_path: Path, what: str) -> None:
+    async with two_sites(tmp_path) as sites, gateway(sites) as counting, begin(sites, tmp_path) as form:
         await sites.lead(form.uri, counting.node.uri)
         await hears(form, "served ")
         if what == "the domain":
@@ -142,11 +137,15 @@ async def test_what_is_served_ends_with_a_right_or_the_label(
             call = counting.node._membership.session.call
             await call("rossec.updateDomains", newest(sites.home))
         else:
-            await revoke(sites, counting, {
-                "the gateway's grant": sites.gateway_grant,
-                "the subscriber's grant": sites.subscriber_grant,
-                "the gateway's key": sites.home.identity("/gateway").thumbprint,
-            }[what])  # fmt: skip
+            await revoke(
+                sites,
+                counting,
+                {
+                    "the gateway's grant": sites.gateway_grant,
+                    "the subscriber's grant": sites.subscriber_grant,
+                    "the gateway's key": sites.home.identity("/gateway").thumbprint,
+                }[what],
+            )
         await goes_silent(form, counting)
 
 

@@ -94,8 +94,9 @@ async def test_a_genpy_subscriber_gets_rounded_poses_without_frame(
         message.pose.position.z = value  # ties, signed zero, NaN and infinity
     sent = [serialized(message) for message in made]
     rules: dict[str, dict[str, object]] = {
-        "pose.position": {"round": {"step": 2.0}}, "header.frame_id": {"clear": True},
-    }  # fmt: skip
+        "pose.position": {"round": {"step": 2.0}},
+        "header.frame_id": {"clear": True},
+    }
     got = await received(tmp_path, "geometry_msgs/PoseStamped", rules, sent)
     assert got == [remade(data, change, PoseStamped) for data in sent]
     assert got != sent
@@ -125,9 +126,7 @@ async def test_a_genpy_subscriber_gets_rounded_scans_without_intensities(
     for message in made[2:]:
         message.ranges[: len(odd) + 1] = [*odd, payload]
     sent = [serialized(message) for message in made]
-    rules: dict[str, dict[str, object]] = {
-        "ranges": {"round": {"step": 0.1}}, "intensities": {"clear": True},
-    }  # fmt: skip
+    rules: dict[str, dict[str, object]] = {"ranges": {"round": {"step": 0.1}}, "intensities": {"clear": True}}
     got = await received(tmp_path, "sensor_msgs/LaserScan", rules, sent)
     assert got == [remade(data, change, LaserScan) for data in sent]
 

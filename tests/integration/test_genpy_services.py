@@ -10,7 +10,7 @@ import pytest
 
 from grants.model import Right
 from rossec.node import Node
-from rossec.ros import header
+from rossec.ros import tcpros
 from tests.support.site import Site
 
 pytestmark = pytest.mark.ros
@@ -84,7 +84,7 @@ async def check_the_wire(caller: Node, service_class: Any, request: Any, respons
     stream = await caller.services.dial("/service")
     try:
         async with asyncio.timeout(20):
-            await stream.send(header.encode(fields))
+            await stream.send(tcpros.encode(fields))
             await stream.receive()
             await stream.send(asked.getvalue())
             answer = await stream.receive()

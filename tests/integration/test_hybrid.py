@@ -15,15 +15,15 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.federation.config import read_config
+from rossec.federation.settings import read_config
 from rossec.master.operation.config import parse
-from rossec.overlay.doors import OpenDoors
-from rossec.overlay.mailboxes import mailbox
-from rossec.overlay.member import RelayMember
-from rossec.overlay.peers import Peer
+from rossec.overlay.documents import Peer
+from rossec.overlay.forwarded_ports import OpenDoors
+from rossec.overlay.homes import RelayFiles
+from rossec.overlay.link_frames import mailbox
+from rossec.overlay.masters import RelayMember
 from rossec.overlay.relay import Relay
-from rossec.overlay.relay_files import RelayFiles
-from rossec.ros.settings import is_door
+from rossec.ros.names import is_door
 from tests.support.masters import Master, masters
 from tests.support.relayedsites import WireNetwork, Wires
 from tests.support.site import Site
@@ -40,9 +40,11 @@ class Place:
         self.master, self.name, self.label = master, relay, label
         self.files = RelayFiles(master.site.enroll(relay))
         environ = {
-            "ROSSEC_HOME": str(master.site.root), "ROS_MASTER_URI": master.server.uri,
-            "ROSSEC_MASTER": master.name, "ROS_IP": "127.0.0.1",
-        }  # fmt: skip
+            "ROSSEC_HOME": str(master.site.root),
+            "ROS_MASTER_URI": master.server.uri,
+            "ROSSEC_MASTER": master.name,
+            "ROS_IP": "127.0.0.1",
+        }
         self.member = RelayMember(relay, environ)
         network = WireNetwork(wires, label, self.member.link_context)
         self.relay = Relay(self.member, network, OpenDoors("127.0.0.1"), self.files.peers)
@@ -77,7 +79,7 @@ class Home:
             (self.hall, f"    kitchen: {{uri: '{kitchen}', master: /master/kitchen}}\n{office}"),
             (self.kitchen, f"    hall: {{uri: '{hall}'}}\n{office}"),
             (self.office, inside),
-        ):  # fmt: skip
+        ):
             text = f"federation:\n  sites:\n{sites}"
             master.follow(*read_config(parse(text, "m.yaml").federation, "m.yaml").sites)
 
@@ -117,9 +119,10 @@ async def test_a_mesh_inside_and_relays_between(home: Home) -> None:
     await home.kitchen.register("/oven", "/heat", 4712)
     await home.office.register("/desk", "/paper", 4713)
     for master, topics in (
-        (home.hall, ("/heat", "/paper")), (home.kitchen, ("/light", "/paper")),
+        (home.hall, ("/heat", "/paper")),
+        (home.kitchen, ("/light", "/paper")),
         (home.office, ("/light", "/heat")),
-    ):  # fmt: skip
+    ):
         await until(partial(imports, master, topics))
     straight, routed, behind = "following straight", "following /relay", "following /relay/office"
     await until(lambda: ways(home.hall) == {"kitchen": straight, "office": routed})

@@ -18,7 +18,7 @@ import pytest
 from rossec.clock import now
 from rossec.home import NodeHome
 from rossec.node import Node
-from rossec.participant import identity_renewal
+from rossec.participant import renewals
 from tests.support.commands import PASSPHRASE
 from tests.support.ports import free_port
 from tests.support.serviceprocess import ServiceProcess
@@ -41,8 +41,11 @@ class Fleet:
     def start_master(self) -> None:
         self.master = subprocess.Popen(
             [sys.executable, "-I", "-m", "rossec", "master", "--json"],
-            env=self.service.environ, text=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-        )  # fmt: skip
+            env=self.service.environ,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+        )
         assert self.master.stdout is not None
         assert "ready" in json.loads(self.master.stdout.readline())
 
@@ -90,8 +93,8 @@ async def running(fleet: Fleet, name: str) -> AsyncIterator[Node]:
 async def test_a_node_is_renewed_as_soon_as_somebody_unlocks_the_key(
     fleet: Fleet, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(identity_renewal, "LONGEST_PAUSE", 1)
-    monkeypatch.setattr(identity_renewal, "FIRST_PAUSE", 1)
+    monkeypatch.setattr(renewals, "LONGEST_PAUSE", 1)
+    monkeypatch.setattr(renewals, "FIRST_PAUSE", 1)
     caplog.set_level(logging.INFO, "rossec.node")
     home = fleet.enroll("/robot", now() - AGED, LIFE)
     before = home.identity(now())

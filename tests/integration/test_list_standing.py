@@ -8,7 +8,7 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import AnswerRefused
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.node import Node
 from tests.support.attacker import credentials, dial
 from tests.support.caller import Caller

@@ -9,7 +9,7 @@ import pytest
 from grants.model import Right
 from rossec.errors import AnswerRefused, RossecError
 from rossec.net.aio import WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.node import Node
 from tests.support.contexts import unlimited
 from tests.support.masterprocess import MasterProcess, master_process
@@ -22,10 +22,7 @@ async def client_of(master: MasterProcess, name: str) -> RpcClient:
     """A control connection with the grants of `name`."""
     home = master.site.enroll(name)
     stream = await connect(
-        "127.0.0.1",
-        master.port,
-        unlimited(home.credentials(), home.anchor().verify),
-        WireProtocol.HTTP,
+        "127.0.0.1", master.port, unlimited(home.credentials(), home.anchor().verify), WireProtocol.HTTP
     )
     client = RpcClient(stream)
     await client.ask("rossec.presentGrants", name, home.grants())
@@ -69,10 +66,7 @@ async def test_nodes_recover_and_nothing_promised_is_lost(tmp_path: Path) -> Non
 
         again = await client_of(master, "/load")
         number = await again.ask("getParam", "/load", "/load/number")
-        assert number in (
-            acknowledged[-1],
-            acknowledged[-1] + 1,
-        )  # the last call may have no answer
+        assert number in (acknowledged[-1], acknowledged[-1] + 1)  # the last call may have no answer
         async with asyncio.timeout(60):
             while await again.ask("getSystemState", "/load") != state:  # noqa: ASYNC110 - asking
                 await asyncio.sleep(0.05)

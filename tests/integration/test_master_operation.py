@@ -36,9 +36,7 @@ async def master(tmp_path: Path) -> AsyncIterator[tuple[MasterProcess, socket.so
             yield found, manager
 
 
-def command(
-    master: MasterProcess, capsys: pytest.CaptureFixture[str], *words: str
-) -> tuple[int, str, str]:
+def command(master: MasterProcess, capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
     capsys.readouterr()
     code = run(words, master.environ)
     out, err = capsys.readouterr()
@@ -116,9 +114,15 @@ async def another(master: MasterProcess, *options: str) -> tuple[int | None, str
     """Another `rossec master` of the same home; its exit code and output."""
     base = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-I", "-m", "rossec", "master", *options,
-        env={**base, **master.environ}, stderr=asyncio.subprocess.PIPE,
-    )  # fmt: skip
+        sys.executable,
+        "-I",
+        "-m",
+        "rossec",
+        "master",
+        *options,
+        env={**base, **master.environ},
+        stderr=asyncio.subprocess.PIPE,
+    )
     async with asyncio.timeout(60):
         _, err = await process.communicate()
     return process.returncode, err.decode()

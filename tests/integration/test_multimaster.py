@@ -29,9 +29,13 @@ CUT: Final = 2.0  # seconds; a loaded machine is slow
 
 
 HEARD: Final = (  # where, by whom, what
-    ("kitchen", "/cook", HEAT), ("garage", "/viewer", POSE), ("garage", "/viewer", HEAT),
-    ("ward", VISITOR, ABROAD + POSE), ("ward", VISITOR, POSE), ("ward", VISITOR, LOG),
-)  # fmt: skip
+    ("kitchen", "/cook", HEAT),
+    ("garage", "/viewer", POSE),
+    ("garage", "/viewer", HEAT),
+    ("ward", VISITOR, ABROAD + POSE),
+    ("ward", VISITOR, POSE),
+    ("ward", VISITOR, LOG),
+)
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
@@ -40,9 +44,7 @@ async def world(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Mesh]
     segments = {"home": HOME, "hospital": HOSPITAL}
     async with mesh_of(segments, tmp_path_factory.mktemp("mesh")) as mesh:
         enroll(mesh)
-        await asyncio.gather(
-            *(place.begin("--admin", shortened=True) for place in mesh.places.values())
-        )
+        await asyncio.gather(*(place.begin("--admin", shortened=True) for place in mesh.places.values()))
         follow(mesh)
         await mesh["hall"].crew.publish("/robot", POSE)
         await mesh["hall"].crew.do("/robot", "provide", DOOR)

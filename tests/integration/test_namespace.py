@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from rossec.naming import shipped
-from rossec.sidecar.processes import descendants, parents
+from rossec.naming import rule_runner
+from rossec.sidecar.callers import descendants, parents
 from tests.integration.sidecarworld import ROSSEC, Running, World, wait
 from tests.rossec.namespace.launch_texts import FIGURES
 from tests.support.fleet import SECURE
@@ -67,9 +67,8 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
     world.enroll("/rostopic", wildcard=True, subscribe="/**", graph="/**")
     world.enroll("/rosparam", wildcard=True, param_set="/phone/**")
     world.enroll(
-        "/roslaunch", wildcard=True, graph="/**",
-        param_set="/run_id /roslaunch/** /rosdistro /rosversion",
-    )  # fmt: skip
+        "/roslaunch", wildcard=True, graph="/**", param_set="/run_id /roslaunch/** /rosdistro /rosversion"
+    )
     with world.master():
         yield world
 
@@ -78,7 +77,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
 def service(world: World) -> Iterator[Running]:
     """`rossec namespace serve`, and the phone's metadata as its parameter."""
     example = world.directory / "phone.xml"
-    example.write_bytes(shipped.example("phone.xml"))
+    example.write_bytes(rule_runner.shipped_example("phone.xml"))
     generated(world.directory)
     world.tool("rosparam", "set", "-t", str(example), "/phone/metadata")
     with world.started(world.hosts.near, ROSSEC, "namespace", "serve") as running:
@@ -115,9 +114,7 @@ def test_a_rospy_node_publishes_where_it_is_told(
 
 
 @pytest.mark.parametrize("form", ["sidecar", "in-process"])
-def test_a_rospy_node_is_told_why_there_is_no_name(
-    world: World, service: Running, form: str
-) -> None:
+def test_a_rospy_node_is_told_why_there_is_no_name(world: World, service: Running, form: str) -> None:
     with asking(world, form, "altimeter", "own") as running:
         running.wait_for("FAILED")
         assert "no name for the topic 'altimeter'" in running.said
@@ -135,9 +132,8 @@ def test_debian_s_roslaunch_reads_the_figure(world: World) -> None:
     out = named(world, FIGURES / "phones.launch")
     env = world.env(world.hosts.near)
     listed = subprocess.run(
-        ("roslaunch", "--nodes", str(out)),
-        env=env, check=True, capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
+        ("roslaunch", "--nodes", str(out)), env=env, check=True, capture_output=True, text=True, timeout=60
+    )
     assert listed.stdout.split() == [PHONE, f"{PHONE}2"]
     program = (
         "import roslaunch.config, roslaunch.xmlloader, sys\n"
@@ -148,8 +144,12 @@ def test_debian_s_roslaunch_reads_the_figure(world: World) -> None:
     )
     read = subprocess.run(
         ("/usr/bin/python3", "-c", program, str(out)),
-        env=env, check=True, capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
+        env=env,
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
     assert read.stdout.splitlines() == [
         f"/smartphones/schneider/ htc_desire ~accelerometer={ACCELEROMETER} {LAMP}",
         f"/smartphones/schneider/ htc_desire2 ~accelerometer={PHONE}2/sensors/accelerometer",
@@ -169,12 +169,18 @@ def test_a_node_in_the_root_namespace_is_read_by_roslaunch(world: World) -> None
     out = world.directory / "top.out.launch"
     subprocess.run(
         (ROSSEC, "namespace", "launch", str(source), "--out", str(out), "--rules", str(rules)),
-        check=True, capture_output=True, timeout=60,
-    )  # fmt: skip
+        check=True,
+        capture_output=True,
+        timeout=60,
+    )
     listed = subprocess.run(
-        ("roslaunch", "--nodes", str(out)), env=world.env(world.hosts.near), check=True,
-        capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
+        ("roslaunch", "--nodes", str(out)),
+        env=world.env(world.hosts.near),
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
     assert listed.stdout.split() == ["/top"]
 
 

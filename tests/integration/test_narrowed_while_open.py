@@ -133,9 +133,7 @@ async def test_a_narrower_rule_acts_between_two_messages(tmp_path: Path) -> None
         await stack.enter_async_context(site.running())
         env = environment(site, tmp_path)
         names = ("/ear", "/mouth", "/own_talker", "/own_listener")
-        ear, mouth, own, hearer = [
-            await stack.enter_async_context(site.node(name)) for name in names
-        ]
+        ear, mouth, own, hearer = [await stack.enter_async_context(site.node(name)) for name in names]
 
         async def start(*command: str) -> Talking:
             return await stack.enter_async_context(started(env, *command))
@@ -200,9 +198,7 @@ async def test_a_persistent_connection_outlives_the_first_right_to_call(tmp_path
             await until(lambda: client.heard.get("/own/call", [0])[0] > 0, within=LIFE)
             links = [*calls.links, *service.links]
             assert len(links) == 2
-            for name, called in (
-                ("/own_client", "/inside/call"), ("/inside_client", "/own/call"),
-            ):  # fmt: skip
+            for name, called in (("/own_client", "/inside/call"), ("/inside_client", "/own/call")):
                 site.grant(name, Right.CALL, called)
             while time.time() < ends + 2:
                 assert (await calls(data=True)).success

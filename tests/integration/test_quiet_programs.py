@@ -49,9 +49,7 @@ while not rospy.is_shutdown():
     publisher.publish("hello")
     rospy.sleep(0.1)
 """
-REFUSALS: Final = (
-    "may not", "refuse", "FATAL", "needs the right", "unable to register", "couldn't register",
-)  # fmt: skip
+REFUSALS: Final = ("may not", "refuse", "FATAL", "needs the right", "unable to register", "couldn't register")
 
 
 class Site:
@@ -73,9 +71,13 @@ class Site:
         home.done(*home.secret("policy", "apply", "--yes"))
         kept = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
         self.env = {
-            **kept, **home.variables, "ROS_HOME": str(self.root), "ROS_LOG_DIR": str(self.root),
-            "PYTHONUNBUFFERED": "1", "PYTHONWARNINGS": "ignore",
-        }  # fmt: skip
+            **kept,
+            **home.variables,
+            "ROS_HOME": str(self.root),
+            "ROS_LOG_DIR": str(self.root),
+            "PYTHONUNBUFFERED": "1",
+            "PYTHONWARNINGS": "ignore",
+        }
 
     @contextlib.contextmanager
     def started(self, *command: str) -> Iterator[Running]:
@@ -124,11 +126,7 @@ def check_quiet(*said: str) -> None:
 
 def test_programs_that_do_nothing_wrong_are_refused_nothing(home: Home) -> None:
     site = Site(home, BASICS + RULES)
-    with (
-        site.master() as master,
-        site.started(sys.executable, "-c", TALKER) as talker,
-        rviz(site) as viewer,
-    ):
+    with site.master() as master, site.started(sys.executable, "-c", TALKER) as talker, rviz(site) as viewer:
         site.wait_for_topic()
         heard = site.ends(ROSSEC, "run", "--", "rostopic", "echo", "-n", "2", "/chatter")
         assert heard == 'data: "hello"\n---\n' * 2
@@ -149,9 +147,7 @@ def rviz(site: Site) -> Iterator[Running]:
             yield running
 
 
-def test_without_basics_a_program_works_and_no_warning_says_what_it_works_without(
-    home: Home,
-) -> None:
+def test_without_basics_a_program_works_and_no_warning_says_what_it_works_without(home: Home) -> None:
     site = Site(home, BASICS.replace("basics: [tf]", "basics: false") + RULES)
     with site.master() as master, site.started(sys.executable, "-c", TALKER) as talker:
         site.wait_for_topic()

@@ -32,14 +32,22 @@ def test_the_commands_of_the_readme_work_as_printed(tmp_path: Path) -> None:
     waits = waits.replace("ca serve", f"ca serve --join-address 127.0.0.1:{free_port()}", 1)
     script.write_text(f"set -e\ntrap 'kill $(jobs -p) 2>/dev/null || true' EXIT\n{waits}")
     env = {
-        "HOME": str(tmp_path), "PATH": "/usr/bin:/bin", "PORT": str(port), "TERM": "dumb",
+        "HOME": str(tmp_path),
+        "PATH": "/usr/bin:/bin",
+        "PORT": str(port),
+        "TERM": "dumb",
         "ROS_MASTER_URI": f"http://127.0.0.1:{port}/",
-    }  # fmt: skip
+    }
     typed = [sys.executable, "-m", "tests.support.terminal", *ANSWERS, "--"]
     done = subprocess.run(
         [*typed, "/bin/bash", str(script)],
-        env=env, cwd=ROOT, text=True, capture_output=True, timeout=160, check=False,
-    )  # fmt: skip
+        env=env,
+        cwd=ROOT,
+        text=True,
+        capture_output=True,
+        timeout=160,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "Traceback" not in done.stdout + done.stderr
     assert done.stdout.count("x: 4.0") == 1

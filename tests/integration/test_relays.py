@@ -15,15 +15,7 @@ from typing import Final
 import pytest
 
 from grants.model import Right
-from tests.integration.foreignworld import (
-    LABEL,
-    Cast,
-    follow,
-    pairs,
-    prepare,
-    running_programs,
-    world,
-)
+from tests.integration.foreignworld import LABEL, Cast, follow, pairs, prepare, running_programs, world
 from tests.integration.sidecarworld import ROSSEC, Running, World, wait
 from tests.support import relayprocess
 from tests.support.kinds import KINDS, SEEN
@@ -59,10 +51,16 @@ asyncio.run(main(sys.argv[1]))
 
 
 VICTIM: Final = (
-    ROSSEC, "run", "--as", "/victim", "--", "sh", "-c",
+    ROSSEC,
+    "run",
+    "--as",
+    "/victim",
+    "--",
+    "sh",
+    "-c",
     "rosparam set /victim/speed 'speed is 7';"  # noqa: ISC004 - one script
     " exec rostopic pub -r 1 /victim/word std_msgs/String word __name:=victim",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -116,10 +114,12 @@ def prepare_victim(home: World, hospital: World) -> None:
     home.enroll("/killer", wildcard=True)
     home.enroll("/reader")
     for name, right, pattern in (
-        ("/killer", Right.GRAPH, "/**"), ("/killer", Right.ADMIN, "/victim"),
-        ("/killer", Right.CALL, "/victim/*"), ("/reader", Right.PARAM_GET, "/victim/**"),
+        ("/killer", Right.GRAPH, "/**"),
+        ("/killer", Right.ADMIN, "/victim"),
+        ("/killer", Right.CALL, "/victim/*"),
+        ("/reader", Right.PARAM_GET, "/victim/**"),
         ("/master", Right.PARAM_GET, "/victim/**"),
-    ):  # fmt: skip
+    ):
         share(hospital.site, home.site, name, right, pattern)
 
 

@@ -45,20 +45,31 @@ def test_the_howto_works_as_printed(tmp_path: Path) -> None:
     assert "sleep 15\n" in run
     assert "sleep 20\n" in over
     lines = (
-        "set -e", "trap 'kill $(jobs -p) 2>/dev/null || true' EXIT", f"cd {tmp_path}", site,
+        "set -e",
+        "trap 'kill $(jobs -p) 2>/dev/null || true' EXIT",
+        f"cd {tmp_path}",
+        site,
         run.replace("sleep 15\n", RENEWED),
         over.replace("sleep 20\n", f"{OVER}\n").replace("--offline  ", "--offline || true  "),
-    )  # fmt: skip
+    )
     (tmp_path / "howto.sh").write_text("\n".join(lines))
     env = {
-        "HOME": str(tmp_path), "PATH": f"{BIN}:/usr/bin:/bin", "PORT": str(port), "TERM": "dumb",
+        "HOME": str(tmp_path),
+        "PATH": f"{BIN}:/usr/bin:/bin",
+        "PORT": str(port),
+        "TERM": "dumb",
         "ROS_MASTER_URI": f"http://127.0.0.1:{port}/",
-    }  # fmt: skip
+    }
     typed = [sys.executable, "-m", "tests.support.terminal", SECRET, SECRET, SECRET, "--"]
     done = subprocess.run(
         [*typed, "/bin/bash", str(tmp_path / "howto.sh")],
-        env=env, cwd=ROOT, text=True, capture_output=True, timeout=110, check=False,
-    )  # fmt: skip
+        env=env,
+        cwd=ROOT,
+        text=True,
+        capture_output=True,
+        timeout=110,
+        check=False,
+    )
     said = done.stdout + done.stderr
     assert done.returncode == 0, said
     assert "Traceback" not in said

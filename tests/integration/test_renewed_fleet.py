@@ -20,11 +20,10 @@ from typing import Final
 import pytest
 
 from ca.authority import Authority
-from ca.certificates import from_pem
-from ca.intermediates import build_intermediate_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.revocation.state import SKEW
+from ca.certificates import build_intermediate_request, from_pem
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.revocation.trust_status import SKEW
 from ca.store.record import Store
 from grants.model import Right
 from rossec.authority import renewals
@@ -117,9 +116,7 @@ async def listen(subscriber: Subscriber, heard: Heard) -> None:
 
 
 @contextlib.asynccontextmanager
-async def fleet(
-    site: Site, directory: Path
-) -> AsyncIterator[tuple[Publisher, list[Talking], Heard]]:
+async def fleet(site: Site, directory: Path) -> AsyncIterator[tuple[Publisher, list[Talking], Heard]]:
     """All six: the built-in publisher, the programs, and what the built-in subscriber hears."""
     env = environment(site, directory)
     run = (str(Path(sys.executable).parent / "rossec"), "run", "--as")
@@ -149,9 +146,7 @@ async def fleet(
 
 
 async def test_renewals_lose_no_message(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("tests.support.site.renew", partial(renewals.renew, lifetime=LIFE))
     caplog.set_level(logging.INFO)

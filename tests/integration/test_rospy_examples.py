@@ -24,10 +24,15 @@ SCRIPTS: Final = Path(sys.executable).parent
 def environment(directory: Path) -> dict[str, str]:
     kept = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
     return {
-        **kept, "PATH": f"{SCRIPTS}:{os.environ['PATH']}", "ROS_IP": "127.0.0.1",
-        "ROSSEC_HOME": str(directory / "home"), "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1",
-        "ROS_HOME": str(directory), "ROS_LOG_DIR": str(directory / "logs"),
-    }  # fmt: skip
+        **kept,
+        "PATH": f"{SCRIPTS}:{os.environ['PATH']}",
+        "ROS_IP": "127.0.0.1",
+        "ROSSEC_HOME": str(directory / "home"),
+        "PYTHONPATH": str(ROOT),
+        "PYTHONUNBUFFERED": "1",
+        "ROS_HOME": str(directory),
+        "ROS_LOG_DIR": str(directory / "logs"),
+    }
 
 
 @contextmanager
@@ -42,9 +47,15 @@ def running(env: dict[str, str], *command: str | Path) -> Iterator[subprocess.Po
 
 def run(env: dict[str, str], *command: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        command, env=env, capture_output=True, text=True, timeout=90, check=False,
-        stdin=subprocess.DEVNULL, cwd=ROOT,
-    )  # fmt: skip
+        command,
+        env=env,
+        capture_output=True,
+        text=True,
+        timeout=90,
+        check=False,
+        stdin=subprocess.DEVNULL,
+        cwd=ROOT,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -52,9 +63,14 @@ def five_minutes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subproces
     """The guide's commands, run in parallel to the examples: they share nothing."""
     directory = tmp_path_factory.mktemp("guide")
     with subprocess.Popen(
-        ["bash", "-c", script(directory)], env=environment(directory), cwd=ROOT, text=True,
-        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-    ) as process:  # fmt: skip
+        ["bash", "-c", script(directory)],
+        env=environment(directory),
+        cwd=ROOT,
+        text=True,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    ) as process:
         yield process
         process.kill()
 

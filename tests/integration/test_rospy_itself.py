@@ -33,12 +33,15 @@ print("DONE", flush=True)
 async def test_a_rospy_program_reaches_itself(tmp_path: Path) -> None:
     async with Site(tmp_path / "site").running() as site:
         entitle(
-            site, "/robot",
+            site,
+            "/robot",
             {
-                Right.PUBLISH: ("/loop",), Right.SUBSCRIBE: ("/loop",),
-                Right.PROVIDE: ("/echo",), Right.CALL: ("/echo",),
+                Right.PUBLISH: ("/loop",),
+                Right.SUBSCRIBE: ("/loop",),
+                Right.PROVIDE: ("/echo",),
+                Right.CALL: ("/echo",),
             },
-        )  # fmt: skip
+        )
         async with program(environment(site, tmp_path / "logs"), ITSELF) as robot:
             await robot.read_until("DONE")
     assert "HEARD to itself" in robot.said

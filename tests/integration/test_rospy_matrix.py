@@ -18,10 +18,23 @@ pytestmark = pytest.mark.ros
 MARKER: Final = secrets.token_hex(24).encode()
 HOSTS: Final = ("127.0.0.1", "::1")
 PRIVATE: Final = (
-    SECRET.encode(), b"numbers", b"switch", b"shared", b"colour", b"/server", b"/client",
-    b"methodCall", b"methodResponse", b"registerPublisher", b"requestTopic", b"callerid",
-    b"md5sum", b"std_msgs", b"rossec_grants", b"rossec-grant",
-)  # fmt: skip
+    SECRET.encode(),
+    b"numbers",
+    b"switch",
+    b"shared",
+    b"colour",
+    b"/server",
+    b"/client",
+    b"methodCall",
+    b"methodResponse",
+    b"registerPublisher",
+    b"requestTopic",
+    b"callerid",
+    b"md5sum",
+    b"std_msgs",
+    b"rossec_grants",
+    b"rossec-grant",
+)
 
 
 @dataclass(frozen=True)

@@ -128,9 +128,7 @@ async def test_a_secured_program_reports_a_plain_peer(
     assert "WAITED timeout exceeded while waiting for service /plain/work" in said
     topic = f"[WARN] rossec: cannot call {api}: the peer is a plain HTTP server and says: "
     assert topic in without_time(said)
-    assert f"[WARN] rossec: cannot connect to 127.0.0.1 port {port}: {is_plain}" in without_time(
-        said
-    )
+    assert f"[WARN] rossec: cannot connect to 127.0.0.1 port {port}: {is_plain}" in without_time(said)
     assert "(hint: the peer is a plain ROS node: give it an identity" in said
     assert "HEARD" not in said
     assert said.count("cannot connect to") == 1, "once, not for each try"

@@ -74,8 +74,10 @@ async def test_a_caller_sends_and_gets_what_its_grant_allows(tmp_path: Path) -> 
             while lamp.said.count("SWITCHED") < 4 + 6:
                 await lamp.read_until("SWITCHED")
     assert [line.split()[:3] for line in off] == 2 * [
-        ["ANSWER", "False", "True"], ["FAILED", "True", "service"], ["ANSWER", "False", "True"],
-    ]  # fmt: skip
+        ["ANSWER", "False", "True"],
+        ["FAILED", "True", "service"],
+        ["ANSWER", "False", "True"],
+    ]
     assert "the grant for /lamp/switch does not allow this request, or not now" in off[1]
     assert [line.split()[3] for line in dull] == 6 * ["''"]
     assert lamp.said.count("SWITCHED True") == 2, "what is refused does not reach the program"
@@ -89,6 +91,8 @@ async def test_a_caller_enforces_the_grant_of_its_provider(tmp_path: Path) -> No
             await lamp.read_until("READY")
             boss = await answers(site, tmp_path, "boss")
     assert [line.split()[:2] for line in boss] == 2 * [
-        ["ANSWER", "False"], ["FAILED", "True"], ["ANSWER", "False"],
-    ]  # fmt: skip
+        ["ANSWER", "False"],
+        ["FAILED", "True"],
+        ["ANSWER", "False"],
+    ]
     assert "rossec: the grant for /lamp/switch does not allow this request" in boss[1]

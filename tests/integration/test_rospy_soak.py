@@ -14,7 +14,7 @@ from typing import Final
 
 import pytest
 
-from ca.revocation.state import SKEW
+from ca.revocation.trust_status import SKEW
 from grants.model import Right
 from tests.support.attacker import call, credentials
 from tests.support.fleet import SECURE, Program, environment, program
@@ -26,12 +26,12 @@ TOPIC: Final = "/day/count"
 SECONDS: Final = 15.0
 LIFETIME: Final = 7
 FAST: Final = """
-from rossec.inprocess import connector
+from rossec.inprocess import identity
 from rossec.channel.records import ChannelLimits
-limits = dict.fromkeys(connector.WireProtocol, ChannelLimits(records=64, seconds=1))
-connector.ACCEPTED = connector.DIALLED = limits
-import rossec.participant.grant_renewal
-rossec.participant.grant_renewal.RETRY = 1
+limits = dict.fromkeys(identity.WireProtocol, ChannelLimits(records=64, seconds=1))
+identity.ACCEPTED = identity.DIALLED = limits
+import rossec.participant.renewals
+rossec.participant.renewals.RETRY = 1
 """
 TALKER: Final = (
     SECURE
@@ -105,10 +105,7 @@ async def test_a_day_passes_without_unreported_losses(tmp_path: Path) -> None:
         site.publish("/talker", TOPIC)
         site.grant("/listener", Right.SUBSCRIBE, TOPIC, lifetime=LIFETIME, cap=DAY)
         env = environment(site, tmp_path / "logs")
-        async with (
-            program(env, TALKER, told=True) as talker,
-            program(env, LISTENER, told=True) as listener,
-        ):
+        async with program(env, TALKER, told=True) as talker, program(env, LISTENER, told=True) as listener:
             await talker.read_until("READY")
             await listener.read_until("READY")
             begin, step = time.monotonic(), 0

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.overlay.endpoint import LinkListener, dial_link
-from rossec.overlay.link_transport import stats_of
+from rossec.overlay.endpoint import LinkListener, dial_link, stats_of
 from tests.support.contexts import context
 from tests.support.overlay import carrier, until
 from tests.support.routerprocess import RouterProcess, home_with

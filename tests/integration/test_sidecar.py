@@ -48,9 +48,7 @@ def talker(world: World, probe: str) -> Iterator[Running]:
         yield running
 
 
-def test_a_roscpp_listener_receives_a_roscpp_talker(
-    world: World, talker: Running, probe: str
-) -> None:
+def test_a_roscpp_listener_receives_a_roscpp_talker(world: World, talker: Running, probe: str) -> None:
     done = world.run(world.hosts.far, probe, "listener", "/chatter", "5")
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("HEARD hello") == 5
@@ -82,9 +80,7 @@ def test_rosnode_works(world: World, talker: Running) -> None:
     assert "/chatter [std_msgs/String]" in about
 
 
-def test_an_anonymous_node_provides_the_services_of_its_own_name(
-    world: World, talker: Running
-) -> None:
+def test_an_anonymous_node_provides_the_services_of_its_own_name(world: World, talker: Running) -> None:
     """Its grant says `/rostopic~/get_loggers`: the name is known when it starts."""
     with world.secured(world.hosts.far, "rostopic", "echo", "/chatter") as echo:
         echo.wait_for("data:")
@@ -188,9 +184,11 @@ def test_rosout_and_roslaunch_work_with_four_nodes(world: World, probe: str) -> 
     """Each node of the launch file uses its own identity; /rosout receives from all of them."""
     world.enroll("/rosout", subscribe="/rosout", publish="/rosout_agg")
     world.enroll(
-        "/roslaunch", wildcard=True, graph="/**",
+        "/roslaunch",
+        wildcard=True,
+        graph="/**",
         param_set="/run_id /roslaunch/** /rosdistro /rosversion /one/** /two/** /three/**",
-    )  # fmt: skip
+    )
     world.enroll("/one", publish="/a", provide="/one/say")
     world.enroll("/two", publish="/b", provide="/two/say")
     world.enroll("/four", publish="/d", subscribe="/d", provide="/four/say")
@@ -234,8 +232,17 @@ def test_only_ciphertext_crosses_the_link(world: World, talker: Running, probe: 
     recording = asyncio.run(capture())
     assert recording.dropped == 0
     assert sum(map(len, recording.flows.values())) > 5000
-    for secret in (b"chatter", b"hello", b"talker", b"listener", b"std_msgs", b"methodCall",
-                   b"callerid", b"rossec_grants", b"registerSubscriber"):  # fmt: skip
+    for secret in (
+        b"chatter",
+        b"hello",
+        b"talker",
+        b"listener",
+        b"std_msgs",
+        b"methodCall",
+        b"callerid",
+        b"rossec_grants",
+        b"registerSubscriber",
+    ):
         assert not recording.holds(secret), secret
     openings = tuple(map(first_bytes, WireProtocol))
     callers = {flow for flow, data in recording.flows.items() if data.startswith(openings)}

@@ -11,9 +11,9 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Final
 
-from rossec.net.aio.dial import dial
-from rossec.ros import header
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.net.aio.client import dial
+from rossec.ros import tcpros
+from rossec.sidecar.loopback_port import PlainStream
 from rossec.sidecar.pump import split_header
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.site import Site
@@ -38,9 +38,7 @@ def resident() -> float:
     return int(line.split()[1]) / 1024
 
 
-async def cycles(
-    count: int, once: Callable[[], Awaitable[None]], after: Callable[[], None]
-) -> None:
+async def cycles(count: int, once: Callable[[], Awaitable[None]], after: Callable[[], None]) -> None:
     for _ in range(count // _AT_ONCE):
         async with asyncio.TaskGroup() as group:
             for _ in range(_AT_ONCE):
@@ -52,9 +50,7 @@ async def as_task(once: Callable[[], Awaitable[None]]) -> None:
     await once()
 
 
-async def stays_flat(
-    count: int, once: Callable[[], Awaitable[None]], after: Callable[[], None]
-) -> None:
+async def stays_flat(count: int, once: Callable[[], Awaitable[None]], after: Callable[[], None]) -> None:
     await cycles(count // 10, once, after)
     open_before, before = descriptors(), resident()
     await cycles(count - count // 10, once, after)
@@ -82,7 +78,7 @@ async def test_ended_programs_leave_nothing_in_the_sidecar(tmp_path: Path) -> No
 
         async def secured() -> None:
             stream = PlainStream(await dial("127.0.0.1", port, 10))
-            await stream.send(header.encode(ASKED))
+            await stream.send(tcpros.encode(ASKED))
             fields, _ = await split_header(stream)
             assert "error" not in fields
             stream.abort()

@@ -61,25 +61,14 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
 
 @pytest.fixture(scope="module")
 def talker(world: World) -> Iterator[Running]:
-    words = (
-        "rostopic",
-        "pub",
-        "-r",
-        "10",
-        "/chatter",
-        "std_msgs/String",
-        "hello",
-        "__name:=talker",
-    )
+    words = ("rostopic", "pub", "-r", "10", "/chatter", "std_msgs/String", "hello", "__name:=talker")
     with world.secured(world.hosts.near, *words, options=("--as", "/talker")) as running:
         yield running
 
 
 def test_the_hosts_have_no_ipv4(world: World) -> None:
     for host in (world.hosts.near, world.hosts.far):
-        said = subprocess.run(
-            host.at("ip", "-4", "-o", "addr"), check=True, capture_output=True, text=True
-        )
+        said = subprocess.run(host.at("ip", "-4", "-o", "addr"), check=True, capture_output=True, text=True)
         assert said.stdout == ""
 
 

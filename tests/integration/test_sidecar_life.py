@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import pytest
 
 from grants.model import Restriction, Right, filter_rules
-from rossec.authority import intermediate_home
+from rossec.authority import renewals
 from rossec.authority.renewals import sign_intermediate
 from tests.integration.sidecarworld import Running, World, wait
 from tests.support.hosts import two_hosts
@@ -45,9 +45,9 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
 def renewing(site: Site) -> None:
     """Configure the master of `site` to renew, once it is started."""
     site.delegate()
-    request = intermediate_home.begin(site.root, site.anchor.domain, SECRET).read_bytes()
+    request = renewals.begin(site.root, site.anchor.domain, SECRET).read_bytes()
     _, bundle = sign_intermediate(site.authority, request, site.now(), may_enroll=False)
-    intermediate_home.install(site.root, bundle, SECRET, site.now())
+    renewals.install(site.root, bundle, SECRET, site.now())
 
 
 @pytest.fixture(scope="module")
@@ -95,8 +95,7 @@ def test_programs_share_an_identity(world: World, aging: object, probe: str) -> 
     """One sidecar, one certified name with a suffix for each; they connect directly."""
     world.enroll("/fleet", wildcard=True, publish="/fleet", subscribe="/fleet", provide="/*/say")
     both = (
-        f"{probe} talker /fleet __name:=fleet_1 & {probe} listener /fleet 5 __name:=fleet_2;"
-        " echo DONE; wait"
+        f"{probe} talker /fleet __name:=fleet_1 & {probe} listener /fleet 5 __name:=fleet_2; echo DONE; wait"
     )
     with world.secured(world.hosts.near, "sh", "-c", both, options=("--as", "/fleet")) as fleet:
         fleet.wait_for("DONE")

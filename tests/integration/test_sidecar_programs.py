@@ -59,17 +59,17 @@ def talker(world: World, programs: Path) -> Iterator[Running]:
         yield running
 
 
-def test_nodelets_are_loaded_from_another_host(
-    world: World, talker: Running, programs: Path
-) -> None:
+def test_nodelets_are_loaded_from_another_host(world: World, talker: Running, programs: Path) -> None:
     """Two in one manager connect inside it; all other connections go through sidecars."""
     bond = "/manager/bond"
     for name in ("/first", "/second"):
         world.enroll(name, publish=bond, subscribe=bond, call="/manager/*")
     world.enroll(
-        "/manager", publish=f"{bond} /first/out /second/out", provide="/manager/*",
+        "/manager",
+        publish=f"{bond} /first/out /second/out",
+        provide="/manager/*",
         subscribe=f"{bond} /chatter /first/out",
-    )  # fmt: skip
+    )
     package = nodelet(programs, world.directory / "packages" / "shout")
     path = f"ROS_PACKAGE_PATH={package.parent}:/usr/share"
     near, far = world.hosts.near, world.hosts.far
@@ -105,10 +105,12 @@ def test_rviz_draws_what_another_host_publishes(world: World) -> None:
     world.enroll("/painter", publish="/markers")
     world.enroll("/mount", publish="/tf /tf_static")
     world.enroll(
-        "/rviz", wildcard=True, subscribe="/tf /tf_static /markers /markers_array",
-        publish="/goal", provide="/*/load_config /*/load_config_discarding_changes"
-        " /*/reload_shaders /*/save_config",
-    )  # fmt: skip
+        "/rviz",
+        wildcard=True,
+        subscribe="/tf /tf_static /markers /markers_array",
+        publish="/goal",
+        provide="/*/load_config /*/load_config_discarding_changes /*/reload_shaders /*/save_config",
+    )
     near, far = world.hosts.near, world.hosts.far
     config = world.directory / "test.rviz"
     config.write_text(RVIZ)
@@ -142,7 +144,12 @@ def test_the_calls_of_rqt_are_answered(world: World, talker: Running, programs: 
         lines = world.tool(*python, rospyuse.RQT, options=("--as", rqt)).splitlines()
         assert lines.pop(7).startswith("ROSOUT /")
         assert lines == [
-            "GRAPH /talker /chatter /listener set()", "NODES True True",
-            "TOPIC std_msgs/String /chatter hello", "HZ True", "SERVICE True SetLoggerLevel",
-            "PROVIDER /talker", "RECONFIGURE ['/drive']", "PARAMETERS []",
-        ]  # fmt: skip
+            "GRAPH /talker /chatter /listener set()",
+            "NODES True True",
+            "TOPIC std_msgs/String /chatter hello",
+            "HZ True",
+            "SERVICE True SetLoggerLevel",
+            "PROVIDER /talker",
+            "RECONFIGURE ['/drive']",
+            "PARAMETERS []",
+        ]

@@ -27,13 +27,13 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
     world.enroll("/basics", publish="/basics/*", provide="/basics/*", param_set="/basics/*")
     world.enroll("/asker", subscribe="/basics/*", call="/basics/*", param_set="/asker/*")
     world.enroll(
-        "/worker", subscribe="/chore/goal /chore/cancel",
+        "/worker",
+        subscribe="/chore/goal /chore/cancel",
         publish="/chore/status /chore/feedback /chore/result",
-    )  # fmt: skip
+    )
     world.enroll(
-        "/boss", publish="/chore/goal /chore/cancel",
-        subscribe="/chore/status /chore/feedback /chore/result",
-    )  # fmt: skip
+        "/boss", publish="/chore/goal /chore/cancel", subscribe="/chore/status /chore/feedback /chore/result"
+    )
     world.enroll("/mount", publish="/tf /tf_static")
     own = "/looker/tf2_frames"  # of tf2's buffer, which looks it up first
     world.enroll("/looker", subscribe="/tf /tf_static", provide=own, call=own)
@@ -64,9 +64,13 @@ def test_rospy_messages_services_and_parameters_work(world: World) -> None:
         for lines in said(world, rospyuse.BASICS_CLIENT):
             assert lines[0].startswith("HEARD word ")
             assert lines[1:] == [
-                "ANSWERED /basics", "KEPT [True, False]", "COLOUR [1, 2.5, True]",
-                "OWN 7 False /asker/mine", "DELETED gone", "IN ORDER True",
-            ]  # fmt: skip
+                "ANSWERED /basics",
+                "KEPT [True, False]",
+                "COLOUR [1, 2.5, True]",
+                "OWN 7 False /asker/mine",
+                "DELETED gone",
+                "IN ORDER True",
+            ]
 
 
 def test_an_action_reaches_its_goal_or_is_cancelled(world: World) -> None:
@@ -74,9 +78,12 @@ def test_an_action_reaches_its_goal_or_is_cancelled(world: World) -> None:
     with serving(world, rospyuse.ACTION_SERVER):
         for lines in said(world, rospyuse.ACTION_CLIENT):
             assert [line for line in lines if "we're not tracking" not in line] == [
-                "SERVER True", "FINISHED True", "RESULT 42  [0, 1, 2]",
-                "FINISHED True", "CANCELLED True",
-            ]  # fmt: skip
+                "SERVER True",
+                "FINISHED True",
+                "RESULT 42  [0, 1, 2]",
+                "FINISHED True",
+                "CANCELLED True",
+            ]
 
 
 def test_static_transforms_are_latched(world: World) -> None:

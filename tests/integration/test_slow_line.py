@@ -12,16 +12,7 @@ from typing import Final
 
 import pytest
 
-from tests.integration.foreignworld import (
-    LABEL,
-    PAIRS,
-    Cast,
-    follow,
-    pairs,
-    prepare,
-    running_programs,
-    world,
-)
+from tests.integration.foreignworld import LABEL, PAIRS, Cast, follow, pairs, prepare, running_programs, world
 from tests.integration.sidecarworld import wait
 from tests.support import relayprocess
 from tests.support.wan import Wan, wan_of
@@ -52,11 +43,13 @@ class Line:
     def goes_on(self) -> None:
         """Every listener hears every speaker, and calls it in either way."""
         before = [self.counts(*pair) for pair in PAIRS]
-        wait(lambda: all(
-            heard > first + 20 and called > second and kept > third
-            for pair, (first, second, third) in zip(PAIRS, before, strict=True)
-            for heard, called, kept in [self.counts(*pair)]
-        ))  # fmt: skip
+        wait(
+            lambda: all(
+                heard > first + 20 and called > second and kept > third
+                for pair, (first, second, third) in zip(PAIRS, before, strict=True)
+                for heard, called, kept in [self.counts(*pair)]
+            )
+        )
 
     def counts(self, source: str, sink: str) -> tuple[int, int, int]:
         """Messages heard, and calls over connections for each and over kept ones."""

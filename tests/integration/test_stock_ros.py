@@ -20,9 +20,9 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from rossec.channel.opening import REFUSAL, WireProtocol, first_bytes, http_refusal, tcpros_refusal
-from rossec.net.halfopen import HalfOpen
-from rossec.ros import header
-from rossec.ros.settings import parse_uri
+from rossec.net.limits import HalfOpen
+from rossec.ros import tcpros
+from rossec.ros.names import parse_uri
 from tests.support import stock
 from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, Witness, undisturbed, until
@@ -93,9 +93,7 @@ async def test_a_stock_subscriber_logs_why_it_is_refused(witness: Witness, tmp_p
 
 @pytest.mark.ros
 @pytest.mark.parametrize(
-    "command",
-    [("rostopic", "list"), ("rostopic", "echo", TOPIC), ("rosnode", "list")],
-    ids=" ".join,
+    "command", [("rostopic", "list"), ("rostopic", "echo", TOPIC), ("rosnode", "list")], ids=" ".join
 )
 async def test_the_stock_tools_print_why_they_are_refused(
     site: Site, witness: Witness, tmp_path: Path, command: tuple[str, ...]
@@ -108,9 +106,7 @@ async def test_the_stock_tools_print_why_they_are_refused(
 
 
 @pytest.mark.ros
-async def test_a_stock_node_logs_why_it_cannot_register(
-    site: Site, witness: Witness, tmp_path: Path
-) -> None:
+async def test_a_stock_node_logs_why_it_cannot_register(site: Site, witness: Witness, tmp_path: Path) -> None:
     assert site.master is not None
     env = stock.environment(site.master.uri, tmp_path)
     _, said = await stock.run(env, *stock.python(stock.NODE))
@@ -133,9 +129,7 @@ async def test_plain_http_gets_only_the_refusal(site: Site, witness: Witness, in
         assert (status, data) == (200, http_refusal(REFUSAL).partition(b"\r\n\r\n")[2])
         assert xmlrpc.client.loads(data) == (([-1, REFUSAL, 0],), None)
     for method in ("GET", "HEAD", "PUT", "OPTIONS"):
-        raw = await asyncio.to_thread(
-            exchange, port, f"{method} / HTTP/1.1\r\nHost: x\r\n\r\n".encode()
-        )
+        raw = await asyncio.to_thread(exchange, port, f"{method} / HTTP/1.1\r\nHost: x\r\n\r\n".encode())
         assert raw == http_refusal(REFUSAL)
 
 
@@ -179,9 +173,7 @@ def noise(seed: int, length: int) -> bytes:
 
 TCPROS_OPENING: Final = first_bytes(WireProtocol.TCPROS)
 HTTP_OPENING: Final = first_bytes(WireProtocol.HTTP)
-PLAIN_HEADER: Final = header.encode(
-    {"callerid": "/viewer", "topic": TOPIC, "md5sum": "*", "type": "*"}
-)
+PLAIN_HEADER: Final = tcpros.encode({"callerid": "/viewer", "topic": TOPIC, "md5sum": "*", "type": "*"})
 GARBAGE: Final[dict[str, bytes]] = {
     **{f"noise {seed}": noise(seed, 40 << seed) for seed in range(8)},
     "nothing": b"",
@@ -195,7 +187,7 @@ GARBAGE: Final[dict[str, bytes]] = {
     "HTTP with a huge body": b"POST / HTTP/1.1\r\nContent-Length: 999999999999\r\n\r\n",
     "HTTP with chunks": b"POST / HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\nffffffff\r\n",
     "a plain header": PLAIN_HEADER,
-    "a probe": header.encode({"probe": "1", "service": "/x", "md5sum": "*", "callerid": "/x"}),
+    "a probe": tcpros.encode({"probe": "1", "service": "/x", "md5sum": "*", "callerid": "/x"}),
     "an opening alone": TCPROS_OPENING,
     "an opening and noise": TCPROS_OPENING + noise(9, 3000),
     "an opening and a plain header": TCPROS_OPENING + PLAIN_HEADER,

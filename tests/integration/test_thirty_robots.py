@@ -48,9 +48,18 @@ def script(tmp_path: Path) -> str:
     site = BACKGROUND.sub(lambda found: f"{found[0]}\n{waits[found[1]]}", block("site"))
     site = site.replace("rossec ca serve", serve, 1)
     return "\n".join(
-        ("set -e", "trap 'kill $(jobs -p) 2>/dev/null || true' EXIT", f"cd {tmp_path}",
-         site, block("robots"), block("run"), FLOWS, block("change"), AFTER)
-    )  # fmt: skip
+        (
+            "set -e",
+            "trap 'kill $(jobs -p) 2>/dev/null || true' EXIT",
+            f"cd {tmp_path}",
+            site,
+            block("robots"),
+            block("run"),
+            FLOWS,
+            block("change"),
+            AFTER,
+        )
+    )
 
 
 POSES: Final = ("r01", "r02")
@@ -105,14 +114,22 @@ def test_the_howto_works_as_printed(tmp_path: Path, script: str) -> None:
     (tmp_path / "howto.sh").write_text(script)
     (tmp_path / "station.py").write_text(STATION)
     env = {
-        "HOME": str(tmp_path), "PATH": f"{BIN}:/usr/bin:/bin", "PORT": str(port), "TERM": "dumb",
+        "HOME": str(tmp_path),
+        "PATH": f"{BIN}:/usr/bin:/bin",
+        "PORT": str(port),
+        "TERM": "dumb",
         "ROS_MASTER_URI": f"http://127.0.0.1:{port}/",
-    }  # fmt: skip
+    }
     typed = [sys.executable, "-m", "tests.support.terminal", SECRET, SECRET, SECRET, "--"]
     done = subprocess.run(
         [*typed, "/bin/bash", str(tmp_path / "howto.sh")],
-        env=env, cwd=ROOT, text=True, capture_output=True, timeout=110, check=False,
-    )  # fmt: skip
+        env=env,
+        cwd=ROOT,
+        text=True,
+        capture_output=True,
+        timeout=110,
+        check=False,
+    )
     said = done.stdout + done.stderr
     assert done.returncode == 0, said
     assert "Traceback" not in said

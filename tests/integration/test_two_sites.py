@@ -40,10 +40,19 @@ cmp complaints before
 """
 PLAIN: Final = (b"/robot/pose", b"/tablet", b"PoseStamped", b"front door")
 NAMES: Final = (
-    *PLAIN, b"/robot/camera", b"/cottage", b"/kitchen", b"/relay",
-    b"/master", b"PoseStamped", b"std_msgs", b"home-of-ada", b"home-of-ben",
-    b"front door", b"still warm",
-)  # fmt: skip
+    *PLAIN,
+    b"/robot/camera",
+    b"/cottage",
+    b"/kitchen",
+    b"/relay",
+    b"/master",
+    b"PoseStamped",
+    b"std_msgs",
+    b"home-of-ada",
+    b"home-of-ben",
+    b"front door",
+    b"still warm",
+)
 
 
 @pytest.fixture
@@ -63,9 +72,7 @@ def shells(wan: Wan, short_path: Path) -> Iterator[dict[str, TypedShell]]:
 
 
 @pytest.mark.timeout(400)
-async def test_two_sites_work_as_printed(
-    wan: Wan, shells: dict[str, TypedShell], tmp_path: Path
-) -> None:
+async def test_two_sites_work_as_printed(wan: Wan, shells: dict[str, TypedShell], tmp_path: Path) -> None:
     """Then a home's line is cut, and the router in use is killed: no connection of a node ends."""
     async with wan.recorded(tmp_path / "capture") as found:
         for block in blocks_of(PAGE):

@@ -93,7 +93,7 @@ _WISHING: Final = """
 import asyncio, sys, time
 from rossec.channel.connection import Connection
 from rossec.node import Node, subscriber
-from rossec.participant.wishes import taken_wishes
+from rossec.participant.delivery import taken_wishes
 followed = subscriber.wished_messages
 def tell(asked, answer, limit):
     said = asked and taken_wishes(answer, asked)
@@ -128,8 +128,10 @@ async def main(kinds, rate):
 asyncio.run(main(sys.argv[2].split(), float(sys.argv[3])))
 """
 SPEAKERS: Final[Mapping[str, str]] = {
-    "inprocess": SECURE + _ROSPY_SPEAKER, "builtin": _BUILTIN_SPEAKER, "sidecar": _ROSPY_SPEAKER,
-}  # fmt: skip
+    "inprocess": SECURE + _ROSPY_SPEAKER,
+    "builtin": _BUILTIN_SPEAKER,
+    "sidecar": _ROSPY_SPEAKER,
+}
 LISTENERS: Final = {"inprocess": SECURE + _ROSPY_LISTENER, "sidecar": _ROSPY_LISTENER}
 
 
@@ -142,12 +144,9 @@ class Cast:
 
     def heard(self, kind: str, about: str) -> list[tuple[int, int, float]]:
         """Number, length and time of arrival of the messages heard so far."""
-        said = re.findall(
-            rf"^HEARD {kind} {about} (\w+) (\d+) ([\d.]+)\n", self.wishing.said, re.MULTILINE
-        )
+        said = re.findall(rf"^HEARD {kind} {about} (\w+) (\d+) ([\d.]+)\n", self.wishing.said, re.MULTILINE)
         return [
-            (int(number) if number.isdecimal() else -1, int(length), float(at))
-            for number, length, at in said
+            (int(number) if number.isdecimal() else -1, int(length), float(at)) for number, length, at in said
         ]
 
 
@@ -226,9 +225,7 @@ def test_the_rate_is_kept(cast: Cast, kind: str) -> None:
 @each_kind
 def test_deflated_messages_are_whole(cast: Cast, kind: str) -> None:
     wait(lambda: len(cast.heard(kind, "deflated")) >= 3)
-    assert {length for _, length, _ in cast.heard(kind, "deflated")} == {
-        len("over and over " * 2000)
-    }
+    assert {length for _, length, _ in cast.heard(kind, "deflated")} == {len("over and over " * 2000)}
 
 
 @each_kind

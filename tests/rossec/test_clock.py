@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import rossec
-from ca.revocation.state import SKEW
+from ca.revocation.trust_status import SKEW
 from rossec import clock
 from rossec.clock import DRIFT, Clock, Setbacks, counter
 
@@ -115,9 +115,7 @@ def test_another_clock_does_not_set_one_that_was_not_set_back(host: Host) -> Non
         assert host.clock.time() == BEGIN
 
 
-def test_each_part_of_a_process_sees_a_setback_once(
-    host: Host, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_part_of_a_process_sees_a_setback_once(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock, "HOST", host.clock)
     one, other = Setbacks(), Setbacks()
     assert not one.any_new()
@@ -147,8 +145,7 @@ def test_no_other_module_reads_the_hosts_clock() -> None:
 
 
 @pytest.mark.parametrize(
-    ("seconds", "shown"),
-    [(0, "0s"), (59, "59s"), (900, "15m"), (899, "14m 59s"), (7 * 86400 + 61, "7d 1m")],
+    ("seconds", "shown"), [(0, "0s"), (59, "59s"), (900, "15m"), (899, "14m 59s"), (7 * 86400 + 61, "7d 1m")]
 )
 def test_durations_are_formatted_in_two_units(seconds: int, shown: str) -> None:
     assert clock.format_duration(seconds) == shown

@@ -45,13 +45,14 @@ def test_a_home_that_others_can_write_in_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("variables", "name"),
-    [({}, "/master"), ({"ROSSEC_MASTER": ""}, "/master"),
-     ({"ROSSEC_MASTER": "/master"}, "/master"),
-     ({"ROSSEC_MASTER": "/master/kitchen"}, "/master/kitchen")],
-)  # fmt: skip
-def test_the_own_master_is_called_as_the_environment_says(
-    variables: dict[str, str], name: str
-) -> None:
+    [
+        ({}, "/master"),
+        ({"ROSSEC_MASTER": ""}, "/master"),
+        ({"ROSSEC_MASTER": "/master"}, "/master"),
+        ({"ROSSEC_MASTER": "/master/kitchen"}, "/master/kitchen"),
+    ],
+)
+def test_the_own_master_is_called_as_the_environment_says(variables: dict[str, str], name: str) -> None:
     assert own_master(variables) == name
 
 
@@ -80,8 +81,7 @@ def test_what_is_not_the_name_of_a_relay(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("variables", "name"),
-    [({}, "/gateway"), ({"ROSSEC_GATEWAY": "/gateway/attic"}, "/gateway/attic")],
+    ("variables", "name"), [({}, "/gateway"), ({"ROSSEC_GATEWAY": "/gateway/attic"}, "/gateway/attic")]
 )
 def test_the_gateway_of_this_host_is_called_as_the_environment_says(
     variables: dict[str, str], name: str

@@ -4,9 +4,7 @@ from ca.errors import HintedError
 from rossec import errors
 
 
-@pytest.mark.parametrize(
-    "name", [name for name, found in vars(errors).items() if isinstance(found, type)]
-)
+@pytest.mark.parametrize("name", [name for name, found in vars(errors).items() if isinstance(found, type)])
 def test_every_error_can_be_shown_with_its_hint(name: str) -> None:
     assert issubclass(getattr(errors, name), HintedError)
 

@@ -81,9 +81,7 @@ def test_replacing_leaves_nothing_beside(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [tmp_path / "list"]
 
 
-def test_a_failed_write_leaves_the_old_content(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_write_leaves_the_old_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files.replace(tmp_path / "list", b"old")
 
     def full(_: int) -> None:
@@ -209,12 +207,14 @@ def test_a_file_system_that_cannot_exchange_is_named(
 def test_what_an_owner_declares_is_about_whole_paths() -> None:
     owned = files.Owned(r"[a-z]\.key|b")
     assert [owned.names(path) for path in ("a.key", "b", "a.keys", "x/b", "")] == [
-        True, True, False, False, False,
-    ]  # fmt: skip
+        True,
+        True,
+        False,
+        False,
+        False,
+    ]
     below = owned.below("x.y")
-    assert [below.names(path) for path in ("x.y/a.key", "x.y/b", "xzy/b", "b")] == [
-        True, True, False, False,
-    ]  # fmt: skip
+    assert [below.names(path) for path in ("x.y/a.key", "x.y/b", "xzy/b", "b")] == [True, True, False, False]
 
 
 def test_a_directory_takes_the_place_of_another_that_is_kept_aside(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from grants.errors import FilterRefused
 from rossec.errors import ConfigurationError
-from rossec.filter_keys import filter_key
+from rossec.home import filter_key
 
 
 def test_a_filter_key_is_made_once_for_its_owner_alone(tmp_path: Path) -> None:

@@ -16,9 +16,7 @@ FULL = ("the disk is full, nothing was changed", "no space left on device")
 
 def mounting() -> list[str]:
     """How to get a namespace in which one may mount; root needs no other user's."""
-    return (
-        ["unshare", "--mount"] if os.geteuid() == 0 else ["unshare", "--map-root-user", "--mount"]
-    )
+    return ["unshare", "--mount"] if os.geteuid() == 0 else ["unshare", "--map-root-user", "--mount"]
 
 
 @pytest.mark.skipif(

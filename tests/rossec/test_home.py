@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.certificates import check_request, to_pem
+from ca.certificates import to_pem
 from ca.errors import (
     CertificateExpired,
     CertificateRefused,
@@ -13,7 +13,9 @@ from ca.errors import (
     NameRefused,
     RequestRefused,
 )
-from ca.keys import key_files
+from ca.keys import private_keys
+from ca.keys.signing import thumbprint
+from ca.svid import check_request
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from tests.support.pki import DAY, NOW, Site
@@ -55,8 +57,8 @@ def test_a_request_and_its_key(tmp_path: Path) -> None:
     home = NodeHome.of(tmp_path / "new", NAME)
     request = home.create_request("home")
     assert check_request(home.request(), "home") == request
-    key = key_files.load_private(home.path / "node.key")
-    assert request.thumbprint == key_files.thumbprint(key.public_key())
+    key = private_keys.load_private(home.path / "node.key")
+    assert request.thumbprint == thumbprint(key.public_key())
     assert stat.S_IMODE(home.path.stat().st_mode) == 0o700
     assert stat.S_IMODE((home.path / "node.key").stat().st_mode) == 0o600
 
@@ -207,10 +209,17 @@ def test_an_anonymous_node_finds_its_identity(tmp_path: Path) -> None:
         enrolled_as(tmp_path, name, wildcard=True)
     enrolled_as(tmp_path, "/rviz_9", wildcard=False)
     found = {
-        "/rviz": "/rviz", "/rviz_1": "/rviz", "/rviz_1_2": "/rviz", "/rviz_": "/rviz_",
-        "/rviz_tall_1": "/rviz_tall", "/rviz_9": "/rviz_9", "/rviz_9_1": "/rviz",
-        "/robot/rviz_1": "/robot/rviz_1", "/rvizx": "/rvizx", "/r": "/r",
-    }  # fmt: skip
+        "/rviz": "/rviz",
+        "/rviz_1": "/rviz",
+        "/rviz_1_2": "/rviz",
+        "/rviz_": "/rviz_",
+        "/rviz_tall_1": "/rviz_tall",
+        "/rviz_9": "/rviz_9",
+        "/rviz_9_1": "/rviz",
+        "/robot/rviz_1": "/robot/rviz_1",
+        "/rvizx": "/rvizx",
+        "/r": "/r",
+    }
     assert {name: NodeHome.find(tmp_path, name).name for name in found} == found
     assert NodeHome.find(tmp_path, "/rviz_1").identity(NOW).covers("/rviz_1")
 
@@ -232,8 +241,7 @@ def test_the_hint_for_an_anonymous_node_without_an_identity(tmp_path: Path, name
     with pytest.raises(ConfigurationError) as caught:
         NodeHome.find(tmp_path, name).credentials()
     assert caught.value.hint == (
-        f"next: rossec node request {name},"
-        " or for all such nodes rossec node request /rviz --anonymous"
+        f"next: rossec node request {name}, or for all such nodes rossec node request /rviz --anonymous"
     )
 
 
@@ -244,7 +252,7 @@ def test_a_screen_gets_a_new_request_and_a_label_keeps_its_own(tmp_path: Path) -
     screens = {home.screen_request("home") for _ in range(2)}
     assert len(screens | {label}) == 3
     assert {check_request(csr, "home").thumbprint for csr in (label, *screens)} == {
-        key_files.thumbprint(home.signer().public_key)
+        thumbprint(home.signer().public_key)
     }
     assert home.request() == label
     other = NodeHome.of(tmp_path, "/rviz")

@@ -28,9 +28,7 @@ def test_a_foreign_package_ends_the_program(
 def test_an_older_python_is_told_of_the_sidecar() -> None:
     """Python 3.8 of Ubuntu 20.04 reads this file, and must not read any other."""
     older = "import sys; sys.version_info = (3, 8, 10); import rossec"
-    done = subprocess.run(
-        [sys.executable, "-I", "-c", older], capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, "-I", "-c", older], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     error, hint = done.stderr.splitlines()
     assert error == "rossec: error: Python 3.11 or newer is needed, and this is Python 3.8"

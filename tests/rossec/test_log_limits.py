@@ -1,6 +1,6 @@
 import logging
 
-from rossec.log_limits import LogRateLimit
+from rossec.peer_limits import LogRateLimit
 
 
 def line(text: str, at: float) -> logging.LogRecord:
@@ -14,9 +14,7 @@ def test_the_same_text_passes_once_a_minute() -> None:
     assert limit.filter(line("a", 0))
     assert limit.filter(line("b", 1))
     assert not limit.filter(line("a", 59))
-    assert limit.filter(line("a", 60)), (
-        "counted from when it was logged, not from when it was left out"
-    )
+    assert limit.filter(line("a", 60)), "counted from when it was logged, not from when it was left out"
     assert not limit.filter(line("a", 61))
 
 

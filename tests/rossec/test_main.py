@@ -15,9 +15,7 @@ from rossec.cli import main as command_line
 BEGIN = [sys.executable, "-I", "-X", "importtime", "-m", "rossec", "--help"]
 
 
-def test_it_exits_with_the_code_of_the_command(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_it_exits_with_the_code_of_the_command(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("sys.argv", ["rossec", "ca", "show"])
     monkeypatch.setenv("ROSSEC_HOME", str(tmp_path))
     before = signal.getsignal(signal.SIGINT)
@@ -65,9 +63,7 @@ def test_an_ignored_ctrl_c_stays_ignored() -> None:
     asked = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); import sys;"
     asked += "sys.argv[1:] = ['--help']; from rossec.__main__ import main\n"
     asked += "try: main()\nexcept SystemExit: print(signal.getsignal(signal.SIGINT).name)"
-    done = subprocess.run(
-        [sys.executable, "-I", "-c", asked], capture_output=True, text=True, check=True
-    )
+    done = subprocess.run([sys.executable, "-I", "-c", asked], capture_output=True, text=True, check=True)
     assert done.stdout.endswith("SIG_IGN\n")
 
 

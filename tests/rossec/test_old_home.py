@@ -12,16 +12,16 @@ from typing import Final
 import pytest
 
 from ca.errors import Revoked
-from ca.revocation.state import Revocations, Timestamp, digest
+from ca.revocation.lists import Timestamp, digest
+from ca.revocation.trust_status import Revocations
 from grants import document
 from grants.model import Right
 from rossec.authority.backup import restore
 from rossec.authority.home import AuthorityHome
-from rossec.authority.service import AuthorityService
-from rossec.authority.thing_operations import ThingOrder
-from rossec.authority.thing_records import IN_FORCE
+from rossec.authority.service import AuthorityService, ThingOrder
+from rossec.authority.signing import IN_FORCE
 from rossec.home import NodeHome
-from rossec.operation import audit
+from rossec.host import audit
 from tests.vectors.make_things import KEY
 
 ARCHIVE: Final = Path(__file__).parents[1] / "vectors" / "homes" / "1.tar.gz"
@@ -52,8 +52,8 @@ def test_the_authority_goes_on(home: Path) -> None:
 def test_the_authority_can_say_what_a_thing_is(home: Path) -> None:
     place = AuthorityHome(home / "ca")
     service = AuthorityService(home, lambda: PASSPHRASE, lambda _: None, lambda: NOW)
-    service.sign_thing(ThingOrder("/things/lamp", "/robot", KEY, 60))
-    assert [each.state for each in service.things()] == [IN_FORCE]
+    service.things.sign(ThingOrder("/things/lamp", "/robot", KEY, 60))
+    assert [each.state for each in service.things.states()] == [IN_FORCE]
     service.unlock().store.log.audit(place.own_key())
     service.close()
 
@@ -67,9 +67,7 @@ def test_a_node_goes_on(home: Path) -> None:
     (permission,) = grant.permissions
     assert permission.covers(Right.SUBSCRIBE, "/robot/pose")
     assert permission.restriction is not None
-    assert [rule.path for rule in permission.restriction.filters] == [
-        "header.frame_id", "pose.position",
-    ]  # fmt: skip
+    assert [rule.path for rule in permission.restriction.filters] == ["header.frame_id", "pose.position"]
 
 
 def test_what_a_node_has_seen_revoked_stays_revoked(home: Path) -> None:
@@ -93,9 +91,7 @@ def test_the_masters_audit_is_read(home: Path) -> None:
 
 
 def test_the_backup_comes_back(home: Path, tmp_path: Path) -> None:
-    done = restore(
-        tmp_path / "again", (tmp_path / "authority.backup").read_bytes(), PASSPHRASE, NOW
-    )
+    done = restore(tmp_path / "again", (tmp_path / "authority.backup").read_bytes(), PASSPHRASE, NOW)
     unlocked = done.home.unlock(PASSPHRASE)
     unlocked.store.log.audit(unlocked.signer.public_key)
     assert len(unlocked.store.grants()) == 2

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import CertificateExpired
-from rossec.own_validity import ended, has_key, seen_in
+from rossec.home import ended, has_key, seen_in
 from tests.support.site import DAY, Site
 
 NOW = int(time.time())

@@ -3,7 +3,7 @@
 import pytest
 
 from rossec.errors import LimitExceeded
-from rossec.progress import MAX_SECONDS, MIN_BYTES, STEP, WINDOW, Progress
+from rossec.peer_limits import MAX_SECONDS, MIN_BYTES, STEP, WINDOW, Progress
 
 NOW = 1_800_000_000
 

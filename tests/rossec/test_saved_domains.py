@@ -4,7 +4,7 @@ import pytest
 
 from ca.errors import DomainsRefused, RollbackRefused
 from rossec.home import NodeHome
-from rossec.saved_domains import LONGEST, DomainFiles
+from rossec.saved_statements import LONGEST, DomainFiles
 from tests.support.domains import Pair, domains, foreign, revoked
 from tests.support.pki import NOW, Site
 
@@ -92,9 +92,7 @@ def test_what_is_held_already_is_not_loaded_again(saved: DomainFiles, pair: Pair
 
 
 @pytest.mark.parametrize("domain", ["..", "x" * 255])
-def test_every_domain_is_the_name_of_a_file(
-    saved: DomainFiles, tmp_path: Path, domain: str
-) -> None:
+def test_every_domain_is_the_name_of_a_file(saved: DomainFiles, tmp_path: Path, domain: str) -> None:
     site = Site.create(domain)
     saved.save_foreign(site.anchor, revoked(site))
     (found,) = (tmp_path / "robot" / "foreign").iterdir()

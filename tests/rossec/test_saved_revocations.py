@@ -6,7 +6,7 @@ import pytest
 
 from ca.errors import RevocationRefused
 from rossec import clock
-from rossec.saved_revocations import saved_revocations
+from rossec.saved_statements import saved_revocations
 from tests.support.site import Site
 
 

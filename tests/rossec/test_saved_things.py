@@ -6,13 +6,18 @@ from pathlib import Path
 import pytest
 
 from ca.errors import CAError, PathRefused, ThingRefused
-from ca.keys.publickey import thumbprint
-from ca.things.credentials import ThingKey, ThingSecret, read_description
-from ca.things.statement import ThingStatement, sign_statement
-from rossec import saved_things
+from ca.keys.signing import thumbprint
+from ca.things.constrained_nodes import (
+    ThingKey,
+    ThingSecret,
+    ThingStatement,
+    read_description,
+    sign_statement,
+)
+from rossec import saved_statements
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.saved_things import ThingFiles
+from rossec.saved_statements import ThingFiles
 from tests.support.site import Site
 from tests.support.things import again
 from tests.vectors.make_things import LAMP as LAMP_KEY
@@ -30,9 +35,14 @@ class Router:
         self.files = ThingFiles(self.home)
         self.now = self.site.now()
         self.lamp = ThingStatement(
-            "home", LAMP, ThingKey.of(LAMP_KEY.public_key, b"\x2b"),
-            self.home.identity(self.now).thumbprint, self.now, self.now + 60, bytes(16),
-        )  # fmt: skip
+            "home",
+            LAMP,
+            ThingKey.of(LAMP_KEY.public_key, b"\x2b"),
+            self.home.identity(self.now).thumbprint,
+            self.now,
+            self.now + 60,
+            bytes(16),
+        )
 
     def sign(self, statement: ThingStatement) -> bytes:
         return sign_statement(self.site.authority.signer, statement)
@@ -99,7 +109,7 @@ def test_a_file_that_is_none_is_named_and_left_out(router: Router) -> None:
 
 
 def test_there_are_not_more_than_so_many(router: Router, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(saved_things, "MAX_THINGS", 1)
+    monkeypatch.setattr(saved_statements, "MAX_THINGS", 1)
     router.files.install(router.sign(router.lamp))
     router.files.install(router.sign(router.lamp))
     with pytest.raises(ConfigurationError, match="has 1 things, and takes no more"):
@@ -159,7 +169,7 @@ def test_the_routers_key_for_things_is_made_once(router: Router) -> None:
     again = ThingFiles(router.home).router_key()
     assert thumbprint(made.public_key()) == thumbprint(again.public_key())
     assert thumbprint(made.public_key()) != router.home.identity(router.now).thumbprint
-    path = router.files.path / saved_things.ROUTER_KEY
+    path = router.files.path / saved_statements.ROUTER_KEY
     assert path.stat().st_mode & 0o777 == 0o600
     assert router.files.load() == ({}, {})
     path.chmod(0o644)

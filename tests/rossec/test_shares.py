@@ -1,6 +1,6 @@
 """Tables with shares: who fills one ends what is their own, and nothing of a higher rank."""
 
-from rossec.shares import SharedTable
+from rossec.peer_limits import SharedTable
 
 
 def filled(limit: int, *owners: tuple[str, int]) -> SharedTable[int, str]:

@@ -14,10 +14,10 @@ import pytest
 
 from ca.errors import HintedError
 from rossec.channel.opening import WireProtocol
-from rossec.net.aio.tasks import TaskSet
+from rossec.host.runner import TaskSet
 from rossec.node import Node, Subscriber, message_type
-from rossec.ros.header import FrameReader
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.ros.tcpros import FrameReader
+from rossec.sidecar.loopback_port import PlainStream
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program as PlainProgram
 from tests.rossec.sidecar.program import sidecar
@@ -109,9 +109,7 @@ class BehindSidecar:
 
     def __init__(self, near: Sidecar, running: PlainProgram) -> None:
         exports = near._agent_for(SUBSCRIBER)._ingress.ports._ports
-        [port] = (
-            server.port for local, server in exports.items() if local.protocol is WireProtocol.HTTP
-        )
+        [port] = (server.port for local, server in exports.items() if local.protocol is WireProtocol.HTTP)
         self.uri, self.heard = f"http://{HOST}:{port}/", list[str]()
         self._running, self._errors = running, list[str]()
 

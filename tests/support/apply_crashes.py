@@ -20,7 +20,8 @@ from ca.revocation.lists import open_list
 from grants import document
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import read_policy
-from rossec.authority.service import AuthorityService, MasterCall
+from rossec.authority.service import AuthorityService
+from rossec.authority.session import StatementCall
 from rossec.authority.signing import SigningAuthority
 from rossec.home import NodeHome
 from tests.support.killing import run_killed
@@ -41,7 +42,7 @@ class Master:
     def __init__(self, root: Path) -> None:
         self.path = root / "delivered"  # by name: the grants, and the list
 
-    def __call__(self, call: MasterCall) -> object:
+    def __call__(self, call: StatementCall) -> object:
         self.path.mkdir(exist_ok=True)
         (items, *_) = call.statement
         if call.method == "rossec.updateRevocations":
@@ -110,11 +111,11 @@ def prepare(root: Path) -> Authority:
 def apply(root: Path, authority: Authority) -> None:
     """What `rossec policy apply --yes` does."""
     with closing(UnlockedService(root, authority)) as service:
-        plan = service.plan_policy(read_policy(root, None, signs=True))
+        plan = service.policy.plan(read_policy(root, None, signs=True))
         if plan.is_empty:
-            service.complete_policy()
+            service.policy.complete()
         else:
-            service.apply_policy(plan)
+            service.policy.apply(plan)
 
 
 def check(root: Path, authority: Authority) -> None:
@@ -135,8 +136,10 @@ def check_done(root: Path, authority: Authority) -> None:
         rows, rules = store.unrevoked_grants(), store.policy_grants()
         revoked = {entry.hex() for entry in store.revoked_entries()}
     assert sorted((row.name, rules[row.id]) for row in rows) == [
-        ("/here", "a"), ("/here", "b"), ("/there", "a"),
-    ]  # fmt: skip
+        ("/here", "a"),
+        ("/here", "b"),
+        ("/there", "a"),
+    ]
     master = Master(root)
     assert {row.id.hex() for row in rows} <= master.grants()
     assert master.revoked(authority) == revoked

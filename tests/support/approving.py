@@ -1,20 +1,19 @@
 """Approvals for tests: a phone that is registered, statements, and its touch on them."""
 
-from ca.approvals.approval import Approval
-from ca.approvals.assertion import Assertion, Passkey
+from ca.approvals.passkeys import Approval, Assertion, Passkey
 from ca.approvals.statement import (
     LIFETIME,
-    Delegate,
+    DelegateStatement,
     Enroll,
-    ForeignDomain,
-    Grant,
-    Intermediate,
+    ForeignDomainStatement,
+    GrantStatement,
+    IntermediateStatement,
     Invitation,
-    Kind,
     NewPasskey,
     PolicyChange,
     RevokeMaster,
     Statement,
+    StatementKind,
     What,
 )
 from ca.store.record import Store
@@ -23,26 +22,22 @@ from tests.support import passkeys
 NOW = 1_800_000_000
 DIGESTS = [bytes([number]) * 32 for number in range(9)]
 DEVICE = passkeys.Passkey()
-WHATS: dict[Kind, What] = {
-    Kind.ENROLL: Enroll(
-        DIGESTS[1], "/robot", DIGESTS[2], wildcard=False, lifetime=9, replaces=True
-    ),
-    Kind.GRANT: Grant(b"r" * 16, DIGESTS[3]),
-    Kind.POLICY: PolicyChange(DIGESTS[0], DIGESTS[4], DIGESTS[8]),
-    Kind.DELEGATE: Delegate(DIGESTS[5], 86400, 3600),
-    Kind.INTERMEDIATE: Intermediate(DIGESTS[6], enrolls=True, lifetime=86400),
-    Kind.PASSKEY: NewPasskey(b"credential", DIGESTS[7], "Ann's phone"),
-    Kind.INVITATION: Invitation("/fleet/*", 30, NOW + 3600, wildcard=False),
-    Kind.FOREIGN_DOMAIN: ForeignDomain(DIGESTS[8]),
-    Kind.REVOKE_MASTER: RevokeMaster("stolen"),
+WHATS: dict[StatementKind, What] = {
+    StatementKind.ENROLL: Enroll(DIGESTS[1], "/robot", DIGESTS[2], wildcard=False, lifetime=9, replaces=True),
+    StatementKind.GRANT: GrantStatement(b"r" * 16, DIGESTS[3]),
+    StatementKind.POLICY: PolicyChange(DIGESTS[0], DIGESTS[4], DIGESTS[8]),
+    StatementKind.DELEGATE: DelegateStatement(DIGESTS[5], 86400, 3600),
+    StatementKind.INTERMEDIATE: IntermediateStatement(DIGESTS[6], enrolls=True, lifetime=86400),
+    StatementKind.PASSKEY: NewPasskey(b"credential", DIGESTS[7], "Ann's phone"),
+    StatementKind.INVITATION: Invitation("/fleet/*", 30, NOW + 3600, wildcard=False),
+    StatementKind.FOREIGN_DOMAIN: ForeignDomainStatement(DIGESTS[8]),
+    StatementKind.REVOKE_MASTER: RevokeMaster("stolen"),
 }
 
 
 def registered(device: passkeys.Passkey, name: str = "Ann's phone", at: int = NOW) -> Passkey:
     """A passkey as it is recorded when the terminal adds it."""
-    return Passkey(
-        device.id, name, device.cose_key, bytes(16), device.rp_id, device.origin, b"", at
-    )
+    return Passkey(device.id, name, device.cose_key, bytes(16), device.rp_id, device.origin, b"", at)
 
 
 PASSKEY = registered(DEVICE)
@@ -71,7 +66,7 @@ def touch(
 
 def approve(
     store: Store,
-    what: What = WHATS[Kind.DELEGATE],
+    what: What = WHATS[StatementKind.DELEGATE],
     payload: bytes = b"",
     *,
     id: bytes = b"i" * 16,  # noqa: A002

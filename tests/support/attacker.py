@@ -13,16 +13,16 @@ import pytest
 
 from ca.encoding import encode
 from ca.errors import HintedError
-from ca.keys.signer import Signer
+from ca.keys.signing import Signer
 from grants import document
 from grants.model import Draft, Permission, Right
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.demo.intruder import UnverifiedPeer, accept_any
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureStream, WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.participant.access import FIELD
-from rossec.ros import header
+from rossec.ros import tcpros
 from tests.support.contexts import unlimited
 from tests.support.site import DAY, Site
 from tests.support.witness import TOPIC, Witness, until
@@ -43,13 +43,9 @@ class Reply:
         return self.fields["error"].decode()
 
 
-def fields_for(
-    name: str, topic: str, grants: list[bytes] | None, **changes: str
-) -> dict[str, str | bytes]:
+def fields_for(name: str, topic: str, grants: list[bytes] | None, **changes: str) -> dict[str, str | bytes]:
     """A subscriber's connection header; `*` fits every type (attack N5)."""
-    fields: dict[str, str | bytes] = {
-        "callerid": name, "topic": topic, "type": "*", "md5sum": "*", **changes,
-    }  # fmt: skip
+    fields: dict[str, str | bytes] = {"callerid": name, "topic": topic, "type": "*", "md5sum": "*", **changes}
     if grants is not None:
         fields[FIELD] = encode(list(grants))
     return fields
@@ -62,7 +58,7 @@ async def send_header(
     stream = await connect(HOST, port, unlimited(credentials, accept_any))
     data = b""
     try:
-        await stream.send(header.encode(fields))
+        await stream.send(tcpros.encode(fields))
         while len(data) < at_most:
             data += await stream.receive()
     except ChannelError:
@@ -71,7 +67,7 @@ async def send_header(
     finally:
         stream.abort("heard enough")
     end = 4 + int.from_bytes(data[:4], "little")
-    return Reply(header.decode(data[4:end]), data[end:])
+    return Reply(tcpros.decode(data[4:end]), data[end:])
 
 
 async def dial(uri: str, credentials: Credentials) -> SecureStream[UnverifiedPeer]:
@@ -114,18 +110,19 @@ def credentials(site: Site, name: str = EVE) -> Credentials:
 
 
 def drafted(
-    site: Site,
-    name: str = EVE,
-    pattern: str = TOPIC,
-    right: Right = Right.SUBSCRIBE,
-    **changes: Any,
+    site: Site, name: str = EVE, pattern: str = TOPIC, right: Right = Right.SUBSCRIBE, **changes: Any
 ) -> Draft:
     now = int(time.time())
     draft = Draft(
-        domain=site.anchor.domain, subject=name, holder=site.identity(name).thumbprint,
-        not_before=now, expires=now + DAY, cap=now + DAY, serial=secrets.token_bytes(16),
+        domain=site.anchor.domain,
+        subject=name,
+        holder=site.identity(name).thumbprint,
+        not_before=now,
+        expires=now + DAY,
+        cap=now + DAY,
+        serial=secrets.token_bytes(16),
         permissions=(Permission(pattern, right),),
-    )  # fmt: skip
+    )
     return dataclasses.replace(draft, **changes)
 
 

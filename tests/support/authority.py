@@ -7,10 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from ca.authority import Authority, create_root
-from ca.certificates import Identity, TrustAnchor, build_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.revocation.state import RevocationList, Revocations, sign_list
+from ca.certificates import Identity, TrustAnchor
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import RevocationList, sign_list
+from ca.revocation.trust_status import Revocations
+from ca.svid import build_request
 from grants.document import grant_id, sign
 from grants.model import Draft, Permission, Right
 from grants.renewal import Delegation, sign_delegation
@@ -90,9 +92,8 @@ class Site:
         """Let `to`, the master, renew grants for an hour at a time."""
         begin = self.now + start
         draft = Delegation(
-            domain or self.domain, to.thumbprint, begin, begin + lifetime, 3600,
-            secrets.token_bytes(16),
-        )  # fmt: skip
+            domain or self.domain, to.thumbprint, begin, begin + lifetime, 3600, secrets.token_bytes(16)
+        )
         return sign_delegation(self.signer, draft)
 
     def revoke(self, *entries: bytes | EnrolledNode, lifetime: int = DAY) -> bytes:
@@ -106,8 +107,7 @@ class Site:
             for entry in entries
         )
         return sign_list(
-            self.signer,
-            RevocationList(1, next(self._numbers), self.now, self.now + lifetime, frozenset(ids)),
+            self.signer, RevocationList(1, next(self._numbers), self.now, self.now + lifetime, frozenset(ids))
         )
 
     def revocations(self) -> Revocations:

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from rossec.participant.master_session import MasterSession
+from rossec.participant.membership import MasterSession
 
 
 class BlockedNodes:

@@ -9,15 +9,14 @@ from typing import Any, Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.keys import key_files
-from ca.store.things import ThingRow
-from ca.things.credentials import Credential, ThingSecret
-from ca.things.statement import ThingStatement, sign_statement
+from ca.keys.signing import thumbprint
+from ca.store.signed_statements import ThingRow
+from ca.things.constrained_nodes import Credential, ThingSecret, ThingStatement, sign_statement
 from grants.model import Right
+from rossec.border.border_router import BorderRouter
 from rossec.border.handshakes import StaticKey
-from rossec.border.router import BorderRouter
 from rossec.home import NodeHome
-from rossec.saved_things import ThingFiles
+from rossec.saved_statements import ThingFiles
 from tests.support.constrained import SecretThing, Thing
 from tests.support.site import DAY, Site
 
@@ -44,14 +43,13 @@ class BorderSite:
         """The authority states what a thing is, and the router takes it; its node is enrolled."""
         site, now = self.site, self.site.now()
         site.enroll(name)
-        border = key_files.thumbprint(self.home.signer().public_key)
+        border = thumbprint(self.home.signer().public_key)
         statement = dataclasses.replace(
             ThingStatement(
-                site.anchor.domain, name, credential, border, now - 5, now + DAY,
-                secrets.token_bytes(16),
+                site.anchor.domain, name, credential, border, now - 5, now + DAY, secrets.token_bytes(16)
             ),
             **changes,
-        )  # fmt: skip
+        )
         authority = site.authority
         data = sign_statement(authority.signer, statement)
         row = ThingRow(statement.id, name, self.name, data, statement.not_before, statement.expires)
@@ -66,9 +64,7 @@ class BorderSite:
         self.state(name, thing.credential)
         return thing
 
-    def secret_thing(
-        self, name: str = LAMP, links: str = TEMPERATURE, kid: bytes = b"\x07"
-    ) -> SecretThing:
+    def secret_thing(self, name: str = LAMP, links: str = TEMPERATURE, kid: bytes = b"\x07") -> SecretThing:
         """A thing with a secret, which is stated."""
         secret = self.files.create_secret(name)
         thing = SecretThing(self.address, secret, links, kid)

@@ -40,9 +40,13 @@ _TRIES: Final = 10
 _TELL_VIOLATIONS: Final = """document.addEventListener("securitypolicyviolation", event =>
     console.error("CSP: " + event.violatedDirective + " " + event.blockedURI))"""
 _AUTHENTICATOR: Final = {
-    "protocol": "ctap2", "transport": "internal", "hasResidentKey": True,
-    "hasUserVerification": True, "isUserVerified": True, "automaticPresenceSimulation": True,
-}  # fmt: skip
+    "protocol": "ctap2",
+    "transport": "internal",
+    "hasResidentKey": True,
+    "hasUserVerification": True,
+    "isUserVerified": True,
+    "automaticPresenceSimulation": True,
+}
 
 Scheme = Literal["light", "dark"]
 
@@ -126,9 +130,7 @@ class Window:
     def add_authenticator(self) -> None:
         """Give the page a passkey store, as a phone has; its user agrees to everything."""
         self.devtools.send("WebAuthn.enable")
-        answer = self.devtools.send(
-            "WebAuthn.addVirtualAuthenticator", {"options": dict(_AUTHENTICATOR)}
-        )
+        answer = self.devtools.send("WebAuthn.addVirtualAuthenticator", {"options": dict(_AUTHENTICATOR)})
         self._authenticator = answer["authenticatorId"]
 
     def passkeys(self) -> list[dict[str, Any]]:
@@ -195,9 +197,7 @@ class Window:
             self._evaluate(f"{each};0", number)
         return self._evaluate(last, number)
 
-    def screenshot(
-        self, path: Path, *, size: tuple[int, int] = PHONE, scheme: Scheme = "light"
-    ) -> None:
+    def screenshot(self, path: Path, *, size: tuple[int, int] = PHONE, scheme: Scheme = "light") -> None:
         """The whole page as a PNG file, as wide as `size`."""
         before = self.page.viewport_size
         assert before is not None
@@ -263,9 +263,12 @@ class Chromium:
         """A window with an authenticator; nothing may have gone wrong in it when it closes."""
         given = {
             "viewport": {"width": size[0], "height": size[1]},
-            "device_scale_factor": 2, "locale": "en-GB", "permissions": ["camera"],
-            "reduced_motion": "reduce", **options,
-        }  # fmt: skip
+            "device_scale_factor": 2,
+            "locale": "en-GB",
+            "permissions": ["camera"],
+            "reduced_motion": "reduce",
+            **options,
+        }
         window = Window(self.browser.new_context(**given), origin)
         window.add_authenticator()
         try:
@@ -280,9 +283,11 @@ def running_chromium(folder: Path, *arguments: str) -> Iterator[Chromium]:
     """Chromium, without its sandbox: that cannot run as root, and it opens pages of tests only."""
     camera = Camera(folder / "camera.mjpeg")
     flags = [
-        "--no-sandbox", "--use-fake-device-for-media-stream",
-        f"--use-file-for-fake-video-capture={camera.path}", *arguments,
-    ]  # fmt: skip
+        "--no-sandbox",
+        "--use-fake-device-for-media-stream",
+        f"--use-file-for-fake-video-capture={camera.path}",
+        *arguments,
+    ]
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
         try:

@@ -8,7 +8,7 @@ from typing import Any, Final
 from grants.model import Right
 from rossec.demo.intruder import UnverifiedPeer
 from rossec.net.aio import SecureStream, WireProtocol, serve
-from rossec.net.rpc.client import RpcClient, serve_calls
+from rossec.net.rpc.calls import RpcClient, serve_calls
 from tests.support.attacker import HOST, credentials, dial
 from tests.support.contexts import unlimited
 from tests.support.site import Site
@@ -38,9 +38,7 @@ class Caller:
         """The status text of a call that must be refused, with its default value."""
         return refusal(await self(method, *params))
 
-    async def dispatch(
-        self, method: str, params: tuple[object, ...], peer: UnverifiedPeer
-    ) -> object:
+    async def dispatch(self, method: str, params: tuple[object, ...], peer: UnverifiedPeer) -> object:
         self.told.append((method, *params[1:]))
         return [1, "", 0]
 
@@ -55,9 +53,7 @@ def refusal(answer: Any) -> str:
 
 
 @contextlib.asynccontextmanager
-async def caller(
-    site: Site, name: str, rights: Mapping[str, Right] = _NONE
-) -> AsyncIterator[Caller]:
+async def caller(site: Site, name: str, rights: Mapping[str, Right] = _NONE) -> AsyncIterator[Caller]:
     """A caller with these rights by pattern and its earlier ones; its slave API answers."""
     assert site.master is not None
     for pattern, right in rights.items():

@@ -10,8 +10,8 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 
-from rossec.console.tls.authority import TlsAuthority
-from rossec.console.tls.store import key_pem
+from rossec.console.tls.certificates import key_pem
+from rossec.console.tls.own_authority import TlsAuthority
 
 NAME = "rossec.local"
 HOST = ipaddress.IPv4Address("192.168.1.5")
@@ -61,10 +61,21 @@ def openssl_verify(directory: Path, authority: TlsAuthority, leaf: bytes, *optio
     root.write_bytes(pem(authority.data))
     file.write_bytes(leaf)
     done = subprocess.run(
-        ["openssl", "verify", "-x509_strict", "-purpose", "sslserver", *options,
-         "-CAfile", str(root), str(file)],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [
+            "openssl",
+            "verify",
+            "-x509_strict",
+            "-purpose",
+            "sslserver",
+            *options,
+            "-CAfile",
+            str(root),
+            str(file),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     return "" if done.returncode == 0 else done.stderr
 
 

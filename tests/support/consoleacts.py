@@ -15,23 +15,22 @@ from pathlib import Path
 from typing import Any, Self
 
 from ca.encoding import Value
-from ca.requests import build_request
 from ca.store.record import Store
+from ca.svid import build_request
 from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority.approvals import ApprovalQueue
-from rossec.authority.console.access import Access
+from rossec.authority.console.access import ConsoleAccess
 from rossec.authority.console.approving import Approving, Of
-from rossec.authority.console.records import from_value
-from rossec.authority.console.removals import Removals
+from rossec.authority.console.grant_requests import Removals
+from rossec.authority.console.messages import ApprovalOutcome, Prepared, from_value
 from rossec.authority.console.serving import acts_of
-from rossec.authority.console.views import Outcome, Prepared
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.master_call import MasterCall
 from rossec.authority.policyfile import PolicyFile
+from rossec.authority.session import StatementCall
 from rossec.errors import KeyServiceRefused, NotDelivered
 from rossec.ros.names import MASTER
 from tests.support.approving import registered
@@ -65,7 +64,7 @@ class Acts:
         self.root, self.now, self.elapsed = root, NOW, 0.0
         self.home = AuthorityHome.at(root)
         self.audit: list[str] = []
-        self.calls: list[MasterCall] = []
+        self.calls: list[StatementCall] = []
         self.woken = 0
         self.reachable = True
         self.disk_is_full = False
@@ -81,7 +80,7 @@ class Acts:
     def start(self) -> None:
         """As a service that was restarted: what was in memory is gone."""
         self.work = AuthorityWork(self.root, self.operations, self.deliver, None, lambda: self.now)
-        self.access = Access(self.work, self.write_audit, lambda: self.elapsed)
+        self.access = ConsoleAccess(self.work, self.write_audit, lambda: self.elapsed)
         of = Of(self.work, self.write_audit, self.wake, self.access.counter)
         acts = acts_of(self.work, self.access, lambda: JOIN_ADDRESS, lambda: self.elapsed)
         self.approving = Approving(of, acts, lambda: self.elapsed)
@@ -119,7 +118,7 @@ class Acts:
     def store(self) -> "closing[Store]":
         return closing(self.home.store())
 
-    def deliver(self, call: MasterCall) -> object:
+    def deliver(self, call: StatementCall) -> object:
         if not self.reachable:
             raise NotDelivered("no master", call.hint)
         self.calls.append(call)
@@ -129,30 +128,25 @@ class Acts:
     def prepare(self, kind: str, *arguments: Value) -> Prepared:
         return from_value(Prepared, self.approving.prepare(kind, [*arguments]))
 
-    def touch(self, prepared: Prepared, phone: Passkey | None = None, **flaws: Any) -> Outcome:
+    def touch(self, prepared: Prepared, phone: Passkey | None = None, **flaws: Any) -> ApprovalOutcome:
         """Approve what was prepared; flaws as of `Passkey.sign`."""
         signed = (phone or self.phone).sign(prepared.challenge, **flaws)
-        return from_value(Outcome, self.approving.approve(prepared.id, *signed))
+        return from_value(ApprovalOutcome, self.approving.approve(prepared.id, *signed))
 
-    def approve(self, kind: str, *arguments: Value) -> Outcome:
+    def approve(self, kind: str, *arguments: Value) -> ApprovalOutcome:
         return self.touch(self.prepare(kind, *arguments))
 
-    def outcome(self, number: bytes) -> Outcome:
-        return from_value(Outcome, self.approving.outcome(number))
+    def outcome(self, number: bytes) -> ApprovalOutcome:
+        return from_value(ApprovalOutcome, self.approving.outcome(number))
 
     def csr(self, name: str = "/lamp") -> bytes:
         return build_request(new_signer(), "home", name)
 
-    def enroll(self, name: str = "/lamp", **changes: Any) -> Outcome:
+    def enroll(self, name: str = "/lamp", **changes: Any) -> ApprovalOutcome:
         return self.touch(self.asks(name, **changes))
 
     def asks(
-        self,
-        name: str = "/lamp",
-        *,
-        csr: bytes | None = None,
-        wildcard: bool = False,
-        replaces: bool = False,
+        self, name: str = "/lamp", *, csr: bytes | None = None, wildcard: bool = False, replaces: bool = False
     ) -> Prepared:
         """A node asks for an identity, and the page shows it."""
         given = self.csr(name) if csr is None else csr

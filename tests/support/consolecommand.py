@@ -30,8 +30,11 @@ def console(service: ServiceProcess, *options: str) -> Iterator[Console]:
     """`rossec console OPTIONS`, ended afterwards; it ends well."""
     process = subprocess.Popen(
         [sys.executable, "-I", "-m", "rossec", "console", "--json", *options],
-        env=service.environ, text=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-    )  # fmt: skip
+        env=service.environ,
+        text=True,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+    )
     assert process.stdout is not None
     try:
         line = process.stdout.readline()

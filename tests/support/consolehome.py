@@ -6,10 +6,10 @@ from typing import Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
 from grants import document
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
-from rossec.authority.console.views import (
+from rossec.authority.console.messages import (
     DenialView,
     EventView,
     FactView,
@@ -18,9 +18,8 @@ from rossec.authority.console.views import (
     NodeView,
     Status,
 )
-from rossec.console.endings import Heard
-from rossec.console.matrix import HeldGrant, Matrix, build, held_grants
-from rossec.console.sentences import Known
+from rossec.console.matrix import Heard, Matrix, ShownGrant, build, held_grants
+from rossec.console.sentences import KnownIds
 from tests.support import consoleservice
 
 NOW: Final = 1_800_000_000
@@ -71,9 +70,7 @@ class FakeHome:
     heard: Heard = field(default_factory=lambda: Heard(NOW))  # every node knows what was ended
 
     def node(self, name: str, revoked_at: int = 0, reason: str = "") -> NodeView:
-        made = NodeView(
-            name, key_of(name), NOW - HOUR, NOW + 30 * 86400, False, revoked_at, reason
-        )  # fmt: skip
+        made = NodeView(name, key_of(name), NOW - HOUR, NOW + 30 * 86400, False, revoked_at, reason)
         self.nodes.append(made)
         self._event("certificate", name, made.key.hex(), NOW - HOUR)
         return made
@@ -93,9 +90,7 @@ class FakeHome:
         serial = len(self.grants).to_bytes(16)
         draft = Draft("home", name, key_of(name), at, end, cap, serial, permissions)
         data = document.sign(CA, draft)
-        made = GrantView(
-            document.grant_id(data), name, data, at, end, cap, revoked_at, reason, "", "held"
-        )  # fmt: skip
+        made = GrantView(document.grant_id(data), name, data, at, end, cap, revoked_at, reason, "", "held")
         self.grants.append(made)
         self._event("grant", name, made.id.hex(), at)
         if revoked_at:
@@ -109,7 +104,7 @@ class FakeHome:
         self.events.insert(0, EventView(len(self.events), at, what, subject, detail))
 
     @property
-    def held(self) -> tuple[HeldGrant, ...]:
+    def held(self) -> tuple[ShownGrant, ...]:
         return held_grants(self.nodes, self.grants, NOW, self.heard)
 
     @property
@@ -117,8 +112,8 @@ class FakeHome:
         return build(self.held, self.facts, NOW)
 
     @property
-    def known(self) -> Known:
-        return Known.of(self.held, self.nodes, self.questions)
+    def known(self) -> KnownIds:
+        return KnownIds.of(self.held, self.nodes, self.questions)
 
 
 def demo() -> FakeHome:
@@ -134,9 +129,7 @@ def demo() -> FakeHome:
         home.publisher(topic, "/robot", kind)
     home.grant("/robot", sends("/robot/pose"), sends("/robot/scan"), sends("/robot/camera"))
     home.grant("/doctor", sees("/robot/pose"), sees("/robot/scan"))
-    home.grant(
-        "/doctor", sees("/robot/camera"), revoked_at=NOW - 1800, reason="the visit is over"
-    )  # fmt: skip
+    home.grant("/doctor", sees("/robot/camera"), revoked_at=NOW - 1800, reason="the visit is over")
     home.grant("/heating", sees("/robot/pose", COARSE))
     home.denials.append(DenialView(NOW - 960, "/heating", int(Right.SUBSCRIBE), "/robot/scan"))
     return home
@@ -145,10 +138,7 @@ def demo() -> FakeHome:
 def crowd(nodes: int = 30, topics: int = 40) -> FakeHome:
     """A large home in which every node sees a third of all topics."""
     home = FakeHome()
-    robot, seen = (
-        "/a_robot_with_a_long_name",
-        [f"/robot/sensor_{at:02}/data" for at in range(topics)],
-    )
+    robot, seen = ("/a_robot_with_a_long_name", [f"/robot/sensor_{at:02}/data" for at in range(topics)])
     home.node(robot)
     home.grant(robot, *map(sends, seen))
     for topic in seen:
@@ -159,8 +149,7 @@ def crowd(nodes: int = 30, topics: int = 40) -> FakeHome:
         some = seen[at % 3 :: 3]
         home.grant(name, *(sees(topic, COARSE if at % 2 else None) for topic in some))
     home.denials += [
-        DenialView(NOW - at, f"/receiver_{at % 29:02}", 2, f"/robot/other_{at:03}")
-        for at in range(400)
+        DenialView(NOW - at, f"/receiver_{at % 29:02}", 2, f"/robot/other_{at:03}") for at in range(400)
     ]
     return home
 

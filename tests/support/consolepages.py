@@ -10,8 +10,8 @@ from rossec.authority.console.client import ConsoleClient
 from rossec.authority.console.messages import checked
 from rossec.console.app import create_app
 from rossec.console.context import ConsoleContext
+from rossec.console.server.control import WebSettings
 from rossec.console.sessions import COOKIE, COOKIE_SIZE
-from rossec.console.settings import Settings
 from tests.support.consoleservice import FakeHome
 
 ORIGIN = "http://localhost:7411"
@@ -36,16 +36,18 @@ class Browser(TestClient):
     """
 
     def __init__(
-        self, home: FakeHome | None = None, settings: Settings | None = None, **context: Any
+        self, home: FakeHome | None = None, settings: WebSettings | None = None, **context: Any
     ) -> None:
         self.home = home or FakeHome()
         self.now = int(time.time())
         self.elapsed: float | None = None
         self.context = ConsoleContext(
-            MemoryClient(self.home), settings or Settings("home", (ORIGIN,)),
+            MemoryClient(self.home),
+            settings or WebSettings("home", (ORIGIN,)),
             clock=lambda: self.now,
-            elapsed=lambda: self.now if self.elapsed is None else self.elapsed, **context,
-        )  # fmt: skip
+            elapsed=lambda: self.now if self.elapsed is None else self.elapsed,
+            **context,
+        )
         super().__init__(create_app(self.context), ORIGIN, follow_redirects=False)
         self.headers["Origin"] = ORIGIN
 

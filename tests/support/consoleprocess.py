@@ -9,9 +9,8 @@ from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from rossec.console.preview.supervisor import PreviewProcess
-from rossec.console.server.web_process import WebOptions, WebProcess
-from rossec.console.settings import Settings
+from rossec.console.server.control import WebSettings
+from rossec.console.server.supervisor import PreviewProcess, WebOptions, WebProcess
 from tests.support.consoleservice import FakeHome, fake_service
 
 
@@ -46,7 +45,7 @@ async def running_web(
     with fake_service(directory / "console.sock") as home, listening() as sock:
         port = sock.getsockname()[1]
         origin = f"http://localhost:{port}"
-        found = Settings("home", (origin,), users=users, **settings)  # type: ignore[arg-type]
+        found = WebSettings("home", (origin,), users=users, **settings)  # type: ignore[arg-type]
         options = WebOptions(found, directory / "console.sock")
         web = WebProcess(options, [sock], UNMEASURED, preview=preview)
         task = asyncio.ensure_future(web.run())
@@ -75,9 +74,7 @@ async def ask(
         connection = http.client.HTTPConnection("127.0.0.1", running.port, timeout=20)
         given = {"Host": running.origin.removeprefix("http://"), **headers}
         with contextlib.closing(connection):
-            connection.request(
-                method, path, body, {k.replace("_", "-"): v for k, v in given.items()}
-            )
+            connection.request(method, path, body, {k.replace("_", "-"): v for k, v in given.items()})
             answer = connection.getresponse()
             found = {name.lower(): text for name, text in answer.getheaders()}
             return Answer(answer.status, found, answer.read().decode())

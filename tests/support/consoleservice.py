@@ -12,20 +12,19 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
-from ca.certificates import build_request
 from ca.encoding import Value, encode
 from ca.errors import HintedError
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from grants.claims import scope_of
-from grants.document import grant_id, peek, sign
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
+from grants.document import grant_id, peek, scope_of, sign
 from grants.model import Draft, FilterRule, Permission, Restriction, Right
 from rossec.authority.console import messages
-from rossec.authority.console.records import to_value
-from rossec.authority.console.service import ConsoleService
-from rossec.authority.console.views import (
+from rossec.authority.console.messages import (
+    ApprovalOutcome,
     ApprovalView,
     AskedRight,
     DenialView,
@@ -35,10 +34,9 @@ from rossec.authority.console.views import (
     GrantView,
     IdentityRequestView,
     InvitationView,
-    ListStanding,
+    ListProgress,
     LoginChallenge,
     NodeView,
-    Outcome,
     PhoneView,
     PolicyName,
     PolicyRight,
@@ -47,8 +45,10 @@ from rossec.authority.console.views import (
     Proposal,
     QuestionAnswer,
     Status,
+    to_value,
 )
-from rossec.authority.keyservice.server import KeyServer, SocketRules
+from rossec.authority.console.serving import ConsoleService
+from rossec.authority.keyservice.process import KeyServer, SocketRules
 from rossec.errors import KeyServiceRefused
 from tests.support.authority import EnrolledNode, Site
 
@@ -72,7 +72,7 @@ class FakeHome:
         self.asked: list[tuple[str, tuple[Value, ...]]] = []
         self.codes: set[str] = set()
         self.prepared: dict[bytes, tuple[str, list[Value]]] = {}
-        self.outcomes: dict[bytes, Outcome] = {}
+        self.outcomes: dict[bytes, ApprovalOutcome] = {}
         nodes = {name: self.site.enroll(name) for name in ("/robot", "/doctor", "/heating", "/map")}
         self.nodes = [
             NodeView(name, each.thumbprint, self.now - DAY, self.now + 30 * DAY, False, 0, "")
@@ -81,9 +81,7 @@ class FakeHome:
         self.grants = [
             self.grant(nodes["/robot"], Permission("/robot/**", Right.PUBLISH)),
             self.grant(nodes["/doctor"], Permission("/robot/pose", Right.SUBSCRIBE)),
-            self.grant(
-                nodes["/heating"], Permission("/robot/pose", Right.SUBSCRIBE, COARSE), "rule 3"
-            ),
+            self.grant(nodes["/heating"], Permission("/robot/pose", Right.SUBSCRIBE, COARSE), "rule 3"),
         ]
         self._wait(nodes["/map"].thumbprint)
         self._look()
@@ -92,27 +90,45 @@ class FakeHome:
         """What waits for an answer."""
         self.requests = [
             IdentityRequestView(
-                b"\1" * 32, "/lamp", b"\2" * 32, "code", self.now, self.now + DAY, "pending",
-                False, False, build_request(KeySigner(generate()), "home", "/lamp"),
+                b"\1" * 32,
+                "/lamp",
+                b"\2" * 32,
+                "code",
+                self.now,
+                self.now + DAY,
+                "pending",
+                False,
+                False,
+                build_request(KeySigner(generate()), "home", "/lamp"),
             )
-        ]  # fmt: skip
+        ]
         permission = Permission("/robot/pose", Right.SUBSCRIBE)
         self.rights = (
             AskedRight(
-                int(Right.SUBSCRIBE), "/robot/pose", "geometry_msgs/PoseStamped", "rule 4",
-                "rooms are warm where people are", scope_of([permission]),
+                int(Right.SUBSCRIBE),
+                "/robot/pose",
+                "geometry_msgs/PoseStamped",
+                "rule 4",
+                "rooms are warm where people are",
+                scope_of([permission]),
             ),
-        )  # fmt: skip
+        )
         self.questions = [
             GrantQuestion(
-                b"\3" * 16, "/map", key, "to draw <b>where</b> it was",
-                self.now, self.now + 600, 7 * DAY, ("coarse", "room"), self.rights, b"\3" * 16,
+                b"\3" * 16,
+                "/map",
+                key,
+                "to draw <b>where</b> it was",
+                self.now,
+                self.now + 600,
+                7 * DAY,
+                ("coarse", "room"),
+                self.rights,
+                b"\3" * 16,
             )
-        ]  # fmt: skip
+        ]
         self.invitations = [
-            InvitationView(
-                b"\4" * 8, "/lamp/*", 5, ("/lamp/1",), False, self.now + DAY, self.now, "open"
-            )
+            InvitationView(b"\4" * 8, "/lamp/*", 5, ("/lamp/1",), False, self.now + DAY, self.now, "open")
         ]
 
     def _look(self) -> None:
@@ -121,10 +137,15 @@ class FakeHome:
         self.proposals = [Proposal(b"\6" * 16, "Ben's phone", "123456", self.now + 300)]
         self.approvals = [
             ApprovalView(
-                b"\7" * 16, 2, "the doctor may see where the robot is", "Anna's phone", self.now,
-                "done", "signed",
+                b"\7" * 16,
+                2,
+                "the doctor may see where the robot is",
+                "Anna's phone",
+                self.now,
+                "done",
+                "signed",
             )
-        ]  # fmt: skip
+        ]
         self.events = [
             EventView(number, self.now - 60 * (40 - number), "grant", "/doctor", f"{number:02x}")
             for number in range(1, 40)
@@ -137,25 +158,28 @@ class FakeHome:
         ]
         gives = (PolicyRight("/map", int(Right.SUBSCRIBE), "/robot/pose", "", "7d"),)
         self.policy = PolicyView("/home/anna/ca/policy.yaml", b"\x08" * 32, gives, (), 3, ())
-        self.standing = ListStanding(1, 4, True, True, 3, 3)
+        self.standing = ListProgress(1, 4, True, True, 3, 3)
         self.names: list[PolicyName] = []
         self.answers: dict[bytes, list[QuestionAnswer]] = {}
 
     def grant(self, to: EnrolledNode, permission: Permission, rules: str = "") -> GrantView:
         """A real grant, recorded."""
         draft = Draft(
-            domain="home", subject=to.name, holder=to.thumbprint, not_before=self.now,
-            expires=self.now + 7 * DAY, cap=self.now + 30 * DAY, serial=secrets.token_bytes(16),
+            domain="home",
+            subject=to.name,
+            holder=to.thumbprint,
+            not_before=self.now,
+            expires=self.now + 7 * DAY,
+            cap=self.now + 30 * DAY,
+            serial=secrets.token_bytes(16),
             permissions=(permission,),
-        )  # fmt: skip
+        )
         data = sign(self.site.signer, draft)
         end = peek(data)
-        return GrantView(
-            grant_id(data), to.name, data, self.now, end.expires, end.cap, 0, "", rules, "held"
-        )
+        return GrantView(grant_id(data), to.name, data, self.now, end.expires, end.cap, 0, "", rules, "held")
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        """As `rossec.authority.console.service.Part`."""
+        """By the names of the operations."""
         return {name: self._handler(name) for name in messages.OPERATIONS}
 
     def _handler(self, name: str) -> Callable[..., Value]:
@@ -174,9 +198,15 @@ class FakeHome:
     def _do_status(self) -> Status:
         print_ = "00c3 1f0e 7b21 9d44 5a5a 1020 77aa 0f0f"
         return Status(
-            "home", print_, self.remaining is None, self.remaining, self.number, int(time.time()),
-            len([phone for phone in self.phones if not phone.ended]), self.has_master,
-        )  # fmt: skip
+            "home",
+            print_,
+            self.remaining is None,
+            self.remaining,
+            self.number,
+            int(time.time()),
+            len([phone for phone in self.phones if not phone.ended]),
+            self.has_master,
+        )
 
     def _do_consider(self, question: bytes, coarse: str, _: int) -> tuple[AskedRight, ...]:
         self._one(self.questions, question)
@@ -235,28 +265,31 @@ class FakeHome:
         statement = encode(["rossec-approval-v1", kind, number, arguments])
         self.prepared[number] = kind, arguments
         return Prepared(
-            number, statement, hashlib.sha256(statement).digest(), int(time.time()) + 300,
-            "localhost", tuple(phone.id for phone in self.phones if not phone.ended), b"",
-        )  # fmt: skip
+            number,
+            statement,
+            hashlib.sha256(statement).digest(),
+            int(time.time()) + 300,
+            "localhost",
+            tuple(phone.id for phone in self.phones if not phone.ended),
+            b"",
+        )
 
-    def _do_approve(self, number: bytes, *_: bytes) -> Outcome:
+    def _do_approve(self, number: bytes, *_: bytes) -> ApprovalOutcome:
         kind, arguments = self.prepared.pop(number, ("", []))
         if not kind:
             raise KeyServiceRefused("this was approved before, or its time is over", "try again")
         state = "waiting" if self.remaining is None else "done"
         data = {"enroll": b"-----BEGIN CERTIFICATE-----\n", "invitation": b"ROSSEC-JOIN:X"}
-        outcome = Outcome(number, state, kind, data.get(kind, b""))
+        outcome = ApprovalOutcome(number, state, kind, data.get(kind, b""))
         self.outcomes[number] = outcome
         code = _KINDS.index(kind) + 1 if kind in _KINDS else 9
-        self.approvals.insert(
-            0, ApprovalView(number, code, kind, "Anna's phone", self.now, state, "")
-        )
+        self.approvals.insert(0, ApprovalView(number, code, kind, "Anna's phone", self.now, state, ""))
         if kind == "grant" and isinstance(arguments[0], bytes):
             self._drop(self.questions, arguments[0])
         self.number += 1
         return outcome
 
-    def _do_outcome(self, number: bytes) -> Outcome:
+    def _do_outcome(self, number: bytes) -> ApprovalOutcome:
         if number not in self.outcomes:
             raise KeyServiceRefused("there is no such approval")
         return self.outcomes[number]
@@ -301,9 +334,7 @@ class FakeHome:
 
     def _challenge(self, rp_id: str, credentials: tuple[bytes, ...]) -> LoginChallenge:
         until = int(time.time()) + 120
-        return LoginChallenge(
-            secrets.token_bytes(16), secrets.token_bytes(32), until, rp_id, credentials
-        )
+        return LoginChallenge(secrets.token_bytes(16), secrets.token_bytes(32), until, rp_id, credentials)
 
     def _listed(self) -> tuple[int, int]:
         self.number += 1
@@ -320,11 +351,16 @@ class FakeHome:
         raise KeyServiceRefused("there is no such thing any more", "look again")
 
 
+def as_part(home: FakeHome) -> SimpleNamespace:
+    """The handlers as methods, as a part of the service has them."""
+    return SimpleNamespace(**{name.replace("-", "_"): handler for name, handler in home.handlers().items()})
+
+
 @contextlib.contextmanager
 def fake_service(path: Path, home: FakeHome | None = None) -> Iterator[FakeHome]:
     """Serve `home` at the socket `path`, in a thread."""
     shown = home or FakeHome()
-    service = ConsoleService(shown)
+    service = ConsoleService(as_part(shown))
     rules = SocketRules(messages.read_request, messages.MAX_REQUEST)
     server = KeyServer(path, service.carry_out, rules=rules)
     started, loop, ended = threading.Event(), asyncio.new_event_loop(), asyncio.Event()

@@ -21,8 +21,10 @@ POSE: Final = "/robot/pose"
 SCAN: Final = "/robot/scan"
 CAMERA: Final = "/robot/camera"
 _TYPES: Final = {
-    POSE: "geometry_msgs/PoseStamped", SCAN: "sensor_msgs/LaserScan", CAMERA: "sensor_msgs/Image",
-}  # fmt: skip
+    POSE: "geometry_msgs/PoseStamped",
+    SCAN: "sensor_msgs/LaserScan",
+    CAMERA: "sensor_msgs/Image",
+}
 # Everything is asked; a coarser answer is possible, since the types are known.
 ASKED: Final = """
 rossec: 1
@@ -33,9 +35,9 @@ rules: []
 """
 _WAIT_S: Final = 40.0
 _SHORT_CODES: Final = """import sys
-from rossec.authority.console import codes
+from rossec.authority.console import phone_codes
 from rossec.cli.main import main
-codes.LIFETIME = {}
+phone_codes.CODE_LIFETIME = {}
 main()
 """
 
@@ -48,9 +50,13 @@ class Program:
         self._seen = 0
         with log.open("ab") as out:
             self.process = subprocess.Popen(
-                [sys.executable, "-I", *arguments], env=dict(environ),
-                stdin=subprocess.DEVNULL, stdout=out, stderr=out, start_new_session=True,
-            )  # fmt: skip
+                [sys.executable, "-I", *arguments],
+                env=dict(environ),
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=out,
+                start_new_session=True,
+            )
 
     def said(self, pattern: str, within: float = _WAIT_S) -> re.Match[str]:
         """Wait for the next output that matches, and return it."""
@@ -155,9 +161,7 @@ class ConsoleSite:
         """Run `rossec ca serve`; its codes last `code_lifetime` seconds (0: as always)."""
         given = ("--join-address", self.join_address, *(options or ("--unlock-for", "0")))
         how = ("-c", _SHORT_CODES.format(code_lifetime)) if code_lifetime else ("-m", "rossec")
-        self.authority = self._start(
-            *how, "ca", "serve", "--json", *self.key, *given, log="authority"
-        )
+        self.authority = self._start(*how, "ca", "serve", "--json", *self.key, *given, log="authority")
         self.authority.said(r"^\{.*\}$")
         return self.authority
 
@@ -181,9 +185,7 @@ class ConsoleSite:
 
     def start_console(self, *options: str) -> Program:
         """Run `rossec console`, and wait until it listens."""
-        self.console = self.begin(
-            "rossec", "console", "--port", str(self.port), *options, log="console"
-        )
+        self.console = self.begin("rossec", "console", "--port", str(self.port), *options, log="console")
         self.console.said(re.escape(self.origin))
         return self.console
 
@@ -219,9 +221,18 @@ def with_robot(site: ConsoleSite) -> None:
     site.grant("/doctor", "--subscribe", POSE, "--subscribe", SCAN)
     site.grant("/doctor", "--subscribe", CAMERA)
     site.grant(
-        "/heating", "--subscribe", POSE, "--type", _TYPES[POSE], "--round", "pose.position=2",
-        "--clear", "pose.orientation", "--clear", "header.frame_id",
-    )  # fmt: skip
+        "/heating",
+        "--subscribe",
+        POSE,
+        "--type",
+        _TYPES[POSE],
+        "--round",
+        "pose.position=2",
+        "--clear",
+        "pose.orientation",
+        "--clear",
+        "header.frame_id",
+    )
     site.start_robot()
     doctor = site.start_receiver("/doctor", *_TYPES)
     heating = site.start_receiver("/heating", POSE)

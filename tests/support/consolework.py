@@ -9,11 +9,12 @@ from ca.encoding import Value
 from grants.document import grant_id
 from grants.model import Draft, Permission, Right
 from grants.request import GrantRequest, RequestedRight, sign_request
+from rossec.authority.console.serving import handlers_of
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.master_call import MasterCall
 from rossec.authority.requests import put_in_inbox
+from rossec.authority.session import StatementCall
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 from tests.support.commands import PASSPHRASE
@@ -22,7 +23,7 @@ NOW = 1_800_000_000
 
 
 class Part(Protocol):
-    """As `rossec.authority.console.service.Part`."""
+    """As `rossec.authority.console.serving.Part`."""
 
     def handlers(self) -> Mapping[str, Callable[..., Value]]: ...
 
@@ -34,7 +35,7 @@ class ConsoleWork:
         self.root, self.now, self.seconds = root, NOW, 1000.0
         self.home = AuthorityHome.create(root, "home", PASSPHRASE, NOW)
         self.audit: list[str] = []
-        self.called: list[MasterCall] = []
+        self.called: list[StatementCall] = []
         self.answers: list[object] = []  # of a master; without any there is none
         self.operations = operations_of(self.home, self.audit.append)
         self.work = AuthorityWork(root, self.operations, self._deliver, now=lambda: self.now)
@@ -66,10 +67,15 @@ class ConsoleWork:
         authority = self.home.unlock(PASSPHRASE)
         holder = authority.store.valid_certificate(name, self.now).thumbprint
         draft = Draft(
-            domain="home", subject=name, holder=holder, not_before=self.now - 60,
-            expires=self.now + lifetime, cap=self.now + lifetime, serial=secrets.token_bytes(16),
+            domain="home",
+            subject=name,
+            holder=holder,
+            not_before=self.now - 60,
+            expires=self.now + lifetime,
+            cap=self.now + lifetime,
+            serial=secrets.token_bytes(16),
             permissions=(Permission("/pose", Right.SUBSCRIBE),),
-        )  # fmt: skip
+        )
         data = authority.issue_grant(draft, self.now, rules)
         authority.store.close()
         return grant_id(data)
@@ -82,13 +88,13 @@ class ConsoleWork:
         put_in_inbox(self.home.path, asked, data)
         return asked.id
 
-    def _deliver(self, call: MasterCall) -> object:
+    def _deliver(self, call: StatementCall) -> object:
         self.called.append(call)
         if self.answers:
             return self.answers.pop(0)
         raise NotDelivered(f"the master did not get {call.what}: there is none", call.hint)
 
 
-def ask(part: Part, operation: str, *arguments: Value) -> Value:
+def ask(part: object, operation: str, *arguments: Value) -> Value:
     """Have a part carry out an operation."""
-    return part.handlers()[operation](*arguments)
+    return handlers_of(part)[operation](*arguments)

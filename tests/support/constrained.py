@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import aiocoap
 import cbor2
-from aiocoap import credentials, oscore, resource
+from aiocoap import Message, credentials, oscore, resource
 from aiocoap.edhoc import EdhocCredentials
 from aiocoap.numbers.codes import Code
 from aiocoap.optiontypes import BlockOption
@@ -19,11 +19,9 @@ from aiocoap.oscore_sitewrapper import OscoreSiteWrapper
 from aiocoap.transports.oscore import OSCOREAddress
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.things.credentials import ThingKey
-from rossec.border.contexts import name_context
-from rossec.border.quotas import MAX_BLOCK
-from rossec.border.rederivation import NONCE_SIZE, R2_SIZE, thing_context, unwrapped, wrapped
-from rossec.border.wire import Message
+from ca.things.constrained_nodes import ThingKey
+from rossec.border.conversations import MAX_BLOCK
+from rossec.border.messages import NONCE_SIZE, R2_SIZE, name_context, thing_context, unwrapped, wrapped
 from tests.support.ports import free_port
 
 LINKS: Final = ".well-known", "core"
@@ -68,9 +66,8 @@ class Value(resource.ObservableResource):  # type: ignore[misc]
         self.written.append(bytes(request.payload))
         self.arrived.set()
         return Message(
-            code=aiocoap.CHANGED, payload=self.handler(bytes(request.payload)),
-            content_format=self.form,
-        )  # fmt: skip
+            code=aiocoap.CHANGED, payload=self.handler(bytes(request.payload)), content_format=self.form
+        )
 
 
 class LinkList(resource.Resource):  # type: ignore[misc]
@@ -113,8 +110,9 @@ class _Thing:
         self.port = self.port or free_port()
         self.context = await aiocoap.Context.create_server_context(
             OscoreSiteWrapper(self.site, self.known),
-            bind=(self.own, self.port), transports=["oscore", "udp6"],
-        )  # fmt: skip
+            bind=(self.own, self.port),
+            transports=["oscore", "udp6"],
+        )
 
     async def close(self) -> None:
         """Stop, as if the power failed: nothing is said to the router."""
@@ -168,11 +166,14 @@ class Thing(_Thing):
     def _handshake(self) -> None:
         private = self.key.private_numbers().private_value.to_bytes(32)
         self.context.client_credentials[f"{self.uri}/*"] = EdhocCredentials(
-            suite=2, method=3, own_cred_style="by-key-id",
+            suite=2,
+            method=3,
+            own_cred_style="by-key-id",
             own_cred={14: cbor2.loads(self.credential.ccs)},
             private_key={1: 2, -1: 1, -4: private},
-            peer_cred={14: cbor2.loads(self.peer.ccs)}, use_combined_edhoc=self.combined,
-        )  # fmt: skip
+            peer_cred={14: cbor2.loads(self.peer.ccs)},
+            use_combined_edhoc=self.combined,
+        )
 
     def _take(self, remote: Any) -> None:
         """Serve the router's requests in the context of the thing's own."""
@@ -190,9 +191,7 @@ class Thing(_Thing):
 class SecretThing(_Thing):
     """A thing with a secret."""
 
-    def __init__(
-        self, border: tuple[str, int], secret: bytes, links: str, kid: bytes = b"\x07"
-    ) -> None:
+    def __init__(self, border: tuple[str, int], secret: bytes, links: str, kid: bytes = b"\x07") -> None:
         super().__init__(border, links)
         self.secret, self.kid = secret, kid
         self._oscore: Any = None

@@ -17,10 +17,7 @@ def live(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
 
 
 def unlimited(
-    credentials: OwnCredential,
-    verify: Verify[PeerT],
-    limits: ChannelLimits = DEFAULTS,
-    **options: Any,
+    credentials: OwnCredential, verify: Verify[PeerT], limits: ChannelLimits = DEFAULTS, **options: Any
 ) -> SecureContext[PeerT]:
     """With the channel's own limits, or `limits`, for every protocol: as an attacker has them."""
     every = dict.fromkeys(WireProtocol, limits)

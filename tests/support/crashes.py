@@ -17,18 +17,18 @@ from functools import partial
 from pathlib import Path
 from unittest import mock
 
-from ca.approvals.statement import Kind
+from ca.approvals.statement import StatementKind
 from ca.authority import Authority, create_root
-from ca.certificates import build_request, check_request, from_pem
-from ca.domains.lists import verify_domains
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.renewal import sign_renewal
-from ca.revocation.state import open_list
-from ca.store.approvals import ApprovalState
-from ca.store.lifecycle import DAY, RequestState
+from ca.certificates import from_pem, sign_renewal
+from ca.domains.trust import verify_domains
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import open_list
+from ca.store.log import ApprovalState
 from ca.store.record import Store
-from ca.things.statement import sign_statement
+from ca.store.values import DAY, RequestState
+from ca.svid import build_request, check_request
+from ca.things.constrained_nodes import sign_statement
 from rossec.authority.renewals import renew
 from rossec.authority.signing import SigningAuthority
 from tests.support import approving
@@ -48,9 +48,7 @@ Scenario = Callable[[SigningAuthority, Path], None]
 
 
 def opened(directory: Path) -> SigningAuthority:
-    return SigningAuthority(
-        Authority(ROOT, CERTIFICATE), Store.open(directory / "ca.db"), directory
-    )
+    return SigningAuthority(Authority(ROOT, CERTIFICATE), Store.open(directory / "ca.db"), directory)
 
 
 def prepare(directory: Path) -> None:
@@ -76,7 +74,7 @@ def deny(authority: SigningAuthority, _: Path) -> None:
 
 
 def collect(authority: SigningAuthority, _: Path) -> None:
-    with mock.patch("ca.store.requests.KEPT_EXPIRED", 0):
+    with mock.patch("ca.store.identities.KEPT_EXPIRED", 0):
         authority.store.requests.collect(NOW + 60 * DAY)
 
 
@@ -111,7 +109,7 @@ def approve(authority: SigningAuthority, _: Path) -> None:
     if not store.passkeys.all():
         store.passkeys.add(approving.registered(PHONE))
     if not store.approvals.all():
-        statement = approving.state(approving.WHATS[Kind.DELEGATE], store=store)
+        statement = approving.state(approving.WHATS[StatementKind.DELEGATE], store=store)
         with store.transaction():
             store.approvals.add(approving.touch(statement, device=PHONE))
             store.log_event("delegation", "/master", "", NOW)
@@ -168,10 +166,17 @@ def migrate(authority: SigningAuthority, _: Path) -> None:
 
 
 SCENARIOS: dict[str, Scenario] = {
-    "issue": issue, "deny": deny, "collect": collect, "revoke": revoke, "renew": succeed,
-    "replace": replace, "approve": approve, "trust": trust, "rename": rename,
+    "issue": issue,
+    "deny": deny,
+    "collect": collect,
+    "revoke": revoke,
+    "renew": succeed,
+    "replace": replace,
+    "approve": approve,
+    "trust": trust,
+    "rename": rename,
     "migrate": migrate,
-}  # fmt: skip
+}
 
 
 def act(scenario: Scenario, directory: Path) -> None:

@@ -34,16 +34,20 @@ class CrewProcess:
         self._reading = asyncio.ensure_future(self._read())
 
     @classmethod
-    async def started(
-        cls, prefix: Sequence[str], environ: Mapping[str, str], log: Path
-    ) -> "CrewProcess":
+    async def started(cls, prefix: Sequence[str], environ: Mapping[str, str], log: Path) -> "CrewProcess":
         """Start a crew; commands of `prefix` come before its own."""
         with log.open("ab") as errors:
             process = await asyncio.create_subprocess_exec(
-                *prefix, sys.executable, "-m", "tests.support.crew",
-                env={**environ, "PYTHONPATH": str(ROOT)}, limit=1 << 24,
-                stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=errors,
-            )  # fmt: skip
+                *prefix,
+                sys.executable,
+                "-m",
+                "tests.support.crew",
+                env={**environ, "PYTHONPATH": str(ROOT)},
+                limit=1 << 24,
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=errors,
+            )
         return cls(process)
 
     async def do(self, node: str, what: str, *given: object) -> object:

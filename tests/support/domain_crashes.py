@@ -11,10 +11,10 @@ from collections import Counter
 from functools import partial
 from pathlib import Path
 
-from ca.domains.standing import Standing
+from ca.revocation.trust_status import Standing
 from rossec.home import NodeHome
-from rossec.participant.domain_updates import DomainUpdates
-from rossec.saved_domains import DomainFiles
+from rossec.participant.master_updates import DomainUpdates
+from rossec.saved_statements import DomainFiles
 from tests.support.domains import Pair, domains, foreign, revoked
 from tests.support.killing import run_killed
 from tests.support.pki import NOW

@@ -5,21 +5,22 @@ from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.certificates import Identity, TrustAnchor, build_request
-from ca.domains.anchors import Anchors
-from ca.domains.lists import DomainList, ForeignDomain, sign_domains
-from ca.domains.standing import Standing
-from ca.keys.signer import KeySigner
-from ca.revocation.state import (
+from ca.certificates import Identity, TrustAnchor
+from ca.domains.trust import Anchors, DomainList, ForeignDomain, sign_domains
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import (
     MAX_AGE,
     RevocationList,
-    Revocations,
+    RevocationTree,
     Timestamp,
+    TreeEntries,
     digest,
     sign_list,
     sign_timestamp,
+    sign_tree,
 )
-from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
+from ca.revocation.trust_status import Revocations, Standing
+from ca.svid import build_request
 from grants import document
 from grants.model import Draft, Permission, Right
 from tests.support.pki import DAY, NOW, Site, new_signer
@@ -27,9 +28,7 @@ from tests.support.pki import DAY, NOW, Site, new_signer
 
 def foreign(site: Site, label: str = "hospital", **changes: Any) -> ForeignDomain:
     """An entry of a list for all nodes of `site`, fresh for an hour, for ten days."""
-    fields: dict[str, Any] = {
-        "admitted": ("/rounds/*", "/master"), "fresh": 3600, "until": NOW + 10 * DAY,
-    }  # fmt: skip
+    fields: dict[str, Any] = {"admitted": ("/rounds/*", "/master"), "fresh": 3600, "until": NOW + 10 * DAY}
     return ForeignDomain(site.anchor.domain, label, site.root, **(fields | changes))
 
 
@@ -64,13 +63,15 @@ def grant(
 ) -> bytes:
     """A grant for a day, signed by one site; `domain` is by default its own."""
     fields: dict[str, Any] = {
-        "not_before": NOW - 60, "expires": NOW + DAY, "cap": NOW + DAY, "serial": token_bytes(16),
+        "not_before": NOW - 60,
+        "expires": NOW + DAY,
+        "cap": NOW + DAY,
+        "serial": token_bytes(16),
         "permissions": (Permission(pattern, right),),
-    }  # fmt: skip
+    }
     draft = Draft(
-        domain=domain or signed_by.anchor.domain, subject=subject, holder=holder,
-        **(fields | changes),
-    )  # fmt: skip
+        domain=domain or signed_by.anchor.domain, subject=subject, holder=holder, **(fields | changes)
+    )
     return document.sign(KeySigner(signed_by.key), draft)
 
 
@@ -87,9 +88,7 @@ class SomeNode:
     def key(self) -> ec.EllipticCurvePublicKey:
         return self.signer.public_key
 
-    def stamp(
-        self, revocations: bytes, seq: int = 1, issued: int = NOW, max_age: int = MAX_AGE
-    ) -> bytes:
+    def stamp(self, revocations: bytes, seq: int = 1, issued: int = NOW, max_age: int = MAX_AGE) -> bytes:
         """Its word, as a master, that a list is the newest."""
         return sign_timestamp(self.signer, Timestamp(seq, digest(revocations), issued, max_age))
 

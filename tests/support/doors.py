@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from rossec.channel.opening import WireProtocol, first_bytes
-from rossec.ros.settings import build_door
+from rossec.ros.names import build_door
 
 HOST: Final = "127.0.0.1"
 _RESET: Final = struct.pack("ii", 1, 0)  # linger: with nothing

@@ -6,13 +6,13 @@ from xml.etree.ElementTree import Element as Xml
 
 from defusedxml.ElementTree import fromstring
 
-from rossec.console.pictures.svg import NAMESPACE, Element
+from rossec.console.pictures.svg import NAMESPACE, SvgElement
 
 _X: Final = ("x", "cx", "x1", "x2")
 _Y: Final = ("y", "cy", "y1", "y2")
 
 
-def checked(picture: Element | None) -> Xml:
+def checked(picture: SvgElement | None) -> Xml:
     """The parsed picture; every number in it lies within the view box, and nothing has a style."""
     assert picture is not None
     root: Xml = fromstring(str(picture))

@@ -8,14 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Self
 
-from ca.certificates import build_request
 from ca.enrollment import qr
-from ca.enrollment.authority import AuthorityEnrollment
-from ca.enrollment.node import NodeEnrollment, NodeState, Pending
+from ca.enrollment.sides import AuthorityEnrollment, NodeEnrollment, NodeState, Pending
 from ca.errors import CAError, EnrollmentOver
-from ca.keys.signer import KeySigner
-from rossec.enrollment.address import join
-from rossec.enrollment.node import WaitingNode
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
+from rossec.enrollment.enroll import WaitingNode
+from rossec.host.addresses import join
 from tests.support.pki import NOW, Site, new_signer
 
 NAME = "/robot1/camera"
@@ -44,12 +43,14 @@ class Robot:
         self, *, label: bool = False, now: int = NOW, contribution: bytes | None = None
     ) -> NodeEnrollment:
         return NodeEnrollment(
-            self.signer, self.csr, "home",
+            self.signer,
+            self.csr,
+            "home",
             secret=b"" if label else fresh(),
             contribution=contribution or fresh(),
             expires=now + WINDOW,
             wildcard=self.wildcard,
-        )  # fmt: skip
+        )
 
 
 def scanned(node: NodeEnrollment) -> AuthorityEnrollment:
@@ -75,9 +76,7 @@ def offered(
     return enrollment, enrollment.offer([certificate], site.root, nonce or fresh(), now)
 
 
-def acknowledged(
-    node: NodeEnrollment, site: Site, now: int = NOW
-) -> tuple[AuthorityEnrollment, bytes]:
+def acknowledged(node: NodeEnrollment, site: Site, now: int = NOW) -> tuple[AuthorityEnrollment, bytes]:
     """As `offered`, with the node's answer delivered."""
     enrollment, offer = offered(node, site, now)
     for answer in node.receive(offer, now):

@@ -18,10 +18,7 @@ SECURE: Final = "import rossec\nrossec.secure()\n"
 def environment(site: Site, logs: Path, **more: str) -> dict[str, str]:
     """The environment of a program of this site; `logs` is rospy's log directory."""
     assert site.master is not None
-    return {
-        **stock.environment(site.master.uri, logs), **site.environ,
-        "PYTHONPATH": str(PROJECT), **more,
-    }  # fmt: skip
+    return {**stock.environment(site.master.uri, logs), **site.environ, "PYTHONPATH": str(PROJECT), **more}
 
 
 def entitle(site: Site, name: str, rights: Mapping[Right, tuple[str, ...]]) -> None:
@@ -70,10 +67,13 @@ async def program(
 ) -> AsyncIterator[Program]:
     """Run Python `source`, with or without standard input; it is stopped afterwards."""
     process = await asyncio.create_subprocess_exec(
-        *stock.python(source, *arguments), env=dict(env), limit=1 << 20,
+        *stock.python(source, *arguments),
+        env=dict(env),
+        limit=1 << 20,
         stdin=asyncio.subprocess.PIPE if told else asyncio.subprocess.DEVNULL,
-        stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT,
-    )  # fmt: skip
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
+    )
     running = Program(process)
     try:
         yield running

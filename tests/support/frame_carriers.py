@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from rossec.overlay.link_frames import Kind, kind_of
+from rossec.overlay.link_frames import LinkFrameKind, kind_of
 
 Fate = Callable[[str, bytes], int]
 """From a mailbox and a frame: how often it arrives there."""
@@ -48,6 +48,6 @@ class MemoryCarrier:
     def reopen(self) -> None:
         self.reopened += 1
 
-    def sent(self, kind: Kind) -> list[tuple[str, bytes]]:
+    def sent(self, kind: LinkFrameKind) -> list[tuple[str, bytes]]:
         """What was put of this kind, with its mailbox."""
         return [(key, frame) for key, frame in self.frames if kind_of(frame) == kind]

@@ -26,9 +26,8 @@ class GatewayProcess:
         command = self.place.rossec("gateway", "--name", self.name, "--json", *self._words)
         with self._log.open("ab") as log:
             process = self._process = await asyncio.create_subprocess_exec(
-                *command, env=self.place.environ,
-                stdin=asyncio.subprocess.DEVNULL, stdout=log, stderr=log,
-            )  # fmt: skip
+                *command, env=self.place.environ, stdin=asyncio.subprocess.DEVNULL, stdout=log, stderr=log
+            )
 
         def up() -> bool:
             assert process.returncode is None, self.said()
@@ -70,9 +69,7 @@ class GatewayProcess:
 
 
 @contextlib.asynccontextmanager
-async def gateway_of(
-    place: Place, *words: str, name: str = "/gateway"
-) -> AsyncIterator[GatewayProcess]:
+async def gateway_of(place: Place, *words: str, name: str = "/gateway") -> AsyncIterator[GatewayProcess]:
     """A gateway that runs; `words`: what it shall serve."""
     made = GatewayProcess(place, words, name)
     try:

@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import Final
 
 from ca.encoding import Value, encode
-from ca.revocation.state import MAX_AGE, Timestamp, digest, open_list, sign_timestamp
+from ca.revocation.lists import MAX_AGE, Timestamp, digest, open_list, sign_timestamp
 from grants.model import Restriction, Right
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.demo.intruder import UnverifiedPeer, accept_any
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureStream, WireProtocol, serve
-from rossec.net.rpc.client import serve_calls
+from rossec.net.rpc.calls import serve_calls
 from rossec.node import message_type
 from rossec.participant.access import FIELD
-from rossec.ros import header
+from rossec.ros import tcpros
 from rossec.ros.names import MASTER
 from tests.support.attacker import HOST, call, credentials
 from tests.support.contexts import unlimited
@@ -57,7 +57,7 @@ class Sites:
         seq = open_list(data, self.hospital.anchor.public_key).seq
         stamp = Timestamp(seq, digest(data), self.hospital.now(), MAX_AGE)
         assert self.home.master is not None
-        self.home.master._effects.take_foreign(
+        self.home.master.effects.take_foreign(
             self.hospital.anchor.domain, data, sign_timestamp(signer.signer, stamp), signer.chain
         )
 
@@ -113,19 +113,17 @@ class FalsePublisher:
 
     async def serve_topic(self, stream: SecureStream[UnverifiedPeer]) -> None:
         data = await stream.receive()
-        self.headers.append(header.decode(data[4:]))
+        self.headers.append(tcpros.decode(data[4:]))
         message = string("false")
         try:
-            await stream.send(header.encode(self.fields), message)
+            await stream.send(tcpros.encode(self.fields), message)
             while True:
                 await stream.send(message)
                 await asyncio.sleep(0.05)
         except ChannelError:
             self.left += 1
 
-    async def answer(
-        self, _method: str, params: tuple[object, ...], _: UnverifiedPeer
-    ) -> Sequence[object]:
+    async def answer(self, _method: str, params: tuple[object, ...], _: UnverifiedPeer) -> Sequence[object]:
         self.requested.append(str(params[1]))
         return [1, "", ["TCPROS", HOST, self.port]]
 
@@ -151,13 +149,17 @@ class FalsePublisher:
 def string(text: str) -> bytes:
     """A String as it is sent, with its length."""
     kind = message_type(STRING)
-    return header.frame(bytes(kind.serialize(kind.create(data=text))))
+    return tcpros.frame(bytes(kind.serialize(kind.create(data=text))))
 
 
 def answering(name: str, topic: str, *grants: bytes) -> dict[str, str | bytes]:
     """The connection header of a publisher."""
     kind = message_type(STRING)
     return {
-        "callerid": name, "topic": topic, "type": kind.name, "md5sum": kind.md5sum,
-        "message_definition": kind.definition, FIELD: encode(list[Value](grants)),
-    }  # fmt: skip
+        "callerid": name,
+        "topic": topic,
+        "type": kind.name,
+        "md5sum": kind.md5sum,
+        "message_definition": kind.definition,
+        FIELD: encode(list[Value](grants)),
+    }

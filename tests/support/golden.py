@@ -13,8 +13,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 
-from rossec.channel.edhoc.credentials import Credentials
-from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.credentials import Credentials, KnownCertificates
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
 from tests.support.wire import ALICE, BOB, End, Wire, alice, bob, wire
@@ -70,10 +69,7 @@ def transcripts() -> dict[str, list[dict[str, str]]]:
     left, right = fixed(ALICE), fixed(BOB)
 
     def talk(
-        protocol: WireProtocol,
-        ours: KnownCertificates,
-        theirs: KnownCertificates,
-        request_x5t: bool,
+        protocol: WireProtocol, ours: KnownCertificates, theirs: KnownCertificates, request_x5t: bool
     ) -> Wire:
         return wire(
             alice(protocol, left, _LIMITS, known=ours, request_x5t=request_x5t),
@@ -85,10 +81,7 @@ def transcripts() -> dict[str, list[dict[str, str]]]:
         "suite 6, TCPROS, x5chain": _converse(talk(WireProtocol.TCPROS, ours, theirs, False)),
         "suite 6, HTTP, x5t": _converse(talk(WireProtocol.HTTP, ours, theirs, True)),
         "suites 4 and 6, error 2": _converse(
-            wire(
-                alice(credentials=left, limits=_LIMITS, suites=(4, 6)),
-                bob(right, _LIMITS, suites=(6,)),
-            )
+            wire(alice(credentials=left, limits=_LIMITS, suites=(4, 6)), bob(right, _LIMITS, suites=(6,)))
         ),
     }
 

@@ -74,9 +74,7 @@ def two_hosts() -> Iterator[Hosts]:
         except (OSError, subprocess.CalledProcessError):
             yield Hosts(Host((), "127.0.0.1", "::1"), Host((), "127.0.0.2", "::1"), real=False)
             return
-        yield Hosts(
-            Host(inside, "10.99.0.1", "fd99::1"), Host(beyond, "10.99.0.2", "fd99::2"), real=True
-        )
+        yield Hosts(Host(inside, "10.99.0.1", "fd99::1"), Host(beyond, "10.99.0.2", "fd99::2"), real=True)
 
 
 @contextlib.contextmanager

@@ -15,14 +15,12 @@ from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
-from ca.certificates import check_request, to_pem
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_messages import Issued, JoinAnswer, Waiting, WaitReason
-from ca.enrollment.join_request import JoinRequest
-from ca.enrollment.join_transcript import sign_proof
-from ca.store.invitations import InvitationRow
-from rossec.authority.invitations import end, find
-from rossec.authority.joining import join
+from ca.certificates import to_pem
+from ca.enrollment.invitation import InvitationCode, JoinRequest, sign_proof
+from ca.enrollment.join import Issued, JoinAnswer, WaitingMessage, WaitReason
+from ca.store.identities import InvitationRow
+from ca.svid import check_request
+from rossec.authority.invitations import end, find, join
 from rossec.home import NodeHome
 from tests.support.crashes import CERTIFICATE, HELD, NOW, ROOT, opened, prepare
 from tests.support.killing import run_killed
@@ -55,7 +53,7 @@ def node_joins(directory: Path, name: str) -> None:
     if isinstance(found, Issued):
         home.install(to_pem(*found.chain, CERTIFICATE), NOW)
     else:
-        assert found == Waiting(WaitReason.PERSON)
+        assert found == WaitingMessage(WaitReason.PERSON)
 
 
 def ends(directory: Path) -> None:

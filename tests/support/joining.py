@@ -10,20 +10,25 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Self
 
-from ca.certificates import build_request
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_authority import AuthorityJoin, LiveIdentity
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import Issued, JoinAnswer, NameAnswer, Refused, RefuseReason
-from ca.enrollment.join_node import NodeJoin
-from ca.enrollment.join_request import JoinRequest
-from ca.keys.signer import KeySigner
+from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest
+from ca.enrollment.join import (
+    AuthorityJoin,
+    Issued,
+    JoinAnswer,
+    LiveIdentity,
+    NameAnswer,
+    NodeJoin,
+    RefusedMessage,
+    RefuseReason,
+)
+from ca.keys.signing import KeySigner
 from ca.names import AUTHORITY
-from ca.store.invitations import InvitationRow
+from ca.store.identities import InvitationRow
+from ca.svid import build_request
 from rossec.authority.home import AuthorityHome
-from rossec.authority.joining import allowed_pattern, join
-from rossec.authority.keyservice.join_names import JoinNames
-from rossec.enrollment.join_server import JoinServer
+from rossec.authority.invitations import allowed_pattern, join
+from rossec.authority.keyservice.network import JoinNames
+from rossec.enrollment.join import JoinServer
 from tests.support.pki import NOW, new_signer
 from tests.support.site import Site
 
@@ -53,18 +58,11 @@ class JoinSite:
         return self.site.now()
 
     def invite(
-        self,
-        pattern: str = PATTERN,
-        uses: int = 1,
-        *,
-        lasts: int = HOUR,
-        wildcard: bool = False,
+        self, pattern: str = PATTERN, uses: int = 1, *, lasts: int = HOUR, wildcard: bool = False
     ) -> InvitationCode:
         """A recorded invitation."""
         expires = self.now + lasts
-        code = InvitationCode(
-            self.site_hash(), fresh(), expires, self.address, pattern, wildcard=wildcard
-        )
+        code = InvitationCode(self.site_hash(), fresh(), expires, self.address, pattern, wildcard=wildcard)
         self.store.invitations.add(
             InvitationRow(code.id, code.key, pattern, uses, wildcard, expires, self.now)
         )
@@ -78,9 +76,7 @@ class JoinSite:
         own = self.own.credentials()
         return LiveIdentity(own.signer, own.chain, self.root)
 
-    def request(
-        self, code: InvitationCode, csr: bytes, identity: LiveIdentity | None = None
-    ) -> JoinRequest:
+    def request(self, code: InvitationCode, csr: bytes, identity: LiveIdentity | None = None) -> JoinRequest:
         """The request of a node that joins by `code`, as the authority's key gets it."""
         node = NodeJoin(code, fresh())
         face = AuthorityJoin(identity or self.identity(), fresh())
@@ -160,7 +156,7 @@ class JoinPort:
 
             async def name(claim: JoinClaim) -> NameAnswer:
                 pattern = allowed_pattern(authority.store, claim, int(time.time()))
-                if isinstance(pattern, Refused):
+                if isinstance(pattern, RefusedMessage):
                     return pattern
                 return await names.answer(claim.metadata, pattern)
 
@@ -186,5 +182,5 @@ def issued(answer: JoinAnswer) -> bytes:
 
 def refusal(answer: JoinAnswer) -> RefuseReason:
     """The reason in an answer."""
-    assert isinstance(answer, Refused), answer
+    assert isinstance(answer, RefusedMessage), answer
     return answer.reason

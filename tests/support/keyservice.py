@@ -7,11 +7,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from rossec.authority.home import AuthorityHome
-from rossec.authority.keyservice.caller import Caller
 from rossec.authority.keyservice.operations import KeyOperations
-from rossec.authority.keyservice.process import KeyServiceProcess, operations_of
-from rossec.authority.keyservice.server import admit_all
-from rossec.net.host.peeruid import UnixPeer
+from rossec.authority.keyservice.process import AuditedCaller, KeyServiceProcess, admit_all, operations_of
+from rossec.host.local_sockets import UnixPeer
 
 
 @dataclass
@@ -27,7 +25,7 @@ def running_service(
     home: AuthorityHome,
     admit: Callable[[UnixPeer], None] = admit_all,
     join_port: Callable[[], int] = int,
-    phone_code: Callable[[Caller], str] | None = None,
+    phone_code: Callable[[AuditedCaller], str] | None = None,
 ) -> Iterator[RunningService]:
     """The service of the authority in `home`, locked."""
     lines: list[str] = []

@@ -17,15 +17,34 @@ ENTRY = 1
 # By machine: the system calls that change what is on the disk, or sync it.
 WRITES = {
     "x86_64": {
-        1: "write", 18: "pwrite64", 20: "writev", 74: "fsync", 75: "fdatasync", 77: "ftruncate",
-        82: "rename", 83: "mkdir", 87: "unlink", 263: "unlinkat", 264: "renameat",
-        285: "fallocate", 316: "renameat2",
+        1: "write",
+        18: "pwrite64",
+        20: "writev",
+        74: "fsync",
+        75: "fdatasync",
+        77: "ftruncate",
+        82: "rename",
+        83: "mkdir",
+        87: "unlink",
+        263: "unlinkat",
+        264: "renameat",
+        285: "fallocate",
+        316: "renameat2",
     },
     "aarch64": {
-        34: "mkdirat", 35: "unlinkat", 38: "renameat", 46: "ftruncate", 47: "fallocate",
-        64: "write", 66: "writev", 68: "pwrite64", 82: "fsync", 83: "fdatasync", 276: "renameat2",
+        34: "mkdirat",
+        35: "unlinkat",
+        38: "renameat",
+        46: "ftruncate",
+        47: "fallocate",
+        64: "write",
+        66: "writev",
+        68: "pwrite64",
+        82: "fsync",
+        83: "fdatasync",
+        276: "renameat2",
     },
-}[platform.machine()]  # fmt: skip
+}[platform.machine()]
 _libc = ctypes.CDLL(None, use_errno=True)
 _libc.ptrace.restype = ctypes.c_long
 _libc.ptrace.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]

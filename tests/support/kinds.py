@@ -167,11 +167,15 @@ asyncio.run(main(sys.argv[1], sys.argv[2].split(), sys.argv[3]))
 """
 
 SPEAKERS: Final[Mapping[str, str]] = {
-    "inprocess": SECURE + _ROSPY_SPEAKER, "builtin": _BUILTIN_SPEAKER, "sidecar": _ROSPY_SPEAKER,
-}  # fmt: skip
+    "inprocess": SECURE + _ROSPY_SPEAKER,
+    "builtin": _BUILTIN_SPEAKER,
+    "sidecar": _ROSPY_SPEAKER,
+}
 LISTENERS: Final[Mapping[str, str]] = {
-    "inprocess": SECURE + _ROSPY_LISTENER, "builtin": _BUILTIN_LISTENER, "sidecar": _ROSPY_LISTENER,
-}  # fmt: skip
+    "inprocess": SECURE + _ROSPY_LISTENER,
+    "builtin": _BUILTIN_LISTENER,
+    "sidecar": _ROSPY_LISTENER,
+}
 
 
 def command(kind: str, python: str, rossec: str, source: str, *more: str) -> Sequence[str]:

@@ -64,18 +64,12 @@ def lan_of(segments: Mapping[str, Sequence[str]]) -> Iterator[Lan]:
     root = os.geteuid() == 0
     with contextlib.ExitStack() as stack:
         try:
-            first = stack.enter_context(
-                holder(("unshare", *(() if root else ("--map-root-user",)), "--net"))
-            )
+            first = stack.enter_context(holder(("unshare", *(() if root else ("--map-root-user",)), "--net")))
             switch = _enter(first, root=root)
-            pids = {
-                name: stack.enter_context(holder((*switch, "unshare", "--net"))) for name in names
-            }
+            pids = {name: stack.enter_context(holder((*switch, "unshare", "--net"))) for name in names}
             ports = _join(switch, segments, pids, root=root)
         except (OSError, subprocess.CalledProcessError):
-            addresses = {
-                name: Host((), f"127.0.0.{number}", "::1") for number, name in enumerate(names, 1)
-            }
+            addresses = {name: Host((), f"127.0.0.{number}", "::1") for number, name in enumerate(names, 1)}
             yield Lan(addresses, real=False)
             return
         hosts = {
@@ -91,9 +85,8 @@ def _enter(pid: int, *, root: bool) -> tuple[str, ...]:
 
 
 def _join(
-    switch: tuple[str, ...], segments: Mapping[str, Sequence[str]], pids: Mapping[str, int],
-    *, root: bool,
-) -> dict[str, str]:  # fmt: skip
+    switch: tuple[str, ...], segments: Mapping[str, Sequence[str]], pids: Mapping[str, int], *, root: bool
+) -> dict[str, str]:
     """Wire everything; the switch's port of each host, and of each segment but the first."""
     ports: dict[str, str] = {}
     commands = ["link set lo up"]
@@ -112,19 +105,24 @@ def _join(
             ports[name] = f"port{number}"
             commands += [
                 f"link add {ports[name]} type veth peer name eth0 netns {pids[name]}",
-                f"link set {ports[name]} master {bridge}", f"link set {ports[name]} up",
-            ]  # fmt: skip
+                f"link set {ports[name]} master {bridge}",
+                f"link set {ports[name]} up",
+            ]
     _ip(switch, commands)
     for number, pid in enumerate(pids.values(), 1):
-        _ip(_enter(pid, root=root), [
-            f"addr add 10.98.0.{number}/24 dev eth0", f"addr add fd98::{number}/64 dev eth0 nodad",
-            "link set eth0 up", "link set lo up",
-        ])  # fmt: skip
+        _ip(
+            _enter(pid, root=root),
+            [
+                f"addr add 10.98.0.{number}/24 dev eth0",
+                f"addr add fd98::{number}/64 dev eth0 nodad",
+                "link set eth0 up",
+                "link set lo up",
+            ],
+        )
     return ports
 
 
 def _ip(where: tuple[str, ...], commands: Sequence[str]) -> None:
     subprocess.run(
-        [*where, "ip", "-batch", "-"],
-        input="\n".join(commands), text=True, check=True, capture_output=True,
-    )  # fmt: skip
+        [*where, "ip", "-batch", "-"], input="\n".join(commands), text=True, check=True, capture_output=True
+    )

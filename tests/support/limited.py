@@ -11,9 +11,9 @@ from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureStream, connect
 from rossec.node import Node, Publisher
-from rossec.ros import header
-from rossec.ros.header import FrameReader
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.ros import tcpros
+from rossec.ros.tcpros import FrameReader
+from rossec.sidecar.loopback_port import PlainStream
 from tests.support.attacker import EVE, HOST, fields_for
 from tests.support.contexts import unlimited
 from tests.support.site import Site
@@ -42,11 +42,9 @@ class Eve:
         """One more connection; returns once the publisher has it."""
         before = len(self.publisher.links)
         stream = await connect(
-            HOST,
-            self.port,
-            unlimited(self.site.enroll(EVE).credentials(), self.site.anchor.verify),
+            HOST, self.port, unlimited(self.site.enroll(EVE).credentials(), self.site.anchor.verify)
         )
-        await stream.send(header.encode(fields_for(EVE, TOPIC, [self.grant])))
+        await stream.send(tcpros.encode(fields_for(EVE, TOPIC, [self.grant])))
         await until(lambda: len(self.publisher.links) == before + 1)
         return stream
 
@@ -77,9 +75,7 @@ def number(value: float) -> bytes:
 
 
 @contextlib.asynccontextmanager
-async def publishing(
-    site: Site, *restrictions: Restriction, latch: bool = False
-) -> AsyncIterator[Eve]:
+async def publishing(site: Site, *restrictions: Restriction, latch: bool = False) -> AsyncIterator[Eve]:
     """/robot publishes numbers; Eve may subscribe under each of the restrictions."""
     site.publish("/robot", TOPIC)
     grants = [site.subscribe(EVE, TOPIC, item) for item in restrictions]

@@ -9,7 +9,7 @@ from heapq import heappop, heappush
 from typing import Final
 
 from rossec.overlay.link import Link
-from rossec.overlay.link_frames import Kind, head, kind_of
+from rossec.overlay.link_frames import LinkFrameKind, head, kind_of
 
 REPLY: Final = "rossec/1/open/" + 32 * "a"
 ID: Final = bytes(range(16))
@@ -18,7 +18,7 @@ Fate = Callable[[float], tuple[float, ...]]
 
 
 def frame(
-    kind: Kind, offset: int = 0, body: bytes = b"", link: bytes = ID, received: int = 0
+    kind: LinkFrameKind, offset: int = 0, body: bytes = b"", link: bytes = ID, received: int = 0
 ) -> bytes:
     """A frame as anyone could make it."""
     return head(kind, link, offset, received, 65536) + body
@@ -37,7 +37,7 @@ class End:
     validates_at: int = 1  # bytes received, from which on the peer counts as authenticated
     octets_in: int = 0
     octets_out: int = 0
-    kinds: list[Kind] = field(default_factory=list)
+    kinds: list[LinkFrameKind] = field(default_factory=list)
 
     def at(self) -> Link:
         assert self.link is not None
@@ -73,7 +73,7 @@ class LinkNetwork:
     def flush(self, end: End) -> None:
         for frame in end.at().frames_to_send(self.now):
             end.octets_out += len(frame)
-            end.kinds.append(Kind(kind_of(frame)))
+            end.kinds.append(LinkFrameKind(kind_of(frame)))
             for delay in () if self.cut else self.fate(self.now):
                 self._count += 1
                 leaves = self._leave(end, len(frame))
@@ -89,7 +89,7 @@ class LinkNetwork:
 
     def deliver(self, end: End, frame: bytes) -> None:
         if end.link is None:
-            if kind_of(frame) != Kind.OPEN:
+            if kind_of(frame) != LinkFrameKind.OPEN:
                 return
             end.link = Link.accept(frame, self.now)
         end.octets_in += len(frame)

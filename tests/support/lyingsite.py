@@ -13,11 +13,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from ca.revocation.state import MAX_AGE, Timestamp, digest, open_list, sign_timestamp
+from ca.revocation.lists import MAX_AGE, Timestamp, digest, open_list, sign_timestamp
 from rossec.demo.intruder import accept_any
 from rossec.home import NodeHome
 from rossec.net.aio import SecureStream, WireProtocol, serve
-from rossec.net.rpc.client import serve_calls
+from rossec.net.rpc.calls import serve_calls
 from rossec.ros.xmlrpc import Fault
 from rossec.terminal import say
 from tests.support.contexts import unlimited
@@ -52,11 +52,21 @@ class LyingSite:
             await asyncio.sleep(5)
         facts = self._facts[at : at + _BATCH]
         self.asked += 1
-        return [1, "", {
-            "instance": "liar", "version": 1, "cursor": at + len(facts), "whole": at == 0,
-            "more": at + len(facts) < len(self._facts), "added": facts, "removed": [],
-            "revocations": digest(self._list) if self._list else b"", "domains": b"",
-        }]  # fmt: skip
+        return [
+            1,
+            "",
+            {
+                "instance": "liar",
+                "version": 1,
+                "cursor": at + len(facts),
+                "whole": at == 0,
+                "more": at + len(facts) < len(self._facts),
+                "added": facts,
+                "removed": [],
+                "revocations": digest(self._list) if self._list else b"",
+                "domains": b"",
+            },
+        ]
 
     def _timestamp(self) -> bytes:
         if not self._list:

@@ -33,19 +33,24 @@ class MasterProcess:
     @property
     def environ(self) -> Mapping[str, str]:
         """The environment of this master's nodes."""
-        return {
-            "ROSSEC_HOME": str(self.site.root), "ROS_IP": "127.0.0.1", "ROS_MASTER_URI": self.uri,
-        }  # fmt: skip
+        return {"ROSSEC_HOME": str(self.site.root), "ROS_IP": "127.0.0.1", "ROS_MASTER_URI": self.uri}
 
     async def start(self, *options: str, **variables: str) -> None:
         """Run `rossec master`, and wait until it answers."""
         base = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
         with self.log.open("ab") as log:
             self.process = await asyncio.create_subprocess_exec(
-                sys.executable, "-I", "-m", "rossec", "master", *options,
+                sys.executable,
+                "-I",
+                "-m",
+                "rossec",
+                "master",
+                *options,
                 env={**base, **self.environ, **variables},
-                stdin=asyncio.subprocess.DEVNULL, stdout=log, stderr=log,
-            )  # fmt: skip
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+            )
         process = self.process
 
         def up() -> bool:

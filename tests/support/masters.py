@@ -7,20 +7,16 @@ from collections.abc import AsyncIterator, Sequence
 from typing import Any
 
 from ca.certificates import Identity
-from ca.domains.lists import DomainList, ForeignDomain, sign_domains
-from ca.keys.publickey import to_coordinates
-from rossec.federation.config import FederationConfig
-from rossec.federation.mesh import Mesh
-from rossec.federation.settings import SiteSettings
-from rossec.federation.start import mesh_of
+from ca.domains.trust import DomainList, ForeignDomain, sign_domains
+from ca.keys.signing import to_coordinates
+from rossec.federation.mesh import Mesh, mesh_of
+from rossec.federation.settings import FederationConfig, SiteSettings
 from rossec.master.api.methods import DomainsChanged, RevocationsChanged
-from rossec.master.server.server import MasterServer
-from rossec.master.server.start import master_of
+from rossec.master.server.server import MasterServer, master_of
 from rossec.net.aio import SecureContext, WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.node import Node
-from rossec.ros.names import PRESENT_GRANTS
-from rossec.ros.settings import parse_uri
+from rossec.ros.names import PRESENT_GRANTS, parse_uri
 from tests.support.site import DAY, Site
 
 TYPE = "std_msgs/String"
@@ -40,9 +36,12 @@ class Master:
 
     async def start(self) -> None:
         self.server = master_of(
-            self.home, host="127.0.0.1", port=self._port, now=self.site.now(),
+            self.home,
+            host="127.0.0.1",
+            port=self._port,
+            now=self.site.now(),
             newest=self.site.authority.store.newest_list(),
-        )  # fmt: skip
+        )
         await self.server.start()
         self._port = self.server.port
         if self.domains:
@@ -81,9 +80,11 @@ class Master:
         """A node that works with this master."""
         self.site.enroll(name)
         environ = {
-            "ROSSEC_HOME": str(self.site.root), "ROS_IP": "127.0.0.1",
-            "ROS_MASTER_URI": self.server.uri, "ROSSEC_MASTER": self.name,
-        }  # fmt: skip
+            "ROSSEC_HOME": str(self.site.root),
+            "ROS_IP": "127.0.0.1",
+            "ROS_MASTER_URI": self.server.uri,
+            "ROSSEC_MASTER": self.name,
+        }
         return Node(name, environ=environ)
 
     @property
@@ -134,15 +135,11 @@ class Master:
             await stream.close()
 
 
-def domain_list(
-    site: Site, *masters: str, foreign: Sequence[ForeignDomain] = (), seq: int = 1
-) -> bytes:
+def domain_list(site: Site, *masters: str, foreign: Sequence[ForeignDomain] = (), seq: int = 1) -> bytes:
     """A list of domains of `site`, with these masters."""
     now = int(time.time())
     keys = tuple(sorted(to_coordinates(site.identity(name).public_key) for name in masters))
-    listed = DomainList(
-        1, seq, now, now + DAY, tuple(sorted(foreign, key=lambda each: each.domain)), keys
-    )
+    listed = DomainList(1, seq, now, now + DAY, tuple(sorted(foreign, key=lambda each: each.domain)), keys)
     return sign_domains(site.authority.authority.signer, listed, site.anchor.domain)
 
 

@@ -114,11 +114,15 @@ class Variant:
 VARIANTS: Final[Mapping[str, Variant]] = {
     "as written": Variant("/", "server", "client"),
     "remapped": Variant(
-        "/", "other_server", "other_client", "numbers:=/far/numbers", "switch:=/far/switch",
+        "/",
+        "other_server",
+        "other_client",
+        "numbers:=/far/numbers",
+        "switch:=/far/switch",
         "latched:=/far/latched",
     ),
     "namespaced": Variant("/robot1/", "server", "client"),
-}  # fmt: skip
+}
 
 
 def entitle_both(site: Site, variant: Variant) -> None:
@@ -127,21 +131,25 @@ def entitle_both(site: Site, variant: Variant) -> None:
     topics = tuple(map(named, ("latched", "numbers", "direct")))
     server, client = variant.names["server"], variant.names["client"]
     entitle(
-        site, server,
+        site,
+        server,
         {
-            Right.PUBLISH: (*topics, "/clock"), Right.PROVIDE: (named("switch"),),
+            Right.PUBLISH: (*topics, "/clock"),
+            Right.PROVIDE: (named("switch"),),
             Right.PARAM_SET: (named("shared/colour"), "/use_sim_time"),
             Right.PARAM_GET: ("/use_sim_time",),
         },
-    )  # fmt: skip
+    )
     entitle(
-        site, client,
+        site,
+        client,
         {
-            Right.SUBSCRIBE: (*topics, "/clock"), Right.CALL: (named("switch"),),
+            Right.SUBSCRIBE: (*topics, "/clock"),
+            Right.CALL: (named("switch"),),
             Right.PARAM_GET: (named("shared"), named("shared/*"), "/use_sim_time", f"{client}/**"),
             Right.PARAM_SET: (f"{client}/**",),
         },
-    )  # fmt: skip
+    )
 
 
 async def play(site: Site, logs: Path, variant: Variant, **more: str) -> list[str]:

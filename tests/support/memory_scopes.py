@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 from typing import Any, Final
 
-from grants.memory import MemoryScope, MemoryStore
+from grants.guard import MemoryScope, MemoryStore
 
 HOLDER: Final[Any] = SimpleNamespace(holder=bytes(32), chain=())
 HOLDER.links = (HOLDER,)

@@ -19,10 +19,9 @@ from typing import Any, Final
 
 import pytest
 
-from ca.domains.lists import open_domains, sign_domains
+from ca.domains.trust import open_domains, sign_domains
 from grants.model import Right
-from rossec.federation.settings import SiteSettings
-from rossec.federation.site_file import SiteFile
+from rossec.federation.settings import SiteFile, SiteSettings
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
 from tests.support.crewprocess import CrewProcess
@@ -34,10 +33,10 @@ from tests.support.witness import until
 
 PORT: Final = 11311
 _SHORTENED: Final = """
-from rossec.federation import follower, states
+from rossec.federation import follower, site_state
 follower.SILENCE = 5.5
-states.LOST_FOR = 1
-states.LONGEST_PAUSE = 2
+site_state.LOST_FOR = 1
+site_state.LONGEST_PAUSE = 2
 from rossec.cli.main import main
 main()
 """
@@ -96,9 +95,13 @@ class Place:
     def environ(self) -> dict[str, str]:
         kept = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
         return {
-            **kept, "ROSSEC_HOME": str(self.domain.site.root), "ROS_IP": self.host.ipv4,
-            "ROS_MASTER_URI": self.uri, "ROSSEC_MASTER": self.master, "PYTHONUNBUFFERED": "1",
-        }  # fmt: skip
+            **kept,
+            "ROSSEC_HOME": str(self.domain.site.root),
+            "ROS_IP": self.host.ipv4,
+            "ROS_MASTER_URI": self.uri,
+            "ROSSEC_MASTER": self.master,
+            "PYTHONUNBUFFERED": "1",
+        }
 
     @property
     def crew(self) -> CrewProcess:
@@ -113,9 +116,12 @@ class Place:
     async def run(self, *words: str) -> str:
         """Run `rossec WORDS` on this host; what it printed."""
         process = await asyncio.create_subprocess_exec(
-            *self.rossec(*words), env=self.environ, stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT,
-        )  # fmt: skip
+            *self.rossec(*words),
+            env=self.environ,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+        )
         async with asyncio.timeout(40):
             said, _ = await process.communicate()
         assert process.returncode == 0, said.decode()
@@ -156,8 +162,10 @@ class Place:
             self._process = await asyncio.create_subprocess_exec(
                 *self.host.at(sys.executable, *self._module, "master", *name, *self._options),
                 env=self.environ,
-                stdin=asyncio.subprocess.DEVNULL, stdout=log, stderr=log,
-            )  # fmt: skip
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+            )
         process = self._process
 
         def up() -> bool:

@@ -4,7 +4,7 @@ import subprocess
 from pathlib import Path
 from typing import Final
 
-from rossec.namespace.message_package import PACKAGE, write
+from rossec.namespace.topic_names import PACKAGE, write
 
 GENSRV: Final = "/usr/lib/genpy/gensrv_py.py"
 

@@ -10,20 +10,22 @@ from functools import partial
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import decode_sequence, encode
-from rossec.channel.edhoc.keyschedule import (
+from rossec.channel.edhoc.messages import Message1, decode_bytes, decode_message_1
+from rossec.channel.edhoc.suites import (
     GONE,
+    SUITES,
     EdhocExporter,
+    Finish,
     KdfLabel,
+    Random,
     Secret,
+    _p256,
     bstr,
     extract,
     kdf,
-    keystream_2,
     transcript_2,
     transcript_next,
 )
-from rossec.channel.edhoc.messages import Message1, decode_bytes, decode_message_1
-from rossec.channel.edhoc.suites import SUITES, Finish, Random, _p256
 
 SUITE = SUITES[2]
 SALT_3E2M, SALT_4E3M, MAC_LENGTH = 1, 5, 8
@@ -95,13 +97,13 @@ class Method3:
         self._mix(SALT_3E2M, self.own.exchange(self.g_x))
         plaintext = c_r + self.own.kid + bstr(self._mac(KdfLabel.MAC_2, c_r, self.own, ead)) + ead
         self.th = transcript_next(th_2, plaintext, self.own.cred)
-        return bstr(self.g_y + _xor(plaintext, keystream_2(prk_2e, th_2, len(plaintext))))
+        return bstr(self.g_y + _xor(plaintext, kdf(prk_2e, KdfLabel.KEYSTREAM_2, th_2, len(plaintext))))
 
     def take_2(self, data: bytes) -> None:
         body = decode_bytes(data)
         self.g_y, ciphertext = body[:32], body[32:]
         self._agree(self.finish(self.g_y))
-        plaintext = _xor(ciphertext, keystream_2(self.prk, self.th, len(ciphertext)))
+        plaintext = _xor(ciphertext, kdf(self.prk, KdfLabel.KEYSTREAM_2, self.th, len(ciphertext)))
         c_r, kid, mac, *ead = decode_sequence(plaintext)
         self.c_r = encode(c_r)
         assert encode(kid) == self.peer.kid
@@ -133,10 +135,7 @@ class Method3:
         return bstr(_aead(self.prk, self.th, KdfLabel.K_4, KdfLabel.IV_4, "encrypt", b""))
 
     def take_4(self, data: bytes) -> None:
-        assert (
-            _aead(self.prk, self.th, KdfLabel.K_4, KdfLabel.IV_4, "decrypt", decode_bytes(data))
-            == b""
-        )
+        assert _aead(self.prk, self.th, KdfLabel.K_4, KdfLabel.IV_4, "decrypt", decode_bytes(data)) == b""
 
     # -- parts
 
@@ -152,9 +151,7 @@ class Method3:
         return kdf(self.prk, label, context, MAC_LENGTH)
 
 
-def _aead(
-    prk: Secret, th: bytes, key: KdfLabel, iv: KdfLabel, operation: str, data: bytes
-) -> bytes:
+def _aead(prk: Secret, th: bytes, key: KdfLabel, iv: KdfLabel, operation: str, data: bytes) -> bytes:
     aead = SUITE.aead(kdf(prk, key, th, SUITE.key_length))
     run = partial(getattr(aead, operation), kdf(prk, iv, th, SUITE.nonce_length))
     result: bytes = run(data, encode(["Encrypt0", b"", th]))

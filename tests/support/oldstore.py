@@ -55,7 +55,9 @@ def _fill(db: sqlite3.Connection, number: int, key: bytes) -> None:
     db.execute("INSERT INTO revocation VALUES (?, ?, ?)", (entry, "lost", at))
     db.execute("INSERT INTO list VALUES (?, ?, ?, ?)", (1, number + 1, b"list", at))
     for line in (
-        ("certificate", name, key.hex()), ("grant", name, entry.hex()),
-        ("revocation", entry.hex(), "lost"), ("list", f"1.{number + 1}", ""),
-    ):  # fmt: skip
+        ("certificate", name, key.hex()),
+        ("grant", name, entry.hex()),
+        ("revocation", entry.hex(), "lost"),
+        ("list", f"1.{number + 1}", ""),
+    ):
         db.execute("INSERT INTO log (at, what, subject, detail) VALUES (?, ?, ?, ?)", (at, *line))

@@ -42,6 +42,8 @@ def install_version(commit: str, place: Path, sources: Path) -> None:
     program.chmod(0o755)
     found = subprocess.run(
         (str(python), "-I", "-c", "import rossec; print(rossec.__file__)"),
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert Path(found.stdout).is_relative_to(sources), (sys.version, found.stdout)

@@ -4,9 +4,9 @@ import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 
-from rossec.overlay.routers import OPEN_SEAT, Routers
+from rossec.overlay.documents import OPEN_SEAT, Routers
+from rossec.overlay.router_settings import COMMON
 from rossec.overlay.zenoh_carrier import Carrier, open_session
-from rossec.overlay.zenoh_settings import COMMON
 from tests.support.ports import free_port
 
 

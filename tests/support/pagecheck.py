@@ -22,9 +22,11 @@ _ENOUGH: Final = 75_000  # a picture of fewer bytes keeps all of its pixels
 _TALLEST: Final = 3200  # pixels of a picture
 _AXE: Final = Path(axe_playwright_python.__file__).with_name("axe.min.js")
 _VARIANTS: Final[dict[str, tuple[tuple[int, int], Scheme]]] = {
-    "phone": (PHONE, "light"), "phone-dark": (PHONE, "dark"),
-    "desktop": (DESKTOP, "light"), "desktop-dark": (DESKTOP, "dark"),
-}  # fmt: skip
+    "phone": (PHONE, "light"),
+    "phone-dark": (PHONE, "dark"),
+    "desktop": (DESKTOP, "light"),
+    "desktop-dark": (DESKTOP, "dark"),
+}
 
 
 def from_environment() -> "PageCheck":

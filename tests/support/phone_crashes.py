@@ -12,13 +12,12 @@ from contextlib import closing
 from functools import partial
 from pathlib import Path
 
-from rossec.authority.console.access import Access
-from rossec.authority.console.records import from_value
-from rossec.authority.console.views import LoginChallenge
+from rossec.authority.console.access import ConsoleAccess
+from rossec.authority.console.messages import LoginChallenge, from_value
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.master_call import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.errors import NotDelivered
 from tests.support.commands import PASSPHRASE
 from tests.support.consolework import NOW, ask
@@ -28,15 +27,15 @@ from tests.support.passkeys import ORIGIN, RP_ID, Passkey
 PHONE = Passkey(counts=False)
 
 
-def no_master(call: MasterCall) -> object:
+def no_master(call: StatementCall) -> object:
     raise NotDelivered(call.what)
 
 
-def start(root: Path) -> Access:
+def start(root: Path) -> ConsoleAccess:
     """What a service that was started knows."""
     operations = operations_of(AuthorityHome.at(root), lambda _: None)
     work = AuthorityWork(root, operations, no_master, now=lambda: NOW)
-    return Access(work, lambda _: None)
+    return ConsoleAccess(work, lambda _: None)
 
 
 def add(root: Path) -> None:

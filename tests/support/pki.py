@@ -12,8 +12,9 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
 
 from ca.authority import Authority, create_root
-from ca.certificates import TrustAnchor, build_request
-from ca.keys.signer import KeySigner
+from ca.certificates import TrustAnchor
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 
 NOW = 1_800_000_000
 DAY = 86_400
@@ -48,9 +49,16 @@ class Site:
 
 def usage(*wanted: str) -> x509.KeyUsage:
     names = (
-        "digital_signature", "content_commitment", "key_encipherment", "data_encipherment",
-        "key_agreement", "key_cert_sign", "crl_sign", "encipher_only", "decipher_only",
-    )  # fmt: skip
+        "digital_signature",
+        "content_commitment",
+        "key_encipherment",
+        "data_encipherment",
+        "key_agreement",
+        "key_cert_sign",
+        "crl_sign",
+        "encipher_only",
+        "decipher_only",
+    )
     return x509.KeyUsage(**{name: name in wanted for name in names})
 
 
@@ -58,9 +66,7 @@ def uris(*values: str) -> x509.SubjectAlternativeName:
     return x509.SubjectAlternativeName([x509.UniformResourceIdentifier(v) for v in values])
 
 
-def leaf_extensions(
-    uri: str = "spiffe://home/robot1/camera",
-) -> list[tuple[x509.ExtensionType, bool]]:
+def leaf_extensions(uri: str = "spiffe://home/robot1/camera") -> list[tuple[x509.ExtensionType, bool]]:
     return [
         (x509.BasicConstraints(ca=False, path_length=None), True),
         (usage("digital_signature"), True),

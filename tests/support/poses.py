@@ -3,7 +3,7 @@
 import asyncio
 from typing import Any, Final
 
-from ca.revocation.tree import is_tree
+from ca.revocation.lists import is_tree
 from rossec.node import Node, Publisher, Subscriber
 from tests.support.site import Site
 
@@ -23,8 +23,6 @@ def pose(publisher: Publisher, x: float = 3.3, frame: str = "map") -> Any:
 
 async def tell_master(site: Site, node: Node, revocations: bytes) -> None:
     if is_tree(revocations):
-        await node._membership.session.call(
-            "rossec.updateRevocationTree", revocations, site.entries
-        )
+        await node._membership.session.call("rossec.updateRevocationTree", revocations, site.entries)
     else:
         await node._membership.session.call("rossec.updateRevocations", revocations)

@@ -9,13 +9,13 @@ import secrets
 from typing import Any, Final
 
 import lakers
+from aiocoap import Message
 from aiocoap.numbers import codes
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.things.credentials import ThingKey
-from rossec.border import wire
-from rossec.border.contexts import KEY_SIZE, SALT_SIZE, OscoreContext, unprotected
-from rossec.border.wire import Message
+from ca.things.constrained_nodes import ThingKey
+from rossec.border import messages
+from rossec.border.messages import KEY_SIZE, SALT_SIZE, OscoreContext, unprotected
 from rossec.errors import DatagramRefused
 
 EDHOC: Final = (".well-known", "edhoc")
@@ -33,9 +33,14 @@ class RawThing(asyncio.DatagramProtocol):
     """
 
     def __init__(
-        self, border: tuple[str, int], peer: ThingKey, links: bytes = b"", kid: bytes = b"\x2c",
-        state: bytes = b"", form: int = 60,
-    ) -> None:  # fmt: skip
+        self,
+        border: tuple[str, int],
+        peer: ThingKey,
+        links: bytes = b"",
+        kid: bytes = b"\x2c",
+        state: bytes = b"",
+        form: int = 60,
+    ) -> None:
         self.border, self.peer, self.links = border, peer, links
         key = ec.generate_private_key(ec.SECP256R1())
         self.private = key.private_numbers().private_value.to_bytes(32)
@@ -53,9 +58,7 @@ class RawThing(asyncio.DatagramProtocol):
     async def start(self) -> None:
         """Open the socket."""
         loop = asyncio.get_running_loop()
-        self._transport, _ = await loop.create_datagram_endpoint(
-            lambda: self, remote_addr=self.border
-        )
+        self._transport, _ = await loop.create_datagram_endpoint(lambda: self, remote_addr=self.border)
 
     def close(self) -> None:
         """Close it."""
@@ -77,8 +80,8 @@ class RawThing(asyncio.DatagramProtocol):
     def sealed_bytes(self, message: Message) -> bytes:
         """The bytes of a CON."""
         self._mid = (self._mid + 1) & 0xFFFF
-        message.mtype, message.mid = wire.CON, self._mid
-        return wire.write(message)
+        message.mtype, message.mid = messages.CON, self._mid
+        return messages.write(message)
 
     async def begin(self) -> tuple[Any, bytes]:
         """message_1 and message_2; returns the initiator and C_R."""
@@ -136,7 +139,7 @@ class RawThing(asyncio.DatagramProtocol):
     def datagram_received(self, data: bytes, _: Any) -> None:
         """Answer the router."""
         self.received.append(data)
-        message = wire.read(data)
+        message = messages.read(data)
         if message.code.is_response():
             future = self._waiting.pop(bytes(message.token), None)
             if future is not None and not future.done():
@@ -156,15 +159,14 @@ class RawThing(asyncio.DatagramProtocol):
         if opened.opt.uri_path == (".well-known", "core"):
             self._respond(message, identifier, self.links)
             return
-        observed = opened.opt.observe == wire.OBSERVE
+        observed = opened.opt.observe == messages.OBSERVE
         if observed:
             self._observers.append((message, identifier))
         self._respond(message, identifier, self.state, observed=observed, first=True)
 
     def _respond(
-        self, message: Message, identifier: Any, body: bytes, *, observed: bool = False,
-        first: bool = False,
-    ) -> None:  # fmt: skip
+        self, message: Message, identifier: Any, body: bytes, *, observed: bool = False, first: bool = False
+    ) -> None:
         answer = Message(code=codes.CONTENT, payload=body, content_format=self.form)
         if observed:
             answer.opt.observe = 0
@@ -174,8 +176,8 @@ class RawThing(asyncio.DatagramProtocol):
         sealed.token = message.token
         if observed and not first:
             self._mid = (self._mid + 1) & 0xFFFF
-            sealed.mtype, sealed.mid = wire.NON, self._mid
+            sealed.mtype, sealed.mid = messages.NON, self._mid
         else:
-            sealed.mtype, sealed.mid = wire.ACK, message.mid
-        self.sent.append(wire.write(sealed))
+            sealed.mtype, sealed.mid = messages.ACK, message.mid
+        self.sent.append(messages.write(sealed))
         self._transport.sendto(self.sent[-1])

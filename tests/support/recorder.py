@@ -89,9 +89,8 @@ def record(
     for isolation in _ISOLATION:
         own = [sys.executable, "-m", "tests.support.recorder", str(file), marker.decode()]
         done = subprocess.run(
-            [*isolation, *own, *command],
-            env=env, text=True, capture_output=True, timeout=90, check=False,
-        )  # fmt: skip
+            [*isolation, *own, *command], env=env, text=True, capture_output=True, timeout=90, check=False
+        )
         if file.exists():
             return _load(file), done
         errors += done.stderr

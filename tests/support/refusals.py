@@ -14,9 +14,7 @@ def refuse_to_sign_for(subject: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """From now on what has a grant to `subject` in it is refused: `too large`."""
     signs = SigningAuthority.issue_grants
 
-    def refuses(
-        authority: SigningAuthority, drafts: Sequence[tuple[Draft, str]], *more: Any
-    ) -> list[bytes]:
+    def refuses(authority: SigningAuthority, drafts: Sequence[tuple[Draft, str]], *more: Any) -> list[bytes]:
         if any(draft.subject == subject for draft, _ in drafts):
             raise GrantMalformed("too large")
         return signs(authority, drafts, *more)

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from rossec.authority.master_call import MasterCall
+from rossec.authority.session import StatementCall
 
 REASON = "no room"
 
@@ -12,7 +12,7 @@ REASON = "no room"
 def refuse_grants(monkeypatch: pytest.MonkeyPatch) -> None:
     """From now on the authority's commands find this master, wherever they look."""
 
-    def answer(_environment: object, _uri: object, call: MasterCall) -> Any:
+    def answer(_environment: object, _uri: object, call: StatementCall) -> Any:
         if call.method == "rossec.depositGrants":
             (grants,) = call.statement
             assert isinstance(grants, list)

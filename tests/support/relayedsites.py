@@ -9,17 +9,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ca.certificates import Identity
-from ca.domains.anchors import Anchors
-from ca.domains.lists import ForeignDomain
+from ca.domains.trust import Anchors, ForeignDomain
 from rossec.errors import LinkEnded
-from rossec.master.state.doors import Door, Target
+from rossec.master.state.forwarded_ports import Door, Target
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, connect, serve
-from rossec.overlay.doors import OpenDoors
-from rossec.overlay.mailboxes import mailbox
-from rossec.overlay.member import RelayMember
-from rossec.overlay.peers import Peer
+from rossec.overlay.documents import Peer
+from rossec.overlay.forwarded_ports import OpenDoors
+from rossec.overlay.homes import RelayFiles
+from rossec.overlay.link_frames import mailbox
+from rossec.overlay.masters import RelayMember
 from rossec.overlay.relay import Relay
-from rossec.overlay.relay_files import RelayFiles
 from tests.support.masters import Master, domain_list
 from tests.support.site import DAY, Site
 from tests.support.witness import until
@@ -83,11 +82,10 @@ class RelayedSite:
         until_then = int(time.time()) + DAY
         entries = [
             ForeignDomain(
-                each.domain, each.label, each.site.anchor.certificate, admitted, 3600, until_then,
-                exported,
+                each.domain, each.label, each.site.anchor.certificate, admitted, 3600, until_then, exported
             )
             for each in others
-        ]  # fmt: skip
+        ]
         self.master.domains = domain_list(self.site, "/master", foreign=entries, seq=self.listed)
         return self.master.domains
 
@@ -111,9 +109,10 @@ class RelayedSite:
     async def start(self) -> None:
         """Start the relay; the master runs."""
         environ = {
-            "ROSSEC_HOME": str(self.site.root), "ROS_MASTER_URI": self.master.server.uri,
+            "ROSSEC_HOME": str(self.site.root),
+            "ROS_MASTER_URI": self.master.server.uri,
             "ROS_IP": "127.0.0.1",
-        }  # fmt: skip
+        }
         self.member = RelayMember("/relay", environ)
         self.network = WireNetwork(self.wires, self.label, self.member.link_context)
         self.relay = Relay(self.member, self.network, OpenDoors("127.0.0.1"), self.files.peers)
@@ -146,17 +145,13 @@ class RelayedSite:
 
 
 @contextlib.asynccontextmanager
-async def two_sites(
-    root: Path, *, told: bool = True
-) -> AsyncIterator[tuple[RelayedSite, RelayedSite]]:
+async def two_sites(root: Path, *, told: bool = True) -> AsyncIterator[tuple[RelayedSite, RelayedSite]]:
     """A home and an office that trust each other, whose relays have each other's cards.
 
     `told`: the masters have heard of each other's revocations.
     """
     wires = Wires()
-    home, office = (
-        RelayedSite(root / each, f"{each}.example", wires) for each in ("home", "office")
-    )
+    home, office = (RelayedSite(root / each, f"{each}.example", wires) for each in ("home", "office"))
     both = home, office
     try:
         for one, other in (both, both[::-1]):

@@ -13,11 +13,11 @@ from typing import Any
 
 from ca.certificates import Identity
 from rossec.errors import RelayRefused, RossecError
-from rossec.master.state.doors import Door, Target, Way
+from rossec.host.addresses import source_for
+from rossec.master.state.forwarded_ports import Door, PeerWay, Target
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
-from rossec.net.host.relayed import source_for
-from rossec.overlay.master_link import MasterLink
-from rossec.ros.settings import parse_uri
+from rossec.overlay.masters import MasterLink
+from rossec.ros.names import parse_uri
 from tests.support.masters import Master
 
 _Ends = tuple[asyncio.StreamReader, asyncio.StreamWriter]
@@ -69,8 +69,8 @@ class StraightRelay:
     def take_dropped(self, master: str) -> tuple[Target, ...]:
         return ()
 
-    def ways(self) -> Mapping[str, Way]:
-        return dict.fromkeys(self.peers, Way("up", 1.5, 0, "none", len(self._tasks) - 1))
+    def ways(self) -> Mapping[str, PeerWay]:
+        return dict.fromkeys(self.peers, PeerWay("up", 1.5, 0, "none", len(self._tasks) - 1))
 
     async def reach(self, domain: str, kind: str, name: str) -> Any:
         """Connect for another relay; `domain` is what that one's is called here."""
@@ -100,9 +100,7 @@ class StraightRelay:
         task.add_done_callback(self._tasks.discard)
 
     async def _dial(self) -> SecureStream[Identity]:
-        context: SecureContext[Identity] = SecureContext(
-            self._home.credentials(), self._home.anchor().verify
-        )
+        context: SecureContext[Identity] = SecureContext(self._home.credentials(), self._home.anchor().verify)
         address = parse_uri(self._master.server.uri)
         return await connect(*address, context, WireProtocol.HTTP)
 

@@ -5,7 +5,7 @@ import subprocess
 from collections.abc import Iterator
 from typing import Final
 
-from rossec.overlay.routers import OPEN_SEAT, Routers
+from rossec.overlay.documents import OPEN_SEAT, Routers
 from tests.integration.sidecarworld import ROSSEC, Running, World
 from tests.support.hosts import Host
 
@@ -48,9 +48,13 @@ def exchange(one: World, one_label: str, other: World, other_label: str) -> None
 def told(world: World, *words: str) -> str:
     """What a command of `rossec relay` prints, which succeeds."""
     done = subprocess.run(
-        [ROSSEC, "relay", *words], env=world.env(world.hosts.near), text=True,
-        capture_output=True, timeout=30, check=False,
-    )  # fmt: skip
+        [ROSSEC, "relay", *words],
+        env=world.env(world.hosts.near),
+        text=True,
+        capture_output=True,
+        timeout=30,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 

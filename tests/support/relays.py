@@ -8,15 +8,13 @@ from dataclasses import dataclass
 
 from rossec.channel.opening import WireProtocol
 from rossec.net.aio import SecureStream, connect, serve
-from rossec.net.aio.dial import dial
-from rossec.overlay.mux import Role
-from rossec.overlay.mux_units import NODE, Target
-from rossec.overlay.pump import Pump
-from rossec.overlay.streams import Dial, Streams
+from rossec.net.aio.client import dial
+from rossec.overlay.mux import NODE, Role, StreamTarget
+from rossec.overlay.streams import Dial, Pump, Streams
 from tests.support.contexts import context
 from tests.support.wire import ALICE, BOB, FakeIdentity
 
-ROBOT = Target(NODE, "/robot")
+ROBOT = StreamTarget(NODE, "/robot")
 Ends = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
@@ -40,13 +38,9 @@ class Link:
 
 
 @contextlib.asynccontextmanager
-async def secure_pair() -> AsyncIterator[
-    tuple[SecureStream[FakeIdentity], SecureStream[FakeIdentity]]
-]:
+async def secure_pair() -> AsyncIterator[tuple[SecureStream[FakeIdentity], SecureStream[FakeIdentity]]]:
     """Both ends of a secure stream, the one that dialled first."""
-    accepted: asyncio.Future[SecureStream[FakeIdentity]] = (
-        asyncio.get_running_loop().create_future()
-    )
+    accepted: asyncio.Future[SecureStream[FakeIdentity]] = asyncio.get_running_loop().create_future()
 
     async def keep(stream: SecureStream[FakeIdentity]) -> None:
         accepted.set_result(stream)
@@ -86,7 +80,7 @@ async def linked(dial_target: Dial) -> AsyncIterator[Link]:
 def to_port(port: int) -> Dial:
     """Connects every stream to this port of loopback."""
 
-    async def dial_target(_target: Target, _pump: Pump) -> socket.socket:
+    async def dial_target(_target: StreamTarget, _pump: Pump) -> socket.socket:
         return await dial("127.0.0.1", port, 10)
 
     return dial_target
@@ -127,7 +121,7 @@ async def tcp_pair() -> tuple[socket.socket, socket.socket]:
 
 
 @contextlib.asynccontextmanager
-async def carried(streams: Streams, target: Target = ROBOT) -> AsyncIterator[Ends]:
+async def carried(streams: Streams, target: StreamTarget = ROBOT) -> AsyncIterator[Ends]:
     """A connection that a stream carries: what a program holds that went through a door."""
     mine, theirs = await tcp_pair()
     task = asyncio.ensure_future(streams.carry(target, theirs))

@@ -11,8 +11,9 @@ _NODELET: Final = Path(__file__).with_name("shout.cpp")
 # Debian's packages of these have no pkg-config file.
 _PLUGINS: Final = (
     *(f"-I/usr/include/{name}" for name in ("pluginlib", "class_loader", "rcpputils", "rcutils")),
-    "-lclass_loader", "-lnodeletlib",
-)  # fmt: skip
+    "-lclass_loader",
+    "-lnodeletlib",
+)
 
 
 def compiled(directory: Path, source: Path = _PROBE) -> Path:
@@ -42,12 +43,12 @@ def _compiled(source: Path, directory: Path, *options: str) -> Path:
     if not program.exists():
         flags = subprocess.run(
             ["pkg-config", "--cflags", "--libs", "roscpp", "std_msgs"],
-            check=True, capture_output=True, text=True,
-        )  # fmt: skip
+            check=True,
+            capture_output=True,
+            text=True,
+        )
         unfinished = program.with_suffix(".new")
         command = ("g++", "-O1", str(source), "-o", str(unfinished))
-        subprocess.run(
-            [*command, *shlex.split(flags.stdout), *options], check=True, capture_output=True
-        )
+        subprocess.run([*command, *shlex.split(flags.stdout), *options], check=True, capture_output=True)
         unfinished.rename(program)
     return program

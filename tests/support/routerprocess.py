@@ -9,10 +9,9 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from rossec.overlay.router_home import RouterHome
-from rossec.overlay.router_settings import zenoh_settings
-from rossec.overlay.routers import OPEN_SEAT, Routers
-from rossec.overlay.seats import Seats
+from rossec.overlay.documents import OPEN_SEAT, Routers
+from rossec.overlay.homes import RouterHome
+from rossec.overlay.router_settings import Seats, zenoh_settings
 from rossec.overlay.zenoh_carrier import open_session
 from tests.support.ports import free_port
 
@@ -20,9 +19,7 @@ HOST = "127.0.0.1"
 PASSWORD = "p" * 40
 
 
-def home_with(
-    path: Path, *seats: str, protocol: str = "tls", join: tuple[str, ...] = ()
-) -> RouterHome:
+def home_with(path: Path, *seats: str, protocol: str = "tls", join: tuple[str, ...] = ()) -> RouterHome:
     """A router's directory, told a free port, with these seats; their passwords are known."""
     home = RouterHome(path)
     home.prepare()
@@ -74,10 +71,22 @@ class RouterProcess:
         base = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
         with self.log.open("ab") as log:
             self.process = await asyncio.create_subprocess_exec(
-                sys.executable, "-I", "-m", "rossec", "-v", "router", "--home", str(self.home.path),
-                "--json", *is_open, *options, env=base | variables,
-                stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=log,
-            )  # fmt: skip
+                sys.executable,
+                "-I",
+                "-m",
+                "rossec",
+                "-v",
+                "router",
+                "--home",
+                str(self.home.path),
+                "--json",
+                *is_open,
+                *options,
+                env=base | variables,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=log,
+            )
         assert self.process.stdout is not None
         async with asyncio.timeout(40):
             ready = await self.process.stdout.readline()

@@ -44,9 +44,7 @@ def _draw(draw: ImageDraw.ImageDraw, row: int, line: str, page: Colour, ink: Col
         column += 1
 
 
-def _colours(
-    code: str, now: tuple[Colour, Colour], theme: tuple[Colour, Colour]
-) -> tuple[Colour, Colour]:
+def _colours(code: str, now: tuple[Colour, Colour], theme: tuple[Colour, Colour]) -> tuple[Colour, Colour]:
     numbers = [int(number) for number in re.findall("[0-9]+", code)]
     front, back = now
     if numbers == [0]:

@@ -34,9 +34,7 @@ def background(work: Callable[[], object]) -> threading.Thread:
     return thread
 
 
-def pair(
-    listener: SecureListener[FakeIdentity], limits: ChannelLimits = DEFAULTS
-) -> tuple[Secure, Secure]:
+def pair(listener: SecureListener[FakeIdentity], limits: ChannelLimits = DEFAULTS) -> tuple[Secure, Secure]:
     accepted: list[Secure] = []
 
     def accept() -> None:

@@ -16,9 +16,7 @@ async def echo(stream: Stream) -> None:
         await stream.send(await stream.receive())
 
 
-async def call(
-    server: SecureServer[FakeIdentity], protocol: WireProtocol = WireProtocol.TCPROS
-) -> Stream:
+async def call(server: SecureServer[FakeIdentity], protocol: WireProtocol = WireProtocol.TCPROS) -> Stream:
     return await connect("127.0.0.1", server.port, context(ALICE), protocol)
 
 

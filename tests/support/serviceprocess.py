@@ -56,9 +56,14 @@ class ServiceProcess:
     def run(self, *arguments: str, check: bool = True) -> subprocess.CompletedProcess[str]:
         """Run a command without a terminal: it can ask nobody for a passphrase."""
         done = subprocess.run(
-            [sys.executable, "-I", "-m", "rossec", *arguments], env=self.environ, text=True,
-            capture_output=True, stdin=subprocess.DEVNULL, timeout=60, check=False,
-        )  # fmt: skip
+            [sys.executable, "-I", "-m", "rossec", *arguments],
+            env=self.environ,
+            text=True,
+            capture_output=True,
+            stdin=subprocess.DEVNULL,
+            timeout=60,
+            check=False,
+        )
         assert "Traceback" not in done.stderr, done.stderr
         assert not check or done.returncode == 0, done.stderr
         return done
@@ -68,8 +73,11 @@ class ServiceProcess:
         given = ("--passphrase-file", str(self.secret), "--json", *options)
         self.process = subprocess.Popen(
             [sys.executable, "-I", "-m", "rossec", "ca", "serve", *given],
-            env=self.environ, text=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-        )  # fmt: skip
+            env=self.environ,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+        )
         assert self.process.stdout is not None
         return self.process.stdout.readline()
 

@@ -3,12 +3,12 @@
 import socket
 import sys
 
-from rossec.authority.keyservice import inner_messages
-from rossec.authority.keyservice.inner_messages import InnerRequest
+from rossec.authority.keyservice import messages
+from rossec.authority.keyservice.messages import InnerRequest
 
 SHOUT = "\x1b[2Jcannot listen\nauthority of site: unlocked"
 
 if __name__ == "__main__":
     with socket.socket(fileno=int(sys.argv[1])) as inner:
-        inner.sendall(inner_messages.write(InnerRequest(0, inner_messages.FAILED, (SHOUT, SHOUT))))
+        inner.sendall(messages.write(InnerRequest(0, messages.FAILED, (SHOUT, SHOUT))))
         inner.recv(1)

@@ -1,9 +1,9 @@
 """Subscribes a plain program behind a sidecar to a publisher."""
 
 from rossec.channel.opening import WireProtocol
-from rossec.participant.header_fields import Fields
-from rossec.sidecar.core.endpoints import parse_endpoint
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.participant.handshakes import Fields
+from rossec.sidecar.core.layers import parse_endpoint
+from rossec.sidecar.loopback_port import PlainStream
 from tests.rossec.sidecar.program import Program
 
 

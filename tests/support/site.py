@@ -9,24 +9,21 @@ from pathlib import Path
 
 from ca.authority import Authority, create_root
 from ca.certificates import Identity, TrustAnchor, to_pem
-from ca.keys import key_files
-from ca.keys.signer import KeySigner
-from ca.revocation.tree import is_tree, open_tree
+from ca.keys import private_keys
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import is_tree, open_tree
 from ca.store.record import Store
 from grants import document
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
-from rossec.authority.list_contents import tree_entries
 from rossec.authority.renewals import renew
-from rossec.authority.signing import SigningAuthority
-from rossec.channel.suite_selection import post_quantum
+from rossec.authority.signing import SigningAuthority, tree_entries
+from rossec.channel.opening import post_quantum
 from rossec.home import NodeHome
-from rossec.master.operation.denial_log import OnDenial, ignore_denial
-from rossec.master.operation.limits import MasterLimits
-from rossec.master.server.server import MasterServer
-from rossec.master.server.start import master_of
+from rossec.master.operation.config import MasterLimits
+from rossec.master.server.effects import OnDenial, ignore_denial
+from rossec.master.server.server import MasterServer, master_of
 from rossec.node import Node
-from rossec.ros.names import MASTER
-from rossec.ros.settings import parse_uri
+from rossec.ros.names import MASTER, parse_uri
 
 HOUR = 3600
 DAY = 86400
@@ -35,18 +32,14 @@ DAY = 86400
 class Site:
     """One trust domain below `root`; its authority's key is in memory, unencrypted."""
 
-    def __init__(
-        self, root: Path, domain: str = "home", clock: Callable[[], float] = time.time
-    ) -> None:
+    def __init__(self, root: Path, domain: str = "home", clock: Callable[[], float] = time.time) -> None:
         self.root = root
         self._clock = clock
-        key = KeySigner(key_files.generate())
+        key = KeySigner(private_keys.generate())
         now = self.now()
         certificate = create_root(key, domain, now=now, serial=secrets.randbits(127) + 1)
         root.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self.authority = SigningAuthority(
-            Authority(key, certificate), Store.create(root / "ca.db"), root
-        )
+        self.authority = SigningAuthority(Authority(key, certificate), Store.create(root / "ca.db"), root)
         self.authority.sign_list(now)
         self.master: MasterServer | None = None
         self.on_denial: OnDenial = ignore_denial
@@ -118,12 +111,15 @@ class Site:
         now = self.now()
         begin = now - 60 if begin is None else begin
         draft = Draft(
-            domain=self.anchor.domain, subject=name,
+            domain=self.anchor.domain,
+            subject=name,
             holder=holder or self.identity(name).thumbprint,
-            not_before=begin, expires=now + lifetime, cap=now + max(lifetime, cap),
+            not_before=begin,
+            expires=now + lifetime,
+            cap=now + max(lifetime, cap),
             serial=secrets.token_bytes(16),
             permissions=(Permission(pattern, right, restriction),),
-        )  # fmt: skip
+        )
         data = self.authority.issue_grant(draft, now)
         home.add_grant(document.grant_id(data), data)
         return data
@@ -131,9 +127,7 @@ class Site:
     def delegate(self, at_most: int = HOUR) -> bytes:
         """Delegate to the master: it renews grants, for `at_most` seconds each."""
         home = self.enroll(MASTER)
-        data = self.authority.issue_delegation(
-            self.identity(MASTER).thumbprint, DAY, at_most, self.now()
-        )
+        data = self.authority.issue_delegation(self.identity(MASTER).thumbprint, DAY, at_most, self.now())
         home.save_delegation(data)
         return data
 
@@ -146,9 +140,8 @@ class Site:
     ) -> bytes:
         """Grant `name` the right to subscribe."""
         return self.grant(
-            name, Right.SUBSCRIBE, pattern,
-            restriction=restriction, lifetime=options.get("lifetime", DAY),
-        )  # fmt: skip
+            name, Right.SUBSCRIBE, pattern, restriction=restriction, lifetime=options.get("lifetime", DAY)
+        )
 
     def revoke(self, grant_or_key: bytes) -> bytes:
         """Revoke a signed grant, or a key by its thumbprint; returns the new signed list."""
@@ -179,12 +172,17 @@ class Site:
     async def start_master(self, port: int) -> None:
         """Start a master on `port` of `host`."""
         self.master = master_of(
-            self.enroll(MASTER), host=self.host, port=port,
-            newest=self.authority.store.newest_list(), now=self.now(), entries=self.entries,
-            on_denial=self.on_denial, limits=self.limits,
+            self.enroll(MASTER),
+            host=self.host,
+            port=port,
+            newest=self.authority.store.newest_list(),
+            now=self.now(),
+            entries=self.entries,
+            on_denial=self.on_denial,
+            limits=self.limits,
             renewer=None if self.intermediate is None else partial(renew, self.intermediate),
             suites=post_quantum(self.environ),
-        )  # fmt: skip
+        )
         await self.master.start()
 
     def node(self, name: str, *argv: str) -> Node:

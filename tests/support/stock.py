@@ -32,9 +32,12 @@ rospy.signal_shutdown("done")
 def environment(master_uri: str, directory: Path) -> dict[str, str]:
     return {
         **{key: value for key, value in os.environ.items() if not key.startswith("ROS")},
-        "ROS_MASTER_URI": master_uri, "ROS_IP": "127.0.0.1",
-        "ROS_HOME": str(directory), "ROS_LOG_DIR": str(directory), "PYTHONUNBUFFERED": "1",
-    }  # fmt: skip
+        "ROS_MASTER_URI": master_uri,
+        "ROS_IP": "127.0.0.1",
+        "ROS_HOME": str(directory),
+        "ROS_LOG_DIR": str(directory),
+        "PYTHONUNBUFFERED": "1",
+    }
 
 
 async def run(env: dict[str, str], *command: str) -> tuple[int | None, str]:
@@ -65,9 +68,12 @@ def python(source: str, *arguments: str) -> tuple[str, ...]:
 async def process(env: dict[str, str], *command: str) -> AsyncIterator[asyncio.subprocess.Process]:
     """A running process; stdout and stderr are merged."""
     running = await asyncio.create_subprocess_exec(
-        *command, env=env, stdin=asyncio.subprocess.DEVNULL,
-        stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT,
-    )  # fmt: skip
+        *command,
+        env=env,
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
+    )
     try:
         yield running
     finally:

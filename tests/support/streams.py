@@ -34,9 +34,7 @@ class MemoryStream:
         return not self.inbox.empty()
 
     def next_unit(self) -> bytes | None:
-        unit = (
-            b"" if self.closed else None if self.inbox.empty() else self.inbox.get_nowait() or b""
-        )
+        unit = b"" if self.closed else None if self.inbox.empty() else self.inbox.get_nowait() or b""
         if unit == b"":
             raise MemoryClosed("closed")
         return unit

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from rossec.authority.keyservice.client import KeyServiceClient
-from rossec.authority.keyservice.messages import STATUS, Request
+from rossec.authority.keyservice.messages import STATUS, ServiceRequest
 
 WAIT = 0.3  # seconds in which the service sees that the connection ended
 
@@ -17,7 +17,7 @@ def main(descriptor: str, _: str, directory: str, answer: str, *__: str) -> None
     time.sleep(WAIT)
     try:
         client = KeyServiceClient.find(Path(directory))
-        said = "no service" if client is None else str(client.ask(Request(STATUS)))
+        said = "no service" if client is None else str(client.ask(ServiceRequest(STATUS)))
     except Exception as error:  # noqa: BLE001 - whatever it is, the test shows it
         said = repr(error)
     partial = Path(answer).with_suffix(".part")

@@ -7,7 +7,7 @@ import sys
 from collections.abc import AsyncIterator
 from typing import Any
 
-from rossec.net.aio.tasks import TaskSet
+from rossec.host.runner import TaskSet
 
 Heard = dict[str, list[Any]]  # by topic: how many, the last number, the gaps
 
@@ -37,9 +37,13 @@ class Talking:
 @contextlib.asynccontextmanager
 async def started(env: dict[str, str], *command: str) -> AsyncIterator[Talking]:
     process = await asyncio.create_subprocess_exec(
-        *command, env=env, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.STDOUT, limit=1 << 20,
-    )  # fmt: skip
+        *command,
+        env=env,
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.STDOUT,
+        limit=1 << 20,
+    )
     running = Talking(process)
     tasks = TaskSet()
     reading = tasks.spawn(running.read(), "what a program says")

@@ -4,14 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from ca.keys import key_files
-from ca.keys.signer import KeySigner
-from ca.requests import build_request
-from ca.revocation.state import open_list
-from ca.things.credentials import ThingKey
+from ca.keys import private_keys
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import open_list
+from ca.svid import build_request
+from ca.things.constrained_nodes import ThingKey
 from rossec.authority.home import AuthorityHome
-from rossec.authority.service import AuthorityService
-from rossec.authority.thing_operations import SignedThing, ThingOrder
+from rossec.authority.service import AuthorityService, SignedThing, ThingOrder
 from rossec.home import NodeHome
 from tests.support.pki import NOW, new_signer
 
@@ -41,7 +40,7 @@ class Office:
         if replaced is not None:
             node.path.rename(node.path.with_name(f"former{len(list(node.path.parent.iterdir()))}"))
         node.create_request("home")
-        bundle = self.service.issue(
+        bundle = self.service.identities.issue(
             node.request(), 30 * DAY, replace_key=replaced, wildcard=False, source="file"
         )
         node.install(bundle, self.now)
@@ -49,11 +48,11 @@ class Office:
 
     def sign(self, **changes: Any) -> SignedThing:
         """State what the lamp is, with some changes."""
-        return self.service.sign_thing(replace(self.order, **changes))
+        return self.service.things.sign(replace(self.order, **changes))
 
     def request(self, name: str = LAMP) -> bytes:
         """A request with a new key, as another border router makes it."""
-        return build_request(KeySigner(key_files.generate()), "home", name)
+        return build_request(KeySigner(private_keys.generate()), "home", name)
 
     def thumbprint(self, name: str) -> bytes:
         """The newest valid key of a node."""

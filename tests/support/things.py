@@ -3,11 +3,10 @@
 from dataclasses import replace
 from typing import Any, Final
 
-from ca.keys.publickey import thumbprint
+from ca.keys.signing import thumbprint
 from ca.store.record import Store
-from ca.store.things import ThingRow
-from ca.things.credentials import ThingKey
-from ca.things.statement import ThingStatement, sign_statement
+from ca.store.signed_statements import ThingRow
+from ca.things.constrained_nodes import ThingKey, ThingStatement, sign_statement
 from tests.vectors.make_things import HOME, NOW, OTHER, STATEMENTS
 
 LAMP: Final = STATEMENTS["a key"]
@@ -30,13 +29,9 @@ def elsewhere(statement: ThingStatement, serial: int) -> ThingStatement:
 def row_of(statement: ThingStatement, border: str = BORDER) -> ThingRow:
     """Its row, signed by the authority of the vectors."""
     data = sign_statement(HOME, statement)
-    return ThingRow(
-        statement.id, statement.name, border, data, statement.not_before, statement.expires
-    )
+    return ThingRow(statement.id, statement.name, border, data, statement.not_before, statement.expires)
 
 
-def add_thing(
-    store: Store, statement: ThingStatement, *, border: str = BORDER, at: int = NOW
-) -> None:
+def add_thing(store: Store, statement: ThingStatement, *, border: str = BORDER, at: int = NOW) -> None:
     """Record a statement."""
     store.things.add(row_of(statement, border), statement, at)

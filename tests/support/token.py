@@ -20,8 +20,18 @@ def softhsm() -> Path:
     os.environ["SOFTHSM2_CONF"] = str(config)
     for label in ("home", "spare"):
         subprocess.run(
-            ["softhsm2-util", "--init-token", "--free", "--label", label, "--pin", PIN,
-             "--so-pin", "83920475"],
-            check=True, capture_output=True,
-        )  # fmt: skip
+            [
+                "softhsm2-util",
+                "--init-token",
+                "--free",
+                "--label",
+                label,
+                "--pin",
+                PIN,
+                "--so-pin",
+                "83920475",
+            ],
+            check=True,
+            capture_output=True,
+        )
     return directory

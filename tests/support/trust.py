@@ -3,8 +3,8 @@
 import secrets
 from collections.abc import Sequence
 
-from ca.domains.aliases import alias_of
-from ca.domains.lists import ForeignDomain, NameRights, open_domains
+from ca.domains.trust import ForeignDomain, NameRights, open_domains
+from ca.names import alias_of
 from grants import document
 from grants.model import Draft, Permission, Restriction, Right
 from tests.support.site import DAY, HOUR, Site
@@ -23,11 +23,15 @@ def accept(
 ) -> bytes:
     """`site` trusts the domain of `other`, called `label` (default: as it is); the new list."""
     domain = ForeignDomain(
-        other.anchor.domain, label or other.anchor.domain, other.anchor.certificate,
-        tuple(admitted), fresh, site.now() + lifetime,
+        other.anchor.domain,
+        label or other.anchor.domain,
+        other.anchor.certificate,
+        tuple(admitted),
+        fresh,
+        site.now() + lifetime,
         None if exported is None else tuple(exported),
         None if imported is None else tuple(imported),
-    )  # fmt: skip
+    )
     site.authority.store.domains.accept(domain, site.now())
     return newest(site)
 
@@ -45,25 +49,25 @@ def newest(site: Site) -> bytes:
 
 
 def share(
-    origin: Site,
-    holder: Site,
-    name: str,
-    right: Right,
-    pattern: str,
-    restriction: Restriction | None = None,
+    origin: Site, holder: Site, name: str, right: Right, pattern: str, restriction: Restriction | None = None
 ) -> bytes:
     """Give a node of `holder` a right on names of `origin`; the grant is put into its home."""
     label = next(
-        each.label for each in open_domains(newest(origin), origin.anchor).domains
+        each.label
+        for each in open_domains(newest(origin), origin.anchor).domains
         if each.domain == holder.anchor.domain
-    )  # fmt: skip
+    )
     now = origin.now()
     draft = Draft(
-        domain=origin.anchor.domain, subject=alias_of(label, name),
-        holder=holder.identity(name).thumbprint, not_before=now - 60, expires=now + DAY,
-        cap=now + DAY, serial=secrets.token_bytes(16),
+        domain=origin.anchor.domain,
+        subject=alias_of(label, name),
+        holder=holder.identity(name).thumbprint,
+        not_before=now - 60,
+        expires=now + DAY,
+        cap=now + DAY,
+        serial=secrets.token_bytes(16),
         permissions=(Permission(pattern, right, restriction),),
-    )  # fmt: skip
+    )
     data = document.sign(origin.authority.signer, draft)
     holder.enroll(name).add_grant(document.grant_id(data), data)
     return data

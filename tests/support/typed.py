@@ -25,8 +25,7 @@ _READY: Final = {
     "rossec border": "until rossec border status >/dev/null 2>&1; do sleep 0.1; done",
     "rossec ca serve": "until rossec ca status >/dev/null 2>&1; do sleep 0.1; done",
     "rossec master": "until (: >/dev/tcp/$ROS_IP/11311) 2>/dev/null; do sleep 0.1; done",
-    "rossec gateway": "until rossec gateway status 2>&1 | grep -q ' as /gateway/'"
-    "; do sleep 0.1; done",
+    "rossec gateway": "until rossec gateway status 2>&1 | grep -q ' as /gateway/'; do sleep 0.1; done",
     "rossec namespace serve": "until rossec service list --as /namespace"
     " 2>/dev/null | grep -q get_topic_name; do sleep 0.1; done",
     "rossec relay": "until rossec relay status >/dev/null 2>&1; do sleep 0.1; done",
@@ -74,9 +73,7 @@ class TypedShell:
         """
         number = next(self._numbers)
         script = self.home / f".block{number}"
-        script.write_text(
-            _BACKGROUND.sub(lambda found: f"{found[0]}\n{_READY[found[1]]}", commands)
-        )
+        script.write_text(_BACKGROUND.sub(lambda found: f"{found[0]}\n{_READY[found[1]]}", commands))
         self._write(f". {script}; printf 'end %s\\n' {number}-\n")
         return self._until(f"end {number}-", within)
 

@@ -11,7 +11,7 @@ from ca.encoding import encode
 from grants.model import Right
 from rossec.node import Node, Subscriber
 from rossec.participant.access import FIELD
-from rossec.ros.settings import parse_uri
+from rossec.ros.names import parse_uri
 from tests.support.fleet import SECURE, Program, entitle, environment, program
 from tests.support.site import Site
 from tests.support.witness import until
@@ -94,12 +94,16 @@ async def attacked(directory: Path) -> AsyncIterator[Victim]:
     """A site with the two."""
     async with Site(directory / "site").running() as site:
         entitle(
-            site, NAME,
+            site,
+            NAME,
             {
-                Right.PUBLISH: (STATE,), Right.SUBSCRIBE: (COMMAND,), Right.PROVIDE: (SERVICE,),
-                Right.PARAM_SET: (PARAMETER,), Right.PARAM_GET: (PARAMETER,),
+                Right.PUBLISH: (STATE,),
+                Right.SUBSCRIBE: (COMMAND,),
+                Right.PROVIDE: (SERVICE,),
+                Right.PARAM_SET: (PARAMETER,),
+                Right.PARAM_GET: (PARAMETER,),
             },
-        )  # fmt: skip
+        )
         site.subscribe("/viewer", STATE)
         env = environment(site, directory / "logs")
         async with program(env, ROBOT) as robot, site.node("/viewer") as viewer:

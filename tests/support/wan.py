@@ -22,9 +22,7 @@ from tests.support.recorder import Recording
 from tests.support.stock import process
 from tests.support.witness import until
 
-_OPEN: Final = (
-    "203.0.113"  # documentation addresses (RFC 5737): routers from .10, gateways from .100
-)
+_OPEN: Final = "203.0.113"  # documentation addresses (RFC 5737): routers from .10, gateways from .100
 _PRIVATE: Final = "192.168.1"  # of each site: hosts from .10, the gateway is .1
 _FIREWALL: Final = """
 table ip gateway {
@@ -125,14 +123,16 @@ class _Builder:
         self._mine = () if os.geteuid() == 0 else ("--user", "--preserve-credentials")
         self._first: tuple[str, ...] = ()
 
-    def build(
-        self, sites: Mapping[str, Sequence[str]], routers: Sequence[str], delay_ms: float
-    ) -> Wan:
+    def build(self, sites: Mapping[str, Sequence[str]], routers: Sequence[str], delay_ms: float) -> Wan:
         self._first = backbone = self._namespace()[1]
-        _ip(backbone, [
-            line for name in ("sites", "routers")
-            for line in (f"link add {name} type bridge mcast_snooping 0", f"link set {name} up")
-        ])  # fmt: skip
+        _ip(
+            backbone,
+            [
+                line
+                for name in ("sites", "routers")
+                for line in (f"link add {name} type bridge mcast_snooping 0", f"link set {name} up")
+            ],
+        )
         self._join_bridges(delay_ms)
         hosts = {
             name: self._host(backbone, "routers", f"router{number}", f"{_OPEN}.{10 + number}")
@@ -151,11 +151,16 @@ class _Builder:
     def _join_bridges(self, delay_ms: float) -> None:
         backbone = self._first
         if not delay_ms:
-            _ip(backbone, [
-                "link add trunk0 type veth peer name trunk1",
-                "link set trunk0 master sites", "link set trunk1 master routers",
-                "link set trunk0 up", "link set trunk1 up",
-            ])  # fmt: skip
+            _ip(
+                backbone,
+                [
+                    "link add trunk0 type veth peer name trunk1",
+                    "link set trunk0 master sites",
+                    "link set trunk1 master routers",
+                    "link set trunk0 up",
+                    "link set trunk1 up",
+                ],
+            )
             return
         slow = (sys.executable, "-m", "tests.support.slowline", str(delay_ms), "tap0", "tap1")
         line = subprocess.Popen([*backbone, *slow], stdout=subprocess.PIPE, text=True)
@@ -164,38 +169,53 @@ class _Builder:
         assert line.stdout is not None
         if not line.stdout.readline():
             raise subprocess.CalledProcessError(line.wait(), "slowline")
-        _ip(backbone, [
-            "link set tap0 master sites", "link set tap1 master routers",
-            "link set tap0 up", "link set tap1 up",
-        ])  # fmt: skip
+        _ip(
+            backbone,
+            [
+                "link set tap0 master sites",
+                "link set tap1 master routers",
+                "link set tap0 up",
+                "link set tap1 up",
+            ],
+        )
 
     def _gateway(self, number: int, port: str) -> tuple[str, ...]:
         pid, inside = self._namespace()
-        _ip(self._first, [
-            f"link add {port} type veth peer name wan netns {pid}",
-            f"link set {port} master sites", f"link set {port} up",
-        ])  # fmt: skip
-        _ip(inside, [
-            f"addr add {_OPEN}.{100 + number}/24 dev wan", "link set wan up", "link set lo up",
-            "link add lan type bridge mcast_snooping 0", f"addr add {_PRIVATE}.1/24 dev lan",
-            "link set lan up",
-        ])  # fmt: skip
+        _ip(
+            self._first,
+            [
+                f"link add {port} type veth peer name wan netns {pid}",
+                f"link set {port} master sites",
+                f"link set {port} up",
+            ],
+        )
+        _ip(
+            inside,
+            [
+                f"addr add {_OPEN}.{100 + number}/24 dev wan",
+                "link set wan up",
+                "link set lo up",
+                "link add lan type bridge mcast_snooping 0",
+                f"addr add {_PRIVATE}.1/24 dev lan",
+                "link set lan up",
+            ],
+        )
         _run(inside, "sysctl", "-qw", "net.ipv4.ip_forward=1")
         _nft(inside, _FIREWALL)
         return inside
 
-    def _host(
-        self, switch: tuple[str, ...], bridge: str, port: str, address: str, gateway: str = ""
-    ) -> Host:
+    def _host(self, switch: tuple[str, ...], bridge: str, port: str, address: str, gateway: str = "") -> Host:
         pid, inside = self._namespace()
-        _ip(switch, [
-            f"link add {port} type veth peer name eth0 netns {pid}",
-            f"link set {port} master {bridge}", f"link set {port} up",
-        ])  # fmt: skip
+        _ip(
+            switch,
+            [
+                f"link add {port} type veth peer name eth0 netns {pid}",
+                f"link set {port} master {bridge}",
+                f"link set {port} up",
+            ],
+        )
         route = [f"route add default via {gateway}"] if gateway else []
-        _ip(inside, [
-            f"addr add {address}/24 dev eth0", "link set eth0 up", "link set lo up", *route
-        ])  # fmt: skip
+        _ip(inside, [f"addr add {address}/24 dev eth0", "link set eth0 up", "link set lo up", *route])
         return Host(inside, address, "")
 
     def _namespace(self) -> tuple[int, tuple[str, ...]]:
@@ -217,6 +237,5 @@ def _nft(where: tuple[str, ...], rules: str) -> None:
 def _run(where: tuple[str, ...], *command: str, told: str = "") -> None:
     path = {"PATH": f"{os.environ['PATH']}:/usr/sbin:/sbin"}
     subprocess.run(
-        [*where, *command],
-        input=told, text=True, check=True, capture_output=True, env={**os.environ, **path},
-    )  # fmt: skip
+        [*where, *command], input=told, text=True, check=True, capture_output=True, env={**os.environ, **path}
+    )

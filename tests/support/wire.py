@@ -12,14 +12,13 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from ca.errors import CAError
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
 from rossec.channel.connection import Connection
-from rossec.channel.edhoc.credentials import Credentials, Renews
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.edhoc.own_dials import OwnDials
+from rossec.channel.edhoc.credentials import Credentials, KnownCertificates, OwnDials, Renews
+from rossec.channel.edhoc.handshake import EdhocConfig
+from rossec.channel.negotiation import Authenticated, Event, UnitReceived
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
-from rossec.channel.states import Authenticated, Event, UnitReceived
 from rossec.errors import ChannelError
 
 NOW = 1_800_000_000
@@ -94,19 +93,17 @@ def alice(
     renews: Renews[FakeIdentity] | None = None,
 ) -> Connection[FakeIdentity]:
     """An initiator."""
-    return Connection[FakeIdentity].initiator(
+    config = EdhocConfig(
         credentials,
         trust,
-        random=dice("alice"),
-        now=NOW,
-        opening=opening,
-        limits=limits,
-        suites=suites,
+        dice("alice"),
+        suites,
         known=known,
         request_x5t=request_x5t,
         own_dials=own_dials,
         renews=renews,
     )
+    return Connection[FakeIdentity].initiator(config, now=NOW, opening=opening, limits=limits)
 
 
 def bob(
@@ -119,18 +116,10 @@ def bob(
     renews: Renews[FakeIdentity] | None = None,
 ) -> Connection[FakeIdentity]:
     """A responder."""
-    return Connection[FakeIdentity].responder(
-        credentials,
-        trust,
-        random=dice("bob"),
-        now=NOW,
-        limits=limits,
-        suites=suites,
-        accept=accept,
-        known=known,
-        own_dials=own_dials,
-        renews=renews,
+    config = EdhocConfig(
+        credentials, trust, dice("bob"), suites, known=known, own_dials=own_dials, renews=renews
     )
+    return Connection[FakeIdentity].responder(config, now=NOW, limits=limits, accept=accept)
 
 
 @dataclass

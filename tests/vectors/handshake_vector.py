@@ -5,8 +5,9 @@ from typing import Any
 from cryptography.hazmat.primitives.asymmetric import x25519
 
 from ca.encoding import encode
-from rossec.channel.edhoc.handshake import Initiator, Responder
-from rossec.channel.edhoc.keyschedule import (
+from rossec.channel.edhoc.handshake import C_R, EdhocConfig, Initiator, Responder
+from rossec.channel.edhoc.messages import Plaintext, decode_bytes
+from rossec.channel.edhoc.suites import (
     EdhocExporter,
     KdfLabel,
     bstr,
@@ -15,8 +16,6 @@ from rossec.channel.edhoc.keyschedule import (
     transcript_2,
     transcript_next,
 )
-from rossec.channel.edhoc.messages import Plaintext, decode_bytes
-from rossec.channel.edhoc.peer import C_R, EdhocConfig
 from tests.support.golden import fixed
 from tests.support.wire import ALICE, BOB, NOW, FakeIdentity, dice, trust
 
@@ -56,25 +55,40 @@ def _schedule(message_1: bytes, message_2: bytes) -> dict[str, bytes]:
     cred_i, cred_r = bstr(left.certificate), bstr(right.certificate)
     id_i, id_r = encode(left.id_cred), encode(right.id_cred)
     mac_2 = kdf(prk, KdfLabel.MAC_2, C_R + id_r + bstr(th_2) + cred_r, 32)
-    sig_2 = right.sign(_signed(id_r, bstr(th_2) + cred_r, mac_2))
+    sig_2 = right.signer.sign(_signed(id_r, bstr(th_2) + cred_r, mac_2))
     plaintext_2 = Plaintext(C_R, right.id_cred, sig_2).encode()
     th_3 = transcript_next(th_2, plaintext_2, cred_r)
     mac_3 = kdf(prk, KdfLabel.MAC_3, id_i + bstr(th_3) + cred_i, 32)
-    sig_3 = left.sign(_signed(id_i, bstr(th_3) + cred_i, mac_3))
+    sig_3 = left.signer.sign(_signed(id_i, bstr(th_3) + cred_i, mac_3))
     plaintext_3 = Plaintext(None, left.id_cred, sig_3).encode()
     th_4 = transcript_next(th_3, plaintext_3, cred_i)
     exporter = EdhocExporter.derive(prk, th_4)
     context = b"rossec/1" + bytes(8)
     return {
-        "x": x, "y": y, "g_x": g_x, "g_y": g_y, "g_xy": shared, "cred_i": cred_i, "cred_r": cred_r,
-        "id_cred_i": id_i, "id_cred_r": id_r, "th_2": th_2, "mac_2": mac_2, "signature_2": sig_2,
-        "plaintext_2": plaintext_2, "th_3": th_3, "mac_3": mac_3, "signature_3": sig_3,
-        "plaintext_3": plaintext_3, "th_4": th_4, "prk_out": exporter.prk_out,
+        "x": x,
+        "y": y,
+        "g_x": g_x,
+        "g_y": g_y,
+        "g_xy": shared,
+        "cred_i": cred_i,
+        "cred_r": cred_r,
+        "id_cred_i": id_i,
+        "id_cred_r": id_r,
+        "th_2": th_2,
+        "mac_2": mac_2,
+        "signature_2": sig_2,
+        "plaintext_2": plaintext_2,
+        "th_3": th_3,
+        "mac_3": mac_3,
+        "signature_3": sig_3,
+        "plaintext_3": plaintext_3,
+        "th_4": th_4,
+        "prk_out": exporter.prk_out,
         "key_initiator": exporter.export(32768, context, 16),
         "iv_initiator": exporter.export(32769, context, 12),
         "key_responder": exporter.export(32770, context, 16),
         "iv_responder": exporter.export(32771, context, 12),
-    }  # fmt: skip
+    }
 
 
 def _exchange(secret: bytes, public: bytes) -> bytes:

@@ -11,17 +11,15 @@ from typing import Any, Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.approvals.challenges import Challenge, Purpose
-from ca.approvals.statement import Grant
+from ca.approvals.passkeys import Challenge, Purpose
+from ca.approvals.statement import GrantStatement
 from tests.support.approving import NOW, WHATS, state
 from tests.support.passkeys import ORIGIN, RP_ID, Passkey
 
 FILE: Final = Path(__file__).parent / "approvals" / "approvals.json"
 PAYLOAD: Final = b"what will be signed"
-GRANT: Final = state(Grant(b"r" * 16, sha256(PAYLOAD).digest()))
-CREATION: Final = Challenge(
-    Purpose.PASSKEY, bytes(range(16)), "home", ORIGIN, RP_ID, NOW, NOW + 300
-)
+GRANT: Final = state(GrantStatement(b"r" * 16, sha256(PAYLOAD).digest()))
+CREATION: Final = Challenge(Purpose.PASSKEY, bytes(range(16)), "home", ORIGIN, RP_ID, NOW, NOW + 300)
 
 
 def device() -> Passkey:
@@ -36,23 +34,25 @@ def vectors() -> dict[str, Any]:
     registration = phone.register(CREATION.digest)
     assertion = phone.sign(GRANT.challenge)
     return {
-        "now": NOW, "origin": ORIGIN, "rp_id": RP_ID,
+        "now": NOW,
+        "origin": ORIGIN,
+        "rp_id": RP_ID,
         "statements": {
             kind.name.lower(): {
-                "statement": state(what).to_bytes().hex(), "challenge": state(what).challenge.hex(),
+                "statement": state(what).to_bytes().hex(),
+                "challenge": state(what).challenge.hex(),
             }
             for kind, what in sorted(WHATS.items())
         },
-        "challenges": {
-            purpose: CREATION._replace(purpose=purpose).digest.hex() for purpose in Purpose
-        },
+        "challenges": {purpose: CREATION._replace(purpose=purpose).digest.hex() for purpose in Purpose},
         "registration": {name: data.hex() for name, data in registration._asdict().items()},
         "cose_key": phone.cose_key.hex(),
         "approval": {
-            "statement": GRANT.to_bytes().hex(), "payload": PAYLOAD.hex(),
+            "statement": GRANT.to_bytes().hex(),
+            "payload": PAYLOAD.hex(),
             **{name: data.hex() for name, data in assertion._asdict().items()},
         },
-    }  # fmt: skip
+    }
 
 
 if __name__ == "__main__":

@@ -10,8 +10,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
-from rossec.ros import compact, xmlrpc
-from rossec.ros.compactwrite import encoded
+from rossec.ros import calls, xmlrpc
+from rossec.ros.compact_values import encoded
 from rossec.ros.xmlrpc import Fault
 from tests.rossec.ros.test_compactread import REFUSED
 
@@ -48,26 +48,26 @@ ANSWERS: Final[dict[str, object]] = {
 
 def build() -> Vectors:
     """The content of the file."""
-    calls = [
-        _vector("call", name, compact.dump_call(TURN, *call), xmlrpc.dump_call(*call))
+    made = [
+        _vector("call", name, calls.dump_compact_call(TURN, *call), xmlrpc.dump_call(*call))
         for name, call in CALLS.items()
     ]
     answers = [
-        _vector("answer", name, compact.dump_answer(TURN, value), xmlrpc.dump_response(value))
+        _vector("answer", name, calls.dump_compact_answer(TURN, value), xmlrpc.dump_response(value))
         for name, value in ANSWERS.items()
     ]
-    return [*calls, *answers, *(_vector("call", name, unit) for name, unit in flawed().items())]
+    return [*made, *answers, *(_vector("call", name, unit) for name, unit in flawed().items())]
 
 
 def flawed() -> dict[str, bytes]:
     """Calls with one flaw."""
-    head, good = bytes.fromhex("86185201") + b"\x01", compact.dump_call(TURN, "getPid", ("/a",))
+    head, good = (bytes.fromhex("86185201") + b"\x01", calls.dump_compact_call(TURN, "getPid", ("/a",)))
     before = head + encoded("/a") + encoded("/p")
     return {
         **{name: before + bytes.fromhex(written) for name, written in REFUSED.items()},
         "41 arrays in one another": before + b"\x81" * 41 + b"\x01",
-        "the number before": compact.dump_call(0, "getPid", ("/a",)),
-        "the number after": compact.dump_call(2, "getPid", ("/a",)),
+        "the number before": calls.dump_compact_call(0, "getPid", ("/a",)),
+        "the number after": calls.dump_compact_call(2, "getPid", ("/a",)),
         "another mark": good[:2] + b"\x53" + good[3:],
         "a number without a method": good[:4] + b"\x18\x3d" + good[5:],
         "the name of a method that has a number": good[:4] + encoded("getPid") + good[5:],

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from ca.authority import DAY, Authority, create_root
-from ca.certificates import TrustAnchor, build_request
-from ca.domains.cards import CARD, Card, sign_card
-from ca.domains.lists import DOMAINS, DomainList, ForeignDomain, sign_domains
+from ca.certificates import TrustAnchor
+from ca.domains.trust import CARD, DOMAINS, Card, DomainList, ForeignDomain, sign_card, sign_domains
 from ca.encoding import Value
-from ca.keys.publickey import to_coordinates
+from ca.keys.signing import to_coordinates
+from ca.svid import build_request
 from tests.vectors.narrowings import FixedSigner
 
 FILE: Final = Path(__file__).parent / "domains" / "domains.json"
@@ -24,9 +24,15 @@ ROOT = create_root(HOME, "home", now=NOW, serial=1)
 FOREIGN = create_root(HOSPITAL, "hospital.example", now=NOW, serial=2)
 SECOND = create_root(OFFICE, "office", now=NOW, serial=3)
 ENTRY = ForeignDomain(
-    "hospital.example", "hospital", FOREIGN, ("/master", "/rounds/**"), 3600, NOW + 30 * DAY,
-    (("/robot/**", 2),), (),
-)  # fmt: skip
+    "hospital.example",
+    "hospital",
+    FOREIGN,
+    ("/master", "/rounds/**"),
+    3600,
+    NOW + 30 * DAY,
+    (("/robot/**", 2),),
+    (),
+)
 OTHER = ForeignDomain("office", "office", SECOND, ("/**",), 604800, NOW + DAY)
 MASTERS = tuple(sorted(to_coordinates(each.public_key) for each in (ROBOT, OFFICE)))
 LISTS: Final = {
@@ -42,12 +48,16 @@ _CARD: Final = "CardRefused"
 def claims(**changes: Value) -> dict[int | str, Value]:
     """A list's claims; `c4` is claim 4, `n70001` claim -70001; the first domain's are `d1` ..."""
     entry: dict[int | str, Value] = {
-        1: ENTRY.domain, 2: ENTRY.label, 3: FOREIGN, 4: [*ENTRY.admitted], 5: 3600,
-        6: ENTRY.until, 8: [["/robot/**", 2]], 9: [],
-    }  # fmt: skip
-    found: dict[int | str, Value] = {
-        4: NOW + DAY, 6: NOW, -70001: 1, -70002: 2, -70031: [entry],
-    }  # fmt: skip
+        1: ENTRY.domain,
+        2: ENTRY.label,
+        3: FOREIGN,
+        4: [*ENTRY.admitted],
+        5: 3600,
+        6: ENTRY.until,
+        8: [["/robot/**", 2]],
+        9: [],
+    }
+    found: dict[int | str, Value] = {4: NOW + DAY, 6: NOW, -70001: 1, -70002: 2, -70031: [entry]}
     for name, value in changes.items():
         number = int(name[1:]) * (-1 if name[0] == "n" else 1)
         where = entry if name[0] == "d" else found
@@ -83,9 +93,7 @@ FLAWED: Final[dict[str, dict[int | str, Value]]] = {
     "a domain without a label": claims(d2=None),
     "an unknown field of a domain": claims(d10=1),
     "the own domain": claims(d1="home", d3=ROOT),
-    "the own key under another domain": claims(
-        d1="else", d3=create_root(HOME, "else", now=NOW, serial=4)
-    ),
+    "the own key under another domain": claims(d1="else", d3=create_root(HOME, "else", now=NOW, serial=4)),
     "the root of another domain": claims(d3=SECOND),
     "a leaf for a root": claims(d3=b"\x30\x00"),
     "a label of two words": claims(d2="two/words"),
@@ -119,9 +127,7 @@ CARDS: Final = {
 
 def card_claims(**changes: Value) -> dict[int | str, Value]:
     """A card's claims, as `claims`."""
-    found: dict[int | str, Value] = {
-        4: NOW + DAY, 6: NOW, -70037: FOREIGN, -70038: ["/**"],
-    }  # fmt: skip
+    found: dict[int | str, Value] = {4: NOW + DAY, 6: NOW, -70037: FOREIGN, -70038: ["/**"]}
     for name, value in changes.items():
         number = int(name[1:]) * (-1 if name[0] == "n" else 1)
         found[number] = value
@@ -161,7 +167,8 @@ def chains() -> dict[str, tuple[bytes, str]]:
         "foreign": (leaf(HOSPITAL, FOREIGN, "/rounds/a"), "/remote/hospital/rounds/a"),
         "not admitted": (leaf(HOSPITAL, FOREIGN, "/robot"), "NotAdmitted"),
         "a tail is not honoured": (
-            leaf(HOSPITAL, FOREIGN, "/rounds/a", wildcard=True), "/remote/hospital/rounds/a",
+            leaf(HOSPITAL, FOREIGN, "/rounds/a", wildcard=True),
+            "/remote/hospital/rounds/a",
         ),
         "by the other domain's key": (
             leaf(OFFICE, create_root(OFFICE, "hospital.example", now=NOW, serial=6), "/rounds/a"),
@@ -175,7 +182,7 @@ def chains() -> dict[str, tuple[bytes, str]]:
             leaf(HOSPITAL, create_root(HOSPITAL, "home", now=NOW, serial=8), "/robot"),
             "ForeignCertificate",
         ),
-    }  # fmt: skip
+    }
 
 
 def vectors() -> dict[str, Any]:
@@ -195,9 +202,7 @@ def vectors() -> dict[str, Any]:
             name: {"data": CARD.sign(HOSPITAL, each).hex(), "error": _CARD}
             for name, each in FLAWED_CARDS.items()
         },
-        "chains": {
-            name: {"leaf": der.hex(), "result": result} for name, (der, result) in chains().items()
-        },
+        "chains": {name: {"leaf": der.hex(), "result": result} for name, (der, result) in chains().items()},
     }
 
 

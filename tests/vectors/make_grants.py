@@ -12,7 +12,7 @@ from typing import Any, Final
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from ca.encoding import Value, decode, encode
-from ca.keys.publickey import thumbprint
+from ca.keys.signing import thumbprint
 from grants import document
 from grants.model import ALL_RIGHTS, Draft, Permission, Restriction, Right, filter_rules
 from grants.renewal import TICKET, Delegation, Ticket, sign_delegation, sign_ticket
@@ -38,9 +38,15 @@ COARSE = Restriction(
     0.2,
 )
 DRAFT = Draft(
-    "home", "/heating", bytes(range(32)), NOW - 60, NOW + 3600, NOW + 7200, bytes(range(16)),
+    "home",
+    "/heating",
+    bytes(range(32)),
+    NOW - 60,
+    NOW + 3600,
+    NOW + 7200,
+    bytes(range(16)),
     (Permission("/robot/pose", Right.SUBSCRIBE, COARSE), Permission("/heating/**", Right.PUBLISH)),
-)  # fmt: skip
+)
 GOOD = document.sign(CA, DRAFT)
 BODY = document.GRANT.peek_body(GOOD)
 
@@ -52,17 +58,12 @@ VALID = {
     "a rate and a slot": replace(
         DRAFT, permissions=(Permission("/a", Right.SUBSCRIBE, Restriction(rate=5, slot=60)),)
     ),
-    "padding": replace(
-        DRAFT, permissions=(Permission("/a", Right.SUBSCRIBE, Restriction(pad=256)),)
-    ),
+    "padding": replace(DRAFT, permissions=(Permission("/a", Right.SUBSCRIBE, Restriction(pad=256)),)),
     "a domain of 255 bytes": replace(DRAFT, domain="a" * 255),
     "names of anonymous nodes": replace(
         DRAFT,
         subject="/rviz",
-        permissions=(
-            Permission("/rviz~/get_loggers", Right.PROVIDE),
-            Permission("/rviz~/**", Right.PUBLISH),
-        ),
+        permissions=(Permission("/rviz~/get_loggers", Right.PROVIDE), Permission("/rviz~/**", Right.PUBLISH)),
     ),
     "other letters and a far end": replace(
         DRAFT, domain="zuhäuse", not_before=0, expires=1 << 40, cap=1 << 40
@@ -112,16 +113,13 @@ def frames() -> dict[str, tuple[bytes, str]]:
         "signed by another key": (document.sign(OTHER, DRAFT), "GrantForged"),
         "in the name of another": (document.GRANT.sign(CA, other_name), "GrantForged"),
         "changed byte": (GOOD.replace(b"/heating", b"/heatinh", 1), "GrantForged"),
-        "not yet valid": (
-            document.sign(CA, replace(DRAFT, not_before=NOW + 1)),
-            "GrantNotYetValid",
-        ),
+        "not yet valid": (document.sign(CA, replace(DRAFT, not_before=NOW + 1)), "GrantNotYetValid"),
         "expired": (document.sign(CA, replace(DRAFT, expires=NOW)), "GrantExpired"),
     }
 
 
 def flaws() -> dict[str, tuple[bytes, str]]:
-    """Flaws in the claims: the same list as in the tests of `grants.claims`."""
+    """Flaws in the claims: the same list as in the tests of `grants.document`."""
     from tests.grants.test_claims import CLAIMS
 
     claims = decode(BODY)
@@ -171,9 +169,7 @@ _GOOD_FILTERS: Final[dict[str, dict[str, Any]]] = {
     "pixelate in grey": {"data": {"pixelate": {"block": 32, "levels": 8}}},
     "pixelate by the number of squares": {"data": {"pixelate": {"across": 16, "levels": 8}}},
     "pixelate by both": {"data": {"pixelate": {"across": 65535, "block": 65535}}},
-    "rooms": {
-        "a": {"rooms": {"kitchen": "0 0, 4 3", "hall": "4 0,9.5 0, 9 -6.125", "b_2": "0 3, 1 4"}}
-    },
+    "rooms": {"a": {"rooms": {"kitchen": "0 0, 4 3", "hall": "4 0,9.5 0, 9 -6.125", "b_2": "0 3, 1 4"}}},
     "rooms with hysteresis": {"a": {"rooms": {"kitchen": "0 0, 4 3", "hysteresis": 0.5}}},
     "sort beside a filter inside": {"a": {"sort": True}, "a[*].b": {"clear": True}},
     "pixelate a region": {
@@ -272,10 +268,14 @@ def truncations() -> list[dict[str, object]]:
         "a surrogate": (b"a\xed\xa0\x80", 1, None),
     }
     return [
-        {"name": name, "data": data.hex(), "length": length,
-         "result": None if result is None else result.hex()}
+        {
+            "name": name,
+            "data": data.hex(),
+            "length": length,
+            "result": None if result is None else result.hex(),
+        }
         for name, (data, length, result) in cases.items()
-    ]  # fmt: skip
+    ]
 
 
 def renewals() -> list[dict[str, object]]:
@@ -290,10 +290,7 @@ def renewals() -> list[dict[str, object]]:
         "valid": (sign_ticket(MASTER, good), None),
         "another grant": (sign_ticket(MASTER, replace(good, grant=bytes(16))), "RenewalForOther"),
         "too long": (sign_ticket(MASTER, replace(good, expires=now + 591)), "RenewalTooWide"),
-        "beyond the delegation": (
-            sign_ticket(MASTER, replace(good, expires=NOW + 6001)),
-            "RenewalTooWide",
-        ),
+        "beyond the delegation": (sign_ticket(MASTER, replace(good, expires=NOW + 6001)), "RenewalTooWide"),
         "over": (sign_ticket(MASTER, replace(good, expires=now)), "RenewalNotInTime"),
         "not yet": (sign_ticket(MASTER, replace(good, not_before=now + 1)), "RenewalNotInTime"),
         "newer list": (sign_ticket(MASTER, replace(good, seq=8)), "RenewalAhead"),
@@ -303,12 +300,18 @@ def renewals() -> list[dict[str, object]]:
     }
     return [
         {
-            "name": name, "now": now, "seq": 7, "ca_key": _key(CA), "key": _key(MASTER),
-            "grant": GOOD.hex(), "delegation": delegation.hex(), "ticket": data.hex(),
+            "name": name,
+            "now": now,
+            "seq": 7,
+            "ca_key": _key(CA),
+            "key": _key(MASTER),
+            "grant": GOOD.hex(),
+            "delegation": delegation.hex(),
+            "ticket": data.hex(),
             "failure": failure,
         }
         for name, (data, failure) in tickets.items()
-    ]  # fmt: skip
+    ]
 
 
 def _ticket_with(ticket: Ticket, more: dict[int | str, Value]) -> bytes:
@@ -335,9 +338,14 @@ def build() -> dict[str, list[dict[str, object]]]:
         for name, (data, failure) in {**frames(), **flaws()}.items()
     ]
     return {
-        "valid": valid, "refused": refused, "renewals": renewals(), "tokens": tokens(),
-        "filters": filters(), "pictures": pictures(), "truncations": truncations(),
-    }  # fmt: skip
+        "valid": valid,
+        "refused": refused,
+        "renewals": renewals(),
+        "tokens": tokens(),
+        "filters": filters(),
+        "pictures": pictures(),
+        "truncations": truncations(),
+    }
 
 
 def text(vectors: list[dict[str, object]]) -> str:

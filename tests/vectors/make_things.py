@@ -8,11 +8,16 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from ca.cose import Profile
 from ca.encoding import Value, encode
-from ca.keys.publickey import thumbprint
-from ca.things.credentials import ThingKey, ThingSecret
-from ca.things.statement import THING, ThingStatement, sign_statement, statement_id
+from ca.keys.signing import Profile, thumbprint
+from ca.things.constrained_nodes import (
+    THING,
+    ThingKey,
+    ThingSecret,
+    ThingStatement,
+    peek_statement,
+    sign_statement,
+)
 from tests.vectors.narrowings import FixedSigner
 
 FILE: Final = Path(__file__).parent / "things" / "things.json"
@@ -26,14 +31,24 @@ STATEMENTS: Final = {
         "home", "/things/lamp", KEY, thumbprint(BORDER.public_key), NOW, NOW + YEAR, bytes(16)
     ),
     "a key without a subject, with a kid of 8 octets": ThingStatement(
-        "home", "/things/lamp", ThingKey.of(LAMP.public_key, b"12345678"),
-        thumbprint(BORDER.public_key), NOW, NOW + 1, bytes(range(16)),
+        "home",
+        "/things/lamp",
+        ThingKey.of(LAMP.public_key, b"12345678"),
+        thumbprint(BORDER.public_key),
+        NOW,
+        NOW + 1,
+        bytes(range(16)),
     ),
     "a secret": ThingStatement(
-        "home", "/kitchen/thermometer", ThingSecret.of(SECRET, b"\x00\x07"),
-        thumbprint(BORDER.public_key), 0, NOW + YEAR, bytes(16),
+        "home",
+        "/kitchen/thermometer",
+        ThingSecret.of(SECRET, b"\x00\x07"),
+        thumbprint(BORDER.public_key),
+        0,
+        NOW + YEAR,
+        bytes(16),
     ),
-}  # fmt: skip
+}
 _REFUSED: Final = "ThingRefused"
 _OUTDATED: Final = "ThingOutdated"
 _X, _Y = KEY.coordinates[:32], KEY.coordinates[32:]
@@ -47,9 +62,14 @@ def cose_key(**changes: Value) -> dict[int | str, Value]:
 def claims(**changes: Value) -> dict[int | str, Value]:
     """A statement's claims; `c4` is claim 4, `n70035` claim -70035; None leaves one out."""
     known: dict[int | str, Value] = {
-        2: "/things/lamp", 3: "home", 4: NOW + YEAR, 5: NOW, 7: bytes(16), 8: {1: cose_key()},
+        2: "/things/lamp",
+        3: "home",
+        4: NOW + YEAR,
+        5: NOW,
+        7: bytes(16),
+        8: {1: cose_key()},
         -70035: thumbprint(BORDER.public_key),
-    }  # fmt: skip
+    }
     return _changed(known, changes)
 
 
@@ -133,8 +153,7 @@ def vectors() -> dict[str, Any]:
         "authority": {"x_y": _coordinates(HOME)},
         "secret": SECRET.hex(),
         "statements": {
-            name: {"data": data.hex(), "id": statement_id(data).hex()}
-            for name, data in valid.items()
+            name: {"data": data.hex(), "id": peek_statement(data).id.hex()} for name, data in valid.items()
         },
         "refused": {
             **{name: _refused(THING.sign(HOME, each)) for name, each in FLAWED.items()},

@@ -11,15 +11,11 @@ from typing import Any, Final
 
 from ca.encoding import Value, encode
 from grants.token import pack
-from rossec.channel.edhoc.messages import (
-    MAX_MESSAGE_1,
-    encode_error,
-    suites_item,
-)
+from rossec.channel.edhoc.messages import MAX_MESSAGE_1, encode_error, suites_item
 from rossec.channel.opening import MAX_DRAIN, MAX_OPENING, WireProtocol, first_bytes
 from rossec.channel.records import ChannelLimits, Frame, padded
-from rossec.participant.token_opening import MAX_GRANTS
-from rossec.ros import header
+from rossec.participant.access import MAX_GRANTS
+from rossec.ros import tcpros
 from rossec.ros.xmlrpc import dump_call
 from tests.support.wire import NOW, Wire, alice, bob, wire
 from tests.vectors.handshake_vector import handshake
@@ -40,11 +36,12 @@ def openings() -> Vectors:
         "TCPROS": ("tcpros", tcpros),
         "HTTP": ("http", request),
         "HTTP, other order, other case, spaces": (
-            "http", _GET + b"UPGRADE:  rossec/1 \r\nHost: x\r\nA: b\r\n\r\n"
+            "http",
+            _GET + b"UPGRADE:  rossec/1 \r\nHost: x\r\nA: b\r\n\r\n",
         ),
         "HTTP without Connection": ("http", _GET + b"Upgrade: rossec/1\r\n\r\n"),
         "message_1 behind it": ("tcpros", tcpros + b"\x10\x00\x00\x25"),
-    }  # fmt: skip
+    }
     plain = {
         "another version": ("tcpros", tcpros[:-1] + b"2", 16),
         "another field": ("tcpros", b"\x09\0\0\0\x05\0\0\0a=bcd", 13),
@@ -55,10 +52,8 @@ def openings() -> Vectors:
         "no Upgrade": ("http", _GET + b"Host: x\r\n\r\n", 33),
         "another target": ("http", request.replace(b"/rossec", b"/RPC2"), len(request) - 2),
         "another version of HTTP": ("http", request.replace(b"1.1", b"1.0"), len(request)),
-        "a call with a body": (
-            "http", b"POST / HTTP/1.1\r\nContent-Length: 5\r\n\r\n12345", 43
-        ),
-    }  # fmt: skip
+        "a call with a body": ("http", b"POST / HTTP/1.1\r\nContent-Length: 5\r\n\r\n12345", 43),
+    }
     refused = {
         "a length of 0": bytes(4),
         "a length of 4": b"\x04\0\0\0",
@@ -75,13 +70,7 @@ def openings() -> Vectors:
             for name, (flavour, data) in accepted.items()
         ),
         *(
-            {
-                "name": name,
-                "data": data.hex(),
-                "verdict": "plain",
-                "flavour": flavour,
-                "drain": drain,
-            }
+            {"name": name, "data": data.hex(), "verdict": "plain", "flavour": flavour, "drain": drain}
             for name, (flavour, data, drain) in plain.items()
         ),
         *({"name": n, "data": d.hex(), "verdict": "refused"} for n, d in refused.items()),
@@ -89,9 +78,7 @@ def openings() -> Vectors:
     ]
 
 
-def _message_1(
-    suites: Value = 6, g_x: bytes = _X, c_i: Value = 0, method: Value = 0, *ead: Value
-) -> bytes:
+def _message_1(suites: Value = 6, g_x: bytes = _X, c_i: Value = 0, method: Value = 0, *ead: Value) -> bytes:
     return b"".join(map(encode, (method, suites, g_x, c_i, *ead)))
 
 
@@ -139,12 +126,7 @@ def selections() -> Vectors:
         ("an unknown suite", (6,), (99,)),
     ]
     return [
-        {
-            "name": name,
-            "policy": list(policy),
-            "suites_i": list(offered),
-            **_selected(policy, offered),
-        }
+        {"name": name, "policy": list(policy), "suites_i": list(offered), **_selected(policy, offered)}
         for name, policy, offered in cases
     ]
 
@@ -159,24 +141,27 @@ def _selected(policy: tuple[int, ...], offered: tuple[int, ...]) -> dict[str, An
 
 _PERIOD: Final = 3600
 _TIMELINES: Final[dict[str, list[tuple[int, str]]]] = {
-    "the hour begins when the connection opens": [
-        (0, "send"), (_PERIOD - 1, "tick"), (_PERIOD, "tick"),
-    ],
+    "the hour begins when the connection opens": [(0, "send"), (_PERIOD - 1, "tick"), (_PERIOD, "tick")],
     "a direction without records is not renewed, and its next hour begins": [
-        (_PERIOD, "tick"), (_PERIOD + 1, "send"), (2 * _PERIOD - 1, "tick"), (2 * _PERIOD, "tick"),
+        (_PERIOD, "tick"),
+        (_PERIOD + 1, "send"),
+        (2 * _PERIOD - 1, "tick"),
+        (2 * _PERIOD, "tick"),
     ],
     "the next hour begins when the last was over": [
-        (0, "send"), (_PERIOD + 100, "tick"), (_PERIOD + 101, "send"),
-        (2 * _PERIOD + 99, "tick"), (2 * _PERIOD + 100, "tick"),
+        (0, "send"),
+        (_PERIOD + 100, "tick"),
+        (_PERIOD + 101, "send"),
+        (2 * _PERIOD + 99, "tick"),
+        (2 * _PERIOD + 100, "tick"),
     ],
-}  # fmt: skip
+}
 
 
 def renewals() -> Vectors:
     """When a direction sends REKEY for its age: seconds since the connection opened."""
     return [
-        {"name": name, "period": _PERIOD, "steps": _run_timeline(steps)}
-        for name, steps in _TIMELINES.items()
+        {"name": name, "period": _PERIOD, "steps": _run_timeline(steps)} for name, steps in _TIMELINES.items()
     ]
 
 
@@ -228,7 +213,7 @@ def units() -> Vectors:
 
 
 def _framed(fields: dict[str, bytes]) -> str:
-    return header.encode(fields).hex()
+    return tcpros.encode(fields).hex()
 
 
 def presented() -> Vectors:
@@ -247,10 +232,7 @@ def presented() -> Vectors:
         "beyond 40 KiB": (encode([bytes(40 * 1024)]), malformed),
         "a token whose renewal does not hold": (encode([pack(GOOD, b"t", b"d")]), insufficient),
     }
-    return [
-        {"name": name, "data": data.hex(), "verdict": verdict}
-        for name, (data, verdict) in cases.items()
-    ]
+    return [{"name": name, "data": data.hex(), "verdict": verdict} for name, (data, verdict) in cases.items()]
 
 
 def paddings() -> Vectors:
@@ -262,10 +244,7 @@ def paddings() -> Vectors:
         made.append({"data": data.hex(), "multiple": multiple, "plaintext": plaintext.hex()})
     return [
         *made,
-        *(
-            {"data": None, "plaintext": odd.hex()}
-            for odd in (bytes(32), b"\1".ljust(32, b"\0"), b"ab")
-        ),
+        *({"data": None, "plaintext": odd.hex()} for odd in (bytes(32), b"\1".ljust(32, b"\0"), b"ab")),
     ]
 
 

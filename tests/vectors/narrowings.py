@@ -8,12 +8,11 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 
 from ca.encoding import Value, encode
-from ca.keys.publickey import thumbprint
+from ca.keys.signing import thumbprint
 from grants import document
-from grants.claims import issuer_uri
+from grants.document import issuer_uri
 from grants.model import ALL_RIGHTS, Draft, Grant, Permission
-from grants.narrowing import NARROWING, sign_narrowing
-from grants.token import pack_chain, peek, unpack
+from grants.token import NARROWING, pack_chain, peek, sign_narrowing, unpack
 
 _ORDER: Final = 0xFFFFFFFF00000000FFFFFFFFFFFFFFFFBCE6FAADA7179E84F3B9CAC2FC632551  # of P-256
 
@@ -40,18 +39,25 @@ def chains(ca: FixedSigner, draft: Draft) -> dict[str, tuple[bytes, str | None]]
     a, b, c, d = (FixedSigner(2000 + number) for number in range(4))
     wide = Permission("/robot/**", ALL_RIGHTS)
     base = replace(
-        draft, subject="/remote/hospital/a", holder=thumbprint(a.public_key), may_narrow=3,
-        permissions=(wide,), expires=end, cap=end,
-    )  # fmt: skip
+        draft,
+        subject="/remote/hospital/a",
+        holder=thumbprint(a.public_key),
+        may_narrow=3,
+        permissions=(wide,),
+        expires=end,
+        cap=end,
+    )
     grant = document.sign(ca, base)
     other = document.sign(ca, replace(base, serial=bytes(16)))
 
     def after(parent: Grant, to: FixedSigner, **changes: Any) -> Draft:
         wanted: dict[str, Any] = {"cap": end - 60, "expires": end - 60} | changes
         return replace(
-            base, subject="/b", holder=thumbprint(to.public_key),
+            base,
+            subject="/b",
+            holder=thumbprint(to.public_key),
             **({"may_narrow": parent.may_narrow - 1} | wanted),
-        )  # fmt: skip
+        )
 
     def narrowed(token: bytes, by: FixedSigner, to: FixedSigner, **changes: Any) -> bytes:
         parent = peek(token)
@@ -87,10 +93,11 @@ def chains(ca: FixedSigner, draft: Draft) -> dict[str, tuple[bytes, str | None]]
         "with a claim more": (with_claims(c10=1), "GrantMalformed"),
         "with names of anonymous nodes": (with_claims(c9=encode([["/b~/a", 1]])), "GrantMalformed"),
         "with a restricted administrator": (
-            with_claims(c9=encode([["/a", 128, {3: {"rate": 1}}]])), "GrantMalformed",
+            with_claims(c9=encode([["/a", 128, {3: {"rate": 1}}]])),
+            "GrantMalformed",
         ),
         "no narrowing": (encode([grant, []]), "GrantMalformed"),
         "four narrowings": (encode([grant, [*links, first]]), "GrantMalformed"),
         "a chain in a chain": (encode([one, [links[1]]]), "GrantMalformed"),
         "64 KiB and one byte": (b"\x82" + bytes(65_536), "GrantMalformed"),
-    }  # fmt: skip
+    }

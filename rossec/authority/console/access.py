@@ -7,94 +7,54 @@ RP id of the first bind the others until every one was removed.
 """
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
-from ca.approvals.assertion import Assertion, Passkey, verify
-from ca.approvals.challenges import Challenge, Purpose
-from ca.approvals.registration import Registration, register
+from ca.approvals.passkeys import Assertion, Challenge, Passkey, Purpose, Registration, register, verify
 from ca.encoding import Value
 from ca.errors import OtherOrigin, PasskeyUnknown
 from ca.store.record import Store
 from rossec import clock
-from rossec.authority.console.challenges import Challenges
-from rossec.authority.console.codes import Codes, CodeUse
-from rossec.authority.console.origins import check_page
-from rossec.authority.console.proposals import Proposals
-from rossec.authority.console.records import to_value
-from rossec.authority.console.views import LoginChallenge, PhoneView
+from rossec.authority.console.messages import LoginChallenge, PhoneView, check_page, to_value
+from rossec.authority.console.phone_codes import Codes, CodeUse, LoginChallenges, Proposals
 from rossec.authority.keyservice.work import AuthorityWork
 
 
-class Access:
+class ConsoleAccess:
     """The operations of who looks.
 
-    Args:
-        work: of the authority.
-        audit: writes a line. Raises `HintedError` if it cannot.
-        elapsed: seconds of a clock that cannot be set.
+    `audit`: writes a line. Raises `HintedError` if it cannot. `elapsed`: seconds of a clock that
+    cannot be set.
     """
 
     def __init__(
-        self,
-        work: AuthorityWork,
-        audit: Callable[[str], None],
-        elapsed: clock.Seconds | None = None,
+        self, work: AuthorityWork, audit: Callable[[str], None], elapsed: clock.Seconds | None = None
     ) -> None:
-        self.proposals = Proposals(elapsed)
+        self.proposed = Proposals(elapsed)
         self._work = work
         self._audit = audit
         self._codes = Codes(elapsed)
-        self._challenges = Challenges(elapsed)
+        self._challenges = LoginChallenges(elapsed)
         self._counters: dict[bytes, int] = {}  # by credential id, of logins, as the times
         self._logins: dict[bytes, int] = {}
 
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        """By the operation."""
-        return {
-            "redeem": self.redeem,
-            "login-challenge": self.login_challenge,
-            "login": self.login,
-            "new-passkey": self.new_passkey,
-            "add-passkey": self.add_passkey,
-            "phone-link": self.phone_link,
-            "propose-passkey": self.propose_passkey,
-            "proposals": self.all_proposals,
-            "end-proposal": self.end_proposal,
-        }
-
     def counter(self, passkey: bytes) -> int:
-        """The counter of a passkey at its last login; 0: it has not logged in, or has none."""
+        # The counter of a passkey at its last login; 0: it has not logged in, or has none.
         return self._counters.get(passkey, 0)
 
     def last_used(self, passkey: bytes) -> int:
-        """When a passkey last logged in, since the service began; 0: it has not."""
+        # When a passkey last logged in, since the service began; 0: it has not.
         return self._logins.get(passkey, 0)
 
     def phone_code(self, caller: object) -> str:
-        """A code for the terminal, made for `caller`.
-
-        Raises:
-            KeyServiceRefused: the audit cannot be written.
-        """
         self._audit(f"makes a code for a phone, for {caller}")
         return self._codes.make(CodeUse.TERMINAL)
 
     def redeem(self, code: str) -> Value:
-        """Use up a code from the terminal, to look.
-
-        Raises:
-            PhoneCodeRefused: it is none, or not any more.
-        """
         self._codes.use(code, CodeUse.TERMINAL)
         self._audit("a code from the terminal was used at the console, to look")
         return None
 
     def login_challenge(self, origin: str) -> Value:
-        """A challenge for the passkeys of the page at `origin`.
-
-        Raises:
-            PasskeyUnknown: there is none.
-        """
         with self._store() as store:
             found = [each for each in store.passkeys.active() if each.origin == origin]
         if not found:
@@ -105,12 +65,6 @@ class Access:
         return _shown(challenge, tuple(each.id for each in found))
 
     def login(self, number: bytes, *assertion: bytes) -> Value:
-        """Log in with a passkey; returns the phone's name.
-
-        Raises:
-            PasskeyUnknown: it is not registered, or was removed.
-            ApprovalRefused: as `ca.approvals.assertion.verify`.
-        """
         challenge = self._challenges.open(Purpose.LOGIN, number)
         signed = Assertion(*assertion)
         with self._store() as store:
@@ -124,12 +78,6 @@ class Access:
         return passkey.name
 
     def new_passkey(self, origin: str, rp_id: str) -> Value:
-        """A challenge for a new passkey of the page at `origin`.
-
-        Raises:
-            PasskeyRefused: such a page has no passkeys for `rp_id`.
-            OtherOrigin: the others are of another page.
-        """
         check_page(origin, rp_id)
         with self._store() as store:
             found = store.passkeys.active()
@@ -138,13 +86,6 @@ class Access:
         return _shown(challenge, tuple(each.id for each in found))
 
     def add_passkey(self, number: bytes, code: str, name: str, *registration: bytes) -> Value:
-        """Add a passkey, which a code from the terminal allows; returns its view.
-
-        Raises:
-            PhoneCodeRefused: as `redeem`; where something else is refused, the code stays valid.
-            ApprovalRefused: as `ca.approvals.registration.register`.
-            StoreError: a passkey has this name, or it is registered already.
-        """
         passkey = self._register(number, code, CodeUse.TERMINAL, name, registration)
         with self._store() as store, store.transaction():
             check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
@@ -154,45 +95,27 @@ class Access:
         return to_value(PhoneView(passkey.id, name, passkey.at, 0, "", ""))
 
     def phone_link(self, owner: str = "") -> Value:
-        """A code with which one phone may propose its passkey.
-
-        Raises:
-            KeyServiceRefused: the audit cannot be written, or others have all the codes there are.
-        """
         self._audit("makes a link at the console, for another phone")
         return self._codes.make(CodeUse.PHONE, owner)
 
     def propose_passkey(self, number: bytes, code: str, name: str, *registration: bytes) -> Value:
-        """Keep a passkey until a phone approves it; returns the proposal.
-
-        Raises:
-            HintedError: as `add_passkey`.
-            KeyServiceRefused: too many wait.
-        """
         passkey = self._register(number, code, CodeUse.PHONE, name, registration)
-        proposal = self.proposals.add(passkey, passkey.at, self._codes.owner(code))
+        proposal = self.proposed.add(passkey, passkey.at, self._codes.owner(code))
         self._codes.use(code, CodeUse.PHONE)
         self._audit(f"the phone {name!a} asks at the console to be added")
         return to_value(proposal)
 
-    def all_proposals(self) -> Value:
-        """The passkeys that wait for an approval."""
-        return to_value(self.proposals.all())
+    def proposals(self) -> Value:
+        return to_value(self.proposed.all())
 
     def end_proposal(self, number: bytes) -> Value:
-        """Refuse a passkey that waits: its digits differ.
-
-        Raises:
-            PasskeyUnknown: none waits with this id.
-        """
-        self.proposals.get(number)
-        self.proposals.drop(number)
+        self.proposed.get(number)
+        self.proposed.drop(number)
         return None
 
     def _register(
         self, number: bytes, code: str, use: CodeUse, name: str, registration: tuple[bytes, ...]
     ) -> Passkey:
-        """The passkey in a registration. The code is looked at before anything is parsed."""
         self._codes.check(code, use)
         challenge = self._challenges.open(Purpose.PASSKEY, number)
         passkey = register(Registration(*registration), challenge, name, self._work.now())
@@ -208,11 +131,6 @@ class Access:
 
 
 def check_bound(known: list[Passkey], origin: str, rp_id: str) -> None:
-    """Return if a page at `origin` is that of the passkeys that are known.
-
-    Raises:
-        OtherOrigin: it is another.
-    """
     for each in known:
         if (each.origin, each.rp_id) != (origin, rp_id):
             raise OtherOrigin(
@@ -223,7 +141,5 @@ def check_bound(known: list[Passkey], origin: str, rp_id: str) -> None:
 
 def _shown(challenge: Challenge, credentials: tuple[bytes, ...]) -> Value:
     return to_value(
-        LoginChallenge(
-            challenge.id, challenge.digest, challenge.until, challenge.rp_id, credentials
-        )
+        LoginChallenge(challenge.id, challenge.digest, challenge.until, challenge.rp_id, credentials)
     )

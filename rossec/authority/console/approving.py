@@ -2,47 +2,201 @@
 
 The service makes the statement and verifies the touch: whoever asks for it could show a person
 anything, and gains nothing. Recording, admitting and auditing are one transaction, before any
-signature. What waits for the key is carried out when it is unlocked, for a day; then it has come to
-nothing. A clock that was set back carries out nothing that is recorded as of later.
+signature. What waits for the key is carried out when it is unlocked, for a day, in one transaction
+with the end of the approval; then it has come to nothing. A clock that was set back carries out
+nothing that is recorded as of later, and makes no statement last longer: its time ends by the
+host's clock and by one that cannot be set.
 """
 
+import contextlib
 import logging
 import secrets
 import threading
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
-from typing import Final, NamedTuple
+from hashlib import sha256
+from typing import Final, NamedTuple, TypeVar
 
-from ca.approvals.approval import Approval
-from ca.approvals.assertion import Assertion
-from ca.approvals.statement import ID_SIZE, LIFETIME, Kind, Statement, What
+from ca.approvals.passkeys import Approval, Assertion
+from ca.approvals.statement import ID_SIZE, LIFETIME, Statement, StatementKind, What
 from ca.encoding import Value
-from ca.errors import ApprovalOver, HintedError, PasskeyUnknown, RecordUnusable, TokenRefused
-from ca.store.approvals import ApprovalState
-from ca.store.lifecycle import DAY
+from ca.errors import (
+    ApprovalOutdated,
+    ApprovalOver,
+    HintedError,
+    PasskeyUnknown,
+    RecordUnusable,
+    TokenRefused,
+)
+from ca.store.log import ApprovalState
 from ca.store.record import Store
+from ca.store.values import DAY
 from rossec import clock
-from rossec.authority.console.acts import Act, Approved
-from rossec.authority.console.lookers import LookersRequests
-from rossec.authority.console.records import to_value
-from rossec.authority.console.statements import PreparedStatement, Statements
-from rossec.authority.console.views import Outcome, Prepared
+from rossec.authority.console import messages
+from rossec.authority.console.messages import ApprovalOutcome, Prepared, to_value
+from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.work import AuthorityWork
+from rossec.authority.service import AuthorityService
 from rossec.errors import AuthorityLocked, KeyServiceRefused, NotDelivered
-from rossec.ros.text import printable
+from rossec.peer_limits import SharedTable, printable
+
+Arguments = tuple[Value, ...]
+Conclude = Callable[[Store, str], None]
+"""Records in the transaction of the act that it is done, with a result for people.
+
+Raises `ApprovalOver` if it was done or ended before."""
+
+
+class ToApprove(NamedTuple):
+    """What a statement says, and the payload whose digest it has; empty: it has none."""
+
+    what: What
+    payload: bytes = b""
+
+
+_T = TypeVar("_T", bound=What)
+
+
+class Approved(NamedTuple):
+    approval: Approval
+    statement: Statement
+
+    @property
+    def id(self) -> bytes:
+        return self.approval.id
+
+    def what(self, kind: type[_T]) -> _T:
+        assert isinstance(self.statement.what, kind)  # noqa: S101 - of the kind of its act
+        return self.statement.what
+
+    @property
+    def reason(self) -> str:
+        return f"approval {self.id.hex()[:8]}"
+
+
+class ApprovedAct(ABC):
+    # Prepared: shown to the person, with all that it gives away; nothing is given. Admitted: in the
+    # transaction that records the approval, so of two approvals of one thing one is refused. Carried out:
+    # now or later.
+
+    @abstractmethod
+    def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove: ...
+
+    def admit(self, _store: Store, _approved: Approved, /) -> str | None:
+        # Returns the result if it is done thereby; None: `carry_out` follows.
+        return None
+
+    def carry_out(
+        self, _service: AuthorityService, _approved: Approved, _conclude: Conclude, _now: int, /
+    ) -> None:
+        raise AssertionError("done when it was approved")
+
+    def made(self, _service: AuthorityService, _approved: Approved, /) -> bytes:
+        return b""
+
+
+class _Undo(Exception):
+    pass
+
+
+@contextlib.contextmanager
+def tried(store: Store) -> Iterator[None]:
+    """A transaction that is rolled back: shows whether it would be refused."""
+    with contextlib.suppress(_Undo), store.transaction():
+        yield
+        raise _Undo
+
+
+MAX_OF_KIND: Final = 16
+_HINT: Final = "look at the page again, and approve that"
+
+
+class PreparedStatement(NamedTuple):
+    statement: Statement
+    payload: bytes
+    arguments: Arguments
+
+
+class _Shown(NamedTuple):
+    prepared: PreparedStatement
+    end: float
+
+
+class Statements:
+    # Shown, and waiting for a touch: in memory, each used once. One that this process did not make is never
+    # approved.
+
+    def __init__(self, elapsed: clock.Seconds | None = None) -> None:
+        self._elapsed = clock.counter() if elapsed is None else elapsed
+        self._lock = threading.Lock()
+        self._shown: dict[StatementKind, SharedTable[bytes, _Shown]] = {
+            kind: SharedTable(MAX_OF_KIND) for kind in StatementKind
+        }
+
+    def add(self, shown: PreparedStatement, owner: str = "") -> None:
+        # Where there are too many of its kind, the oldest of whoever has most makes room, and none of a phone
+        # for one of a session that may only look.
+        statement = shown.statement
+        kept = _Shown(shown, self._elapsed() + LIFETIME)
+        with self._lock:
+            self._drop_old()
+            table = self._shown[statement.kind]
+            if table.add(statement.id, kept, owner, messages.rank(owner)) is None:
+                raise KeyServiceRefused(
+                    f"{MAX_OF_KIND} such approvals wait for a touch", "approve them, or wait"
+                )
+
+    def take(self, number: bytes, now: int) -> PreparedStatement:
+        with self._lock:
+            self._drop_old()
+            taken = [table.pop(number) for table in self._shown.values()]
+        found = next(filter(None, taken), None)
+        if found is None:
+            raise ApprovalOutdated("this is not waiting for a touch, or not any more", _HINT)
+        statement = found.prepared.statement
+        if not statement.made <= now <= statement.until:
+            raise ApprovalOutdated("the touch came too late, or the clock was set", _HINT)
+        return found.prepared
+
+    def _drop_old(self) -> None:
+        now = self._elapsed()
+        for table in self._shown.values():
+            for number, shown in table.items():
+                if now >= shown.end:
+                    table.pop(number)
+
+
+MAX_REQUESTS: Final = 32
+
+
+class LookersRequests:
+    # Preparing an enrollment records its request for a day. The record has room for 256, and one who only
+    # looks could fill it: so a few of theirs are all there are at a time.
+
+    def __init__(self) -> None:
+        self._prepared: dict[bytes, None] = {}
+
+    def check(self, home: AuthorityHome, arguments: tuple[Value, ...], owner: str, now: int) -> None:
+        if messages.rank(owner) or not arguments or not isinstance(arguments[0], bytes):
+            return
+        with closing(home.store()) as store:
+            waiting = {row.digest for row in store.requests.open(now)}
+        digest = sha256(arguments[0]).digest()
+        self._prepared = {each: None for each in self._prepared if each in waiting}
+        if digest in waiting:
+            return
+        if len(self._prepared) >= MAX_REQUESTS:
+            raise KeyServiceRefused(
+                f"{MAX_REQUESTS} nodes wait that were added without a phone",
+                "approve or deny them, or log in with the phone",
+            )
+        self._prepared[digest] = None
+
 
 WAITS: Final = DAY  # seconds after the end of a statement in which it is carried out
 MAX_RESULT: Final = 500  # characters
-KINDS: Final[Mapping[str, Kind]] = {
-    "enroll": Kind.ENROLL,
-    "grant": Kind.GRANT,
-    "policy": Kind.POLICY,
-    "delegate": Kind.DELEGATE,
-    "intermediate": Kind.INTERMEDIATE,
-    "passkey": Kind.PASSKEY,
-    "invitation": Kind.INVITATION,
-    "revoke-master": Kind.REVOKE_MASTER,
-}
+KINDS: Final = {name: StatementKind[name.upper().replace("-", "_")] for name in messages.PREPARED}
 # It is carried out later: the reason is not in what was approved.
 _LATER: Final = (AuthorityLocked, NotDelivered, RecordUnusable, TokenRefused, KeyServiceRefused)
 _PREPARING: Final = "preparing an approval"
@@ -52,11 +206,8 @@ _log = logging.getLogger("rossec.authority.service")
 class Of(NamedTuple):
     """What approving needs of the rest of the service.
 
-    Args:
-        work: of the authority.
-        audit: writes a line. Raises `HintedError` if it cannot.
-        wake: begins a round of the service, which tells the master.
-        counter: of a passkey at its last login.
+    `audit`: writes a line. Raises `HintedError` if it cannot. `wake`: begins a round of the
+    service, which tells the master. `counter`: of a passkey at its last login.
     """
 
     work: AuthorityWork
@@ -68,14 +219,12 @@ class Of(NamedTuple):
 class Approving:
     """The operations of approving.
 
-    Args:
-        of: the rest of the service.
-        acts: each kind that can be approved.
-        elapsed: seconds of a clock that cannot be set.
+    `of`: the rest of the service. `acts`: each kind that can be approved. `elapsed`: seconds of a
+    clock that cannot be set.
     """
 
     def __init__(
-        self, of: Of, acts: Mapping[Kind, Act], elapsed: clock.Seconds | None = None
+        self, of: Of, acts: Mapping[StatementKind, ApprovedAct], elapsed: clock.Seconds | None = None
     ) -> None:
         self._of = of
         self._work = of.work
@@ -86,20 +235,11 @@ class Approving:
         self._carrying_out = threading.Lock()
         self._ends: dict[bytes, float] = {}  # by the clock that cannot be set
 
-    def handlers(self) -> Mapping[str, Callable[..., Value]]:
-        """By the operation."""
-        return {"prepare": self.prepare, "approve": self.approve, "outcome": self.outcome}
-
     def prepare(self, name: str, arguments: list[Value], owner: str = "") -> Value:
-        """Make a statement for `owner`, with all that it would give away.
-
-        Raises:
-            PasskeyUnknown: there is no phone that could approve it.
-            HintedError: it would be refused.
-        """
+        # Make a statement for `owner`, with all that it would give away.
         kind, given, at = KINDS[name], tuple(arguments), self._work.now()
         with self._work.service(_PREPARING) as service:
-            if kind is Kind.ENROLL:
+            if kind is StatementKind.ENROLL:
                 self._lookers.check(service.home, given, owner, at)
             wanted = self._acts[kind].prepare(service, given, at)
             with closing(service.home.store()) as store:
@@ -109,23 +249,24 @@ class Approving:
                         "there is no phone that could approve this",
                         "set one up with a code from the terminal: rossec console phone",
                     )
-                statement = _state(store, kind, service.home.domain, at, wanted.what)
+                head, domain, number = store.log.head(at), service.home.domain, secrets.token_bytes(ID_SIZE)
+                until = at + LIFETIME
+                statement = Statement(kind, number, domain, at, until, head.size, head.root, wanted.what)
         statement.check_payload(wanted.payload)
         self._statements.add(PreparedStatement(statement, wanted.payload, given), owner)
         return to_value(
             Prepared(
-                statement.id, statement.to_bytes(), statement.challenge, statement.until,
-                phones[-1].rp_id, tuple(each.id for each in phones), wanted.payload,
+                statement.id,
+                statement.to_bytes(),
+                statement.challenge,
+                statement.until,
+                phones[-1].rp_id,
+                tuple(each.id for each in phones),
+                wanted.payload,
             )
-        )  # fmt: skip
+        )
 
     def approve(self, number: bytes, *assertion: bytes) -> Value:
-        """Verify a touch on a statement, record it, and carry it out or let it wait.
-
-        Raises:
-            ApprovalRefused: the statement is unknown, used or late, or this is no touch on it.
-            HintedError: what was approved is refused now; nothing is recorded.
-        """
         at = self._work.now()
         shown = self._statements.take(number, at)
         statement = shown.statement
@@ -144,11 +285,6 @@ class Approving:
         return self.outcome(approval.id)
 
     def outcome(self, number: bytes) -> Value:
-        """What came of an approval.
-
-        Raises:
-            ApprovalOver: there is none.
-        """
         with self._work.service(_PREPARING) as service:
             with closing(service.home.store()) as store:
                 approval = store.approvals.get(number)
@@ -157,34 +293,25 @@ class Approving:
             data = b""
             if state is ApprovalState.DONE and approval.kind in self._acts:
                 approved = Approved(approval, approval.read())
-                data = self._acts[Kind(approval.kind)].made(service, approved)
-        return to_value(Outcome(number, str(state), "" if end is None else end.result, data))
+                data = self._acts[StatementKind(approval.kind)].made(service, approved)
+        return to_value(ApprovalOutcome(number, str(state), "" if end is None else end.result, data))
 
     def carry_out_waiting(self) -> None:
-        """Carry out what waits, oldest first, if the key is held; end what has waited too long."""
         with closing(self._work.home().store()) as store:
             waiting = store.approvals.waiting()
         for approval in waiting:
             approved = Approved(approval, approval.read())
-            is_late = self._work.now() > approved.statement.until + WAITS
-            if self._is_over(approved, is_late=is_late):
+            left = approved.statement.until + WAITS - self._work.now()
+            is_late = left < 0
+            # What another process of the service recorded is counted from when this one first saw it.
+            left = LIFETIME + WAITS if is_late else min(LIFETIME + WAITS, left)
+            if self._elapsed() > self._ends.setdefault(approved.id, self._elapsed() + left):
                 self._end(approved, ApprovalState.EXPIRED, "it waited for the key too long")
             elif not is_late and not self._work.is_locked:
                 self._carry_out(approved)
 
-    def _is_over(self, approved: Approved, *, is_late: bool) -> bool:
-        """Whether it has ended for good: by a count of seconds, as a clock may be ahead for once.
-
-        What another process of the service recorded is counted from when this one first saw it.
-        """
-        left = LIFETIME + WAITS
-        if not is_late:
-            left = min(left, approved.statement.until + WAITS - self._work.now())
-        end = self._ends.setdefault(approved.id, self._elapsed() + left)
-        return self._elapsed() > end
-
     def _carry_out(self, approved: Approved) -> None:
-        """Carry out, unless that is not possible now."""
+        # Carry out, unless that is not possible now.
         act, at = self._acts.get(approved.statement.kind), self._work.now()
         if act is None or at < approved.approval.at:
             return
@@ -202,14 +329,11 @@ class Approving:
             except _LATER as error:
                 _log.info("%s waits: %s", purpose, printable(str(error)))
             except HintedError as error:
-                self._fail(store, approved, error)
-
-    def _fail(self, store: Store, approved: Approved, error: HintedError) -> None:
-        """It cannot be done, unless it was and only what follows failed."""
-        if store.approvals.state(approved.id) is ApprovalState.WAITING:
-            self._end(approved, ApprovalState.FAILED, printable(str(error)))
-        else:
-            _log.warning("%s: %s", self._named(store, approved), printable(str(error)))
+                # It cannot be done, unless it was and only what follows failed.
+                if store.approvals.state(approved.id) is ApprovalState.WAITING:
+                    self._end(approved, ApprovalState.FAILED, printable(str(error)))
+                else:
+                    _log.warning("%s: %s", purpose, printable(str(error)))
 
     def _end(self, approved: Approved, state: ApprovalState, result: str) -> None:
         try:
@@ -221,17 +345,9 @@ class Approving:
         _log.warning("an approval came to nothing: %s", result)
 
     def _named(self, store: Store, approved: Approved) -> str:
-        """An approval for the audit: which, of what, by whom."""
         passkey = approved.approval.passkey
         name = next((each.name for each in store.passkeys.all() if each.id == passkey), "?")
         kind = approved.statement.kind.name.lower().replace("_", " ")
         digest = approved.statement.challenge.hex()
         which = f"approval {approved.id.hex()} ({kind})"
         return f"{which} by the phone {name!a}, statement SHA-256 {digest}"
-
-
-def _state(store: Store, kind: Kind, domain: str, at: int, what: What) -> Statement:
-    head = store.log.head(at)
-    return Statement(
-        kind, secrets.token_bytes(ID_SIZE), domain, at, at + LIFETIME, head.size, head.root, what
-    )

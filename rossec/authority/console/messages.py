@@ -1,18 +1,115 @@
-"""Requests of the console and their answers. Pure; frames and refusals are those of `keyservice`.
+"""What the console asks of the authority's service, and the records of the answers. Pure.
 
-The table is all that the console can ask. Nothing in it signs what was not approved: `PREPARE`
-makes a statement, `APPROVE` verifies a passkey's signature over its digest and only then acts. What
-only takes away (`deny-*`, `revoke-*`, `end-*`, `remove-phone`) needs none.
+`Operations` is all that it can ask; frames and refusals are those of `keyservice.messages`. Nothing
+in it signs what was not approved: `prepare` makes a statement, `approve` verifies a passkey's
+signature over its digest and only then acts. What only takes away (`deny_*`, `revoke_*`, `end_*`,
+`remove_phone`) needs none.
+
+A record is the list of its fields. The annotations say what may come; everything else is refused,
+also an int where a bool belongs. Times are seconds since the epoch, durations seconds; ids, digests
+and keys (COSE thumbprints) are bytes. Texts of nodes are as the nodes wrote them: whoever shows
+them escapes them.
 """
 
-from collections.abc import Mapping
-from typing import Final
+import inspect
+import ipaddress
+import re
+from collections.abc import Callable, Coroutine, Iterable, Mapping
+from itertools import chain
+from types import NoneType, UnionType
+from typing import (
+    Any,
+    Concatenate,
+    Final,
+    NamedTuple,
+    ParamSpec,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+from urllib.parse import urlsplit
 
-from ca.encoding import Value
+from ca.approvals import statement as kinds
+from ca.approvals.statement import Statement
+from ca.encoding import Value, decode
+from ca.errors import EncodingError, PasskeyRefused
+from ca.names import MASTER
+from grants import document
+from grants.errors import GrantError
+from grants.model import ID_SIZE, Permission
 from rossec.authority.keyservice import messages
-from rossec.authority.keyservice.messages import Request
+from rossec.authority.keyservice.messages import ServiceRequest
+from rossec.clock import format_duration, format_time
 from rossec.errors import KeyMessageRefused, KeyServiceRefused
 from rossec.files import Owned
+from rossec.peer_limits import printable
+
+# mypy: disable-error-code="empty-body"
+
+
+LOOKER: Final = "look"
+"""Everybody who may only look, where they share one place."""
+
+_PHONE: Final = "phone "
+MAX_OWNER: Final = 200  # characters
+
+
+def of_phone(name: str) -> str:
+    return f"{_PHONE}{name}"
+
+
+def of_looker(session: bytes) -> str:
+    return f"{LOOKER} {session.hex()}"
+
+
+def rank(owner: str) -> int:
+    return int(owner.startswith(_PHONE))
+
+
+MAX_ORIGIN: Final = 300
+_LABEL: Final = "[a-z0-9]([a-z0-9-]{0,61}[a-z0-9])?"
+_DOMAIN: Final = re.compile(rf"{_LABEL}(\.{_LABEL})*")
+
+
+def check_page(origin: str, rp_id: str) -> None:
+    host = _host(origin)
+    if host is None:
+        raise PasskeyRefused(
+            f"{origin[:80]!a} is no address of a console", "https://NAME, or http://localhost"
+        )
+    if not _DOMAIN.fullmatch(rp_id) or _is_address(rp_id):
+        raise PasskeyRefused(f"passkeys cannot belong to {rp_id[:80]!a}", "open the console by a name")
+    if host != rp_id and not host.endswith(f".{rp_id}"):
+        raise PasskeyRefused(
+            f"a page at {host} has no passkeys of {rp_id}", "open the console by its own name"
+        )
+
+
+def _host(origin: str) -> str | None:
+    # The host of exactly an origin (RFC 6454), if it is a secure context.
+    if len(origin) > MAX_ORIGIN:
+        return None
+    try:
+        parts = urlsplit(origin)
+        host, port = parts.hostname or "", parts.port
+    except ValueError:
+        return None
+    shown = host if port is None else f"{host}:{port}"
+    if origin != f"{parts.scheme}://{shown}" or not _DOMAIN.fullmatch(host):
+        return None
+    is_secure = parts.scheme == "https" or (parts.scheme == "http" and host == "localhost")
+    return host if is_secure else None
+
+
+def _is_address(text: str) -> bool:
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return False
+    return True
+
 
 SOCKET: Final = "console.sock"  # in the authority's directory
 # What the console has there. Who restores an authority makes a new TLS key for browsers.
@@ -40,59 +137,469 @@ PREPARED: Final[Mapping[str, tuple[type, ...]]] = {
     "revoke-master": (str, str),  # reason, which master
 }
 
-OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
-    # reading; the answer in brackets
-    "status": (),  # Status
-    "nodes": (),  # [NodeView]
-    "grants": (),  # [GrantView]: in force, and those that ended within 30 days
-    "identity-requests": (),  # [IdentityRequestView]
-    "questions": (),  # [GrantQuestion]
-    "consider": (bytes, str, int),  # as "grant" below: [AskedRight] that would be granted
-    "question-answers": (bytes,),  # id: [QuestionAnswer], none while it waits
-    "invitations": (),  # [InvitationView]
-    "phones": (),  # [PhoneView]
-    "proposals": (),  # [Proposal]
-    "approvals": (int,),  # [ApprovalView], newest first, at most so many
-    "events": (int, int),  # before this number (0: the newest), at most so many: [EventView]
-    "denials": (),  # [DenialView] of the last day, newest first; raises if there is no master
-    "graph": (),  # [FactView]; raises if there is no master
-    "policy": (),  # PolicyView
-    "policy-names": (),  # [PolicyName]: titles and types
-    "standing": (int, int),  # epoch, seq: ListStanding
-    # taking away; a list number [epoch, seq], [0, 0] while the key is locked
-    "deny-request": (bytes, str),  # id, reason: nothing
-    "deny-question": (bytes, str),  # id, reason: nothing
-    "revoke-grant": (bytes, str),  # id, reason: [epoch, seq]
-    "revoke-node": (str, str),  # name, reason: [epoch, seq]; not of a master
-    "end-invitation": (bytes, str),  # id, reason: nothing
-    "remove-phone": (bytes, str),  # id, reason: nothing
-    "end-proposal": (bytes,),  # id of a phone that waits: nothing
-    # approving
-    "prepare": (str, list, str),  # kind, arguments as in PREPARED, for whom (`owners`): Prepared
-    "approve": (bytes, bytes, bytes, bytes, bytes),
-    # id, credential, client data, authenticator data, signature: Outcome
-    "outcome": (bytes,),  # id: Outcome
-    # who looks: the console's own sessions follow from these
-    "login-challenge": (str,),  # origin: LoginChallenge
-    "login": (bytes, bytes, bytes, bytes, bytes),  # as "approve": the phone's name
-    "redeem": (str,),  # a code from the terminal, used up by this: None; looks, approves nothing
-    "new-passkey": (str, str),  # origin, rp id: LoginChallenge, for `navigator.credentials.create`
-    "add-passkey": (bytes, str, str, bytes, bytes),
-    # challenge id, code from the terminal, name, client data, attestation object: PhoneView
-    "propose-passkey": (bytes, str, str, bytes, bytes),  # as above, code of "phone-link": Proposal
-    "phone-link": (str,),  # for whom: a one-time code for "propose-passkey", text
-}
+_HINT: Final = "are the service and the console of one version of rossec?"
+
+_PLAIN: Final = (int, str, bytes, bool)
+_T = TypeVar("_T")
 
 
-def read_request(body: bytes) -> Request:
-    """Read the body of a request's frame.
+def to_value(item: object) -> Value:
+    if isinstance(item, tuple):
+        return [to_value(each) for each in item]
+    if item is None or type(item) in _PLAIN:
+        return item  # type: ignore[return-value]
+    raise TypeError(f"{type(item).__name__} is not part of a record")
 
-    Raises:
-        KeyMessageRefused: malformed, or not in the tables above.
+
+def from_value(kind: type[_T], value: Value) -> _T:
+    found: _T = _read(kind, value)
+    return found
+
+
+def many(kind: type[_T], value: Value) -> tuple[_T, ...]:
+    if not isinstance(value, list):
+        raise KeyMessageRefused("records that are no list", _HINT)
+    return tuple(from_value(kind, each) for each in value)
+
+
+def _read(kind: Any, value: Value) -> Any:
+    if kind in _PLAIN or kind is NoneType:
+        if type(value) is not kind:
+            raise KeyMessageRefused(f"{type(value).__name__} where {kind.__name__} belongs", _HINT)
+        return value
+    if isinstance(kind, UnionType):
+        possible = [each for each in get_args(kind) if each is not NoneType]
+        return None if value is None else _read(possible[0], value)
+    if not isinstance(value, list):
+        raise KeyMessageRefused("a record that is no list", _HINT)
+    if get_origin(kind) is tuple:
+        first, last = get_args(kind)
+        if last is not Ellipsis and len(value) != 2:
+            raise KeyMessageRefused("a list has an epoch and a number", _HINT)
+        return tuple(_read(first, each) for each in value)
+    fields = get_type_hints(kind)
+    if len(value) != len(fields):
+        raise KeyMessageRefused(f"{kind.__name__} of {len(value)} fields", _HINT)
+    return kind(*map(_read, fields.values(), value))
+
+
+class Status(NamedTuple):
+    """The service: `number` changes whenever anything that the console can show has changed."""
+
+    domain: str
+    fingerprint: str
+    locked: bool
+    remaining: int | None  # seconds; 0: until it is locked; None: it is locked
+    number: int
+    now: int
+    phones: int  # passkeys that can approve
+    has_master: bool  # whether the last call to the master succeeded
+
+
+class NodeView(NamedTuple):
+    """An identity: the newest of its name, or another key of it that is still valid."""
+
+    name: str
+    key: bytes
+    not_before: int
+    not_after: int
+    anonymous: bool  # for anonymous nodes too
+    revoked_at: int  # 0: it is not revoked
+    reason: str
+
+
+class GrantView(NamedTuple):
+    """A signed grant; `data` is its COSE form (`grants.document.peek`)."""
+
+    id: bytes
+    node: str
+    data: bytes
+    at: int  # when it was signed
+    expires: int
+    cap: int  # until when the master renews it
+    revoked_at: int  # 0: it is not revoked
+    reason: str
+    rules: str  # of the policy; empty: by hand
+    delivery: str  # as `rossec grant list` shows it: held, fetched, waiting; empty: not known
+
+
+class IdentityRequestView(NamedTuple):
+    """A request for an identity that waits: for a person (`pending`), or the key (`approved`)."""
+
+    id: bytes
+    name: str
+    key: bytes
+    source: str
+    arrived: int
+    expires: int
+    state: str
+    anonymous: bool
+    is_other_key: bool  # the name has, or had, another key
+    csr: bytes  # DER, as `PREPARED` of "enroll" takes it
+
+
+class AskedRight(NamedTuple):
+    """One right that a node asks for, as the policy would grant it (see `grants.document`)."""
+
+    right: int
+    pattern: str
+    type: str  # of the messages; empty: not known
+    rules: str
+    why: str  # the reason in the policy, not the node's
+    permissions: bytes  # CBOR list of the AIF entries that would be granted
+
+
+class GrantQuestion(NamedTuple):
+    """A right that a node asks for, and that waits for a person.
+
+    A request for several rights is as many questions, and `request` is the id that they share.
     """
-    request = messages.read_request(body, OPERATIONS, MAX_REQUEST)
+
+    id: bytes
+    node: str
+    key: bytes
+    why: str  # the node's own words
+    at: int
+    expires: int  # denied afterwards
+    lifetime: int  # seconds that would be granted, renewals by the master included
+    coarse: tuple[str, ...]  # names of filters that could be put on it
+    rights: tuple[AskedRight, ...]
+    request: bytes = b""
+
+
+class QuestionAnswer(NamedTuple):
+    """The answer to a question: `granted`, `denied`, or why nobody gave one."""
+
+    node: str
+    right: int
+    pattern: str
+    answer: str
+    reason: str
+    at: int
+
+
+class InvitationView(NamedTuple):
+    id: bytes
+    pattern: str
+    uses: int
+    names: tuple[str, ...]  # that joined by it
+    anonymous: bool
+    expires: int
+    at: int
+    state: str
+
+
+class PhoneView(NamedTuple):
+    """A passkey."""
+
+    id: bytes
+    name: str
+    at: int
+    last_used: int  # 0: never
+    added_by: str  # a phone's name; empty: the terminal
+    ended: str  # why; empty: it can approve
+
+
+class ApprovalView(NamedTuple):
+    id: bytes
+    kind: int
+    sentence: str
+    phone: str
+    at: int
+    state: str
+    result: str
+
+
+class EventView(NamedTuple):
+    """An entry of the log of the record (`ca.store.values.LogEntry`)."""
+
+    number: int
+    at: int
+    what: str
+    subject: str
+    detail: str
+
+
+class DenialView(NamedTuple):
+    """A right that a node lacked, as the master or another node refused it."""
+
+    at: int
+    node: str
+    right: int
+    name: str
+
+
+class FactView(NamedTuple):
+    """A fact of the graph, as `rossec.watchGraph` gives it; `kind`: publisher, type and so on."""
+
+    kind: str
+    name: str
+    node: str
+
+
+class PolicyRight(NamedTuple):
+    """A right that a policy would give or take; `restriction` in words, `until` as its span."""
+
+    node: str
+    right: int
+    pattern: str
+    restriction: str
+    until: str
+
+
+class PolicyView(NamedTuple):
+    path: str
+    digest: bytes  # of the file; empty: there is none
+    gives: tuple[PolicyRight, ...]
+    takes: tuple[PolicyRight, ...]
+    keeps: int
+    mistakes: tuple[str, ...]
+    refused: tuple[str, ...] = ()  # of single nodes: in no grant, though a rule allows it
+
+
+class PolicyName(NamedTuple):
+    """What the policy calls a node, a topic or a pattern; empty: it has no title, or no type."""
+
+    name: str
+    title: str
+    type: str
+
+
+class ListProgress(NamedTuple):
+    """How far a revocation list has come."""
+
+    epoch: int
+    seq: int
+    is_signed: bool
+    is_at_master: bool
+    nodes: int  # with a session at the master; 0: not known
+    nodes_with_list: int
+
+
+class Prepared(NamedTuple):
+    id: bytes
+    statement: bytes
+    challenge: bytes
+    until: int
+    rp_id: str
+    credentials: tuple[bytes, ...]
+    payload: bytes
+
+
+class ApprovalOutcome(NamedTuple):
+    """What came of an approval: as in `ApprovalView`; `data` is what it made."""
+
+    id: bytes
+    state: str
+    result: str
+    data: bytes  # an identity bundle (PEM), or the text of a join code; empty otherwise
+
+
+class LoginChallenge(NamedTuple):
+    """A challenge for a login, or for a new passkey."""
+
+    id: bytes
+    challenge: bytes
+    until: int
+    rp_id: str
+    credentials: tuple[bytes, ...]
+
+
+class Proposal(NamedTuple):
+    id: bytes
+    name: str
+    digits: str  # shown on both phones
+    expires: int
+
+
+class PasskeyAssertion(NamedTuple):
+    """What a browser returns for a challenge: `navigator.credentials.get`."""
+
+    credential: bytes
+    client_data: bytes
+    authenticator_data: bytes
+    signature: bytes
+
+
+class PasskeyRegistration(NamedTuple):
+    """A new passkey with the code that allows it: `navigator.credentials.create`."""
+
+    challenge_id: bytes
+    code: str
+    name: str
+    client_data: bytes
+    attestation_object: bytes
+
+
+class Operation(NamedTuple):
+    arguments: tuple[type, ...]  # as they are sent: a record stands for its fields
+    answer: Any
+    changes: bool  # audited, with who asked, before it is done
+    of_strangers: bool  # anybody on the network may ask
+
+
+OPERATIONS: Final[dict[str, Operation]] = {}
+_P = ParamSpec("_P")
+
+
+_Declared = Callable[Concatenate[Any, _P], _T]
+_Asking = Callable[Concatenate[Any, _P], Coroutine[Any, Any, _T]]
+
+
+def _operation(
+    *, changes: bool = False, of_strangers: bool = False
+) -> Callable[[_Declared[_P, _T]], _Asking[_P, _T]]:
+    # Enters an operation into the table as its signature says; the console gets a method that asks for it.
+    def enter(declared: _Declared[_P, _T]) -> _Asking[_P, _T]:
+        name, signature = declared.__name__.replace("_", "-"), inspect.signature(declared)
+        kinds = get_type_hints(declared)
+        answer = kinds.pop("return")
+        sent = (
+            get_type_hints(kind).values() if hasattr(kind, "_fields") else [kind] for kind in kinds.values()
+        )
+        arguments = tuple(get_origin(kind) or kind for kind in chain(*sent))
+        OPERATIONS[name] = Operation(arguments, answer, changes, of_strangers)
+
+        async def ask(client: Any, /, *given: _P.args, **named: _P.kwargs) -> _T:
+            bound = signature.bind(client, *given, **named)
+            bound.apply_defaults()
+            _, *values = bound.arguments.values()
+            flat = chain(*(value if isinstance(value, tuple) else [value] for value in values))
+            found = await client.ask(name, *flat)
+            return cast("_T", None if answer is NoneType else from_value(answer, found))
+
+        return ask
+
+    return enter
+
+
+class Operations:
+    """The table of all that the console can ask, with the answers; the console's client says how to `ask`.
+
+    The service's handler of an operation is the method of that name, of one of its parts.
+    """
+
+    # Reading.
+
+    @_operation()
+    def status(self) -> Status: ...
+
+    @_operation()
+    def nodes(self) -> tuple[NodeView, ...]: ...
+
+    @_operation()
+    def grants(self) -> tuple[GrantView, ...]: ...  # in force, and those that ended within 30 days
+
+    @_operation()
+    def identity_requests(self) -> tuple[IdentityRequestView, ...]: ...
+
+    @_operation()
+    def questions(self) -> tuple[GrantQuestion, ...]: ...
+
+    @_operation()
+    def consider(self, question: bytes, coarse: str, seconds: int) -> tuple[AskedRight, ...]:
+        """What would be granted, through the filter `coarse`, for `seconds` (0: as asked)."""
+
+    @_operation()
+    def question_answers(self, question: bytes) -> tuple[QuestionAnswer, ...]: ...  # none while it waits
+
+    @_operation()
+    def invitations(self) -> tuple[InvitationView, ...]: ...
+
+    @_operation()
+    def phones(self) -> tuple[PhoneView, ...]: ...
+
+    @_operation()
+    def proposals(self) -> tuple[Proposal, ...]: ...
+
+    @_operation()
+    def approvals(self, count: int) -> tuple[ApprovalView, ...]: ...  # newest first, at most so many
+
+    @_operation()
+    def events(self, before: int, count: int) -> tuple[EventView, ...]:
+        """At most so many before this number (0: the newest)."""
+
+    @_operation()
+    def denials(self) -> tuple[DenialView, ...]: ...  # of the last day; raises if there is no master
+
+    @_operation()
+    def graph(self) -> tuple[FactView, ...]: ...  # raises if there is no master
+
+    @_operation()
+    def policy(self) -> PolicyView: ...
+
+    @_operation()
+    def policy_names(self) -> tuple[PolicyName, ...]: ...  # titles and types
+
+    @_operation()
+    def standing(self, epoch: int, seq: int) -> ListProgress: ...
+
+    # Taking away: nothing, or the number of the list, (0, 0) while the key is locked.
+
+    @_operation(changes=True)
+    def deny_request(self, request: bytes, reason: str) -> None: ...
+
+    @_operation(changes=True)
+    def deny_question(self, question: bytes, reason: str) -> None: ...
+
+    @_operation(changes=True)
+    def revoke_grant(self, grant: bytes, reason: str) -> tuple[int, int]: ...
+
+    @_operation(changes=True)
+    def revoke_node(self, name: str, reason: str) -> tuple[int, int]: ...  # not of a master
+
+    @_operation(changes=True)
+    def end_invitation(self, invitation: bytes, reason: str) -> None: ...
+
+    @_operation(changes=True)
+    def remove_phone(self, phone: bytes, reason: str) -> None: ...
+
+    @_operation(changes=True)
+    def end_proposal(self, proposal: bytes) -> None: ...
+
+    # Approving.
+
+    @_operation()
+    def prepare(self, kind: str, arguments: list[Value], owner: str = "") -> Prepared:
+        """Make a statement: arguments as in `PREPARED`, `owner` as `of_phone` and `of_looker` say."""
+
+    @_operation(changes=True)
+    def approve(self, statement: bytes, assertion: PasskeyAssertion) -> ApprovalOutcome: ...
+
+    @_operation()
+    def outcome(self, approval: bytes) -> ApprovalOutcome: ...
+
+    # Who looks: the console's own sessions follow from these.
+
+    @_operation(of_strangers=True)
+    def login_challenge(self, origin: str) -> LoginChallenge: ...
+
+    @_operation(of_strangers=True)
+    def login(self, challenge: bytes, assertion: PasskeyAssertion) -> str: ...  # the phone's name
+
+    @_operation(of_strangers=True)
+    def redeem(self, code: str) -> None: ...  # a code from the terminal, used up by this: to look
+
+    @_operation(of_strangers=True)
+    def new_passkey(self, origin: str, rp_id: str) -> LoginChallenge: ...
+
+    @_operation(of_strangers=True)
+    def add_passkey(self, registration: PasskeyRegistration) -> PhoneView: ...  # by a code from the terminal
+
+    @_operation(of_strangers=True)
+    def propose_passkey(self, registration: PasskeyRegistration) -> Proposal: ...  # by a code of `phone_link`
+
+    @_operation()
+    def phone_link(self, owner: str = "") -> str: ...  # a one-time code
+
+
+_ARGUMENTS: Final = {name: operation.arguments for name, operation in OPERATIONS.items()}
+
+
+def read_request(body: bytes) -> ServiceRequest:
+    request = messages.read_request(body, _ARGUMENTS, MAX_REQUEST)
     match request:
-        case Request("prepare", (str() as kind, list() as arguments, str())) if tuple(
+        case ServiceRequest("prepare", (str() as kind, list() as arguments, str())) if tuple(
             map(type, arguments)
         ) != PREPARED.get(kind):
             raise KeyMessageRefused(f"{kind[:40]!a} is not prepared with such arguments", _HINT)
@@ -100,11 +607,6 @@ def read_request(body: bytes) -> Request:
 
 
 def checked(answer: Value) -> Value:
-    """The answer, if it is one that the console reads.
-
-    Raises:
-        KeyServiceRefused: it is too long.
-    """
     if len(messages.write_answer(answer)) > MAX_ANSWER:
         raise KeyServiceRefused(
             f"the answer has more than {MAX_ANSWER} bytes", "use the commands of the authority"
@@ -112,4 +614,61 @@ def checked(answer: Value) -> Value:
     return answer
 
 
-_HINT: Final = "are the service and the console of one version of rossec?"
+_MOST: Final = 4  # rights that are listed
+
+
+def sentence(statement: Statement, payload: bytes) -> str:
+    """What `statement` is about; `payload` is what it has a digest of."""
+    match statement.what:
+        case kinds.Enroll(name=name, replaces=replaces):
+            text = f"identity of {name}" + ", with another key than before" * replaces
+        case kinds.GrantStatement():
+            text = given(_bodies(payload))
+        case kinds.PolicyChange():
+            text = "the changed policy is in force"
+        case kinds.DelegateStatement(lifetime=lifetime):
+            text = f"the master may renew grants for {format_duration(lifetime)}"
+        case kinds.IntermediateStatement(enrolls=enrolls):
+            new = "and enroll nodes" if enrolls else "for nodes known here"
+            text = f"an intermediate authority may renew identities {new}"
+        case kinds.NewPasskey(name=name):
+            text = f"phone {name}"
+        case kinds.Invitation(pattern=pattern, uses=uses):
+            text = f"join code for {uses} of {pattern}"
+        case kinds.RevokeMaster(reason=reason, master=master):
+            which = "the master" if master == MASTER else f"the master {master}"
+            text = f"revocation of {which}" + f": {reason}" * bool(reason)
+        case _:
+            text = "another domain"
+    return printable(text)
+
+
+def given(bodies: Iterable[bytes]) -> str:
+    """What grants with these claims give, and until when: what was approved, not what was asked."""
+    try:
+        found = [document.read_claims(body, bytes(ID_SIZE)) for body in bodies]
+    except (EncodingError, GrantError):
+        found = []
+    if not found:
+        return "a right of a node"
+    rights = dict.fromkeys(_right(each) for grant in found for each in grant.permissions)
+    more = f" and {len(rights) - _MOST} more" if len(rights) > _MOST else ""
+    until = format_time(min(max(each.expires, each.cap) for each in found))
+    return f"{found[0].subject} may {', '.join([*rights][:_MOST])}{more}, until {until}"
+
+
+def _right(given: Permission) -> str:
+    coarser = given.restriction is not None and given.restriction.restricts_messages
+    return f"{given.rights.label} {given.pattern}" + " (not all of it)" * coarser
+
+
+def _bodies(payload: bytes) -> list[bytes]:
+    try:
+        match decode(payload, limit=kinds.MAX_PAYLOAD):
+            case [_, _, [*grants]]:
+                pairs = (grant for grant in grants if isinstance(grant, list) and len(grant) == 2)
+                return [body for body, _ in pairs if isinstance(body, bytes)]
+            case _:
+                return []
+    except EncodingError:
+        return []

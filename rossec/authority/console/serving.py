@@ -1,37 +1,278 @@
-"""The console's side of `rossec ca serve` put together: who may look, what it shows and does."""
+"""The console's side of `rossec ca serve`: its socket, who carries out what it asks, how the service is.
+
+Whoever may connect can read the record's names and take rights away, so it is the authority's own
+user; one other may be named, whose socket is then outside of the directory of the key. Handlers
+come in parts. Each part is called in a thread of its own, one task after the other: so it needs no
+lock, and none waits for a master that does not answer but those who ask for it.
+"""
 
 import asyncio
+import contextlib
+import hashlib
+import logging
+import os
+import pwd
+import threading
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
-from ca.approvals.statement import Kind
+from ca.approvals.statement import StatementKind
+from ca.encoding import Value
 from ca.errors import HintedError
 from rossec import clock
-from rossec.authority.console.access import Access
-from rossec.authority.console.acts import Act
-from rossec.authority.console.admission import ConsolePeers
-from rossec.authority.console.approving import Approving, Of
-from rossec.authority.console.console_socket import ConsolePlace, ConsoleSocket
-from rossec.authority.console.grant_acts import GrantAct
-from rossec.authority.console.identity_acts import EnrollAct, IntermediateAct
-from rossec.authority.console.master_view import MasterView
-from rossec.authority.console.policy_acts import DelegateAct, PolicyAct
-from rossec.authority.console.policy_names import PolicyNames
-from rossec.authority.console.policy_view import PolicyLook
-from rossec.authority.console.questions import Questions
-from rossec.authority.console.reading import Reading
-from rossec.authority.console.record_acts import InvitationAct, PasskeyAct, RevokeMasterAct
-from rossec.authority.console.removals import Removals
-from rossec.authority.console.service import ConsoleService
-from rossec.authority.console.status import StatusLook
-from rossec.authority.keyservice.network import NetworkWork
-from rossec.authority.keyservice.operations import KeyOperations
-from rossec.authority.keyservice.rounds import Rounds
+from rossec.authority.console import messages
+from rossec.authority.console.access import ConsoleAccess
+from rossec.authority.console.approved_acts import (
+    DelegateAct,
+    EnrollAct,
+    IntermediateAct,
+    InvitationAct,
+    PasskeyAct,
+    PolicyAct,
+    RevokeMasterAct,
+)
+from rossec.authority.console.approving import ApprovedAct, Approving, Of
+from rossec.authority.console.grant_requests import GrantAct, Questions, Removals
+from rossec.authority.console.messages import OPERATIONS, Status, checked, to_value
+from rossec.authority.console.queries import MasterView, PolicyNames, PolicyQuery, RecordQueries
+from rossec.authority.home import fingerprint
+from rossec.authority.keyservice.messages import ServiceRequest
+from rossec.authority.keyservice.network import NetworkWork, Scheduler
+from rossec.authority.keyservice.operations import HeldKey, KeyOperations
+from rossec.authority.keyservice.process import AuditedCaller, KeyServer, SocketRules
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.master_call import MasterCall
-from rossec.errors import ConfigurationError, NotDelivered
+from rossec.authority.session import StatementCall
+from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered, PeerUserRefused
+from rossec.host.local_sockets import UnixPeer
+from rossec.peer_limits import printable
+
+INBOX = "inbox"  # in the authority's directory (`rossec.authority.requests`)
+
+
+class StatusQuery:
+    """The operation that is asked every second, so it looks at little: sizes and times.
+
+    `has_master`: whether the last call to the master succeeded. `seen`: whatever else differs when
+    something to be shown has changed.
+    """
+
+    def __init__(
+        self,
+        work: AuthorityWork,
+        held: HeldKey,
+        has_master: Callable[[], bool],
+        seen: Callable[[], tuple[object, ...]] = tuple,
+    ) -> None:
+        self._work = work
+        self._held = held
+        self._has_master = has_master
+        self._seen = seen
+        anchor = work.home().anchor()
+        self._domain, self._fingerprint = anchor.domain, fingerprint(anchor)
+
+    def status(self) -> Value:
+        home, now = self._work.home(), self._work.now()
+        with contextlib.closing(home.store()) as store, store.database.read_transaction():
+            size, phones = store.log.head(now).size, len(store.passkeys.active())
+        remaining, has_master = self._held.remaining(), self._has_master()
+        files = (self._work.policy_path(), home.path / INBOX)
+        number = _number(size, remaining is None, has_master, *map(_changed, files), *self._seen())
+        return to_value(
+            Status(
+                self._domain, self._fingerprint, remaining is None, remaining, number, now, phones, has_master
+            )
+        )
+
+
+def _changed(path: Path) -> tuple[int, ...]:
+    try:
+        status = path.stat()
+    except OSError:
+        return ()
+    return status.st_mtime_ns, status.st_size, status.st_ino
+
+
+def _number(*state: object) -> int:
+    return int.from_bytes(hashlib.sha256(repr(state).encode()).digest()[:6])
+
+
+_START: Final = 19  # of the fields after the command's name, proc(5): starttime
+_LIMIT: Final = b"Max processes"
+_REFUSED: Final = "a process of the console's pages may not use the service's socket"
+
+
+class ConsolePeers:
+    # Which processes may not use `service.sock`: whoever showed itself to be the console's pages. The web
+    # process can start no other one, so one that was taken over cannot ask for signatures, whether it came
+    # to the console's socket first (it is remembered as long as it lives) or not (its limits show it). A
+    # number is given again to another process, so its start is remembered too.
+
+    def __init__(self, proc: Path = Path("/proc")) -> None:
+        self._proc = proc
+        self._lock = threading.Lock()
+        self._known: dict[int, bytes | None] = {}  # when it started, by its number
+
+    def remember(self, peer: UnixPeer) -> None:
+        started = self._started(peer.process)
+        with self._lock:
+            for process in [each for each in self._known if self._is_gone(each)]:
+                del self._known[process]
+            self._known[peer.process] = started
+
+    def refuse(self, peer: UnixPeer) -> None:
+        with self._lock:
+            is_known = peer.process in self._known and not self._is_gone(peer.process)
+        if is_known or self._is_confined(peer.process):
+            raise PeerUserRefused(_REFUSED)
+
+    def _is_gone(self, process: int) -> bool:
+        remembered, now = self._known[process], self._started(process)
+        if now is None:
+            return not (self._proc / str(process)).exists() and (self._proc / "self").exists()
+        return remembered is not None and remembered != now
+
+    def _started(self, process: int) -> bytes | None:
+        try:
+            stat = (self._proc / str(process) / "stat").read_bytes()
+        except OSError:
+            return None
+        fields = stat.rpartition(b")")[2].split()  # its name may have spaces and parentheses
+        return fields[_START] if len(fields) > _START else None
+
+    def _is_confined(self, process: int) -> bool:
+        try:
+            limits = (self._proc / str(process) / "limits").read_bytes()
+        except OSError:
+            return False
+        rows = [line for line in limits.splitlines() if line.startswith(_LIMIT)]
+        return any(row.removeprefix(_LIMIT).split()[:2] == [b"0", b"0"] for row in rows)
+
+
+_log = logging.getLogger("rossec.authority.service")
+
+Handler = Callable[..., Value]
+
+
+def _unaudited(_: str) -> None: ...
+
+
+def handlers_of(part: object) -> dict[str, Handler]:
+    methods = {name: getattr(part, name.replace("-", "_"), None) for name in OPERATIONS}
+    return {name: method for name, method in methods.items() if callable(method)}
+
+
+class ConsoleService:
+    """All operations.
+
+    `parts`: which have one handler for each operation of the table between them. `audit`: writes a
+    line. Raises `HintedError` if it cannot: then nothing is done.
+    """
+
+    def __init__(self, *parts: object, audit: Callable[[str], None] = _unaudited) -> None:
+        self._audit = audit
+        self._threads = [ThreadPoolExecutor(1, thread_name_prefix="console") for _ in parts]
+        self._handlers: dict[str, tuple[ThreadPoolExecutor, Handler]] = {}
+        for part, thread in zip(parts, self._threads, strict=True):
+            for operation, handler in handlers_of(part).items():
+                if operation in self._handlers:
+                    raise ValueError(f"{operation} has two handlers")
+                self._handlers[operation] = thread, handler
+
+    @property
+    def missing(self) -> frozenset[str]:
+        return frozenset(OPERATIONS) - self._handlers.keys()
+
+    async def carry_out(self, request: ServiceRequest, caller: AuditedCaller) -> Value:
+        if request.operation not in self._handlers:
+            raise KeyServiceRefused(
+                f"this service does not do {request.operation}", "restart it: rossec ca serve"
+            )
+        if OPERATIONS[request.operation].changes:
+            self._audit(f"{_described(request)}, asked by the console of {caller}")
+        thread, handler = self._handlers[request.operation]
+        call = partial(_answer, handler, request.arguments)
+        return await asyncio.get_running_loop().run_in_executor(thread, call)
+
+    async def close(self) -> None:
+        for thread in self._threads:
+            await asyncio.to_thread(thread.shutdown, cancel_futures=True)
+
+
+def _described(request: ServiceRequest) -> str:
+    about = request.arguments[0]
+    shown = about.hex() if isinstance(about, bytes) else printable(str(about))
+    return f"{request.operation} {shown}"
+
+
+def _answer(handler: Handler, arguments: tuple[Value, ...]) -> Value:
+    return checked(handler(*arguments))
+
+
+MAX_CALLERS: Final = 16
+
+
+class ConsolePlace(NamedTuple):
+    """Where the socket is, and which users may connect; none: the one of this process."""
+
+    path: Path
+    users: frozenset[int] = frozenset()
+
+
+def place(directory: Path, path: Path | None, user: str | None) -> ConsolePlace:
+    if path is not None and path.exists() and not path.is_socket():
+        raise ConfigurationError(f"{path} is a file, and not a socket", "choose another --console-socket")
+    if user is None:
+        return ConsolePlace(path or directory / messages.SOCKET)
+    try:
+        number = pwd.getpwnam(user).pw_uid
+    except KeyError:
+        raise ConfigurationError(
+            f"there is no user {user!a} on this host", "make one, or leave --console-user"
+        ) from None
+    if path is None:
+        raise ConfigurationError(
+            f"{user} cannot enter {directory}, where the socket would be",
+            "name a directory for it: --console-socket /run/rossec/console.sock",
+        )
+    _check_directory(path.parent)
+    return ConsolePlace(path, frozenset({os.geteuid(), number}))
+
+
+def _check_directory(directory: Path) -> None:
+    try:
+        found = directory.stat()
+    except OSError as error:
+        raise ConfigurationError(
+            f"{directory}: {error.strerror}", "make it, as the user of the service"
+        ) from None
+    if found.st_mode & 0o022 or found.st_uid not in {0, os.geteuid()}:
+        raise ConfigurationError(
+            f"another user could replace the socket in {directory}",
+            "choose a directory of your own, which no other user can write",
+        )
+
+
+class ConsoleSocket:
+    """Answers the console.
+
+    `service`: carries out what is asked. `peers`: is told who connects.
+    """
+
+    def __init__(self, where: ConsolePlace, service: ConsoleService, peers: ConsolePeers) -> None:
+        rules = SocketRules(messages.read_request, messages.MAX_REQUEST, MAX_CALLERS, where.users)
+        self._service = service
+        self._server = KeyServer(where.path, service.carry_out, peers.remember, rules)
+
+    async def start(self) -> None:
+        await self._server.start()
+
+    async def close(self) -> None:
+        await self._server.close()
+        await self._service.close()
 
 
 def _no_address() -> str:
@@ -47,13 +288,8 @@ PURPOSE: Final = "a look at the console"
 class Console:
     """What the service has for the console.
 
-    Args:
-        where: the socket.
-        rossec_home: ROSSEC_HOME.
-        operations: of the key.
-        network: None: no master is called, and no node joins.
-        policy: its file; None: the usual place.
-        join_address: where nodes reach the join port, `host:port`, for join codes.
+    `network`: None: no master is called, and no node joins. `policy`: its file; None: the usual
+    place. `join_address`: where nodes reach the join port, `host:port`, for join codes.
     """
 
     def __init__(
@@ -68,22 +304,20 @@ class Console:
         self.where = where
         self.peers = ConsolePeers()
         work = network.work if network else AuthorityWork(rossec_home, operations, _fail, policy)
-        self.rounds = network.rounds if network else Rounds(asyncio.to_thread)
+        self.rounds = network.rounds if network else Scheduler(asyncio.to_thread)
         operations.on_unlock = self.rounds.wake
-        self.access = Access(work, operations.audit)
+        self.access = ConsoleAccess(work, operations.audit)
         self._network = network
         of = Of(work, operations.audit, self.rounds.wake, self.access.counter)
         self.approving = Approving(of, acts_of(work, self.access, join_address))
         self.rounds.add(self.approving.carry_out_waiting, first=True)
-        self.master = MasterView(
-            work, network.deliver if network else _fail, came_back=self.rounds.wake
-        )
+        self.master = MasterView(work, network.deliver if network else _fail, came_back=self.rounds.wake)
         self.service = ConsoleService(
             self.access,
-            StatusLook(work, operations.held, self._has_master, self._seen),
-            Reading(work, self.access.last_used, Deliveries(work, self._has_master).states),
+            StatusQuery(work, operations.held, self._has_master, self._seen),
+            RecordQueries(work, self.access.last_used, Deliveries(work, self._has_master).states),
             Questions(work),
-            PolicyLook(work),
+            PolicyQuery(work),
             PolicyNames(work),
             self.approving,
             self.master,
@@ -96,8 +330,8 @@ class Console:
         return self._network is not None and self._network.has_master
 
     def _seen(self) -> tuple[object, ...]:
-        """What the console shows and the record does not say."""
-        return self.master.look(), *(each.id for each in self.access.proposals.all())
+        # What the console shows and the record does not say.
+        return self.master.look(), *(each.id for each in self.access.proposed.all())
 
 
 class Deliveries:
@@ -110,7 +344,6 @@ class Deliveries:
         self._asked = float("-inf")
 
     def states(self) -> dict[bytes, str]:
-        """By the id of the grant; empty while there is no master."""
         now = time.monotonic()
         if not self._has_master():
             return {}
@@ -118,7 +351,7 @@ class Deliveries:
             self._asked = now
             try:
                 with self._work.service(PURPOSE) as service:
-                    self._states = service.delivery_states()
+                    self._states = service.grants.delivery_states()
             except HintedError:
                 self._states = {}
         return self._states
@@ -126,23 +359,23 @@ class Deliveries:
 
 def acts_of(
     work: AuthorityWork,
-    access: Access,
+    access: ConsoleAccess,
     join_address: Callable[[], str],
     elapsed: clock.Seconds | None = None,
-) -> Mapping[Kind, Act]:
+) -> Mapping[StatementKind, ApprovedAct]:
     """What a phone can approve; `elapsed` counts seconds and cannot be set."""
     policy = work.policy_path()
     return {
-        Kind.ENROLL: EnrollAct(policy),
-        Kind.GRANT: GrantAct(policy),
-        Kind.POLICY: PolicyAct(policy),
-        Kind.DELEGATE: DelegateAct(),
-        Kind.INTERMEDIATE: IntermediateAct(),
-        Kind.PASSKEY: PasskeyAct(access.proposals),
-        Kind.INVITATION: InvitationAct(work.home(), join_address, elapsed),
-        Kind.REVOKE_MASTER: RevokeMasterAct(),
+        StatementKind.ENROLL: EnrollAct(policy),
+        StatementKind.GRANT: GrantAct(policy),
+        StatementKind.POLICY: PolicyAct(policy),
+        StatementKind.DELEGATE: DelegateAct(),
+        StatementKind.INTERMEDIATE: IntermediateAct(),
+        StatementKind.PASSKEY: PasskeyAct(access.proposed),
+        StatementKind.INVITATION: InvitationAct(work.home(), join_address, elapsed),
+        StatementKind.REVOKE_MASTER: RevokeMasterAct(),
     }
 
 
-def _fail(call: MasterCall) -> object:
+def _fail(call: StatementCall) -> object:
     raise NotDelivered(f"the master did not get {call.what}: this service calls none", call.hint)

@@ -1,14 +1,15 @@
 """The side of a command: asks the service that runs in the authority's directory, if one does.
 
 A command opens the record itself, as it does without a service; only the signatures come from the
-service, which is asked over `ca/service.sock`. Both ends must be of one user. Each signature is
-verified here before it is used: a service of another authority's key could sign nothing for this
-one. A request that the service ended the connection instead of answering is sent once more, over a
-new connection: services are restarted, and drop those that are idle.
+service, over `ca/service.sock`. Both ends must be of one user, and each signature is verified
+before it is used. A request that the service ended the connection instead of answering is sent once
+more: services are restarted, and drop those that are idle. One service of an authority runs at a
+time, and none while a backup is restored over it.
 """
 
 import os
 import socket
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Final, Self
 
@@ -18,13 +19,26 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
 from ca.encoding import Value
+from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice import messages
-from rossec.authority.keyservice.held_key import UNLOCK_HINT
-from rossec.authority.keyservice.messages import SOCKET, Request
-from rossec.errors import AuthorityLocked, KeyServiceFailed, PeerUserRefused
-from rossec.net.host.peeruid import require_user
-from rossec.operation.unix_socket import MAX_PATH
+from rossec.authority.keyservice.messages import SOCKET, ServiceRequest
+from rossec.authority.keyservice.operations import UNLOCK_HINT
+from rossec.errors import AuthorityLocked, ConfigurationError, KeyServiceFailed, PeerUserRefused
+from rossec.host.local_sockets import MAX_PATH, process_lock, require_user
+
+LOCK: Final = "service.lock"
+OWNED: Final = (files.Owned(r"service\.lock", kept=False),)  # of a process
+
+
+def service_lock(directory: Path) -> AbstractContextManager[None]:
+    """The lock of the service of the authority in `directory`; it ends with the process."""
+    busy = ConfigurationError(
+        f"the authority's service runs from {directory}",
+        "end it first: Ctrl-C where it runs, or systemctl stop rossec-ca",
+    )
+    return process_lock(directory / LOCK, busy)
+
 
 TIMEOUT: Final = 30.0  # seconds for one answer; scrypt takes some tenths of one
 _ECDSA: Final = ec.ECDSA(hashes.SHA256())
@@ -32,19 +46,13 @@ _HINT: Final = "see: rossec ca status; if it hangs, restart `rossec ca serve`"
 
 
 class KeyServiceClient:
-    """A connection to the service, made when it is needed."""
-
     def __init__(self, path: Path, sock: socket.socket) -> None:
         self._path = path
         self._socket: socket.socket | None = sock
 
     @classmethod
     def find(cls, directory: Path) -> Self | None:
-        """The service of the authority in `directory`; None: none runs.
-
-        Raises:
-            KeyServiceFailed: another user listens there, or it does not answer.
-        """
+        """The service of the authority in `directory`; None: none runs."""
         path = directory / SOCKET
         if len(os.fsencode(path)) > MAX_PATH:
             return None  # no service can listen there
@@ -55,13 +63,7 @@ class KeyServiceClient:
         except OSError as error:
             raise KeyServiceFailed(f"{path}: {error.strerror or error}", _HINT) from error
 
-    def ask(self, request: Request) -> Value:
-        """Send a request, and return what its answer says.
-
-        Raises:
-            HintedError: the service refused.
-            KeyServiceFailed: it does not answer.
-        """
+    def ask(self, request: ServiceRequest) -> Value:
         data = messages.write_request(request)
         try:
             try:
@@ -76,39 +78,23 @@ class KeyServiceClient:
             ) from error
 
     def status(self) -> dict[str, Value]:
-        """What the service says of itself (`KeyOperations.status`).
-
-        Raises:
-            HintedError: as `ask`.
-        """
-        return _as_status(self.ask(Request(messages.STATUS)))
+        return _as_status(self.ask(ServiceRequest(messages.STATUS)))
 
     def unlock(self, passphrase: str, seconds: int) -> dict[str, Value]:
-        """Unlock it for `seconds`; 0: while it runs. Returns as `status`.
-
-        Raises:
-            PassphraseRefused, TokenRefused: the passphrase or PIN is wrong.
-            HintedError: as `ask`.
-        """
-        return _as_status(self.ask(Request(messages.UNLOCK, (seconds, passphrase))))
+        """Unlock it for `seconds`; 0: while it runs. Returns as `status`."""
+        return _as_status(self.ask(ServiceRequest(messages.UNLOCK, (seconds, passphrase))))
 
     def lock(self) -> dict[str, Value]:
-        """Lock it. Returns as `status`."""
-        return _as_status(self.ask(Request(messages.LOCK)))
+        return _as_status(self.ask(ServiceRequest(messages.LOCK)))
 
     def phone_code(self) -> str:
-        """A one-time code for the console: to look, or to add a phone.
-
-        Raises:
-            HintedError: as `ask`.
-        """
-        code = self.ask(Request(messages.PHONE_CODE))
+        """A one-time code for the console: to look, or to add a phone."""
+        code = self.ask(ServiceRequest(messages.PHONE_CODE))
         if not isinstance(code, str):
             raise KeyServiceFailed("the service gives no code", _HINT)
         return code
 
     def close(self) -> None:
-        """End the connection."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -122,50 +108,30 @@ class KeyServiceClient:
 
 
 class RemoteSigner:
-    """A `Signer` whose key the service holds."""
-
     def __init__(self, client: KeyServiceClient, public_key: ec.EllipticCurvePublicKey) -> None:
         self._client = client
         self._public_key = public_key
 
     @property
     def public_key(self) -> ec.EllipticCurvePublicKey:
-        """The public key."""
         return self._public_key
 
     def sign(self, message: bytes) -> bytes:
-        """As `Signer.sign`.
-
-        Raises:
-            AuthorityLocked: the service was locked meanwhile.
-            HintedError: as `KeyServiceClient.ask`.
-        """
-        answer = self._client.ask(Request(messages.SIGN, (message,)))
-        if not isinstance(answer, bytes) or not self._verifies(answer, message):
-            raise KeyServiceFailed("the service signed with another key", _HINT)
-        return answer
-
-    def close(self) -> None:
-        """End the connection to the service."""
-        self._client.close()
-
-    def _verifies(self, signature: bytes, message: bytes) -> bool:
-        half = len(signature) // 2
-        r, s = int.from_bytes(signature[:half]), int.from_bytes(signature[half:])
+        answer = self._client.ask(ServiceRequest(messages.SIGN, (message,)))
+        signature = answer if isinstance(answer, bytes) and len(answer) == 64 else bytes(64)
+        r, s = int.from_bytes(signature[:32]), int.from_bytes(signature[32:])
         try:
             self._public_key.verify(encode_dss_signature(r, s), message, _ECDSA)
         except InvalidSignature:
-            return False
-        return len(signature) == 64
+            raise KeyServiceFailed("the service signed with another key", _HINT) from None
+        return signature
+
+    def close(self) -> None:
+        self._client.close()
 
 
 def running_signer(home: AuthorityHome) -> RemoteSigner | None:
-    """The key of the authority in `home`, as the service that runs there has it; None: none runs.
-
-    Raises:
-        AuthorityLocked: it does not hold the key now.
-        KeyServiceFailed: as `KeyServiceClient.find`.
-    """
+    """The key of the authority in `home`, as the service that runs there has it; None: none runs."""
     client = KeyServiceClient.find(home.path)
     if client is None:
         return None
@@ -183,9 +149,7 @@ def _connect(path: Path) -> socket.socket:
         require_user(sock, {os.geteuid()})
     except PeerUserRefused as error:
         sock.close()
-        raise KeyServiceFailed(
-            f"another user listens at {path}", "find out who did that"
-        ) from error
+        raise KeyServiceFailed(f"another user listens at {path}", "find out who did that") from error
     except BaseException:
         sock.close()
         raise

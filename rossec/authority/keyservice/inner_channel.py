@@ -1,4 +1,4 @@
-"""The socketpair between the service and its network face, as calls in both directions. A shell.
+"""The socketpair between the service and its network process, as calls in both directions. A shell.
 
 A side that breaks the protocol ends the connection, and with it the face: the service starts a new
 one. The number of requests that are carried out at a time is bounded.
@@ -13,10 +13,10 @@ from typing import Final
 
 from ca.encoding import Value
 from ca.errors import HintedError
-from rossec.authority.keyservice import inner_messages, messages
-from rossec.authority.keyservice.inner_messages import InnerAnswer, InnerRefusal, InnerRequest
+from rossec.authority.keyservice import messages
+from rossec.authority.keyservice.messages import InnerAnswer, InnerRefusal, InnerRequest
 from rossec.errors import KeyMessageRefused, KeyServiceRefused
-from rossec.net.aio.tasks import TaskSet
+from rossec.host.runner import TaskSet
 
 MAX_REQUESTS: Final = 512  # of the other side at a time; a join port has 256 sessions
 _FAILED: Final = "the other process could not do it", "its log says why"
@@ -29,11 +29,9 @@ Handler = Callable[..., Awaitable[Value]]
 class InnerChannel:
     """One end.
 
-    Args:
-        sock: the end of the socketpair.
-        handlers: what the other side may ask; called with the arguments of the operation. Raise
-            `HintedError` to refuse.
-        limit: bytes of a message from the other side.
+    `sock`: the end of the socketpair. `handlers`: what the other side may ask; called with the
+    arguments of the operation. Raise `HintedError` to refuse. `limit`: bytes of a message from the
+    other side.
     """
 
     def __init__(self, sock: socket.socket, handlers: Mapping[str, Handler], limit: int) -> None:
@@ -47,18 +45,13 @@ class InnerChannel:
         self._connected = asyncio.Event()
 
     async def run(self) -> None:
-        """Serve until the other side ends.
-
-        Raises:
-            KeyMessageRefused: it breaks the protocol.
-        """
         reader, self._writer = await asyncio.open_connection(sock=self._socket)
         self._connected.set()
         try:
             while True:
                 head = await reader.readexactly(messages.HEAD)
                 body = await reader.readexactly(messages.frame_size(head, self._limit))
-                self._take(inner_messages.read(body, self._limit))
+                self._take(messages.read(body, self._limit))
         except (asyncio.IncompleteReadError, ConnectionError):
             return
         finally:
@@ -70,18 +63,11 @@ class InnerChannel:
             await self._tasks.close()
 
     async def call(self, operation: str, *arguments: Value, within: float) -> Value:
-        """Ask the other side; returns its answer.
-
-        Raises:
-            KeyServiceRefused: it refuses, or has ended.
-            TimeoutError: no answer `within` seconds.
-            EncodingError: an argument is no CBOR value.
-        """
         await self._connected.wait()
         if self._writer is None:
             raise KeyServiceRefused(_ENDED, "it is started again")
-        number = next(self._numbers) % inner_messages.MAX_NUMBER
-        frame = inner_messages.write(InnerRequest(number, operation, arguments))
+        number = next(self._numbers) % messages.MAX_NUMBER
+        frame = messages.write(InnerRequest(number, operation, arguments))
         answer: asyncio.Future[Value] = asyncio.get_running_loop().create_future()
         self._waiting[number] = answer
         try:
@@ -94,7 +80,7 @@ class InnerChannel:
         finally:
             del self._waiting[number]
 
-    def _take(self, message: inner_messages.InnerMessage) -> None:
+    def _take(self, message: messages.InnerMessage) -> None:
         if isinstance(message, InnerRequest):
             if message.operation not in self._handlers or len(self._tasks) >= MAX_REQUESTS:
                 raise KeyMessageRefused(f"a request {message.operation} that may not be made now")
@@ -111,12 +97,12 @@ class InnerChannel:
     async def _carry_out(self, request: InnerRequest) -> None:
         try:
             value = await self._handlers[request.operation](*request.arguments)
-            frame = inner_messages.write(InnerAnswer(request.number, value))
+            frame = messages.write(InnerAnswer(request.number, value))
         except HintedError as error:
-            frame = inner_messages.write(InnerRefusal(request.number, str(error), error.hint))
+            frame = messages.write(InnerRefusal(request.number, str(error), error.hint))
         except Exception:  # noqa: BLE001 - the other side would wait for an answer
             _log.exception("a request %s of the other process failed", request.operation)
-            frame = inner_messages.write(InnerRefusal(request.number, *_FAILED))
+            frame = messages.write(InnerRefusal(request.number, *_FAILED))
         if self._writer is not None:
             self._writer.write(frame)
             await self._writer.drain()

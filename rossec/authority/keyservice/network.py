@@ -1,58 +1,226 @@
-"""The service's joins, calls at the master and rounds: face and work put together. A shell.
+"""What the service does at the network: joins, rounds, identities that nodes renew. A shell.
 
-Tasks that need the record run in one thread, one after the other; a round is a task as a join is.
-So a master whose host is off, which fails slowly, is not called for a while: nodes go on joining.
+Tasks that need the record run in one thread, one after the other; a round, every minute and at once
+when there is a reason, is a task as a join is. So a master whose host is off, which fails slowly,
+is not called for a while. The service holds the authority's key, so it reads no metadata of nodes:
+they go to the process for rules (`rossec.naming`), and only when the secret of an invitation was
+proved.
 """
 
 import asyncio
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Final, TypeVar
+from types import TracebackType
+from typing import Final, Protocol, Self, TypeVar
 
 from ca.encoding import Value
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import NameAnswer, Named, Refused, RefuseReason, write
-from ca.enrollment.join_request import JoinRequest
+from ca.enrollment.invitation import JoinClaim, JoinRequest
+from ca.enrollment.join import NameAnswer, Named, RefusedMessage, RefuseReason, write
 from ca.errors import EncodingError, HintedError
-from rossec.authority.keyservice.face_process import FaceProcess
-from rossec.authority.keyservice.join_names import JoinNames
+from ca.names import is_reserved, pattern_covers
 from rossec.authority.keyservice.operations import KeyOperations
-from rossec.authority.keyservice.renewal_watch import RenewalWatch
-from rossec.authority.keyservice.rounds import Rounds
+from rossec.authority.keyservice.process import FrontEndProcess
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.master_call import MasterCall
-from rossec.errors import ConfigurationError, NotDelivered
-from rossec.net.aio.tasks import TaskSet
+from rossec.authority.session import StatementCall
+from rossec.errors import ConfigurationError, NotDelivered, RossecError
+from rossec.host.runner import TaskSet
+from rossec.naming.rule_runner import RuleRunner
+from rossec.peer_limits import printable
+from rossec.ros.names import SETTLE_RENEWALS, WATCH_RENEWALS
+
+ROUND: Final = 60.0  # seconds between two rounds
+_log = logging.getLogger("rossec.authority.service")
+
+Task = Callable[[], None]
+
+
+class Scheduler:
+    """Calls its tasks, one after the other.
+
+    `in_thread`: calls a task in a thread.
+    """
+
+    def __init__(self, in_thread: Callable[[Task], Awaitable[None]]) -> None:
+        self._in_thread = in_thread
+        self._tasks: list[Task] = []
+        self._due = asyncio.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def add(self, task: Task, *, first: bool = False) -> None:
+        self._tasks.insert(0 if first else len(self._tasks), task)
+
+    def wake(self) -> None:
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._due.set)
+
+    async def run(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        while True:
+            self._due.clear()
+            for task in self._tasks:
+                try:
+                    await self._in_thread(task)
+                except Exception:  # noqa: BLE001 - without the next, revocations would stay behind
+                    _log.exception("a round of the authority failed")
+            try:
+                async with asyncio.timeout(ROUND):
+                    await self._due.wait()
+            except TimeoutError:
+                continue
+
+
+CHILDREN: Final = 2
+SECONDS: Final = 1.0  # for one answer of the rules
+
+
+class JoinNames:
+    """The rules of one authority; without rules no node is named.
+
+    `rules`: a stylesheet, or None.
+    """
+
+    def __init__(self, rules: bytes | None) -> None:
+        self._runner: RuleRunner | None = None
+        if rules is not None:
+            self._runner = RuleRunner(rules, children=CHILDREN, seconds=SECONDS)
+
+    async def __aenter__(self) -> Self:
+        if self._runner is not None:
+            await self._runner.__aenter__()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._runner is not None:
+            self._runner.close()
+
+    async def answer(self, metadata: bytes, pattern: str) -> NameAnswer:
+        # For the claim, and again for the request that follows it, since what is between may lie.
+        if self._runner is None:
+            return RefusedMessage(RefuseReason.UNNAMED)
+        try:
+            name = await self._runner.name(metadata)
+        except RossecError as error:
+            _log.warning("a node that joins has no name: %s", printable(error))
+            return RefusedMessage(RefuseReason.METADATA)
+        if is_reserved(name) or not pattern_covers(pattern, name):
+            return RefusedMessage(RefuseReason.NAME)
+        return Named(name)
+
+
+WITHIN: Final = 40  # seconds for a call that waits at the master
+SETTLE_WITHIN: Final = 15
+LOCKED_PAUSE: Final = 10.0  # seconds until a locked service looks again
+FIRST_PAUSE: Final = 1.0  # seconds after a failure, doubled up to
+LONGEST_PAUSE: Final = 30.0
+QUIET: Final = 60.0  # seconds out of reach until it is said: it may start after the service
+
+Renew = Callable[[list[bytes]], Awaitable[list[tuple[bytes, bytes, str]]]]
+
+
+class CallsMaster(Protocol):
+    async def call(self, method: str, arguments: list[Value], within: int) -> Value: ...
+
+
+class RenewalWatch:
+    """Renews identities: waits at the master for requests, so that a node has its new one in seconds.
+
+    While the key is locked it says so there, since nodes tell their users, and does not wait.
+
+    `work`: says whether the key is held. `renew`: answers requests, in the thread of the work.
+    """
+
+    def __init__(self, face: CallsMaster, work: AuthorityWork, renew: Renew) -> None:
+        self._face = face
+        self._work = work
+        self._renew = renew
+        self._looks_again = asyncio.Event()
+        self._said = ""
+
+    def wake(self) -> None:
+        self._looks_again.set()
+
+    async def run(self) -> None:
+        pause, reached = FIRST_PAUSE, time.monotonic()
+        while True:
+            self._looks_again.clear()
+            locked, began = self._work.is_locked, time.monotonic()
+            try:
+                found = await self._look(locked=locked)
+            except Exception as error:  # noqa: BLE001 - a crash must not end all renewals
+                if not isinstance(error, HintedError | OSError):  # a TimeoutError is one
+                    _log.exception("renewing identities failed")
+                if time.monotonic() - reached >= QUIET:
+                    cause = printable(error) or "no answer in time"
+                    self._say(f"no identities are renewed: {cause}")
+                await self._wait(pause)
+                pause = min(2 * pause, LONGEST_PAUSE)
+                continue
+            pause, reached = FIRST_PAUSE, time.monotonic()
+            if locked:
+                await self._wait(LOCKED_PAUSE)
+            elif found:
+                self._said = ""
+            elif time.monotonic() - began < FIRST_PAUSE:  # it should have waited
+                await self._wait(FIRST_PAUSE)
+
+    async def _look(self, *, locked: bool) -> int:
+        answer = await self._face.call(WATCH_RENEWALS, [int(locked)], WITHIN)
+        match answer:
+            case {"renewals": list() as items, "waiting": int() as waiting}:
+                requests = [item for item in items if isinstance(item, bytes)]
+            case _:
+                requests, waiting = [], 0
+        if locked and waiting:
+            self._say(
+                f"{waiting} {'node waits' if waiting == 1 else 'nodes wait'} for a new identity,"
+                " and the key is locked: rossec ca unlock --for 8h"
+            )
+        if not requests:
+            return 0
+        answers = await self._renew(requests)
+        settled: list[Value] = [[digest, bundle, reason] for digest, bundle, reason in answers]
+        if settled:
+            await self._face.call(SETTLE_RENEWALS, [settled], SETTLE_WITHIN)
+        return len(settled)
+
+    async def _wait(self, seconds: float) -> None:
+        try:
+            async with asyncio.timeout(seconds):
+                await self._looks_again.wait()
+        except TimeoutError:
+            return
+
+    def _say(self, text: str) -> None:
+        if text != self._said:
+            _log.warning("%s", text)
+        self._said = text
+
 
 _WITHIN: Final = 30.0  # seconds for a call at the master that does not say
 SLOW: Final = 1.0  # seconds in which a master that runs, or does not, has answered
 PAUSE: Final = 45.0  # seconds without calls after one that failed slowly; less than a round
-_OTHER_NAME: Final = Refused(RefuseReason.NAME)
+_OTHER_NAME: Final = RefusedMessage(RefuseReason.NAME)
 _T = TypeVar("_T")
-_log = logging.getLogger("rossec.authority.service")
 
 
 class NetworkWork:
     """What the network asks of the service, and it of the network.
 
-    Args:
-        rossec_home: ROSSEC_HOME.
-        operations: of the key.
-        face: the network face.
-        applies: put the policy in force in every round; a node that joins gets its grants anyhow.
-        policy: its file; None: the usual place.
-        rules: by which nodes that join are named; None: none is.
-        renews: renew identities of nodes that ask for it at the master.
+    `applies`: put the policy in force in every round; a node that joins gets its grants anyhow.
+    `policy`: its file; None: the usual place. `rules`: by which nodes that join are named; None:
+    none is. `renews`: renew identities of nodes that ask for it at the master.
     """
 
     def __init__(
         self,
         rossec_home: Path,
         operations: KeyOperations,
-        face: FaceProcess,
+        face: FrontEndProcess,
         *,
         applies: bool = False,
         policy: Path | None = None,
@@ -63,7 +231,7 @@ class NetworkWork:
         self._face = face
         self._applies = applies
         self.work = AuthorityWork(rossec_home, operations, self.deliver, policy)
-        self.rounds = Rounds(self._in_thread)
+        self.rounds = Scheduler(self._in_thread)
         self.rounds.add(self.work.maintain)
         if applies:
             self.rounds.add(self.work.apply_if_changed)
@@ -76,12 +244,8 @@ class NetworkWork:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._resume = 0.0
 
-    def deliver(self, call: MasterCall) -> Value:
-        """Call the master through the face; for the thread of the work.
-
-        Raises:
-            NotDelivered: it is out of reach, or refuses.
-        """
+    def deliver(self, call: StatementCall) -> Value:
+        """Call the master through the face; for the thread of the work."""
         if self._loop is None:
             raise NotDelivered(f"the master did not get {call.what}: not started", call.hint)
         began = time.monotonic()
@@ -103,7 +267,6 @@ class NetworkWork:
         return answer
 
     async def run(self) -> None:
-        """Serve until this is cancelled."""
         self._loop = asyncio.get_running_loop()
         async with self._names:  # first of all: rules that are refused end it
             self._tasks.spawn(self._rounds(), name="rounds of the authority")
@@ -117,9 +280,9 @@ class NetworkWork:
         return write(await self._named(JoinClaim.from_bytes(data)))
 
     async def _named(self, asked: JoinClaim | JoinRequest) -> NameAnswer:
-        """The name for the metadata in there, which are looked at by the process for rules only."""
+        # The name for the metadata in there, which are looked at by the process for rules only.
         pattern = await self._in_thread(self.work.allowed_pattern, asked)
-        if isinstance(pattern, Refused):
+        if isinstance(pattern, RefusedMessage):
             return pattern
         return await self._names.answer(asked.metadata, pattern)
 
@@ -129,7 +292,7 @@ class NetworkWork:
         if request.metadata and not await self._in_thread(self.work.was_issued, request):
             named = await self._named(request)
             if named != Named(request.name):
-                return write(named if isinstance(named, Refused) else _OTHER_NAME)
+                return write(named if isinstance(named, RefusedMessage) else _OTHER_NAME)
         answer, name = await self._in_thread(self.work.join, data)
         if name is not None:
             self._joined.append(name)
@@ -137,7 +300,6 @@ class NetworkWork:
         return answer
 
     async def _give_to_joined(self) -> None:
-        """For all that joined meanwhile at once: the policy is read once, and one call delivers."""
         give = self.work.apply if self._applies else self.work.grant_outright
         async with self._giving:
             names, self._joined = self._joined, []
@@ -155,7 +317,6 @@ class NetworkWork:
         await self.rounds.run()
 
     def _renewals_again(self) -> None:
-        """In the thread of the work: a round begins when the key was unlocked."""
         if self._loop is not None and self._renewals is not None:
             self._loop.call_soon_threadsafe(self._renewals.wake)
 
@@ -167,11 +328,6 @@ class NetworkWork:
 
 
 def _as_value(item: object) -> Value:
-    """An argument of a call: a plain value, or a list of such.
-
-    Raises:
-        EncodingError: of another type.
-    """
     match item:
         case bytes() | str() | int():
             return item

@@ -1,11 +1,14 @@
-"""What the service does for those who ask: the operations of `messages`, and its own signatures.
+"""The key while it is unlocked, and the operations on it: sign, lock, unlock.
 
 Everything is audited with who asked, a signature *before* it is made: where the audit cannot be
-written, nothing is signed. `unlock` takes a tenth of a second and may be called in a thread; the
-others return at once.
+written, nothing is signed. Time is that of a clock that counts the seconds in which the machine
+sleeps and which cannot be set; it is checked at every signature. Threads share the key: joins and
+the policy are signed for in another one than commands are.
 """
 
 import hashlib
+import math
+import threading
 from collections.abc import Callable
 from typing import Final
 
@@ -13,11 +16,111 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import Value
 from ca.errors import HintedError, KeyRefused
+from ca.keys.private_keys import TokenSigner
+from ca.keys.signing import Signer
+from rossec import clock
 from rossec.authority.keyservice import messages
-from rossec.authority.keyservice.held_key import HeldKey
-from rossec.authority.keyservice.messages import MAX_PASSPHRASE, MAX_UNLOCKED, Request
-from rossec.authority.keyservice.recognize import Authority, kind_of
-from rossec.errors import KeyServiceRefused, SigningRefused
+from rossec.authority.keyservice.messages import (
+    MAX_PASSPHRASE,
+    MAX_UNLOCKED,
+    ServedAuthority,
+    ServiceRequest,
+    kind_of,
+)
+from rossec.errors import AuthorityLocked, KeyServiceRefused, SigningRefused
+
+UNLOCK_HINT: Final = "unlock it with: rossec ca unlock --for 15m"
+MAX_DELAY: Final = 64.0  # seconds
+_MAX_DOUBLINGS: Final = 6
+
+
+class HeldKey:
+    """Holds the key, or does not.
+
+    `load`: the key that a passphrase or PIN opens. Raises `KeyRefused`. `elapsed`: seconds of a
+    clock that counts sleep.
+    """
+
+    def __init__(self, load: Callable[[str], Signer], elapsed: clock.Seconds | None = None) -> None:
+        self._load = load
+        self._elapsed = clock.counter() if elapsed is None else elapsed
+        self._held = threading.RLock()  # guards what follows
+        self._signer: Signer | None = None
+        self._until: float | None = None
+        self._attempt = threading.Lock()  # held while a passphrase is tried
+        self._failures = 0
+        self._next_attempt = 0.0
+
+    def unlock(self, passphrase: str, seconds: int) -> None:
+        """Hold the key for so many seconds, 0: until it is locked; takes a tenth of a second."""
+        if not self._attempt.acquire(blocking=False):
+            raise KeyServiceRefused("another passphrase is being tried", "try again")
+        try:
+            signer = self._try(passphrase)
+        finally:
+            self._attempt.release()
+        with self._held:
+            self.lock()
+            self._signer = signer
+            self._until = self._elapsed() + seconds if seconds else None
+
+    def _try(self, passphrase: str) -> Signer:
+        wait = self._next_attempt - self._elapsed()
+        if wait > 0:
+            raise KeyServiceRefused(
+                f"the last passphrase was wrong; the next may be tried in {wait:.0f} s",
+                "wait, then try again",
+            )
+        with self._held:  # a token checks the PIN only where no session is open in this process
+            if isinstance(self._signer, TokenSigner):
+                self.lock()
+        try:
+            signer = self._load(passphrase)
+        except KeyRefused:
+            delay = min(MAX_DELAY, 2.0 ** min(self._failures, _MAX_DOUBLINGS))
+            self._failures += 1
+            self._next_attempt = self._elapsed() + delay
+            raise
+        self._failures = 0
+        return signer
+
+    def lock(self) -> bool:
+        with self._held:
+            signer, self._signer, self._until = self._signer, None, None
+            if isinstance(signer, TokenSigner):
+                signer.close()
+            return signer is not None
+
+    def drop_if_over(self) -> bool:
+        """Drop the key if its time is over; whether that was so just now."""
+        with self._held:
+            is_over = self._until is not None and self._elapsed() >= self._until
+            return is_over and self.lock()
+
+    def remaining(self) -> int | None:
+        """For how many more seconds it is held; 0: until it is locked; None: it is not held."""
+        with self._held:
+            if self._signer is None:
+                return None
+            if self._until is None:
+                return 0
+            left = self._until - self._elapsed()
+            return None if left <= 0 else math.ceil(left)
+
+    def check(self) -> None:
+        if self.remaining() is None:
+            raise _locked()
+
+    def sign(self, message: bytes) -> bytes:
+        with self._held:
+            if self.remaining() is None or self._signer is None:
+                raise _locked()
+            return self._signer.sign(message)
+
+
+def _locked() -> AuthorityLocked:
+    return AuthorityLocked("the authority is locked", UNLOCK_HINT)
+
 
 ITSELF: Final = "the service itself"
 
@@ -25,17 +128,14 @@ ITSELF: Final = "the service itself"
 class KeyOperations:
     """Signs, locks and unlocks.
 
-    Args:
-        held: the key.
-        authority: whose key it is.
-        audit: writes a line. Raises `HintedError` if it cannot.
-        describe: what `status` says besides whether the key is held.
+    `authority`: whose key it is. `audit`: writes a line. Raises `HintedError` if it cannot.
+    `describe`: what `status` says besides whether the key is held.
     """
 
     def __init__(
         self,
         held: HeldKey,
-        authority: Authority,
+        authority: ServedAuthority,
         audit: Callable[[str], None],
         describe: Callable[[], dict[int | str, Value]] = dict,
     ) -> None:
@@ -45,35 +145,22 @@ class KeyOperations:
         self._describe = describe
         self.on_unlock: Callable[[], None] = _nothing  # there may be work that waited for the key
 
-    def carry_out(self, request: Request, caller: object) -> Value:
-        """Carry out a request of `caller`, whose text names it in the audit.
-
-        Raises:
-            HintedError: refused; the text is for the caller.
-        """
+    def carry_out(self, request: ServiceRequest, caller: object) -> Value:
         match request:
-            case Request(messages.STATUS):
+            case ServiceRequest(messages.STATUS):
                 return self.status()
-            case Request(messages.SIGN, (bytes() as message,)):
+            case ServiceRequest(messages.SIGN, (bytes() as message,)):
                 return self.sign(message, caller)
-            case Request(messages.UNLOCK, (int() as seconds, str() as passphrase)):
+            case ServiceRequest(messages.UNLOCK, (int() as seconds, str() as passphrase)):
                 return self.unlock(passphrase, seconds, caller)
             case _:
                 return self.lock(caller)
 
     def status(self) -> Value:
-        """Whether the key is held, and for how long; see `HeldKey.remaining`."""
         remaining = self.held.remaining()
         return {**self._describe(), "locked": remaining is None, "remaining": remaining}
 
     def sign(self, message: bytes, caller: object = ITSELF) -> bytes:
-        """Sign a statement or a certificate.
-
-        Raises:
-            SigningRefused: nothing that an authority signs.
-            AuthorityLocked: the key is not held.
-            KeyServiceRefused: the audit cannot be written.
-        """
         try:
             kind = kind_of(message, self._authority)
         except SigningRefused:
@@ -84,12 +171,6 @@ class KeyOperations:
         return self.held.sign(message)
 
     def unlock(self, passphrase: str, seconds: int, caller: object) -> Value:
-        """Hold the key for `seconds` from now on; returns as `status`.
-
-        Raises:
-            KeyServiceRefused: the time is out of range, or too soon after a wrong passphrase.
-            KeyRefused: the passphrase is wrong.
-        """
         if not 0 <= seconds <= MAX_UNLOCKED or len(passphrase) > MAX_PASSPHRASE:
             raise KeyServiceRefused(
                 f"unlocking for {seconds} s where 0 to {MAX_UNLOCKED} are allowed",
@@ -110,33 +191,22 @@ class KeyOperations:
         return self.status()
 
     def audit(self, text: str) -> None:
-        """Write a line about something that is not signed, or before it is.
-
-        Raises:
-            KeyServiceRefused: it cannot be written.
-        """
+        """Write a line about something that is not signed, or before it is."""
         self._audit(text)
 
     def lock(self, caller: object) -> Value:
-        """Drop the key at once; returns as `status`."""
         if self.held.lock():
             self._audit(f"locked by {caller}")
         return self.status()
 
     def lock_if_over(self) -> None:
-        """Drop the key if its time is over."""
         if self.held.drop_if_over():
             self._audit("locked: its time is over")
 
 
 class OwnSigner:
-    """A `Signer` for what the service does itself: joins, and what the policy gives."""
-
     def __init__(
-        self,
-        operations: KeyOperations,
-        public_key: ec.EllipticCurvePublicKey,
-        purpose: str = ITSELF,
+        self, operations: KeyOperations, public_key: ec.EllipticCurvePublicKey, purpose: str = ITSELF
     ) -> None:
         self._operations = operations
         self._public_key = public_key
@@ -144,13 +214,10 @@ class OwnSigner:
 
     @property
     def public_key(self) -> ec.EllipticCurvePublicKey:
-        """The public key."""
         return self._public_key
 
     def sign(self, message: bytes) -> bytes:
-        """As `KeyOperations.sign`, for the purpose named in the audit."""
         return self._operations.sign(message, self.purpose)
 
 
-def _nothing() -> None:
-    """No work waits."""
+def _nothing() -> None: ...

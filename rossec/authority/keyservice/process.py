@@ -1,29 +1,187 @@
-"""The process that holds the key, while it runs: socket, time and audit put together. A shell."""
+"""The process that holds the key, while it runs: its socket, time and audit, and the network process.
+
+Every connection to the socket is one caller, admitted by the user id that the kernel reports. Its
+number of connections, the size of a message and the time for one are bounded; what is malformed is
+answered with a refusal and ends the connection. The network process is executed anew, so that
+nothing of the service's memory is in it, and started first while the service has no key; its end of
+a socketpair is the only descriptor it inherits. One that dies is replaced, each time later.
+"""
 
 import asyncio
 import logging
-from collections.abc import Callable
-from typing import Final
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Awaitable, Callable, Collection, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, NamedTuple
 
 from ca.authority import Authority
 from ca.encoding import Value
 from ca.errors import HintedError
-from ca.keys.signer import Signer
+from ca.keys.signing import Signer
 from rossec import clock
 from rossec.authority.home import AuthorityHome, fingerprint
-from rossec.authority.keyservice import messages, recognize
-from rossec.authority.keyservice.caller import Caller
-from rossec.authority.keyservice.held_key import HeldKey
-from rossec.authority.keyservice.messages import SOCKET, Request
-from rossec.authority.keyservice.operations import KeyOperations
-from rossec.authority.keyservice.server import KeyServer
-from rossec.errors import KeyServiceRefused
-from rossec.net.host.peeruid import UnixPeer
-from rossec.operation.audit import AuditFile
-from rossec.operation.audit_log import AUDIT
+from rossec.authority.keyservice import messages
+from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
+from rossec.authority.keyservice.messages import SOCKET, ServiceRequest
+from rossec.authority.keyservice.operations import HeldKey, KeyOperations
+from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefused, PeerUserRefused
+from rossec.host.audit import AUDIT, AuditFile
+from rossec.host.local_sockets import UnixPeer, listen_at, raw_socket, require_user, unix_peer
+from rossec.host.runner import reap
+from rossec.peer_limits import printable
+
+_MAX_READ: Final = 4096  # bytes
+_MAX_SHOWN: Final = 300  # characters
+
+
+class AuditedCaller(NamedTuple):
+    """A process that asks, as the audit names it."""
+
+    user: int
+    process: int
+    command: str
+
+    def __str__(self) -> str:
+        return f"user {self.user}, process {self.process}: {self.command}"
+
+
+# What the process says of itself: it can change it, or end and another one get its number. It is evidence
+# for a person who reads the audit, and decides nothing.
+def caller_of(peer: UnixPeer, proc: Path = Path("/proc")) -> AuditedCaller:
+    try:
+        with (proc / str(peer.process) / "cmdline").open("rb") as file:
+            data = file.read(_MAX_READ)
+    except OSError:
+        data = b""
+    words = data.rstrip(b"\0").replace(b"\0", b" ").decode(errors="replace")
+    return AuditedCaller(peer.user, peer.process, printable(words, _MAX_SHOWN) or "(unknown)")
+
+
+MAX_CALLERS: Final = 64
+IDLE: Final = 120.0  # seconds between two requests of a caller
+DEADLINE: Final = 10.0  # seconds from the first byte of a request to its last, and for an answer
+_log = logging.getLogger("rossec.authority.service")
+
+CarryOut = Callable[[ServiceRequest, AuditedCaller], Awaitable[Value]]
+
+
+def admit_all(_: UnixPeer) -> None: ...
+
+
+class SocketRules(NamedTuple):
+    """What a socket takes, and from whom.
+
+    `read_request`: reads the body of a frame. Raises `KeyMessageRefused`. `max_request`: bytes of
+    the body. `max_callers`: connections at a time. `users`: who may connect; empty: the user of
+    this process.
+    """
+
+    read_request: Callable[[bytes], ServiceRequest] = messages.read_request
+    max_request: int = messages.MAX_FRAME
+    max_callers: int = MAX_CALLERS
+    users: Collection[int] = ()
+
+
+KEY_RULES: Final = SocketRules()
+
+
+class KeyServer:
+    """Listens at `path`.
+
+    `path`: of the socket; a stale one is replaced, so the caller holds the lock of the service.
+    `carry_out`: carries out one request. Raises `HintedError` for a refusal. `admit`: raises
+    `PeerUserRefused` for a process that may not ask.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        carry_out: CarryOut,
+        admit: Callable[[UnixPeer], None] = admit_all,
+        rules: SocketRules = KEY_RULES,
+    ) -> None:
+        self._path = path
+        self._carry_out = carry_out
+        self._admit = admit
+        self._rules = rules
+        self._server: asyncio.Server | None = None
+        self._callers: set[asyncio.StreamWriter] = set()
+
+    async def start(self) -> None:
+        self._path.unlink(missing_ok=True)
+        sock = listen_at(self._path)
+        if self._rules.users:
+            self._path.chmod(0o666)  # the directory, and who connects, decide
+        self._server = await asyncio.start_unix_server(self._serve, sock=sock, limit=self._rules.max_request)
+
+    async def close(self) -> None:
+        if self._server is not None:
+            self._server.close()
+            self._path.unlink(missing_ok=True)
+        for writer in self._callers:
+            writer.transport.abort()
+        await asyncio.sleep(0)  # the sockets are closed by then
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._callers.add(writer)
+        try:
+            with suppress(TimeoutError, OSError, asyncio.IncompleteReadError):
+                await self._answer_all(reader, writer)
+        except Exception:  # noqa: BLE001 - a check that crashes closes the connection
+            _log.exception("a connection to the service ended")
+        finally:
+            self._callers.discard(writer)
+            writer.transport.abort()
+
+    async def _answer_all(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        caller = self._admitted(writer)
+        if len(self._callers) > self._rules.max_callers:
+            busy = KeyServiceRefused(
+                f"{self._rules.max_callers} programs use the authority's service now", "try again"
+            )
+            await _send(writer, messages.write_refusal(busy))
+            return
+        while True:
+            async with asyncio.timeout(IDLE):
+                first = await reader.readexactly(1)
+            try:
+                async with asyncio.timeout(DEADLINE):
+                    limit = self._rules.max_request
+                    head = first + await reader.readexactly(messages.HEAD - 1)
+                    body = await reader.readexactly(messages.frame_size(head, limit))
+                    request = self._rules.read_request(body)
+            except KeyMessageRefused as error:
+                await _send(writer, messages.write_refusal(error))
+                return
+            try:
+                answer = messages.write_answer(await self._carry_out(request, caller))
+            except HintedError as error:
+                answer = messages.write_refusal(error)
+            await _send(writer, answer)
+
+    def _admitted(self, writer: asyncio.StreamWriter) -> AuditedCaller:
+        try:
+            sock = raw_socket(writer.get_extra_info("socket"))
+            require_user(sock, self._rules.users or {os.geteuid()})
+            peer = unix_peer(sock)
+            self._admit(peer)
+        except PeerUserRefused as error:
+            _log.warning("refused at the authority's service: %s", error)
+            raise OSError("refused") from error
+        return caller_of(peer)
+
+
+async def _send(writer: asyncio.StreamWriter, data: bytes) -> None:
+    writer.write(data)
+    async with asyncio.timeout(DEADLINE):
+        await writer.drain()
+
 
 TICK: Final = 1.0  # seconds between two looks at the clock
-_log = logging.getLogger("rossec.authority.service")
 
 
 def operations_of(
@@ -42,16 +200,14 @@ def operations_of(
     }
 
     def load(secret: str) -> Signer:
-        """The key, if it belongs to the certificate."""
         return Authority(home.load_key(secret), anchor.certificate, own).signer
 
-    authority = recognize.Authority(subject, anchor.domain)
+    authority = messages.ServedAuthority(subject, anchor.domain)
     describe = lambda: {**about, "join_port": join_port()}  # noqa: E731 - one expression
     return KeyOperations(HeldKey(load), authority, audit, describe)
 
 
 def audit_to(file: AuditFile) -> Callable[[str], None]:
-    """Writes lines to the audit, and raises `KeyServiceRefused` where one is not written."""
     audit = logging.getLogger(AUDIT)
 
     def write(text: str) -> None:
@@ -67,11 +223,8 @@ def audit_to(file: AuditFile) -> Callable[[str], None]:
 class KeyServiceProcess:
     """Answers commands at the socket, and drops the key when its time is over.
 
-    Args:
-        home: of the authority.
-        operations: of its key.
-        admit: raises `PeerUserRefused` for a process that may not ask.
-        phone_code: makes a code for the console, for a caller; audited.
+    `admit`: raises `PeerUserRefused` for a process that may not ask. `phone_code`: makes a code for
+    the console, for a caller; audited.
     """
 
     def __init__(
@@ -79,18 +232,16 @@ class KeyServiceProcess:
         home: AuthorityHome,
         operations: KeyOperations,
         admit: Callable[[UnixPeer], None],
-        phone_code: Callable[[Caller], str] | None = None,
+        phone_code: Callable[[AuditedCaller], str] | None = None,
     ) -> None:
         self.operations = operations
         self._phone_code = phone_code
         self._server = KeyServer(home.path / SOCKET, self._carry_out, admit)
 
     async def start(self) -> None:
-        """Listen; raises as `KeyServer.start`."""
         await self._server.start()
 
     async def close(self) -> None:
-        """Stop listening, and drop the key."""
         await self._server.close()
         self.operations.held.lock()
 
@@ -106,7 +257,7 @@ class KeyServiceProcess:
                 _log.error("%s", error)
             await asyncio.sleep(TICK)
 
-    async def _carry_out(self, request: Request, caller: Caller) -> Value:
+    async def _carry_out(self, request: ServiceRequest, caller: AuditedCaller) -> Value:
         if request.operation == messages.PHONE_CODE:
             if self._phone_code is None:
                 raise KeyServiceRefused("this service has no console", "restart: rossec ca serve")
@@ -114,3 +265,129 @@ class KeyServiceProcess:
         if request.operation == messages.UNLOCK:
             return await asyncio.to_thread(self.operations.carry_out, request, caller)
         return self.operations.carry_out(request, caller)
+
+
+CREDENTIALS: Final = "CREDENTIALS_DIRECTORY"  # of systemd: the passphrase may be there
+MODULE: Final = "rossec.authority.keyservice.front_end"
+START: Final = 30.0  # seconds until it listens
+MAX_DELAY: Final = 60.0
+_END: Final = 5.0  # seconds between the end of the connection and SIGKILL
+
+
+class FrontEndOptions(NamedTuple):
+    """Where nodes join (`host:port`), the master's URI, and the log's form."""
+
+    join_address: str
+    master_uri: str
+    log: str = "text"
+
+
+class FrontEndProcess:
+    def __init__(
+        self, home: AuthorityHome, options: FrontEndOptions, environ: Mapping[str, str], module: str = MODULE
+    ) -> None:
+        self.port = 0
+        self._command = [sys.executable, "-I", "-m", module]
+        self._arguments = [str(home.node().path), *options]
+        self._environ = {name: text for name, text in environ.items() if name != CREDENTIALS}
+        self._process: subprocess.Popen[bytes] | None = None
+        self._socket: socket.socket | None = None
+        self._channel: InnerChannel | None = None
+        self._started: asyncio.Future[int] | None = None
+
+    def spawn(self) -> None:
+        ours, theirs = socket.socketpair()
+        with theirs:
+            self._process = subprocess.Popen(  # noqa: S603 - this program's own module
+                [*self._command, str(theirs.fileno()), *self._arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                pass_fds=(theirs.fileno(),),
+                env=self._environ,
+                start_new_session=True,  # Ctrl-C is for the service, which ends the face
+            )
+        self._socket = ours
+
+    def admit(self, peer: UnixPeer) -> None:
+        """Raise for the face itself, which may start no other process: it may not ask for keys."""
+        if self._process is not None and peer.process == self._process.pid:
+            raise PeerUserRefused("the network process may not use the service's socket")
+
+    async def run(self, join: Handler, name: Handler | None = None) -> None:
+        """Keep a face running until this is cancelled; `join` and `name` answer its requests."""
+        delay = 0.5
+        while True:
+            begin = asyncio.get_running_loop().time()
+            try:
+                await self._run_once(join, name)
+            except KeyMessageRefused as error:
+                _log.error("the network process breaks the protocol: %s", error)
+            finally:
+                if (process := self._process) is not None:
+                    try:
+                        await reap(process, _END)
+                    finally:
+                        self._process = None
+            lasted = asyncio.get_running_loop().time() - begin
+            delay = 1.0 if lasted > MAX_DELAY else min(MAX_DELAY, 2 * delay)
+            _log.error("the network process ended; it is started again in %.0f s", delay)
+            await asyncio.sleep(delay)
+            self.spawn()
+
+    async def started(self) -> int:
+        """Wait until the first face listens; returns its port."""
+        try:
+            async with asyncio.timeout(START):
+                return await self._future()
+        except TimeoutError as error:
+            raise ConfigurationError(
+                "the network process does not start", "its messages are in the log"
+            ) from error
+
+    async def call(self, method: str, arguments: list[Value], within: int) -> Value:
+        if self._channel is None:
+            raise KeyServiceRefused("the network process does not run", "it is started again")
+        operation = messages.CALL
+        return await self._channel.call(operation, method, arguments, within, within=within + 1)
+
+    async def _run_once(self, join: Handler, name: Handler | None) -> None:
+        if self._socket is None:
+            return
+        handlers: dict[str, Handler] = {
+            messages.READY: self._ready,
+            messages.FAILED: self._failed,
+            messages.JOIN: join,
+        }
+        if name is not None:
+            handlers[messages.NAME] = name
+        self._channel = InnerChannel(self._socket, handlers, messages.MAX_FROM_FACE)
+        self._socket = None
+        try:
+            await self._channel.run()
+        finally:
+            self._channel = None
+
+    def close(self) -> None:
+        """End a face that was started and never connected."""
+        if self._socket is not None:
+            self._socket.close()
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+
+    def _future(self) -> asyncio.Future[int]:
+        if self._started is None:
+            self._started = asyncio.get_running_loop().create_future()
+        return self._started
+
+    async def _ready(self, port: int) -> Value:
+        self.port = port
+        if not self._future().done():
+            self._future().set_result(port)
+        return None
+
+    async def _failed(self, message: str, hint: str) -> Value:
+        _log.error("%s", printable(message))
+        if not self._future().done():
+            self._future().set_exception(ConfigurationError(printable(message), printable(hint)))
+        return None

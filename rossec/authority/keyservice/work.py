@@ -2,7 +2,7 @@
 
 Called in one thread of its own, in which the record is opened for each task: commands are answered
 meanwhile. Signatures are audited like those of commands, with the purpose. Deposits and lists are
-passed to the master by the network face; what it does not take is recorded and signed all the same,
+passed to the master by the network process; what it does not take is recorded and signed all the same,
 and the next round tries again.
 """
 
@@ -13,19 +13,18 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import Issued, Refused, RefuseReason, write
-from ca.enrollment.join_request import JoinRequest
+from ca.enrollment.invitation import JoinClaim, JoinRequest
+from ca.enrollment.join import Issued, RefusedMessage, RefuseReason, write
 from ca.errors import HintedError, RecordUnusable, StoreError
 from grants.errors import PolicyRefused
 from rossec import clock
-from rossec.authority import joining, policyfile, renewals
-from rossec.authority.grant_delivery import RefusedDeposit
+from rossec.authority import invitations, policyfile, renewals
+from rossec.authority.grant_operations import RefusedDeposit
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations, OwnSigner
-from rossec.authority.master_call import MasterCall
-from rossec.authority.policy_plan import PolicyPlan
+from rossec.authority.policyfile import PolicyPlan
 from rossec.authority.service import AuthorityService
+from rossec.authority.session import StatementCall
 from rossec.errors import (
     AuthorityLocked,
     ConfigurationError,
@@ -33,7 +32,7 @@ from rossec.errors import (
     NotDelivered,
     PolicyIncomplete,
 )
-from rossec.ros.text import printable
+from rossec.peer_limits import printable
 
 PERIOD: Final = 600  # seconds after which grants may have become due
 GRACE: Final = 50  # seconds in which a master may be started: less than a round
@@ -47,19 +46,15 @@ _log = logging.getLogger("rossec.authority.service")
 class AuthorityWork:
     """The tasks of the service.
 
-    Args:
-        rossec_home: ROSSEC_HOME.
-        operations: of the key.
-        deliver: calls the master. Raises `NotDelivered`.
-        policy: the file; None: its usual place.
-        now: seconds since the epoch.
+    `deliver`: calls the master. Raises `NotDelivered`. `policy`: the file; None: its usual place.
+    `now`: seconds since the epoch.
     """
 
     def __init__(
         self,
         rossec_home: Path,
         operations: KeyOperations,
-        deliver: Callable[[MasterCall], object],
+        deliver: Callable[[StatementCall], object],
         policy: Path | None = None,
         now: Callable[[], int] = clock.now,
     ) -> None:
@@ -75,38 +70,29 @@ class AuthorityWork:
 
     @property
     def is_locked(self) -> bool:
-        """Whether the key is not held now."""
         return self._operations.held.remaining() is None
 
     def now(self) -> int:
-        """Seconds since the epoch."""
         return self._now()
 
     def policy_path(self) -> Path:
-        """The policy file that the service uses."""
         return policyfile.place(self._rossec_home, self._policy)
 
     def home(self) -> AuthorityHome:
-        """The authority's directory."""
         return AuthorityHome.at(self._rossec_home)
 
     def join(self, data: bytes) -> tuple[bytes, str | None]:
-        """Decide a node's request; returns the message for it, and its name if it was issued.
-
-        Raises:
-            EnrollmentMessageRefused: not a request to join.
-            HintedError: it could not be decided now; nothing was changed.
-        """
+        """Decide a node's request; returns the message for it, and its name if it was issued."""
         request = JoinRequest.from_bytes(data)
         with contextlib.closing(self.home().store()) as store:
-            if not joining.is_proved(store, request):  # before the authority is opened
-                return write(Refused(RefuseReason.REFUSED)), None
+            if not invitations.is_proved(store, request):  # before the authority is opened
+                return write(RefusedMessage(RefuseReason.REFUSED)), None
         with self.service(JOIN_PURPOSE) as service:
             try:
-                answer = joining.join(service.unlock(), request, self._now())
+                answer = invitations.join(service.unlock(), request, self._now())
             except AuthorityLocked:
                 with contextlib.closing(service.home.store()) as store:
-                    answer = joining.join_locked(store, request, self._now())
+                    answer = invitations.join_locked(store, request, self._now())
         return write(answer), request.name if isinstance(answer, Issued) else None
 
     def renew_identities(self, requests: Iterable[bytes]) -> list[tuple[bytes, bytes, str]]:
@@ -135,21 +121,12 @@ class AuthorityWork:
                 answers.append((hashlib.sha256(request).digest(), bundle, reason))
         return answers
 
-    def allowed_pattern(self, asked: JoinClaim | JoinRequest) -> str | Refused:
-        """The names that the invitation allows whose secret is proved, or why there is no answer.
-
-        Raises:
-            HintedError: it could not be decided now.
-        """
+    def allowed_pattern(self, asked: JoinClaim | JoinRequest) -> str | RefusedMessage:
+        """The names that the invitation allows whose secret is proved, or why there is no answer."""
         with contextlib.closing(self.home().store()) as store:
-            return joining.allowed_pattern(store, asked, self._now())
+            return invitations.allowed_pattern(store, asked, self._now())
 
     def was_issued(self, request: JoinRequest) -> bool:
-        """Whether there is an identity for exactly this request.
-
-        Raises:
-            HintedError: the record cannot be used now.
-        """
         with contextlib.closing(self.home().store()) as store:
             return store.identities.issued_for(request.digest) is not None
 
@@ -163,7 +140,7 @@ class AuthorityWork:
         try:
             policy = policyfile.read_policy(self._rossec_home, self._policy, signs=True)
             with self.service(APPLY_PURPOSE) as service:
-                plan = service.plan_policy(policy, names, renew_due=True)
+                plan = service.policy.plan(policy, names, renew_due=True)
                 for reason in plan.refused:
                     _log.error("the policy is not applied: %s", printable(reason))
                 if plan.signs or plan.revoke:
@@ -185,9 +162,9 @@ class AuthorityWork:
         """Give nodes that joined what the policy in force gives their names, if there is one."""
         try:
             with self.service(APPLY_PURPOSE) as service:
-                signed = service.grant_outright(*names, place=self._policy)
+                signed = service.policy.grant_outright(*names, place=self._policy)
                 if signed:
-                    _log_refused(service.deposit([data for _, data in signed]))
+                    _log_refused(service.grants.deposit([data for _, data in signed]))
         except HintedError as error:
             alone = _to_try_alone(error, names)
             for name in alone:
@@ -217,7 +194,16 @@ class AuthorityWork:
         """
         if self.is_locked:
             return
-        steps = (self._renew_own_node, _complete_list, self._publish, _deposit_missing)
+
+        def renew_own_node(service: AuthorityService) -> None:
+            authority = service.unlock()
+            if renewals.own_node_is_due(authority, self._now()):
+                renewals.renew_own_node(authority, self._now())
+
+        def deposit_missing(service: AuthorityService) -> None:
+            _log_refused(service.grants.deposit_missing()[1])
+
+        steps = (renew_own_node, AuthorityService.complete_list, self._publish, deposit_missing)
         said = ""
         with self.service(MAINTENANCE_PURPOSE) as service:
             for step in steps:
@@ -233,7 +219,7 @@ class AuthorityWork:
                         self._undelivered_since = None
 
     def _level(self, error: Exception) -> int:
-        """A master that is not there yet is no warning: the key is usually unlocked before."""
+        # A master that is not there yet is no warning: the key is usually unlocked before.
         if not isinstance(error, NotDelivered):
             return logging.WARNING
         if self._undelivered_since is None:
@@ -241,21 +227,17 @@ class AuthorityWork:
         is_new = not self.published and 0 <= self._now() - self._undelivered_since < GRACE
         return logging.INFO if is_new else logging.WARNING
 
-    def _renew_own_node(self, service: AuthorityService) -> None:
-        authority = service.unlock()
-        if renewals.own_node_is_due(authority, self._now()):
-            renewals.renew_own_node(authority, self._now())
-
     def _publish(self, service: AuthorityService) -> None:
-        """Deliver the newest lists, whoever signed them, until the master has taken them.
-
-        It is asked in each round whether it has the list still: it may be another master since, or
-        one that was set back to an older state, and would let the revoked in.
-        """
+        # It is asked in each round whether it has the list still: it may be another master since, or one that
+        # was set back to an older state, and would let the revoked in.
         found = service.home.domain_list()
         newest, domains = service.home.revocation_list(), b"" if found is None else found[0]
         known = (newest, domains) == (self.published, self._published_domains)
-        if not known or not _still_has_list(service):
+        with contextlib.suppress(
+            NotDelivered
+        ):  # it is away, and asked again, or of a version that does not tell
+            known = known and service.master_has_list()
+        if not known:
             service.publish()
             self.published, self._published_domains = newest, domains
 
@@ -271,33 +253,16 @@ class AuthorityWork:
             self._operations.held.check()
             return OwnSigner(self._operations, home.own_key(), purpose)
 
-        service = AuthorityService(
-            self._rossec_home, _no_passphrase, self._deliver, self._now, find_signer
-        )
+        service = AuthorityService(self._rossec_home, _no_passphrase, self._deliver, self._now, find_signer)
         with contextlib.closing(service):
             yield service
 
 
 def _apply(service: AuthorityService, plan: PolicyPlan) -> None:
     try:
-        service.apply_policy(plan, lambda text: _log.info("policy: %s", text))
+        service.policy.apply(plan, lambda text: _log.info("policy: %s", text))
     except OSError as error:
         raise NotDelivered(str(error), "the next round tries again") from error
-
-
-def _complete_list(service: AuthorityService) -> None:
-    service.complete_list()
-
-
-def _still_has_list(service: AuthorityService) -> bool:
-    try:
-        return service.master_has_list()
-    except NotDelivered:  # it is away, and asked again, or of a version that does not tell
-        return True
-
-
-def _deposit_missing(service: AuthorityService) -> None:
-    _log_refused(service.deposit_missing()[1])
 
 
 def _log_refused(refused: Iterable[RefusedDeposit]) -> None:
@@ -306,10 +271,7 @@ def _log_refused(refused: Iterable[RefusedDeposit]) -> None:
 
 
 def _to_try_alone(error: HintedError, names: Collection[str] | None) -> Collection[str]:
-    """The names to try one by one: the policy is in order, but refused for one of them.
-
-    Or the key of one was revoked in this moment.
-    """
+    # Or the key of one was revoked in this moment.
     is_of_one = isinstance(error, PolicyRefused | StoreError) and not getattr(error, "mistakes", ())
     return names if is_of_one and names is not None and len(names) > 1 else ()
 

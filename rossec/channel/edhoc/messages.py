@@ -1,17 +1,15 @@
 """The messages of EDHOC (RFC 9528 section 5 and 6) to bytes and back.
 
-Structure only: no keys, no policy, no state. Decoding is strict, and since `ca.encoding` accepts
-only the one deterministic form, encoding a decoded item gives the bytes that were received: that
-is what makes hashing `encode(item)` the same as hashing the received bytes.
+Structure only: no keys, no policy, no state. Decoding is strict, and since `ca.encoding` accepts only the one
+deterministic form, hashing `encode(item)` is the same as hashing the bytes that were received.
 """
 
 from typing import Final, NamedTuple
 
-from ca.encoding import Value, decode_sequence, encode, head
+from ca.encoding import Value, decode_sequence, encode
 from ca.errors import EncodingError
 from rossec.channel.edhoc.credentials import X5CHAIN, X5CHAIN_HEAD, encode_id_cred
-from rossec.channel.edhoc.keyschedule import bstr
-from rossec.channel.edhoc.suites import SIGNATURE_LENGTH
+from rossec.channel.edhoc.suites import SIGNATURE_LENGTH, bstr
 from rossec.errors import HandshakeFailed
 
 MAX_MESSAGE_1: Final = 1024 + 1216  # leaves room for a hybrid G_X
@@ -34,18 +32,14 @@ UNKNOWN_CREDENTIAL: Final = 3
 
 
 class Message1(NamedTuple):
-    """The fields of message_1; the selected suite is the last of `suites`."""
-
     method: int
     suites: tuple[int, ...]
     g_x: bytes
     c_i: bytes
 
     def encode(self) -> bytes:
-        """Encode as a CBOR sequence."""
-        several = len(self.suites) > 1
-        suites = encode(suites_item(self.suites)) if several else _encode_int(self.suites[0])
-        return _encode_int(self.method) + suites + bstr(self.g_x) + encode_identifier(self.c_i)
+        method, suites = encode(self.method), encode(suites_item(self.suites))
+        return method + suites + bstr(self.g_x) + encode_identifier(self.c_i)
 
 
 class Plaintext(NamedTuple):
@@ -57,7 +51,6 @@ class Plaintext(NamedTuple):
     ead: bytes = b""
 
     def encode(self) -> bytes:
-        """Encode as a CBOR sequence."""
         c_r = b"" if self.c_r is None else encode_identifier(self.c_r)
         return c_r + encode_id_cred(self.id_cred) + bstr(self.signature) + self.ead
 
@@ -73,11 +66,6 @@ def encode_identifier(value: bytes) -> bytes:
 
 
 def decode_message_1(data: bytes) -> Message1:
-    """Decode message_1; an EAD_1 is parsed and must hold nothing critical.
-
-    Raises:
-        HandshakeFailed: wrong structure. Lengths of G_X belong to the suite and are checked there.
-    """
     usual = _usual_message_1(data)
     if usual is not None:
         return usual
@@ -90,11 +78,7 @@ def decode_message_1(data: bytes) -> Message1:
 
 
 def decode_bytes(data: bytes) -> bytes:
-    """Decode message_2, message_3 or message_4: one byte string.
-
-    Raises:
-        HandshakeFailed: anything else.
-    """
+    """Decode message_2, message_3 or message_4: one byte string."""
     body = _body(data)
     if len(data) > MAX_MESSAGE or bstr(body) != data:
         raise HandshakeFailed("a handshake message is not one byte string")
@@ -102,11 +86,6 @@ def decode_bytes(data: bytes) -> bytes:
 
 
 def decode_plaintext(data: bytes, *, with_c_r: bool) -> Plaintext:
-    """Decode PLAINTEXT_2 (`with_c_r`) or PLAINTEXT_3.
-
-    Raises:
-        HandshakeFailed: wrong structure, a `kid` in any form, a critical EAD, a wrong length.
-    """
     start = 1 if with_c_r else 0
     usual = _usual_plaintext(data, start, RENEWALS_EAD) or _usual_plaintext(data, start, b"")
     if usual is not None:
@@ -122,31 +101,20 @@ def decode_plaintext(data: bytes, *, with_c_r: bool) -> Plaintext:
 
 
 def says_renewals(ead: bytes) -> bool:
-    """Whether an EAD that was decoded has the label `RENEWALS`."""
     return ead == RENEWALS_EAD or (bool(ead) and RENEWALS in _sequence(ead, MAX_MESSAGE))
 
 
 def decode_plaintext_4(data: bytes) -> None:
-    """Check PLAINTEXT_4, which is at most an EAD.
-
-    Raises:
-        HandshakeFailed: wrong structure or a critical EAD.
-    """
     if data:
         _check_ead(_sequence(data, MAX_MESSAGE))
 
 
 def encode_error(code: int, info: Value) -> bytes:
-    """Encode an EDHOC error message."""
     return encode(code) + encode(info)
 
 
 def decode_error(data: bytes) -> tuple[int, str, tuple[int, ...]]:
-    """Decode an error message: its code, a printable reason, and SUITES_R (for code 2).
-
-    Raises:
-        HandshakeFailed: not an error message.
-    """
+    """Decode an error message: its code, a printable reason, and SUITES_R (for code 2)."""
     match _sequence(data, 1024):
         case [2, suites]:
             return WRONG_SUITE, "no common cipher suite", _decode_suites(suites)
@@ -169,7 +137,6 @@ def printable(text: str) -> str:
 
 
 def _usual_message_1(data: bytes) -> Message1 | None:
-    """METHOD and one suite below 24, G_X, a short C_I, no EAD."""
     item = data[2:-1]
     g_x, ends = _body(item), (data[0:1], data[1:2], data[-1:])
     if len(data) > MAX_MESSAGE_1 or bstr(g_x) != item or not all(map(_is_small_int, ends)):
@@ -178,7 +145,6 @@ def _usual_message_1(data: bytes) -> Message1 | None:
 
 
 def _usual_plaintext(data: bytes, start: int, ead: bytes) -> Plaintext | None:
-    """A C_R of `start` bytes, an x5chain of one certificate, a signature, and this EAD."""
     end = len(data) - SIGNATURE_LENGTH - len(ead)
     item = data[start + len(X5CHAIN_HEAD) : end - len(_SIGNATURE_HEAD)]
     certificate = _body(item)
@@ -196,12 +162,7 @@ def _usual_plaintext(data: bytes, start: int, ead: bytes) -> Plaintext | None:
 
 
 def _body(item: bytes) -> bytes:
-    """The content of a byte string, if `item` is one of up to 64 KiB; else anything."""
     return item[_HEADS.get(item[:1], 1) :]
-
-
-def _encode_int(value: int) -> bytes:
-    return head(0, value) if value >= 0 else head(_NEGATIVE, -1 - value)
 
 
 def _small_int(byte: int) -> int:
@@ -216,7 +177,7 @@ def _sequence(data: bytes, limit: int) -> list[Value]:
 
 
 def _decode_suites(value: Value) -> tuple[int, ...]:
-    """Suites = [2* int] / int (RFC 9528 section 5.2.1)."""
+    # Suites = [2* int] / int (RFC 9528 section 5.2.1).
     items = value if isinstance(value, list) else [value]
     ints = [item for item in items if isinstance(item, int) and not isinstance(item, bool)]
     if len(ints) != len(items) or len(items) > MAX_SUITES:
@@ -235,12 +196,10 @@ def _decode_identifier(value: Value) -> bytes:
 
 
 def _is_small_int(value: bytes) -> bool:
-    """Whether this one byte is the CBOR encoding of an integer from -24 to 23."""
     return len(value) == 1 and (value[0] <= 0x17 or 0x20 <= value[0] <= 0x37)
 
 
 def _check_ead(items: list[Value]) -> bytes:
-    """Parse 1*(label, ? value); refuse critical ones, none is known; return the bytes."""
     previous_was_label = False
     for item in items:
         if isinstance(item, bytes) and previous_was_label:

@@ -4,16 +4,15 @@ from pathlib import Path
 
 import click
 
-from ca.domains.lists import MAX_LIST as MAX_DOMAINS
-from ca.store.backup import MAX_BACKUP
+from ca.domains.trust import MAX_LIST as MAX_DOMAINS
+from ca.keys.passphrases import MAX_BACKUP
 from rossec import files
 from rossec.authority import backup as backups
-from rossec.authority import contents, restored_lists
+from rossec.authority import restored_lists
 from rossec.authority.home import AuthorityHome, fingerprint
 from rossec.cli.shared import options, passphrase
-from rossec.cli.shared.busy import working
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.results import json_result
+from rossec.cli.shared.options import json_result, working
 from rossec.terminal import note, printable, record, say
 
 
@@ -32,7 +31,7 @@ def backup(environment: Environment, file: Path, passphrase_file: Path | None) -
     with working("encrypting the backup"):
         home.unlock(secret).store.close()  # a backup that its key does not open is invalid
         files.create(file, backups.back_up(home, secret))
-    left = contents.undeclared(home.path)
+    left = backups.undeclared(home.path)
     found = fingerprint(home.anchor())
     record(domain=home.domain, file=str(file), fingerprint=found, left_out=left)
     for name in left:
@@ -45,33 +44,42 @@ def backup(environment: Environment, file: Path, passphrase_file: Path | None) -
 @click.argument("file", type=options.FILE)
 @click.option("--over", metavar="DOMAIN", help="replace the authority of DOMAIN that is here")
 @click.option(
-    "--forget", type=click.IntRange(0), default=0, metavar="N",
+    "--forget",
+    type=click.IntRange(0),
+    default=0,
+    metavar="N",
     help="lose the N newest log entries, which the backup does not have",
-)  # fmt: skip
+)
 @click.option(
-    "--list", "newest", type=options.FILE,
+    "--list",
+    "newest",
+    type=options.FILE,
     help="a newer revocation list, for example a node's revocations.cose",
-)  # fmt: skip
+)
 @click.option(
-    "--without-list", is_flag=True,
+    "--without-list",
+    is_flag=True,
     help="there is no newer list: what was revoked after the backup is valid again",
-)  # fmt: skip
+)
+@options.entries
 @click.option(
-    "--entries", type=options.FILE,
-    help="of that list where it is a tree; by default revocations.entries beside it",
-)  # fmt: skip
-@click.option(
-    "--domains", type=options.FILE,
+    "--domains",
+    type=options.FILE,
     help="a newer list of domains, for example a node's domains.cose; else no domain is trusted",
-)  # fmt: skip
+)
 @click.option(
-    "--policy", type=click.Choice(["here", "backup"]), default="here", show_default=True,
+    "--policy",
+    type=click.Choice(["here", "backup"]),
+    default="here",
+    show_default=True,
     help="with --over, where the two differ: which policy stays",
-)  # fmt: skip
+)
 @click.option(
-    "--pkcs11-module", "module", type=options.FILE,
+    "--pkcs11-module",
+    "module",
+    type=options.FILE,
     help="trust this module, where the key is in a token; what the backup names is not loaded",
-)  # fmt: skip
+)
 @passphrase.option
 @json_result()
 @pass_environment
@@ -101,18 +109,30 @@ def restore(
     secret = passphrase.read(passphrase_file, environment.variables)
     with working("proving the backup, entry by entry"):
         found = backups.restore(
-            environment.home, data, secret, now(), over=over, forget=forget, newest_list=listed[0],
+            environment.home,
+            data,
+            secret,
+            now(),
+            over=over,
+            forget=forget,
+            newest_list=listed[0],
             entries=listed[1],
             newest_domains=None if domains is None else files.read(domains, MAX_DOMAINS),
-            needs_list=not without_list, policy_of_backup=policy == "backup",
+            needs_list=not without_list,
+            policy_of_backup=policy == "backup",
             module=None if module is None else str(module.absolute()),
-        )  # fmt: skip
+        )
     record(
-        domain=found.home.domain, path=str(found.home.path), entries=found.entries,
-        fingerprint=fingerprint(found.home.anchor()), ended_domains=found.ended_domains,
-        revocations=found.restored_revocations, ended_phones=bool(found.ended_phones),
-        policy=found.policy, left_out=list(found.left_out),
-    )  # fmt: skip
+        domain=found.home.domain,
+        path=str(found.home.path),
+        entries=found.entries,
+        fingerprint=fingerprint(found.home.anchor()),
+        ended_domains=found.ended_domains,
+        revocations=found.restored_revocations,
+        ended_phones=bool(found.ended_phones),
+        policy=found.policy,
+        left_out=list(found.left_out),
+    )
     say(f"restored {found.home.domain} in {found.home.path}, {found.entries} log entries")
     say(f"fingerprint {fingerprint(found.home.anchor())}")
     _say_what_differs(found)

@@ -1,4 +1,4 @@
-"""`rossec ca enroll`: read a node's code, show its request, and sign its identity."""
+"""`rossec ca enroll | requests | approve | deny`: requests for an identity, answered."""
 
 import asyncio
 import secrets
@@ -11,49 +11,181 @@ import click
 
 from ca.certificates import from_pem
 from ca.enrollment import NONCE_SIZE, qr
-from ca.enrollment.authority import AuthorityEnrollment
 from ca.enrollment.messages import Delivery, write
-from ca.enrollment.transcript import group_digits
+from ca.enrollment.sides import AuthorityEnrollment, group_digits
 from ca.errors import HintedError
-from ca.requests import MAX_REQUEST
-from ca.store.lifecycle import RequestState
+from ca.names import spiffe_id
+from ca.store.record import Store
+from ca.store.values import OPEN, RequestRow, RequestState
+from ca.svid import MAX_REQUEST
+from grants.policy.model import Subject
+from grants.policy.wanted import projected_grants
+from rossec import files
+from rossec.authority.home import AuthorityHome, format_fingerprint
+from rossec.authority.policyfile import place
 from rossec.authority.service import AuthorityService
-from rossec.cli.ca.requests import show_request
-from rossec.cli.ca.sign import write_identity
-from rossec.cli.shared import options, signing_options
-from rossec.cli.shared.context import ask_yes_no, now, reraise_interrupt
-from rossec.cli.shared.outright import give_outright
-from rossec.cli.shared.results import json_result
-from rossec.cli.shared.service import pass_service, publish_if_revoked, remind_to_publish
-from rossec.enrollment import address
-from rossec.enrollment.authority import deliver, fetch
-from rossec.enrollment.scan import code_in_file
+from rossec.cli.ca import sign
+from rossec.cli.ca.invite import policy_lines
+from rossec.cli.ca.sign import read_request, warn_of_wildcard, write_identity
+from rossec.cli.shared import options
+from rossec.cli.shared.context import Environment, ask_yes_no, now, pass_environment, reraise_interrupt
+from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.cli.shared.service import (
+    give_outright,
+    pass_service,
+    publish_if_revoked,
+    remind_to_publish,
+    service_of,
+)
+from rossec.clock import format_time
+from rossec.enrollment.enroll import code_in_file, deliver, fetch
 from rossec.errors import ConfigurationError
-from rossec.terminal import record, say
+from rossec.host import addresses
+from rossec.terminal import printable, record, say, say_json
 
 Destination = tuple[str, int]
 _DENIED: Final = "denied at the authority"
 
 
 @click.command()
+@click.option("--all", "everything", is_flag=True, help="also those that were answered")
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def requests(environment: Environment, everything: bool, as_json: bool) -> None:
+    """Show the requests for an identity that have no answer yet."""
+    home = AuthorityHome.at(environment.home)
+    store = home.store()
+    at = now()
+    store.requests.collect(at)
+    rows = [row for row in store.requests.all(at) if everything or row.state in OPEN]
+    if as_json:
+        say_json([_summary(row) for row in rows])
+        return
+    for row in rows:
+        say(f"{row.digest.hex()[:8]}  {row.state}  {row.name}  {printable(row.source)}")
+        say(f"  fingerprint {format_fingerprint(row.thumbprint)}  until {format_time(row.expires)}")
+    if not rows:
+        say("no open requests")
+
+
+def _summary(row: RequestRow) -> dict[str, object]:
+    return {
+        "request": row.digest.hex(),
+        "state": row.state,
+        "name": row.name,
+        "key": row.thumbprint.hex(),
+        "source": row.source,
+        "arrived": row.arrived,
+        "until": row.expires,
+        "reason": row.reason,
+    }
+
+
+@click.command()
+@click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
+@sign.identity_lifetime
+@sign.replace_key()
+@sign.anonymous
+@click.option("--out", type=click.Path(path_type=Path), help="write the identity to this new file")
+@options.master_uri
+@json_result()
+@pass_service
+def approve(
+    service: AuthorityService,
+    request_ids: tuple[str, ...],
+    lifetime: int,
+    replaced: str | None,
+    anonymous: bool,
+    out: Path | None,
+) -> None:
+    """Approve the request REQUEST_ID (or its beginning), and sign its identity.
+
+    It is written to --out, to be copied; or `rossec ca enroll` delivers it without asking again.
+    Where one of several is refused the others are approved, and the exit code is 1.
+    """
+    ids = unique(request_ids)
+    if out is not None and len(ids) > 1:
+        raise click.UsageError("--out is of one REQUEST_ID")
+    if len(ids) > 1:
+        service.unlock()  # a wrong passphrase is no fault of a request
+    batch = Batch(len(ids), "id")
+    for request_id in ids:
+        with batch.item(request_id):
+            row = service.identities.request(request_id)
+            record(name=row.name)
+            show_request(service, row, wildcard=anonymous)
+            bundle = service.identities.issue(
+                row.der, lifetime, replace_key=replaced, wildcard=anonymous, source=row.source
+            )
+            say(f"approved {row.name}")
+            if out is not None:
+                files.create(out, bundle, 0o644)
+                record(file=str(out))
+                say(f"signed: {out}; at the node: rossec node install {out.name}")
+            give_outright(service, row.name)
+    publish_if_revoked(service)
+    batch.finish()
+
+
+def show_request(service: AuthorityService, row: RequestRow, *, wildcard: bool) -> None:
+    """Show all that matters before a name is given to a key."""
+    home = service.home
+    say(f"{spiffe_id(home.domain, row.name)} asks for an identity")
+    say(f"  fingerprint {format_fingerprint(row.thumbprint)}")
+    say(f"  from {printable(row.source)}")
+    if wildcard:
+        warn_of_wildcard(row.name)
+    say(f"  {_enrollment_status(home.store(), row)}")
+    subject = Subject(row.name, row.thumbprint, wildcard)
+    path = place(service.rossec_home, None)
+    for line in policy_lines(path, lambda policy: projected_grants(policy, subject), "it", "this name"):
+        say(f"  {line}")
+
+
+def _enrollment_status(store: Store, row: RequestRow) -> str:
+    known = store.identities.valid(row.name, now())
+    if any(each.thumbprint != row.thumbprint for each in known):
+        until = format_time(known[-1].not_after)
+        return f"WARNING: {row.name} is enrolled with ANOTHER KEY until {until}"
+    if known:
+        return f"{row.name} is enrolled with this key until {format_time(known[-1].not_after)}"
+    if row.state is not RequestState.PENDING:
+        return f"the request was {row.state} {format_time(row.changed)}"
+    return f"{row.name} is new here"
+
+
+@click.command()
+@click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
+@click.option("--reason", default="", help="why, for the record")
+@json_result()
+@pass_environment
+def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) -> None:
+    """Deny the request REQUEST_ID (or its beginning).
+
+    Where one of several is refused the others are denied, and the exit code is 1.
+    """
+    service, ids = service_of(environment), unique(request_ids)
+    batch = Batch(len(ids), "id")
+    for request_id in ids:
+        with batch.item(request_id):
+            row = service.identities.request(request_id)
+            service.identities.deny_request(row, reason)
+            record(name=row.name)
+            say(f"denied {row.name}")
+    batch.finish()
+
+
+@click.command()
 @click.argument("code", required=False)
+@options.image
 @click.option(
-    "--image", type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
-    help="read the code from this picture; - is standard input",
-)  # fmt: skip
-@click.option(
-    "--csr", "csr_file", type=options.FILE,
-    help="no code: this request, whose fingerprint you have compared",
-)  # fmt: skip
-@click.option(
-    "--address", "given_address", help="where the node waits, for a label: host, or host:port"
+    "--csr", "csr_file", type=options.FILE, help="no code: this request, whose fingerprint you have compared"
 )
-@signing_options.identity_lifetime
-@signing_options.replace_key()
-@signing_options.anonymous
-@click.option(
-    "--later", is_flag=True, help="only record the request; decide with: rossec ca approve"
-)
+@click.option("--address", "given_address", help="where the node waits, for a label: host, or host:port")
+@sign.identity_lifetime
+@sign.replace_key()
+@sign.anonymous
+@click.option("--later", is_flag=True, help="only record the request; decide with: rossec ca approve")
 @options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
 @json_result()
@@ -86,21 +218,20 @@ def enroll(
     destination = _destination(found, given_address, csr_file)
     core = AuthorityEnrollment(found, domain, wildcard=anonymous)
     _fetch_request(core, csr_file, destination)
-    row = service.add_request(core.request, core.csr, _source(found, csr_file, destination))
+    row = service.identities.add_request(core.request, core.csr, _source(found, csr_file, destination))
     record(name=row.name, request=row.digest.hex(), state="pending")
     show_request(service, row, wildcard=core.request.wildcard)
     if later:
         say(f"recorded; decide with: rossec ca approve {row.digest.hex()[:8]}, or deny")
         return
     if row.state is RequestState.PENDING and not ask_yes_no("give this name to this key?", yes=yes):
-        service.deny_request(row, _DENIED)
+        service.identities.deny_request(row, _DENIED)
         record(state="denied")
         raise ConfigurationError("denied", "to ask again the node needs a new request")
     core.approve(now())
-    bundle = service.issue(
-        row.der, lifetime,
-        replace_key=replaced, wildcard=core.request.wildcard, source=row.source,
-    )  # fmt: skip
+    bundle = service.identities.issue(
+        row.der, lifetime, replace_key=replaced, wildcard=core.request.wildcard, source=row.source
+    )
     record(state="signed")
     if destination is None:
         assert csr_file is not None  # noqa: S101 - without an address there is a file
@@ -109,7 +240,9 @@ def enroll(
         say(f"signed: {target}; at the node: rossec node install {target.name}")
     else:
         try:
-            _deliver_identity(core, bundle, destination)
+            *chain, root = from_pem(bundle)
+            offer = core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), now())
+            asyncio.run(deliver(core, offer, *destination, now, _show_digits))
         except HintedError:
             remind_to_publish(service)
             raise
@@ -119,39 +252,35 @@ def enroll(
     publish_if_revoked(service)
 
 
+def _show_digits(digits: str) -> None:
+    say(f"digits {group_digits(digits)}")
+    say("the same at the node? then confirm there; if not, stop here and there")
+
+
 def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Code:
-    """The code from exactly one source; with none, ask at the terminal."""
     if sys.stdin.isatty() and (code, image, csr_file) == (None, None, None):
-        code = _prompt_for_code()
+        try:
+            typed: str = click.prompt("the text below the code", err=True)
+        except click.Abort as abort:
+            reraise_interrupt(abort)
+            raise ConfigurationError("no code was given", "paste the line with ROSSEC:") from None
+        code = typed
     match (code, image, csr_file):
         case (str(), None, None):
             found = qr.parse(code)
         case (None, Path(), None):
             found = qr.parse(code_in_file(image, sys.stdin.buffer))
         case (None, None, Path()):
-            return qr.Code(sha256(_read(csr_file)).digest())
+            return qr.Code(sha256(read_request(csr_file, MAX_REQUEST)).digest())
         case _:
             raise click.UsageError("give a code, or --image, or --csr: one of them")
     found.check_time(now())
     return found
 
 
-def _prompt_for_code() -> str:
-    """Text pasted here needs no quotes, unlike in a shell."""
-    try:
-        typed: str = click.prompt("the text below the code", err=True)
-    except click.Abort as abort:
-        reraise_interrupt(abort)
-        raise ConfigurationError("no code was given", "paste the line with ROSSEC:") from None
-    return typed
-
-
-def _destination(
-    code: qr.Code, given_address: str | None, csr_file: Path | None
-) -> Destination | None:
-    """Where the node waits; None if files are copied by hand."""
+def _destination(code: qr.Code, given_address: str | None, csr_file: Path | None) -> Destination | None:
     if given_address is not None or code.address:
-        return address.split(given_address or code.address)
+        return addresses.split(given_address or code.address)
     if csr_file is not None:
         return None
     raise ConfigurationError(
@@ -159,11 +288,9 @@ def _destination(
     )
 
 
-def _fetch_request(
-    core: AuthorityEnrollment, csr_file: Path | None, destination: Destination | None
-) -> None:
+def _fetch_request(core: AuthorityEnrollment, csr_file: Path | None, destination: Destination | None) -> None:
     if csr_file is not None:
-        core.receive(write(Delivery(_read(csr_file))), now())
+        core.receive(write(Delivery(read_request(csr_file, MAX_REQUEST))), now())
         return
     assert destination is not None  # noqa: S101 - a code without an address was refused
     asyncio.run(fetch(core, *destination, now))
@@ -171,21 +298,4 @@ def _fetch_request(
 
 def _source(code: qr.Code, csr_file: Path | None, destination: Destination | None) -> str:
     kind = "a screen code" if code.secret else "a label" if csr_file is None else "a file"
-    return kind if destination is None else f"{kind} at {address.join(*destination)}"
-
-
-def _deliver_identity(core: AuthorityEnrollment, bundle: bytes, destination: Destination) -> None:
-    """Offer the identity, and wait for the confirmation at the node."""
-    *chain, root = from_pem(bundle)
-    offer = core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), now())
-
-    def show(digits: str) -> None:
-        say(f"digits {group_digits(digits)}")
-        say("the same at the node? then confirm there; if not, stop here and there")
-
-    asyncio.run(deliver(core, offer, *destination, now, show))
-
-
-def _read(path: Path) -> bytes:
-    with path.open("rb") as stream:
-        return stream.read(MAX_REQUEST + 1)
+    return kind if destination is None else f"{kind} at {addresses.join(*destination)}"

@@ -1,77 +1,37 @@
-"""`rossec ca list | show | renew`: the identities of the authority, and their renewal."""
+"""`rossec ca list | show | renew | revoke | refresh | publish`, `ca invitations` and `ca log`: the record."""
 
+import base64
+import contextlib
 from pathlib import Path
 from typing import Any
 
 import click
 
 from ca.authority import DAY, MAX_LIFETIME
+from ca.certificates import renew_at
 from ca.errors import HintedError
-from ca.renewal import renew_at
+from ca.names import is_alias, local_name, shown
 from ca.store.record import Store
-from ca.store.rows import CertificateRow
+from ca.store.values import CertificateRow, leaf, open_head
 from rossec import files, terminal
-from rossec.authority import thing_records as things
+from rossec.authority import restored_lists
+from rossec.authority import signing as things
 from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
+from rossec.authority.invitations import InvitationStatus, end, find, invitations, revoke_nodes
 from rossec.authority.service import AuthorityService
 from rossec.authority.signing import OWN_NODE
-from rossec.cli.shared.batch import Batch, unique
-from rossec.cli.shared.context import Duration, Environment, now, pass_environment
-from rossec.cli.shared.results import json_result
-from rossec.cli.shared.service import pass_service, remind_to_publish
+from rossec.cli.shared import options
+from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.options import Batch, json_result, unique, working
+from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.terminal import note, record, say, say_json
+from rossec.terminal import note, printable, record, say, say_json
 
 _ITS = "its machine", "their machines"
-
-
-def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:
-    """Every identity with what it is now: valid, replaced by a newer one, expired, or revoked."""
-    with store.database.read_transaction():
-        rows, revoked = store.identities.all(), store.revoked_entries()
-        in_force = store.identities.with_valid_issuer(rows)
-    valid = {row.serial for row in in_force if row.thumbprint not in revoked}
-    newest = {row.name: row.serial for row in rows if row.serial in valid}
-    return [(row, _state(row, at, newest, row.serial not in valid)) for row in rows]
-
-
-def _state(row: CertificateRow, at: int, newest: dict[str, int], revoked: bool) -> str:
-    if revoked:
-        return "revoked"
-    if at > row.not_after:
-        return "expired"
-    return "valid" if newest[row.name] == row.serial else "replaced"
-
-
-def as_json(row: CertificateRow, state: str) -> dict[str, Any]:
-    """One identity as JSON."""
-    return {
-        "name": row.name,
-        "state": state,
-        "anonymous": row.wildcard,
-        "not_before": row.not_before,
-        "expires": row.not_after,
-        "ends_soon": state == "valid" and ends_soon(row, now()),
-        "key": row.thumbprint.hex(),
-        "serial": f"{row.serial:x}",
-    }
-
-
-def ends_soon(row: CertificateRow, at: int) -> bool:
-    """Whether it should have been renewed by now."""
-    return at >= renew_at(row.not_before, row.not_after)
-
-
-def line(row: CertificateRow, state: str) -> str:
-    """One identity as a line of text."""
-    name = f"{row.name} and {row.name}_*" if row.wildcard else row.name
-    until, key = (
-        f"until {format_time(row.not_after)}",
-        f"fingerprint {format_fingerprint(row.thumbprint)}",
-    )
-    return "  ".join([name, until, key, *[terminal.state(state)] * (state != "valid")])
+_REASON = "the invitation was revoked"
+_MAX_HEAD = 4096
 
 
 @click.command("list")
@@ -87,29 +47,57 @@ def list_(environment: Environment, everything: bool, in_json: bool) -> None:
         return
     for row, state in chosen:
         say(line(row, state))
-    for text in _remarks(found, now()):
-        note(text)
-
-
-def _remarks(found: list[tuple[CertificateRow, str]], at: int) -> list[str]:
-    """What is to be done: identities that end soon and were not renewed, and those that are over.
-
-    Of a name only the newest identity counts: an older one was renewed, or another key replaced it.
-    """
+    # What is to be done: identities that end soon and were not renewed, and those that are over.
+    # Of a name only the newest identity counts: an older one was renewed, or another key replaced it.
     newest = {row.name: (row, state) for row, state in found}.values()
-    soon = [row.name for row, state in newest if state == "valid" and ends_soon(row, at)]
-    over = [row.name for row, state in newest if state == "expired"]
-    remarks = []
-    if soon:
-        remarks.append(
+    if soon := [row.name for row, state in newest if state == "valid" and ends_soon(row, now())]:
+        note(
             f"not renewed yet, with less than a third of their time left: {', '.join(soon)}"
             " (rossec ca serve renews nodes that run; others: rossec ca renew NAME)"
         )
-    if over:
-        remarks.append(
-            f"over: {', '.join(over)} (with key and grants back by: rossec ca renew --expired NAME)"
-        )
-    return remarks
+    if over := [row.name for row, state in newest if state == "expired"]:
+        note(f"over: {', '.join(over)} (with key and grants back by: rossec ca renew --expired NAME)")
+
+
+def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:
+    """Every identity with what it is now: valid, replaced by a newer one, expired, or revoked."""
+    with store.database.read_transaction():
+        rows, revoked = store.identities.all(), store.revoked_entries()
+        in_force = store.identities.with_valid_issuer(rows)
+    valid = {row.serial for row in in_force if row.thumbprint not in revoked}
+    newest = {row.name: row.serial for row in rows if row.serial in valid}
+
+    def state(row: CertificateRow) -> str:
+        if row.serial not in valid:
+            return "revoked"
+        if at > row.not_after:
+            return "expired"
+        return "valid" if newest[row.name] == row.serial else "replaced"
+
+    return [(row, state(row)) for row in rows]
+
+
+def as_json(row: CertificateRow, state: str) -> dict[str, Any]:
+    return {
+        "name": row.name,
+        "state": state,
+        "anonymous": row.wildcard,
+        "not_before": row.not_before,
+        "expires": row.not_after,
+        "ends_soon": state == "valid" and ends_soon(row, now()),
+        "key": row.thumbprint.hex(),
+        "serial": f"{row.serial:x}",
+    }
+
+
+def ends_soon(row: CertificateRow, at: int) -> bool:
+    return at >= renew_at(row.not_before, row.not_after)
+
+
+def line(row: CertificateRow, state: str) -> str:
+    name = f"{row.name} and {row.name}_*" if row.wildcard else row.name
+    until, key = (f"until {format_time(row.not_after)}", f"fingerprint {format_fingerprint(row.thumbprint)}")
+    return "  ".join([name, until, key, *[terminal.state(state)] * (state != "valid")])
 
 
 @click.command()
@@ -119,9 +107,7 @@ def _remarks(found: list[tuple[CertificateRow, str]], at: int) -> list[str]:
 def show(environment: Environment, name: str | None, in_json: bool) -> None:
     """Show the authority, or everything about the node NAME."""
     home = AuthorityHome.at(environment.home)
-    with_states = [
-        (row, state) for row, state in states(home.store(), now()) if name in {None, row.name}
-    ]
+    with_states = [(row, state) for row, state in states(home.store(), now()) if name in {None, row.name}]
     if name is not None and not with_states:
         raise ConfigurationError(f"{name} never had an identity here", "see: rossec ca list --all")
     if in_json:
@@ -135,29 +121,20 @@ def show(environment: Environment, name: str | None, in_json: bool) -> None:
         say(line(row, state))
     for each in things.states(home.store(), now()) if name is not None else ():
         if name in {each.row.name, each.row.border} and each.state == things.IN_FORCE:
-            say(
-                f"thing {each.row.name} at {each.row.border}, until {format_time(each.row.expires)}"
-            )
+            say(f"thing {each.row.name} at {each.row.border}, until {format_time(each.row.expires)}")
 
 
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
-@click.option(
-    "--for", "lifetime", type=Duration(MAX_LIFETIME // DAY), default="30d", show_default=True,
-    help="how long the new identity lasts",
-)  # fmt: skip
-@click.option(
-    "--expired", is_flag=True, help="also one that is over: it keeps its key, and so its grants"
+@options.duration(
+    "--for", "lifetime", days=MAX_LIFETIME // DAY, default="30d", text="how long the new identity lasts"
 )
+@click.option("--expired", is_flag=True, help="also one that is over: it keeps its key, and so its grants")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
 @json_result()
 @pass_service
 def renew(
-    service: AuthorityService,
-    names: tuple[str, ...],
-    lifetime: int,
-    expired: bool,
-    out: Path | None,
+    service: AuthorityService, names: tuple[str, ...], lifetime: int, expired: bool, out: Path | None
 ) -> None:
     """Renew the identity of NAME for the key it has; /ca is the authority's own node.
 
@@ -175,7 +152,7 @@ def renew(
     for name in names:
         with batch.item(name):
             if name == OWN_NODE:
-                expires = service.renew_own_node()
+                expires = service.identities.renew_own_node()
                 record(expires=expires)
                 say(f"renewed {name} until {format_time(expires)}")
             else:
@@ -188,10 +165,8 @@ def renew(
     batch.finish()
 
 
-def _renew(
-    service: AuthorityService, name: str, lifetime: int, out: Path | None, *, expired: bool
-) -> Path:
-    bundle = service.renew(name, lifetime, expired=expired)
+def _renew(service: AuthorityService, name: str, lifetime: int, out: Path | None, *, expired: bool) -> Path:
+    bundle = service.identities.renew(name, lifetime, expired=expired)
     target = out or Path(f"{name.lstrip('/').replace('/', '.')}.pem")
     files.replace(target, bundle, 0o644)
     record(file=str(target))
@@ -200,7 +175,6 @@ def _renew(
 
 
 def _install(service: AuthorityService, name: str, bundle: Path) -> bool:
-    """Install it where the node's directory is here; returns whether it is."""
     home = NodeHome.of(service.rossec_home, name)
     if not (home.path / "node.pem").exists():
         return False
@@ -212,3 +186,300 @@ def _install(service: AuthorityService, name: str, bundle: Path) -> bool:
     record(installed=str(home.path))
     say(f"installed in {home.path}")
     return True
+
+
+@click.command()
+@options.master_uri
+@json_result()
+@pass_service
+def publish(service: AuthorityService) -> None:
+    """Give the newest revocation list to the master.
+
+    The passphrase is needed only where something is revoked that is in no signed list yet.
+    """
+    if count := service.home.count_unlisted(now()):
+        note(f"{count} revocation{'s' * (count != 1)} in no signed list yet: it is signed anew")
+        service.complete_list()
+    record(published=False)
+    service.publish()
+    record(published=True)
+    say("the master has the newest list")
+
+
+@click.command()
+@click.option(
+    "--list",
+    "older",
+    type=options.FILE,
+    help="first revoke what this list revokes: a node's, from before a restore that lacked it",
+)
+@options.entries
+@options.master_uri
+@json_result()
+@pass_service
+def refresh(service: AuthorityService, older: Path | None, entries: Path | None) -> None:
+    """Sign the revocation list anew, before it expires, and give it to the master.
+
+    The authority's own node is renewed as well when two thirds of its life are over.
+    """
+    if older is not None:
+        taken = service.take_over_revocations(*restored_lists.read_files(older, entries))
+        say(f"{taken} revocations were taken over from {older}")
+    listed, renewed = service.refresh()
+    record(list=listed.seq, expires=listed.expires, own_identity_expires=renewed)
+    if renewed is not None:
+        say(f"renewed {OWN_NODE} until {format_time(renewed)}")
+    say(f"list {listed.seq} holds until {format_time(listed.expires)}")
+    publish_list(service)
+
+
+@click.command()
+@click.argument("names", metavar="NAME...", nargs=-1, required=True)
+@click.option("--reason", default="", help="why, for the record")
+@click.option(
+    "--certificate",
+    type=options.FILE,
+    help="of a node of another domain: revoke the key in this node.pem, and no other",
+)
+@click.option(
+    "--thing",
+    "of_thing",
+    is_flag=True,
+    help="revoke what is said of the thing NAME; the node that stands for it keeps its identity",
+)
+@options.master_uri
+@json_result()
+@pass_service
+def revoke(
+    service: AuthorityService, names: tuple[str, ...], reason: str, certificate: Path | None, of_thing: bool
+) -> None:
+    """Revoke the identity of the node NAME, or with --thing the thing NAME, at once.
+
+    Its connections end and its key is never trusted again; to return it needs a new key. With a
+    border router its things end as well: it has the keys of their nodes.
+
+    NAME may be one of another domain, as hospital:/rounds/robot3: every key of it that is recorded
+    here (by rossec grant sign) is refused in this domain, whatever its own authority says. Where
+    one of several is refused the others are revoked, and the exit code is 1.
+    """
+    names = unique(names)
+    if certificate is not None and len(names) > 1:
+        raise click.UsageError("--certificate is of one NAME")
+    if len(names) > 1:
+        service.unlock()  # a wrong passphrase is no fault of a name
+    batch = Batch(len(names), "name")
+    for name in names:
+        with batch.item(name):
+            say(
+                _revoke_thing(service, name, reason)
+                if of_thing
+                else _revoke_node(service, name, reason, certificate)
+            )
+    if batch.done:
+        publish_list(service)
+    batch.finish()
+
+
+def _revoke_thing(service: AuthorityService, name: str, reason: str) -> str:
+    listed, count = service.things.revoke(name, reason)
+    record(statements=count, list=listed.seq)
+    return f"revoked the thing {name}, {count} statement{'s' * (count != 1)} (list {listed.seq})"
+
+
+def _revoke_node(service: AuthorityService, name: str, reason: str, certificate: Path | None) -> str:
+    local = local_name(name)
+    if is_alias(local):
+        pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
+        listed, count = service.domains.revoke_foreigner(local, reason, pem)
+    elif certificate is not None:
+        raise ConfigurationError(
+            f"{name} is a node of this domain, whose keys are in the record",
+            "--certificate is for nodes of other domains: LABEL:/NAME",
+        )
+    else:
+        listed, count = service.identities.revoke(name, reason)
+        for intermediate in service.identities.intermediates():
+            note(
+                f"{intermediate} may have certified other keys for {shown(local)}, which are not"
+                " in this record: rossec ca import NODE.pem and revoke again, or revoke"
+                f" {intermediate}"
+            )
+    record(keys=count, list=listed.seq)
+    return f"revoked {shown(local)}, {count} key{'s' * (count != 1)} (list {listed.seq})"
+
+
+@click.command()
+@click.argument("invitation_ids", metavar="INVITATION_ID...", nargs=-1, required=True)
+@click.option("--and-nodes", is_flag=True, help="also revoke every node that joined by it")
+@click.option("--reason", default=_REASON, help="why, for the record")
+@options.master_uri
+@json_result()
+@pass_service
+def revoke_invitations(
+    service: AuthorityService, invitation_ids: tuple[str, ...], and_nodes: bool, reason: str
+) -> None:
+    """End the invitation INVITATION_ID (or its beginning); who joined by it stays enrolled.
+
+    Requests that wait for a person because of it are denied. With --and-nodes every key of the
+    names that joined by it is revoked, and the master is notified at once. The first needs no key,
+    so it is done also where the second cannot be.
+    """
+    ids, ended = unique(invitation_ids), list[InvitationStatus]()
+    batch = Batch(len(ids), "id")
+    for invitation_id in ids:
+        with batch.item(invitation_id):
+            with contextlib.closing(service.home.store()) as store:
+                found = find(store, invitation_id)
+                denied = end(store, found, reason, now())
+            record(invitation=found.row.id.hex(), denied=denied)
+            say(f"invitation {found.short_id} is ended")
+            if denied:
+                say(f"denied {denied} request{'s' * (denied != 1)} that waited")
+            ended.append(found)
+            if not and_nodes and (uses := ended[-1].uses):
+                note(f"{len(uses)} joined by it and stay enrolled; to revoke them: --and-nodes")
+    if and_nodes and ended:
+        revoked, lists = list[str](), list[object]()
+        for found in ended:
+            listed, names = revoke_nodes(service.unlock(), found, reason, now())
+            revoked += names
+            lists += [listed] * (listed is not None)
+        record(revoked_nodes=revoked)
+        for name in revoked:
+            say(f"revoked {name}")
+        if lists:
+            publish_list(service)
+        else:
+            say("no node that joined by it is left to revoke")
+            remind_to_publish(service)
+    batch.finish()
+
+
+@click.command()
+@click.option(
+    "--head",
+    "heads",
+    multiple=True,
+    type=options.FILE,
+    help="a signed head kept elsewhere (rossec ca log head)",
+)
+@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> None:
+    """Recompute the whole log and compare it with the record and with every signed head.
+
+    Exit code 1 and the number of the first wrong entry, if anything is not as it was written.
+    """
+    home = AuthorityHome.at(environment.home)
+    store = home.store()
+    kept = [files.read(path, _MAX_HEAD) for path in heads]
+    with working("recomputing the log", quiet=in_json):
+        newest = store.log.audit(home.own_key(), *kept)
+    size = store.log.head(now()).size
+    if in_json:
+        say_json({"entries": size, "signed": newest.size, "at": newest.issued})
+        return
+    say(f"{size} entries, all as they were written")
+    if newest.size:
+        say(f"the first {newest.size} are signed, {format_time(newest.issued)}")
+    else:
+        say("none of them is signed: next, rossec ca log head")
+    if not heads:
+        note("a head kept elsewhere proves more: the owner of this file could rewrite all of it")
+
+
+@click.command()
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="write it here")
+@json_result()
+@pass_service
+def head(service: AuthorityService, out: Path | None) -> None:
+    """Sign the state of the log, to be kept elsewhere."""
+    data = service.sign_head()
+    remind_to_publish(service)
+    size = open_head(data, service.home.own_key()).size
+    record(entries=size, head=base64.b64encode(data).decode())
+    if out is None:
+        say(base64.b64encode(data).decode())
+        return
+    files.replace(out, data, 0o644)
+    record(file=str(out))
+    say(f"head of {size} entries: {out}")
+
+
+@click.command()
+@click.option("--entry", type=click.IntRange(0), help="prove that this entry is in the log")
+@click.option("--since", type=options.FILE, help="prove that the log continues this signed head")
+@pass_environment
+def prove(environment: Environment, entry: int | None, since: Path | None) -> None:
+    """Print a proof, as JSON, against the newest signed head (RFC 6962)."""
+    home = AuthorityHome.at(environment.home)
+    if (entry is None) == (since is None):
+        raise ConfigurationError("there is nothing to prove, or too much", "--entry N or --since F")
+    journal = home.store().log
+    heads = journal.heads()
+    if not heads:
+        raise ConfigurationError("no state of the log was signed yet", "next: rossec ca log head")
+    signed = heads[-1]
+    newest, tree = open_head(signed, home.own_key()), journal.tree()
+    shown: dict[str, Any] = {"size": newest.size, "root": newest.root.hex()}
+    if entry is not None:
+        content = leaf(journal.entries()[entry]) if entry < len(tree) else b""
+        shown |= {"entry": entry, "leaf": content.hex()}
+        proof = tree.inclusion(entry, newest.size)
+    else:
+        old = open_head(files.read(since or Path(), _MAX_HEAD), home.own_key())
+        shown |= {"first": old.size, "first_root": old.root.hex()}
+        proof = tree.consistency(old.size, newest.size)
+    head_text = base64.b64encode(signed).decode()
+    say_json({**shown, "proof": [digest.hex() for digest in proof], "head": head_text})
+
+
+def show_invitations(environment: Environment, *, everything: bool, in_json: bool) -> None:
+    at = now()
+    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
+        found = [each for each in invitations(store) if everything or each.state(at) == "open"]
+    if in_json:
+        say_json([_summary(each, at) for each in found])
+        return
+    for each in found:
+        for line in _lines(each, at):
+            say(line)
+    if not found:
+        say("no invitations" if everything else "no open invitations")
+
+
+def _summary(each: InvitationStatus, at: int) -> dict[str, object]:
+    row = each.row
+    return {
+        "id": row.id.hex(),
+        "state": each.state(at).partition(":")[0],
+        "reason": each.ended or "",
+        "pattern": row.pattern,
+        "uses": row.uses,
+        "anonymous": row.wildcard,
+        "made": row.at,
+        "until": row.expires,
+        "joined": [{"name": use.name, "key": use.thumbprint.hex(), "at": use.at} for use in each.uses],
+    }
+
+
+def _lines(each: InvitationStatus, at: int) -> list[str]:
+    row = each.row
+    anonymous = "  for anonymous nodes too" if row.wildcard else ""
+    joined = f"{len(each.uses)} of {row.uses} joined"
+    until = f"until {format_time(row.expires)}{anonymous}"
+    return [
+        "  ".join((each.short_id, printable(each.state(at)), row.pattern, joined, until)),
+        *(f"  {use.name}  {format_time(use.at)}" for use in each.uses),
+    ]
+
+
+def show_log(environment: Environment, last: int | None, *, in_json: bool) -> None:
+    """Show the newest `last` entries, by default all."""
+    entries = AuthorityHome.at(environment.home).store().log.entries()[-(last or 0) :]
+    if in_json:
+        say_json([({**entry._asdict(), "digest": entry.digest.hex()}) for entry in entries])
+        return
+    for entry in entries:
+        words = [str(entry.number), format_time(entry.at), entry.what, entry.subject, entry.detail]
+        say(printable("  ".join(filter(None, words))))

@@ -5,12 +5,11 @@ from pathlib import Path
 
 import click
 
-from ca.keys.hsm import KeyUri
-from rossec.authority.home import AuthorityHome, fingerprint
-from rossec.authority.local_node import check_new, enroll_here
+from ca.keys.private_keys import KeyUri
+from rossec.authority.home import AuthorityHome, check_new, enroll_here, fingerprint
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.results import json_result
+from rossec.cli.shared.options import json_result
 from rossec.clock import format_time
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
@@ -19,19 +18,13 @@ from rossec.terminal import record, say
 
 @click.command()
 @click.argument("domain")
-@click.option(
-    "--key", "uri", metavar="URI", help="make the key in a token: pkcs11:token=T;object=O"
-)
+@click.option("--key", "uri", metavar="URI", help="make the key in a token: pkcs11:token=T;object=O")
 @click.option("--master", "with_master", is_flag=True, help="enroll /master here too")
 @passphrase.option
 @json_result()
 @pass_environment
 def init(
-    environment: Environment,
-    domain: str,
-    uri: str | None,
-    with_master: bool,
-    passphrase_file: Path | None,
+    environment: Environment, domain: str, uri: str | None, with_master: bool, passphrase_file: Path | None
 ) -> None:
     """Create the authority of the trust domain DOMAIN, for example home.
 

@@ -1,26 +1,29 @@
 """`rossec ca invite`: print the code by which nodes join, and say what it gives away."""
 
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Final
 
 import click
 
-from ca.enrollment import ndef, qr
+from ca.enrollment import invitation, qr
 from ca.enrollment.invitation import InvitationCode
-from ca.patterns import check_pattern
-from grants.policy.projected_grants import projected_for_names
+from ca.names import check_pattern
+from grants.policy.model import Policy
+from grants.policy.wanted import projected_for_names
 from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import MAX_USES, invite
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.authority.policyfile import PolicyFile, place
-from rossec.cli.shared.context import Duration, Environment, now, pass_environment
-from rossec.cli.shared.own_address import own_address
-from rossec.cli.shared.results import json_result
+from rossec.cli.shared import options
+from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.master import own_address
+from rossec.cli.shared.options import json_result
 from rossec.clock import format_time
-from rossec.enrollment import address
 from rossec.errors import ConfigurationError
+from rossec.host import addresses
 from rossec.terminal import note, note_picture, printable, record, say_secret
 
 _MAX_DAYS: Final = 30
@@ -29,22 +32,22 @@ _MAX_DAYS: Final = 30
 @click.command("invite")
 @click.argument("pattern")
 @click.option(
-    "--uses", type=click.IntRange(1, MAX_USES), default=1, show_default=True,
+    "--uses",
+    type=click.IntRange(1, MAX_USES),
+    default=1,
+    show_default=True,
     help="so many nodes may join, each with a new name",
-)  # fmt: skip
-@click.option(
-    "--for", "lasts", type=Duration(_MAX_DAYS), default="1h", show_default=True,
-    help="how long it can be used",
-)  # fmt: skip
+)
+@options.duration("--for", "lasts", days=_MAX_DAYS, default="1h", text="how long it can be used")
 @click.option("--anonymous", is_flag=True, help="for anonymous nodes too: NAME and NAME_*")
 @click.option("--qr", "picture", is_flag=True, help="also show it as a picture, on stderr")
 @click.option(
-    "--ndef", "tag", type=click.Path(path_type=Path, dir_okay=False),
+    "--ndef",
+    "tag",
+    type=click.Path(path_type=Path, dir_okay=False),
     help="also write it to this new file, for an NFC tag (NDEF)",
-)  # fmt: skip
-@click.option(
-    "--address", "given", help="where nodes reach `rossec ca serve`, instead of the address found"
 )
+@click.option("--address", "given", help="where nodes reach `rossec ca serve`, instead of the address found")
 @json_result(secret=True)
 @pass_environment
 def command(
@@ -64,44 +67,33 @@ def command(
     whose name is known with another key waits for a person: rossec ca requests.
     """
     home, at = AuthorityHome.at(environment.home), now()
-    where = _address(given or own_address(environment), home)
+    # `host:port` of the join port; where only a host is given, the service knows its port.
+    where = addresses.join(*addresses.split(given or own_address(environment), _join_port(home)))
     if tag is not None and tag.exists():
         raise ConfigurationError(f"{tag} exists and is not overwritten", "name a new file")
-    policy = _policy_lines(place(environment.home, None), check_pattern(pattern))
+    names = check_pattern(pattern)
+    path = place(environment.home, None)
+    policy = policy_lines(path, lambda policy: projected_for_names(policy, names), "them", "these names")
     code = invite(home, pattern, uses, at + lasts, where, at, wildcard=anonymous)
     _describe(code, uses, policy)
     if home.is_intermediate:
         note("  each waits for a person: this record does not know the root's names: ca requests")
     if tag is not None:
-        files.create(tag, ndef.write(code))
+        files.create(tag, invitation.write(code))
         note(f"written for an NFC tag: {tag}")
     if picture:
         note_picture(qr.terminal(code.text()))
-    record(
-        id=code.id.hex(), pattern=code.pattern, address=code.address, until=code.expires,
-        code=code.text(),
-    )  # fmt: skip
+    record(id=code.id.hex(), pattern=code.pattern, address=code.address, until=code.expires, code=code.text())
     say_secret(code.text())
 
 
-def _address(given: str, home: AuthorityHome) -> str:
-    """`host:port` of the join port; where only a host is given, the service knows its port.
-
-    Raises:
-        ConfigurationError: not an address.
-    """
-    host, port = address.split(given, _join_port(home))
-    return address.join(host, port)
-
-
 def _join_port(home: AuthorityHome) -> int:
-    """The port of the service that runs, else the usual one."""
     client = KeyServiceClient.find(home.path)
     if client is None:
-        return address.JOIN_PORT
+        return addresses.JOIN_PORT
     with closing(client):
         port = client.status().get("join_port")
-    return port if isinstance(port, int) and port else address.JOIN_PORT
+    return port if isinstance(port, int) and port else addresses.JOIN_PORT
 
 
 def _describe(code: InvitationCode, uses: int, policy: list[str]) -> None:
@@ -114,11 +106,14 @@ def _describe(code: InvitationCode, uses: int, policy: list[str]) -> None:
     note(f"nodes join at {code.address}: rossec node join, and paste the line there")
 
 
-def _policy_lines(path: Path, pattern: str) -> list[str]:
+def policy_lines(
+    path: Path, projected: Callable[[Policy], Sequence[str]], whom: str, names: str
+) -> list[str]:
+    """What the policy gives to whoever is about to get a name, for the person who decides."""
     if not path.exists():
-        return ["there is no policy: they are granted nothing"]
+        return [f"there is no policy: {'it is' if whom == 'it' else 'they are'} granted nothing"]
     policy = PolicyFile.read(path, own=True).policy
-    lines = projected_for_names(policy, pattern)
+    lines = projected(policy)
     if not lines:
-        return [f"the policy has no rule for them: {policy.defaults.decision}"]
-    return ["the policy for these names:", *(f"  {line}" for line in lines)]
+        return [f"the policy has no rule for {whom}: {policy.defaults.decision}"]
+    return [f"the policy for {names}:", *(f"  {line}" for line in lines)]

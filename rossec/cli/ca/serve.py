@@ -1,75 +1,93 @@
-"""`rossec ca serve`: the authority as a service, which holds the key and lets nodes join."""
+"""`rossec ca serve | unlock | lock | status`: the authority as a service, which holds the key."""
 
 import asyncio
 import logging
-from contextlib import ExitStack
-from dataclasses import dataclass
+import time
+from contextlib import ExitStack, closing
+from functools import partial
 from pathlib import Path
 
 import click
 
-from rossec.authority.console import console_socket
+from ca.encoding import Value
+from rossec import clock
+from rossec.authority.console import serving
 from rossec.authority.console.serving import Console
 from rossec.authority.home import AUDIT_FILE, AuthorityHome
-from rossec.authority.keyservice.face import ANY
-from rossec.authority.keyservice.face_process import FaceOptions, FaceProcess
-from rossec.authority.keyservice.lock import service_lock
+from rossec.authority.keyservice.client import KeyServiceClient, service_lock
+from rossec.authority.keyservice.front_end import ANY
 from rossec.authority.keyservice.messages import MAX_UNLOCKED, SOCKET
 from rossec.authority.keyservice.network import NetworkWork
 from rossec.authority.keyservice.process import (
+    FrontEndOptions,
+    FrontEndProcess,
     KeyServiceProcess,
     audit_to,
     operations_of,
 )
 from rossec.cli.shared import options, passphrase, rules
 from rossec.cli.shared.context import Environment, UnlockTime, pass_environment
-from rossec.cli.shared.master import master_at
-from rossec.cli.shared.own_address import own_address
+from rossec.cli.shared.master import master_at, own_address
+from rossec.cli.shared.options import json_result
 from rossec.clock import format_duration
-from rossec.enrollment import address
-from rossec.enrollment.address import JOIN_PORT
 from rossec.errors import ConfigurationError
-from rossec.net.host.peeruid import UnixPeer
-from rossec.operation.audit_log import AUDIT, audit_written
-from rossec.operation.json_log import log_as_json
-from rossec.operation.process_memory import protect_memory
-from rossec.operation.shutdown import stop_on_signals, until_first_ends
-from rossec.operation.systemd import READY, STOPPING, notify
-from rossec.ros import settings
-from rossec.terminal import say, say_json
+from rossec.host import addresses
+from rossec.host.addresses import JOIN_PORT
+from rossec.host.audit import AUDIT, audit_written
+from rossec.host.local_sockets import UnixPeer
+from rossec.host.runner import READY, STOPPING, log_as_json, notify, stop_on_signals, until_first_ends
+from rossec.host.sandbox import protect_memory
+from rossec.ros import names
+from rossec.terminal import record, say, say_json
 
 OPERATOR = "the operator who started it"
+_START = "start it with: rossec ca serve"
+_STARTING = 3.0  # seconds: `rossec ca serve &` and `rossec ca unlock` may be pasted together
+_PAUSE = 0.1
 
 
 @click.command()
 @click.option(
-    "--unlock-for", "seconds", type=UnlockTime(MAX_UNLOCKED), default="15m", show_default=True,
+    "--unlock-for",
+    "seconds",
+    type=UnlockTime(MAX_UNLOCKED),
+    default="15m",
+    show_default=True,
     help="how long the key is held; 0: while it runs",
-)  # fmt: skip
+)
 @click.option("--locked", is_flag=True, help="start without the key: rossec ca unlock")
 @click.option(
-    "--join-address", metavar="HOST:PORT", default=f"{ANY}:{JOIN_PORT}", show_default=True,
+    "--join-address",
+    metavar="HOST:PORT",
+    default=f"{ANY}:{JOIN_PORT}",
+    show_default=True,
     help="where nodes with an invitation join; *: every address of this host",
-)  # fmt: skip
+)
 @click.option("--no-network", is_flag=True, help="only serve the commands of this host")
 @click.option("--apply", "applies", is_flag=True, help="put the policy in force, and keep it so")
 @click.option(
-    "--renewals/--no-renewals", "renews", default=True,
+    "--renewals/--no-renewals",
+    "renews",
+    default=True,
     help="renew the identities of nodes that are enrolled, before they end (the default)",
-)  # fmt: skip
+)
 @options.policy
 @click.option(
-    "--rules", "rules_path", type=options.FILE, metavar="FILE",
+    "--rules",
+    "rules_path",
+    type=options.FILE,
+    metavar="FILE",
     help="name nodes that join with metadata by these rules; without, none is named",
-)  # fmt: skip
-@options.master_uri
-@click.option(
-    "--console-user", metavar="NAME", help="another user whose console may show this authority"
 )
+@options.master_uri
+@click.option("--console-user", metavar="NAME", help="another user whose console may show this authority")
 @click.option(
-    "--console-socket", "console_socket_path", type=click.Path(path_type=Path), metavar="PATH",
+    "--console-socket",
+    "console_socket_path",
+    type=click.Path(path_type=Path),
+    metavar="PATH",
     help="where the console finds it; for --console-user",
-)  # fmt: skip
+)
 @click.option("--log", type=click.Choice(["text", "json"]), default="text", help="form of the log")
 @click.option("--json", "as_json", is_flag=True, help="say that it is ready as a line of JSON")
 @passphrase.option
@@ -104,108 +122,92 @@ def serve(
         raise ConfigurationError("--apply delivers grants over the network", "leave --no-network")
     if rules_path is not None and no_network:
         raise ConfigurationError("--rules are for nodes that join", "leave --no-network")
-    names = None if rules_path is None else rules.read_rules(rules_path)
+    joiners = None if rules_path is None else rules.read_rules(rules_path)
     uri = master_at(environment, home.node(), master_uri)
-    settings.parse_uri(uri, "the master's URI")
-    where = console_socket.place(home.path, console_socket_path, console_user)
-    options_of_face = FaceOptions(join_address, uri, log)
+    names.parse_uri(uri, "the master's URI")
+    where = serving.place(home.path, console_socket_path, console_user)
+    options_of_face = FrontEndOptions(join_address, uri, log)
     with ExitStack() as stack:
         protect_memory()
         stack.enter_context(service_lock(home.path))
         audit = stack.enter_context(audit_written(home.path / AUDIT_FILE, home.node().signer()))
-        face = None if no_network else FaceProcess(home, options_of_face, environment.variables)
+        face = None if no_network else FrontEndProcess(home, options_of_face, environment.variables)
         operations = operations_of(home, audit_to(audit), lambda: face.port if face else 0)
         network = None
         if face is not None:
             stack.callback(face.close)
             face.spawn()  # before there is a key
             network = NetworkWork(
-                environment.home, operations, face, applies=applies, policy=policy_path,
-                rules=names, renews=renews,
-            )  # fmt: skip
+                environment.home,
+                operations,
+                face,
+                applies=applies,
+                policy=policy_path,
+                rules=joiners,
+                renews=renews,
+            )
         if not locked:
             secret = passphrase.read(passphrase_file, environment.variables)
             operations.unlock(secret, seconds, OPERATOR)
             del secret
-        reached = lambda: _join_address(environment, join_address, face)  # noqa: E731 - one expression
+        reached = partial(_join_address, environment, join_address, face)
         console = Console(where, environment.home, operations, network, policy_path, reached)
-        admit = _Admission(console, face).admit
+        admit = partial(_admit, console, face)
         process = KeyServiceProcess(home, operations, admit, console.access.phone_code)
-        serving = _Serving(environment, home, process, console, face, network)
-        asyncio.run(serving.run(as_json=as_json))
+        asyncio.run(_serve(environment, home, process, console, face, network, as_json=as_json))
 
 
-@dataclass
-class _Admission:
-    """Who may use the service's socket: neither the network face nor the console's pages."""
-
-    console: Console
-    face: FaceProcess | None
-
-    def admit(self, peer: UnixPeer) -> None:
-        """Raise `PeerUserRefused` for one of them."""
-        if self.face is not None:
-            self.face.admit(peer)
-        self.console.peers.refuse(peer)
-
-
-@dataclass
-class _Serving:
-    """What runs."""
-
-    environment: Environment
-    home: AuthorityHome
-    process: KeyServiceProcess
-    console: Console
-    face: FaceProcess | None
-    network: NetworkWork | None
-
-    async def run(self, *, as_json: bool) -> None:
-        """Serve until a signal."""
-        audit, stop = logging.getLogger(AUDIT), stop_on_signals()
-        try:
-            await self.process.start()
-            await self.console.socket.start()
-            audit.info("the service began")
-            tasks = [self._until_stopped(stop, as_json=as_json), self.process.watch_time()]
-            tasks.append(self.network.run() if self.network else self.console.rounds.run())
-            await until_first_ends(*tasks)
-        finally:
-            await self.console.socket.close()
-            await self.process.close()
-            audit.info("the service ended")
-
-    async def _until_stopped(self, stop: asyncio.Event, *, as_json: bool) -> None:
-        port = None if self.face is None else await self.face.started()
-        self._print_state(port, as_json=as_json)
-        notify(READY, self.environment.variables)
-        await stop.wait()
-        notify(STOPPING, self.environment.variables)
-
-    def _print_state(self, port: int | None, *, as_json: bool) -> None:
-        remaining = self.process.operations.held.remaining()
-        if as_json:
-            path = str(self.home.path / SOCKET)
-            about: dict[str, object] = {"remaining": remaining, "join_port": port}
-            say_json({"ready": path, "console": str(self.console.where.path), **about})
-            return
-        say(f"authority of {self.home.domain}: {describe_remaining(remaining)}")
-        if port:
-            say(f"nodes join at port {port}: rossec ca invite PATTERN")
-
-
-def _join_address(environment: Environment, given: str, face: FaceProcess | None) -> str:
-    """Where nodes reach the join port, for a code.
-
-    Raises:
-        ConfigurationError: there is none.
-    """
+def _join_address(environment: Environment, given: str, face: FrontEndProcess | None) -> str:
     if face is None or not face.port:
         raise ConfigurationError(
             "this service has no join port", "start it without --no-network: rossec ca serve"
         )
-    host = address.split(given.replace(ANY, "localhost", 1), JOIN_PORT)[0]
-    return address.join(own_address(environment) if given.startswith(ANY) else host, face.port)
+    host = addresses.split(given.replace(ANY, "localhost", 1), JOIN_PORT)[0]
+    return addresses.join(own_address(environment) if given.startswith(ANY) else host, face.port)
+
+
+def _admit(console: Console, face: FrontEndProcess | None, peer: UnixPeer) -> None:
+    if face is not None:
+        face.admit(peer)
+    console.peers.refuse(peer)
+
+
+async def _serve(
+    environment: Environment,
+    home: AuthorityHome,
+    process: KeyServiceProcess,
+    console: Console,
+    face: FrontEndProcess | None,
+    network: NetworkWork | None,
+    *,
+    as_json: bool,
+) -> None:
+    audit, stop = logging.getLogger(AUDIT), stop_on_signals()
+
+    async def until_stopped() -> None:
+        port = None if face is None else await face.started()
+        remaining = process.operations.held.remaining()
+        if as_json:
+            about: dict[str, object] = {"remaining": remaining, "join_port": port}
+            say_json({"ready": str(home.path / SOCKET), "console": str(console.where.path), **about})
+        else:
+            say(f"authority of {home.domain}: {describe_remaining(remaining)}")
+            if port:
+                say(f"nodes join at port {port}: rossec ca invite PATTERN")
+        notify(READY, environment.variables)
+        await stop.wait()
+        notify(STOPPING, environment.variables)
+
+    try:
+        await process.start()
+        await console.socket.start()
+        audit.info("the service began")
+        work = network.run() if network else console.rounds.run()
+        await until_first_ends(until_stopped(), process.watch_time(), work)
+    finally:
+        await console.socket.close()
+        await process.close()
+        audit.info("the service ended")
 
 
 def describe_remaining(remaining: int | None) -> str:
@@ -213,3 +215,72 @@ def describe_remaining(remaining: int | None) -> str:
     if remaining is None:
         return "locked; unlock it with: rossec ca unlock --for 15m"
     return f"unlocked for {format_duration(remaining)}" if remaining else "unlocked while it runs"
+
+
+@click.command()
+@click.option(
+    "--for",
+    "seconds",
+    type=UnlockTime(MAX_UNLOCKED),
+    default="15m",
+    show_default=True,
+    help="how long the key is held; 0: while the service runs",
+)
+@passphrase.option
+@json_result()
+@pass_environment
+def unlock(environment: Environment, seconds: int, passphrase_file: Path | None) -> None:
+    """Give the running service the passphrase: it holds the key from now on, for a time.
+
+    Waits some seconds for a service that is starting.
+    """
+    with closing(_running(environment, wait=_STARTING)) as client:
+        secret = passphrase.read(passphrase_file, environment.variables)
+        found = client.unlock(secret, seconds)
+        record(**found)
+        say(_describe(found))
+
+
+def _running(environment: Environment, wait: float = 0) -> KeyServiceClient:
+    directory, seconds = AuthorityHome.at(environment.home).path, clock.counter()
+    until = seconds() + wait
+    while (client := KeyServiceClient.find(directory)) is None:
+        if seconds() >= until:
+            raise ConfigurationError("the authority's service does not run", _START)
+        time.sleep(_PAUSE)
+    return client
+
+
+def _describe(found: dict[str, Value]) -> str:
+    remaining = found.get("remaining")
+    state = describe_remaining(remaining if isinstance(remaining, int) else None)
+    return f"authority of {found.get('domain')!s}: {state}"
+
+
+@click.command()
+@json_result()
+@pass_environment
+def lock(environment: Environment) -> None:
+    """Let the running service drop the key at once."""
+    with closing(_running(environment)) as client:
+        found = client.lock()
+        record(**found)
+        say(_describe(found))
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def status(environment: Environment, as_json: bool) -> None:
+    """Show whether the authority's service runs, and whether it holds the key."""
+    client = KeyServiceClient.find(AuthorityHome.at(environment.home).path)
+    found = None
+    if client is not None:
+        with closing(client):
+            found = client.status()
+    if as_json:
+        say_json({"running": False} if found is None else {"running": True, **found})
+    elif found is None:
+        say(f"no service runs, each command asks for the passphrase; {_START}")
+    else:
+        say(_describe(found))

@@ -1,35 +1,68 @@
-"""`rossec ca sign`: sign the identity requests of nodes."""
+"""`rossec ca sign | import | thing | things`, `rossec ca intermediate`: what is signed from files."""
 
+import contextlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, Final
 
 import click
 
-from ca.certificates import IdentityRequest, check_request
+from ca.authority import DAY, MAX_LIFETIME
+from ca.certificates import Identity, check_intermediate_request, from_pem
 from ca.enrollment import qr
+from ca.keys.signing import thumbprint
 from ca.names import check_wildcard, spiffe_id
+from ca.svid import check_request
+from ca.things.constrained_nodes import PSK, Credential, ThingKey, ThingStatement, read_ccs, read_description
 from rossec import files
+from rossec.authority import renewals
 from rossec.authority.home import AuthorityHome, format_fingerprint
-from rossec.authority.service import AuthorityService
-from rossec.cli.shared import options, signing_options
-from rossec.cli.shared.batch import Batch
-from rossec.cli.shared.context import confirm, now
-from rossec.cli.shared.outright import give_outright
-from rossec.cli.shared.results import json_result
-from rossec.cli.shared.service import pass_service, publish_if_revoked
+from rossec.authority.service import AuthorityService, SignedThing, ThingOrder
+from rossec.authority.signing import IN_FORCE, OTHER_KEY, ThingState, states
+from rossec.cli.shared import options, passphrase
+from rossec.cli.shared.context import Environment, confirm, now, pass_environment
+from rossec.cli.shared.options import Batch, json_result
+from rossec.cli.shared.service import (
+    give_outright,
+    pass_service,
+    publish_if_revoked,
+    publish_list,
+    remind_to_publish,
+)
+from rossec.clock import format_time
 from rossec.errors import ConfigurationError
-from rossec.terminal import printable, record, say
+from rossec.terminal import printable, record, say, say_json
 
-_MAX_REQUEST = 16 * 1024
+identity_lifetime = options.duration(
+    "--for", "lifetime", days=MAX_LIFETIME // DAY, default="30d", text="how long the identity lasts"
+)
+anonymous = click.option(
+    "--anonymous", is_flag=True, help="for anonymous nodes too: /rviz also as /rviz_1234_1700000000000"
+)
+_MAX_REQUEST: Final = 16 * 1024
+_MAX_BUNDLE = 64 * 1024
+_MAX_DAYS: Final = 3650
+_MAX_CREDENTIAL: Final = 4096
+_ONE: Final = "give --key FILE, --psk FILE or --renew"
+_SHOWN: Final = (IN_FORCE, OTHER_KEY)
+
+
+def replace_key(*, multiple: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    return click.option(
+        "--replace-key",
+        "replaced",
+        multiple=multiple,
+        metavar="NAME",
+        help="let the known name NAME come with another key; revokes the old one",
+    )
 
 
 @click.command()
 @click.argument("requests", nargs=-1, required=True, type=options.FILE)
-@click.option(
-    "--code", "codes", multiple=True, help="text of the QR code the node shows; one per request"
-)
-@signing_options.identity_lifetime
-@signing_options.replace_key(multiple=True)
-@signing_options.anonymous
+@click.option("--code", "codes", multiple=True, help="text of the QR code the node shows; one per request")
+@identity_lifetime
+@replace_key(multiple=True)
+@anonymous
 @options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
 @json_result()
@@ -50,24 +83,33 @@ def sign(
     refused the others are signed, and the exit code is 1.
     """
     home, batch = service.home, Batch(len(requests))
-    read = [(path, _read(path)) for path in requests]
+    read = [(path, read_request(path)) for path in requests]
     if codes:
         _check_codes(codes, [data for _, data in read])
     checked: list[tuple[Path, bytes, str]] = []
     for path, data in read:
         with batch.item(path, last=False):
             request = check_request(data, home.domain, wildcard=anonymous)
-            _show_request(path, request, home, code_checked=bool(codes))
+            code_checked = bool(codes)
+            how = (
+                "its code fits"
+                if code_checked
+                else "no code was checked: compare the fingerprint with the one the node shows"
+            )
+            say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
+            say(f"  fingerprint {format_fingerprint(request.thumbprint)}")
+            say(f"  {how}")
             if anonymous:
                 warn_of_wildcard(request.name)
             checked.append((path, data, request.name))
     if checked:
-        confirm(f"sign {_count(len(checked))}?", yes=yes)
+        what = "this identity" if len(checked) == 1 else f"these {len(checked)} identities"
+        confirm(f"sign {what}?", yes=yes)
         service.unlock()
         for path, data, name in checked:
             with batch.item(path):
                 key = name if name in replaced else None
-                bundle = service.issue(
+                bundle = service.identities.issue(
                     data, lifetime, replace_key=key, wildcard=anonymous, source="file"
                 )
                 target = write_identity(path, bundle)
@@ -78,16 +120,7 @@ def sign(
     batch.finish()
 
 
-def write_identity(request: Path, bundle: bytes) -> Path:
-    """Write an identity beside its request; returns where."""
-    name = "node.pem" if request.name == "node.csr" else f"{request.stem}.pem"
-    target = request.with_name(name)
-    files.replace(target, bundle, 0o644)
-    return target
-
-
 def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
-    """Every request needs its code, and every code its request."""
     parsed = [qr.parse(text) for text in codes]
     for code in parsed:
         code.check_time(now())
@@ -99,34 +132,295 @@ def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
         )
 
 
-def _show_request(
-    path: Path, request: IdentityRequest, home: AuthorityHome, *, code_checked: bool
-) -> None:
-    how = (
-        "its code fits"
-        if code_checked
-        else "no code was checked: compare the fingerprint with the one the node shows"
-    )
-    say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
-    say(f"  fingerprint {format_fingerprint(request.thumbprint)}")
-    say(f"  {how}")
-
-
 def warn_of_wildcard(name: str) -> None:
-    """Print what a wildcard identity allows.
-
-    Raises:
-        NameRefused: a name that cannot be a wildcard.
-    """
     check_wildcard(name)
     say(f"  it may run as any number of nodes, under every name that begins with {name}_")
     say("  all of them have one key and the same grants, and are revoked together")
 
 
-def _read(path: Path) -> bytes:
+def read_request(path: Path, most: int = _MAX_REQUEST) -> bytes:
+    """The octets of a request, at most one more than `most`: it is refused where it is checked."""
     with path.open("rb") as stream:
-        return stream.read(_MAX_REQUEST + 1)
+        return stream.read(most + 1)
 
 
-def _count(number: int) -> str:
-    return "this identity" if number == 1 else f"these {number} identities"
+def write_identity(request: Path, bundle: bytes) -> Path:
+    """Write an identity beside its request; returns where."""
+    name = "node.pem" if request.name == "node.csr" else f"{request.stem}.pem"
+    target = request.with_name(name)
+    files.replace(target, bundle, 0o644)
+    return target
+
+
+@click.command()
+@click.argument("domain")
+@passphrase.option
+@json_result()
+@pass_environment
+def request_intermediate(environment: Environment, domain: str, passphrase_file: Path | None) -> None:
+    """On the host: make its key and a request, to carry to the root of DOMAIN."""
+    secret = passphrase.choose(passphrase_file, environment.variables)
+    path = renewals.begin(environment.home, domain, secret)
+    key = check_intermediate_request(path.read_bytes(), domain)
+    record(domain=domain, file=str(path), key=thumbprint(key).hex())
+    say(f"request of an intermediate of {domain}: {path}")
+    say(f"fingerprint {format_fingerprint(thumbprint(key))}")
+    say(f"next, at the root: rossec ca intermediate sign {path} --may renew")
+
+
+@click.command()
+@click.argument("request", type=options.FILE)
+@click.option(
+    "--may",
+    required=True,
+    type=click.Choice(["renew", "enroll"]),
+    help="renew identities that exist, or enroll new nodes as well",
+)
+@options.duration("--for", "lifetime", days=MAX_LIFETIME // DAY, default="90d", text="how long it may sign")
+@click.option("--yes", is_flag=True, help="do not ask")
+@json_result()
+@pass_service
+def sign_intermediate(service: AuthorityService, request: Path, may: str, lifetime: int, yes: bool) -> None:
+    """At the root: sign REQUEST of a host, and set what it may do."""
+    domain = service.home.domain
+    data = files.read(request, _MAX_REQUEST)
+    key = check_intermediate_request(data, domain)
+    powers = "renew identities" + (" and enroll new nodes" if may == "enroll" else "")
+    say(f"an intermediate of {domain} that may {powers} until {format_time(now() + lifetime)}")
+    say(f"  fingerprint {format_fingerprint(thumbprint(key))}")
+    confirm("is this the fingerprint its host shows, and sign it?", yes=yes)
+    name, bundle = service.identities.sign_intermediate(data, may_enroll=may == "enroll", lifetime=lifetime)
+    target = request.with_suffix(".pem")
+    files.replace(target, bundle, 0o644)
+    record(name=name, file=str(target), key=thumbprint(key).hex(), may=may)
+    say(f"signed {name}: {target}")
+    say(f"to revoke it, with all it signed: rossec ca revoke {name}")
+    remind_to_publish(service)
+
+
+@click.command()
+@click.argument("bundle", type=options.FILE)
+@passphrase.option
+@json_result()
+@pass_environment
+def install_intermediate(environment: Environment, bundle: Path, passphrase_file: Path | None) -> None:
+    """On the host: install BUNDLE, which the root signed."""
+    data = files.read(bundle, _MAX_REQUEST)
+    secret = passphrase.read(passphrase_file, environment.variables)
+    found = renewals.install(environment.home, data, secret, now())
+    powers = "renew and enroll" if found.may_enroll else "renew"
+    record(may=powers, expires=found.not_after)
+    say(f"this host may {powers} until {format_time(found.not_after)}")
+
+
+@click.command("import")
+@click.argument("bundles", nargs=-1, required=True, type=options.FILE)
+@replace_key(multiple=True)
+@options.master_uri
+@click.option("--yes", is_flag=True, help="do not ask")
+@json_result()
+@pass_service
+def import_(
+    service: AuthorityService, bundles: tuple[Path, ...], replaced: tuple[str, ...], yes: bool
+) -> None:
+    """Record the identities in BUNDLES (node.pem), which an intermediate enrolled or renewed.
+
+    Only then can the root sign grants for these nodes, or revoke them by their names.
+    """
+    home, batch = service.home, Batch(len(bundles))
+    found: list[tuple[Path, bytes]] = []
+    for path in bundles:
+        with batch.item(path, last=False):
+            data = files.read(path, _MAX_BUNDLE)
+            _show_identity(home, path, home.anchor().verify(from_pem(data)[:-1], now()))
+            found.append((path, data))
+    if found:
+        confirm(f"import {len(found)} of them?", yes=yes)
+        service.unlock()
+        for path, data in found:
+            with batch.item(path):
+                identity, new = service.identities.import_bundle(data, replaced)
+                record(name=identity.name, new=new)
+                say(f"{'imported' if new else 'known already:'} {identity.name}")
+        publish_if_revoked(service)
+    batch.finish()
+
+
+def _show_identity(home: AuthorityHome, path: Path, identity: Identity) -> None:
+    say(f"{identity.name} of {home.domain} until {format_time(identity.not_after)} ({path})")
+    say(f"  fingerprint {format_fingerprint(identity.thumbprint)}")
+    for issuer in identity.issuers:
+        say(f"  signed by intermediate/{issuer.hex()[:16]}")
+
+
+@click.command()
+@click.argument("name")
+@click.option("--border", metavar="NAME", help="the border router that serves it")
+@click.option("--key", "ccs", type=options.FILE, help="its credential: a CCS, as CBOR")
+@click.option(
+    "--psk",
+    "description",
+    type=options.FILE,
+    help="what `rossec border add NAME --psk` wrote about its secret",
+)
+@click.option("--renew", is_flag=True, help="say the same again")
+@click.option("--request", type=options.FILE, help="sign this request, of the node that stands for it, too")
+@click.option("--code", help="text of the code on the thing's label")
+@click.option(
+    "--replace",
+    "replaced",
+    multiple=True,
+    metavar="NAME",
+    help="end what is said of NAME: it was renamed or moved, or its device is another one",
+)
+@options.duration("--for", "lifetime", days=_MAX_DAYS, default="365d", text="how long this is so")
+@options.duration(
+    "--identity-for",
+    "identity_lifetime",
+    days=MAX_LIFETIME // DAY,
+    default="30d",
+    text="how long the identity lasts",
+)
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
+@click.option("--yes", is_flag=True, help="do not ask")
+@options.master_uri
+@json_result()
+@pass_service
+def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given: Any) -> None:
+    """State that the thing NAME has this key or secret, and which border router serves it.
+
+    The statement is written to a file for the border router, and installed where that is in this
+    ROSSEC_HOME. With --request the identity of the node NAME is signed in the same step.
+    """
+    if renew:
+        if any(given[name] for name in ("border", "ccs", "description", "request", "code", "replaced")):
+            raise ConfigurationError("--renew says the same again, and takes nothing new", _ONE)
+        signed = service.things.renew(name, given["lifetime"])
+    else:
+        if given["border"] is None:
+            raise ConfigurationError("which border router serves it?", "give --border NAME")
+        request: Path | None = given["request"]
+        order = ThingOrder(
+            name,
+            given["border"],
+            _credential(given["ccs"], given["description"]),
+            given["lifetime"],
+            frozenset(given["replaced"]),
+            b"" if request is None else files.read(request, _MAX_REQUEST),
+            given["identity_lifetime"],
+        )
+        checked = _check_code(given["code"], order.credential)
+        what = "key" if isinstance(order.credential, ThingKey) else "secret"
+        say(f"{printable(order.name)} at the border router {printable(order.border)}")
+        say(f"  {what} {format_fingerprint(order.credential.thumbprint)}")
+        say(f"  kid {order.credential.kid.hex()}")
+        how = "the code of its label fits" if checked else "no code was checked: compare with its label"
+        say(f"  {how}")
+        if order.request:
+            asked = check_request(order.request, service.home.domain)
+            say(f"  and an identity for its node, fingerprint {format_fingerprint(asked.thumbprint)}")
+        confirm(f"sign the statement about {name}?", yes=yes)
+        signed = service.things.sign(order)
+    _hand_over(service, signed, given["request"], given["out"])
+    if service.has_revoked:
+        record(revoked=signed.revoked)
+        say(f"what it replaces is revoked ({signed.revoked} entr{'y' if signed.revoked == 1 else 'ies'})")
+        publish_list(service)
+    else:
+        remind_to_publish(service)
+
+
+def _credential(ccs: Path | None, description: Path | None) -> Credential:
+    match ccs, description:
+        case Path(), None:
+            return read_ccs(files.read(ccs, _MAX_CREDENTIAL))
+        case None, Path():
+            return read_description(files.read(description, _MAX_CREDENTIAL))
+        case _:
+            raise ConfigurationError("a thing has a key or a secret", _ONE)
+
+
+def _check_code(code: str | None, credential: Credential) -> bool:
+    if code is None:
+        return False
+    if not qr.parse(code).matches(described(credential)):
+        raise ConfigurationError(
+            "the code on the label is not that of this credential",
+            "take the credential from the thing again, or scan the label of this thing",
+        )
+    return True
+
+
+def described(credential: Credential) -> bytes:
+    """The octets that a label names: the CCS, or the description of a secret."""
+    return credential.ccs if isinstance(credential, ThingKey) else credential.description
+
+
+def _hand_over(
+    service: AuthorityService, signed: SignedThing, request: Path | None, out: Path | None
+) -> None:
+    statement, name = signed.statement, signed.statement.name
+    target = out or Path(f"{name.lstrip('/').replace('/', '.')}.thing")
+    files.replace(target, signed.data, 0o644)
+    record(name=name, id=statement.id.hex(), expires=statement.expires, file=str(target))
+    say(f"signed {name} until {format_time(statement.expires)}: {target}")
+    bundle = target if request is None else write_identity(request, signed.bundle)
+    if request is not None:
+        record(identity=str(bundle))
+        say(f"signed its identity: {bundle}")
+    path = service.things.store(signed.data, signed.bundle)
+    if path is not None:
+        record(border=str(path))
+        say(f"given to its border router in {path}")
+    else:
+        more = "" if request is None else f" {bundle}"
+        say(f"next, on its border router: rossec border install {target}{more}")
+    if request is not None:
+        give_outright(service, name)
+
+
+@click.command()
+@click.option("--all", "everything", is_flag=True, help="also what is renewed, expired or revoked")
+@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def things(environment: Environment, everything: bool, in_json: bool) -> None:
+    """List the things that are stated now, with their border routers."""
+    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
+        found = [each for each in states(store, now()) if everything or each.state in _SHOWN]
+    if in_json:
+        say_json([_summary(each) for each in found])
+        return
+    for each in found:
+        say(_line(each))
+    if not found:
+        say("no things")
+
+
+def _summary(each: ThingState) -> dict[str, object]:
+    found: ThingStatement = each.row.read()
+    return {
+        "name": found.name,
+        "border": each.row.border,
+        "border_key": found.border.hex(),
+        "class": found.kind,
+        "kid": found.credential.kid.hex(),
+        "key": found.credential.thumbprint.hex(),
+        "not_before": found.not_before,
+        "expires": found.expires,
+        "id": found.id.hex(),
+        "state": each.state,
+    }
+
+
+def _line(each: ThingState) -> str:
+    found = each.row.read()
+    kind = "secret" if found.kind == PSK else "key"
+    return "  ".join(
+        [
+            each.row.name,
+            f"at {each.row.border}",
+            f"until {format_time(each.row.expires)}",
+            f"{kind} {format_fingerprint(found.credential.thumbprint)}",
+            *[each.state] * (each.state != IN_FORCE),
+        ]
+    )

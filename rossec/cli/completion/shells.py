@@ -1,18 +1,46 @@
 """Completion in bash, zsh and fish: the script of each, and the answer to one press of Tab.
 
-The scripts run the `rossec` that printed them, never what stands at the prompt. An answer is data:
-no script evaluates, globs or splits a value. Each gives what was typed, up to the cursor, as
-COMP_LINE. The scripts that click makes evaluate more: theirs for bash expands `*` in values.
+The scripts run the `rossec` that printed them, never what stands at the prompt. An answer is data: no
+script evaluates, globs or splits a value (those of click do: `*` in bash). Each gives what was typed,
+up to the cursor, as COMP_LINE. Commands are completed by their outlines, and none is imported: a
+wheel carries all outlines (`hatch_build.py`); in a source tree one is kept beside Python's own compiled
+files when it was needed for the first time, until a file of the command line changes.
 """
 
+import contextlib
+import json
+import os
 import shlex
+import shutil
+import sys
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
 from typing import Any, Final
 
 import click
 from click.shell_completion import CompletionItem, ShellComplete, split_arg_string
 
-VARIABLE: Final = "_ROSSEC_COMPLETE"
+from ca.errors import HintedError
+from rossec.cli.completion.values import (
+    COMMAND,
+    FREE,
+    KINDS,
+    Outline,
+    Values,
+    command_of,
+    kinds_of,
+    offered,
+    outline_of,
+)
+from rossec.terminal import say_block
 
+COMMANDS: Final = Path(__file__).parents[1]
+SHIPPED: Final = Path(__file__).with_name("outlines.json")
+CACHE: Final = Path(__file__).parent / "__pycache__" / "outlines.json"
+_MAX: Final = 1024 * 1024
+_FILES: Final = [CompletionItem("", type="file")]  # the shell looks them up
+VARIABLE: Final = "_ROSSEC_COMPLETE"
 _BASH: Final = """\
 _rossec_completion() {
     local type value
@@ -28,7 +56,6 @@ _rossec_completion() {
 }
 complete -o nosort -F _rossec_completion rossec
 """
-
 _ZSH: Final = """\
 #compdef rossec
 _rossec_completion() {
@@ -58,7 +85,6 @@ else
     compdef _rossec_completion rossec
 fi
 """
-
 _FISH: Final = """\
 function _rossec_completion
     set -lx COMP_LINE (commandline -cp | string join ' ')
@@ -77,17 +103,127 @@ function _rossec_completion
 end
 complete --no-files --command rossec --arguments '(_rossec_completion)'
 """
+_SCRIPTS: Final = {"bash": _BASH, "zsh": _ZSH, "fish": _FISH}
+SHELLS: Final = tuple(_SCRIPTS)
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(SHELLS))
+def completion(shell: str) -> None:
+    """Print what makes Tab complete commands and names in SHELL: bash, zsh or fish.
+
+    For bash, add this line to ~/.bashrc; for zsh, with zsh for bash, to ~/.zshrc behind compinit:
+
+    \b
+      eval "$(rossec completion bash)"
+
+    For fish, once:
+
+    \b
+      rossec completion fish > ~/.config/fish/completions/rossec.fish
+
+    Names are those in ROSSEC_HOME, of what the last look at the graph showed (rossec topic list),
+    and of the ROS packages here. Tab asks no master and no person.
+    """
+    say_block(script(shell, _program()).rstrip())
+
+
+def script(shell: str, program: str) -> str:
+    """The script of a shell; `program` is run at each press of Tab."""
+    return _SCRIPTS[shell] % {"program": shlex.quote(program)}
+
+
+def _program() -> str:
+    path = Path(sys.argv[0])
+    if path.name != "rossec":
+        return "rossec"
+    found = shutil.which(path)
+    return "rossec" if found is None else str(Path(found).absolute())
+
+
+class OutlineTable:
+    def __init__(self, shipped: Path = SHIPPED, cache: Path = CACHE, commands: Path = COMMANDS) -> None:
+        self._cache = cache
+        self._stamp: str | None = None  # None: what is shipped does not age
+        self._outlines = _read(shipped).get("outlines", {})
+        if not self._outlines:
+            self._stamp = _stamp(commands)
+            found = _read(cache)
+            self._outlines = found["outlines"] if found.get("stamp") == self._stamp else {}
+
+    def get(self, place: str, load: Callable[[], click.Command]) -> Outline:
+        if place not in self._outlines:
+            self._outlines[place] = outline_of(load())
+            if self._stamp is not None:
+                self._keep()
+        found: Outline = self._outlines[place]
+        return found
+
+    def _keep(self) -> None:
+        # Write the cache; where it cannot be written, completion is slow and right.
+        text = json.dumps({"stamp": self._stamp, "outlines": self._outlines})
+        new = self._cache.with_name(f"{self._cache.name}.{os.getpid()}")
+        with contextlib.suppress(OSError):
+            self._cache.parent.mkdir(exist_ok=True)
+            new.write_text(text)
+            new.replace(self._cache)
+
+
+def completed(
+    name: str, place: str, load: Callable[[], click.Command], table: OutlineTable | None = None
+) -> click.Command:
+    """The command `name` at `place`, to be completed: made of its outline, a group as it is."""
+    found = outline(place, load, table)
+    if "params" not in found:
+        return load()
+    return command_of(name, found, [*map(_values, kinds_of(place, found))])
+
+
+def outline(place: str, load: Callable[[], click.Command], table: OutlineTable | None = None) -> Outline:
+    """The outline of the command at `place`; `load` imports it if that is needed."""
+    return (table or _table()).get(place, load)
+
+
+@cache
+def _table() -> OutlineTable:
+    return OutlineTable()
+
+
+def _values(kind: str) -> Values | None:
+    return None if kind == FREE else partial(_offer, kind)
+
+
+def _offer(
+    kind: str, context: click.Context, _param: click.Parameter, incomplete: str
+) -> list[CompletionItem[Any]]:
+    if kind == COMMAND:
+        return _FILES
+    from rossec.cli.completion.sources import Sources  # noqa: PLC0415 - not needed for options
+
+    environment = context.obj
+    try:
+        sources = Sources(environment.home, environment.variables)
+    except HintedError:  # a home that others could have written
+        return []
+    found = [word for read in KINDS[kind] for word in read(sources)]
+    return [CompletionItem(word) for word in offered(found, incomplete)]
+
+
+def answer(group: click.Command, environment: Any) -> str:
+    """What completes the command line in `environment`; empty for a shell that is not known."""
+    shell, _, instruction = environment.variables.get(VARIABLE, "").partition("_")
+    if shell not in _SCRIPTS or instruction != "complete":
+        return ""
+    lines = (_Bash if shell == "bash" else _Shell)(group, environment).complete()
+    return f"{lines}\n" if lines else ""
 
 
 class _Shell(ShellComplete):
-    """What was typed is split as a shell splits it, and nothing in it is expanded."""
-
     def __init__(self, group: click.Command, environment: Any) -> None:
         super().__init__(group, {"obj": environment}, "rossec", VARIABLE)
         self._variables = environment.variables
 
     def get_completion_args(self) -> tuple[list[str], str]:
-        """The words after `rossec` that are complete, and the one that is being typed."""
         line = self._variables.get("COMP_LINE")
         if line is None:  # as the scripts of click have it
             words = split_arg_string(self._variables["COMP_WORDS"])
@@ -99,38 +235,38 @@ class _Shell(ShellComplete):
         return words[1:-1], words[-1]
 
     def format_completion(self, item: CompletionItem[Any]) -> str:
-        """Type, value and description, if there is one."""
         return "\t".join((item.type, item.value, *([item.help] if item.help else [])))
 
 
 class _Bash(_Shell):
-    """Bash shows no descriptions, and replaces only what stands behind the last `:` or `=`."""
-
     def get_completions(self, args: list[str], incomplete: str) -> list[CompletionItem[Any]]:
-        """The end of each value, as bash inserts it."""
         found = super().get_completions(args, incomplete)
         typed = incomplete.partition("=")[2] if incomplete[:2] == "--" else incomplete
         kept = 0 if "COMP_LINE" not in self._variables else typed.rfind(":") + 1
         return [CompletionItem(item.value[kept:], item.type) for item in found]
 
     def format_completion(self, item: CompletionItem[Any]) -> str:
-        """Type and value."""
         return f"{item.type},{item.value}"
 
 
-_SCRIPTS: Final = {"bash": _BASH, "zsh": _ZSH, "fish": _FISH}
-SHELLS: Final = tuple(_SCRIPTS)
+def _read(path: Path) -> dict[str, Any]:
+    # A table in a file; empty if it cannot be read.
+    try:
+        with path.open("rb") as stream:
+            found = json.loads(stream.read(_MAX))
+    except (OSError, ValueError):
+        return {}
+    whole = isinstance(found, dict) and isinstance(found.get("outlines"), dict)
+    return found if whole else {}
 
 
-def script(shell: str, program: str) -> str:
-    """The script of a shell; `program` is run at each press of Tab."""
-    return _SCRIPTS[shell] % {"program": shlex.quote(program)}
-
-
-def answer(group: click.Command, environment: Any) -> str:
-    """What completes the command line in `environment`; empty for a shell that is not known."""
-    shell, _, instruction = environment.variables.get(VARIABLE, "").partition("_")
-    if shell not in _SCRIPTS or instruction != "complete":
-        return ""
-    lines = (_Bash if shell == "bash" else _Shell)(group, environment).complete()
-    return f"{lines}\n" if lines else ""
+def _stamp(directory: Path) -> str:
+    files = [
+        entry.stat()
+        for folder in [directory, *filter(Path.is_dir, directory.iterdir())]
+        if folder.name != "__pycache__"
+        for entry in os.scandir(folder)
+        if entry.name.endswith(".py")
+    ]
+    newest = max(status.st_mtime_ns for status in files)
+    return f"{len(files)} {newest} {sum(status.st_size for status in files)}"

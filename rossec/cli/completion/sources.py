@@ -19,15 +19,11 @@ from typing import Final
 
 from ca.errors import HintedError
 from ca.keys import ownership
-from rossec.cli.completion import seen
+from rossec.cli.completion import values
 
-RIGHTS: Final = (
-    "admin", "call", "graph", "param-get", "param-set", "provide", "publish", "subscribe",
-)  # fmt: skip
+RIGHTS: Final = ("admin", "call", "graph", "param-get", "param-set", "provide", "publish", "subscribe")
 _MAX_POLICY: Final = 1024 * 1024
-_NAME: Final = re.compile(
-    r"""(?<![\w/*.:-])(?:[a-z0-9._-]+:)?(?:/[A-Za-z]\w*)+(?![\w/*])""", re.ASCII
-)
+_NAME: Final = re.compile(r"""(?<![\w/*.:-])(?:[a-z0-9._-]+:)?(?:/[A-Za-z]\w*)+(?![\w/*])""", re.ASCII)
 _STORE: Final = ("typesys", "stores", "ros1_noetic.py")
 _TYPE: Final = re.compile(r"^    '(\w+)/msg/(\w+)'", re.ASCII | re.MULTILINE)
 _SHORT: Final = 8  # hexadecimal digits; commands take the beginning of an identifier
@@ -35,17 +31,14 @@ _SHORT: Final = 8  # hexadecimal digits; commands take the beginning of an ident
 _RECORD: Final = {
     "node": "SELECT name FROM certificate WHERE not_after > :now"
     " AND thumbprint NOT IN (SELECT entry FROM revocation)",
-    "thing": "SELECT name FROM thing WHERE expires > :now"
-    " AND id NOT IN (SELECT entry FROM revocation)",
-    "grant": "SELECT id FROM grant_ WHERE expires > :now"
-    " AND id NOT IN (SELECT entry FROM revocation)",
+    "thing": "SELECT name FROM thing WHERE expires > :now AND id NOT IN (SELECT entry FROM revocation)",
+    "grant": "SELECT id FROM grant_ WHERE expires > :now AND id NOT IN (SELECT entry FROM revocation)",
     "invitation": "SELECT id FROM invitation WHERE expires > :now"
     " AND id NOT IN (SELECT invitation FROM invitation_end)",
     "request": "SELECT digest FROM csr WHERE state = 'pending'",
     "grant request": "SELECT id FROM grant_request WHERE id NOT IN (SELECT request FROM decision)",
     "phone": "SELECT name FROM passkey WHERE id NOT IN (SELECT passkey FROM passkey_end)",
-    "domain": "SELECT label FROM foreign_domain"
-    " WHERE number NOT IN (SELECT number FROM foreign_domain_end)",
+    "domain": "SELECT label FROM foreign_domain WHERE number NOT IN (SELECT number FROM foreign_domain_end)",
 }
 
 
@@ -60,12 +53,10 @@ class Sources:
         self._variables = variables
 
     def own_nodes(self) -> Iterator[object]:
-        """Nodes with a directory in this home."""
         for entry in _entries(self._home / "nodes"):
             yield f"/{entry.replace('.', '/')}"
 
     def recorded(self, kind: str) -> Iterator[object]:
-        """What the authority's record has of this kind, as far as it is valid now."""
         path = self._home / "ca" / "ca.db"
         with contextlib.suppress(OSError, HintedError, sqlite3.Error):
             ownership.check_trusted(path)
@@ -78,12 +69,10 @@ class Sources:
                     yield found.hex()[:_SHORT] if isinstance(found, bytes) else found
 
     def seen(self, kind: str) -> Iterator[object]:
-        """What the last look at the graph of this master showed."""
         master = self._variables.get("ROS_MASTER_URI", "")
-        yield from seen.read(self._home, master, kind)
+        yield from values.read(self._home, master, kind)
 
     def written(self) -> Iterator[object]:
-        """Names in the policy file that are no patterns."""
         with contextlib.suppress(OSError, HintedError):
             path = self._home / "ca" / "policy.yaml"
             with os.fdopen(ownership.open_trusted(path, link=True), "rb") as stream:
@@ -92,17 +81,14 @@ class Sources:
                 yield from _NAME.findall(line.partition("#")[0])
 
     def rights(self) -> Iterator[object]:
-        """What a grant can allow."""
         yield from RIGHTS
 
     def held_grants(self) -> Iterator[object]:
-        """Grants of the nodes of this home, by the beginning of their identifiers."""
         for node in _entries(self._home / "nodes"):
             for entry in _entries(self._home / "nodes" / node / "grants"):
                 yield entry.removesuffix(".grant")[:_SHORT] if entry.endswith(".grant") else None
 
     def types(self, folder: str) -> Iterator[object]:
-        """Types of messages (`msg`) or services (`srv`) of the ROS packages of this host."""
         for share in _package_paths(self._variables):
             for package in _entries(share):
                 for entry in _entries(share / package / folder):
@@ -110,7 +96,6 @@ class Sources:
                         yield f"{package}/{entry.removesuffix(f'.{folder}')}"
 
     def known_types(self) -> Iterator[object]:
-        """The types of messages that `rosbags` knows, from its text: it takes long to import."""
         found = importlib.util.find_spec("rosbags")
         for place in (found.submodule_search_locations or []) if found else []:
             with contextlib.suppress(OSError):
@@ -119,14 +104,12 @@ class Sources:
 
 
 def _package_paths(variables: Mapping[str, str]) -> Iterator[Path]:
-    """As `rossec.participant.host_types` looks for types, without its imports."""
     given = variables.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
     places = dict.fromkeys([*given, "/opt/ros/noetic/share", "/usr/share"])
     yield from (Path(path) for path in places if path[:1] == "/")
 
 
 def _entries(directory: Path) -> list[str]:
-    """The names in a directory, if it can be read."""
     try:
         return os.listdir(directory)  # noqa: PTH208 - thousands of them, as plain text
     except OSError:

@@ -1,49 +1,72 @@
-"""Which names stand for which argument: a row for each command that takes some.
+"""Outlines of commands, as JSON values, and which names complete which of their arguments.
 
-A row has the kinds of the arguments that are text, in their order. Nothing is offered for `FREE`: a
-new name, a pattern, a value. Options mean the same in all commands, but for those in `_OTHERWISE`.
-Pure: what a kind reads is asked of `sources.Sources`.
+What completes a command line needs no more, while the module of the command takes half a second to
+import. A command made of an outline has no callback: it can only be completed. Names reach a home
+from elsewhere, so a word is offered only if no shell and no terminal can take it for more; `,` and
+tab separate the fields of an answer. What a kind reads is asked of `sources.Sources`.
 """
 
-from collections.abc import Callable, Iterator
+import contextlib
+import itertools
+import json
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from operator import methodcaller
+from pathlib import Path
 from typing import Any, Final
 
-from rossec.cli.completion import seen
-from rossec.cli.completion.outline import Outline
+import click
 
+from ca.errors import HintedError
+from ca.keys import ownership
+
+MAX_WORDS: Final = 2000
+_WORD: Final = re.compile(r"[A-Za-z0-9/][A-Za-z0-9_./:+-]{0,299}", re.ASCII)
+# Written after a command has asked the master with an identity, so that Tab asks nobody. Readable by its
+# owner only: what a node may see of the graph is not for every user of the host.
+NAME: Final = "completion.json"
+TOPIC: Final = "topic"
+SERVICE: Final = "service"
+NODE: Final = "node"
+TYPE: Final = "type"
+_MAX: Final = 1024 * 1024
+Outline = dict[str, Any]
+Values = Callable[[click.Context, click.Parameter, str], list[Any]]
+_FILES: Final = ("file", "dir")
+_WHOLE: Final = 1000  # no help line is cut
 Read = Callable[[Any], Iterator[object]]  # of `sources.Sources`
-
-FREE: Final = "free"  # nothing to offer
+FREE: Final = "free"  # nothing to offer: a new name, a pattern, a value
 COMMAND: Final = "command"
-
+# The kinds of the arguments that are text, in their order, of each command that takes some. Options mean the
+# same in all commands, but for those in `_OTHERWISE`.
 ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {
-    "border.state:forget": ("thing",),
-    "border.things:add": (FREE,),
+    "border.constrained_nodes:forget": ("thing",),
+    "border.constrained_nodes:add": (FREE,),
     "ca.enroll:enroll": (FREE,),
     "ca.identities:renew": ("recorded node",),
     "ca.identities:show": ("recorded node",),
     "ca.init:init": (FREE,),
-    "ca.intermediate:request": (FREE,),
-    "ca.invitations:revoke": ("invitation",),
+    "ca.sign:request_intermediate": (FREE,),
+    "ca.identities:revoke_invitations": ("invitation",),
     "ca.invite:command": (FREE,),
-    "ca.requests:approve": ("request",),
-    "ca.requests:deny": ("request",),
-    "ca.revocation:revoke": ("recorded node or thing",),
-    "ca.things:thing": ("thing",),
+    "ca.enroll:approve": ("request",),
+    "ca.enroll:deny": ("request",),
+    "ca.identities:revoke": ("recorded node or thing",),
+    "ca.sign:thing": ("thing",),
     "console.phones:remove": ("phone",),
-    "domain.change:limit": ("domain",),
-    "domain.change:remove": ("domain",),
+    "domain.trust:limit": ("domain",),
+    "domain.trust:remove": ("domain",),
     "domain.listing:show": ("domain",),
-    "federation.sites:add": (FREE,),
-    "federation.sites:param": ("domain", FREE),
-    "federation.sites:remove": ("domain",),
+    "relay.sites:add_site": (FREE,),
+    "relay.sites:param": ("domain", FREE),
+    "relay.sites:remove_site": ("domain",),
     "grant.delivery:list_": ("node",),
     "grant.request:request": ("own node",),
     "grant.request:approve": ("grant request",),
     "grant.request:deny": ("grant request",),
     "grant.sign:sign": ("node",),
-    "grant.signed_grants:revoke": ("grant",),
+    "grant.delivery:revoke": ("grant",),
     "node.doctor:doctor": ("own node",),
     "node.enroll:confirm": ("own node", FREE),
     "node.enroll:enroll": ("own node",),
@@ -51,33 +74,32 @@ ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {
     "node.identity:code": ("own node",),
     "node.identity:request": (FREE,),
     "node.identity:show": ("own node",),
-    "node.run:run": (COMMAND,),
-    "node.running_nodes:info": ("running node",),
+    "node.sidecar:run": (COMMAND,),
+    "ros.graph:node_info": ("running node",),
     "policy.explain:explain": ("node", "right", "topic or service"),
-    "policy.opt_out:opt_out": ("node",),
-    "relay.peers:add": (FREE,),
-    "relay.peers:card": (FREE,),
-    "relay.peers:remove": (FREE,),
-    "ros.param:delete": (FREE,),
-    "ros.param:get": (FREE,),
-    "ros.param:list_": (FREE,),
-    "ros.param:set_": (FREE, FREE),
-    "ros.service:call": ("service", FREE),
-    "ros.service:info": ("service",),
-    "ros.service:type_": ("service",),
+    "policy.apply:opt_out": ("node",),
+    "relay.sites:add_relay": (FREE,),
+    "relay.sites:card": (FREE,),
+    "relay.sites:remove_relay": (FREE,),
+    "ros.calls:delete_param": (FREE,),
+    "ros.calls:get_param": (FREE,),
+    "ros.calls:list_params": (FREE,),
+    "ros.calls:set_param": (FREE, FREE),
+    "ros.calls:call": ("service", FREE),
+    "ros.calls:service_info": ("service",),
+    "ros.calls:type_of_service": ("service",),
     "ros.topic:echo": ("topic", "message type"),
     "ros.topic:pub": ("topic", "message type", FREE),
-    "ros.topic_list:find": ("message type",),
-    "ros.topic_list:info": ("topic",),
-    "ros.topic_list:list_": (FREE,),
-    "ros.topic_list:type_": ("topic",),
-    "ros.topic_rate:bw": ("topic",),
-    "ros.topic_rate:hz": ("topic",),
-    "router.seats:add": (FREE,),
-    "router.seats:remove": (FREE,),
-    "router.seats:show": (FREE,),
+    "ros.graph:find_topics": ("message type",),
+    "ros.graph:topic_info": ("topic",),
+    "ros.graph:list_topics": (FREE,),
+    "ros.graph:type_of_topic": ("topic",),
+    "ros.topic:bw": ("topic",),
+    "ros.topic:hz": ("topic",),
+    "relay.sites:add_account": (FREE,),
+    "relay.sites:remove_account": (FREE,),
+    "relay.sites:show_account": (FREE,),
 }
-
 OPTIONS: Final = {
     "--as": "own node",
     "--border": "recorded node",
@@ -94,19 +116,17 @@ OPTIONS: Final = {
     "--topic": "topic",
 }
 _OTHERWISE: Final = {
-    ("domain.accept:accept", "--as"): FREE,
-    ("federation.sites:add", "--as"): FREE,
-    ("federation.sites:add", "--domain"): "domain",
-    ("grant.narrow:narrow", "--as"): "own node",
-    ("ros.service:call", "--type"): "service type",
+    ("domain.trust:accept", "--as"): FREE,
+    ("relay.sites:add_site", "--as"): FREE,
+    ("relay.sites:add_site", "--domain"): "domain",
+    ("grant.sign:narrow", "--as"): "own node",
+    ("ros.calls:call", "--type"): "service type",
 }
-
 _OWN: Final = methodcaller("own_nodes")
 _WRITTEN: Final = methodcaller("written")
 _NODES: Final = methodcaller("recorded", "node")
-_TOPICS: Final = methodcaller("seen", seen.TOPIC)
-_SERVICES: Final = methodcaller("seen", seen.SERVICE)
-
+_TOPICS: Final = methodcaller("seen", TOPIC)
+_SERVICES: Final = methodcaller("seen", SERVICE)
 KINDS: Final[dict[str, tuple[Read, ...]]] = {
     FREE: (),
     COMMAND: (),
@@ -114,19 +134,15 @@ KINDS: Final[dict[str, tuple[Read, ...]]] = {
     "grant": (methodcaller("recorded", "grant"), methodcaller("held_grants")),
     "grant request": (methodcaller("recorded", "grant request"),),
     "invitation": (methodcaller("recorded", "invitation"),),
-    "message type": (
-        methodcaller("seen", seen.TYPE),
-        methodcaller("known_types"),
-        methodcaller("types", "msg"),
-    ),
-    "node": (_OWN, _NODES, methodcaller("seen", seen.NODE), _WRITTEN),
+    "message type": (methodcaller("seen", TYPE), methodcaller("known_types"), methodcaller("types", "msg")),
+    "node": (_OWN, _NODES, methodcaller("seen", NODE), _WRITTEN),
     "own node": (_OWN,),
     "phone": (methodcaller("recorded", "phone"),),
     "recorded node": (_NODES,),
     "recorded node or thing": (_NODES, methodcaller("recorded", "thing")),
     "request": (methodcaller("recorded", "request"),),
     "right": (methodcaller("rights"),),
-    "running node": (methodcaller("seen", seen.NODE),),
+    "running node": (methodcaller("seen", NODE),),
     "service": (_SERVICES, _WRITTEN),
     "service type": (methodcaller("types", "srv"),),
     "thing": (methodcaller("recorded", "thing"),),
@@ -136,15 +152,124 @@ KINDS: Final[dict[str, tuple[Read, ...]]] = {
 """What is read for a kind, all of it together."""
 
 
+def offered(words: Iterable[object], incomplete: str) -> list[str]:
+    found = {word for word in words if isinstance(word, str) and is_offered(word)}
+    return sorted(word for word in found if word.startswith(incomplete))[:MAX_WORDS]
+
+
+def is_offered(word: object) -> bool:
+    return isinstance(word, str) and _WORD.fullmatch(word) is not None
+
+
+def keep(home: Path, master: str, names: Mapping[str, Iterable[str]]) -> None:
+    """Keep the names of each kind, as the master at the URI `master` gave them.
+
+    A home that cannot be written is no failure of the command that looked.
+    """
+    from rossec import files  # noqa: PLC0415 - not needed to read
+
+    kept = {kind: [*filter(is_offered, found)][:MAX_WORDS] for kind, found in names.items()}
+    data = json.dumps({"master": master, "names": kept}).encode()
+    with contextlib.suppress(OSError, HintedError):
+        files.replace(home / NAME, data, 0o600)
+
+
+def read(home: Path, master: str, kind: str) -> list[object]:
+    """The names of a kind; none if the last look was at another master."""
+    try:
+        with os.fdopen(ownership.open_trusted(home / NAME), "rb") as stream:
+            found = json.loads(stream.read(_MAX))
+    except (OSError, HintedError, ValueError):
+        return []
+    match found:
+        case {"master": str() as uri, "names": {**names}} if uri == master:
+            words = names.get(kind)
+            return words if isinstance(words, list) else []
+    return []
+
+
+def outline_of(command: click.Command) -> Outline:
+    """The outline of a command; of a group its help line alone."""
+    line = {"help": command.get_short_help_str(_WHOLE)}
+    if isinstance(command, click.Group):
+        return line
+    return {
+        **line,
+        "params": [_param(each) for each in command.params if not getattr(each, "hidden", False)],
+        "interspersed": command.allow_interspersed_args,
+        "unknown": command.ignore_unknown_options,
+    }
+
+
+def _param(param: click.Parameter) -> Outline:
+    found: Outline = {"name": param.name, "nargs": param.nargs} | _type(param.type)
+    if isinstance(param, click.Option):
+        found |= {
+            "opts": list(param.opts),
+            "others": list(param.secondary_opts),
+            "flag": param.is_flag or param.count,
+            "multiple": param.multiple,
+            "help": param.help or "",
+        }
+    return found
+
+
+def _type(kind: click.ParamType[Any]) -> Outline:
+    if isinstance(kind, click.Choice):
+        return {"choices": [str(each) for each in kind.choices]}
+    if isinstance(kind, click.Path):
+        return {"path": _FILES[kind.dir_okay and not kind.file_okay]}
+    return {"text": kind.name == "text"}
+
+
+def command_of(name: str, outline: Outline, values: Sequence[Values | None]) -> click.Command:
+    """A command to be completed; `values` complete its params, in their order."""
+    params = [*map(_parameter, outline["params"], values)]
+    settings = {
+        "allow_interspersed_args": outline["interspersed"],
+        "ignore_unknown_options": outline["unknown"],
+    }
+    return click.Command(name, params=params, context_settings=settings)
+
+
+def _parameter(outline: Outline, complete: Values | None) -> click.Parameter:
+    kind = _made_type(outline)
+    if "opts" not in outline:
+        return click.Argument(
+            [outline["name"]], nargs=outline["nargs"], type=kind, required=False, shell_complete=complete
+        )
+    if outline["flag"]:
+        pairs = itertools.zip_longest(outline["opts"], outline["others"], fillvalue="")
+        flags = [f"{one}/{other}" if other else one for one, other in pairs]
+        return click.Option([outline["name"], *flags], is_flag=True, help=outline["help"])
+    return click.Option(
+        [outline["name"], *outline["opts"]],
+        nargs=outline["nargs"],
+        type=kind,
+        multiple=outline["multiple"],
+        help=outline["help"],
+        shell_complete=complete,
+    )
+
+
+def _made_type(outline: Outline) -> click.ParamType[Any]:
+    if "choices" in outline:
+        return click.Choice(outline["choices"])
+    if "path" in outline:
+        return click.Path(file_okay=outline["path"] == "file", dir_okay=True)
+    return click.STRING
+
+
 def kinds_of(place: str, outline: Outline) -> list[str]:
-    """The kind of each option and argument of the command at `place`, in their order."""
     arguments = iter(ARGUMENTS.get(place, ()))
     return [
-        _kind_of_option(place, each["opts"]) if "opts" in each
-        else next(arguments, FREE) if each.get("text")
+        _kind_of_option(place, each["opts"])
+        if "opts" in each
+        else next(arguments, FREE)
+        if each.get("text")
         else FREE
         for each in outline["params"]
-    ]  # fmt: skip
+    ]
 
 
 def _kind_of_option(place: str, opts: list[str]) -> str:

@@ -1,34 +1,95 @@
-"""`rossec console phones`: which phones can approve, and how one is removed at the terminal."""
+"""`rossec console phone | phones | approvals`: which phones can approve, and what was approved with them."""
 
+import time
 from contextlib import closing
+from typing import Final
+from urllib.parse import quote, urlsplit
 
 import click
 
-from ca.approvals.assertion import Passkey
+from ca.approvals.passkeys import Approval, Passkey
+from ca.approvals.statement import StatementKind
+from ca.enrollment import qr
+from ca.store.log import ApprovalEnd, ApprovalState
 from ca.store.record import Store
+from rossec.authority.console.messages import sentence
+from rossec.authority.console.phone_codes import CODE_LIFETIME
 from rossec.authority.home import AuthorityHome
+from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.results import json_result
+from rossec.cli.shared.options import json_result
 from rossec.clock import format_time
+from rossec.console.listening import read_address
+from rossec.console.options import LOCALHOST, MAX_PHONE_NAME
 from rossec.errors import ConfigurationError
-from rossec.terminal import printable, record, say, say_json
+from rossec.terminal import printable, record, say, say_json, say_picture
+
+_PERIOD: Final = 0.5  # seconds between two looks at the record
 
 
-def show(environment: Environment, *, everything: bool, as_json: bool) -> None:
-    """Show the phones that can approve, or every one there was."""
-    with closing(AuthorityHome.at(environment.home).store()) as store:
-        found = store.passkeys.all() if everything else store.passkeys.active()
-        ended, used = store.passkeys.ended(), _last_used(store)
+@click.command()
+@click.option("--name", default="", help="what the phone will be called; it can be changed there")
+@click.option("--no-wait", is_flag=True, help="do not wait until the phone is set up")
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON; does not wait")
+@pass_environment
+def phone(environment: Environment, name: str, no_wait: bool, as_json: bool) -> None:
+    """Show a one-time code that logs in a phone, and can set it up to approve.
+
+    Scan it with the phone, or open the address. It works once, within 2 minutes, either to look or
+    to set up the phone. Waits until a phone is set up; Ctrl-C ends the waiting, not the code.
+    """
+    if len(name) > MAX_PHONE_NAME or (name and not name.isprintable()):
+        raise ConfigurationError(
+            f"a phone's name is one line of at most {MAX_PHONE_NAME} characters", "shorten it"
+        )
+    home = AuthorityHome.at(environment.home)
+    with closing(running_service(home)) as client:
+        origin = read_address(home.path)
+        known = _phones(home)
+        address = login_address(origin, client.phone_code(), name)
     if as_json:
-        say_json([_summary(each, used, ended) for each in found])
+        say_json({"login": address, "seconds": int(CODE_LIFETIME)})
         return
-    for each in found:
-        at = used.get(each.id)
-        last = f"approved last {format_time(at)}" if at else "has approved nothing"
-        end = f"  removed: {ended[each.id]}" if each.id in ended else ""
-        say(printable(f"{each.name}  since {format_time(each.at)}  {last}  {each.origin}{end}"))
-    if not found:
-        say("no phone can approve; next: rossec console phone")
+    show_code(address)
+    if not no_wait:
+        say(_wait(home, known))
+
+
+def running_service(home: AuthorityHome) -> KeyServiceClient:
+    client = KeyServiceClient.find(home.path)
+    if client is None:
+        raise ConfigurationError(
+            "the authority's service does not run", "start it in another terminal: rossec ca serve"
+        )
+    return client
+
+
+def _phones(home: AuthorityHome) -> dict[bytes, str]:
+    with closing(home.store()) as store:
+        return {passkey.id: passkey.name for passkey in store.passkeys.active()}
+
+
+def login_address(origin: str, code: str, name: str = "") -> str:
+    """The address that logs in with a code; in the fragment, which browsers send to nobody."""
+    return f"{origin}/login#{code}" + (f".{quote(name, safe='')}" if name else "")
+
+
+def show_code(address: str) -> None:
+    say_picture(qr.terminal(address))
+    say(address)
+    if urlsplit(address).hostname == LOCALHOST:
+        say("for a browser of this computer; for a phone see: rossec console --help, --lan")
+    say("works once, within 2 minutes; another one: rossec console phone")
+
+
+def _wait(home: AuthorityHome, known: dict[bytes, str]) -> str:
+    end = time.monotonic() + CODE_LIFETIME
+    while time.monotonic() < end:
+        for number, name in _phones(home).items():
+            if number not in known:
+                return f"{printable(name)} is set up"
+        time.sleep(_PERIOD)
+    return "the code is over, and set up no phone"
 
 
 @click.command()
@@ -51,14 +112,83 @@ def remove(environment: Environment, name: str, reason: str) -> None:
         say(f"what it approved and was not done yet comes to nothing: {ended}")
 
 
+@click.command()
+@click.option("--verify", is_flag=True, help="recompute every signature, with the whole log")
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def approvals(environment: Environment, verify: bool, as_json: bool) -> None:
+    """Show who approved what at the console, oldest first, and what came of it.
+
+    With --verify: each was signed by a phone that was set up then, for exactly what was done; exit
+    code 1 and the number of the first wrong entry of the log, if not.
+    """
+    home = AuthorityHome.at(environment.home)
+    with closing(home.store()) as store:
+        if verify:
+            store.log.audit(home.own_key())
+        phones = {passkey.id: passkey.name for passkey in store.passkeys.all()}
+        found, ends = store.approvals.all(), store.approvals.ends()
+    shown = [
+        _approvals_summary(each, phones.get(each.passkey, "?"), ends.get(each.id), verified=verify)
+        for each in found
+    ]
+    if as_json:
+        say_json(shown)
+        return
+    for item in shown:
+        say(printable(_line(item)))
+    if verify:
+        say(f"{len(found)} approval{'s' * (len(found) != 1)}, each signed by its phone")
+    elif not found:
+        say("nothing was approved at the console yet")
+
+
+def _approvals_summary(
+    approval: Approval, phone: str, end: ApprovalEnd | None, *, verified: bool
+) -> dict[str, object]:
+    statement = approval.read()
+    return {
+        "id": approval.id.hex(),
+        "kind": StatementKind(approval.kind).name.lower().replace("_", "-"),
+        "what": sentence(statement, approval.payload),
+        "phone": phone,
+        "at": approval.at,
+        "state": str(ApprovalState.WAITING) if end is None else end.state,
+        "result": "" if end is None else end.result,
+        "statement": statement.challenge.hex(),
+        **({"verified": True} if verified else {}),
+    }
+
+
+def _line(item: dict[str, object]) -> str:
+    at = item["at"]
+    time = format_time(at) if isinstance(at, int) else ""
+    result = f" ({item['result']})" if item["result"] else ""
+    head = f"{str(item['id'])[:8]}  {time}  {item['phone']}"
+    return f"{head}  {item['what']}: {item['state']}{result}"
+
+
+def show(environment: Environment, *, everything: bool, as_json: bool) -> None:
+    with closing(AuthorityHome.at(environment.home).store()) as store:
+        found = store.passkeys.all() if everything else store.passkeys.active()
+        ended, used = store.passkeys.ended(), _last_used(store)
+    if as_json:
+        say_json([_summary(each, used, ended) for each in found])
+        return
+    for each in found:
+        at = used.get(each.id)
+        last = f"approved last {format_time(at)}" if at else "has approved nothing"
+        end = f"  removed: {ended[each.id]}" if each.id in ended else ""
+        say(printable(f"{each.name}  since {format_time(each.at)}  {last}  {each.origin}{end}"))
+    if not found:
+        say("no phone can approve; next: rossec console phone")
+
+
 def _last_used(store: Store) -> dict[bytes, int]:
-    """When each passkey approved something last."""
     return {each.passkey: each.at for each in store.approvals.all()}
 
 
-def _summary(
-    passkey: Passkey, used: dict[bytes, int], ended: dict[bytes, str]
-) -> dict[str, object]:
+def _summary(passkey: Passkey, used: dict[bytes, int], ended: dict[bytes, str]) -> dict[str, object]:
     return {
         "id": passkey.id.hex(),
         "name": passkey.name,

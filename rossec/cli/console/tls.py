@@ -6,10 +6,10 @@ from pathlib import Path
 import click
 
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.console.options import Options, check_name, read_options
-from rossec.console.tls import store
-from rossec.console.tls.description import as_json as described
-from rossec.console.tls.description import describe
+from rossec.console.options import ConsoleOptions, check_name, read_options
+from rossec.console.tls import certificates
+from rossec.console.tls.own_authority import as_json as described
+from rossec.console.tls.own_authority import describe
 from rossec.errors import ConfigurationError
 from rossec.terminal import say, say_json
 
@@ -26,11 +26,11 @@ def tls(environment: Environment, renew: bool, name: str | None, as_json: bool) 
     """
     if name is not None and not renew:
         raise click.UsageError("--name is for --renew")
-    directory = environment.home / "ca" / store.DIRECTORY
+    directory = environment.home / "ca" / certificates.DIRECTORY
     if renew:
-        authority = store.renew(directory, _name(directory, name), store.first_address(), now())
+        authority = certificates.renew(directory, _name(directory, name), certificates.first_address(), now())
     else:
-        authority = store.open_authority(directory)
+        authority = certificates.open_authority(directory)
     if as_json:
         say_json(described(authority))
         return
@@ -41,10 +41,9 @@ def tls(environment: Environment, renew: bool, name: str | None, as_json: bool) 
 
 
 def _name(directory: Path, given: str | None) -> str:
-    """The name for a new authority: as given, as before, or as mDNS announces this host."""
     if given is not None:
         return check_name(given)
     try:
-        return store.open_authority(directory).name
+        return certificates.open_authority(directory).name
     except ConfigurationError:  # none, or a damaged one
-        return read_options(Options(lan=True), socket.gethostname()).name
+        return read_options(ConsoleOptions(lan=True), socket.gethostname()).name

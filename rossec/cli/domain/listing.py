@@ -4,11 +4,11 @@ from contextlib import closing
 
 import click
 
-from ca.store.domains import DomainRow
 from ca.store.record import Store
+from ca.store.signed_statements import DomainRow
 from rossec.authority.domain_operations import find_row, living_grants
 from rossec.authority.home import AuthorityHome
-from rossec.cli.domain import terms
+from rossec.cli.domain import trust
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.clock import format_time
 from rossec.terminal import printable, say, say_json
@@ -21,10 +21,12 @@ from rossec.terminal import printable, say, say_json
 def list_(environment: Environment, everything: bool, in_json: bool) -> None:
     """List the foreign domains that are trusted."""
     with closing(AuthorityHome.at(environment.home).store()) as store:
-        rows = _newest(store.domains.all()) if everything else store.domains.accepted()
+        rows = store.domains.accepted()
+        if everything:
+            rows = list({(row.label, row.root): row for row in store.domains.all()}.values())
         states = [(row, _state(store, row)) for row in rows]
     if in_json:
-        say_json([{**terms.as_json(row.read()), "state": state} for row, state in states])
+        say_json([{**trust.as_json(row.read()), "state": state} for row, state in states])
         return
     for row, state in states:
         held = row.read()
@@ -46,11 +48,11 @@ def show(environment: Environment, label: str, in_json: bool) -> None:
         grants = len(living_grants(store, label, now()))
         reason, ended = store.domains.ends().get(row.number, ("", 0))
     if in_json:
-        shown = {**terms.as_json(held), "state": state, "grants": grants}
+        shown = {**trust.as_json(held), "state": state, "grants": grants}
         say_json({**shown, "since": row.at, "ended": ended or None, "reason": reason})
         return
     say(printable(f"domain {row.domain}, here {label}: {state}"))
-    for line in terms.lines(held):
+    for line in trust.lines(held):
         say(printable(line))
     say(f"  {grants} grants for its nodes are in force or can be renewed")
     say(f"  these terms since {format_time(row.at)}")
@@ -58,11 +60,6 @@ def show(environment: Environment, label: str, in_json: bool) -> None:
         say(printable(f"  removed {format_time(ended)}{f': {reason}' * bool(reason)}"))
     else:
         say("  whether it trusts this domain too, the master knows: rossec federation status")
-
-
-def _newest(rows: list[DomainRow]) -> list[DomainRow]:
-    """The last terms of each domain, by label and root key."""
-    return list({(row.label, row.root): row for row in rows}.values())
 
 
 def _state(store: Store, row: DomainRow) -> str:

@@ -11,7 +11,7 @@ from typing import Final
 import click
 
 from rossec.gateway.rules import MAX_RULES, TopicRule, rule
-from rossec.participant.wishes import Wishes
+from rossec.participant.delivery import Wishes
 
 FROM: Final = "--from"
 RATE: Final = "--rate"
@@ -29,24 +29,15 @@ class _Group:
 
     def rules(self) -> Iterator[TopicRule]:
         if "/" in self.label:
-            raise click.UsageError(
-                f"{FROM} takes a label, and then patterns: {FROM} hospital /robot/pose"
-            )
+            raise click.UsageError(f"{FROM} takes a label, and then patterns: {FROM} hospital /robot/pose")
         if not self.patterns:
-            raise click.UsageError(
-                f"{FROM} {self.label} names no topics: {FROM} {self.label} /robot/pose"
-            )
+            raise click.UsageError(f"{FROM} {self.label} names no topics: {FROM} {self.label} /robot/pose")
         wishes = Wishes(self.rate, self.newest, self.compress)
         return (rule(self.label, pattern, wishes) for pattern in self.patterns)
 
 
 def split(words: Sequence[str]) -> tuple[tuple[TopicRule, ...], list[str]]:
-    """The rules in a command line, and its other words.
-
-    Raises:
-        click.UsageError: a word is missing, or a rate is not a number.
-        ConfigurationError: a label, pattern or rate is wrong.
-    """
+    """The rules in a command line, and its other words."""
     groups, rest, left = list[_Group](), list[str](), iter(words)
     current: _Group | None = None
     for word in left:

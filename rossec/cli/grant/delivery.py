@@ -1,26 +1,32 @@
-"""`rossec grant list | deliver`: the grants that were signed, and whether their nodes have them."""
+"""`rossec grant list | deliver | show | install | revoke`, `rossec master delegate`: signed grants."""
 
-from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
 
 import click
 
-from ca.domains.aliases import is_alias, shown
+from ca.names import is_alias, is_master_name, shown
 from grants import document
 from grants.model import Grant
+from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET
+from grants.token import peek
 from rossec import terminal
-from rossec.authority.grant_delivery import require_delivered
+from rossec.authority.grant_operations import require_delivered
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.results import json_result
-from rossec.cli.shared.service import say_deposited, service_of
+from rossec.cli.shared.master import holder_home, open_held, read_token
+from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish, say_deposited, service_of
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError, NotDelivered
 from rossec.home import NodeHome
-from rossec.terminal import note, say, say_json
+from rossec.ros.names import MASTER
+from rossec.terminal import note, printable, record, say, say_json
 
 _OVER = ("expired", "revoked")
 _STATES = {"held": "held", "fetched": "delivered", "waiting": "waiting", "": "undelivered"}
+DAY: Final = 86400
 
 
 @click.command("list")
@@ -28,9 +34,7 @@ _STATES = {"held": "held", "fetched": "delivered", "waiting": "waiting", "": "un
 @click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 @options.master_uri
 @pass_environment
-def list_(
-    environment: Environment, nodes: tuple[str, ...], as_json: bool, master_uri: str | None
-) -> None:
+def list_(environment: Environment, nodes: tuple[str, ...], as_json: bool, master_uri: str | None) -> None:
     """List the grants signed here, of one NODE or of all, and how far each has come.
 
     In order of nodes; what is in force first, and of it what ends last. Each line ends with when
@@ -43,7 +47,13 @@ def list_(
     store = service.home.store()
     grants = [document.peek(row.data) for row in store.grants() if not nodes or row.name in nodes]
     revoked = store.revoked_entries()
-    states = {grant.id: _ended(grant, revoked) for grant in grants}
+    at = now()
+    states = {
+        grant.id: "revoked"
+        if not revoked.isdisjoint((grant.id, grant.holder))
+        else "expired" * (at >= grant.cap)
+        for grant in grants
+    }
     if not all(states.values()):
         _complete(service, grants, states)
     grants.sort(key=lambda grant: _place(grant, states[grant.id]))
@@ -54,39 +64,12 @@ def list_(
         say(_line(grant, states[grant.id]))
 
 
-@click.command()
-@options.master_uri
-@json_result()
-@pass_environment
-def deliver(environment: Environment, master_uri: str | None) -> None:
-    """Deposit every grant in force that the master does not have.
-
-    Nodes fetch theirs from it, those that run at once.
-    """
-    service = service_of(environment, master_uri=master_uri)
-    count, refused = service.deposit_missing()
-    say_deposited(count, refused)
-    if not count and not refused:
-        say("the master has every grant in force")
-    require_delivered(refused)
-
-
-def _place(grant: Grant, state: str) -> tuple[object, ...]:
-    """Own nodes before those of other domains, grants in force before others, the newest first."""
-    foreign = is_alias(grant.subject)
-    return foreign, grant.subject, state in _OVER, -grant.expires, -grant.not_before, grant.id
-
-
-def _ended(grant: Grant, revoked: frozenset[bytes]) -> str:
-    """`revoked`, `expired`, or empty: in force."""
-    if not revoked.isdisjoint((grant.id, grant.holder)):
-        return "revoked"
-    return "expired" if now() >= grant.cap else ""
-
-
 def _complete(service: AuthorityService, grants: list[Grant], states: dict[bytes, str]) -> None:
-    """Fill in the states of the grants in force: what the master says, and what is here."""
-    answered, reason = _ask_master(service)
+    answered, reason = dict[bytes, str](), ""
+    try:
+        answered = dict(service.grants.delivery_states())
+    except (NotDelivered, ConfigurationError) as error:
+        reason = str(error)
     for grant in grants:
         if states[grant.id]:
             continue
@@ -98,12 +81,9 @@ def _complete(service: AuthorityService, grants: list[Grant], states: dict[bytes
         note(f"whether nodes have their grants is unknown: {reason}")
 
 
-def _ask_master(service: AuthorityService) -> tuple[Mapping[bytes, str], str]:
-    """What the master says of the grants in force, or nothing, and why."""
-    try:
-        return service.delivery_states(), ""
-    except (NotDelivered, ConfigurationError) as error:
-        return {}, str(error)
+def _place(grant: Grant, state: str) -> tuple[object, ...]:
+    foreign = is_alias(grant.subject)
+    return foreign, grant.subject, state in _OVER, -grant.expires, -grant.not_before, grant.id
 
 
 def _summary(grant: Grant, revoked: frozenset[bytes], state: str) -> dict[str, object]:
@@ -119,7 +99,6 @@ def _summary(grant: Grant, revoked: frozenset[bytes], state: str) -> dict[str, o
 
 
 def permissions_json(grant: Grant) -> list[dict[str, object]]:
-    """The permissions of a grant for programs."""
     return [
         {
             "rights": item.rights.label,
@@ -135,3 +114,156 @@ def _line(grant: Grant, state: str) -> str:
     rights = "; ".join(dict.fromkeys(given))  # a right may have several restrictions
     end = f"until {format_time(grant.expires)}"
     return f"{grant.id.hex()}  {shown(grant.subject)}  {rights}  {end}  {terminal.state(state)}"
+
+
+@click.command()
+@options.master_uri
+@json_result()
+@pass_environment
+def deliver(environment: Environment, master_uri: str | None) -> None:
+    """Deposit every grant in force that the master does not have.
+
+    Nodes fetch theirs from it, those that run at once.
+    """
+    service = service_of(environment, master_uri=master_uri)
+    count, refused = service.grants.deposit_missing()
+    say_deposited(count, refused)
+    if not count and not refused:
+        say("the master has every grant in force")
+    require_delivered(refused)
+
+
+@click.command()
+@click.argument("file", type=options.FILE)
+@json_result()
+def show(file: Path) -> None:
+    """Show what the grant in FILE allows; its signature is not checked."""
+    content = peek(read_token(file))
+    record(**_facts(content))
+    holder = printable(f"of {content.domain} for {content.subject}")
+    say(f"grant {content.id.hex()} {holder}")
+    say(f"holds from {format_time(content.not_before)} until {format_time(content.expires)}")
+    for depth, link in enumerate(content.links):
+        if content.chain:
+            to = printable(link.subject)
+            say(f"narrowed for {to}, which may also not do more than:" if depth else f"for {to}:")
+        for permission in link.permissions:
+            say(printable(f"may {permission.rights.label} {permission.pattern}"))
+            for line in permission.restriction.lines() if permission.restriction else []:
+                say(printable(f"  {line}"))
+    if content.may_narrow:
+        say(f"may be narrowed {content.may_narrow} times")
+
+
+def _facts(content: Grant) -> dict[str, object]:
+    return {
+        "id": content.id.hex(),
+        "domain": content.domain,
+        "node": content.subject,
+        "not_before": content.not_before,
+        "expires": content.expires,
+        "may_narrow": content.may_narrow,
+        "links": [{"node": link.subject, "permissions": permissions_json(link)} for link in content.links],
+    }
+
+
+@click.command()
+@click.argument("grant_files", metavar="FILE...", nargs=-1, required=True, type=options.FILE)
+@json_result()
+@pass_environment
+def install(environment: Environment, grant_files: tuple[Path, ...]) -> None:
+    """Give the grant in FILE, or the chain, to its node, on the node's machine.
+
+    Where one of several is refused the others are installed, and the exit code is 1.
+    """
+    batch = Batch(len(grant_files))
+    for file in grant_files:
+        with batch.item(file):
+            data = read_token(file)
+            home = holder_home(environment.home, peek(data))
+            content = open_held(home, data, now())
+            home.add_grant(content.id, data)
+            record(grant=content.id.hex(), node=home.name)
+            say(f"{home.name} holds grant {content.id.hex()}")
+    batch.finish()
+
+
+@click.command()
+@click.argument("grant_ids", metavar="GRANT_ID...", nargs=-1, required=True)
+@click.option("--reason", default="", help="why, for the record")
+@options.master_uri
+@json_result()
+@pass_service
+def revoke(service: AuthorityService, grant_ids: tuple[str, ...], reason: str) -> None:
+    """Revoke the grant GRANT_ID (or the beginning of it) and notify the master at once.
+
+    Where one of several is refused the others are revoked, and the exit code is 1.
+    """
+    ids = unique(grant_ids)
+    if len(ids) > 1:
+        service.unlock()  # a wrong passphrase is no fault of a grant
+    batch = Batch(len(ids), "id")
+    for grant_id in ids:
+        with batch.item(grant_id):
+            listed, entry = service.grants.revoke(grant_id, reason)
+            record(grant=entry.hex(), list=listed.seq)
+            say(f"revoked {entry.hex()} (list {listed.seq})")
+    if batch.done:
+        publish_list(service)
+    batch.finish()
+
+
+@click.command()
+@options.duration(
+    "--for",
+    "lifetime",
+    days=MAX_DELEGATION // DAY,
+    default="90d",
+    text="how long the master may renew grants",
+)
+@options.duration(
+    "--ticket",
+    days=MAX_TICKET // DAY,
+    default="8h",
+    text="how long a renewed grant holds before it is renewed again; at least a minute",
+)
+@click.option(
+    "--to",
+    "master",
+    metavar="NAME",
+    default=MASTER,
+    show_default=True,
+    help="which of the domain's masters; give its address with --master",
+)
+@click.option("--withdraw", is_flag=True, help="revoke what was delegated before instead")
+@options.master_uri
+@json_result()
+@pass_service
+def delegate(service: AuthorityService, lifetime: int, ticket: int, master: str, withdraw: bool) -> None:
+    """Let the master renew grants, unchanged and up to their caps, while the authority is away.
+
+    A revoked grant is not renewed. With --withdraw, what the master has renewed ends at once.
+    """
+    if ticket < MIN_TICKET:
+        raise ConfigurationError(
+            f"a ticket of {ticket} s ends before a node can be sure to have the next one",
+            f"give {MIN_TICKET}s or more: a node renews after two thirds, the rest is for retries",
+        )
+    if not is_master_name(master):
+        raise ConfigurationError(
+            f"{master[:255]!a} is not the name of a master", "/master, or /master/kitchen"
+        )
+    if withdraw:
+        listed, count = service.grants.revoke_delegations("withdrawn")
+        record(withdrawn=count, list=listed.seq)
+        say(f"withdrew {count} delegation{'s' * (count != 1)} (list {listed.seq})")
+        publish_list(service)
+        return
+    delegation, call = service.grants.delegate(lifetime, ticket, master)
+    until = format_time(delegation.expires)
+    record(master=master, id=delegation.id.hex(), expires=delegation.expires, published=False)
+    say(f"{master} may renew grants until {until} (delegation {delegation.id.hex()})")
+    service.grants.deliver_delegation(delegation, call)
+    record(published=True)
+    say("the master has the delegation")
+    remind_to_publish(service)

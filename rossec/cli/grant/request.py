@@ -7,23 +7,21 @@ from typing import Any
 
 import click
 
-from ca.domains.aliases import shown
+from ca.names import shown
 from grants import document
-from grants.missing_rights import grant_command, in_shell
 from grants.model import Right
 from grants.policy.decision import restriction_lines
-from grants.request import GrantRequest, RequestedRight, sign_request
+from grants.request import GrantRequest, RequestedRight, grant_command, in_shell, sign_request
 from rossec import files
 from rossec.authority import requests
 from rossec.authority.approvals import PendingApproval, verdict_change
-from rossec.authority.grant_delivery import RefusedDeposit, require_delivered
+from rossec.authority.grant_operations import RefusedDeposit, SignedGrant, require_delivered
 from rossec.authority.policyfile import PolicyFile, place, read_policy
-from rossec.authority.service import AuthorityService, SignedGrant
-from rossec.cli.grant.permission_options import own_pattern
+from rossec.authority.service import AuthorityService
+from rossec.cli.grant.sign import own_pattern
 from rossec.cli.shared import options
-from rossec.cli.shared.batch import Batch, unique
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.results import add_entry, json_result
+from rossec.cli.shared.options import Batch, add_entry, json_result, unique
 from rossec.cli.shared.service import deliver_grant, deliver_grants, pass_service, service_of
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
@@ -33,7 +31,7 @@ from rossec.terminal import note, printable, record, say, say_json
 _ASKABLE = ("publish", "subscribe", "call", "provide", "param-get", "param-set", "graph")
 
 
-def _wish_options(command: Callable[..., Any]) -> Callable[..., Any]:
+def _right_options(command: Callable[..., Any]) -> Callable[..., Any]:
     for label in reversed(_ASKABLE):
         text = f"ask for the right {label} on NAME; may be repeated"
         command = click.option(f"--{label}", multiple=True, metavar="NAME", help=text)(command)
@@ -42,7 +40,7 @@ def _wish_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command()
 @click.argument("node")
-@_wish_options
+@_right_options
 @click.option("--why", required=True, help="the reason, for the person or policy that decides")
 @click.option("--out", type=click.Path(path_type=Path), help="write the request to this new file")
 @json_result()
@@ -61,15 +59,11 @@ def request(
         raise ConfigurationError("a request for nothing", "add --subscribe NAME, --publish NAME")
     identity = home.identity(now())
     requested = tuple(
-        RequestedRight(
-            Right[label.upper()], own_pattern(name, identity.name, tail=identity.wildcard)
-        )
+        RequestedRight(Right[label.upper()], own_pattern(name, identity.name, tail=identity.wildcard))
         for label, names in named.items()
         for name in names
     )
-    asked = GrantRequest(
-        identity.domain, identity.name, now(), secrets.token_bytes(16), requested, why
-    )
+    asked = GrantRequest(identity.domain, identity.name, now(), secrets.token_bytes(16), requested, why)
     data = sign_request(home.credentials().signer, asked)
     record(request=asked.id.hex(), node=asked.node)
     say(f"request {asked.id.hex()} of {asked.node}")
@@ -91,25 +85,20 @@ def request(
 
 @click.command()
 @click.argument("request_files", nargs=-1, type=options.FILE)
-@click.option(
-    "--out-dir", type=click.Path(path_type=Path, file_okay=False), help="write grants here too"
-)
+@click.option("--out-dir", type=click.Path(path_type=Path, file_okay=False), help="write grants here too")
 @options.policy
 @options.master_uri
 @json_result()
 @pass_service
 def decide(
-    service: AuthorityService,
-    request_files: tuple[Path, ...],
-    out_dir: Path | None,
-    policy_path: Path | None,
+    service: AuthorityService, request_files: tuple[Path, ...], out_dir: Path | None, policy_path: Path | None
 ) -> None:
     """Let the policy decide the requests in REQUEST_FILES and in the inbox.
 
     What it allows is signed; what it leaves to you is shown by `rossec grant pending`.
     """
     policy = _collected(service, policy_path, request_files)
-    decided = service.decide_grants(policy)
+    decided = service.policy.decide(policy)
     refused = _deliver(service, decided.grants, out_dir)
     denied = len(decided.denied)
     record(allowed=decided.allowed, denied=denied, waiting=decided.waiting)
@@ -135,12 +124,21 @@ def pending(environment: Environment, as_json: bool, policy_path: Path | None) -
     """Show what nodes ask for and the policy leaves to you. No answer in time denies it."""
     service = service_of(environment)
     policy = _collected(service, policy_path)
-    prompts = service.pending_grants(policy)
+    prompts = service.policy.pending(policy)
     if as_json:
         say_json([_summary(item) for item in prompts])
         return
     for item in prompts:
-        _show(item, policy)
+        stored = item.stored
+        say(f"{stored.short_id}  {stored.request.node} wants to {stored.requested}")
+        say(f'  it says: "{printable(stored.request.why)}"')
+        for rule in item.verdict.rules:
+            say(f"  {rule.reason}")
+        for line in restriction_lines(item.verdict):
+            say(f"  {line}")
+        until = stored.at + policy.policy.defaults.prompt_timeout
+        say(f"  denied, unless you answer by {format_time(until)}")
+        say(f"  rossec grant approve {stored.short_id} [--approximate FILTER] [--today], or deny")
     if not prompts:
         say("no open requests")
 
@@ -149,9 +147,7 @@ def pending(environment: Environment, as_json: bool, policy_path: Path | None) -
 @click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
 @click.option("--approximate", "coarse", metavar="FILTER", help="only through this filter")
 @click.option("--today", "only_today", is_flag=True, help="only until midnight")
-@click.option(
-    "--out-dir", type=click.Path(path_type=Path, file_okay=False), help="write the grant here too"
-)
+@click.option("--out-dir", type=click.Path(path_type=Path, file_okay=False), help="write the grant here too")
 @options.policy
 @options.master_uri
 @json_result()
@@ -178,7 +174,7 @@ def approve(
     batch, signed = Batch(len(ids), "id"), list[SignedGrant]()
     for request_id in ids:
         with batch.item(request_id):
-            signed += service.approve_grants(policy, request_id, change)
+            signed += service.policy.approve(policy, request_id, change)
     refused = _deliver(service, signed, out_dir)
     batch.finish()
     require_delivered(refused)
@@ -199,7 +195,7 @@ def deny(environment: Environment, request_ids: tuple[str, ...], policy_path: Pa
     batch = Batch(len(ids), "id")
     for request_id in ids:
         with batch.item(request_id):
-            for item in service.deny_grants(policy, request_id):
+            for item in service.policy.deny(policy, request_id):
                 add_entry("requests", {"node": item.stored.request.node, **_right(item)})
                 say(f"denied {item.stored.request.node} {item.stored.requested}")
     batch.finish()
@@ -208,16 +204,13 @@ def deny(environment: Environment, request_ids: tuple[str, ...], policy_path: Pa
 def _collected(
     service: AuthorityService, policy_path: Path | None, request_files: Sequence[Path] = ()
 ) -> PolicyFile:
-    """The policy that decides, after the new requests were recorded."""
     policy = read_policy(service.rossec_home, policy_path, signs=True)
     _collect(service, policy, request_files)
     return policy
 
 
-def _collect(
-    service: AuthorityService, policy: PolicyFile, request_files: Sequence[Path] = ()
-) -> None:
-    for error in service.collect_grant_requests(policy, map(requests.read_request, request_files)):
+def _collect(service: AuthorityService, policy: PolicyFile, request_files: Sequence[Path] = ()) -> None:
+    for error in service.policy.collect_requests(policy, map(requests.read_request, request_files)):
         note(printable(f"a request was dropped: {error}"))
 
 
@@ -239,19 +232,6 @@ def _deliver(
     if out_dir is None:
         return deliver_grants(service, [data for _, data in signed])
     return ()
-
-
-def _show(item: PendingApproval, policy: PolicyFile) -> None:
-    stored = item.stored
-    say(f"{stored.short_id}  {stored.request.node} wants to {stored.requested}")
-    say(f'  it says: "{printable(stored.request.why)}"')
-    for rule in item.verdict.rules:
-        say(f"  {rule.reason}")
-    for line in restriction_lines(item.verdict):
-        say(f"  {line}")
-    until = stored.at + policy.policy.defaults.prompt_timeout
-    say(f"  denied, unless you answer by {format_time(until)}")
-    say(f"  rossec grant approve {stored.short_id} [--approximate FILTER] [--today], or deny")
 
 
 def _right(item: PendingApproval) -> dict[str, object]:

@@ -1,53 +1,155 @@
-"""`rossec grant sign | presets`: what nodes may do, signed."""
+"""`rossec grant sign | presets | narrow`: what nodes may do, and their options as permissions.
+
+A grant is narrowed with the node's own key, in its home. Nothing is recorded at an authority: the
+chain is a file for another node, and ends with each of its links.
+"""
 
 import contextlib
+import itertools
+import secrets
+from collections import Counter
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import click
 
-from ca.domains.aliases import is_alias, local_name
-from ca.names import check_name
+from ca.certificates import Identity, from_pem
+from ca.errors import PatternRefused
+from ca.names import check_name, is_alias, local_name
 from grants import document
-from grants.filters.presets import PRESETS
-from grants.model import MAX_NARROWINGS
+from grants.conditions.compile import compile_condition
+from grants.errors import ConditionRefused, FilterRefused, GrantMalformed, GrantNotHeld, NarrowingNotAllowed
+from grants.filters.compile import PRESETS, compile_filter, preset
+from grants.filters.layout import parse
+from grants.model import (
+    MAX_NARROWINGS,
+    Draft,
+    Grant,
+    Permission,
+    Restriction,
+    Right,
+    check_time,
+    filter_rules,
+)
+from grants.policy.names import NODE, check_rule_pattern, resolve
+from grants.token import pack_chain, peek, sign_narrowing
 from rossec import files
-from rossec.authority.grant_delivery import require_delivered
+from rossec.authority.grant_operations import require_delivered
 from rossec.authority.service import AuthorityService
-from rossec.cli.grant import permission_options
+from rossec.authority.signing import CLOCK_SKEW
 from rossec.cli.shared import options
-from rossec.cli.shared.context import Duration, now
-from rossec.cli.shared.results import json_result
+from rossec.cli.shared.context import Duration, Environment, now, pass_environment
+from rossec.cli.shared.master import read_token
+from rossec.cli.shared.options import json_result
 from rossec.cli.shared.service import deliver_grant, pass_service, remind_to_publish
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
-from rossec.terminal import record, say
+from rossec.home import NodeHome
+from rossec.participant.access import MAX_PRESENTED
+from rossec.participant.service_types import part_type
+from rossec.terminal import printable, record, say
 
+_EXAMPLES: Final = (
+    "for example --clear header.frame_id, --round pose.position=2.0, --when 'msg.header.frame_id == \"map\"'"
+)
+_RIGHTS: Final = {
+    Right.PUBLISH: "may publish these topics",
+    Right.SUBSCRIBE: "may subscribe to these topics",
+    Right.CALL: "may call these services",
+    Right.PROVIDE: "may provide these services",
+    Right.PARAM_GET: "may read these parameters and all below",
+    Right.PARAM_SET: "may set these parameters and all below",
+    Right.ADMIN: "may end these nodes and clean up after them",
+}
+_RESTRICTED: Final = Right.SUBSCRIBE | Right.CALL  # by conditions and filters given here
 MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
+MAX_NARROWED_DAYS: Final = 365
+_OVERHEAD: Final = 16  # of the array it is presented in
+
+
+def _once(_context: click.Context, _parameter: click.Parameter, given: tuple[Any, ...]) -> Any:
+    # The value of an option that is given once: of two click would lose the first.
+    if len(given) > 1:
+        raise click.BadParameter("given more than once, and one would be lost")
+    return given[0] if given else None
+
+
+_RESTRICTING: Final = (
+    click.option("--graph", is_flag=True, help="may see the whole ROS graph"),
+    click.option(
+        "--type",
+        "type_name",
+        multiple=True,
+        callback=_once,
+        metavar="PKG/TYPE",
+        help="message type of the restrictions",
+    ),
+    click.option("--clear", multiple=True, metavar="FIELD", help="clear this field"),
+    click.option("--round", "rounds", multiple=True, metavar="FIELD=STEP", help="round this field"),
+    click.option(
+        "--clamp", "clamps", multiple=True, metavar="FIELD=LOW:HIGH", help="keep this field in a range"
+    ),
+    click.option(
+        "--rate",
+        type=float,
+        multiple=True,
+        callback=_once,
+        metavar="HZ",
+        help="at most so many messages a second",
+    ),
+    click.option(
+        "--preset",
+        "preset_name",
+        type=click.Choice(list(PRESETS)),
+        multiple=True,
+        callback=_once,
+        help="restrictions for a usual wish; see `rossec grant presets`",
+    ),
+    click.option(
+        "--when", multiple=True, metavar="CONDITION", help="only messages and times for which this holds"
+    ),
+)
+
+
+def rights(command: Callable[..., Any]) -> Callable[..., Any]:
+    for right, help_text in reversed(_RIGHTS.items()):
+        command = click.option(f"--{right.label}", multiple=True, metavar="PATTERN", help=help_text)(command)
+    return command
+
+
+def permission_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add every option for rights and their restrictions; `read_permissions` takes what they say."""
+    for option in reversed(_RESTRICTING):
+        command = option(command)
+    return rights(command)
 
 
 @click.command()
 @click.argument("node")
-@permission_options.wishes
+@permission_options
+@options.duration("--for", "lifetime", days=MAX_DAYS, default="7d", text="how long it holds")
 @click.option(
-    "--for", "lifetime", type=Duration(MAX_DAYS), default="7d", show_default=True,
-    help="how long it holds",
-)  # fmt: skip
-@click.option(
-    "--renew-until", "renewal", type=Duration(MAX_DAYS), default=0, metavar="DURATION",
+    "--renew-until",
+    "renewal",
+    type=Duration(MAX_DAYS),
+    default=0,
+    metavar="DURATION",
     help="how long the master may renew it; see: rossec master delegate",
-)  # fmt: skip
-@click.option(
-    "--may-narrow", type=click.IntRange(0, MAX_NARROWINGS), default=0, metavar="N",
-    help="how often it may be handed on, restricted further; see: rossec grant narrow",
-)  # fmt: skip
-@click.option(
-    "--certificate", type=options.FILE,
-    help="the certificate of a node of another domain: its node.pem, without its key",
-)  # fmt: skip
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="also write the grant to this new file"
 )
+@click.option(
+    "--may-narrow",
+    type=click.IntRange(0, MAX_NARROWINGS),
+    default=0,
+    metavar="N",
+    help="how often it may be handed on, restricted further; see: rossec grant narrow",
+)
+@click.option(
+    "--certificate",
+    type=options.FILE,
+    help="the certificate of a node of another domain: its node.pem, without its key",
+)
+@click.option("--out", type=click.Path(path_type=Path), help="also write the grant to this new file")
 @options.master_uri
 @json_result()
 @pass_service
@@ -60,7 +162,7 @@ def sign(
     out: Path | None,
     may_narrow: int,
     certificate: Path | None,
-    **wishes: Any,
+    **said: Any,
 ) -> None:
     """Let NODE publish, subscribe, call and so on, under conditions and through filters.
 
@@ -71,18 +173,179 @@ def sign(
     verified below that domain's listed root, and the grant is a file that somebody carries there.
     """
     name = check_name(local_name(node))
-    _check_foreign(node, renewal, out, certificate, foreign=is_alias(name))
+    foreign = is_alias(name)
+    if not foreign:
+        if certificate is not None:
+            raise ConfigurationError(
+                f"{node} is a node of this domain, whose key is in the record",
+                "--certificate is for nodes of other domains: LABEL:/NAME",
+            )
+    elif renewal:
+        raise ConfigurationError(
+            "a grant for another domain is not renewed: its nodes ask another master",
+            "give the whole time: --for",
+        )
+    elif out is None:
+        raise ConfigurationError(
+            f"no master of this domain delivers to {node}", "give --out FILE, and carry it there"
+        )
     if out is not None:
         check_new(out)
-    wanted = permission_options.for_node(wishes, name, lambda: _has_tail(service, name))
-    permissions = permission_options.read(wanted)
+    wanted = for_node(said, name, lambda: _has_suffix(service, name))
+    permissions = read_permissions(wanted)
     pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
-    draft, data = service.sign_grant(name, permissions, lifetime, renewal, may_narrow, pem)
+    draft, data = service.grants.sign(name, permissions, lifetime, renewal, may_narrow, pem)
     record(id=document.grant_id(data).hex(), node=name, expires=draft.expires)
     say(f"grant {document.grant_id(data).hex()} for {node} until {format_time(draft.expires)}")
     refused = deliver_grant(service, data, out)
     remind_to_publish(service)
     require_delivered(refused)
+
+
+def check_new(out: Path) -> None:
+    """Before anything is signed: a grant that cannot be written would exist nevertheless."""
+    if out.exists() or out.is_symlink():
+        raise ConfigurationError(f"{out} exists and is not overwritten", "give a new file")
+    if not out.parent.is_dir():
+        raise ConfigurationError(f"there is no directory {out.parent}", "make it first")
+
+
+def for_node(said: Mapping[str, Any], node: str, has_suffix: Callable[[], bool]) -> dict[str, Any]:
+    """What `permission_options` say, with own names as those of `node`.
+
+    Only if there are own names it is asked whether the node `has_suffix`: one for anonymous nodes.
+    """
+    named = patterns_by_right(said)
+    if not any(is_own_text(each) for each in itertools.chain(*named.values())):
+        return dict(said)
+    suffix = has_suffix()
+    own = {
+        str(right.name).lower(): tuple(own_pattern(each, node, tail=suffix) for each in patterns)
+        for right, patterns in named.items()
+    }
+    return {**said, **own}
+
+
+def patterns_by_right(options: Mapping[str, Any]) -> dict[Right, tuple[str, ...]]:
+    return {right: options[str(right.name).lower()] for right in _RIGHTS}
+
+
+def is_own_text(text: str) -> bool:
+    return NODE in text or text.startswith("~")
+
+
+def own_pattern(text: str, node: str, *, tail: bool) -> str:
+    """The pattern that `{node}/pose` is for `node`; every other one is returned as it is."""
+    if not is_own_text(text):
+        return text
+    found = resolve(check_rule_pattern(text), node, tail=tail)
+    if found is None:
+        raise PatternRefused(f"{text[:80]!a} is no name of {node}", "its own authority grants it")
+    return found
+
+
+def _has_suffix(service: AuthorityService, name: str) -> bool:
+    with contextlib.closing(service.home.store()) as store:
+        return not is_alias(name) and store.valid_certificate(name, now()).wildcard
+
+
+def permissions(
+    wanted: Mapping[Right, tuple[str, ...]], *, graph: bool, restricted: list[Restriction]
+) -> tuple[Permission, ...]:
+    made: list[Permission] = []
+    for right, patterns in wanted.items():
+        inside = restricted if right in _RESTRICTED and restricted else [None]
+        # all restrictions that cover a name hold together
+        made += [Permission(pattern, right, item) for pattern in patterns for item in inside]
+    if graph:
+        made.append(Permission("/**", Right.GRAPH))
+    if not made:
+        raise ConfigurationError(
+            "a grant that allows nothing", "add --publish, --subscribe, --call or another right"
+        )
+    if restricted and not any(item.restriction for item in made):
+        raise ConfigurationError(
+            "conditions and filters restrict what a subscriber sees and what a caller may ask",
+            "add --subscribe or --call",
+        )
+    return tuple(made)
+
+
+def read_permissions(said: Mapping[str, Any]) -> tuple[Permission, ...]:
+    """The permissions that the options say."""
+    filters = rules(said["clear"], said["rounds"], said["clamps"])
+    inside = restrictions(said["type_name"], filters, said["when"], said["rate"], said["preset_name"])
+    return permissions(patterns_by_right(said), graph=said["graph"], restricted=inside)
+
+
+def rules(
+    clear: tuple[str, ...], rounds: tuple[str, ...], clamps: tuple[str, ...]
+) -> dict[str, dict[str, object]]:
+    given: list[tuple[str, dict[str, object]]] = [(path, {"clear": True}) for path in clear]
+    given += [(path, {"round": {"step": step}}) for path, step in map(_rounding, rounds)]
+    given += [(path, {"clamp": {"low": low, "high": high}}) for path, low, high in map(_clamping, clamps)]
+    for path, times in Counter(path for path, _ in given).items():
+        if times > 1:
+            raise ConfigurationError(
+                f"{path}: {times} filters for one field", "one of --clear, --round and --clamp"
+            )
+    return dict(given)
+
+
+def _rounding(text: str) -> tuple[str, float]:
+    path, _, step = text.partition("=")
+    try:
+        return path, float(step)
+    except ValueError:
+        raise ConfigurationError(
+            f"--round {text} has no step", "for example --round pose.position=2.0"
+        ) from None
+
+
+def _clamping(text: str) -> tuple[str, float, float]:
+    path, _, limits = text.partition("=")
+    low, _, high = limits.partition(":")
+    try:
+        return path, _number(low), _number(high)
+    except ValueError:
+        raise ConfigurationError(
+            f"--clamp {text} has no range", "for example --clamp ranges=0.5:10"
+        ) from None
+
+
+def _number(text: str) -> float:
+    # An integer where it is written so: integer fields accept no float.
+    try:
+        return int(text)
+    except ValueError:
+        return float(text)
+
+
+def restrictions(
+    type_name: str | None,
+    filters: dict[str, dict[str, object]],
+    when: tuple[str, ...],
+    rate: float | None,
+    preset_name: str | None,
+) -> list[Restriction]:
+    """Build the restrictions and compile them for the message type: mistakes show here."""
+    if not filters and not when and rate is None and preset_name is None:
+        return []
+    if type_name is None:
+        raise ConfigurationError("restrictions need the message type they are for", "add --type PKG/TYPE")
+    shape = parse(type_name, part_type(type_name).definition)
+    try:
+        made = [preset(preset_name).restriction(shape)] if preset_name is not None else []
+        if filters or when or rate is not None:
+            made.append(Restriction(type_name, when, filter_rules(filters), rate))
+        for restriction in made:
+            compile_filter(shape, restriction.filters)
+            for text in restriction.conditions:
+                compile_condition(shape, text)
+    except (ConditionRefused, FilterRefused) as error:
+        error.hint = error.hint or _EXAMPLES
+        raise
+    return made
 
 
 @click.command()
@@ -101,36 +364,108 @@ def presets() -> None:
         say(f"  still discloses {entry.reveals}")
 
 
-def _has_tail(service: AuthorityService, name: str) -> bool:
-    """Whether the newest identity of a node of this domain is for anonymous nodes too."""
-    with contextlib.closing(service.home.store()) as store:
-        return not is_alias(name) and store.valid_certificate(name, now()).wildcard
-
-
-def _check_foreign(
-    node: str, renewal: int, out: Path | None, certificate: Path | None, *, foreign: bool
+@click.command()
+@click.argument("file", type=options.FILE)
+@click.option("--as", "own", required=True, metavar="NODE", help="the node that holds the grant")
+@click.option(
+    "--to",
+    "certificate",
+    required=True,
+    type=options.FILE,
+    metavar="CERTIFICATE",
+    help="the certificate of the node that gets the right: its node.pem",
+)
+@permission_options
+@options.duration(
+    "--for",
+    "lifetime",
+    days=MAX_NARROWED_DAYS,
+    default="8h",
+    text="how long it holds; never longer than the grant in FILE",
+)
+@click.option(
+    "--may-narrow",
+    type=click.IntRange(0),
+    default=0,
+    metavar="N",
+    help="how often the other node may hand it on in its turn",
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), required=True, help="write the token to this new file"
+)
+@json_result()
+@pass_environment
+def narrow(
+    environment: Environment,
+    /,
+    file: Path,
+    own: str,
+    certificate: Path,
+    lifetime: int,
+    may_narrow: int,
+    out: Path,
+    **said: Any,
 ) -> None:
-    """What differs for a node of another domain, before anything is signed."""
-    if not foreign:
-        if certificate is not None:
-            raise ConfigurationError(
-                f"{node} is a node of this domain, whose key is in the record",
-                "--certificate is for nodes of other domains: LABEL:/NAME",
-            )
-    elif renewal:
-        raise ConfigurationError(
-            "a grant for another domain is not renewed: its nodes ask another master",
-            "give the whole time: --for",
+    """Hand the grant in FILE on to another node of this domain, restricted further.
+
+    What FILE does not allow stays refused, whatever is given here: each link is judged alone, and
+    all restrictions hold. The other node takes the token with: rossec grant install.
+    """
+    check_new(out)
+    home, at = NodeHome.find(environment.home, check_name(own)), now()
+    token, receiver = read_token(file), _receiver(home, certificate, at)
+    held = peek(token)
+    if held.holder != home.identity(at).thumbprint:
+        raise GrantNotHeld(
+            printable(f"grant {held.short_id} is not held by {home.name}"),
+            printable(f"it is for {held.subject}"),
         )
-    elif out is None:
-        raise ConfigurationError(
-            f"no master of this domain delivers to {node}", "give --out FILE, and carry it there"
+    check_time(held, at)
+    if held.may_narrow <= may_narrow:
+        raise NarrowingNotAllowed(
+            f"grant {held.short_id} allows {held.may_narrow} narrowings after it",
+            "fewer with --may-narrow"
+            if held.may_narrow
+            else "at the authority: rossec grant sign NODE --may-narrow N",
         )
+    end = min(at + lifetime, held.expires)
+    draft = Draft(
+        domain=held.domain,
+        subject=receiver.name,
+        holder=receiver.thumbprint,
+        not_before=max(at - CLOCK_SKEW, held.not_before),
+        expires=end,
+        cap=end,
+        serial=secrets.token_bytes(16),
+        permissions=read_permissions(said),
+        may_narrow=may_narrow,
+    )
+    _check_useful(draft, held)
+    packed = pack_chain(token, [sign_narrowing(home.signer(), draft, held)])
+    if len(packed) > MAX_PRESENTED - _OVERHEAD:
+        raise GrantMalformed(
+            f"the chain has {len(packed)} bytes, more than a node may present", "fewer rights in one grant"
+        )
+    files.create(out, packed, 0o644)
+    record(id=peek(packed).id.hex(), node=receiver.name, expires=end, file=str(out))
+    say(f"grant {peek(packed).id.hex()} for {receiver.name} until {format_time(end)}")
+    say(f"written to {out}; on the machine of {receiver.name}: rossec grant install {out.name}")
 
 
-def check_new(out: Path) -> None:
-    """Before anything is signed: a grant that cannot be written would exist nevertheless."""
-    if out.exists() or out.is_symlink():
-        raise ConfigurationError(f"{out} exists and is not overwritten", "give a new file")
-    if not out.parent.is_dir():
-        raise ConfigurationError(f"there is no directory {out.parent}", "make it first")
+def _receiver(home: NodeHome, path: Path, at: int) -> Identity:
+    pem = files.read(path, options.MAX_PEM, ConfigurationError(f"there is no file {path}", ""))
+    anchor = home.anchor()
+    chain = [each for each in from_pem(pem) if each != anchor.certificate]
+    return anchor.verify(chain, at)
+
+
+def _check_useful(draft: Draft, held: Grant) -> None:
+    # A right on one name that FILE does not give is a mistake; of patterns nobody can say.
+    for permission in draft.permissions:
+        if "*" in permission.pattern:
+            continue
+        for right in permission.rights:
+            if not held.covers(right, permission.pattern):
+                raise ConfigurationError(
+                    f"the grant gives no {right.label} on {permission.pattern}", "see: rossec grant show FILE"
+                )

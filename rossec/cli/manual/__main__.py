@@ -5,12 +5,11 @@ from importlib.metadata import version
 from pathlib import Path
 
 from rossec.cli.main import rossec
-from rossec.cli.manual.made import make
+from rossec.cli.manual.pages import make
 from rossec.terminal import say
 
 
 def main() -> None:
-    """Write them, and say where."""
     written, _ = make(rossec, version("rossec"), Path(sys.argv[1]))
     say(f"{len(written)} pages in {written[0].parent}")
 

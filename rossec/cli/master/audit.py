@@ -4,15 +4,15 @@ from pathlib import Path
 
 import click
 
-from ca.keys.publickey import thumbprint
+from ca.keys.signing import thumbprint
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.clock import format_time
 from rossec.environment import own_master
 from rossec.errors import ConfigurationError
 from rossec.files import lines, open_text
 from rossec.home import NodeHome
-from rossec.operation import audit as audits
-from rossec.operation.audit_mark import check_beginning
+from rossec.host import audit as audits
+from rossec.host.audit import check_beginning
 from rossec.terminal import note, printable, say
 
 AUDIT = "audit.log"
@@ -66,7 +66,6 @@ def audit(
 
 
 def _usual(environment: Environment, *, of_authority: bool) -> tuple[NodeHome, Path]:
-    """The node that writes the audit, and the file it writes now."""
     if not of_authority:
         node = NodeHome.of(environment.home, own_master(environment.variables))
         return node, node.path / AUDIT
@@ -77,7 +76,6 @@ def _usual(environment: Environment, *, of_authority: bool) -> tuple[NodeHome, P
 
 
 def _key_of(home: NodeHome) -> bytes | None:
-    """The thumbprint of the key of the node that writes the audit, where this is its host."""
     return thumbprint(home.signer().public_key) if (home.path / "node.key").exists() else None
 
 
@@ -89,9 +87,7 @@ def _parse_thumbprint(text: str) -> bytes:
 
 
 def _read_entries(path: Path, most: int) -> tuple[list[audits.Entry], list[int]]:
-    missing = ConfigurationError(
-        f"there is no {path}", "has the master run here? with --ca: the service"
-    )
+    missing = ConfigurationError(f"there is no {path}", "has the master run here? with --ca: the service")
     with open_text(path, missing) as file:
         return audits.read_entries(lines(file, audits.LINE_LIMIT + 2), most)
 

@@ -4,39 +4,33 @@ import asyncio
 import logging
 import os
 from collections.abc import Mapping
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from rossec.authority.local_list import LocalList
-from rossec.channel import suite_selection
-from rossec.cli.master.admin import ADMIN_SOCKET
+from rossec.channel import opening
 from rossec.cli.master.audit import AUDIT
 from rossec.cli.shared.context import Environment, now
 from rossec.cli.shared.master import own_variables
+from rossec.cli.status import ADMIN_SOCKET
 from rossec.errors import ConfigurationError
-from rossec.federation.config import FederationConfig, read_config
-from rossec.federation.mesh import Mesh
-from rossec.federation.start import mesh_of
+from rossec.federation.mesh import Mesh, mesh_of
+from rossec.federation.settings import FederationConfig, read_config
 from rossec.home import NodeHome
+from rossec.host.audit import audit_written
+from rossec.host.local_sockets import process_lock
+from rossec.host.runner import READY, STOPPING, log_as_json, notify, stop_on_signals, until_first_ends
 from rossec.master.operation import config as configs
-from rossec.master.operation.admin import AdminPort
+from rossec.master.operation.admin import AdminPort, denials_limited, raise_descriptor_limit
 from rossec.master.operation.config import Config
-from rossec.master.operation.denial_limit import denials_limited
-from rossec.master.operation.denial_log import DenialLog, ignore_denial
-from rossec.master.operation.descriptor_limit import raise_descriptor_limit
 from rossec.master.operation.metrics import MetricsExporter, on_loop
-from rossec.master.rights.identity_renewals import Renewer
-from rossec.master.server.server import MasterServer
-from rossec.master.server.start import master_of
-from rossec.operation.audit_log import audit_written
-from rossec.operation.json_log import log_as_json
-from rossec.operation.process_lock import process_lock
-from rossec.operation.shutdown import stop_on_signals, until_first_ends
-from rossec.operation.systemd import READY, STOPPING, notify
-from rossec.ros import settings
+from rossec.master.rights.renewals import Renewer
+from rossec.master.server.effects import DenialLog, ignore_denial
+from rossec.master.server.server import MasterServer, master_of
+from rossec.ros import names
 from rossec.terminal import say, say_json
 
 LOCK: Final = "master.lock"
@@ -54,23 +48,12 @@ def run(
     follow_announced: bool,
     as_json: bool,
 ) -> None:
-    """Run the master; the options that were `given` prevail over the configuration file.
+    """Run the master; the fields of `Config` that were `given` prevail over the configuration file.
 
-    Args:
-        environment: of the command.
-        config_file: the configuration, or None for the defaults.
-        given: fields of `Config` that options set.
-        passphrase_file: of the intermediate's key, to renew identities.
-        renew_identities: renew them with the intermediate of this host.
-        post_quantum: the policy, instead of that of the environment.
-        name: of the master, `/master` or `/master/<segment>`.
-        follow_announced: follow every master of the own domain that is announced.
-        as_json: print the address as JSON.
-
-    Raises:
-        HintedError: the master cannot start, or ended by itself.
+    With `renew_identities` it renews them with the intermediate of this host, whose key
+    `passphrase_file` opens.
     """
-    suites = suite_selection.post_quantum(environment.variables, post_quantum)
+    suites = opening.post_quantum(environment.variables, post_quantum)
     config = replace(Config() if config_file is None else configs.load(config_file), **given)
     with ExitStack() as stack:
         if config.log == "json":
@@ -79,22 +62,17 @@ def run(
         stack.enter_context(denials_limited())
         home = NodeHome.of(environment.home, name)
         home.anchor()  # before anything is written there
-        settings.read((), own_variables(environment), default_name=name)  # likewise
-        federation = _federation(config, config_file, follow_announced=follow_announced)
-        stack.enter_context(_only_master(home.path))
+        names.read((), own_variables(environment), default_name=name)  # likewise
+        found = read_config(config.federation, str(config_file))
+        federation = replace(found, follow_announced=True) if follow_announced else found
+        busy = ConfigurationError(
+            f"another master runs from {home.path}", "end it first; two would lose each other's parameters"
+        )
+        stack.enter_context(process_lock(home.path / LOCK, busy))
         if config.audit:
             stack.enter_context(audit_written(home.path / AUDIT, home.signer()))
         renewer = _renewer(environment, passphrase_file) if renew_identities else None
         asyncio.run(_serve(environment, home, config, suites, renewer, federation, as_json=as_json))
-
-
-def _only_master(directory: Path) -> AbstractContextManager[None]:
-    """One master at a time runs from a directory."""
-    busy = ConfigurationError(
-        f"another master runs from {directory}",
-        "end it first; two would lose each other's parameters",
-    )
-    return process_lock(directory / LOCK, busy)
 
 
 async def _serve(
@@ -107,7 +85,7 @@ async def _serve(
     *,
     as_json: bool,
 ) -> None:
-    own = settings.read((), own_variables(environment), default_name=home.name)
+    own = names.read((), own_variables(environment), default_name=home.name)
     stop = stop_on_signals()
     local_list = LocalList(environment.home)
     newest = local_list.newest()
@@ -134,7 +112,13 @@ async def _serve(
             exporter = MetricsExporter(on_loop(server.status), config.metrics)
         if config.admin:
             await admin.start()
-        _print_address(server, home, exporter, as_json=as_json)
+        metrics = {} if exporter is None else {"metrics": f"http://127.0.0.1:{exporter.port}/metrics"}
+        if as_json:
+            say_json({"ready": server.uri, **metrics})
+        else:
+            say(f"master of {home.anchor().domain} at {server.uri}")
+            for uri in metrics.values():
+                say(f"metrics at {uri}")
         logging.getLogger("rossec.audit").info("the master began at %s", server.uri)
         notify(READY, environment.variables)
         announcing = (_announce(server, home),) if config.announce else ()
@@ -160,32 +144,12 @@ async def _start(server: MasterServer) -> None:
         ) from error
 
 
-def _print_address(
-    server: MasterServer, home: NodeHome, exporter: MetricsExporter | None, *, as_json: bool
-) -> None:
-    metrics = {} if exporter is None else {"metrics": f"http://127.0.0.1:{exporter.port}/metrics"}
-    if as_json:
-        say_json({"ready": server.uri, **metrics})
-        return
-    say(f"master of {home.anchor().domain} at {server.uri}")
-    for uri in metrics.values():
-        say(f"metrics at {uri}")
-
-
 async def _announce(server: MasterServer, home: NodeHome) -> None:
-    from rossec.discovery.announcer import announce  # noqa: PLC0415 - carried when it is used
+    from rossec.discovery.local_links import announce  # noqa: PLC0415 - carried when it is used
 
     await announce(
-        home.credentials(), server.uri, name=home.name,
-        version=lambda: server.state.registry.version,
-    )  # fmt: skip
-
-
-def _federation(
-    config: Config, config_file: Path | None, *, follow_announced: bool
-) -> FederationConfig:
-    found = read_config(config.federation, str(config_file))
-    return replace(found, follow_announced=True) if follow_announced else found
+        home.credentials(), server.uri, name=home.name, version=lambda: server.state.registry.version
+    )
 
 
 def _commands(server: MasterServer, mesh: Mesh) -> Mapping[str, Any]:
@@ -197,11 +161,6 @@ def _commands(server: MasterServer, mesh: Mesh) -> Mapping[str, Any]:
 
 
 def _renewer(environment: Environment, file: Path | None) -> Renewer:
-    """Renews identities with the intermediate of this host, which is unlocked here.
-
-    Raises:
-        ConfigurationError: there is no intermediate, or it is the root, whose key stays offline.
-    """
     from rossec.authority.renewals import renew  # noqa: PLC0415 - as above
     from rossec.cli.shared.service import service_of  # noqa: PLC0415 - as above
 

@@ -9,9 +9,8 @@ from ca.enrollment import qr
 from rossec import files
 from rossec.authority.home import fingerprint, format_fingerprint
 from rossec.cli.shared import options, rules
-from rossec.cli.shared.batch import Batch, unique
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
-from rossec.cli.shared.results import json_result
+from rossec.cli.shared.options import Batch, json_result, unique
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -25,9 +24,12 @@ _MAX_BUNDLE = 64 * 1024
 @click.option("--domain", default="home", show_default=True, help="trust domain of the authority")
 @click.option("--anonymous", is_flag=True, help="for anonymous nodes too: /rviz also as /rviz_17")
 @click.option(
-    "--meta", "meta_path", type=options.FILE, metavar="FILE",
+    "--meta",
+    "meta_path",
+    type=options.FILE,
+    metavar="FILE",
     help="take the name that rules give for the metadata there, instead of NAME",
-)  # fmt: skip
+)
 @rules.option
 @json_result()
 @pass_environment
@@ -47,25 +49,19 @@ def request(
     batch = Batch(len(chosen), "name")
     for name in chosen:
         with batch.item(name):
-            made.append(_request(NodeHome.of(environment.home, name), domain, anonymous=anonymous))
+            home = NodeHome.of(environment.home, name)
+            asked = home.create_request(domain, wildcard=anonymous)
+            record(file=str(home.request_path), key=asked.thumbprint.hex())
+            say(f"request of {home.name}: {home.request_path}")
+            say(f"fingerprint {format_fingerprint(asked.thumbprint)}")
+            made.append(home.request_path)
     if made:
         listed, option = " ".join(map(str, made)), " --anonymous" if anonymous else ""
         say(f"next, at the authority: rossec ca sign {listed}{option}")
     batch.finish()
 
 
-def _request(home: NodeHome, domain: str, *, anonymous: bool) -> Path:
-    made = home.create_request(domain, wildcard=anonymous)
-    record(file=str(home.request_path), key=made.thumbprint.hex())
-    say(f"request of {home.name}: {home.request_path}")
-    say(f"fingerprint {format_fingerprint(made.thumbprint)}")
-    return home.request_path
-
-
-def _names(
-    given: tuple[str, ...], meta_path: Path | None, rules_path: Path | None
-) -> tuple[str, ...]:
-    """The names of the requests: given, or by rules."""
+def _names(given: tuple[str, ...], meta_path: Path | None, rules_path: Path | None) -> tuple[str, ...]:
     if bool(given) is (meta_path is not None):
         raise click.UsageError("give NAME, or --meta FILE")
     if meta_path is not None:
@@ -83,9 +79,7 @@ def _names(
 @click.option("--png", type=click.Path(path_type=Path), help="write the code to this PNG file")
 @json_result()
 @pass_environment
-def code(
-    environment: Environment, name: str, text: bool, svg: Path | None, png: Path | None
-) -> None:
+def code(environment: Environment, name: str, text: bool, svg: Path | None, png: Path | None) -> None:
     """Show the QR code of NAME's request, for the authority to scan."""
     payload = qr.label_code(NodeHome.of(environment.home, name).request())
     record(name=name, code=payload)
@@ -120,17 +114,14 @@ def install(environment: Environment, bundles: tuple[Path, ...], yes: bool) -> N
         confirm("does the authority show the same fingerprint (rossec ca show)?", yes=yes)
         for bundle in found:
             with batch.item(bundle):
-                _install(environment, _read(bundle), anchor)
+                data = _read(bundle)
+                home, now_in_it = NodeHome.for_bundle(environment.home, data, now())
+                if now_in_it.thumbprint != anchor.thumbprint:
+                    raise ConfigurationError("the file has changed meanwhile", "copy it here again")
+                home.install(data, now())
+                record(name=home.name, domain=anchor.domain)
+                say(f"{home.name} is enrolled in {anchor.domain}")
     batch.finish()
-
-
-def _install(environment: Environment, data: bytes, confirmed: TrustAnchor) -> None:
-    home, anchor = NodeHome.for_bundle(environment.home, data, now())
-    if anchor.thumbprint != confirmed.thumbprint:
-        raise ConfigurationError("the file has changed meanwhile", "copy it here again")
-    home.install(data, now())
-    record(name=home.name, domain=anchor.domain)
-    say(f"{home.name} is enrolled in {anchor.domain}")
 
 
 def _read(bundle: Path) -> bytes:

@@ -1,24 +1,194 @@
-"""`rossec policy apply`: make the grants in force what the policy allows outright."""
+"""`rossec policy apply | learn | review`, `rossec privacy opt-out`: a policy grows and is put in force."""
 
+import asyncio
+import contextlib
 import shlex
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
-from ca.domains.aliases import is_alias
+from ca.names import check_pattern, is_alias
+from grants import document
+from grants.policy.learn import (
+    MAX_LINE,
+    NewRule,
+    Observation,
+    add_rules,
+    beginning,
+    free_id,
+    from_graph,
+    from_log,
+    learnable,
+    needs_basics,
+)
+from grants.policy.learn import learn as learn_from
 from grants.policy.lint import lint
-from rossec.authority.policy_operations import require_complete
-from rossec.authority.policy_plan import PolicyPlan
-from rossec.authority.policyfile import PolicyFile, layout_of, read_policy
+from grants.policy.rules import ID as BASICS
+from grants.policy.rules import is_basics
+from grants.policy.source import suggest
+from grants.request import own_form
+from rossec import files
+from rossec.authority.grant_operations import require_complete, require_delivered
+from rossec.authority.home import AuthorityHome
+from rossec.authority.policyfile import PolicyFile, PolicyPlan, parse_policy, place, read_policy
 from rossec.authority.service import AuthorityService
-from rossec.cli.policy import apply_report
-from rossec.cli.policy.apply_report import count
+from rossec.cli.policy import check
+from rossec.cli.policy.check import count
 from rossec.cli.shared import options
-from rossec.cli.shared.busy import working
-from rossec.cli.shared.context import confirm
-from rossec.cli.shared.service import pass_service, remind_to_publish
-from rossec.errors import NotDelivered, PolicyContradicted
-from rossec.terminal import note, say, say_json
+from rossec.cli.shared.context import Environment, confirm, now, pass_environment
+from rossec.cli.shared.master import find_master, master_as
+from rossec.cli.shared.options import json_result, working
+from rossec.cli.shared.service import deliver_grants, pass_service, publish_list, remind_to_publish
+from rossec.errors import ConfigurationError, NotDelivered, PolicyContradicted
+from rossec.home import NodeHome
+from rossec.participant.host_types import layout_of
+from rossec.ros.names import PRESENT_GRANTS
+from rossec.terminal import note, record, say, say_json
+
+_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+_CHOICES = {"a": "allow", "c": "allow coarsely", "g": "allow beside it too", "d": "deny", "s": "skip"}
+
+
+@click.command()
+@click.option("--from-graph", "node", metavar="NODE", help="as this node ask the running master")
+@click.option("--from-log", "log", type=_FILE, help="from this denial log (rossec master --complaints FILE)")
+@click.option("--out", type=click.Path(path_type=Path), help="write here instead of the policy")
+@options.policy
+@json_result()
+@pass_environment
+def learn(
+    environment: Environment, node: str | None, log: Path | None, out: Path | None, policy_path: Path | None
+) -> None:
+    """Add rules for what runs and no rule decides: exact names, marked for review.
+
+    NODE needs a grant with the right graph. Callers of services and readers of parameters do not
+    show in the graph, only in a denial log.
+    """
+    if node is None and log is None:
+        raise ConfigurationError("nothing to learn from", "add --from-graph or --from-log")
+    seen = _read_log(log) if log is not None else []
+    if node is not None:
+        seen += _with_certified_names(environment, asyncio.run(_observe_graph(environment, node)))
+    read = _existing(place(environment.home, policy_path))
+    text, rules = learn_from(read.text, read.decider, seen, _day())
+    if out is None:
+        read.replace(text)
+    else:
+        parse_policy(text, str(out))
+        files.replace(out, text.encode(), 0o644, keep=True)
+    record(rules=[rule.id for rule in rules], file=str(out or read.path))
+    if needs_basics(seen) and not any(map(is_basics, read.policy.rules)):
+        note("what every ROS program needs was left out: add basics: true to the policy")
+    for rule in rules:
+        say(f"learned {rule.id}: {_rights(rule)}")
+    total = len(rules) + _count_own(read)
+    say(
+        f"{count(len(rules), 'new rule')}, {total} in {out or read.path};"
+        " next: rossec policy review --from-log FILE"
+    )
+
+
+def _read_log(path: Path) -> list[Observation]:
+    with path.open(encoding="utf-8", errors="replace") as file:
+        return from_log(files.lines(file, MAX_LINE + 2))
+
+
+def _with_certified_names(environment: Environment, seen: list[Observation]) -> list[Observation]:
+    if not (environment.home / "ca" / "ca.pem").exists():
+        return seen
+    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
+        named = (
+            replace(
+                item,
+                node=store.identities.certified_name(item.node, now()),
+                name=own_form(item.node, item.name),
+            )
+            for item in seen
+        )
+        return list(dict.fromkeys(named))
+
+
+async def _observe_graph(environment: Environment, node: str) -> list[Observation]:
+    home = NodeHome.of(environment.home, node)
+    async with master_as(environment, home, await find_master(environment, home)) as client:
+        await client.ask(PRESENT_GRANTS, home.name, home.grants())
+        state = await client.ask("getSystemState", home.name)
+        types = await client.ask("getTopicTypes", home.name)
+    return [item for item in from_graph(state, types) if item.node != home.name]
+
+
+def _existing(path: Path) -> PolicyFile:
+    # The policy, or a new one that gives basics alone; not written yet.
+    if path.exists():
+        return PolicyFile.read(path)
+    if not path.parent.is_dir():
+        raise ConfigurationError(f"there is no {path.parent}", "give --policy FILE")
+    text = beginning("robot")
+    return PolicyFile(path, text, parse_policy(text, str(path)))
+
+
+def _day() -> str:
+    return time.strftime("%Y-%m-%d", time.gmtime(now()))
+
+
+def _rights(rule: NewRule) -> str:
+    return "; ".join(f"{label} {', '.join(names)}" for label, names in rule.rights.items())
+
+
+def _count_own(read: PolicyFile) -> int:
+    return sum(rule.id != BASICS for rule in read.policy.rules)
+
+
+@click.command()
+@click.option("--from-log", "log", type=_FILE, required=True, help="what to go through")
+@options.policy
+@pass_environment
+def review(environment: Environment, log: Path, policy_path: Path | None) -> None:
+    """Go through a denial log, and answer for each line no rule decides."""
+    read = _existing(place(environment.home, policy_path))
+    before = _count_own(read)
+    for seen in _read_log(log):
+        item = learnable(seen)
+        if item is not None and learn_from(read.text, read.decider, [item], _day())[1]:
+            read = _ask_about(read, item)
+    total = _count_own(read)
+    say(f"{count(total - before, 'new rule')}, {total} in {read.path}")
+
+
+def _ask_about(read: PolicyFile, item: Observation) -> PolicyFile:
+    say(f"{item.node} wants to {item.right.label} {item.name}")
+    question = ", ".join(f"[{letter}] {words}" for letter, words in _CHOICES.items())
+    answer = click.prompt(question, type=click.Choice(list(_CHOICES)), default="s", err=True)
+    if answer == "s":
+        return read
+    rule = _rule_of(read, item, answer)
+    return read.replace(add_rules(read.text, [rule]))
+
+
+def _rule_of(read: PolicyFile, item: Observation, answer: str) -> NewRule:
+    name = item.name.rsplit("/", 1)[0] + "/*" if answer == "g" else item.name
+    chosen = _prompt_for_filter(read) if answer == "c" else None
+    effect = "deny" if answer == "d" else "allow"
+    prefix = f"{'no' if effect == 'deny' else 'reviewed'}-{item.node[1:].replace('/', '-')}"
+    return NewRule(
+        free_id((rule.id for rule in read.policy.rules), prefix[:70]),
+        f"reviewed {_day()}",
+        item.node,
+        effect,
+        {item.right.label: [name]},
+        {item.name: item.type} if item.type not in ("", "*") else {},
+        chosen,
+    )
+
+
+def _prompt_for_filter(read: PolicyFile) -> str:
+    name: str = click.prompt("through which filter of the policy?", err=True)
+    if name not in read.policy.filters:
+        hint = suggest(name, read.policy.filters)
+        raise ConfigurationError(f"no filter {name!r} in {read.path}", hint)
+    return name
 
 
 @click.command()
@@ -55,52 +225,19 @@ def apply(
     """
     policy = read_policy(service.rossec_home, policy_path, signs=True)
     with working("comparing the policy with the grants in force", quiet=as_json):
-        plan = service.plan_policy(policy, names or None, renew_due=renew, prune=prune)
+        plan = service.policy.plan(policy, names or None, renew_due=renew, prune=prune)
     if as_json:
-        say_json(apply_report.as_json(plan))
+        say_json(check.as_json(plan))
     else:
-        for line in apply_report.lines(plan):
+        for line in check.lines(plan):
             say(line)
-    _remark(policy, policy_path)
+    leaks = [item for item in lint(policy.policy, layout_of) if item.is_leak]
+    if leaks:
+        command = shlex.join(["rossec", "policy", "lint", *([str(policy_path)] if policy_path else [])])
+        note(f"this policy may give away more than it says, {count(len(leaks), 'remark')}: {command}")
     if not dry_run:
         _carry_out(service, plan, yes=yes, as_json=as_json)
     require_complete(plan)
-    _check_contradictions(plan)
-
-
-def _remark(policy: PolicyFile, given: Path | None) -> None:
-    """Say that lint finds leaks; it refuses nothing."""
-    leaks = [item for item in lint(policy.policy, layout_of) if item.is_leak]
-    if leaks:
-        command = shlex.join(["rossec", "policy", "lint", *([str(given)] if given else [])])
-        note(
-            f"this policy may give away more than it says, {count(len(leaks), 'remark')}: {command}"
-        )
-
-
-def _carry_out(service: AuthorityService, plan: PolicyPlan, *, yes: bool, as_json: bool) -> None:
-    if not plan.is_empty:
-        confirm(f"{apply_report.summary(plan)}?", yes=yes)
-        service.unlock()  # it may ask
-        with working("signing and delivering", quiet=as_json):
-            service.apply_policy(plan, note if as_json else say)
-        if any(node.sign and is_alias(node.subject.name) for node in plan.nodes):
-            say(f"grants for nodes of other domains are in {service.outgoing}: carry them there")
-        if not plan.revoke:  # else the list was published
-            remind_to_publish(service)
-        return
-    try:
-        service.complete_policy()
-    except NotDelivered as error:  # nothing was signed now, so nothing is undelivered for certain
-        note(str(error))
-
-
-def _check_contradictions(plan: PolicyPlan) -> None:
-    """Return if no grant made by hand allows what the policy denies.
-
-    Raises:
-        PolicyContradicted: some do.
-    """
     grants = {each.grant.id for each in plan.contradictions}
     if grants:
         allow = "grant made by hand allows" if len(grants) == 1 else "grants made by hand allow"
@@ -108,3 +245,54 @@ def _check_contradictions(plan: PolicyPlan) -> None:
             f"{len(grants)} {allow} what the policy denies",
             "revoke them with: rossec policy apply --prune; or: rossec grant revoke ID",
         )
+
+
+def _carry_out(service: AuthorityService, plan: PolicyPlan, *, yes: bool, as_json: bool) -> None:
+    if not plan.is_empty:
+        confirm(f"{check.summary(plan)}?", yes=yes)
+        service.unlock()  # it may ask
+        with working("signing and delivering", quiet=as_json):
+            service.policy.apply(plan, note if as_json else say)
+        if any(node.sign and is_alias(node.subject.name) for node in plan.nodes):
+            say(f"grants for nodes of other domains are in {service.grants.outgoing}: carry them there")
+        if not plan.revoke:  # else the list was published
+            remind_to_publish(service)
+        return
+    try:
+        service.policy.complete()
+    except NotDelivered as error:  # nothing was signed now, so nothing is undelivered for certain
+        note(str(error))
+
+
+@click.command("opt-out")
+@click.argument("name")
+@click.option("--node", "is_node", is_flag=True, help="NAME is a node, enrolled or not")
+@options.master_uri
+@options.policy
+@json_result()
+@pass_service
+def opt_out(service: AuthorityService, name: str, is_node: bool, policy_path: Path | None) -> None:
+    """Show the topic NAME to no node; or, when NAME is a node, show that node no topic.
+
+    Adds a denial to the policy and revokes what was granted. Running connections end at once.
+    What else the revoked grants allowed is granted anew.
+    """
+    check_pattern(name)
+    policy = read_policy(service.rossec_home, policy_path)
+    opted_out = service.policy.opt_out(policy, name, is_node=is_node)
+    record(rule=opted_out.rule, file=str(opted_out.policy.path))
+    if opted_out.name != name:
+        say(f"{name} is one of the anonymous nodes of {opted_out.name}, which are one identity:")
+        say("all of them are opted out")
+    say(f"rule {opted_out.rule} in {opted_out.policy.path} denies it from now on")
+    withdrawn = service.policy.revoke_opted_out(opted_out)
+    for grant, _ in withdrawn:
+        say(f"revoked grant {grant.id.hex()} of {grant.subject}")
+    record(revoked_grants=[grant.id.hex() for grant, _ in withdrawn])
+    reissued = [data for _, data in withdrawn if data is not None]
+    for data in reissued:
+        say(f"its other rights are grant {document.grant_id(data).hex()}")
+    refused = deliver_grants(service, reissued)
+    if withdrawn:
+        publish_list(service)
+    require_delivered(refused)

@@ -19,39 +19,45 @@ from grants.errors import GrantError
 from grants.filters.layout import Layout, parse
 from grants.model import Right
 from grants.policy.decision import Decider
-from grants.policy.editing import empty
-from grants.policy.lint import sample_subject
+from grants.policy.learn import empty
 from grants.policy.model import Policy, Subject
-from grants.policy.trial import Trial, TrialOutcome
+from grants.policy.privacy import Trial, TrialOutcome
 from rossec.authority.policyfile import PolicyFile, parse_policy, place, read_policy
 from rossec.cli.policy.explain import changes, subject_of
-from rossec.cli.shared.busy import working
 from rossec.cli.shared.context import Environment, pass_environment
+from rossec.cli.shared.options import working
 from rossec.errors import ConfigurationError, MessageError
-from rossec.ros.header import MESSAGE_LIMIT
+from rossec.ros.tcpros import MESSAGE_LIMIT
 from rossec.terminal import note, printable, say, say_json
 
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 # What the reader of bags raises for wrong bytes, few of which it checks first.
 _BROKEN = (
-    ReaderError, OSError, EOFError, ValueError, LookupError, struct.error, TypeError,
-    AttributeError, AssertionError, RuntimeError, ArithmeticError, MemoryError,
-)  # fmt: skip
+    ReaderError,
+    OSError,
+    EOFError,
+    ValueError,
+    LookupError,
+    struct.error,
+    TypeError,
+    AttributeError,
+    AssertionError,
+    RuntimeError,
+    ArithmeticError,
+    MemoryError,
+)
 MAX_CHUNK = MESSAGE_LIMIT + (16 << 20)  # bytes, decompressed: one long message and others
 MAX_MESSAGES = 100_000  # per bag; the rest is said to be left out
 
 
 @dataclass
 class Tally:
-    """One topic and one receiver under one policy."""
-
     admitted: int = 0
     withheld: int = 0
     reason: str = ""
     example: list[str] = field(default_factory=list)
 
     def count(self, kind: str, message: bytes, outcome: TrialOutcome) -> None:
-        """Count one message."""
         if outcome.message is None:
             self.withheld += 1
             self.reason = self.reason or outcome.reason
@@ -69,12 +75,7 @@ class Tally:
 @click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 @pass_environment
 def simulate(
-    environment: Environment,
-    new: Path,
-    old: Path | None,
-    bag: Path,
-    nodes: tuple[str, ...],
-    as_json: bool,
+    environment: Environment, new: Path, old: Path | None, bag: Path, nodes: tuple[str, ...], as_json: bool
 ) -> None:
     """Show per topic and receiver how many messages of a bag pass, before and after.
 
@@ -95,7 +96,6 @@ def simulate(
 
 
 def _in_force(environment: Environment) -> PolicyFile:
-    """The policy in force; without one, a policy that denies everything."""
     path = place(environment.home, None)
     if path.exists():
         return read_policy(environment.home, None)
@@ -106,32 +106,29 @@ def _in_force(environment: Environment) -> PolicyFile:
 def run(
     bag: Path, receivers: list[Subject], deciders: tuple[Decider, Decider]
 ) -> dict[tuple[str, str], tuple[Tally, Tally]]:
-    """Try every message of `bag`, for every receiver, under both policies."""
     found: dict[tuple[str, str], tuple[Tally, Tally]] = {}
     trials: dict[tuple[str, int, str], tuple[Trial, Trial]] = {}
     for topic, layout, number, now, message in _messages(bag):
         for receiver in receivers:
             key = (topic, number, receiver.name)
             if key not in trials:
-                trials[key] = _trials(deciders, receiver, topic, layout)
+                old, new = (decider.decide(receiver, Right.SUBSCRIBE, topic) for decider in deciders)
+                trials[key] = Trial(layout, old), Trial(layout, new)
             tallies = found.setdefault((topic, receiver.name), (Tally(), Tally()))
             for trial, tally in zip(trials[key], tallies, strict=True):
                 tally.count(layout.type_name, message, trial(message, now))
     return found
 
 
-def _trials(
-    deciders: tuple[Decider, Decider], receiver: Subject, topic: str, layout: Layout
-) -> tuple[Trial, Trial]:
-    old, new = (decider.decide(receiver, Right.SUBSCRIBE, topic) for decider in deciders)
-    return Trial(layout, old), Trial(layout, new)
-
-
 def _messages(bag: Path) -> Iterator[tuple[str, Layout, int, int, bytes]]:
     layouts: dict[int, Layout | None] = {}
     try:
         with Reader(bag) as reader:
-            _bound_chunks(reader)
+            bounded = {bz2.decompress: bz2.BZ2Decompressor, lz4.frame.decompress: LZ4FrameDecompressor}
+            for position, chunk in reader.chunks.items():
+                make = bounded.get(chunk.decompressor)
+                if make is not None:
+                    reader.chunks[position] = chunk._replace(decompressor=partial(_decompress, make))
             for number, (connection, at, data) in enumerate(reader.messages()):
                 if number >= MAX_MESSAGES:
                     note(f"only the first {MAX_MESSAGES} messages of {bag} were tried")
@@ -147,15 +144,6 @@ def _messages(bag: Path) -> Iterator[tuple[str, Layout, int, int, bytes]]:
         raise ConfigurationError(f"{bag} is not a complete ROS 1 bag: {what}", hint) from error
 
 
-def _bound_chunks(reader: Reader) -> None:
-    """Have no chunk become longer than a message needs: five kilobytes can hold gigabytes."""
-    bounded = {bz2.decompress: bz2.BZ2Decompressor, lz4.frame.decompress: LZ4FrameDecompressor}
-    for position, chunk in reader.chunks.items():
-        make = bounded.get(chunk.decompressor)
-        if make is not None:
-            reader.chunks[position] = chunk._replace(decompressor=partial(_decompress, make))
-
-
 def _decompress(make: Callable[[], Any], data: bytes) -> bytes:
     decompressor = make()
     content: bytes = decompressor.decompress(data, MAX_CHUNK)
@@ -165,7 +153,6 @@ def _decompress(make: Callable[[], Any], data: bytes) -> bytes:
 
 
 def _layout(connection: Any) -> Layout | None:
-    """From the definition in the bag; a connection without a valid one is left out."""
     name = connection.msgtype.replace("/msg/", "/")
     try:
         check_name(connection.topic)
@@ -176,14 +163,11 @@ def _layout(connection: Any) -> Layout | None:
     return layout
 
 
-def _receivers(
-    environment: Environment, nodes: tuple[str, ...], *policies: Policy
-) -> list[Subject]:
-    """The given nodes, else one node for each subject of the two policies."""
+def _receivers(environment: Environment, nodes: tuple[str, ...], *policies: Policy) -> list[Subject]:
     if nodes:
         return [subject_of(environment, node) for node in nodes]
     found = {
-        sample_subject(who)
+        who.sample
         for policy in policies
         for rule in policy.rules
         for who in (*rule.who, *rule.exceptions)

@@ -4,32 +4,30 @@ import asyncio
 import logging
 import os
 import socket
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
 
 from rossec import files
-from rossec.cli.relay.home import ADMIN_SOCKET, relay_files
+from rossec.cli.relay.sites import RELAY_SOCKET, relay_files
 from rossec.cli.shared.context import Environment
 from rossec.cli.shared.master import with_master
 from rossec.environment import own_relay
 from rossec.errors import ConfigurationError, OverlayUnavailable
-from rossec.master.operation.admin import AdminPort
-from rossec.master.operation.descriptor_limit import raise_descriptor_limit
-from rossec.operation.audit_log import audit_written
-from rossec.operation.process_lock import process_lock
-from rossec.operation.shutdown import stop_on_signals, until_first_ends
-from rossec.operation.systemd import READY, STOPPING, notify
-from rossec.overlay.doors import OpenDoors
-from rossec.overlay.member import RelayMember
-from rossec.overlay.network import RouterNetwork
+from rossec.host.audit import audit_written
+from rossec.host.local_sockets import process_lock
+from rossec.host.runner import READY, STOPPING, notify, stop_on_signals, until_first_ends
+from rossec.master.operation.admin import AdminPort, raise_descriptor_limit
+from rossec.overlay.documents import MAX_SEAT_FILE, Routers
+from rossec.overlay.endpoint import RouterNetwork
+from rossec.overlay.forwarded_ports import OpenDoors
+from rossec.overlay.homes import RelayFiles
+from rossec.overlay.masters import RelayMember
 from rossec.overlay.relay import Relay
-from rossec.overlay.relay_files import RelayFiles
-from rossec.overlay.routers import MAX_FILE, Routers
 from rossec.overlay.zenoh_carrier import Carrier
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.loopback_port import Admission, find_loopback
+from rossec.sidecar.loopback_port import PortAdmission, find_loopback
 from rossec.terminal import note, printable, say, say_json
 
 AUDIT: Final = "audit.log"
@@ -41,18 +39,16 @@ _log = logging.getLogger("rossec.overlay")
 def run(environment: Environment, doors: str, seat_file: Path | None, *, as_json: bool) -> None:
     """Run the relay of this host.
 
-    Args:
-        environment: of the command.
-        doors: the address of doors; empty: loopback, for this user.
-        seat_file: the seat, instead of the one that is kept.
-        as_json: say that it runs as a line of JSON.
-
-    Raises:
-        HintedError: the relay cannot start, or a part of it has failed.
+    Without an address of `doors` they are on loopback, for this user. `seat_file` is used instead of
+    the seat that is kept.
     """
     store = relay_files(environment)
     store.home.anchor()  # before anything is written there
-    routers = store.routers() if seat_file is None else _read_seat(seat_file)
+    if seat_file is None:
+        routers = store.routers()
+    else:
+        missing = ConfigurationError(f"there is no {seat_file}", "`rossec router seats add` made it")
+        routers = Routers.read(files.read_own(seat_file, MAX_SEAT_FILE, missing, link=True))
     busy = ConfigurationError(f"{store.home.name} runs already", "end it first")
     raise_descriptor_limit()
     with ExitStack() as stack:
@@ -61,18 +57,8 @@ def run(environment: Environment, doors: str, seat_file: Path | None, *, as_json
         asyncio.run(_serve(environment, store, routers, doors, as_json=as_json))
 
 
-def _read_seat(file: Path) -> Routers:
-    missing = ConfigurationError(f"there is no {file}", "`rossec router seats add` made it")
-    return Routers.read(files.read_own(file, MAX_FILE, missing, link=True))
-
-
 async def _serve(
-    environment: Environment,
-    store: RelayFiles,
-    routers: Routers,
-    doors: str,
-    *,
-    as_json: bool,
+    environment: Environment, store: RelayFiles, routers: Routers, doors: str, *, as_json: bool
 ) -> None:
     stop = stop_on_signals()
     admission = _admission(doors)
@@ -81,13 +67,16 @@ async def _serve(
     carrier = await _carrier(routers, stop)
     if carrier is None:
         return
-    relay = Relay(
-        member, RouterNetwork(carrier, routers, member.link_context), admission, store.peers
-    )
-    admin = AdminPort(store.home.path / ADMIN_SOCKET, {"status": relay.status})
+    relay = Relay(member, RouterNetwork(carrier, routers, member.link_context), admission, store.peers)
+    admin = AdminPort(store.home.path / RELAY_SOCKET, {"status": relay.status})
     try:
         await admin.start()
-        _say_ready(store, carrier, as_json=as_json)
+        if as_json:
+            say_json({"ready": store.home.name, "router": carrier.router})
+        else:
+            say(printable(f"relay {store.home.name} of {store.home.anchor().domain} at {carrier.router}"))
+            if not store.peers():
+                note("it has no peers yet: rossec relay card LABEL, rossec relay add LABEL FILE")
         notify(READY, environment.variables)
         await until_first_ends(relay.run(), stop.wait())
         notify(STOPPING, environment.variables)
@@ -97,7 +86,6 @@ async def _serve(
 
 
 async def _carrier(routers: Routers, stop: asyncio.Event) -> Carrier | None:
-    """A session with the routers; None: stopped before there was one."""
     said = ""
     while not stop.is_set():
         try:
@@ -108,20 +96,13 @@ async def _carrier(routers: Routers, stop: asyncio.Event) -> Carrier | None:
             if said != str(error):
                 _log.warning("%s (%s); trying again", error, error.hint)
             said = str(error)
-        try:
+        with suppress(TimeoutError):
             async with asyncio.timeout(AGAIN_AFTER):
                 await stop.wait()
-        except TimeoutError:
-            continue
     return None
 
 
-def _admission(doors: str) -> Admission:
-    """Where doors are, and who may use them.
-
-    Raises:
-        ConfigurationError: not an address of this host.
-    """
+def _admission(doors: str) -> PortAdmission:
     if not doors:
         return Callers({os.geteuid()}, loopback=find_loopback())
     try:
@@ -133,12 +114,3 @@ def _admission(doors: str) -> Admission:
             f"{doors[:80]} is not an address of this host", "--doors 192.168.1.5, as ROS_IP is"
         ) from error
     return OpenDoors(address)
-
-
-def _say_ready(store: RelayFiles, carrier: Carrier, *, as_json: bool) -> None:
-    if as_json:
-        say_json({"ready": store.home.name, "router": carrier.router})
-        return
-    say(printable(f"relay {store.home.name} of {store.home.anchor().domain} at {carrier.router}"))
-    if not store.peers():
-        note("it has no peers yet: rossec relay card LABEL, rossec relay add LABEL FILE")

@@ -1,25 +1,326 @@
-"""`rossec graph`: which nodes publish, subscribe and provide, now or as it changes."""
+"""`rossec graph | discover`, and what `rossec topic` and `rossec node` list of the graph."""
 
 import asyncio
+import socket
+import time
 from collections import defaultdict
-from typing import Final
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Final, TypeVar
 
 import click
 
-from ca.domains.aliases import is_alias, shown
 from ca.errors import CertificateExpired, HintedError
+from ca.names import is_alias, local_name, shown
 from rossec.channel.edhoc.credentials import LiveCredentials
+from rossec.cli.completion import values
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.master import calls_as, master_at
-from rossec.errors import ConfigurationError
+from rossec.cli.shared.master import calls_as, find_master, master_at
+from rossec.cli.shared.options import json_result, working
+from rossec.discovery.local_links import PATIENCE, masters, uri_of
+from rossec.errors import AnswerMalformed, AnswerRefused, ConfigurationError
 from rossec.home import NodeHome
-from rossec.participant.graph_view import METHOD, Fact, GraphView, ObservedChange
-from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
-from rossec.terminal import note, printable, say, say_json
+from rossec.participant.registrations import WATCH_GRAPH, Fact, GraphView, ObservedChange
+from rossec.participant.renewals import IdentityRenewal, MasterCall, renew_identity
+from rossec.ros.names import ANY_TYPE
+from rossec.terminal import note, printable, record, say, say_json
 
+UNKNOWN = "unknown type"  # as rostopic has it
+T = TypeVar("T")
+Names = Mapping[str, tuple[str, ...]]
+as_node = click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
+as_json = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+_NAMESPACE = click.argument("namespace", required=False)
 PAUSE: Final = 1.0  # seconds until the first reconnection
 MAX_PAUSE: Final = 30.0  # seconds between later reconnections at most
 _HEADINGS: Final = {"publisher": "published by", "subscriber": "subscribed by"}
+
+
+@click.command("list")
+@_NAMESPACE
+@as_node
+@click.option("--verbose", "-v", is_flag=True, help="with types, and how many nodes")
+@click.option("--publishers", "-p", is_flag=True, help="only what is published")
+@click.option("--subscribers", "-s", is_flag=True, help="only what is subscribed to")
+@as_json
+@pass_environment
+def list_topics(
+    environment: Environment,
+    namespace: str | None,
+    node: str,
+    verbose: bool,
+    publishers: bool,
+    subscribers: bool,
+    as_json: bool,
+) -> None:
+    """List the topics that NODE may see, all or those below NAMESPACE."""
+    state = system_state(environment, node)
+    ways = {
+        "publishers": {} if subscribers and not publishers else state.publishers,
+        "subscribers": {} if publishers and not subscribers else state.subscribers,
+    }
+    listed = {topic for names in ways.values() for topic in names if _lies_in(topic, namespace)}
+    topics = sorted(listed, key=_own_first)
+    if as_json:
+        say_json([_row(state, topic) for topic in topics])
+    elif verbose:
+        for heading, way in (("Published", "publishers"), ("Subscribed", "subscribers")):
+            _say_verbose(heading, way[:-1], ways[way], topics, state)
+    else:
+        for topic in topics:
+            say(printable(shown(topic)))
+    if not topics and namespace is None:
+        note_hidden(node)
+
+
+@dataclass(frozen=True)
+class SystemState:
+    publishers: Names
+    subscribers: Names
+    services: Names
+    types: Mapping[str, str]
+
+    @property
+    def topics(self) -> list[str]:
+        return sorted({*self.publishers, *self.subscribers})
+
+    @property
+    def nodes(self) -> list[str]:
+        groups = (self.publishers, self.subscribers, self.services)
+        return sorted({node for names in groups for nodes in names.values() for node in nodes})
+
+    def type_of(self, topic: str) -> str:
+        return self.types.get(topic, UNKNOWN)
+
+
+def system_state(environment: Environment, node: str) -> SystemState:
+    found = asyncio.run(_ask(environment, node, read_state))
+    _keep_for_completion(environment, found)
+    return found
+
+
+async def _ask(environment: Environment, node: str, question: Callable[[MasterCall], Awaitable[T]]) -> T:
+    home = NodeHome.of(environment.home, node)
+    async with calls_as(environment, home, await find_master(environment, home)) as call:
+        return await question(call)
+
+
+async def read_state(call: MasterCall) -> SystemState:
+    match await call("getSystemState"):
+        case [list() as publishers, list() as subscribers, list() as services]:
+            groups = _names(publishers), _names(subscribers), _names(services)
+        case _:
+            raise AnswerMalformed("an invalid system state")
+    types = await call("getTopicTypes")
+    return SystemState(*groups, dict(map(_type, types if isinstance(types, list) else [types])))
+
+
+def _names(rows: list[object]) -> Names:
+    found: dict[str, tuple[str, ...]] = {}
+    for row in rows:
+        match row:
+            case [str() as name, list() as nodes]:
+                found[name] = tuple(sorted(node for node in nodes if isinstance(node, str)))
+            case _:
+                raise AnswerMalformed("an invalid system state")
+    return found
+
+
+def _type(row: object) -> tuple[str, str]:
+    match row:
+        case [str() as topic, str() as kind]:
+            return topic, UNKNOWN if kind == ANY_TYPE else kind
+        case _:
+            raise AnswerMalformed("a list of topics that is malformed")
+
+
+def _keep_for_completion(environment: Environment, found: SystemState) -> None:
+    names = {
+        values.NODE: found.nodes,
+        values.SERVICE: sorted(found.services),
+        values.TOPIC: found.topics,
+        values.TYPE: sorted(set(found.types.values())),
+    }
+    values.keep(environment.home, environment.variables.get("ROS_MASTER_URI", ""), names)
+
+
+def _lies_in(topic: str, namespace: str | None) -> bool:
+    if namespace is None:
+        return True
+    top = absolute(namespace).rstrip("/")
+    return topic == top or topic.startswith(f"{top}/")
+
+
+def absolute(name: str) -> str:
+    """The absolute name of what a person wrote, as stock tools take it: from the root."""
+    topic = local_name(name)
+    return topic if topic.startswith("/") else f"/{topic}"
+
+
+def _own_first(name: str) -> tuple[bool, str]:
+    return is_alias(name), name
+
+
+def _row(state: SystemState, topic: str) -> dict[str, object]:
+    return {
+        "topic": topic,
+        "type": None if state.type_of(topic) == UNKNOWN else state.type_of(topic),
+        "publishers": state.publishers.get(topic, ()),
+        "subscribers": state.subscribers.get(topic, ()),
+    }
+
+
+def _say_verbose(heading: str, one: str, names: Names, topics: list[str], state: SystemState) -> None:
+    say("")
+    say(f"{heading} topics:")
+    for topic in topics:
+        if count := len(names.get(topic, ())):
+            many = f"{count} {one}{'s' * (count != 1)}"
+            say(printable(f" * {shown(topic)} [{state.type_of(topic)}] {many}"))
+    say("")
+
+
+def note_hidden(node: str) -> None:
+    note(f"nothing that {node} may see; all of it needs: rossec grant sign {node} --graph")
+
+
+@click.command()
+@click.argument("name")
+@as_node
+@as_json
+@pass_environment
+def topic_info(environment: Environment, name: str, node: str, as_json: bool) -> None:
+    """Show the type of the topic NAME and the nodes that publish and subscribe to it."""
+    state = system_state(environment, node)
+    topic = _known(state, name, node)
+    if as_json:
+        say_json(_row(state, topic))
+        return
+    groups = {"Publishers": state.publishers, "Subscribers": state.subscribers}
+    found = {heading: list(names.get(topic, ())) for heading, names in groups.items()}
+    uris = addresses(environment, node, sorted({name for names in found.values() for name in names}))
+    say(f"Type: {state.type_of(topic)}")
+    say("")
+    for heading, nodes in found.items():
+        say(f"{heading}: " if nodes else f"{heading}: None")
+        for each in nodes:
+            where = f" ({uris[each]})" if each in uris else ""
+            say(printable(f" * {shown(each)}{where}"))
+        say("")
+
+
+def _known(state: SystemState, name: str, node: str) -> str:
+    topic = absolute(name)
+    if topic not in state.publishers and topic not in state.subscribers:
+        raise ConfigurationError(
+            f"no topic {shown(topic)} that {node} may see",
+            f"rossec topic list --as {node} shows those that it may",
+        )
+    return topic
+
+
+def addresses(environment: Environment, node: str, names: list[str]) -> dict[str, str]:
+    """The slave API of each of these nodes; one that `node` may not look up is left out."""
+
+    async def look_up(call: MasterCall) -> dict[str, str]:
+        found: dict[str, str] = {}
+        for name in names:
+            try:
+                uri = await call("lookupNode", name)
+            except AnswerRefused:
+                continue
+            found |= {name: uri} if isinstance(uri, str) else {}
+        return found
+
+    return asyncio.run(_ask(environment, node, look_up))
+
+
+@click.command("type")
+@click.argument("name")
+@as_node
+@json_result()
+@pass_environment
+def type_of_topic(environment: Environment, name: str, node: str) -> None:
+    """Print the type of the topic NAME."""
+    state = system_state(environment, node)
+    kind = state.type_of(_known(state, name, node))
+    if kind == UNKNOWN:
+        raise ConfigurationError(
+            f"nobody has said the type of {name}", "it is known once somebody publishes it"
+        )
+    record(topic=absolute(name), type=kind)
+    say(printable(kind))
+
+
+@click.command()
+@click.argument("type_name", metavar="TYPE")
+@as_node
+@json_result()
+@pass_environment
+def find_topics(environment: Environment, type_name: str, node: str) -> None:
+    """List the topics whose messages are of TYPE."""
+    state = system_state(environment, node)
+    found = [topic for topic in state.topics if state.type_of(topic) == type_name]
+    record(type=type_name, topics=found)
+    for topic in found:
+        say(printable(shown(topic)))
+
+
+@click.command("list")
+@as_node
+@as_json
+@pass_environment
+def list_nodes(environment: Environment, node: str, as_json: bool) -> None:
+    """List the running nodes that NODE may see."""
+    names = system_state(environment, node).nodes
+    if as_json:
+        say_json(names)
+    else:
+        for name in names:
+            say(printable(shown(name)))
+    if not names:
+        note_hidden(node)
+
+
+@click.command()
+@click.argument("name")
+@as_node
+@as_json
+@pass_environment
+def node_info(environment: Environment, name: str, node: str, as_json: bool) -> None:
+    """Show what the running node NAME publishes, subscribes to and provides."""
+    state = system_state(environment, node)
+    asked = local_name(name)
+    if asked not in state.nodes:
+        raise ConfigurationError(
+            f"no running node {shown(asked)} that {node} may see",
+            f"rossec node list --as {node} shows those that it may",
+        )
+    found = {
+        "publications": _of(asked, state.publishers),
+        "subscriptions": _of(asked, state.subscribers),
+        "services": _of(asked, state.services),
+    }
+    uri = addresses(environment, node, [asked]).get(asked)
+    if as_json:
+        say_json({"node": asked, "uri": uri, **found})
+        return
+    say(printable(f"Node [{shown(asked)}]" + (f" at {uri}" if uri else "")))
+    for heading, names in found.items():
+        _say(heading.capitalize(), names, state if heading != "services" else None)
+
+
+def _of(node: str, names: Names) -> list[str]:
+    return sorted(name for name, nodes in names.items() if node in nodes)
+
+
+def _say(heading: str, names: list[str], state: SystemState | None) -> None:
+    say(f"{heading}: " if names else f"{heading}: None")
+    for name in names:
+        kind = f" [{state.type_of(name)}]" if state is not None else ""
+        say(printable(f" * {shown(name)}{kind}"))
+    say("")
 
 
 @click.command()
@@ -41,25 +342,7 @@ def graph(environment: Environment, node: str, watch: bool, as_json: bool) -> No
     )
 
 
-async def _print_graph(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
-    view = GraphView()
-    async with calls_as(environment, home, uri) as call:
-        while view.take(await call(METHOD, *view.next_params)).more:
-            pass
-    if as_json:
-        say_json(_json(view, ObservedChange(tuple(sorted(view.facts)), (), False, False)))
-        return
-    for line in describe(view.facts):
-        say(line)
-
-
 async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
-    """Query graph changes until interrupted, reconnecting when needed.
-
-    Raises:
-        ConfigurationError: the identity has expired and was not renewed.
-        HintedError, OSError: there was no answer at all.
-    """
     view, pause, last_error = GraphView(), PAUSE, ""
     own = LiveCredentials(home.credentials())
     renewal = IdentityRenewal(home, own, now())
@@ -68,11 +351,14 @@ async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_
         try:
             async with calls_as(environment, home, uri, own.current) as call:
                 while not await renew_identity(call, renewal, now()):
-                    _print_change(view, view.take(await call(METHOD, *view.next_params)), as_json)
+                    _print_change(view, view.take(await call(WATCH_GRAPH, *view.next_params)), as_json)
         except (HintedError, OSError, TimeoutError) as error:
             if view.version < 0:
                 raise
-            _check_identity(home)
+            try:
+                home.identity(now())
+            except CertificateExpired as expired:
+                raise ConfigurationError(f"{expired}, and it was not renewed", expired.hint) from expired
             if before != view.version:
                 pause, last_error = PAUSE, ""
             if str(error) != last_error:
@@ -80,14 +366,6 @@ async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_
                 note(f"no graph changes received: {printable(last_error)}")
             await asyncio.sleep(pause)
             pause = min(2 * pause, MAX_PAUSE)
-
-
-def _check_identity(home: NodeHome) -> None:
-    """Stop when the identity has expired: no master accepts it any more."""
-    try:
-        home.identity(now())
-    except CertificateExpired as error:
-        raise ConfigurationError(f"{error}, and it was not renewed", error.hint) from error
 
 
 def _print_change(view: GraphView, change: ObservedChange, as_json: bool) -> None:
@@ -113,8 +391,19 @@ def _json(view: GraphView, change: ObservedChange) -> dict[str, object]:
     }
 
 
+async def _print_graph(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
+    view = GraphView()
+    async with calls_as(environment, home, uri) as call:
+        while view.take(await call(WATCH_GRAPH, *view.next_params)).more:
+            pass
+    if as_json:
+        say_json(_json(view, ObservedChange(tuple(sorted(view.facts)), (), False, False)))
+        return
+    for line in describe(view.facts):
+        say(line)
+
+
 def describe(facts: frozenset[Fact]) -> list[str]:
-    """The graph as text: topics with their types and nodes, then services."""
     types = {name: value for kind, name, value in facts if kind == "type"}
     nodes: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for kind, name, value in sorted(facts):
@@ -132,5 +421,47 @@ def describe(facts: frozenset[Fact]) -> list[str]:
     return [printable(line) for line in lines]
 
 
-def _own_first(name: str) -> tuple[bool, str]:
-    return is_alias(name), name
+@click.command()
+@click.option("--as", "identity", metavar="NAME", help="the node whose master is looked for")
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0.1, 600),
+    default=PATIENCE,
+    show_default=True,
+    help="how long to wait for the first",
+)
+@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each")
+@pass_environment
+def discover(environment: Environment, identity: str | None, seconds: float, as_json: bool) -> None:
+    """Look for the masters of this trust domain, the best link first.
+
+    Listens four seconds more than the first takes. Losses are counted by the numbers of the
+    announcements, and by the time since the last: the loss of a dead master grows.
+
+    `ROS_MASTER_URI=discover:` makes every command take the first one.
+    """
+    with working("listening for masters", quiet=as_json):
+        found = asyncio.run(masters(environment.home, identity, seconds))
+    for one in found:
+        link, clock = str(one.source.link), time.monotonic()
+        with suppress(OSError):
+            link = socket.if_indextoname(one.source.link)
+        row = {
+            "uri": uri_of(one),
+            "name": one.name,
+            "rtt_ms": round((one.rtt or 0) * 1000, 2),
+            "loss": round(one.loss(clock), 2),
+            "heard": len(one.heard),
+            "sent": one.sent(clock),
+            "age_s": round(one.age(clock), 1),
+            "link": link,
+            "key": one.key.hex(),
+        }
+        if as_json:
+            say_json(row)
+        else:
+            say(
+                f"{row['uri']}  {row['name']}  {row['rtt_ms']} ms,"
+                f" {row['loss']:.0%} of {row['sent']} lost,"
+                f" heard {row['age_s']} s ago, on {row['link']}"
+            )

@@ -1,37 +1,50 @@
-"""`rossec topic`: publish and listen from the command line, with an identity."""
+"""`rossec topic pub | echo | hz | bw`: publish and listen as a node that runs for one command."""
 
 import asyncio
-from collections.abc import AsyncIterable, AsyncIterator, Callable, Sequence
-from functools import partial
+import time
+from collections import deque
+from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Sequence
+from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import click
 
-from ca.domains.aliases import local_name
+from ca.names import local_name, shown
 from rossec import files
-from rossec.cli.ros.claimed_types import readable
-from rossec.cli.ros.listening import Arrivals, listening, watched
+from rossec.cli.ros.graph import as_node
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as
-from rossec.cli.shared.message_output import plain, render
-from rossec.cli.shared.message_text import (
+from rossec.cli.shared.messages import (
+    RateWindow,
+    SizeWindow,
     fill,
     mentions_now,
     parse_arguments,
     parse_documents,
+    plain,
+    render,
     stamp_now,
 )
-from rossec.cli.shared.running import run_until_node_ends
-from rossec.cli.shared.system_state import as_node
 from rossec.errors import ConfigurationError, MessageError
-from rossec.node import Publisher
-from rossec.participant.message_types import Message, MessageType, message_type
-from rossec.terminal import note, say, say_block, say_json
+from rossec.node import Node, Publisher
+from rossec.node.subscriber import RawSource, Subscriber
+from rossec.participant.definitions import Definition
+from rossec.participant.message_types import Message, MessageType, message_type, register_types
+from rossec.terminal import note, printable, say, say_block, say_json
 
+MOMENT: Final = 2.0  # seconds in which a publisher that runs is connected
+KEPT: Final = 100  # messages that wait; older ones are dropped, as a subscriber's queue does
+Arrived = tuple[RawSource, bytes]
 Show = Callable[[Message], None]
 MAX_FILE: Final = 4 * 1024 * 1024  # as much YAML as is read
+PERIOD: Final = 1.0  # seconds between two lines
+_WINDOW = click.option(
+    "--window", "-w", type=click.IntRange(min=2), help="of the last N messages only", metavar="N"
+)
+_COUNT = click.option("--count", "-n", type=click.IntRange(min=1), help="end after N lines")
+Add = Callable[[float, int], None]
 
 
 @click.command()
@@ -60,11 +73,132 @@ def echo(
     if as_json and (noarr or nostr):
         raise click.UsageError("--json has all fields: leave --noarr and --nostr")
     hidden = tuple(kind for kind, hide in ((list, noarr), (str, nostr)) if hide)
-    show = _as_json if as_json else partial(_as_text, hidden=hidden)
-    asyncio.run(
-        _echo_any(environment, name, node, count, show) if type_name is None
-        else _echo(environment, name, type_name, node, count, show)
-    )  # fmt: skip
+
+    def show(message: Message) -> None:
+        if as_json:
+            say_json(plain(message))
+            return
+        say_block(render(message, hidden=hidden))
+        say("---")
+
+    asyncio.run(_echo(environment, name, type_name, node, count, show))
+
+
+async def _echo(
+    environment: Environment, name: str, type_name: str | None, node: str, count: int | None, show: Show
+) -> None:
+    if type_name is None:
+        async with listening(environment, name, node) as (running, arrivals):
+            await run_until_node_ends(running, _print(_read(arrivals), count, show))
+        return
+    async with node_as(environment, node) as running:
+        subscriber = await running.subscriber(local_name(name), type_name)
+        async with watched(subscriber):
+            await run_until_node_ends(running, _print(subscriber, count, show))
+
+
+class Arrivals:
+    def __init__(self, size: int = KEPT) -> None:
+        self._queue: deque[Arrived] = deque(maxlen=size)
+        self._wake = asyncio.Event()
+        self._said: set[str] = set()
+
+    def connected(self, _: RawSource) -> None: ...
+
+    def received(self, source: RawSource, messages: Sequence[bytes]) -> None:
+        self._queue.extend((source, bytes(message)) for message in messages)
+        self._wake.set()
+
+    def disconnected(self, _: RawSource) -> None: ...
+
+    def refused(self, error: Exception) -> None:
+        # Say once why a publisher is not connected, or no longer.
+        hint = getattr(error, "hint", "")
+        text = printable(f"{error}" + (f"; {hint}" if hint else ""))
+        if text not in self._said:
+            self._said.add(text)
+            note(text)
+
+    async def messages(self) -> AsyncIterator[Arrived]:
+        while True:
+            while self._queue:
+                yield self._queue.popleft()
+            self._wake.clear()
+            await self._wake.wait()
+
+
+@asynccontextmanager
+async def listening(environment: Environment, name: str, node: str) -> AsyncIterator[tuple[Node, Arrivals]]:
+    async with node_as(environment, node) as running:
+        arrivals = Arrivals()
+        topic = running.settings.resolve(local_name(name))
+        subscriber = await running.topics.subscribe_raw(topic, arrivals)
+        async with watched(subscriber):
+            yield running, arrivals
+
+
+@asynccontextmanager
+async def watched(subscriber: Subscriber) -> AsyncIterator[None]:
+    async def say_if_nobody() -> None:
+        await asyncio.sleep(MOMENT)
+        if not subscriber.publishers:
+            note(f"nobody publishes {shown(subscriber.topic)} at this master; waiting")
+
+    task = asyncio.ensure_future(say_if_nobody())
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+
+async def run_until_node_ends(node: Node, work: Coroutine[Any, Any, None]) -> None:
+    """Run `work`; if the node ends first, cancel it and raise why the node ended.
+
+    Both tasks have ended when this returns, also after Ctrl-C: the node is closed next.
+    """
+    tasks = [asyncio.ensure_future(node.wait_ended()), asyncio.ensure_future(work)]
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+    for task in done:
+        await task
+
+
+async def _print(messages: AsyncIterable[Message], count: int | None, show: Show) -> None:
+    seen = 0
+    async for message in messages:
+        show(message)
+        seen += 1
+        if seen == count:
+            return
+
+
+async def _read(arrivals: Arrivals) -> AsyncIterator[Message]:
+    # Messages by the types that publishers claim; what cannot be read is said, and left out.
+    async for source, data in arrivals.messages():
+        try:
+            yield readable(source.type).deserialize(data)
+        except MessageError as error:
+            arrivals.refused(error)
+
+
+def readable(claimed: Definition) -> MessageType:
+    """The type to read messages of `claimed` by: nothing is decided by what a publisher claims."""
+    try:
+        known = message_type(claimed.name)
+    except MessageError:
+        register_types({claimed.name: claimed.definition})
+        known = message_type(claimed.name)
+    if known.md5sum != claimed.md5sum:
+        raise MessageError(
+            f"the publisher's {claimed.name} is another one than here",
+            "its messages cannot be read by the definition that is installed here",
+        )
+    return known
 
 
 @click.command()
@@ -73,18 +207,22 @@ def echo(
 @click.argument("content", nargs=-1)
 @as_node
 @click.option(
-    "--rate", "-r",
+    "--rate",
+    "-r",
     type=click.FloatRange(min=0, min_open=True),
     default=1.0,
     show_default=True,
     help="messages per second",
-)  # fmt: skip
+)
 @click.option("--count", "-n", type=click.IntRange(min=1), help="end after this many messages")
 @click.option("--once", "-1", is_flag=True, help="publish one message and end")
 @click.option(
-    "--file", "-f", "file", type=options.FILE,
+    "--file",
+    "-f",
+    "file",
+    type=options.FILE,
     help="the messages in FILE in turn, each behind a line ---, as `rossec topic echo` prints them",
-)  # fmt: skip
+)
 @pass_environment
 def pub(
     environment: Environment,
@@ -108,70 +246,6 @@ def pub(
     asyncio.run(_pub(environment, name, messages, node, 1 / rate, ends))
 
 
-def _as_text(message: Message, hidden: tuple[type, ...]) -> None:
-    say_block(render(message, hidden=hidden))
-    say("---")
-
-
-def _as_json(message: Message) -> None:
-    say_json(plain(message))
-
-
-async def _echo_any(
-    environment: Environment, name: str, node: str, count: int | None, show: Show
-) -> None:
-    async with listening(environment, name, node) as (running, arrivals):
-        await run_until_node_ends(running, _print(_read(arrivals), count, show))
-
-
-async def _read(arrivals: Arrivals) -> AsyncIterator[Message]:
-    """Messages by the types that publishers claim; what cannot be read is said, and left out."""
-    async for source, data in arrivals.messages():
-        try:
-            yield readable(source.type).deserialize(data)
-        except MessageError as error:
-            arrivals.refused(error)
-
-
-async def _echo(
-    environment: Environment, name: str, type_name: str, node: str, count: int | None, show: Show
-) -> None:
-    async with node_as(environment, node) as running:
-        subscriber = await running.subscriber(local_name(name), type_name)
-        async with watched(subscriber):
-            await run_until_node_ends(running, _print(subscriber, count, show))
-
-
-async def _print(messages: AsyncIterable[Message], count: int | None, show: Show) -> None:
-    seen = 0
-    async for message in messages:
-        show(message)
-        seen += 1
-        if seen == count:
-            return
-
-
-class Messages:
-    """The messages of a command line, in turn and again; what says `now` is made each time anew."""
-
-    def __init__(self, kind: MessageType, contents: Sequence[object]) -> None:
-        """`contents` is not empty; raises ConfigurationError where one does not fit the type."""
-        self.kind = kind
-        self._contents = contents
-        self._made = [self._make(content) for content in contents]
-
-    def at(self, number: int) -> Message:
-        """The message that is sent as number `number`, from 0."""
-        place = number % len(self._contents)
-        content = self._contents[place]
-        return self._make(content) if mentions_now(content) else self._made[place]
-
-    def _make(self, content: object) -> Message:
-        message = self.kind.create()
-        fill(message, content, stamp_now())
-        return message
-
-
 def _contents(content: tuple[str, ...], file: Path | None) -> list[object]:
     if file is None:
         return [parse_arguments(content)]
@@ -184,13 +258,26 @@ def _contents(content: tuple[str, ...], file: Path | None) -> list[object]:
     return contents
 
 
+class Messages:
+    def __init__(self, kind: MessageType, contents: Sequence[object]) -> None:
+        # `contents` is not empty; raises ConfigurationError where one does not fit the type.
+        self.kind = kind
+        self._contents = contents
+        self._made = [self._make(content) for content in contents]
+
+    def at(self, number: int) -> Message:
+        place = number % len(self._contents)
+        content = self._contents[place]
+        return self._make(content) if mentions_now(content) else self._made[place]
+
+    def _make(self, content: object) -> Message:
+        message = self.kind.create()
+        fill(message, content, stamp_now())
+        return message
+
+
 async def _pub(
-    environment: Environment,
-    name: str,
-    messages: Messages,
-    node: str,
-    period: float,
-    count: int | None,
+    environment: Environment, name: str, messages: Messages, node: str, period: float, count: int | None
 ) -> None:
     async with node_as(environment, node) as running:
         publisher = await running.publisher(local_name(name), messages.kind.name)
@@ -198,12 +285,65 @@ async def _pub(
         await run_until_node_ends(running, _publish(publisher, messages, period, count))
 
 
-async def _publish(
-    publisher: Publisher, messages: Messages, period: float, count: int | None
-) -> None:
+async def _publish(publisher: Publisher, messages: Messages, period: float, count: int | None) -> None:
     await publisher.wait_for_subscribers()
     sent = 0
     while count is None or sent < count:
         publisher.publish(messages.at(sent))
         sent += 1
         await asyncio.sleep(period)
+
+
+@click.command()
+@click.argument("name")
+@as_node
+@_WINDOW
+@_COUNT
+@pass_environment
+def hz(environment: Environment, name: str, node: str, window: int | None, count: int | None) -> None:
+    """Show how often messages of the topic NAME arrive, as NODE may see them."""
+    rates = RateWindow(window)
+    asyncio.run(_watch(environment, name, node, lambda now, _: rates.add(now), rates.describe, count))
+
+
+async def _watch(
+    environment: Environment, name: str, node: str, add: Add, describe: Callable[[], str], count: int | None
+) -> None:
+    async with listening(environment, name, node) as (running, arrivals):
+        note(f"subscribed to [{name}]")
+        await run_until_node_ends(running, _count_and_say(arrivals, add, describe, count))
+
+
+async def _count_and_say(
+    arrivals: Arrivals, add: Add, describe: Callable[[], str], count: int | None
+) -> None:
+    async def count_all() -> None:
+        async for _, data in arrivals.messages():
+            add(time.monotonic(), len(data))
+
+    counting = asyncio.ensure_future(count_all())
+    try:
+        lines = 0
+        while count is None or lines < count:
+            await asyncio.sleep(PERIOD)
+            say_block(describe())
+            lines += 1
+    finally:
+        counting.cancel()
+        await asyncio.gather(counting, return_exceptions=True)
+
+
+@click.command()
+@click.argument("name")
+@as_node
+@_WINDOW
+@_COUNT
+@pass_environment
+def bw(environment: Environment, name: str, node: str, window: int | None, count: int | None) -> None:
+    """Show how many bytes of the topic NAME arrive, as NODE may see them."""
+    sizes = SizeWindow(window or 100)  # rostopic's
+
+    def describe() -> str:
+        return sizes.describe(time.monotonic())
+
+    asyncio.run(_watch(environment, name, node, sizes.add, describe, count))

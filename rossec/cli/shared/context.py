@@ -1,15 +1,36 @@
-"""What every command shares: the environment it was called with, and what follows from it."""
+"""What every command shares: its environment, groups that import it when it runs, and its exit code.
 
+A refusal is printed as error and hint. Help and completion list commands unimported.
+"""
+
+import importlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import click
 
-from rossec.errors import ConfigurationError, MasterNotFound
-from rossec.terminal import printable
+from ca.errors import HintedError, JoinWaiting
+from rossec.errors import (
+    ConfigurationError,
+    MasterNotFound,
+    NotDelivered,
+    PolicyContradicted,
+    PolicyIncomplete,
+)
+from rossec.terminal import (
+    CONTRADICTED,
+    INCOMPLETE,
+    INTERRUPTED,
+    REFUSED,
+    UNDELIVERED,
+    USAGE,
+    WAITING,
+    fail,
+    printable,
+)
 
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _ANSWER: Final = "answer y, or give --yes where no one can answer"
@@ -30,7 +51,6 @@ class Environment:
 
     @property
     def home(self) -> Path:
-        """ROSSEC_HOME, if no other user can write there."""
         from rossec.environment import own_home  # noqa: PLC0415 - not needed for help and completion
 
         return own_home(self.variables)
@@ -40,7 +60,6 @@ pass_environment = click.make_pass_decorator(Environment)
 
 
 def now() -> int:
-    """Seconds since the epoch, host clock."""
     from rossec import clock  # noqa: PLC0415 - not needed for help and completion
 
     return clock.now()
@@ -52,13 +71,9 @@ class Duration(click.ParamType[int]):
     name = "duration"
 
     def __init__(self, days: int | None = None) -> None:
-        """Allow at most `days` days."""
         self._days = days
 
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> int:
-        """Seconds of the duration `value`."""
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> int:
         if isinstance(value, int):
             return value
         match = _DURATION.fullmatch(str(value))
@@ -76,44 +91,26 @@ class UnlockTime(click.ParamType[int]):
     name = "duration"
 
     def __init__(self, most: int) -> None:
-        """Allow at most `most` seconds."""
         self._duration = Duration(most // _UNITS["d"])
 
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> int:
-        """Seconds of the duration `value`; 0: no end."""
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> int:
         return 0 if value in {0, "0"} else self._duration.convert(value, param, ctx)
 
 
 def reraise_interrupt(abort: click.Abort) -> None:
-    """Distinguish Ctrl-C from the end of input: click raises `Abort` for both.
-
-    Raises:
-        KeyboardInterrupt: it was Ctrl-C.
-    """
+    """Distinguish Ctrl-C from the end of input: click raises `Abort` for both."""
     if isinstance(abort.__context__, KeyboardInterrupt):
         raise KeyboardInterrupt from None
 
 
 def confirm(question: str, *, yes: bool) -> None:
-    """Ask, unless `--yes` was given.
-
-    Raises:
-        ConfigurationError: the answer was no, or there was none.
-        KeyboardInterrupt: Ctrl-C.
-    """
+    """Ask, unless `--yes` was given."""
     if not ask_yes_no(question, yes=yes):
         raise ConfigurationError("nothing was done", _ANSWER)
 
 
 def ask_yes_no(question: str, *, yes: bool) -> bool:
-    """As `confirm`, but return the answer.
-
-    Raises:
-        ConfigurationError: there was no answer.
-        KeyboardInterrupt: Ctrl-C.
-    """
+    """As `confirm`, but return the answer."""
     if yes:
         return True
     try:
@@ -121,3 +118,91 @@ def ask_yes_no(question: str, *, yes: bool) -> bool:
     except click.Abort as abort:
         reraise_interrupt(abort)
         raise ConfigurationError("there was no answer, nothing was done", _ANSWER) from None
+
+
+_EXIT_CODES: Final[dict[type[HintedError], int]] = {
+    NotDelivered: UNDELIVERED,
+    PolicyContradicted: CONTRADICTED,
+    PolicyIncomplete: INCOMPLETE,
+    JoinWaiting: WAITING,
+}
+
+
+def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, str]) -> int:
+    """Run one command line and return its exit code (see `rossec.terminal`)."""
+    try:
+        program.main(list(arguments), prog_name="rossec", standalone_mode=False, obj=Environment(environ))
+    except HintedError as error:
+        fail(str(error), error.hint)
+        return _EXIT_CODES.get(type(error), REFUSED)
+    except click.ClickException as error:
+        return _report(error)
+    except (KeyboardInterrupt, click.Abort, EOFError):
+        return INTERRUPTED
+    except UnicodeEncodeError:  # an argument of octets that are no text, as the system hands it on
+        fail("what was given is not text in UTF-8", "write it anew, or rename the file")
+        return REFUSED
+    except OSError as error:
+        fail(f"{error.filename or 'the system'}: {(error.strerror or str(error)).lower()}")
+        return REFUSED
+    return 0
+
+
+def _report(error: click.ClickException) -> int:
+    if isinstance(error, click.exceptions.NoArgsIsHelpError):
+        click.echo(error.format_message())
+        return USAGE
+    usage = isinstance(error, click.UsageError)
+    fail(_plain(error.format_message()), _usage_hint(error) if usage else "")
+    return USAGE if usage else REFUSED
+
+
+def _plain(message: str) -> str:
+    line = " ".join(message.split())
+    return (line[:1].lower() + line[1:]).rstrip(".")
+
+
+def _usage_hint(error: click.ClickException) -> str:
+    context = getattr(error, "ctx", None)
+    path = context.command_path if context is not None else "rossec"
+    return f"see: {path} --help"
+
+
+class LazyCommand(click.Command):
+    """A command that is listed: its name, and the place in `rossec.cli` it is imported from."""
+
+    def __init__(self, name: str, place: str) -> None:
+        super().__init__(name)
+        self.place = place
+
+    def get_short_help_str(self, limit: int = 45) -> str:  # noqa: ARG002 - as the base has it
+        """The first sentence of its help, whole: the list wraps it, click would cut it."""
+        from rossec.cli.completion.shells import outline  # noqa: PLC0415 - not needed to run a command
+
+        return str(outline(self.place, self.load)["help"])
+
+    def load(self) -> click.Command:
+        module, _, attribute = self.place.partition(":")
+        command: click.Command = getattr(importlib.import_module(f"rossec.cli.{module}"), attribute)
+        return command
+
+
+class LazyGroup(click.Group):
+    """A group made from a table of names and places, see `LazyCommand`."""
+
+    def __init__(self, *args: Any, table: Mapping[str, str], **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        for name, place in table.items():
+            self.add_command(LazyCommand(name, place))
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name, command, rest = super().resolve_command(ctx, args)
+        if isinstance(command, LazyCommand):
+            if ctx.resilient_parsing:  # for completion, whatever it needs to know of the command
+                from rossec.cli.completion.shells import completed  # noqa: PLC0415
+
+                return name, completed(command.name or "", command.place, command.load), rest
+            command = command.load()
+        return name, command, rest

@@ -1,25 +1,37 @@
-"""The master of a command: where it is, and a connection or a node there.
+"""The master of a command: where it is, and a connection or a node there; and files with grants.
 
 All commands take the master's URI from here, from `--master` or ROS_MASTER_URI. Where it is
 `discover:`, the master is found once, by what it announces (docs/howto/find-the-master.md).
+A grant of the node's own domain, or of a listed one, is verified. Of one of another domain that is
+checked which the node can know: its form, its time and its key.
 """
 
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Mapping
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from ca.names import origin_of, shown
+from grants.errors import GrantNotHeld
+from grants.model import Grant, check_time
+from grants.token import MAX_TOKEN, Verifier, peek
+from rossec import files
 from rossec.authority.master_connection import master_connection
 from rossec.channel.edhoc.credentials import Credentials
-from rossec.channel.suite_selection import post_quantum
+from rossec.channel.opening import post_quantum
 from rossec.cli.shared.context import Environment
 from rossec.errors import ChannelClosed, ConfigurationError, MasterNotFound
 from rossec.home import NodeHome
-from rossec.net.rpc.client import RpcClient
-from rossec.participant.grant_renewal import MasterCall
-from rossec.ros import settings
+from rossec.host import addresses
+from rossec.host.addresses import warn_of_own_address
+from rossec.net.rpc.calls import RpcClient
+from rossec.participant.renewals import MasterCall
+from rossec.ros import names
 from rossec.ros.names import PRESENT_GRANTS
+from rossec.saved_statements import DomainFiles
+from rossec.terminal import note
 
 if TYPE_CHECKING:
     from rossec.node import Node
@@ -30,14 +42,16 @@ REVOCATIONS: Final = "rossec.revocations"
 SETTLE: Final = 1.0  # seconds: two announcements; a command that ends at once measures no loss
 
 
-def master_at(
-    environment: Environment, node: str | NodeHome | None, master_uri: str | None = None
-) -> str:
+def master_at(environment: Environment, node: str | NodeHome | None, master_uri: str | None = None) -> str:
     """As `find_master`, outside of a loop."""
     uri = _given(environment, master_uri)
     if uri != DISCOVER:
         return uri
     return asyncio.run(find_master(environment, node, master_uri))
+
+
+def _given(environment: Environment, master_uri: str | None) -> str:
+    return master_uri or environment.variables.get(VARIABLE, names.DEFAULT_MASTER_URI)
 
 
 async def find_master(
@@ -50,15 +64,12 @@ async def find_master(
         node: the name or directory of who will call it, for `discover:`; None: any node of the
             home, if all of them trust the same authority.
         master_uri: the value of `--master`.
-
-    Raises:
-        ConfigurationError, MasterNotFound: no trust anchor, or no master found.
     """
     uri = _given(environment, master_uri)
     if uri != DISCOVER:
         return uri
     # Imported where it is asked for.
-    from rossec.discovery.choose import discover_master, trusted  # noqa: PLC0415
+    from rossec.discovery.local_links import discover_master, trusted  # noqa: PLC0415
 
     who = f"/{node.lstrip('/')}" if isinstance(node, str) else node
     key = trusted(environment.home, who)[0].thumbprint
@@ -74,26 +85,17 @@ async def find_master(
     return found
 
 
-async def with_master(environment: Environment, node: str | NodeHome | None) -> Mapping[str, str]:
-    """The variables of the environment, for what reads ROS_MASTER_URI itself.
-
-    Raises:
-        ConfigurationError, MasterNotFound: as for `find_master`.
-    """
-    return {**environment.variables, VARIABLE: await find_master(environment, node)}
-
-
 @contextlib.asynccontextmanager
 async def node_as(environment: Environment, name: str) -> AsyncIterator["Node"]:
-    """The running node `name`, for one command.
-
-    Raises:
-        HintedError, OSError: it has no identity, or the master is out of reach.
-    """
     from rossec.node import Node  # noqa: PLC0415 - commands without a node do not need it
 
     async with Node(name, environ=await with_master(environment, name)) as node:
         yield node
+
+
+async def with_master(environment: Environment, node: str | NodeHome | None) -> Mapping[str, str]:
+    """The variables of the environment, for what reads ROS_MASTER_URI itself."""
+    return {**environment.variables, VARIABLE: await find_master(environment, node)}
 
 
 def own_variables(environment: Environment) -> Mapping[str, str]:
@@ -103,23 +105,28 @@ def own_variables(environment: Environment) -> Mapping[str, str]:
     """
     if _given(environment, None) != DISCOVER:
         return environment.variables
-    return {**environment.variables, VARIABLE: settings.DEFAULT_MASTER_URI}
+    return {**environment.variables, VARIABLE: names.DEFAULT_MASTER_URI}
 
 
-def _given(environment: Environment, master_uri: str | None) -> str:
-    return master_uri or environment.variables.get(VARIABLE, settings.DEFAULT_MASTER_URI)
+@contextlib.asynccontextmanager
+async def calls_as(
+    environment: Environment, home: NodeHome, uri: str, own: Credentials | None = None
+) -> AsyncIterator[MasterCall]:
+    """A connection on which the node has presented its grants; yields what calls over it."""
+    async with master_as(environment, home, uri, own) as client:
+
+        async def call(method: str, *parameters: object) -> object:
+            return await client.ask(method, home.name, *parameters)
+
+        await call(PRESENT_GRANTS, home.grants())
+        yield call
 
 
 @contextlib.asynccontextmanager
 async def master_as(
     environment: Environment, home: NodeHome, uri: str, own: Credentials | None = None
 ) -> AsyncIterator[RpcClient]:
-    """A connection to the master at `uri`, with the identity in `home`, or `own` instead.
-
-    Raises:
-        ConfigurationError: not a URI, or another node answers there; the identity is revoked.
-        HintedError, OSError, TimeoutError: it is unreachable.
-    """
+    """A connection to the master at `uri`, with the identity in `home`, or `own` instead."""
     credentials = home.credentials() if own is None else own
     suites = post_quantum(environment.variables)
     connection = partial(master_connection, credentials, home.anchor(), uri, suites)
@@ -134,7 +141,6 @@ async def master_as(
 
 
 def is_of_revoked(answer: object) -> bool:
-    """Whether a master answered `REVOCATIONS` as it does a revoked identity."""
     match answer:
         case [bytes() as data, b""]:
             return bool(data)
@@ -143,29 +149,47 @@ def is_of_revoked(answer: object) -> bool:
 
 
 def revoked_text(name: str) -> str:
-    """What is said then."""
     return f"the master says that this identity is revoked: {name}"
 
 
 def anew(home: NodeHome) -> str:
-    """What to do about it."""
     return f"move {home.path} away and enroll it anew: rossec node request {home.name}"
 
 
-@contextlib.asynccontextmanager
-async def calls_as(
-    environment: Environment, home: NodeHome, uri: str, own: Credentials | None = None
-) -> AsyncIterator[MasterCall]:
-    """A connection on which the node has presented its grants; yields what calls over it.
+def own_address(environment: Environment) -> str:
+    """ROS_IP or ROS_HOSTNAME, else the address at which others probably reach this host."""
+    configured = names.own_address(environment.variables)
+    if configured is not None:
+        warn_of_own_address(configured, environment.variables, lambda error: note(f"{error} ({error.hint})"))
+        return configured
+    first, *others = addresses.own_addresses()
+    if others:
+        note(f"other addresses of this host, for --address: {', '.join(others)}")
+    return first
 
-    Raises:
-        ConfigurationError: not a URI, or another node answers there.
-        HintedError, OSError, TimeoutError: it is unreachable.
-    """
-    async with master_as(environment, home, uri, own) as client:
 
-        async def call(method: str, *parameters: object) -> object:
-            return await client.ask(method, home.name, *parameters)
+def read_token(path: Path) -> bytes:
+    """The octets of a file with a token; not verified."""
+    missing = ConfigurationError(f"there is no file {path}", "give the file `rossec grant` wrote")
+    return files.read(path, MAX_TOKEN, missing)
 
-        await call(PRESENT_GRANTS, home.grants())
-        yield call
+
+def holder_home(rossec_home: Path, grant: Grant) -> NodeHome:
+    """The directory of the node a grant is for: a grant of another domain names it by its alias."""
+    return NodeHome.of(rossec_home, origin_of(grant.subject))
+
+
+def open_held(home: NodeHome, token: bytes, now: int) -> Grant:
+    """What a token of this node says, verified as far as this node can."""
+    anchor, grant = home.anchor(), peek(token)
+    listed = DomainFiles(home, anchor).anchors().listed_domain(grant.domain)
+    if grant.domain == anchor.domain or listed is not None:
+        signer = anchor if listed is None else listed.anchor
+        Verifier(signer.public_key, signer.domain, (), 0, lambda _entry, _now: None).open(token, now)
+    check_time(grant, now)
+    if grant.holder != home.identity(now).thumbprint:
+        raise GrantNotHeld(
+            f"grant {grant.short_id} is bound to another key than that of {home.name}",
+            f"the domain {grant.domain} gave it to {shown(grant.subject)}: install it there",
+        )
+    return grant

@@ -1,4 +1,4 @@
-"""The authority of a command: its passphrase and its master are those of the options."""
+"""The authority of a command, with the passphrase and the master of its options; what it delivers."""
 
 import asyncio
 import contextlib
@@ -10,41 +10,27 @@ from pathlib import Path
 from typing import Any, Final
 
 from ca.errors import HintedError
-from ca.revocation.state import NO_LIST_YET
+from ca.revocation.trust_status import NO_LIST_YET
 from grants import document
 from rossec import files
-from rossec.authority.grant_delivery import LATER, RefusedDeposit
-from rossec.authority.master_call import MasterCall
+from rossec.authority.grant_operations import LATER, RefusedDeposit, SignedGrant
 from rossec.authority.service import AuthorityService
+from rossec.authority.session import StatementCall
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import master_as, master_at
-from rossec.cli.shared.results import add_entry
+from rossec.cli.shared.options import add_entry
 from rossec.errors import ConfigurationError, NotDelivered, PeerUnreachable
-from rossec.ros import settings
+from rossec.ros import names
 from rossec.ros.xmlrpc import Fault
 from rossec.terminal import note, printable, record, say
 
-_SIGNED_ANEW: Final = (
-    "a list for the master was due and is signed anew; deliver it with: rossec ca publish"
-)
-
+_SIGNED_ANEW: Final = "a list for the master was due and is signed anew; deliver it with: rossec ca publish"
 _NO_LIST: Final = (
     "the master has no revocation list of this authority, so it trusts no grant yet:"
     " rossec ca publish, then rossec grant deliver"
 )
-
-
-def service_of(
-    environment: Environment, passphrase_file: Path | None = None, master_uri: str | None = None
-) -> AuthorityService:
-    """The authority in ROSSEC_HOME."""
-    return AuthorityService(
-        environment.home,
-        partial(passphrase.read, passphrase_file, environment.variables),
-        partial(call_master, environment, master_uri),
-        now,
-    )
+_NAMED: Final = 5  # rights of the line
 
 
 def pass_service(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -63,46 +49,40 @@ def pass_service(command: Callable[..., Any]) -> Callable[..., Any]:
     return passphrase.option(run)
 
 
-def call_master(environment: Environment, master_uri: str | None, call: MasterCall) -> object:
+def service_of(
+    environment: Environment, passphrase_file: Path | None = None, master_uri: str | None = None
+) -> AuthorityService:
+    return AuthorityService(
+        environment.home,
+        partial(passphrase.read, passphrase_file, environment.variables),
+        partial(call_master, environment, master_uri),
+        now,
+    )
+
+
+def call_master(environment: Environment, master_uri: str | None, call: StatementCall) -> object:
     """Call the master at `master_uri`, by default ROS_MASTER_URI, as the authority's own node.
 
     Returns the value of its answer.
-
-    Raises:
-        NotDelivered: the master is unreachable or refuses the statement.
     """
     if call.note:
         note(call.note)
     uri = master_at(environment, call.node, master_uri)
-    settings.parse_uri(uri, "the master's URI")
+    names.parse_uri(uri, "the master's URI")
 
     async def ask() -> object:
-        async with (
-            asyncio.timeout(call.within),
-            master_as(environment, call.node, uri) as client,
-        ):
+        async with asyncio.timeout(call.within), master_as(environment, call.node, uri) as client:
             return await client.ask(call.method, call.node.name, *call.statement)
 
     try:
         return asyncio.run(ask())
     except (HintedError, OSError, TimeoutError, Fault) as error:
-        what = f"the master at {uri} did not take {call.what}: {_reason(error)}"
+        reason = str(error) or "no answer in time"
+        if isinstance(error, Fault):
+            reason = f"it answers {printable(error.faultString)}: is it of an older version?"
+        what = f"the master at {uri} did not take {call.what}: {reason}"
         start = f"{error.hint}; " if isinstance(error, PeerUnreachable) else ""
         raise NotDelivered(what, f"{start}{call.hint}") from error
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, Fault):
-        return f"it answers {printable(error.faultString)}: is it of an older version?"
-    return str(error) or "no answer in time"
-
-
-def publish_list(service: AuthorityService) -> None:
-    """Deliver the list that was signed just now, and say so."""
-    record(published=False)
-    service.publish()
-    record(published=True)
-    say("the master has the new list")
 
 
 def publish_if_revoked(service: AuthorityService) -> None:
@@ -125,10 +105,29 @@ def publish_if_revoked(service: AuthorityService) -> None:
         note(f"{error}; {error.hint}")
 
 
+def publish_list(service: AuthorityService) -> None:
+    record(published=False)
+    service.publish()
+    record(published=True)
+    say("the master has the new list")
+
+
 def remind_to_publish(service: AuthorityService) -> None:
-    """Print a note if a list was signed anew."""
     if service.has_signed_list or service.has_signed_domains:
         note(_SIGNED_ANEW)
+
+
+def deliver_grant(service: AuthorityService, data: bytes, out: Path | None) -> Sequence[RefusedDeposit]:
+    """Write a grant to the file `out`, which somebody carries; else as `deliver_grants`."""
+    if out is None:
+        return deliver_grants(service, [data])
+    files.create(out, data, 0o644)
+    record(file=str(out))
+    say(f"written to {out}")
+    if (path := service.grants.store(data)) is not None:
+        add_entry("given", {"node": document.peek(data).subject, "path": str(path)})
+        say(f"given to {document.peek(data).subject} in {path}")
+    return ()
 
 
 def deliver_grants(service: AuthorityService, grants: Iterable[bytes]) -> Sequence[RefusedDeposit]:
@@ -141,7 +140,7 @@ def deliver_grants(service: AuthorityService, grants: Iterable[bytes]) -> Sequen
     for data in grants:
         node, path = document.peek(data).subject, None
         with contextlib.suppress(HintedError, OSError):  # one node's disk; it is said below
-            path = service.store_grant(data)
+            path = service.grants.store(data)
         if path is None:
             elsewhere.append(data)
         else:
@@ -150,7 +149,7 @@ def deliver_grants(service: AuthorityService, grants: Iterable[bytes]) -> Sequen
     if not elsewhere:
         return ()
     try:
-        refused = service.deposit(elsewhere)
+        refused = service.grants.deposit(elsewhere)
     except (NotDelivered, ConfigurationError) as error:
         record(undelivered=str(error))
         note(f"{error}; {LATER}")
@@ -174,16 +173,32 @@ def say_deposited(count: int, refused: Sequence[RefusedDeposit]) -> None:
         note(_NO_LIST)
 
 
-def deliver_grant(
-    service: AuthorityService, data: bytes, out: Path | None
-) -> Sequence[RefusedDeposit]:
-    """Write a grant to the file `out`, which somebody carries; else as `deliver_grants`."""
-    if out is None:
-        return deliver_grants(service, [data])
-    files.create(out, data, 0o644)
-    record(file=str(out))
-    say(f"written to {out}")
-    if (path := service.store_grant(data)) is not None:
-        add_entry("given", {"node": document.peek(data).subject, "path": str(path)})
-        say(f"given to {document.peek(data).subject} in {path}")
-    return ()
+def give_outright(service: AuthorityService, name: str) -> None:
+    """Grant `name` what the policy in force gives it, if there is one, and say so in one line.
+
+    What the policy leaves to a person waits for a request. The identity is signed by then, so a
+    policy that cannot be used is a note.
+    """
+    try:
+        signed = service.policy.grant_outright(name)
+    except HintedError as error:
+        record(no_grants=str(error))
+        note(f"{name} has no grants yet: {error}")
+        note("correct it (rossec policy check), then: rossec policy apply")
+        return
+    if signed:
+        record(granted=[document.grant_id(data).hex() for _, data in signed])
+        say(f"the policy gives {name}: {_rights(signed)}")
+        for each in deliver_grants(service, [data for _, data in signed])[:1]:
+            note(each.hint)
+
+
+def _rights(signed: list[SignedGrant]) -> str:
+    found = [
+        f"{item.rights.label} {item.pattern}" + (" (restricted)" if item.restriction else "")
+        for _, data in signed
+        for item in document.peek(data).permissions
+    ]
+    unique = list(dict.fromkeys(found))
+    more = f", and {len(unique) - _NAMED} more" if len(unique) > _NAMED else ""
+    return ", ".join(unique[:_NAMED]) + more

@@ -9,8 +9,8 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final, TypeAlias
 
-from rossec.console.matrix import Access, Matrix
-from rossec.console.pictures.svg import Element, Point, along, curve, cut, drawing, label, path
+from rossec.console.matrix import Matrix, TopicAccess
+from rossec.console.pictures.svg import Point, SvgElement, along, box, curve, cut, drawing, label, path
 
 MAX_ROWS: Final = 12
 Line: TypeAlias = tuple[Point, Point]
@@ -26,14 +26,8 @@ def draw(
     matrix: Matrix,
     refused: Mapping[str, Sequence[str]] | None = None,
     title: Callable[[str], str] = lambda _: "",
-) -> Element | None:
-    """The flow of the first rows and receivers of `matrix`; None where nothing flows.
-
-    Args:
-        refused: by receiver, the names that it was refused; one that may see nothing else has
-            a box too.
-        title: what people call a name; empty: it has no title.
-    """
+) -> SvgElement | None:
+    """The flow of the first rows and receivers of `matrix`; None where nothing flows."""
     shown = matrix.window(slice(MAX_ROWS), slice(MAX_ROWS))
     ends = {name: found for name, found in (refused or {}).items() if found}
     receivers = _first([*shown.receivers, *sorted(ends)])
@@ -50,7 +44,9 @@ def draw(
         for name in row.publishers
         if name in left
     ]
-    parts = [*_heads(), *sent, *_seen(shown, middle, right)]
+    columns = ((_SENDERS, "comes from"), (_TOPICS, "what"), (_RECEIVERS, "is seen by"))
+    heads = [label(column[0], 16, text, "head") for column, text in columns]
+    parts = [*heads, *sent, *_seen(shown, middle, right)]
     parts += _column(left, _SENDERS, "box end", title) + _column(middle, _TOPICS, "box", title)
     parts += _column(right, _RECEIVERS, "box end", title)
     stubs = [_stub(right[name], names) for name, names in ends.items() if name in right]
@@ -63,26 +59,14 @@ def _first(names: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(names))[:MAX_ROWS]
 
 
-def _heads() -> list[Element]:
-    return [
-        label(column[0], 16, text, "head")
-        for column, text in (
-            (_SENDERS, "comes from"),
-            (_TOPICS, "what"),
-            (_RECEIVERS, "is seen by"),
-        )
-    ]
-
-
 def _spread(names: Sequence[str], height: float) -> dict[str, float]:
-    """The heights of the middles of boxes, evenly over the column."""
     pitch = (height - _TOP) / max(1, len(names))
     return {name: _TOP + pitch * (at + 0.5) for at, name in enumerate(names)}
 
 
 def _column(
     places: Mapping[str, float], column: Point, class_: str, title: Callable[[str], str]
-) -> list[Element]:
+) -> list[SvgElement]:
     left, right = column
     boxes = []
     for name, y in places.items():
@@ -94,30 +78,21 @@ def _column(
                 label(middle, y - 2, short, "box-title", "middle"),
                 label(middle, y + 13, cut(name, most), "box-name", "middle"),
             ]
-        boxes.append(
-            Element(
-                "g",
-                Element("title", f"{called} {name}".strip()),
-                Element(
-                    "rect", x=left + 0.5, y=y - _BOX / 2, width=right - left - 1, height=_BOX,
-                    rx=9.0, class_=class_,
-                ),
-                *texts,
-            )
-        )  # fmt: skip
+        frame = box(left + 0.5, y - _BOX / 2, right - left - 1, _BOX, 9.0, class_)
+        boxes.append(SvgElement("g", SvgElement("title", f"{called} {name}".strip()), frame, *texts))
     return boxes
 
 
-def _seen(matrix: Matrix, middle: Mapping[str, float], right: Mapping[str, float]) -> list[Element]:
+def _seen(matrix: Matrix, middle: Mapping[str, float], right: Mapping[str, float]) -> list[SvgElement]:
     drawn = [
         (cell.access, (_TOPICS[1], middle[row.topic]), (_RECEIVERS[0], right[cell.receiver]))
         for row in matrix.rows
         for cell in row.cells
-        if cell.access is not Access.NOTHING and cell.receiver in right
+        if cell.access is not TopicAccess.NOTHING and cell.receiver in right
     ]
     lines = [curve(start, end, f"flow-{access}") for access, start, end in drawn]
-    ended = [(start, end) for access, start, end in drawn if access is Access.ENDED]
-    others = [(start, end) for access, start, end in drawn if access is not Access.ENDED]
+    ended = [(start, end) for access, start, end in drawn if access is TopicAccess.ENDED]
+    others = [(start, end) for access, start, end in drawn if access is not TopicAccess.ENDED]
     return [*lines, *(_cross(*place) for place in free_places(ended, others))]
 
 
@@ -130,10 +105,7 @@ def free_places(struck: Sequence[Line], others: Sequence[Line]) -> list[Point]:
     places: list[Point] = []
     for line in struck:
         beside = [
-            along(start, end, at / 40)
-            for start, end in struck
-            if (start, end) != line
-            for at in range(41)
+            along(start, end, at / 40) for start, end in struck if (start, end) != line for at in range(41)
         ]
         candidates = [along(*line, at / 40) for at in range(6, 35)]
         points = [*taken, *beside, *places]
@@ -147,22 +119,21 @@ def _distance(point: Point, points: Iterable[Point]) -> float:
     return min((math.dist(point, each) for each in points), default=math.inf)
 
 
-def _cross(x: float, y: float) -> Element:
-    return Element(
+def _cross(x: float, y: float) -> SvgElement:
+    return SvgElement(
         "g",
-        Element("circle", cx=x, cy=y, r=9.0, class_="badge"),
+        SvgElement("circle", cx=x, cy=y, r=9.0, class_="badge"),
         path([(x - 4, y - 4), (x + 4, y + 4)], "cross"),
         path([(x - 4, y + 4), (x + 4, y - 4)], "cross"),
     )
 
 
-def _stub(y: float, names: Sequence[str]) -> Element:
-    """The dead end of a receiver: the name that it was refused, or how many."""
+def _stub(y: float, names: Sequence[str]) -> SvgElement:
     start = _RECEIVERS[1]
     said = cut(names[0], 13) if len(names) == 1 else f"{len(names)} refused"
-    return Element(
+    return SvgElement(
         "g",
-        Element("title", "refused: " + ", ".join(names[:8])),
+        SvgElement("title", "refused: " + ", ".join(names[:8])),
         path([(start, y), (start + 17, y)], "flow-ended"),
         _cross(start + 26, y),
         label(start + 39, y + 4, said, "stub"),

@@ -1,21 +1,219 @@
 """What a topic looks like to each of its receivers: one picture for each way to see it. Pure.
 
-A type has a picture (`place`, `laser`, `image`, `series`) or its fields as text, with those struck
-that a receiver does not get. All receivers with the same restrictions share one.
+A type has a picture (a place, a laser scan from above, a camera picture as PNG in the page, a number over the
+last minute as a line) or its fields as text, with those struck that a receiver does not get. All receivers
+with the same restrictions share one. Of pictures and scans the last is drawn; rounded distances show as
+rings, removed ones as an empty circle, and a rounded number as a staircase.
 """
 
+import base64
+import io
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+from PIL import Image
+
 from grants.model import FilterRule
-from grants.policy.privacy import filters_of
+from grants.vocabulary.assess import filters_of
 from rossec.console import words
-from rossec.console.matrix import SEEING, Access, Cell
-from rossec.console.pictures import image, laser, place, series
-from rossec.console.pictures.svg import Element
+from rossec.console.matrix import SEEING, Cell, TopicAccess
+from rossec.console.pictures import place
+from rossec.console.pictures.svg import Point, SvgElement, drawing, label, path
 from rossec.console.samples import Recorded, SeenTopic, try_see
-from rossec.ros.text import printable
+from rossec.peer_limits import printable
+
+IMAGE_TYPE: Final = "sensor_msgs/Image"
+IMAGE_WIDTH: Final = 320.0
+_MAX_SIDE: Final = 8192
+_MAX_PNG: Final = 9_000  # bytes: a page has several, and at most 100 kB
+_SIDES: Final = (240, 160, 120, 80, 40)
+# Encoding of sensor_msgs/image_encodings: channels, and their order as red, green, blue.
+_ENCODINGS: Final = {
+    "mono8": (1, None),
+    "8UC1": (1, None),
+    "rgb8": (3, (0, 1, 2)),
+    "bgr8": (3, (2, 1, 0)),
+    "8UC3": (3, (2, 1, 0)),
+    "rgba8": (4, (0, 1, 2)),
+    "bgra8": (4, (2, 1, 0)),
+}
+
+
+def draw_image(seen: SeenTopic) -> SvgElement | None:
+    """The last picture; None if there is none, or it cannot be read."""
+    found = _picture(seen)
+    if found is None:
+        return None
+    height = IMAGE_WIDTH * found.height / found.width
+    shown = SvgElement.picture(
+        base64.b64encode(_png(found)).decode(), width=IMAGE_WIDTH, height=height, class_="photo"
+    )
+    return drawing(IMAGE_WIDTH, height, f"The picture that {seen.receiver} sees", shown, class_="camera")
+
+
+# An encoding that is not in the table is not drawn, nor one whose bytes do not have the size that its header
+# says.
+def _picture(seen: SeenTopic) -> Image.Image | None:
+    if not seen.samples:
+        return None
+    fields = seen.samples[-1].fields
+    height, width, row = int(fields["height"]), int(fields["width"]), int(fields["step"])
+    channels, order = _ENCODINGS.get(str(fields["encoding"]), (0, None))
+    data = np.asarray(fields["data"], dtype=np.uint8)
+    fits = 0 < width <= _MAX_SIDE and 0 < height <= 4 * width and row >= width * channels > 0
+    if not fits or data.size != height * row:
+        return None
+    pixels = data.reshape(height, row)[:, : width * channels]
+    if order is None:
+        return Image.fromarray(pixels.copy())
+    return Image.fromarray(pixels.reshape(height, width, channels)[:, :, list(order)].copy())
+
+
+def _png(picture: Image.Image) -> bytes:
+    data = b""
+    for side in _SIDES:
+        small = picture.copy()
+        small.thumbnail((side, side), Image.Resampling.BOX)
+        out = io.BytesIO()
+        small.save(out, "PNG", optimize=True)
+        data = out.getvalue()
+        if len(data) <= _MAX_PNG:
+            break
+    return data
+
+
+SCAN_TYPE: Final = "sensor_msgs/LaserScan"
+SCAN_SIZE: Final = 300.0
+_MIDDLE: Final = SCAN_SIZE / 2
+_REACH: Final = SCAN_SIZE / 2 - 14
+_RINGS: Final = 3
+_MAX_RAYS: Final = 360
+_MAX_ANGLE: Final = 1e3
+_FAR: Final = 1e6  # metres: what is farther is no wall
+
+
+def reach_of(seen: SeenTopic) -> float:
+    """The longest distance that the last scan has, in metres; 0 if there is none."""
+    return max((distance for _, distance in _rays(seen)), default=0.0)
+
+
+def draw_scan(seen: SeenTopic, reach: float) -> SvgElement | None:
+    """The last scan, with `reach` metres from the middle to the edge; None without a scan."""
+    if not seen.samples:
+        return None
+    scale = _REACH / reach if reach > 0 else 0.0
+    rings = [
+        SvgElement("circle", cx=_MIDDLE, cy=_MIDDLE, r=_REACH * number / _RINGS, class_="grid ring")
+        for number in range(1, _RINGS + 1)
+    ]
+    hits = [_at(angle, distance * scale) for angle, distance in _rays(seen)]
+    dots = [SvgElement("circle", cx=x, cy=y, r=1.6, class_="hit") for x, y in hits]
+    text = [label(_MIDDLE, SCAN_SIZE - 2, f"{reach:.3g} m", "ruler-text", "middle")] if scale else []
+    here = SvgElement("circle", cx=_MIDDLE, cy=_MIDDLE, r=4.5, class_="here")
+    outline = [path([*hits, hits[0]], "outline")] if len(hits) > 2 else []
+    said = f"{len(hits)} rays that {seen.receiver} sees, from above"
+    return drawing(SCAN_SIZE, SCAN_SIZE, said, *rings, *outline, *dots, here, *text, class_="laser")
+
+
+def _rays(seen: SeenTopic) -> list[Point]:
+    if not seen.samples:
+        return []
+    fields = seen.samples[-1].fields
+    start, step = float(fields["angle_min"]), float(fields["angle_increment"])
+    if not (abs(start) < _MAX_ANGLE and abs(step) < _MAX_ANGLE):  # also if one is no number
+        return []
+    every = max(1, math.ceil(len(fields["ranges"]) / _MAX_RAYS))
+    return [
+        (start + number * step, float(distance))
+        for number, distance in enumerate(fields["ranges"])
+        if number % every == 0 and 0 < float(distance) < _FAR
+    ]
+
+
+def _at(angle: float, distance: float) -> Point:
+    far = min(distance, _REACH)
+    return _MIDDLE + far * math.cos(angle), _MIDDLE - far * math.sin(angle)
+
+
+SERIES_WIDTH, SERIES_HEIGHT = 300.0, 100.0
+_EDGE: Final = 10.0
+_MAX_POINTS: Final = 300
+_LARGE: Final = 1e300  # a difference of two is still a number
+_NOT_SHOWN: Final = ("seq", "stamp", "sec", "nanosec")
+
+
+class Span(NamedTuple):
+    first: float
+    last: float
+    low: float
+    high: float
+
+
+def field_of(seen: SeenTopic) -> str:
+    if not seen.samples:
+        return ""
+    last = dict(_numbers(seen.samples[-1].fields, ""))
+    first = dict(_numbers(seen.samples[0].fields, ""))
+    changing = [path_ for path_, value in last.items() if first.get(path_) != value]
+    return next(iter([*changing, *last]), "")
+
+
+def span_of(seen: Iterable[SeenTopic], field: str) -> Span | None:
+    """The span of the field in all of `seen`; None without a value."""
+    points = [point for each in seen for point in _points(each, field)]
+    if not points:
+        return None
+    times, values = [at for at, _ in points], [value for _, value in points]
+    return Span(min(times), max(times), min(values), max(values))
+
+
+def draw_series(seen: SeenTopic, field: str, span: Span) -> SvgElement | None:
+    """The values of `field` as a line; None if this receiver got none."""
+    points = _points(seen, field)
+    if not points:
+        return None
+    every = max(1, math.ceil(len(points) / _MAX_POINTS))
+    drawn = [_series_at(point, span) for point in points[::every]]
+    parts = [
+        SvgElement("rect", width=SERIES_WIDTH, height=SERIES_HEIGHT, class_="ground", rx=8.0),
+        path([(drawn[0][0], drawn[0][1]), *drawn], "track shade5"),
+        SvgElement("circle", cx=drawn[-1][0], cy=drawn[-1][1], r=4.0, class_="here"),
+        label(_EDGE, _EDGE + 5, f"{span.high:.4g}", "ruler-text"),
+        label(_EDGE, SERIES_HEIGHT - 5, f"{span.low:.4g}", "ruler-text"),
+    ]
+    values = {value for _, value in points}
+    said = f"{field}: {len(values)} different values that {seen.receiver} sees"
+    return drawing(SERIES_WIDTH, SERIES_HEIGHT, said, *parts, class_="series")
+
+
+def _series_at(point: Point, span: Span) -> Point:
+    at, value = point
+    long, high = span.last - span.first or 1.0, span.high - span.low
+    x = _EDGE + (SERIES_WIDTH - 2 * _EDGE) * (at - span.first) / long
+    level = (value - span.low) / high if high else 0.5
+    return x, SERIES_HEIGHT - _EDGE - 12 - (SERIES_HEIGHT - 2 * _EDGE - 24) * level
+
+
+def _points(seen: SeenTopic, field: str) -> list[Point]:
+    found = []
+    for sample in seen.samples:
+        value = dict(_numbers(sample.fields, "")).get(field)
+        if value is not None:
+            found.append((sample.at, value))
+    return found
+
+
+def _numbers(fields: Mapping[str, Any], above: str) -> Iterator[tuple[str, float]]:
+    for name, value in fields.items():
+        if name in _NOT_SHOWN:
+            continue
+        if isinstance(value, Mapping):
+            yield from _numbers(value, f"{above}{name}.")
+        elif type(value) in (int, float) and abs(value) < _LARGE:
+            yield f"{above}{name}", float(value)
+
 
 MAX_LOOKS: Final = 6
 MAX_FIELDS: Final = 24
@@ -26,21 +224,17 @@ _REMOVING: Final = ("clear", "drop", "zero")
 
 
 class FieldLine(NamedTuple):
-    """A field of a message as text; `removed`: the receiver gets nothing in its place."""
-
     path: str
     value: str
     removed: bool
 
 
 class Look(NamedTuple):
-    """How some receivers see a topic: a heading, a line below it, and a picture or fields."""
-
     receivers: tuple[str, ...]
     heading: str
     caption: str
-    access: Access
-    picture: Element | None
+    access: TopicAccess
+    picture: SvgElement | None
     fields: tuple[FieldLine, ...]
 
 
@@ -65,7 +259,8 @@ def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
             ways.setdefault(cell.restrictions, []).append(cell)
     groups = sorted(ways.values(), key=lambda group: (bool(group[0].restrictions), group[0]))
     shown = groups[:MAX_LOOKS]
-    recorded = recorded._replace(messages=recorded.messages[-_newest(recorded.type) :])
+    newest = _LAST if recorded.type in (SCAN_TYPE, IMAGE_TYPE) else MAX_MESSAGES  # of these the last is drawn
+    recorded = recorded._replace(messages=recorded.messages[-newest:])
     exact = try_see(recorded, "", ())
     if exact is None:
         return Comparison(recorded.topic, recorded.type, (), 0, recorded.is_made_up)
@@ -73,28 +268,18 @@ def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
     cells = [group[0] for group in shown]
     drawer = _drawer(exact, [each for each in seen if each], cells, minutes(recorded))
     looks = tuple(_look(drawer, group, each) for group, each in zip(shown, seen, strict=True))
-    return Comparison(
-        recorded.topic, recorded.type, looks, len(groups) - len(shown), recorded.is_made_up
-    )
-
-
-def _newest(kind: str) -> int:
-    """How many messages are looked at: of a picture or a scan only the last is drawn."""
-    return _LAST if kind in (laser.TYPE, image.TYPE) else MAX_MESSAGES
+    return Comparison(recorded.topic, recorded.type, looks, len(groups) - len(shown), recorded.is_made_up)
 
 
 class _Drawer(NamedTuple):
-    """What the pictures of one topic share; `during` is how long all of it took."""
-
-    frame: place.Frame | None
+    frame: place.PlaceFrame | None
     reach: float
     field: str
-    span: series.Span | None
+    span: Span | None
     during: str
 
 
 def minutes(recorded: Recorded) -> int:
-    """How many minutes the messages took, begun ones included."""
     times = [at for at, _ in recorded.messages]
     return max(1, math.ceil((max(times) - min(times)) / 60)) if times else 1
 
@@ -102,12 +287,12 @@ def minutes(recorded: Recorded) -> int:
 def _drawer(exact: SeenTopic, seen: list[SeenTopic], cells: list[Cell], long: int) -> _Drawer:
     restrictions = [each for cell in cells for each in cell.restrictions]
     frame = place.frame_of([exact], restrictions) if place.has_place(exact.type) else None
-    is_scan = exact.type == laser.TYPE
-    reach = max(map(laser.reach_of, [exact, *seen])) if is_scan else 0.0
-    drawn = frame is not None or exact.type in (laser.TYPE, image.TYPE)
-    field = "" if drawn else series.field_of(exact)
+    is_scan = exact.type == SCAN_TYPE
+    reach = max(map(reach_of, [exact, *seen])) if is_scan else 0.0
+    drawn = frame is not None or exact.type in (SCAN_TYPE, IMAGE_TYPE)
+    field = "" if drawn else field_of(exact)
     during = "in this minute" if long == 1 else f"in these {long} minutes"
-    return _Drawer(frame, reach, field, series.span_of([exact, *seen], field), during)
+    return _Drawer(frame, reach, field, span_of([exact, *seen], field), during)
 
 
 def _look(drawer: _Drawer, group: Sequence[Cell], seen: SeenTopic | None) -> Look:
@@ -120,31 +305,34 @@ def _look(drawer: _Drawer, group: Sequence[Cell], seen: SeenTopic | None) -> Loo
     if got == 0:
         caption = f"none of {words.count(seen.sent, 'message')} passed: {cell.words}"
         return Look(receivers, "gets none of these", caption, cell.access, None, ())
-    heading, detail, picture = _picture(drawer, cell, seen)
+    heading, detail, picture = _looks_picture(drawer, cell, seen)
     caption = ": ".join(filter(None, (detail, cell.words)))
-    lines = () if picture is not None else _fields(seen, cell)
-    return Look(receivers, heading, printable(caption, 400), cell.access, picture, lines)
+    lines: list[FieldLine] = []
+    if picture is None:
+        rules = [rule for each in cell.restrictions for rule in each.filters]
+        _walk(seen.samples[-1].fields, "", rules, lines)
+    text = printable(caption, 400)
+    return Look(receivers, heading, text, cell.access, picture, tuple(lines[:MAX_FIELDS]))
 
 
-def _picture(drawer: _Drawer, cell: Cell, seen: SeenTopic) -> tuple[str, str, Element | None]:
-    """Heading, how much it is, and the picture; without one the fields are shown."""
+def _looks_picture(drawer: _Drawer, cell: Cell, seen: SeenTopic) -> tuple[str, str, SvgElement | None]:
     messages = words.count(len(seen.samples), "message")
     if drawer.frame is not None:
         return _place(drawer.frame, cell, seen, drawer.during)
-    if seen.type == laser.TYPE:
-        return "sees what the laser meets", "", laser.draw(seen, drawer.reach)
-    if seen.type == image.TYPE:
+    if seen.type == SCAN_TYPE:
+        return "sees what the laser meets", "", draw_scan(seen, drawer.reach)
+    if seen.type == IMAGE_TYPE:
         heading = "sees this of the picture" if cell.restrictions else "sees the picture"
-        return heading, "", image.draw(seen)
+        return heading, "", draw_image(seen)
     if drawer.field and drawer.span is not None:
         name = words.field_name(drawer.field, seen.type)
-        return f"sees the {name}", messages, series.draw(seen, drawer.field, drawer.span)
+        return f"sees the {name}", messages, draw_series(seen, drawer.field, drawer.span)
     return "sees these fields", messages, None
 
 
 def _place(
-    frame: place.Frame, cell: Cell, seen: SeenTopic, during: str
-) -> tuple[str, str, Element | None]:
+    frame: place.PlaceFrame, cell: Cell, seen: SeenTopic, during: str
+) -> tuple[str, str, SvgElement | None]:
     cells = place.cells_of(cell.restrictions, frame.origin)
     picture = place.draw(seen, frame, max(cells, default=None))
     if picture is None:
@@ -158,17 +346,7 @@ def _place(
     return "sees the exact place", f"{places} {during}", picture
 
 
-def _fields(seen: SeenTopic, cell: Cell) -> tuple[FieldLine, ...]:
-    """The last message as text; what a filter removed has no value."""
-    rules = [rule for each in cell.restrictions for rule in each.filters]
-    found: list[FieldLine] = []
-    _walk(seen.samples[-1].fields, "", rules, found)
-    return tuple(found[:MAX_FIELDS])
-
-
-def _walk(
-    fields: Mapping[str, Any], above: str, rules: list[FilterRule], found: list[FieldLine]
-) -> None:
+def _walk(fields: Mapping[str, Any], above: str, rules: list[FilterRule], found: list[FieldLine]) -> None:
     for name, value in fields.items():
         path = f"{above}{name}"
         if isinstance(value, Mapping):

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from grants.model import FilterRule, Restriction
-from rossec.console.pictures.svg import Element, Point, drawing, label, path
-from rossec.console.samples import Sample, SeenTopic
+from rossec.console.pictures.svg import Point, SvgElement, box, drawing, label, path
+from rossec.console.samples import SeenTopic, SyntheticSample
 
 WIDTH, HEIGHT = 300.0, 250.0
 _SHADES: Final = 5
@@ -35,9 +35,7 @@ _ON_EARTH: Final = "sensor_msgs/NavSatFix"
 Extent: TypeAlias = tuple[float, float]
 
 
-class Frame(NamedTuple):
-    """What is drawn: centre, metres from edge to edge, and the place on earth that is (0, 0)."""
-
+class PlaceFrame(NamedTuple):
     x: float
     y: float
     width: float
@@ -45,11 +43,9 @@ class Frame(NamedTuple):
 
     @property
     def scale(self) -> float:
-        """Units of the picture for a metre."""
         return WIDTH / self.width
 
     def at(self, point: Point) -> Point:
-        """Where a point in metres lies in the picture; north is up."""
         x = WIDTH / 2 + (point[0] - self.x) * self.scale
         y = HEIGHT / 2 - (point[1] - self.y) * self.scale
         return min(max(x, 0.0), WIDTH), min(max(y, 0.0), HEIGHT)
@@ -60,7 +56,7 @@ def has_place(type_name: str) -> bool:
     return type_name in _POSITION or type_name == _ON_EARTH
 
 
-def frame_of(seen: Iterable[SeenTopic], restrictions: Iterable[Restriction] = ()) -> Frame | None:
+def frame_of(seen: Iterable[SeenTopic], restrictions: Iterable[Restriction] = ()) -> PlaceFrame | None:
     """The frame for all of `seen`, with whole cells of `restrictions`; None: there is no place."""
     given = list(seen)
     origin = next(filter(None, (_origin(each) for each in given)), None)
@@ -71,20 +67,14 @@ def frame_of(seen: Iterable[SeenTopic], restrictions: Iterable[Restriction] = ()
     low_x, high_x = min(x for x, _ in points) - edge, max(x for x, _ in points) + edge
     low_y, high_y = min(y for _, y in points) - edge, max(y for _, y in points) + edge
     width = max(high_x - low_x, (high_y - low_y) * WIDTH / HEIGHT)
-    return Frame((low_x + high_x) / 2, (low_y + high_y) / 2, width, origin)
+    return PlaceFrame((low_x + high_x) / 2, (low_y + high_y) / 2, width, origin)
 
 
 def cells_of(restrictions: Iterable[Restriction], origin: Point | None = None) -> list[Extent]:
-    """The width and height in metres of the cells that `restrictions` leave of a place."""
-    found = []
-    for restriction in restrictions:
-        cell = _cell(restriction, origin)
-        if cell is not None:
-            found.append(cell)
-    return found
+    return [cell for each in restrictions if (cell := _cell(each, origin)) is not None]
 
 
-def draw(seen: SeenTopic, frame: Frame, cell: Extent | None) -> Element | None:
+def draw(seen: SeenTopic, frame: PlaceFrame, cell: Extent | None) -> SvgElement | None:
     """One receiver's picture: squares if it gets cells, else the track; None: it gets no place."""
     points = _points(seen, frame.origin)
     if not points:
@@ -100,12 +90,10 @@ def draw(seen: SeenTopic, frame: Frame, cell: Extent | None) -> Element | None:
 
 
 def distinct(points: Sequence[Point]) -> int:
-    """The number of different places."""
     return len({(round(x, 3), round(y, 3)) for x, y in points})
 
 
 def places(seen: SeenTopic) -> int:
-    """The number of different places that a receiver saw."""
     return distinct(_points(seen, _origin(seen)))
 
 
@@ -130,7 +118,7 @@ def _step(rule: FilterRule) -> float | None:
     return float(step) if rule.operator == "round" and isinstance(step, int | float) else None
 
 
-def _read(sample: Sample, path_: str) -> Any:
+def _read(sample: SyntheticSample, path_: str) -> Any:
     value: Any = sample.fields
     for step in path_.split("."):
         value = value[step]
@@ -148,16 +136,17 @@ def _origin(seen: SeenTopic) -> Point | None:
 
 
 def _points(seen: SeenTopic, origin: Point | None) -> list[Point]:
-    """The places in metres; none if all are zero, which is what a removed field leaves."""
     if seen.type == _ON_EARTH:
         if origin is None:
             return []
         shrink = math.cos(math.radians(origin[0])) * _EARTH
         found = [
-            ((float(each.fields["longitude"]) - origin[1]) * shrink,
-             (float(each.fields["latitude"]) - origin[0]) * _EARTH)
+            (
+                (float(each.fields["longitude"]) - origin[1]) * shrink,
+                (float(each.fields["latitude"]) - origin[0]) * _EARTH,
+            )
             for each in seen.samples
-        ]  # fmt: skip
+        ]
         return [point for point in found if _is_near(point)]
     field = _POSITION.get(seen.type)
     if field is None:
@@ -169,31 +158,25 @@ def _points(seen: SeenTopic, origin: Point | None) -> list[Point]:
 
 
 def _is_near(point: Point) -> bool:
-    """Whether it can be drawn: not a number, and infinitely far, are neither."""
+    # Whether it can be drawn: not a number, and infinitely far, are neither.
     return all(abs(value) < _FAR for value in point)
 
 
-def _paper(frame: Frame, cell: Extent | None) -> Element:
-    """The ground with lines a metre apart, or those between cells."""
-    wide, high = cell or _metres(frame)
-    lines: list[Element] = [Element("rect", width=WIDTH, height=HEIGHT, class_="ground", rx=8.0)]
+def _paper(frame: PlaceFrame, cell: Extent | None) -> SvgElement:
+    metres = _round_length(frame.width / 11)
+    wide, high = cell or (metres, metres)
+    lines: list[SvgElement] = [SvgElement("rect", width=WIDTH, height=HEIGHT, class_="ground", rx=8.0)]
     reach = frame.width * HEIGHT / WIDTH / 2
     for x in _steps(frame.x - frame.width / 2, frame.x + frame.width / 2, wide, cell is not None):
         across = frame.at((x, 0.0))[0]
-        lines.append(Element("line", x1=across, y1=0.0, x2=across, y2=HEIGHT, class_="grid"))
+        lines.append(SvgElement("line", x1=across, y1=0.0, x2=across, y2=HEIGHT, class_="grid"))
     for y in _steps(frame.y - reach, frame.y + reach, high, cell is not None):
         up = frame.at((0.0, y))[1]
-        lines.append(Element("line", x1=0.0, y1=up, x2=WIDTH, y2=up, class_="grid"))
-    return Element("g", *lines)
-
-
-def _metres(frame: Frame) -> Extent:
-    step = _round_length(frame.width / 11)
-    return step, step
+        lines.append(SvgElement("line", x1=0.0, y1=up, x2=WIDTH, y2=up, class_="grid"))
+    return SvgElement("g", *lines)
 
 
 def _steps(low: float, high: float, step: float, between: bool) -> list[float]:
-    """Multiples of `step` inside, or the middles between them: a cell is around its multiple."""
     offset = 0.5 if between else 0.0
     first = math.ceil(low / step - offset)
     last = math.floor(high / step - offset)
@@ -202,12 +185,11 @@ def _steps(low: float, high: float, step: float, between: bool) -> list[float]:
     return [(number + offset) * step for number in range(first, last + 1)]
 
 
-def _ruler(frame: Frame) -> Element:
-    """A length to compare with, at the lower right."""
+def _ruler(frame: PlaceFrame) -> SvgElement:
     length = _round_length(frame.width / 4)
     left, right, y = WIDTH - 14 - length * frame.scale, WIDTH - 14, HEIGHT - 12
     said = f"{length:g} m" if length < 1000 else f"{length / 1000:g} km"
-    return Element(
+    return SvgElement(
         "g",
         path([(left, y - 5), (left, y), (right, y), (right, y - 5)], "ruler"),
         label((left + right) / 2, y - 6, said, "ruler-text", "middle"),
@@ -215,13 +197,12 @@ def _ruler(frame: Frame) -> Element:
 
 
 def _round_length(metres: float) -> float:
-    """1, 2 or 5 times a power of ten, at most `metres`."""
     power: float = 10.0 ** math.floor(math.log10(metres))
     return max(step * power for step in (1, 2, 5) if step * power <= metres)
 
 
-def _track(points: list[Point], frame: Frame) -> list[Element]:
-    """The track, the older the paler; pieces share their ends, so that no gap shows."""
+def _track(points: list[Point], frame: PlaceFrame) -> list[SvgElement]:
+    # The track, the older the paler; pieces share their ends, so that no gap shows.
     thinned = points[:: max(1, len(points) // _MAX_POINTS)]
     drawn = [frame.at(point) for point in (*thinned, points[-1])]
     size = max(2, math.ceil(len(drawn) / _SHADES))
@@ -234,10 +215,9 @@ def _track(points: list[Point], frame: Frame) -> list[Element]:
     ]
 
 
-def _arrow(seen: SeenTopic, last: Point, frame: Frame) -> list[Element]:
-    """A disc where it is now, and a wedge in its direction where one is known."""
+def _arrow(seen: SeenTopic, last: Point, frame: PlaceFrame) -> list[SvgElement]:
     x, y = frame.at(last)
-    parts = [Element("circle", cx=x, cy=y, r=11.0, class_="halo")]
+    parts = [SvgElement("circle", cx=x, cy=y, r=11.0, class_="halo")]
     heading = _heading(seen)
     if heading is not None:
         tip = [
@@ -246,11 +226,10 @@ def _arrow(seen: SeenTopic, last: Point, frame: Frame) -> list[Element]:
         ]
         inside = [(min(max(a, 0.0), WIDTH), min(max(b, 0.0), HEIGHT)) for a, b in tip]
         parts.append(path(inside, "heading"))
-    return [*parts, Element("circle", cx=x, cy=y, r=4.5, class_="here")]
+    return [*parts, SvgElement("circle", cx=x, cy=y, r=4.5, class_="here")]
 
 
 def _heading(seen: SeenTopic) -> float | None:
-    """The angle of the last direction about the vertical; None if it was removed."""
     field = _POSITION.get(seen.type, "").rpartition("position")[0]
     try:
         turn = _read(seen.samples[-1], f"{field}orientation")
@@ -261,8 +240,7 @@ def _heading(seen: SeenTopic) -> float | None:
     return 2 * math.atan2(z, w) if known else None
 
 
-def _squares(points: list[Point], frame: Frame, cell: Extent) -> list[Element]:
-    """A square for each place, the darker the longer it was there; the last has a border."""
+def _squares(points: list[Point], frame: PlaceFrame, cell: Extent) -> list[SvgElement]:
     counts = Counter(points)
     most = max(counts.values())
     wide, high = cell[0] * frame.scale, cell[1] * frame.scale
@@ -271,14 +249,8 @@ def _squares(points: list[Point], frame: Frame, cell: Extent) -> list[Element]:
         x, y = frame.at(point)
         shade = max(1, math.ceil(_SHADES * times / most))
         now = " now" if point == points[-1] else ""
-        squares.append(_box(x, y, wide, high, f"square shade{shade}{now}"))
+        left, right = min(max(x - wide / 2, 0.0) + 1, WIDTH - 2), min(x + wide / 2, WIDTH) - 1
+        top, bottom = min(max(y - high / 2, 0.0) + 1, HEIGHT - 2), min(y + high / 2, HEIGHT) - 1
+        size = max(right - left, 1.0), max(bottom - top, 1.0)
+        squares.append(box(left, top, *size, 4.0, f"square shade{shade}{now}"))
     return squares
-
-
-def _box(x: float, y: float, wide: float, high: float, class_: str) -> Element:
-    left, right = min(max(x - wide / 2, 0.0) + 1, WIDTH - 2), min(x + wide / 2, WIDTH) - 1
-    top, bottom = min(max(y - high / 2, 0.0) + 1, HEIGHT - 2), min(y + high / 2, HEIGHT) - 1
-    return Element(
-        "rect", x=left, y=top, width=max(right - left, 1.0), height=max(bottom - top, 1.0),
-        rx=4.0, class_=class_,
-    )  # fmt: skip

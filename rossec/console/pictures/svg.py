@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from typing import Final, TypeAlias
 from xml.sax.saxutils import escape
 
-from rossec.ros.text import printable
+from rossec.peer_limits import printable
 
 NAMESPACE: Final = "http://www.w3.org/2000/svg"
 MAX_TEXT: Final = 200
@@ -22,21 +22,14 @@ _ATTRIBUTE: Final = re.compile(r"[a-zA-Z][a-zA-Z0-9-]*", re.ASCII)
 _FORBIDDEN: Final = ("style", "href", "src")  # `image` adds its own
 _PICTURE: Final = "data:image/png;base64,"
 
-Child: TypeAlias = "Element | str"
+Child: TypeAlias = "SvgElement | str"
 Point: TypeAlias = tuple[float, float]
 
 
-class Element:
-    """An element with its attributes and children, as text: `str(element)`."""
-
+class SvgElement:
     __slots__ = ("_text",)
 
     def __init__(self, tag: str, *children: Child, **attributes: object) -> None:
-        """`class_` is the attribute `class`; an underscore within a name is a hyphen.
-
-        Raises:
-            ValueError: an element or attribute that does not belong in a picture.
-        """
         if tag not in _TAGS:
             raise ValueError(f"no {tag[:20]!r} in a picture")
         written = "".join(_attribute(name, value) for name, value in attributes.items())
@@ -50,12 +43,7 @@ class Element:
         return self._text
 
     @classmethod
-    def picture(cls, data: str, **attributes: object) -> "Element":
-        """An `image` of base64 text of a PNG.
-
-        Raises:
-            ValueError: other characters.
-        """
+    def picture(cls, data: str, **attributes: object) -> "SvgElement":
         if re.fullmatch(r"[A-Za-z0-9+/]+={0,2}", data) is None:
             raise ValueError("not base64")
         made = cls("image", **attributes)
@@ -72,26 +60,21 @@ def _attribute(name: str, value: object) -> str:
 
 
 def _child(child: Child) -> str:
-    return str(child) if isinstance(child, Element) else escape(printable(child, MAX_TEXT))
+    return str(child) if isinstance(child, SvgElement) else escape(printable(child, MAX_TEXT))
 
 
 def number(value: float) -> str:
-    """A coordinate with at most one decimal.
-
-    Raises:
-        ValueError: not finite.
-    """
     if not math.isfinite(value):
         raise ValueError("a coordinate that is not finite")
     text = f"{value:.1f}".removesuffix(".0")
     return "0" if text == "-0" else text
 
 
-def drawing(width: float, height: float, title: str, *children: Child, class_: str = "") -> Element:
+def drawing(width: float, height: float, title: str, *children: Child, class_: str = "") -> SvgElement:
     """A picture of this size; `title` is what it shows, for those who cannot see it."""
-    return Element(
+    return SvgElement(
         "svg",
-        Element("title", title),
+        SvgElement("title", title),
         *children,
         viewBox=f"0 0 {number(width)} {number(height)}",
         class_=f"picture {class_}".strip(),
@@ -100,22 +83,19 @@ def drawing(width: float, height: float, title: str, *children: Child, class_: s
     )
 
 
-def path(points: Iterable[Point], class_: str) -> Element:
-    """A line through `points`."""
+def path(points: Iterable[Point], class_: str) -> SvgElement:
     pairs = [f"{number(x)} {number(y)}" for x, y in points]
-    return Element("path", d=f"M{' L'.join(pairs)}", class_=class_)
+    return SvgElement("path", d=f"M{' L'.join(pairs)}", class_=class_)
 
 
-def curve(start: Point, end: Point, class_: str) -> Element:
-    """A line from the right of one box to the left of another, horizontal at both ends."""
+def curve(start: Point, end: Point, class_: str) -> SvgElement:
     (x, y), (to_x, to_y) = start, end
     middle = number((x + to_x) / 2)
     line = f"M{number(x)} {number(y)} C{middle} {number(y)} {middle} {number(to_y)}"
-    return Element("path", d=f"{line} {number(to_x)} {number(to_y)}", class_=class_)
+    return SvgElement("path", d=f"{line} {number(to_x)} {number(to_y)}", class_=class_)
 
 
 def along(start: Point, end: Point, at: float) -> Point:
-    """The point of that curve at the parameter `at`, from 0 to 1 (a cubic Bezier curve)."""
     (x, y), (to_x, to_y) = start, end
     rest, middle = 1 - at, (x + to_x) / 2
     first, inner, last = rest**3, 3 * rest * at, at**3
@@ -125,11 +105,13 @@ def along(start: Point, end: Point, at: float) -> Point:
     )
 
 
-def label(x: float, y: float, text: str, class_: str = "", anchor: str = "start") -> Element:
-    """A text at a point; `anchor` is `start`, `middle` or `end`."""
-    return Element("text", text, x=x, y=y, class_=class_, text_anchor=anchor)
+def box(left: float, top: float, width: float, height: float, rx: float, class_: str) -> SvgElement:
+    return SvgElement("rect", x=left, y=top, width=width, height=height, rx=rx, class_=class_)
+
+
+def label(x: float, y: float, text: str, class_: str = "", anchor: str = "start") -> SvgElement:
+    return SvgElement("text", text, x=x, y=y, class_=class_, text_anchor=anchor)
 
 
 def cut(text: str, most: int) -> str:
-    """A text that fits a box of `most` characters: its end says more than its beginning."""
     return text if len(text) <= most else f"…{text[1 - most :]}"

@@ -17,14 +17,13 @@ from typing import Final
 from ca.errors import HintedError
 from grants.model import Right
 from rossec import clock
-from rossec.console.preview import frames
-from rossec.console.preview.memory import MAX_TOPICS, PreviewMessage
-from rossec.discovery.choose import discover_master
+from rossec.console import samples
+from rossec.console.samples import MAX_TOPICS, PreviewMessage
+from rossec.discovery.local_links import discover_master
 from rossec.errors import AnswerRefused, MessageError
-from rossec.net.aio.tasks import TaskSet
+from rossec.host.runner import TaskSet, until_first_ends
+from rossec.host.sandbox import protect_memory
 from rossec.node import Node, Subscriber
-from rossec.operation.process_memory import protect_memory
-from rossec.operation.shutdown import until_first_ends
 
 NAME: Final = "/console"
 PERIOD: Final = 3.0  # seconds between two looks for topics
@@ -34,13 +33,7 @@ _log = logging.getLogger("rossec.console")
 
 
 class PreviewReceiver:
-    """Receives as `/console`, and writes frames.
-
-    Args:
-        writer: to the pages.
-        environ: of the node.
-        period: seconds between two looks for topics.
-    """
+    """Receives as `/console`, and writes frames."""
 
     def __init__(
         self, writer: asyncio.StreamWriter, environ: Mapping[str, str], period: float = PERIOD
@@ -51,59 +44,49 @@ class PreviewReceiver:
         self._subscribers: dict[str, Subscriber] = {}
 
     async def run(self) -> None:
-        """Receive until cancelled; a master that is away is tried again."""
         while True:
             try:
                 environ = await discover_master(self._environ, NAME)
                 async with Node(NAME, environ=environ) as node:
-                    await self._follow(node)
+                    tasks = TaskSet()
+                    try:
+                        while True:
+                            await self._look(node, tasks)
+                            await asyncio.sleep(self._period)
+                    finally:
+                        await tasks.close()
             except (HintedError, OSError) as error:
                 _log.warning("the preview does not run now: %s", error)
             self._subscribers.clear()
             await asyncio.sleep(_RETRY)
 
-    async def _follow(self, node: Node) -> None:
-        tasks = TaskSet()
-        try:
-            while True:
-                found = await node.topic_types()
-                await self._end_lost(node)
-                for topic, kind in sorted(found.items()):
-                    if self._is_new(node, topic):
-                        with suppress(AnswerRefused, MessageError):  # ended since; unknown type
-                            subscriber = await node.subscriber(topic, kind)
-                            self._subscribers[topic] = subscriber
-                            tasks.spawn(self._pass_on(subscriber, kind), f"preview of {topic}")
-                await asyncio.sleep(self._period)
-        finally:
-            await tasks.close()
+    async def _look(self, node: Node, tasks: TaskSet) -> None:
+        def may_see(topic: str) -> bool:
+            return node.access.holds(Right.SUBSCRIBE, topic, clock.now())
 
-    def _is_new(self, node: Node, topic: str) -> bool:
-        return (
-            topic not in self._subscribers
-            and len(self._subscribers) < MAX_TOPICS
-            and node.access.holds(Right.SUBSCRIBE, topic, clock.now())
-        )
-
-    async def _end_lost(self, node: Node) -> None:
-        """Unsubscribe from what it may not receive any more."""
+        found = await node.topic_types()
         for topic in tuple(self._subscribers):
-            if not node.access.holds(Right.SUBSCRIBE, topic, clock.now()):
+            if not may_see(topic):
                 await self._subscribers.pop(topic).close()
+        for topic, kind in sorted(found.items()):
+            if topic in self._subscribers or len(self._subscribers) >= MAX_TOPICS or not may_see(topic):
+                continue
+            with suppress(AnswerRefused, MessageError):  # ended since; unknown type
+                self._subscribers[topic] = await node.subscriber(topic, kind)
+                tasks.spawn(self._pass_on(self._subscribers[topic], kind), f"preview of {topic}")
 
     async def _pass_on(self, subscriber: Subscriber, kind: str) -> None:
         next_at = 0.0
         async for data in subscriber.raw():
             at = clock.time()
-            if at < next_at or len(data) > frames.MAX_DATA:
+            if at < next_at or len(data) > samples.MAX_DATA:
                 continue
             next_at = at + 1 / PER_SECOND
-            self._writer.write(frames.write(PreviewMessage(subscriber.topic, kind, at, data)))
+            self._writer.write(samples.write_preview(PreviewMessage(subscriber.topic, kind, at, data)))
             await self._writer.drain()
 
 
 async def receive(sock: socket.socket, environ: Mapping[str, str]) -> None:
-    """Run until the pages end their end of the socketpair."""
     reader, writer = await asyncio.open_connection(sock=sock)
     try:
         await until_first_ends(PreviewReceiver(writer, environ).run(), reader.read(1))
@@ -114,7 +97,6 @@ async def receive(sock: socket.socket, environ: Mapping[str, str]) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Run it. Argument: the descriptor of its socket."""
     logging.basicConfig(level=logging.WARNING)
     protect_memory()
     asyncio.run(receive(socket.socket(fileno=int(arguments[0])), os.environ))

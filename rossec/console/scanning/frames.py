@@ -1,9 +1,11 @@
 """Pictures and what was read in them, between web process, supervisor and worker. Pure.
 
-A frame is a length (4 bytes, network byte order) and so many bytes: a picture as it came one way,
-`[0, text]` (empty: no code) or `[1, message, hint]` in deterministic CBOR the other way.
+A picture is read in a process without rights (`worker`); neither of the other two decodes anything. A frame
+is a length (4 bytes, network byte order) and so many bytes: a picture as it came one way, `[0, text]` (empty:
+no code) or `[1, message, hint]` in deterministic CBOR the other way.
 """
 
+from functools import partial
 from typing import Final, NamedTuple
 
 from ca.encoding import decode, encode
@@ -23,40 +25,29 @@ class Found(NamedTuple):
 
 
 class Unreadable(NamedTuple):
-    """Why a picture could not be read."""
-
     message: str
     hint: str
 
 
 def frame(body: bytes) -> bytes:
-    """A body with its length in front."""
     return len(body).to_bytes(HEAD) + body
 
 
 def size(head: bytes, limit: int) -> int:
-    """The number of bytes after a frame's head.
-
-    Raises:
-        KeyMessageRefused: none, or more than `limit`.
-    """
     found = int.from_bytes(head)
     if not 0 < found <= limit:
         raise KeyMessageRefused(f"a picture's frame of {found} bytes where {limit} are allowed")
     return found
 
 
+answer_size: Final = partial(size, limit=MAX_ANSWER)
+
+
 def write_answer(answer: Found | Unreadable) -> bytes:
-    """The frame of an answer."""
     return frame(encode([0 if isinstance(answer, Found) else 1, *answer]))
 
 
 def read_answer(body: bytes) -> Found | Unreadable:
-    """Read the body of an answer's frame.
-
-    Raises:
-        KeyMessageRefused: malformed.
-    """
     try:
         match decode(body, limit=MAX_ANSWER):
             case [0, str() as text] if len(text) <= MAX_TEXT:

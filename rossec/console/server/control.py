@@ -1,19 +1,25 @@
-"""Between the supervisor and its web process: frames over a socketpair. Pure.
+"""Between the supervisor and its web process: what a console was started with, and frames. Pure.
 
-A frame is a length (4 bytes, network byte order) and so many bytes of deterministic CBOR: a word of
-`WORDS` and its arguments. Whichever side ends, the other sees the end of the stream.
+A frame (`messages`) is deterministic CBOR: a word of `WORDS` and its arguments. Whichever side ends, the
+other sees the end of the stream.
 """
 
+import json
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Final, NamedTuple
+from urllib.parse import urlsplit
 
-from ca.encoding import Value, decode, encode
+from ca.encoding import Value, decode
 from ca.errors import EncodingError
-from rossec.authority.keyservice.messages import HEAD
+from rossec.authority.keyservice import messages
 from rossec.errors import KeyMessageRefused
 
 MAX_FRAME: Final = 128 * 1024
-
+LIFETIME: Final = 8 * 3600  # seconds of a session
+IDLE: Final = 30 * 60  # seconds without use after which a session ends
+ON_THE_WALL: Final = 90 * 86400  # seconds of a session that can only look, which nobody touches
 READY, CERTIFICATE = "ready", "certificate"
 WORDS: Final[Mapping[str, tuple[type, ...]]] = {
     READY: (),  # from the web process: it serves
@@ -21,25 +27,72 @@ WORDS: Final[Mapping[str, tuple[type, ...]]] = {
 }
 
 
-class ControlMessage(NamedTuple):
-    """A word and its arguments, whose types are those of `WORDS`."""
+@dataclass(frozen=True)
+class WebSettings:
+    """Of one console.
 
+    Args:
+        domain: the trust domain's name.
+        origins: the addresses under which it is used, as browsers send them as `Origin` (RFC 6454); of the
+            first one are links and passkeys.
+        users: user ids whose programs on this host may connect; None: it is not on localhost.
+        hsts: whether browsers shall insist on https for this name.
+        read_only: whether pages only show.
+        lifetime, idle: of sessions, in seconds.
+        proxy_users: whose programs may connect at a unix socket, as a proxy.
+    """
+
+    domain: str
+    origins: tuple[str, ...]
+    users: frozenset[int] | None = None
+    hsts: bool = False
+    read_only: bool = False
+    lifetime: int = LIFETIME
+    idle: int = IDLE
+    proxy_users: frozenset[int] = frozenset()
+
+    @property
+    def origin(self) -> str:
+        return self.origins[0]
+
+    @property
+    def rp_id(self) -> str:
+        return urlsplit(self.origin).hostname or ""
+
+    @property
+    def hosts(self) -> frozenset[str]:
+        return frozenset(urlsplit(origin).netloc for origin in self.origins)
+
+
+def write_settings(settings: WebSettings) -> str:
+    """Settings as text, for the web process's command line: nothing in them is secret."""
+    fields = asdict(settings)
+    fields["users"] = None if settings.users is None else sorted(settings.users)
+    fields["proxy_users"] = sorted(settings.proxy_users)
+    return json.dumps(fields)
+
+
+def read_settings(text: str) -> WebSettings:
+    fields = json.loads(text)
+    fields["origins"] = tuple(fields["origins"])
+    fields["users"] = None if fields["users"] is None else frozenset(fields["users"])
+    fields["proxy_users"] = frozenset(fields["proxy_users"])
+    return WebSettings(**fields)
+
+
+class ControlMessage(NamedTuple):
     word: str
     arguments: tuple[Value, ...] = ()
 
 
 def write(word: ControlMessage) -> bytes:
-    """The frame of a word."""
-    body = encode([word.word, *word.arguments])
-    return len(body).to_bytes(HEAD) + body
+    return messages.frame([word.word, *word.arguments])
+
+
+frame_size: Final = partial(messages.frame_size, limit=MAX_FRAME)
 
 
 def read(body: bytes) -> ControlMessage:
-    """Read the body of a frame.
-
-    Raises:
-        KeyMessageRefused: malformed, or not in the table.
-    """
     try:
         value = decode(body, limit=MAX_FRAME)
     except EncodingError as error:

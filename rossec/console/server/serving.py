@@ -1,16 +1,16 @@
 """uvicorn in this process's loop, with limits that it lacks: for what comes before a whole head.
 
-No access log: a path can name a robot. No server header, no headers of a proxy read, no websockets.
-A connection has a deadline for every request's head, so nobody holds one by sending a byte a
-minute, and a place from `accept` until it is closed (`places`); what cannot be read is not
-answered.
+No access log: a path can name a robot. No server header, no headers of a proxy read, no websockets. A
+connection has a deadline for every request's head, so nobody holds one by sending a byte a minute; what
+cannot be read is not answered. It takes a place when it is accepted, before TLS begins, and keeps it until it
+is closed (`ConnectionShares`).
 """
 
 import asyncio
 import logging
 import socket
 import ssl
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from email.utils import formatdate
 from functools import partial
@@ -21,31 +21,98 @@ from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 from uvicorn.server import ServerState
 
-from rossec.console.server.peer import check_peer
-from rossec.console.server.places import ConnectionShares, Place
 from rossec.errors import PeerUserRefused
+from rossec.host import local_sockets
+from rossec.host.local_sockets import require_user
+from rossec.host.runner import TaskSet
 from rossec.net.aio.server import ACCEPT_PAUSE
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.host.peeruid import require_user
+from rossec.net.limits import HalfOpen, HalfOpenCount, HalfOpenSlot
 
 HEAD_TIME: Final = 15.0  # seconds for a request's head, from the connection or the answer before
 MAX_HEAD: Final = 16 * 1024
 KEEP_ALIVE: Final = 10  # seconds between two requests
 PLACE: Final = "rossec.place"  # in a request's scope: the place of its connection
 _ACCEPTS_PER_TURN: Final = 16
-
+STRANGERS: Final = HalfOpen(per_address=64, total=256)  # a browser has six, and a page one for news
+SESSIONS: Final = HalfOpen(per_address=32, total=128)  # of one phone, or of one session to look
+OTHER_USERS: Final = HalfOpen(per_address=8, total=8)  # of this host; they are told, and no more
+PROXIES: Final = HalfOpen(per_address=256, total=256)  # at a unix socket, where all have no address
+_HINT: Final = "open it in a browser of the user who started the console"
 _log = logging.getLogger("rossec.console")
 
 
-class BoundedProtocol(H11Protocol):
-    """A connection that must send a whole head in time."""
+def check_peer(scope: Mapping[str, Any], users: frozenset[int] | None) -> None:
+    """Return if the connection of a request may be used; `users` None: anybody's may.
 
+    Cookies know no ports, and every user of a host reaches every port of it; so the user of the TCP peer is
+    looked up for each request. Root is refused like any other user unless the console runs as root: it could
+    take what it wants anyway, and a browser run as root by mistake should not.
+    """
+    if users is None:
+        return
+    client, server = scope.get("client"), scope.get("server")
+    if not client or not server or server[1] is None:
+        raise PeerUserRefused("nobody knows whose connection this is", _HINT)
+    try:
+        holder = local_sockets.find_holder((client[0], client[1]), (server[0], server[1]))
+    except OSError as error:
+        raise PeerUserRefused("nobody knows whose connection this is", _HINT) from error
+    if holder is None or holder.user not in users or not local_sockets.is_known(holder.user):
+        raise PeerUserRefused("this console belongs to another user of this computer", _HINT)
+
+
+class ConnectionPlace:
+    def __init__(self, slot: HalfOpenSlot, sessions: HalfOpenCount) -> None:
+        self._slot = slot
+        self._sessions = sessions
+        self._owner = ""
+
+    def closed_by(self, close: Callable[[], None]) -> None:
+        self._slot.close = close
+
+    def belongs_to(self, owner: str) -> None:
+        if owner == self._owner:
+            return
+        slot = self._sessions.admit(owner)
+        if slot is not None:
+            slot.close = self._slot.close
+            self._slot.release()
+            self._slot, self._owner = slot, owner
+
+    def release(self) -> None:
+        self._slot.release()
+
+
+class ConnectionShares:
+    """The places of the console's connections: shares by source, then by who is logged in.
+
+    Where all are taken, one of the source that has most makes room (`rossec.net.limits`). One on which a
+    session was shown moves to the places of sessions: strangers end none of those.
+    """
+
+    def __init__(self) -> None:
+        self._strangers = HalfOpenCount(STRANGERS)
+        self._sessions = HalfOpenCount(SESSIONS)
+        self._other_users = HalfOpenCount(OTHER_USERS)
+        self._proxies = HalfOpenCount(PROXIES)
+
+    def __len__(self) -> int:
+        counts = (self._strangers, self._sessions, self._other_users, self._proxies)
+        return sum(map(len, counts))
+
+    def take(self, address: str, *, is_other_user: bool) -> ConnectionPlace | None:
+        others = self._strangers if address else self._proxies
+        count = self._other_users if is_other_user else others
+        slot = count.admit(address)
+        return None if slot is None else ConnectionPlace(slot, self._sessions)
+
+
+class BoundedProtocol(H11Protocol):
     _deadline: asyncio.TimerHandle | None = None
-    place: Place | None = None
+    place: ConnectionPlace | None = None
     has_begun = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin with a connection, whose handshake is done if it has one."""
         super().connection_made(transport)
         self.has_begun = True
         if self.place is not None:
@@ -54,7 +121,6 @@ class BoundedProtocol(H11Protocol):
         self._arm()
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes; a deadline runs while no whole head is there."""
         date = formatdate(usegmt=True).encode()  # RFC 9110 section 6.6.1
         self.server_state.default_headers = [(b"date", date)]
         super().data_received(data)
@@ -62,21 +128,19 @@ class BoundedProtocol(H11Protocol):
             self._disarm()
 
     def on_response_complete(self) -> None:
-        """Wait for the next head."""
         self._arm()
         super().on_response_complete()
         if self._is_answering:  # it was there already
             self._disarm()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget the deadline, and give the place back."""
         self._disarm()
         if self.place is not None:
             self.place.release()
         super().connection_lost(exc)
 
     def send_400_response(self, msg: str) -> None:
-        """Close instead: such an answer would lack the headers that all have."""
+        # Close instead: such an answer would lack the headers that all have.
         del msg
         self.transport.abort()
 
@@ -96,9 +160,7 @@ class BoundedProtocol(H11Protocol):
 
 
 class _Placed:
-    """The application, told of each request which place its connection has."""
-
-    def __init__(self, app: Any, place: Place) -> None:
+    def __init__(self, app: Any, place: ConnectionPlace) -> None:
         self._app, self._place = app, place
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -123,10 +185,18 @@ class ConsoleServer:
         users: frozenset[int] | None = None,
     ) -> None:
         self._config = Config(
-            app, http=BoundedProtocol, ws="none", lifespan="off", interface="asgi3",
-            log_config=None, access_log=False, proxy_headers=False, server_header=False,
-            timeout_keep_alive=KEEP_ALIVE, h11_max_incomplete_event_size=MAX_HEAD,
-        )  # fmt: skip
+            app,
+            http=BoundedProtocol,
+            ws="none",
+            lifespan="off",
+            interface="asgi3",
+            log_config=None,
+            access_log=False,
+            proxy_headers=False,
+            server_header=False,
+            timeout_keep_alive=KEEP_ALIVE,
+            h11_max_incomplete_event_size=MAX_HEAD,
+        )
         self._config.load()
         self._state = ServerState()
         self._context = context
@@ -136,7 +206,6 @@ class ConsoleServer:
         self.places = ConnectionShares()
 
     async def start(self, sockets: Iterable[socket.socket]) -> None:
-        """Serve at each of the sockets."""
         for sock in sockets:
             sock.setblocking(False)
             self._listening.append(sock)
@@ -147,7 +216,6 @@ class ConsoleServer:
             asyncio.get_running_loop().add_reader(listening.fileno(), self._accept, listening)
 
     def _accept(self, listening: socket.socket) -> None:
-        """Accept a few, then return to the loop for the open connections."""
         loop = asyncio.get_running_loop()
         for _ in range(_ACCEPTS_PER_TURN):
             try:
@@ -164,11 +232,10 @@ class ConsoleServer:
                 sock.close()
                 continue
             sock.setblocking(False)
-            place.closed_by(partial(_end, sock))
+            place.closed_by(partial(_shut_down, sock))
             self._beginning.spawn(self._begin(sock, place), name="a connection of the console")
 
-    def _place_for(self, sock: socket.socket, where: Any) -> Place | None:
-        """A place for a connection; None: it is of no user who may connect, or there is no room."""
+    def _place_for(self, sock: socket.socket, where: Any) -> ConnectionPlace | None:
         if sock.family == socket.AF_UNIX:  # a proxy
             try:
                 require_user(sock, self._proxy_users)
@@ -177,14 +244,14 @@ class ConsoleServer:
                 return None
             return self.places.take("", is_other_user=False)
         scope = {"client": where[:2], "server": sock.getsockname()[:2]}
+        is_other_user = False
         try:
             check_peer(scope, self._users)
         except PeerUserRefused:  # a few of them are told so, by the guard
-            return self.places.take(where[0], is_other_user=True)
-        return self.places.take(where[0], is_other_user=False)
+            is_other_user = True
+        return self.places.take(where[0], is_other_user=is_other_user)
 
-    async def _begin(self, sock: socket.socket, place: Place) -> None:
-        """The handshake, if there is one; then the connection is its protocol's."""
+    async def _begin(self, sock: socket.socket, place: ConnectionPlace) -> None:
         loop = asyncio.get_running_loop()
         protocol = BoundedProtocol(self._config, self._state, {}, loop)
         protocol.place = place
@@ -200,7 +267,6 @@ class ConsoleServer:
                 place.release()
 
     async def close(self) -> None:
-        """Stop, and end every connection."""
         while self._listening:
             sock = self._listening.pop()
             asyncio.get_running_loop().remove_reader(sock.fileno())
@@ -215,7 +281,6 @@ class ConsoleServer:
         await asyncio.gather(*self._state.tasks, return_exceptions=True)
 
 
-def _end(sock: socket.socket) -> None:
-    """End a connection whose transport has it: it sees the end, and closes."""
+def _shut_down(sock: socket.socket) -> None:
     with suppress(OSError):
         sock.shutdown(socket.SHUT_RDWR)

@@ -1,65 +1,73 @@
-"""The console as a command: sockets that listen, the web process behind them, its end. A shell.
+"""The console as a command: sockets that listen, the processes behind them, and their end. A shell.
 
-It has what the web process must not have: the terminal, and the right to start processes. It reads
-nothing that browsers send; pictures go on to the scanner's process unread.
+The supervisor has what the web process must not have: the terminal, and the right to start processes. It
+reads nothing that browsers send: pictures go on to the scanner's process unread, and the preview's messages
+go to the pages over a socketpair that it gives away.
+
+The web process inherits the sockets that listen, which outlive it, and its ends of two or three socketpairs.
+When it is started again, whoever was logged in logs in again.
 """
 
+import asyncio
+import logging
 import os
 import pwd
-from collections.abc import Callable, Mapping
+import socket
+import subprocess
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Final, NamedTuple
 
+from rossec import clock
+from rossec.authority.keyservice.process import CREDENTIALS
 from rossec.console.listening import listen
-from rossec.console.options import Endpoint
-from rossec.console.preview.supervisor import PreviewProcess
-from rossec.console.server.web_process import Certificates, WebOptions, WebProcess
-from rossec.console.settings import IDLE, LIFETIME, ON_THE_WALL, Settings
-from rossec.errors import ConfigurationError
-from rossec.operation.shutdown import stop_on_signals, until_first_ends
+from rossec.console.options import ConsoleEndpoint
+from rossec.console.preview.receiver import NAME
+from rossec.console.scanning import frames
+from rossec.console.scanning.frames import Found, Unreadable
+from rossec.console.server import control
+from rossec.console.server.control import IDLE, LIFETIME, ON_THE_WALL, WebSettings, write_settings
+from rossec.enrollment.scanner import CLOSER
+from rossec.errors import ConfigurationError, KeyMessageRefused
+from rossec.home import NodeHome
+from rossec.host.runner import reap, stop_on_signals, until_first_ends
+from rossec.host.workers import AskedWorker, keep_running, read_frame, start_worker, worker_command
+
+MODULE: Final = "rossec.console.server.web"
+START: Final = 30.0  # seconds until it serves
+END: Final = 5.0  # seconds between the end of the connection and SIGKILL
+RECEIVER_MODULE: Final = "rossec.console.preview.receiver"
+WORKER: Final = worker_command("rossec.console.scanning.worker")
+DEADLINE: Final = 4.0  # seconds for a picture
+SCANNER_START: Final = 20.0  # seconds more for the first picture of a worker
+SCANNER_IDLE: Final = 60.0  # seconds without a picture after which a worker ends
+_SLOW: Final = Unreadable("reading the picture took too long, or failed", CLOSER)
+_log = logging.getLogger("rossec.console")
+_scanner_log = logging.getLogger("rossec.console.scanner")
+
+Certificates = Callable[[Callable[[bytes], Awaitable[None]]], Awaitable[None]]
+"""Given a function that installs a bundle (key and chain, PEM), installs the first one and then
+every newer one, for ever."""
 
 
-def settings_for(endpoint: Endpoint, domain: str) -> Settings:
-    """The web process's settings: on localhost only this user's programs may connect.
+class WebOptions(NamedTuple):
+    """What it serves; `service` is the path of the service's socket for the console."""
 
-    Raises:
-        ConfigurationError: there is no such user as the proxy's.
-    """
-    own, is_localhost = frozenset({os.geteuid()}), endpoint.is_local and not endpoint.unix_path
-    return Settings(
-        domain,
-        (endpoint.origin,),
-        users=own if is_localhost else None,
-        proxy_users=own | _users(endpoint.proxy_user) if endpoint.unix_path else frozenset(),
-        hsts=endpoint.hsts,
-        read_only=endpoint.read_only,
-        lifetime=ON_THE_WALL if endpoint.read_only else LIFETIME,
-        idle=ON_THE_WALL if endpoint.read_only else IDLE,
-    )
-
-
-def _users(name: str | None) -> frozenset[int]:
-    if name is None:
-        return frozenset()
-    try:
-        return frozenset({pwd.getpwnam(name).pw_uid})
-    except KeyError:
-        raise ConfigurationError(
-            f"there is no user {name!a} on this host", "--proxy-user is the user of the proxy"
-        ) from None
+    settings: WebSettings
+    service: Path
+    log: str = "text"
 
 
 async def supervise(
-    endpoint: Endpoint,
+    endpoint: ConsoleEndpoint,
     options: WebOptions,
     environ: Mapping[str, str],
     ready: Callable[[], None],
     certificates: Certificates | None = None,
-    preview: PreviewProcess | None = None,
+    preview: "PreviewProcess | None" = None,
 ) -> None:
-    """Run the console until SIGINT or SIGTERM; `ready` is called when it serves.
-
-    Raises:
-        ConfigurationError: it cannot listen, or its web process does not start.
-    """
+    """Run the console until SIGINT or SIGTERM; `ready` is called when it serves."""
     stop = stop_on_signals()
     sockets = listen(endpoint)
     try:
@@ -74,9 +82,249 @@ async def supervise(
     finally:
         for sock in sockets:
             sock.close()
-        _remove_path(endpoint)
+        if endpoint.unix_path is not None:
+            endpoint.unix_path.unlink(missing_ok=True)
 
 
-def _remove_path(endpoint: Endpoint) -> None:
+def settings_for(endpoint: ConsoleEndpoint, domain: str) -> WebSettings:
+    """The web process's settings: on localhost only this user's programs may connect."""
+    own, proxies = frozenset({os.geteuid()}), frozenset[int]()
     if endpoint.unix_path is not None:
-        endpoint.unix_path.unlink(missing_ok=True)
+        proxies = own
+        if endpoint.proxy_user is not None:
+            try:
+                proxies |= {pwd.getpwnam(endpoint.proxy_user).pw_uid}
+            except KeyError:
+                raise ConfigurationError(
+                    f"there is no user {endpoint.proxy_user!a} on this host",
+                    "--proxy-user is the user of the proxy",
+                ) from None
+    return WebSettings(
+        domain,
+        (endpoint.origin,),
+        users=own if endpoint.is_local and not endpoint.unix_path else None,
+        proxy_users=proxies,
+        hsts=endpoint.hsts,
+        read_only=endpoint.read_only,
+        lifetime=ON_THE_WALL if endpoint.read_only else LIFETIME,
+        idle=ON_THE_WALL if endpoint.read_only else IDLE,
+    )
+
+
+class WebProcess:
+    """The web process, from the first start to the end of the supervisor.
+
+    Args:
+        options: of the process.
+        listening: sockets that listen.
+        environ: its environment.
+        certificates: for TLS; None: plain HTTP.
+        preview: receives messages for its pictures; None: nothing does.
+    """
+
+    def __init__(
+        self,
+        options: WebOptions,
+        listening: Sequence[socket.socket],
+        environ: Mapping[str, str],
+        certificates: Certificates | None = None,
+        module: str = MODULE,
+        preview: "PreviewProcess | None" = None,
+    ) -> None:
+        self._preview = preview
+        self._options, self._listening = options, listening
+        self._environ = {name: text for name, text in environ.items() if name != CREDENTIALS}
+        self._certificates = certificates
+        self._command = worker_command(module)
+        self._process: subprocess.Popen[bytes] | None = None
+        self._started: asyncio.Future[None] | None = None
+
+    @property
+    def pid(self) -> int | None:
+        return None if self._process is None else self._process.pid
+
+    async def run(self) -> None:
+        await keep_running("web process", _log, self._run_once, self._end)
+
+    async def started(self) -> None:
+        try:
+            async with asyncio.timeout(START):
+                await self._future()
+        except TimeoutError as error:
+            raise ConfigurationError(
+                "the console's web process does not start", "its messages are above"
+            ) from error
+
+    async def _run_once(self) -> None:
+        ours, scanner = self._spawn()
+        pictures = ScannerSupervisor(scanner)
+        reader, writer = await asyncio.open_connection(sock=ours)
+
+        async def install(bundle: bytes) -> None:
+            writer.write(control.write(control.ControlMessage(control.CERTIFICATE, (bundle,))))
+            await writer.drain()
+
+        async def install_all(certificates: Certificates) -> None:
+            await certificates(install)
+
+        tasks = [self._listen(reader), pictures.run()]
+        if self._certificates is not None:
+            tasks.append(install_all(self._certificates))
+        try:
+            await until_first_ends(*tasks)
+        except ConnectionError:
+            return
+        finally:
+            writer.transport.abort()
+
+    def _spawn(self) -> tuple[socket.socket, socket.socket]:
+        ours, theirs = socket.socketpair()
+        scanner, other = socket.socketpair()
+        messages_end = None if self._preview is None else self._preview.start()
+        inherited = [theirs, other, *([messages_end] if messages_end else []), *self._listening]
+        descriptors = [sock.fileno() for sock in inherited]
+        options = self._options
+        arguments = (
+            ",".join(map(str, descriptors)),
+            write_settings(options.settings),
+            str(options.service),
+            "plain" if self._certificates is None else "tls",
+            options.log,
+            "preview" if messages_end else "made-up",
+        )
+        with theirs, other, messages_end or nullcontext():
+            self._process = start_worker([*self._command, *arguments], self._environ, descriptors)
+        return ours, scanner
+
+    async def _listen(self, reader: asyncio.StreamReader) -> None:
+        try:
+            while True:
+                if control.read(await read_frame(reader, control.frame_size)).word != control.READY:
+                    raise KeyMessageRefused("the web process says what is not for it to say")
+                if not self._future().done():
+                    self._future().set_result(None)
+        except (asyncio.IncompleteReadError, ConnectionError):
+            return
+
+    async def _end(self) -> None:
+        try:
+            if self._process is not None:
+                await reap(self._process, END)
+        finally:
+            self._process = None
+        if self._preview is not None:
+            await self._preview.end()
+
+    def _future(self) -> asyncio.Future[None]:
+        if self._started is None:
+            self._started = asyncio.get_running_loop().create_future()
+        return self._started
+
+
+class ScannerSupervisor:
+    """Answers the web process with what the worker that decodes pictures reads, one at a time.
+
+    A worker that takes too long, breaks the protocol or dies is killed, and the next picture gets a new one.
+
+    Args:
+        sock: the supervisor's end of the socketpair.
+        command: of the worker.
+        deadline: seconds for a picture.
+        idle: seconds without a picture after which a worker ends.
+    """
+
+    def __init__(
+        self,
+        sock: socket.socket,
+        command: Sequence[str] = WORKER,
+        deadline: float = DEADLINE,
+        idle: float = SCANNER_IDLE,
+    ) -> None:
+        self._socket = sock
+        self._command = command
+        self._deadline = deadline
+        self._idle = idle
+        self._worker: AskedWorker | None = None
+
+    async def run(self) -> None:
+        reader, writer = await asyncio.open_connection(sock=self._socket)
+        try:
+            while True:
+                try:
+                    async with asyncio.timeout(self._idle):
+                        head = await reader.readexactly(frames.HEAD)
+                except TimeoutError:
+                    self._end()
+                    head = await reader.readexactly(frames.HEAD)
+                picture = await reader.readexactly(frames.size(head, frames.MAX_PICTURE))
+                writer.write(frames.write_answer(await self._read(picture)))
+                await writer.drain()
+        except (asyncio.IncompleteReadError, ConnectionError):
+            return
+        finally:
+            writer.transport.abort()
+            self._end()
+
+    async def _read(self, picture: bytes) -> Found | Unreadable:
+        limit = self._deadline
+        try:
+            if self._worker is None:
+                self._worker, limit = AskedWorker(self._command), self._deadline + SCANNER_START
+            async with asyncio.timeout(limit):
+                body = await self._worker.ask(frames.frame(picture), frames.answer_size)
+                return frames.read_answer(body)
+        except (OSError, TimeoutError, asyncio.IncompleteReadError, KeyMessageRefused) as error:
+            _scanner_log.warning("a picture was not read: %r", error)
+            self._end()
+            return _SLOW
+
+    def _end(self) -> None:
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.close()
+
+
+class PreviewProcess:
+    """The process of the preview; one at a time, started beside each web process."""
+
+    def __init__(self, environ: Mapping[str, str], module: str = RECEIVER_MODULE) -> None:
+        self._environ = environ
+        self._command = worker_command(module)
+        self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def pid(self) -> int | None:
+        return None if self._process is None else self._process.pid
+
+    def start(self) -> socket.socket:
+        """Start it; returns the end of its socketpair that is for the pages."""
+        theirs, pages = socket.socketpair()
+        with theirs:
+            descriptor = theirs.fileno()
+            self._process = start_worker([*self._command, str(descriptor)], self._environ, [descriptor])
+        return pages
+
+    async def end(self) -> None:
+        """Reap it: it ends with the connection, or is killed."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        try:
+            await asyncio.to_thread(process.wait, END)
+        except subprocess.TimeoutExpired:
+            _log.warning("the preview does not end; it is killed")
+        finally:
+            process.kill()
+            process.wait()
+
+
+def check_enrolled(home: Path) -> None:
+    """Return if the node `/console` has an identity in ROSSEC_HOME `home`."""
+    node = NodeHome.of(home, NAME)
+    if not (node.path / "node.pem").exists():
+        raise ConfigurationError(
+            f"--preview receives as the node {NAME}, which is not enrolled here",
+            f"rossec node request {NAME}, rossec ca sign FILE, rossec node install FILE;"
+            f" then grant it what pages may show: rossec grant sign {NAME} --subscribe TOPIC",
+        )
+    node.identity(clock.now())

@@ -1,39 +1,68 @@
 """The web process: serves pages to browsers, and has nothing that signs, records or starts.
 
-`python -I -m rossec.console.server.web`, started by `web_process`. It talks to strangers, so it is
-confined before the first byte comes: it opens no file but programs' own, starts no process, and the
-service's key socket refuses it. What it may do is what `console.sock` offers. It ends when the
-supervisor does.
+`python -I -m rossec.console.server.web`, started by `supervisor`. It talks to strangers, so it is confined
+before the first byte comes: it opens no file but programs' own, starts no process, and the service's key
+socket refuses it. What it may do is what `console.sock` offers. It ends when the supervisor does.
 """
 
 import asyncio
 import logging
+import os
 import socket
 import ssl
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeAlias
 
+from rossec import clock
 from rossec.authority.console.client import ConsoleClient
-from rossec.authority.keyservice import messages
+from rossec.console import samples
 from rossec.console.app import create_app
 from rossec.console.context import ConsoleContext
-from rossec.console.preview.client import PreviewClient
-from rossec.console.scanning.client import ScannerClient
+from rossec.console.samples import PreviewMemory
+from rossec.console.scanning import frames
+from rossec.console.scanning.frames import Found, Unreadable
 from rossec.console.server import control
+from rossec.console.server.control import WebSettings, read_settings
 from rossec.console.server.serving import ConsoleServer
-from rossec.console.settings import Settings, read_settings
-from rossec.console.tls.server_context import load, make_context
-from rossec.errors import ConfigurationError
-from rossec.operation.confinement import confine_files, confine_processes
-from rossec.operation.json_log import log_as_json
-from rossec.operation.process_memory import protect_memory
+from rossec.errors import ConfigurationError, KeyMessageRefused, PictureRefused, ScannerBusy
+from rossec.host.runner import TaskSet, log_as_json
+from rossec.host.sandbox import protect_memory
+from rossec.host.workers import read_frame, run_confined
 
-_log: Final = logging.getLogger("rossec.console")
+INTERVAL: Final = 0.15  # seconds between two pictures
+TIMEOUT: Final = 30.0  # for one; the supervisor answers earlier
+_SWEEP: Final = 5.0  # seconds between two looks for messages that are old
+_PASTE: Final = "paste the text below the code instead"
+_log = logging.getLogger("rossec.console")
+Answer: TypeAlias = Found | Unreadable
 
 
-class WebProcess:
+def main(arguments: list[str]) -> None:
+    """Run it.
+
+    Arguments: descriptors (supervisor, scanner, perhaps the preview, those that listen), settings,
+    path of the service, `plain` or `tls`, form of the log, `preview` or `made-up`.
+    """
+    descriptors, settings, service, tls, log, pictures = arguments
+    if log == "json":
+        log_as_json()
+    else:  # as the service itself writes, whose terminal or journal this is
+        logging.basicConfig(level=logging.WARNING, format="rossec: %(levelname)s: %(message)s")
+    protect_memory()
+
+    async def run() -> None:
+        supervisor, scanner, *listening = (socket.socket(fileno=int(each)) for each in descriptors.split(","))
+        context = make_context() if tls == "tls" else None
+        preview = listening.pop(0) if pictures == "preview" else None
+        process = WebServer(read_settings(settings), ConsoleClient(Path(service)), scanner, context, preview)
+        await process.run(supervisor, listening)
+
+    run_confined(run)
+
+
+class WebServer:
     """What runs in it.
 
     Args:
@@ -46,7 +75,7 @@ class WebProcess:
 
     def __init__(
         self,
-        settings: Settings,
+        settings: WebSettings,
         client: ConsoleClient,
         scanner: socket.socket,
         context: ssl.SSLContext | None = None,
@@ -56,16 +85,9 @@ class WebProcess:
         self._scanner = ScannerClient(scanner)
         self._preview = None if preview is None else PreviewClient(preview)
         self._context = ConsoleContext(client, settings, self._scanner, self._preview)
-        self._server = ConsoleServer(
-            create_app(self._context), context, settings.proxy_users, settings.users
-        )
+        self._server = ConsoleServer(create_app(self._context), context, settings.proxy_users, settings.users)
 
     async def run(self, supervisor: socket.socket, listening: Sequence[socket.socket]) -> None:
-        """Serve until the supervisor ends its end of the socketpair.
-
-        Raises:
-            KeyMessageRefused, ConfigurationError: the supervisor breaks the protocol.
-        """
         reader, writer = await asyncio.open_connection(sock=supervisor)
         try:
             if self._tls is not None:
@@ -81,56 +103,148 @@ class WebProcess:
             return
         finally:
             writer.transport.abort()
-            await self._close()
+            await self._server.close()
+            await self._context.news.close()
+            await self._context.enrollments.close()
+            await self._scanner.close()
+            if self._preview is not None:
+                await self._preview.close()
+            await self._client.close()
 
     async def _obey(self, reader: asyncio.StreamReader) -> None:
-        head = await reader.readexactly(messages.HEAD)
-        size = messages.frame_size(head, control.MAX_FRAME)
-        match control.read(await reader.readexactly(size)):
-            case control.ControlMessage(control.CERTIFICATE, (bytes() as bundle,)) if (
-                self._tls is not None
-            ):
-                load(self._tls, bundle)
+        match control.read(await read_frame(reader, control.frame_size)):
+            case control.ControlMessage(control.CERTIFICATE, (bytes() as bundle,)) if self._tls is not None:
+                load_bundle(self._tls, bundle)
             case other:
                 raise ConfigurationError(f"the supervisor says {other.word}, which is not for here")
 
-    async def _close(self) -> None:
-        await self._server.close()
-        await self._context.news.close()
-        await self._context.enrollments.close()
-        await self._scanner.close()
-        if self._preview is not None:
-            await self._preview.close()
-        await self._client.close()
+
+def make_context() -> ssl.SSLContext:
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    context.set_alpn_protocols(["http/1.1"])
+    return context
 
 
-def main(arguments: list[str]) -> None:
-    """Run it.
+def load_bundle(context: ssl.SSLContext, bundle: bytes) -> None:
+    # This process may open no file that has a key, and OpenSSL reads files alone: one in memory
+    # (memfd_create(2)). Connections from now on get it, as all have this one context.
+    descriptor = os.memfd_create("tls", os.MFD_CLOEXEC)
+    try:
+        os.write(descriptor, bundle)
+        context.load_cert_chain(f"/proc/self/fd/{descriptor}")
+    except (ssl.SSLError, OSError) as error:
+        raise ConfigurationError(
+            f"the console's certificate cannot be used: {error}", "give another one"
+        ) from error
+    finally:
+        os.close(descriptor)
 
-    Arguments: descriptors (supervisor, scanner, perhaps the preview, those that listen), settings,
-    path of the service, `plain` or `tls`, form of the log, `preview` or `made-up`.
+
+class ScannerClient:
+    """Has pictures read by the scanner process: one at a time for the whole console, a few a second.
+
+    A camera sends the next one anyway, and whoever has a session shall not occupy the machine with it.
     """
-    descriptors, settings, service, tls, log, pictures = arguments
-    if log == "json":
-        log_as_json()
-    else:  # as the service itself writes, whose terminal or journal this is
-        logging.basicConfig(level=logging.WARNING, format="rossec: %(levelname)s: %(message)s")
-    protect_memory()
-    confine_files([])
-    executor = confine_processes()
-    supervisor, scanner, *listening = (
-        socket.socket(fileno=int(each)) for each in descriptors.split(",")
-    )
 
-    async def run() -> None:
-        asyncio.get_running_loop().set_default_executor(executor)
-        context = make_context() if tls == "tls" else None
-        client = ConsoleClient(Path(service))
-        preview = listening.pop(0) if pictures == "preview" else None
-        process = WebProcess(read_settings(settings), client, scanner, context, preview)
-        await process.run(supervisor, listening)
+    def __init__(self, sock: socket.socket, interval: float = INTERVAL) -> None:
+        self._socket = sock
+        self._interval = interval
+        self._tasks = TaskSet()
+        self._is_busy = False
+        self._next = 0.0  # when the next picture may be read
+        self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
+        self._ended = False
 
-    asyncio.run(run())
+    async def read(self, picture: bytes) -> str | None:
+        if not 0 < len(picture) <= frames.MAX_PICTURE:
+            raise PictureRefused(f"a picture has at most {frames.MAX_PICTURE // 1024} kB here", _PASTE)
+        if self._is_busy:
+            raise ScannerBusy("another picture is being read", "wait a moment")
+        answer: asyncio.Future[Answer | None] = asyncio.get_running_loop().create_future()
+        self._is_busy = True
+        # A task of its own: whoever asks may go away, and the next answer is the next picture's.
+        self._tasks.spawn(self._work(picture, answer), name="a picture")
+        match await answer:
+            case Found(text):
+                return text or None
+            case Unreadable(message, hint):
+                raise PictureRefused(message, hint)
+            case _:
+                raise PictureRefused("pictures cannot be read any more", _PASTE)
+
+    async def close(self) -> None:
+        self._ended = True
+        await self._tasks.close()
+        if self._streams is None:
+            self._socket.close()
+        else:
+            self._streams[1].transport.abort()
+            await asyncio.sleep(0)
+
+    async def _work(self, picture: bytes, answer: asyncio.Future[Answer | None]) -> None:
+        loop = asyncio.get_running_loop()
+        try:
+            await asyncio.sleep(max(0.0, self._next - loop.time()))
+            found = None if self._ended else await self._ask(picture)
+        finally:
+            self._is_busy = False
+            self._next = loop.time() + self._interval
+        if not answer.done():
+            answer.set_result(found)
+
+    async def _ask(self, picture: bytes) -> Answer | None:
+        try:
+            async with asyncio.timeout(TIMEOUT):
+                if self._streams is None:
+                    self._streams = await asyncio.open_connection(sock=self._socket)
+                reader, writer = self._streams
+                writer.write(frames.frame(picture))
+                await writer.drain()
+                return frames.read_answer(await read_frame(reader, frames.answer_size))
+        except (OSError, EOFError, KeyMessageRefused):
+            self._ended = True
+            if self._streams is not None:
+                self._streams[1].transport.abort()
+            return None
+
+
+class PreviewClient:
+    """Takes messages from the process of the preview.
+
+    If that process ends, what came fades within a minute, and pages show made-up messages again.
+    """
+
+    def __init__(self, sock: socket.socket, now: Callable[[], float] = clock.time) -> None:
+        self._socket = sock
+        self._memory = PreviewMemory(now)
+        self._tasks = TaskSet()
+        self.recorded = self._memory.recorded
+
+    def start(self) -> None:
+        self._tasks.spawn(self._take(), "preview of the console")
+        self._tasks.spawn(self._sweep(), "end of the preview's minute")
+
+    async def close(self) -> None:
+        await self._tasks.close()
+        self._socket.close()
+
+    async def _take(self) -> None:
+        reader, writer = await asyncio.open_connection(sock=self._socket)
+        try:
+            while True:
+                self._memory.add(samples.read_preview(await read_frame(reader, samples.preview_size)))
+        except KeyMessageRefused as error:
+            _log.error("the preview breaks the protocol: %s", error)
+        except (asyncio.IncompleteReadError, ConnectionError):
+            _log.warning("the preview has ended")
+        finally:
+            writer.transport.abort()
+
+    async def _sweep(self) -> None:
+        while True:
+            await asyncio.sleep(_SWEEP)
+            self._memory.drop_old()
 
 
 if __name__ == "__main__":

@@ -1,78 +1,149 @@
-"""Certificates for the console's server: whose turn it is to be replaced, and by what.
+"""The console's certificates: of the TLS authority on disk, or the operator's files, kept new. A shell.
 
-A source gives bundles: the private key and the chain, both PEM. It is asked again every minute; a
-bundle is given when it is a new one, so the server goes on without a restart. What cannot be used
-is refused at the start; later the bundle of before stays, and the log says why.
+A source gives bundles: the private key and the chain, both PEM. It is asked again every minute; a bundle is
+given when it is a new one, so the server goes on without a restart. What cannot be used is refused at the
+start; later the bundle of before stays, and the log says why. The authority's key (`tls.key`) is made with
+mode 0600 and O_EXCL, never printed, and left out of backups: who restores the authority of the robots makes a
+new one for browsers. A key and a certificate that do not belong together, as a crash between the two leaves
+them, are refused; `renew` makes both anew.
 """
 
+import asyncio
 import logging
-from collections.abc import Callable
+import os
+import secrets
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from ipaddress import ip_address
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import (
     Encoding,
+    NoEncryption,
+    PrivateFormat,
     PublicFormat,
     load_pem_private_key,
 )
 
 from rossec import files
-from rossec.console.tls.authority import Address, TlsAuthority
-from rossec.console.tls.store import key_pem
+from rossec.authority.console import messages
+from rossec.console.options import ConsoleEndpoint, Tls
+from rossec.console.tls.own_authority import Address, TlsAuthority
 from rossec.errors import ConfigurationError
+from rossec.host import addresses
 
+DIRECTORY: Final = messages.DIRECTORY
+KEY, CERTIFICATE = messages.TLS_KEY, messages.TLS_CERTIFICATE
 PERIOD: Final = 60.0  # seconds between two looks
-_MAX_FILE: Final = 64 * 1024
+_MAX_FILE: Final = 8 * 1024
+_MAX_CHAIN: Final = 64 * 1024
+_NONE: Final = ConfigurationError(
+    "the console has no TLS authority", "make one: rossec console tls --renew, or --lan"
+)
+_RENEW: Final = "make a new one: rossec console tls --renew"
 _log = logging.getLogger("rossec.console")
 
 
+def open_authority(directory: Path) -> TlsAuthority:
+    """The authority in `directory`. Its validity is not checked here."""
+    key = _read_key(directory / KEY)
+    pem = files.read_own(directory / CERTIFICATE, _MAX_FILE, _NONE)
+    try:
+        data = x509.load_pem_x509_certificate(pem).public_bytes(Encoding.DER)
+    except ValueError as error:
+        raise ConfigurationError(f"{CERTIFICATE} is damaged", _RENEW) from error
+    return TlsAuthority.load(key, data)
+
+
+def exists(directory: Path) -> bool:
+    return (directory / KEY).exists() or (directory / CERTIFICATE).exists()
+
+
+def renew(directory: Path, name: str, host: Address | None, now: int) -> TlsAuthority:
+    files.make_private_directory(directory)
+    with files.locked_directory(directory):
+        key = ec.generate_private_key(ec.SECP256R1())
+        made = TlsAuthority.create(key, name, host, now=now, serial=random_serial())
+        fresh = directory / f"{KEY}.{secrets.token_hex(8)}"
+        files.create(fresh, key_pem(key))
+        fresh.replace(directory / KEY)
+        pem = x509.load_der_x509_certificate(made.data).public_bytes(Encoding.PEM)
+        files.replace(directory / CERTIFICATE, pem, 0o644)
+    return made
+
+
+def authority_for(
+    directory: Path, name: str, host: Address | None, now: int, *, rename: bool
+) -> TlsAuthority:
+    """The authority for `name`, made if there is none."""
+    if not exists(directory):
+        return renew(directory, name, host, now)
+    found = open_authority(directory)
+    if found.name != name:
+        if rename:
+            return renew(directory, name, host, now)
+        raise ConfigurationError(
+            f"phones trust this console as {found.name}, not as {name}",
+            f"start it with --name {found.name}; or add --rename, and set up every phone anew",
+        )
+    found.check_time(now)
+    return found
+
+
+def first_address() -> Address | None:
+    """The address at which others probably reach this host; None: there is none."""
+    found = map(ip_address, addresses.own_addresses())
+    return next((each for each in found if not each.is_loopback and not each.is_link_local), None)
+
+
+def random_serial() -> int:
+    """127 random bits, not 0 (RFC 5280 section 4.1.2.2)."""
+    return secrets.randbits(127) + 1
+
+
+def key_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
+    return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+
+
+def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
+    pem = files.read_own(path, _MAX_FILE, _NONE)
+    if os.lstat(path).st_mode & 0o077:
+        raise ConfigurationError(f"{path} can be read by others", _RENEW)
+    try:
+        key = load_pem_private_key(pem, None)
+    except (ValueError, TypeError) as error:
+        raise ConfigurationError(f"{KEY} is damaged", _RENEW) from error
+    if not isinstance(key, ec.EllipticCurvePrivateKey) or key.curve.name != "secp256r1":
+        raise ConfigurationError(f"{KEY} is not a P-256 key", _RENEW)
+    return key
+
+
 class CertificateSource(Protocol):
-    """Where the server's key and chain come from."""
+    def first(self, now: int) -> bytes: ...
 
-    def first(self, now: int) -> bytes:
-        """The bundle to begin with.
-
-        Raises:
-            ConfigurationError: there is none that can be used.
-        """
-        ...
-
-    def newer(self, now: int) -> bytes | None:
-        """A bundle that replaces the one given last; None: that one stays."""
-        ...
+    def newer(self, now: int) -> bytes | None: ...
 
 
 class OwnCertificates:
-    """Issued by the console's own authority, each with a new key, which is in memory alone.
+    """Issued by the console's own authority, each with a new key, which is in memory alone."""
 
-    Args:
-        authority: issues them.
-        address: of this host now; None: it has none that others reach.
-        serial: makes random serials.
-    """
-
-    def __init__(
-        self, authority: TlsAuthority, address: Address | None, serial: Callable[[], int]
-    ) -> None:
+    def __init__(self, authority: TlsAuthority, address: Address | None, serial: Callable[[], int]) -> None:
         self._authority = authority
         self._address = address
         self._serial = serial
         self._renew_at = 0
 
     def first(self, now: int) -> bytes:
-        """As of `CertificateSource`."""
         key = ec.generate_private_key(ec.SECP256R1())
-        leaf = self._authority.issue(
-            key.public_key(), now=now, serial=self._serial(), address=self._address
-        )
+        leaf = self._authority.issue(key.public_key(), now=now, serial=self._serial(), address=self._address)
         certificate = x509.load_der_x509_certificate(leaf)
         self._renew_at = renewal_time(now, _end(certificate))
         return key_pem(key) + certificate.public_bytes(Encoding.PEM)
 
     def newer(self, now: int) -> bytes | None:
-        """As of `CertificateSource`: at two thirds of the time; none once the authority ended."""
         if now < self._renew_at:
             return None
         try:
@@ -98,14 +169,16 @@ class FileCertificates:
         self._state: object = None
 
     def first(self, now: int) -> bytes:
-        """As of `CertificateSource`."""
         self._state = self._look()
-        chain, key = (_read(path) for path in self._paths)
+        missing = (ConfigurationError(f"there is no {path}", "name a PEM file") for path in self._paths)
+        chain, key = (
+            files.read_own(path, _MAX_CHAIN, error, link=True)
+            for path, error in zip(self._paths, missing, strict=True)
+        )
         check_bundle(chain, key, self._name, now)
         return key.rstrip() + b"\n" + chain
 
     def newer(self, now: int) -> bytes | None:
-        """As of `CertificateSource`: when one of the files is another one, and both fit."""
         if self._look() == self._state:
             return None
         try:
@@ -128,11 +201,6 @@ def renewal_time(issued: int, end: int) -> int:
 
 
 def check_bundle(chain: bytes, key: bytes, name: str, now: int) -> None:
-    """Check that a chain and a key (PEM) can serve `name` at `now`. Pure.
-
-    Raises:
-        ConfigurationError: they cannot; the message says why.
-    """
     try:
         leaf = x509.load_pem_x509_certificates(chain)[0]
     except ValueError as error:
@@ -150,27 +218,67 @@ def check_bundle(chain: bytes, key: bytes, name: str, now: int) -> None:
         )
     if now > _end(leaf):
         raise ConfigurationError("the certificate of --tls-cert has expired", "renew it")
-    if not _names(leaf, name):
+    names = set[str]()
+    with suppress(x509.ExtensionNotFound):
+        found = leaf.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        names = {each.lower() for each in found.get_values_for_type(x509.DNSName)}
+    # Its name, or a wildcard for its first label (RFC 9525 section 6.3).
+    if names.isdisjoint({name, f"*.{name.partition('.')[2]}"}):
         raise ConfigurationError(
             f"the certificate of --tls-cert is not for {name}", "give its name with --name"
         )
-
-
-def _names(leaf: x509.Certificate, name: str) -> bool:
-    """Whether `leaf` has `name`, or a wildcard for its first label (RFC 9525 section 6.3)."""
-    try:
-        found = leaf.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except x509.ExtensionNotFound:
-        return False
-    names = {each.lower() for each in found.get_values_for_type(x509.DNSName)}
-    return not names.isdisjoint({name, f"*.{name.partition('.')[2]}"})
 
 
 def _end(certificate: x509.Certificate) -> int:
     return int(certificate.not_valid_after_utc.timestamp())
 
 
-def _read(path: Path) -> bytes:
-    """A file of the operator; it may be a link, as those of ACME clients are."""
-    missing = ConfigurationError(f"there is no {path}", "name a PEM file")
-    return files.read_own(path, _MAX_FILE, missing, link=True)
+class TlsSetup(NamedTuple):
+    """Where certificates come from; `authority` if they are of the console's own one."""
+
+    source: CertificateSource
+    authority: TlsAuthority | None = None
+
+
+def prepare_tls(endpoint: ConsoleEndpoint, directory: Path, now: int, *, rename: bool) -> TlsSetup | None:
+    """The certificates of `endpoint`; None: it does without.
+
+    Args:
+        endpoint: of the console.
+        directory: the console's own; its TLS authority is made there when it is needed first.
+        now: seconds since the epoch.
+        rename: replace an authority that is for another name.
+    """
+    if endpoint.tls is Tls.NONE:
+        return None
+    if endpoint.tls is Tls.OWN:
+        host = first_address()
+        authority = authority_for(directory, endpoint.name, host, now, rename=rename)
+        return TlsSetup(OwnCertificates(authority, host, random_serial), authority)
+    if endpoint.tls_certificate is None or endpoint.tls_key is None:
+        raise ConfigurationError("a certificate needs its key", "give --tls-cert and --tls-key")
+    source = FileCertificates(endpoint.tls_certificate, endpoint.tls_key, endpoint.name)
+    source.first(now)
+    return TlsSetup(source)
+
+
+Install = Callable[[bytes], Awaitable[None]]
+
+
+def renewed_from(
+    source: CertificateSource, now: Callable[[], int], period: float = PERIOD
+) -> Callable[[Install], Awaitable[None]]:
+    """A function that installs the first bundle of `source`, then every newer one, for ever.
+
+    It may be run again: a server that was started anew begins with a first bundle.
+    """
+
+    async def install_all(install: Install) -> None:
+        bundle: bytes | None = await asyncio.to_thread(source.first, now())
+        while True:
+            if bundle is not None:
+                await install(bundle)
+            await asyncio.sleep(period)
+            bundle = await asyncio.to_thread(source.newer, now())
+
+    return install_all

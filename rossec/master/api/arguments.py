@@ -1,19 +1,26 @@
-"""Validation of the arguments of master calls; the texts are stock rosmaster's (validators.py).
+"""Checks of the arguments of master calls; the texts are stock rosmaster's (validators.py). Pure.
 
 Stricter than stock, because rights are matched on names: a topic, service or parameter must have a
-well-formed ROS name after it is resolved, and a URI must have a host and a port to connect to.
+well-formed ROS name after it is resolved, and a URI must have a host and a port to connect to. What
+a relay of the own domain says is shown to people and given to nodes: its doors are well-formed
+addresses, and everything has a limit.
 """
 
 from collections.abc import Callable
-from typing import Final
+from typing import Final, TypeVar
 
 from ca.errors import NameRefused
-from ca.names import check_name
-from ca.patterns import check_pattern
-from rossec.master.state.addresses import is_connectable
+from ca.names import check_label, check_name, check_pattern
+from rossec.master.state.forwarded_ports import AT_ONCE, KINDS, MAX_PEERS, Door, PeerWay, Target
+from rossec.master.state.registry import is_connectable, is_type_name
 from rossec.ros import names
+from rossec.ros.names import build_door
 
 KEY_LIMIT: Final = 255
+_TEXT_LIMIT: Final = 255
+_MAX_COUNT: Final = 1 << 53
+
+T = TypeVar("T")
 
 Check = Callable[[object, str], object]
 """Takes the argument and the caller's name; returns the canonical argument or raises."""
@@ -24,24 +31,15 @@ class ArgumentRefused(Exception):
 
 
 def anything(value: object, caller: str) -> object:  # noqa: ARG001 - the signature of a Check
-    """Any value."""
     return value
 
 
 def not_none(label: str) -> Check:
-    """Any value but XML-RPC's nil, which stock clients cannot send either."""
-
-    def check(value: object, _caller: str) -> object:
-        if value is None:
-            raise ArgumentRefused(f"ERROR: parameter [{label}] must be specified")
-        return value
-
-    return check
+    # XML-RPC's nil stock clients cannot send either.
+    return _checked(label, "specified", lambda value: value is not None)
 
 
 def key(label: str) -> Check:
-    """A parameter name, resolved and well-formed, or the root: grants cover nothing else."""
-
     def check(value: object, caller: str) -> str:
         resolved = names.resolve(_text(value, label), caller)
         if len(resolved) > KEY_LIMIT:
@@ -52,26 +50,15 @@ def key(label: str) -> Check:
 
 
 def search_key(label: str) -> Check:
-    """A parameter name, not resolved: the search resolves it."""
-
-    def check(value: object, _caller: str) -> str:
-        return _text(value, label)[:KEY_LIMIT]
-
-    return check
+    # Not resolved: the search does that.
+    return lambda value, _caller: _text(value, label)[:KEY_LIMIT]
 
 
 def node(label: str) -> Check:
-    """A name, resolved."""
-
-    def check(value: object, caller: str) -> str:
-        return names.resolve(_plain_name(value, label), caller)
-
-    return check
+    return lambda value, caller: names.resolve(_plain_name(value, label), caller)
 
 
 def topic(label: str) -> Check:
-    """The name of a topic or service, resolved and well-formed."""
-
     def check(value: object, caller: str) -> str:
         plain = _plain_name(value, label)
         if plain == names.SEPARATOR:
@@ -82,8 +69,6 @@ def topic(label: str) -> Check:
 
 
 def subgraph(label: str) -> Check:
-    """Empty, or a namespace, resolved."""
-
     def check(value: object, caller: str) -> str:
         if not isinstance(value, str):
             raise ArgumentRefused(f"ERROR: parameter [{label}] must be a string")
@@ -93,22 +78,17 @@ def subgraph(label: str) -> Check:
 
 
 def type_name(label: str) -> Check:
-    """`*` or `package/Type`."""
-
     def check(value: object, _caller: str) -> str:
         if not value or not isinstance(value, str):
             raise ArgumentRefused(f"ERROR: parameter [{label}] must be a non-empty string")
-        if value != names.ANY_TYPE and not _is_resource_name(value):
-            text = f"ERROR: parameter [{label}] is not a valid package resource name"
-            raise ArgumentRefused(text)
+        if value != names.ANY_TYPE and not is_type_name(value):
+            raise ArgumentRefused(f"ERROR: parameter [{label}] is not a valid package resource name")
         return value
 
     return check
 
 
 def uri(label: str, scheme: str) -> Check:
-    """`http://host:port/` of a slave API or `rosrpc://host:port` of a service."""
-
     def check(value: object, _caller: str) -> str:
         if not value or not isinstance(value, str):
             raise ArgumentRefused(f"ERROR: parameter [{label}] is not an XMLRPC URI")
@@ -120,18 +100,19 @@ def uri(label: str, scheme: str) -> Check:
 
 
 def text(label: str) -> Check:
-    """Text, also empty."""
     return _checked(label, "a string", lambda value: isinstance(value, str))
 
 
 def number(label: str) -> Check:
-    """A non-negative integer."""
     return _checked(label, "a number", lambda value: type(value) is int and value >= 0)
 
 
 def binary(label: str) -> Check:
-    """XML-RPC base64."""
     return _checked(label, "base64", lambda value: isinstance(value, bytes))
+
+
+def kind(label: str) -> Check:
+    return _checked(label, f"one of {', '.join(KINDS)}", lambda value: value in KINDS)
 
 
 def _checked(label: str, kind: str, is_valid: Callable[[object], bool]) -> Check:
@@ -144,28 +125,12 @@ def _checked(label: str, kind: str, is_valid: Callable[[object], bool]) -> Check
 
 
 def binaries(label: str, most: int) -> Check:
-    """A list of at most `most` XML-RPC base64 values."""
-
-    def check(value: object, _caller: str) -> list[bytes]:
-        if not isinstance(value, list) or len(value) > most:
-            raise ArgumentRefused(f"ERROR: parameter [{label}] must be a list of at most {most}")
-        items = [item for item in value if isinstance(item, bytes)]
-        if len(items) != len(value):
-            raise ArgumentRefused(f"ERROR: parameter [{label}] must hold base64 only")
-        return items
-
-    return check
+    return lambda value, _caller: _items(value, label, most, bytes, "base64")
 
 
 def patterns(label: str, most: int) -> Check:
-    """A list of at most `most` patterns of names; an empty one matches nothing."""
-
     def check(value: object, _caller: str) -> list[str]:
-        if not isinstance(value, list) or len(value) > most:
-            raise ArgumentRefused(f"ERROR: parameter [{label}] must be a list of at most {most}")
-        items = [item for item in value if isinstance(item, str)]
-        if len(items) != len(value):
-            raise ArgumentRefused(f"ERROR: parameter [{label}] must hold text only")
+        items = _items(value, label, most, str, "text")
         try:
             return [check_pattern(item) if item else item for item in items]
         except NameRefused as error:
@@ -174,8 +139,47 @@ def patterns(label: str, most: int) -> Check:
     return check
 
 
-def _is_resource_name(value: str) -> bool:
-    return value.count("/") == 1 and len(value) <= KEY_LIMIT and value.isprintable()
+def name(label: str) -> Check:
+    def check(value: object, _caller: str) -> str:
+        try:
+            return check_name(value if isinstance(value, str) else "")
+        except NameRefused as error:
+            raise ArgumentRefused(f"ERROR: parameter [{label}]: {error}") from error
+
+    return check
+
+
+def doors(label: str) -> Check:
+    def check(value: object, _caller: str) -> dict[Target, Door]:
+        if not isinstance(value, list) or len(value) > AT_ONCE:
+            raise ArgumentRefused(f"ERROR: parameter [{label}] must be a list of at most {AT_ONCE}")
+        found = [_door(each) for each in value]
+        if None in found:
+            raise ArgumentRefused(f"ERROR: parameter [{label}] has a door that is not one")
+        return dict(each for each in found if each is not None)
+
+    return check
+
+
+def ways(label: str) -> Check:
+    def check(value: object, _caller: str) -> dict[str, PeerWay]:
+        if not isinstance(value, dict) or len(value) > MAX_PEERS:
+            raise ArgumentRefused(f"ERROR: parameter [{label}] has at most {MAX_PEERS} peers")
+        found = {peer: _way(peer, way) for peer, way in value.items()}
+        if None in found.values():
+            raise ArgumentRefused(f"ERROR: parameter [{label}] has a way that is not one")
+        return {peer: way for peer, way in found.items() if way is not None}
+
+    return check
+
+
+def _items(value: object, label: str, most: int, kind: type[T], content: str) -> list[T]:
+    if not isinstance(value, list) or len(value) > most:
+        raise ArgumentRefused(f"ERROR: parameter [{label}] must be a list of at most {most}")
+    items = [item for item in value if isinstance(item, kind)]
+    if len(items) != len(value):
+        raise ArgumentRefused(f"ERROR: parameter [{label}] must hold {content} only")
+    return items
 
 
 def _well_formed(resolved: str, label: str) -> str:
@@ -199,3 +203,36 @@ def _plain_name(value: object, label: str) -> str:
     if ":" in value or " " in value:  # stock's check for the usual mistake, a URI for a name
         raise ArgumentRefused(f"ERROR: parameter [{label}] contains illegal chars")
     return value
+
+
+def _door(value: object) -> tuple[Target, Door] | None:
+    match value:
+        case [str() as peer, str() as what, str() as target, str() as host, int() as port]:
+            pass
+        case _:
+            return None
+    try:
+        check_label(peer)
+        check_name(target)
+        is_open = is_connectable(build_door(host, port), "http")
+    except (NameRefused, ValueError):
+        return None
+    return (Target(peer, what, target), Door(host, port)) if is_open and what in KINDS else None
+
+
+def _way(peer: object, value: object) -> PeerWay | None:
+    try:
+        check_label(peer if isinstance(peer, str) else "")
+    except NameRefused:
+        return None
+    if not isinstance(value, dict) or value.keys() != frozenset(PeerWay._fields):
+        return None
+    state, router = value["state"], value["router"]
+    if not all(isinstance(each, str) and len(each) <= _TEXT_LIMIT for each in (state, router)):
+        return None
+    counts = [value[each] for each in ("rtt_ms", "retransmissions", "streams")]
+    # Infinity, which has no integer, is above the limit; of NaN nothing is true.
+    if not all(type(each) in (int, float) and 0 <= each <= _MAX_COUNT for each in counts):
+        return None
+    rtt_ms, retransmissions, streams = counts
+    return PeerWay(state, float(rtt_ms), int(retransmissions), router, int(streams))

@@ -1,39 +1,36 @@
-"""The calls about the graph: registering, looking up, listing. Pure; texts are stock's.
+"""The calls about the graph: registering, looking up, listing, watching. Pure; texts are stock's.
 
 State queries are filtered by access control: a caller sees its own entries and the names that its
-grants cover.
+grants cover. A watcher is sent the whole state in the first answer, then only the changes since
+what it was sent; a state is a set of facts, so all changes between two calls are sent as one.
+Nothing is queued: a slow caller is updated less often, one without a stored view is sent everything.
 """
 
-from collections.abc import Generator, Iterable
-from typing import Final
+from collections import OrderedDict
+from collections.abc import Generator, Iterable, Iterator
+from functools import partial
+from itertools import count
+from typing import Final, NamedTuple, TypeAlias
 
 from rossec.master.api import arguments as arg
-from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
-from rossec.master.rights import slotted_views
-from rossec.master.rights.access_rules import AccessControl, require_capacity
-from rossec.master.rights.alias_publishers import AliasPublishers
+from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps, collected
+from rossec.master.rights import publisher_views
+from rossec.master.rights.access_rules import AccessControl, require_capacity, require_place
 from rossec.master.rights.caller import Caller
-from rossec.master.rights.served_rights import require_place
-from rossec.master.rights.served_views import entries, is_topic_visible
+from rossec.master.rights.publisher_views import AliasPublishers, is_topic_visible, shown_entries
 from rossec.master.state.graph import Graph
-from rossec.master.state.registry import Kind
-from rossec.ros.compactwrite import encode_ahead
-from rossec.ros.xmlwrite import EncodedList
+from rossec.master.state.registry import ANY_TYPE, Kind
+from rossec.ros.compact_values import encode_ahead
+from rossec.ros.xmlrpc import EncodedList
 
 _MAX_CACHED_STATES: Final = 16
 _MAX_CACHED_ENTRIES: Final = 8192
 
 
 class GraphCalls:
-    """Handlers over one graph; only the own registrations can be changed.
+    """Handlers over one graph; only the own registrations can be changed."""
 
-    Args:
-        aliases: what each subscriber of an alias is told.
-    """
-
-    def __init__(
-        self, graph: Graph, access_control: AccessControl, aliases: AliasPublishers
-    ) -> None:
+    def __init__(self, graph: Graph, access_control: AccessControl, aliases: AliasPublishers) -> None:
         self._aliases = aliases
         self._graph = graph
         self._registry = graph.registry
@@ -44,15 +41,15 @@ class GraphCalls:
         self._version = -1
 
     def methods(self) -> Methods:
-        """The entries of the method table."""
         topic, type_name = arg.topic("topic"), arg.type_name("topic_type")
         service, api = arg.topic("service"), arg.uri("caller_api", "http")
         service_api = arg.uri("service_api", "rosrpc")
+        unregister_publisher = partial(self._unregister, Kind.PUBLISHER)
         return {
             "registerPublisher": Method((topic, type_name, api), [], self._register_publisher),
             "registerSubscriber": Method((topic, type_name, api), [], self._register_subscriber),
             "registerService": Method((service, service_api, api), 0, self._register_service),
-            "unregisterPublisher": Method((topic, api), 0, self._unregister_publisher),
+            "unregisterPublisher": Method((topic, api), 0, unregister_publisher),
             "unregisterSubscriber": Method((topic, api), 0, self._unregister_subscriber),
             "unregisterService": Method((service, service_api), 0, self._unregister_service),
             "lookupNode": Method((arg.node("node"),), "", self._lookup_node),
@@ -84,9 +81,6 @@ class GraphCalls:
         events = self._registry.register_service(service, service_uri, request.node(3))
         return Reply(1, f"Registered [{name}] as provider of [{service}]", events=tuple(events))
 
-    def _unregister_publisher(self, request: CallRequest) -> Reply:
-        return self._unregister(Kind.PUBLISHER, request)
-
     def _unregister_subscriber(self, request: CallRequest) -> Reply:
         reply = self._unregister(Kind.SUBSCRIBER, request)
         if reply.value:
@@ -99,9 +93,7 @@ class GraphCalls:
 
     def _unregister_service(self, request: CallRequest) -> Reply:
         caller, service, service_uri = request.caller, request.text(1), request.text(2)
-        done = self._registry.unregister_service(
-            service, caller.name, service_uri, caller.thumbprint
-        )
+        done = self._registry.unregister_service(service, caller.name, service_uri, caller.thumbprint)
         return Reply(done.removed, done.status)
 
     def _lookup_node(self, request: CallRequest) -> Reply:
@@ -109,7 +101,7 @@ class GraphCalls:
         self._ask(name, request)
         uri = self._graph.node_uri(name)
         if uri is None or not self._access_control.is_node_visible(request.caller, name):
-            uri = slotted_views.node_uri(self._graph, request.caller, name)
+            uri = publisher_views.node_uri(self._graph, request.caller, name)
         if uri is None:
             return Reply("", f"unknown node [{name}]", -1)
         return Reply(uri, "node api")
@@ -122,10 +114,8 @@ class GraphCalls:
         return Reply(uri, f"rosrpc URI: [{uri}]")
 
     def _ask(self, name: str, request: CallRequest) -> None:
-        """Have other masters asked for a name that is not one of this master.
-
-        Not for a foreigner, whoever it names: what is imported is shown to no other domain.
-        """
+        # Have other masters asked for a name that is not one of this master.
+        # Not for a foreigner, whoever it names: what is imported is shown to no other domain.
         registered = self._registry.node_uri(name) or self._registry.service_uri(name)
         if registered is None and not request.caller.is_foreign:
             self._demand.ask(name, request.now)
@@ -136,44 +126,33 @@ class GraphCalls:
 
     def _system_state(self, request: CallRequest) -> Steps:
         self._ask_everything(request)
-        return self._system_state_reply(request.caller)
+        return self._state(request.caller)
 
-    def _system_state_reply(self, caller: Caller) -> Steps:
-        return Reply((yield from self._state(caller)), "current system state")
-
-    def _state(self, caller: Caller) -> Generator[None, None, EncodedList]:
-        """What the caller may see; cached while neither the graph nor the caller changes."""
+    def _state(self, caller: Caller) -> Steps:
         version = self._graph.version
         if self._version != version:
             self._version = version
             self._states.clear()
-        cached = self._states.get(id(caller))
-        if cached is not None and cached[0] is caller:
-            return cached[1]
-        state = EncodedList(
-            [
-                (yield from self._visible_entries(Kind.PUBLISHER, caller)),
-                (yield from self._visible_entries(Kind.SUBSCRIBER, caller)),
-                (yield from self._visible_entries(Kind.SERVICE, caller)),
-            ]
-        )
-        if self._graph.version == self._version == version and not caller.has_slots:
-            if len(self._states) >= _MAX_CACHED_STATES:
-                self._states.clear()
-            self._states[id(caller)] = caller, state
-        return state
+        held, state = self._states.get(id(caller), (None, None))
+        if state is None or held is not caller:
+            state = EncodedList([])
+            for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE):
+                state.append((yield from self._visible_entries(kind, caller)))
+            if self._graph.version == self._version == version and not caller.has_slots:
+                if len(self._states) >= _MAX_CACHED_STATES:
+                    self._states.clear()
+                self._states[id(caller)] = caller, state
+        return Reply(state, "current system state")
 
     def _visible_entries(self, kind: Kind, caller: Caller) -> Generator[None, None, list[object]]:
-        found, at_once = list[object](), caller.names_per_yield
-        for count, (key, nodes) in enumerate(entries(self._graph, caller, kind), 1):
-            if names := self._access_control.visible_nodes(caller, key, nodes):
-                found.append(self._entry(key, names))
-            if not count % at_once:
-                yield
-        return found
+        visible = self._access_control.visible_nodes
+        found = (
+            self._entry(key, names) if (names := visible(caller, key, nodes)) else None
+            for key, nodes in shown_entries(self._graph, caller, kind)
+        )
+        return list[object]((yield from collected(found, caller.names_per_yield)))
 
     def _entry(self, key: str, names: tuple[str, ...]) -> EncodedList:
-        """One name with its nodes, encoded once for all callers that may see it."""
         entry = self._entries.get((key, names))
         if entry is None:
             if len(self._entries) >= _MAX_CACHED_ENTRIES:
@@ -183,7 +162,7 @@ class GraphCalls:
 
     def _topic_types(self, request: CallRequest) -> Steps:
         self._ask_everything(request)
-        types = slotted_views.topic_types(self._graph, request.caller)
+        types = publisher_views.topic_types(self._graph, request.caller)
         return self._types_reply(request.caller, types, "current system state")
 
     def _published_topics(self, request: CallRequest) -> Steps:
@@ -192,28 +171,146 @@ class GraphCalls:
         if namespace and not namespace.endswith("/"):
             namespace += "/"
         graph, caller = self._graph, request.caller
-        published = entries(graph, caller, Kind.PUBLISHER)
+        published = shown_entries(graph, caller, Kind.PUBLISHER)
         within = (
-            (key, slotted_views.topic_type(graph, caller, key))
-            if key.startswith(namespace) and slotted_views.is_published(graph, caller, key)
+            (key, publisher_views.topic_type(graph, caller, key))
+            if key.startswith(namespace) and publisher_views.is_published(graph, caller, key)
             else None
             for key, _ in published
         )
         return self._types_reply(caller, within, "current topics")
 
-    def _types_reply(
-        self, caller: Caller, topics: Iterable[tuple[str, str] | None], status: str
-    ) -> Steps:
-        return Reply((yield from self._visible_types(caller, topics)), status)
+    def _types_reply(self, caller: Caller, topics: Iterable[tuple[str, str] | None], status: str) -> Steps:
+        shown = (
+            [*topic] if topic is not None and is_topic_visible(self._graph, caller, topic[0]) else None
+            for topic in topics
+        )
+        return Reply((yield from collected(shown, caller.names_per_yield)), status)
 
-    def _visible_types(
-        self, caller: Caller, topics: Iterable[tuple[str, str] | None]
-    ) -> Generator[None, None, list[list[str]]]:
-        """Those of `topics`, with their types, that the caller may see."""
-        shown, at_once = list[list[str]](), caller.names_per_yield
-        for count, topic in enumerate(topics, 1):
-            if topic is not None and is_topic_visible(self._graph, caller, topic[0]):
-                shown.append([*topic])
-            if not count % at_once:
-                yield
-        return shown
+
+BATCH: Final = 1024  # facts in one answer
+MAX_VIEWS: Final = 4  # stored for one identity
+_START: Final = 0  # the cursor of a caller without state
+
+Fact: TypeAlias = tuple[str, str, str]
+# Kind, name and value: ("publisher", "/scan", "/laser"), ("type", "/scan", "pkg/Type"),
+# ("provider", "/reset", "rosrpc://..."), ("node", "/laser", "http://...").
+
+View: TypeAlias = frozenset[Fact]
+
+
+class _Sent(NamedTuple):
+    facts: View
+    beside: tuple[bytes, ...]
+
+
+class GraphViews:
+    """The views of all callers of one method; `instance` identifies this run: cursors start again."""
+
+    def __init__(self, instance: str) -> None:
+        self._instance = instance
+        self._cursors = count(_START + 1)
+        self._views: OrderedDict[bytes, OrderedDict[int, _Sent]] = OrderedDict()
+
+    def __len__(self) -> int:
+        return sum(map(len, self._views.values()))
+
+    def keep_only(self, thumbprints: frozenset[bytes]) -> None:
+        for key in self._views.keys() - thumbprints:
+            del self._views[key]
+
+    def answer(
+        self,
+        caller: bytes,
+        seen: tuple[object, object],
+        now: View,
+        version: int,
+        beside: tuple[bytes, ...] = (),
+    ) -> dict[str, object]:
+        # The changes since the caller's last view; the cursor stays if there are none.
+        instance, cursor = seen
+        views = self._views.setdefault(caller, OrderedDict())
+        cursor = cursor if isinstance(cursor, int) and instance == self._instance else _START
+        known = views.get(cursor)
+        old = frozenset() if known is None else known.facts
+        added, removed = sorted(now - old), sorted(old - now)
+        sent_added, sent_removed = added[:BATCH], removed[:BATCH]
+        if known is None or added or removed or beside != known.beside:
+            views.pop(cursor, None)
+            cursor = next(self._cursors)
+            view = (old | frozenset(sent_added)) - frozenset(sent_removed)
+            views[cursor] = _Sent(view, beside)
+            if len(views) > MAX_VIEWS:
+                views.popitem(last=False)
+        return {
+            "instance": self._instance,
+            "version": version % (1 << 31),  # XML-RPC's integers end there
+            "cursor": cursor,
+            "whole": known is None,
+            "more": len(added) > BATCH or len(removed) > BATCH,
+            "added": [list(fact) for fact in sent_added],
+            "removed": [list(fact) for fact in sent_removed],
+        }
+
+
+def is_unchanged(answer: object, cursor: object) -> bool:
+    match answer:
+        case [1, _, {"whole": False, "cursor": int() as now}]:
+            return now == cursor
+        case _:
+            return False
+
+
+WATCH: Final = "rossec.watchGraph"
+
+
+def facts(graph: Graph, access_control: AccessControl, caller: Caller) -> Iterator[Fact | None]:
+    """What `caller` may see of the graph, as in `getSystemState` and similar queries.
+
+    None for each name and node that it may not see.
+    """
+    for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE):
+        for key, names in shown_entries(graph, caller, kind):
+            shown = access_control.visible_nodes(caller, key, names)
+            yield from ((kind.value, key, name) for name in shown)
+            if not shown:
+                yield None
+            elif kind is Kind.SERVICE:
+                yield "provider", key, graph.service_uri(key) or ""
+            elif (type_name := publisher_views.topic_type(graph, caller, key)) != ANY_TYPE:
+                yield "type", key, type_name
+    seen = set[str]()
+    for node in graph.nodes():
+        if access_control.is_node_visible(caller, node.name):
+            seen.add(node.name)
+            yield "node", node.name, node.uri
+        else:
+            yield None
+    for told in publisher_views.shown_nodes(graph, caller):
+        yield None if told is None or told.name in seen else ("node", told.name, told.uri)
+
+
+class WatchCalls:
+    """The call by which a node watches the graph: its own registrations and what is imported."""
+
+    def __init__(self, graph: Graph, access_control: AccessControl, instance: str) -> None:
+        self._graph = graph
+        self._access_control = access_control
+        self.views: Final = GraphViews(instance)
+
+    def methods(self) -> Methods:
+        checks = (arg.text("instance"), arg.number("cursor"))
+        return {WATCH: Method(checks, {}, self._watch)}
+
+    def _watch(self, request: CallRequest) -> Steps:
+        if not request.caller.is_foreign:
+            self._graph.imports.demand.ask_everything(request.now)
+        return self._watch_reply(request)
+
+    def _watch_reply(self, request: CallRequest) -> Steps:
+        found = facts(self._graph, self._access_control, request.caller)
+        seen = yield from collected(found, request.caller.names_per_yield)
+        known = request.arguments[1], request.arguments[2]
+        key, version = request.caller.thumbprint, self._graph.version
+        version = 0 if request.caller.has_slots else version  # it grows with each registration
+        return Reply(self.views.answer(key, known, frozenset(seen), version), "state of the graph")

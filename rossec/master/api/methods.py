@@ -1,14 +1,19 @@
-"""The types of a master method: its arguments, default and handler, and what handlers return."""
+"""The types of a master method: its arguments, default and handler, and what handlers return. Pure.
 
-from collections.abc import Callable, Generator, Mapping
+Long calls are processed in turns of limited time, so that they do not delay others. A count would
+not limit the time, since one call may cost ten thousand times as much as another. A generator
+yields where it can be suspended; `expired`, which reads the caller's clock, says when.
+"""
+
+from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple, TypeAlias, TypeVar
 
 from grants.model import Right
 from rossec.master.api.arguments import Check
 from rossec.master.rights.caller import Caller
-from rossec.master.state.import_events import TypeContradicted
-from rossec.master.state.parameter_journal import ParameterChange
+from rossec.master.state.imported_facts import TypeContradicted
+from rossec.master.state.journals import ParameterChange
 from rossec.master.state.registry import Event, NodeRef
 
 
@@ -23,13 +28,11 @@ class ParameterChanged:
 
 @dataclass(frozen=True)
 class StopMaster:
-    """An administrator has called `shutdown`."""
-
     reason: str
 
 
 @dataclass(frozen=True)
-class GrantsPresented:
+class CallerPresentedGrants:
     """A caller has presented grants, of which some may be `refused`; its rights have changed."""
 
     name: str
@@ -78,21 +81,15 @@ class Denied:
 
 @dataclass(frozen=True)
 class CallDenied:
-    """A call was refused by rossec, alone or within a multicall: for the audit.
+    """A call was refused by rossec, alone or within a multicall: for the audit."""
 
-    Attributes:
-        node: the caller, for people.
-        taken_by: the node that registered the address, if that was the reason.
-        missing: the right that is missing, and the name it is missing on, if that was the reason.
-        certified: the name that the caller's connection proved; `wildcard`: it has a tail.
-    """
-
-    node: str
+    node: str  # the caller, for people
     method: str
     status: str
-    taken_by: NodeRef | None = None
+    taken_by: NodeRef | None = None  # the node that registered the address, if that was the reason
+    # the right that is missing, and the name it is missing on, if that was the reason
     missing: tuple[Right, str] | None = None
-    certified: str = ""
+    certified: str = ""  # the name that the caller's connection proved; `wildcard`: it has a tail
     wildcard: bool = False
 
 
@@ -108,7 +105,7 @@ MasterEvent = (
     | ParameterChanged
     | PersistParameter
     | StopMaster
-    | GrantsPresented
+    | CallerPresentedGrants
     | GrantsDeposited
     | RevocationsChanged
     | DomainsChanged
@@ -120,8 +117,6 @@ MasterEvent = (
 
 
 class Reply(NamedTuple):
-    """ROS's code, status and value, and the events to deliver."""
-
     value: object
     status: str = ""
     code: int = 1
@@ -140,21 +135,22 @@ class CallRequest(NamedTuple):
     is_local: bool = True
 
     def text(self, index: int) -> str:
-        """An argument that was checked to be text."""
         value = self.arguments[index]
         if not isinstance(value, str):
             raise TypeError(f"argument {index} is not text")
         return value
 
     def binary(self, index: int) -> bytes:
-        """An argument that was checked to be bytes."""
         value = self.arguments[index]
         if not isinstance(value, bytes):
             raise TypeError(f"argument {index} is not bytes")
         return value
 
+    def binaries(self, index: int) -> list[bytes]:
+        value = self.arguments[index]
+        return [item for item in value if isinstance(item, bytes)] if isinstance(value, list) else []
+
     def node(self, index: int) -> NodeRef:
-        """The caller with the slave API URI that is this argument."""
         return NodeRef(self.caller.name, self.text(index), self.caller.thumbprint)
 
 
@@ -166,11 +162,58 @@ Handler = Callable[[CallRequest], Reply | Steps]
 
 @dataclass(frozen=True)
 class Method:
-    """An entry of the method table: checks of the arguments after caller_id, default, handler."""
-
     checks: tuple[Check, ...]
     default: object
     handler: Handler
 
 
 Methods = Mapping[str, Method]
+
+TURN: Final = 0.005  # seconds that one call may occupy the loop
+
+TurnExpired = Callable[[], bool]  # Whether the turn has expired
+
+T = TypeVar("T")
+
+
+def collected(items: Iterable[T | None], at_once: int) -> Generator[None, None, list[T]]:
+    """The items that are not None; yields after so many of all, as each costs time."""
+    found: list[T] = []
+    for number, item in enumerate(items, 1):
+        if item is not None:
+            found.append(item)
+        if not number % at_once:
+            yield
+    return found
+
+
+class CallOutcome(NamedTuple):
+    answer: object
+    events: tuple[MasterEvent, ...] = ()
+
+
+Work: TypeAlias = Generator[None, None, CallOutcome]  # A call that may take many turns
+
+
+class TurnClock:
+    """Begins turns of `length` seconds by a monotonic clock."""
+
+    def __init__(self, clock: Callable[[], float], length: float = TURN) -> None:
+        self._clock = clock
+        self._length = length
+
+    def begin(self) -> TurnExpired:
+        end = self._clock() + self._length
+        return lambda: self._clock() >= end
+
+
+def advance(work: Work, expired: TurnExpired) -> CallOutcome | None:
+    """Run `work` for one turn; None: it is not finished."""
+    try:
+        while True:
+            next(work)
+            if expired():
+                return None
+    except StopIteration as end:
+        outcome: CallOutcome = end.value
+        return outcome

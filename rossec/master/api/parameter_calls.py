@@ -1,16 +1,20 @@
 """The Parameter Server's calls. Pure; texts are stock's.
 
 A right must cover what a call reaches: for a tree every parameter in it, before and after. So
-`setParam("/", ...)` or `getParam("/ns")` does not circumvent a missing right on one of them.
+`setParam("/", ...)` or `getParam("/ns")` does not circumvent a missing right on one of them. Where a
+right covers everything below a namespace, or nothing there, its names are not checked one by one. A
+check of a whole tree ends at the first name without the right, and covers at most
+`MAX_NAMES_CHECKED` names, fewer for a caller with many patterns: a larger tree is refused. A
+filtered query may take many turns, between which the tree may change.
 """
 
+import xmlrpc
 import xmlrpc.client
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator
-from typing import Final
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from typing import Any, Final, NamedTuple, TypeAlias
 
-from ca.domains.aliases import is_alias
-from ca.errors import NameRefused
+from ca.names import is_alias, shown
 from grants.model import Right
 from rossec.master.api import arguments as arg
 from rossec.master.api.methods import (
@@ -23,21 +27,92 @@ from rossec.master.api.methods import (
     Steps,
 )
 from rossec.master.rights.access_rules import require_address, require_capacity
-from rossec.master.rights.caller import Caller, Refused
-from rossec.master.rights.parameter_trees import (
-    ParameterItem,
-    decisions_across_turns,
-    has_right_on_all,
-    parameter_names,
-    require_tree,
+from rossec.master.rights.caller import Caller, Refused, refusals_answered
+from rossec.master.state.journals import ParameterChange
+from rossec.master.state.parameters import (
+    SIZE_LIMIT,
+    MirrorChange,
+    Mirrors,
+    ParameterMissing,
+    Parameters,
+    ParameterUpdate,
+    TooLarge,
+    check_names,
+    encoded_size,
+    exceeds,
+    refuse_mirror,
+    search_candidates,
+    subscription_key,
+    updates,
 )
-from rossec.master.state import parameter_values
-from rossec.master.state import parameters as parameter_state
-from rossec.master.state.mirrors import MirrorChange, Mirrors, refuse_mirror
-from rossec.master.state.parameter_journal import ParameterChange
-from rossec.master.state.parameters import SIZE_LIMIT, ParameterMissing, Parameters, TooLarge
 from rossec.master.state.registry import Kind, NodeRef, Registry
+from rossec.ros import names
 from rossec.ros.xmlrpc import BODY_LIMIT
+
+MAX_NAMES_CHECKED: Final = 8192  # names checked for one call, namespaces included
+MAX_PATTERN_MATCHES: Final = 2 * MAX_NAMES_CHECKED  # of patterns with wildcards against names
+
+ParameterItem: TypeAlias = tuple[str, object]  # A key and its value; a dict is a namespace
+
+
+class TreeDecision(NamedTuple):
+    item: ParameterItem
+    covered: bool | None  # None: a namespace whose names are checked one by one
+
+
+def require_tree(caller: Caller, right: Right, key: str, *items: ParameterItem) -> None:
+    """Raise `Refused` unless `caller` has `right` on everything in `items`; also if empty.
+
+    The text depends on `key` alone, which the caller knows: the uncovered name, the grants that
+    nearly cover it, or the size of the tree would reveal which parameters exist.
+    """
+    if not items or not has_right_on_all(caller, right, items):
+        needs = f"{caller.display_name} needs the right {right.label} on {shown(key)}"
+        raise Refused(
+            f"{needs}: no grant covers it and all below it ({caller.remedy(right, key)})", (right, key)
+        )
+
+
+def has_right_on_all(caller: Caller, right: Right, items: Sequence[ParameterItem]) -> bool:
+    # Whether there is `right` on every parameter in `items`, and `items` are not too large.
+    if len(items) == 1 and not isinstance(items[0][1], dict):  # the usual case
+        return caller.may(right, items[0][0])
+    limit = min(MAX_NAMES_CHECKED, MAX_PATTERN_MATCHES // max(1, caller.patterns(right)))
+    results = (decision for item in items for decision in decisions(caller, right, item))
+    return all(count <= limit and decision.covered is not False for count, decision in enumerate(results, 1))
+
+
+def decisions_across_turns(caller: Caller, right: Right, item: ParameterItem) -> Iterator[TreeDecision]:
+    return decisions(caller, right, item, lambda tree: tuple(tree.items()))
+
+
+def decisions(
+    caller: Caller,
+    right: Right,
+    item: ParameterItem,
+    entries: Callable[[dict[str, object]], Iterable[Any]] = dict.items,
+) -> Iterator[TreeDecision]:
+    key, value = item
+    if not isinstance(value, dict) or not value:
+        yield TreeDecision(item, caller.may(right, key))
+    elif caller.may_all_below(right, key):
+        yield TreeDecision(item, covered=True)
+    elif not caller.may_some_below(right, key):
+        yield TreeDecision(item, covered=False)
+    else:
+        yield TreeDecision(item, covered=None)
+        for name, below in entries(value):
+            yield from decisions(caller, right, (names.join(key, name), below), entries)
+
+
+def parameter_names(item: ParameterItem) -> Iterator[str]:
+    key, value = item
+    if not isinstance(value, dict):
+        yield key
+        return
+    for name, below in tuple(value.items()):
+        yield from parameter_names((names.join(key, name), below))
+
 
 MAX_ENCODED: Final = 2 * BODY_LIMIT  # by `encoded_size`, about the length of an answer
 _TOO_LONG: Final = f"rossec: an answer of more than {BODY_LIMIT} bytes: ask for less at a time"
@@ -46,13 +121,7 @@ Fault = xmlrpc.client.Fault
 
 
 class ParameterCalls:
-    """Handlers over one parameter tree.
-
-    Args:
-        caller_of: a subscriber with its rights when an update is sent; None: its key is revoked.
-        limit: bytes of all parameters together.
-        mirrors: parameters of other masters.
-    """
+    """Handlers over one parameter tree."""
 
     def __init__(
         self,
@@ -64,13 +133,13 @@ class ParameterCalls:
     ) -> None:
         self._parameters = parameters
         self._mirrors = Mirrors() if mirrors is None else mirrors
-        self._limit = limit
+        self._limit = limit  # bytes of all parameters together
         self._registry = registry
+        # a subscriber with its rights when an update is sent; None: its key is revoked
         self._caller_of = caller_of
         self._bytes_added: Counter[bytes] = Counter()  # by key, net of what it deleted
 
     def methods(self) -> Methods:
-        """The entries of the method table."""
         key, api = arg.key("key"), arg.uri("caller_api", "http")
         return {
             "getParam": Method((key,), 0, self._get),
@@ -86,9 +155,7 @@ class ParameterCalls:
     def mirror(self, changes: Iterable[MirrorChange], now: int) -> tuple[ParameterChanged, ...]:
         """The updates for subscribers of mirrored parameters that have changed."""
         return tuple(
-            event
-            for change in changes
-            for event in self._updates(change.key, change.value, now, setter=None)
+            event for change in changes for event in self._updates(change.key, change.value, now, setter=None)
         )
 
     def _get(self, request: CallRequest) -> Reply:
@@ -110,10 +177,14 @@ class ParameterCalls:
 
     def _set(self, request: CallRequest) -> Reply:
         key, value = request.text(1), request.arguments[2]
-        _refuse_mirror(key, value)
+        with refusals_answered():
+            refuse_mirror(key, value)
         try:
-            parameter_state.check_names(key, value)
-            require_tree(request.caller, Right.PARAM_SET, key, *self._affected_items(key, value))
+            check_names(key, value)
+            before = self._parameters.items_affected(key)  # the last of them is `key` itself
+            has_tree = isinstance(value, dict) or isinstance(before[-1][1], dict)
+            affected = [*before, (key, value)] if has_tree else before
+            require_tree(request.caller, Right.PARAM_SET, key, *affected)
             self._set_within_quota(request.caller, key, value)
         except (TypeError, ValueError) as error:
             return Reply(0, f"Error: invalid arguments: {error}", -1)
@@ -121,17 +192,8 @@ class ParameterCalls:
         events = self._updates(key, value, request.now, setter=request.caller.name)
         return Reply(0, f"parameter {key} set", events=(persist, *events))
 
-    def _affected_items(self, key: str, value: object) -> list[ParameterItem]:
-        """The items that setting `key` to `value` reaches, before and after."""
-        before = self._parameters.items_affected(key)  # the last of them is `key` itself
-        has_tree = isinstance(value, dict) or isinstance(before[-1][1], dict)
-        return [*before, (key, value)] if has_tree else before
-
     def _set_within_quota(self, caller: Caller, key: str, value: object) -> None:
-        """Set a parameter; the net additions of one key in this run are at most half of the limit.
-
-        What was set before the master was started counts for no key.
-        """
+        # What was set before the master was started counts for no key.
         before, quota = self._parameters.size, self._limit // 2
         own = min(self._bytes_added[caller.thumbprint], before)  # others may have deleted it
         try:
@@ -145,17 +207,16 @@ class ParameterCalls:
         self._account(caller, before)
 
     def _account(self, caller: Caller, before: int) -> None:
-        """Count what a caller added since the size was `before`, at least 0 in total."""
+        # Count what a caller added since the size was `before`, at least 0 in total.
         key = caller.thumbprint
-        self._bytes_added[key] = (
-            min(self._bytes_added[key], before) + self._parameters.size - before
-        )
+        self._bytes_added[key] = min(self._bytes_added[key], before) + self._parameters.size - before
         if self._bytes_added[key] <= 0:
             del self._bytes_added[key]
 
     def _delete(self, request: CallRequest) -> Reply:
         key = request.text(1)
-        _refuse_mirror(key)
+        with refusals_answered():
+            refuse_mirror(key)
         require_tree(request.caller, Right.PARAM_SET, key, self._parameters.item(key))
         before = self._parameters.size
         try:
@@ -170,7 +231,7 @@ class ParameterCalls:
     def _search(self, request: CallRequest) -> Steps:
         key = request.text(1)
         try:
-            candidates = parameter_state.search_candidates(request.caller.name, key)
+            candidates = search_candidates(request.caller.name, key)
         except ValueError as error:
             return Reply(0, f"Internal failure: {error}", 0)
         for candidate, found in candidates:
@@ -181,7 +242,6 @@ class ParameterCalls:
         return Reply("", f"Cannot find parameter [{key}] in an upwards search", -1)
 
     def _is_readable(self, caller: Caller, key: str) -> Generator[None, None, bool]:
-        """Whether the caller may read anything at or below `key`."""
         results = decisions_across_turns(caller, Right.PARAM_GET, self._item(key))
         at_once = caller.names_per_yield
         for count, decision in enumerate(results, 1):
@@ -196,7 +256,7 @@ class ParameterCalls:
         for count, name in enumerate(self._readable_names(request.caller), 1):
             if name is not None:
                 shown.append(name)
-                bytes_left -= parameter_values.encoded_size(name)
+                bytes_left -= encoded_size(name)
             if bytes_left < 0:
                 raise Fault(1, _TOO_LONG)
             if not count % at_once:
@@ -204,7 +264,6 @@ class ParameterCalls:
         return Reply(shown, "Parameter names")
 
     def _readable_names(self, caller: Caller) -> Iterator[str | None]:
-        """Every parameter the caller may read, and None for each name it may not."""
         for item in (self._parameters.item("/"), *self._mirrors.items()):
             for decision in decisions_across_turns(caller, Right.PARAM_GET, item):
                 if decision.covered:
@@ -217,7 +276,7 @@ class ParameterCalls:
         item = self._item(key)
         require_tree(request.caller, Right.PARAM_GET, key, item)
         require_address(self._registry, request.caller, node.uri, is_local=request.is_local)
-        subscription = parameter_state.subscription_key(key)
+        subscription = subscription_key(key)
         require_capacity(self._registry, Kind.PARAMETER, subscription, node)
         value = {} if item[1] is None else _sendable(item[1])
         events = self._registry.register_parameter(subscription, node)
@@ -225,44 +284,31 @@ class ParameterCalls:
 
     def _unsubscribe(self, request: CallRequest) -> Reply:
         node, key = request.node(1), request.text(2)
-        self._registry.unregister(Kind.PARAMETER, parameter_state.subscription_key(key), node)
+        self._registry.unregister(Kind.PARAMETER, subscription_key(key), node)
         return Reply(1, f"Unsubscribe to parameter [{key}]")
 
-    def _updates(
-        self, key: str, value: object, now: int, setter: str | None
-    ) -> tuple[ParameterChanged, ...]:
+    def _updates(self, key: str, value: object, now: int, setter: str | None) -> tuple[ParameterChanged, ...]:
         subscriptions = self._registry.keys(Kind.PARAMETER)
         allowed: dict[tuple[bytes, str], bool] = {}  # by key: it may have many nodes
 
-        def may_receive(node: NodeRef, update: parameter_state.ParameterUpdate) -> bool:
+        def may_receive(node: NodeRef, update: ParameterUpdate) -> bool:
             about = node.thumbprint, update.key
             if about not in allowed:
-                allowed[about] = self._may_receive(node, update.key, update.value, now)
+                caller = self._caller_of(node, now)
+                item = update.key.removesuffix("/") or update.key, update.value
+                allowed[about] = caller is not None and has_right_on_all(caller, Right.PARAM_GET, [item])
             return allowed[about]
 
         return tuple(
             ParameterChanged(node, update.key, update.value)
-            for update in parameter_state.updates(subscriptions, key, value)
+            for update in updates(subscriptions, key, value)
             for node in self._registry.registered_nodes(Kind.PARAMETER, update.subscription)
             if (update.to_setter or node.name != setter) and may_receive(node, update)
         )
 
-    def _may_receive(self, node: NodeRef, key: str, value: object, now: int) -> bool:
-        caller = self._caller_of(node, now)
-        if caller is None:
-            return False
-        return has_right_on_all(caller, Right.PARAM_GET, [(key.removesuffix("/") or key, value)])
-
-
-def _refuse_mirror(key: str, value: object = None) -> None:
-    try:
-        refuse_mirror(key, value)
-    except NameRefused as error:
-        raise Refused(f"{error} ({error.hint})") from error
-
 
 def _sendable(value: object) -> object:
-    """The value, unless it is far too long: encoding it would already take long."""
-    if isinstance(value, dict) and parameter_values.exceeds(value, MAX_ENCODED):
+    # The value, unless it is far too long: encoding it would already take long.
+    if isinstance(value, dict) and exceeds(value, MAX_ENCODED):
         raise Fault(1, _TOO_LONG)
     return value

@@ -1,25 +1,29 @@
-"""The call by which another master follows this one: `rossec.followSite`. Pure.
+"""The calls of other masters and of the own relays. Pure (docs/spec/multimaster.md).
 
-It is answered with what is registered at this master itself, never with what is imported: a fact
-travels one hop, so no loop can arise. A master of the own domain is shown every fact, as it is
-trusted for addresses; anybody else what it has `graph` on, a foreigner only what is exported to its
-domain. Only what the follower wants is sent (docs/spec/multimaster.md).
+`rossec.followSite` is answered with what is registered at this master itself, never with what is
+imported: a fact travels one hop, so no loop can arise. A master of the own domain is shown every
+fact, as it is trusted for addresses; anybody else what it has `graph` on, a foreigner only what is
+exported to its domain. A relay connects for another site to what `rossec.relayTarget` answers and
+to nothing else: what is registered here and shown to that site's domain. A name that is unknown and
+one that is not shown are refused alike, as the other relay may ask for any.
 """
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final
 
-from ca.domains.aliases import is_alias
-from ca.domains.served import is_in_gateway
+from ca.names import is_alias, is_in_gateway
+from grants.decision import Reach
 from grants.model import ALL_RIGHTS, Permission, Right
-from grants.reach import Reach
 from rossec.master.api import arguments as arg
-from rossec.master.api.graph_views import Fact, GraphViews
-from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
+from rossec.master.api.graph_calls import Fact, GraphViews
+from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps, collected
 from rossec.master.rights.caller import Caller, Refused
-from rossec.master.state.demand import MAX_WANTED
-from rossec.master.state.registry import ANY_TYPE, Kind, Registry
+from rossec.master.rights.statements import TrustState
+from rossec.master.state.forwarded_ports import MASTER, NODE, ForwardedPorts, RelayReport
+from rossec.master.state.imports import MAX_WANTED
+from rossec.master.state.registry import ANY_TYPE, Endpoint, Kind, Registry, endpoint, is_loopback_host
+from rossec.ros.names import RELAY_DOORS, RELAY_TARGET
 
 FOLLOW: Final = "rossec.followSite"
 MAX_PATTERNS: Final = 64  # wanted, with a wildcard before their end: each costs with each name
@@ -34,12 +38,7 @@ _KINDS: Final = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
 
 
 class SiteCalls:
-    """The handler over the own registrations.
-
-    Args:
-        instance: identifies this run of the master.
-        digests: of the lists that this master holds.
-    """
+    """The handler over the own registrations; `instance` identifies this run of the master."""
 
     def __init__(self, registry: Registry, instance: str, digests: Digests) -> None:
         self._registry = registry
@@ -47,28 +46,21 @@ class SiteCalls:
         self.views: Final = GraphViews(instance)
 
     def methods(self) -> Methods:
-        """The entry of the method table."""
         checks = (arg.text("instance"), arg.number("cursor"), arg.patterns("wanted", MAX_WANTED))
         return {FOLLOW: Method(checks, {}, self._follow)}
 
     def _follow(self, request: CallRequest) -> Steps:
-        wanted = _wanted(request.arguments[3])
-        return self._reply(request, wanted)
+        return self._reply(request, _wanted(request.arguments[3]))
 
     def _reply(self, request: CallRequest, wanted: Reach | None) -> Steps:
-        seen, at_once = set[Fact](), request.caller.names_per_yield
         found = own_facts(self._registry, request.caller, wanted)
-        for checked, fact in enumerate(found, 1):
-            if fact is not None:
-                seen.add(fact)
-            if not checked % at_once:
-                yield
+        seen = yield from collected(found, request.caller.names_per_yield)
         known = request.arguments[1], request.arguments[2]
         key, version = request.caller.thumbprint, self._registry.version
         revocations, domains = self._digests()
         lists = revocations, b"" if request.caller.is_foreign else domains
         # an answer to other wants is one at once: the follower waits for it, also if it is no
-        beside = (*lists, _digest(request.arguments[3]))
+        beside = (*lists, hashlib.sha256(repr(request.arguments[3]).encode()).digest())
         answer = self.views.answer(key, known, frozenset(seen), version, beside)
         answer |= {"revocations": lists[0], "domains": lists[1]}
         return Reply(answer, "facts of this site")
@@ -101,19 +93,14 @@ def own_facts(registry: Registry, caller: Caller, wanted: Reach | None) -> Itera
 
 
 def _is_shown(caller: Caller, wanted: Reach | None, name: str) -> bool:
-    """An alias is not shown: it is a name of another origin."""
+    # An alias is not shown: it is a name of another origin.
     if is_alias(name) or (wanted is not None and not wanted.covers(Right.GRAPH, name)):
         return False
     exported = caller.exported is None or caller.exported.covers_any(ALL_RIGHTS, name)
     return exported and caller.may(Right.GRAPH, name)
 
 
-def _digest(wanted: object) -> bytes:
-    return hashlib.sha256(repr(wanted).encode()).digest()
-
-
 def _wanted(value: object) -> Reach | None:
-    """What is wanted, as a set of patterns; None: everything. The empty name wants nothing."""
     names: Sequence[object] = value if isinstance(value, list) else ()
     if not names:
         return None
@@ -125,3 +112,98 @@ def _wanted(value: object) -> Reach | None:
             "want everything, with an empty list"
         )
     return reach
+
+
+_UNREACHABLE: Final = (
+    "a relay on another host than the master needs doors that others reach: rossec relay --doors ADDRESS"
+)
+_ANOTHER: Final = (
+    "another relay with this name has come since: end one of them, "
+    "or give it a name of its own (rossec relay --name /relay/attic)"
+)
+_ON_THIS_HOST: Final = (
+    "this is registered at a loopback address, and the relay is on another host: "
+    "set ROS_IP or ROS_HOSTNAME where it runs"
+)
+
+
+class RelayCalls:
+    """Handlers for relays of the own domain (`access_rules` refuses all others); `uri`: of this master."""
+
+    def __init__(
+        self, doors: ForwardedPorts, registry: Registry, statements: TrustState, name: str, uri: str
+    ) -> None:
+        self._doors = doors
+        self._registry = registry
+        self._statements = statements
+        self._own = name, uri
+
+    def methods(self) -> Methods:
+        polled = (arg.text("instance"), arg.number("seen"), arg.doors("doors"), arg.ways("ways"))
+        target = (arg.text("domain"), arg.kind("kind"), arg.name("name"))
+        return {RELAY_DOORS: Method(polled, {}, self._poll), RELAY_TARGET: Method(target, [], self._target)}
+
+    def _poll(self, request: CallRequest) -> Reply:
+        _, instance, seen, doors, ways = request.arguments
+        if not (isinstance(seen, int) and isinstance(doors, dict) and isinstance(ways, dict)):
+            raise TypeError("a relay's call whose arguments were not checked")
+        report = RelayReport(str(instance), seen, doors, ways)
+        for door in report.doors.values():
+            if is_loopback_host(door.host) and not request.is_local:
+                raise Refused(_UNREACHABLE)
+        if not self._doors.has_room_for(request.caller.name):
+            raise Refused("this master has too many relays")
+        if self._doors.is_superseded(request.caller.name, report.instance):
+            raise Refused(_ANOTHER)
+        change = self._doors.hear(request.caller.name, report, request.now)
+        answer = {
+            "version": change.version,
+            "wanted": [list(target) for target in change.wanted],
+            "unwanted": [list(target) for target in change.unwanted],
+            "masters": dict(self._doors.masters()),
+        }
+        return Reply(answer, "doors")
+
+    def _target(self, request: CallRequest) -> Reply:
+        domain, kind, name = map(request.text, (1, 2, 3))
+        exported: Reach | None = None
+        if domain:
+            domains = self._statements.domains
+            listed = domains.anchors.listed(domain)
+            if listed is None or request.now >= listed.entry.until:
+                raise Refused(f"no domain is called {domain[:32]!a} here")
+            exported = domains.exported(listed.entry.domain)
+        place = self._place(kind, name, exported)
+        if place is None or place[1] is None:
+            raise Refused(f"no {kind} {name} is shown there")
+        if is_loopback_host(place[0]) and not request.is_local:
+            raise Refused(_ON_THIS_HOST)
+        return Reply([*place], "target")
+
+    def _place(self, kind: str, name: str, exported: Reach | None) -> Endpoint | None:
+        own_name, own_uri = self._own
+        if kind == MASTER:
+            return endpoint(own_uri) if name == own_name else None
+        if kind == NODE:
+            node = self._registry.node(name)
+            if node is None or is_alias(name):
+                return None
+            keys = (key for kind in _KINDS for key in self._registry.keys_of(name, kind))
+            shown = _shows(exported, name) or any(_shows(exported, key) for key in keys)
+            return endpoint(node.uri) if shown else None
+        uri, providers = self._registry.service_uri(name), self._registry.registered_nodes(Kind.SERVICE, name)
+        is_own = any(not is_alias(node.name) for node in providers)
+        return endpoint(uri) if uri and is_own and _shows(exported, name) else None
+
+
+def is_idle(answer: object) -> bool:
+    """Whether an answer to a poll tells a relay of nothing, so that it may wait."""
+    match answer:
+        case [1, str(), {"wanted": [], "unwanted": []}]:
+            return True
+        case _:
+            return False
+
+
+def _shows(exported: Reach | None, name: str) -> bool:
+    return exported is None or exported.covers_any(ALL_RIGHTS, name)

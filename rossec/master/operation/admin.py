@@ -1,6 +1,6 @@
-"""The administrator's local port of a master or a relay: a Unix socket.
+"""The administrator's local port of a master or a relay, and limits of the process. A shell.
 
-A shell. The socket is in its own directory (0600), and the kernel reports the user of the peer:
+The port is a Unix socket in its own directory (0600), and the kernel reports the user of the peer:
 only the user who runs it, and root, are admitted. A master's is off unless enabled. A connection is
 one request and one answer, each a line of JSON. No command changes a right.
 """
@@ -9,22 +9,94 @@ import asyncio
 import json
 import logging
 import os
+import resource
 import socket
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from grants.limits import TokenBucket
 from rossec.errors import ConfigurationError, PeerUserRefused
-from rossec.master.operation.denial_limit import DENIALS
-from rossec.net.host.peeruid import require_user
-from rossec.operation.unix_socket import listen_at, raw_socket
+from rossec.host.audit import LEFT_OUT
+from rossec.host.local_sockets import listen_at, raw_socket, require_user
+from rossec.peer_limits import subject
+
+DESCRIPTORS: Final = 65536  # each node takes two, and a shell's soft limit is often 1024
+
+
+def raise_descriptor_limit() -> None:
+    """Raise the soft limit to `DESCRIPTORS`, or to the hard limit where that is lower."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    missing = DESCRIPTORS if hard == resource.RLIM_INFINITY else min(hard, DESCRIPTORS)
+    if soft != resource.RLIM_INFINITY and soft < missing:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (missing, hard))
+
+
+DENIALS: Final = "rossec.audit.denials"
+MAX_NODES: Final = 4096
+
+
+@dataclass
+class NodeBudget:
+    limit: TokenBucket = field(default_factory=lambda: TokenBucket(10, 200))
+    reserved: TokenBucket = field(default_factory=lambda: TokenBucket(0.1, 10))
+    left_out: int = 0
+
+
+class DenialRateLimit(logging.Filter):
+    """A node that is denied a thousand times a second neither fills the disk nor hides other lines.
+
+    There is a bucket for each node and one for all. Several nodes together could empty the common
+    one, so each also has a small bucket in reserve. Lines of administrators are never limited: those
+    that nodes cause have their own logger, a child of the audit's.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__()
+        self._clock = clock
+        self._common = TokenBucket(50, 1000)
+        self._nodes: OrderedDict[str, NodeBudget] = OrderedDict()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        # Whether the line is written; if so, it records how many before it were not.
+        now = self._clock()
+        budget = self._budget(subject(record))
+        common = self._common if self._common.refill(now) >= 1 else budget.reserved
+        if not (budget.limit.refill(now) >= 1 and common.refill(now) >= 1):
+            budget.left_out += 1
+            return False
+        budget.limit.tokens -= 1
+        common.tokens -= 1
+        if budget.left_out:
+            setattr(record, LEFT_OUT, budget.left_out)
+            budget.left_out = 0
+        return True
+
+    def _budget(self, node: str) -> NodeBudget:
+        budget = self._nodes.pop(node, None) or NodeBudget()
+        self._nodes[node] = budget
+        if len(self._nodes) > MAX_NODES:
+            self._nodes.popitem(last=False)
+        return budget
+
+
+@contextmanager
+def denials_limited() -> Iterator[None]:
+    limit, log = DenialRateLimit(), logging.getLogger(DENIALS)
+    log.addFilter(limit)
+    try:
+        yield
+    finally:
+        log.removeFilter(limit)
+
 
 DEADLINE: Final = 5.0
 _MAX_LINE: Final = 1024
-_HINTS: Final = {
-    "master": "is it running? rossec master --admin, or `admin: true` in its configuration"
-}
+_HINTS: Final = {"master": "is it running? rossec master --admin, or `admin: true` in its configuration"}
 _audit = logging.getLogger("rossec.audit")
 _denials = logging.getLogger(DENIALS)
 
@@ -40,30 +112,22 @@ class AdminPort:
         self._server: asyncio.Server | None = None
 
     async def start(self) -> None:
-        """Listen; a stale socket of a killed master is replaced.
-
-        Raises:
-            ConfigurationError: another master listens there, or the path is too long.
-        """
         if self._path.exists():
             with socket.socket(socket.AF_UNIX) as probe:
                 if probe.connect_ex(str(self._path)) == 0:
                     raise ConfigurationError(f"another program listens at {self._path}")
-            self._path.unlink()
+            self._path.unlink()  # of a master that was killed
         sock = listen_at(self._path)
         self._server = await asyncio.start_unix_server(self._handle, sock=sock, limit=_MAX_LINE)
 
     async def close(self) -> None:
-        """Stop listening."""
         if self._server is not None:
             self._server.close()
             self._path.unlink(missing_ok=True)
 
     async def _handle(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            with suppress(
-                TimeoutError, OSError, ValueError, RecursionError, asyncio.IncompleteReadError
-            ):
+            with suppress(TimeoutError, OSError, ValueError, RecursionError, asyncio.IncompleteReadError):
                 async with asyncio.timeout(DEADLINE):
                     await self._answer(reader, writer)
         finally:
@@ -88,11 +152,7 @@ class AdminPort:
 
 
 def send_command(path: Path, command: str, what: str = "master") -> dict[str, Any]:
-    """Send a command to the master, or relay, that listens at `path`.
-
-    Raises:
-        ConfigurationError: nobody answers, or with an error.
-    """
+    """Send a command to the master, or relay, that listens at `path`."""
     hint = _HINTS.get(what, f"is it running? rossec {what}")
     try:
         with socket.socket(socket.AF_UNIX) as sock:

@@ -1,7 +1,7 @@
 """The master's configuration file: YAML, a closed schema; every error names its line.
 
 No setting can widen a right. A missing key has its default, and an unknown key is an error: a
-misspelt limit must not be ignored.
+misspelt limit must not be ignored. A limit is checked before memory is allocated for the peer.
 """
 
 import dataclasses
@@ -12,11 +12,35 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rossec import files
 from rossec.errors import ConfigurationError
-from rossec.master.operation.limits import MasterLimits
-from rossec.ros.text import printable
+from rossec.master.state.parameters import SIZE_LIMIT
+from rossec.master.state.registry import NODES_LIMIT
+from rossec.net.limits import UNSHOWN_BODY
+from rossec.peer_limits import printable
+from rossec.ros.xmlrpc import BODY_LIMIT
 
 if TYPE_CHECKING:
     from grants.policy.source import Part, YamlScalar
+
+
+@dataclass(frozen=True)
+class MasterLimits:
+    """The limits; the defaults are for a site of a thousand nodes."""
+
+    body: int = BODY_LIMIT  # bytes of one call, and of one answer
+    parameters: int = SIZE_LIMIT  # bytes of all parameters together
+    connections_per_identity: int = 32  # open at a time; a node has two, and one for each watched graph
+    connections_per_domain: int = 256  # open at a time, of all nodes of one foreign domain
+    # of those of one identity or foreign domain, as long as no grant gives its nodes any right here
+    connections_without_right: int = 16
+    # bytes of one call of such a node, but for calls with signed statements
+    body_without_right: int = UNSHOWN_BODY
+    nodes_per_identity: int = NODES_LIMIT  # registered at a time; only a wildcard identity can have several
+    handshake_seconds: int = 5  # from the first byte of a connection to an authenticated peer
+    request_seconds: int = 10  # from the first byte of a call to its last
+    idle_seconds: int = 120  # between two calls on one connection; nodes call every ten seconds
+    unfinished_per_address: int = 128  # unfinished_per_address, unfinished: handshakes at a time
+    unfinished: int = 512
+
 
 _SIZE: Final = 64 * 1024
 _DEPTH: Final = 6
@@ -26,54 +50,38 @@ _LOGS: Final = ("text", "json")
 _PORT: Final = "a number from 0 to 65535, without quotes"
 _SWITCH: Final = "true or false (YAML 1.2: yes and on are texts)"
 _EXPECTED: Final = {
-    "port": _PORT, "metrics": _PORT, "log": "text or json", "audit": _SWITCH, "admin": _SWITCH,
-    "announce": _SWITCH, "complaints": "the path of a file",
-}  # fmt: skip
+    "port": _PORT,
+    "metrics": _PORT,
+    "log": "text or json",
+    "audit": _SWITCH,
+    "admin": _SWITCH,
+    "announce": _SWITCH,
+    "complaints": "the path of a file",
+}
 
 
 @dataclass(frozen=True)
 class Config:
-    """The settings of `rossec master`.
+    """The settings of `rossec master`."""
 
-    Args:
-        port: to listen on; None: that of ROS_MASTER_URI.
-        log: `text` or `json`.
-        audit: write the audit file.
-        admin: open the local port of an administrator.
-        announce: announce the master on the local links.
-        metrics: port for Prometheus, on loopback; None: none.
-        complaints: file of the denial log; None: none.
-        limits: see `rossec.master.operation.limits`.
-        federation: a part of the file for `rossec.federation.config`; None: there is none.
-    """
-
-    port: int | None = None
-    log: str = "text"
-    audit: bool = True
-    admin: bool = False
-    announce: bool = False
-    metrics: int | None = None
-    complaints: Path | None = None
+    port: int | None = None  # to listen on; None: that of ROS_MASTER_URI
+    log: str = "text"  # `text` or `json`
+    audit: bool = True  # write the audit file
+    admin: bool = False  # open the local port of an administrator
+    announce: bool = False  # announce the master on the local links
+    metrics: int | None = None  # port for Prometheus, on loopback; None: none
+    complaints: Path | None = None  # file of the denial log; None: none
+    # limits, federation: parts of the file; the second is for `rossec.federation.settings`
     limits: MasterLimits = field(default_factory=MasterLimits)
     federation: "Part | None" = None
 
 
 def load(path: Path) -> Config:
-    """Read a configuration file.
-
-    Raises:
-        ConfigurationError: no file, not YAML, or something in it is not allowed.
-    """
     data = files.read_own(path, _SIZE, ConfigurationError(f"there is no {path}"), link=True)
     return parse(data.decode(errors="replace"), str(path))
 
 
 def parse(text: str, name: str) -> Config:
-    """Read the text of a configuration file called `name`.
-
-    Raises:
-        ConfigurationError: see `load`.
-    """
     values: dict[str, Any] = {}
     for key, word, part in _entries(_tree(text, name), name):
         where = f"{name}:{word.line}"
@@ -89,9 +97,7 @@ def parse(text: str, name: str) -> Config:
 
 def _tree(text: str, name: str) -> "Part | None":
     from grants.errors import PolicyRefused  # noqa: PLC0415 - not loaded without a file
-    from grants.policy.mistakes import Mistakes  # noqa: PLC0415 - as above
-    from grants.policy.source import read_source  # noqa: PLC0415 - as above
-    from grants.yaml_text import Bounds  # noqa: PLC0415 - as above
+    from grants.policy.source import Bounds, Mistakes, read_source  # noqa: PLC0415
 
     mistakes = Mistakes(name)
     try:
@@ -100,14 +106,11 @@ def _tree(text: str, name: str) -> "Part | None":
     except PolicyRefused as error:
         first = mistakes.found[0]
         message = printable(first.message)
-        raise ConfigurationError(
-            f"{name}:{first.line}: {message}", printable(first.hint)
-        ) from error
+        raise ConfigurationError(f"{name}:{first.line}: {message}", printable(first.hint)) from error
     return tree
 
 
 def _entries(tree: "Part | None", name: str) -> Iterator[tuple[str, "YamlScalar", "Part"]]:
-    """Keys, their positions and values."""
     if tree is None:
         return
     entries = getattr(tree, "entries", None)

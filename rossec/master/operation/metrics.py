@@ -13,15 +13,12 @@ from weakref import WeakKeyDictionary
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 from rossec.errors import ConfigurationError
-from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
+from rossec.net.limits import HalfOpen, HalfOpenCount, HalfOpenSlot
 
 ADDRESS: Final = "127.0.0.1"
 _LIMIT: Final = HalfOpen(per_address=8, total=16)
 DEADLINE: Final = 5.0  # seconds for the loop to answer
-_COUNTERS: Final = {
-    "calls": "Calls answered.",
-    "denials": "Calls refused for want of a right.",
-}
+_COUNTERS: Final = {"calls": "Calls answered.", "denials": "Calls refused for want of a right."}
 _GAUGES: Final = {
     "nodes": "Registered nodes.",
     "registrations": "Registrations of all kinds.",
@@ -48,13 +45,10 @@ def on_loop(status: Status) -> Status:
 
 
 class MetricsCollector:
-    """Reads the status at each scrape."""
-
     def __init__(self, status: Status) -> None:
         self._status = status
 
     def collect(self) -> Iterator[Any]:
-        """The metrics, as prometheus_client expects them."""
         from prometheus_client import core  # noqa: PLC0415 - an extra
 
         status = self._status()
@@ -65,8 +59,6 @@ class MetricsCollector:
 
 
 class _Server(ThreadingMixIn, WSGIServer):
-    """One thread a connection, few at a time: any user of this host can connect."""
-
     daemon_threads = True
 
     def __init__(self, *arguments: Any) -> None:
@@ -75,7 +67,6 @@ class _Server(ThreadingMixIn, WSGIServer):
         super().__init__(*arguments)
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Refuse a connection beyond the limits, before a thread is started for it."""
         slot = self._count.admit(client_address[0])
         if slot is not None:
             self._slots[request] = slot
@@ -83,14 +74,14 @@ class _Server(ThreadingMixIn, WSGIServer):
         return slot is not None
 
     def shutdown_request(self, request: Any) -> None:
-        """Close the connection; it counts until then."""
         super().shutdown_request(request)
         slot = self._slots.pop(request, None)
         if slot is not None:
             slot.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Errors of connections are not logged."""
+        # Errors of connections are not logged.
+        ...
 
 
 def _end(request: Any) -> None:
@@ -99,12 +90,9 @@ def _end(request: Any) -> None:
 
 
 class _Handler(WSGIRequestHandler):
-    """One request, with a deadline: of each read, and for all of it."""
-
     timeout = DEADLINE
 
     def handle(self) -> None:
-        """Answer one request, or end the connection of whoever sends it piece by piece."""
         timer = Timer(2 * DEADLINE, _end, [self.request])
         timer.start()
         try:
@@ -113,7 +101,8 @@ class _Handler(WSGIRequestHandler):
             timer.cancel()
 
     def log_message(self, format: str, *arguments: Any) -> None:  # noqa: A002 - of the base class
-        """Requests are not logged."""
+        # Requests are not logged.
+        ...
 
 
 class MetricsExporter:
@@ -141,7 +130,6 @@ class MetricsExporter:
         self.port: int = self._server.server_port
 
     def close(self) -> None:
-        """Stop serving."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()

@@ -1,9 +1,9 @@
 """Which right each master call needs, and what a caller may see. Pure, default deny.
 
 The table is the whole policy of the master: a method that is not in it is refused. Rights come from
-grants; which of them are valid now is decided before (`presented_grants`). A refusal names the
-missing right and does not reveal whether the name exists: for a caller that may not see a name, the
-answer is the same as if it did not exist.
+grants; which of them are valid now is decided before (`held_grants`). A refusal names the missing
+right and does not reveal whether the name exists: for a caller that may not see a name, the answer
+is the same as if it did not exist.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,34 +12,40 @@ from enum import Enum
 from typing import Final
 
 from ca.certificates import Identity
-from ca.domains.aliases import is_alias, shown
-from ca.errors import HintedError
-from ca.names import is_relay_name
+from ca.errors import HintedError, NameRefused
+from ca.names import (
+    GATEWAY,
+    is_alias,
+    is_gateway,
+    is_in_gateway,
+    is_relay_name,
+    served_name,
+    shown,
+    split_alias,
+)
 from grants.model import Right
-from rossec.master.rights.caller import AddressTaken, Caller, Refused
-from rossec.master.rights.served_rights import may_see_served, may_subscribe, require_gateway
-from rossec.master.state.addresses import (
+from rossec.master.rights.caller import OWN_DOMAIN, AddressTaken, Caller, Refused
+from rossec.master.state.graph import Graph
+from rossec.master.state.registry import (
+    REGISTRATIONS_LIMIT,
     Endpoint,
+    Kind,
+    NodeRef,
+    Registry,
     endpoint,
     is_loopback_host,
     is_reachable_from_here,
 )
-from rossec.master.state.graph import Graph
-from rossec.master.state.registry import REGISTRATIONS_LIMIT, Kind, NodeRef, Registry
+from rossec.peer_limits import printable
 from rossec.ros import names
 from rossec.ros.names import AUTHORITY
-from rossec.ros.text import printable
 
+MAX_GATEWAYS: Final = 64  # registered at one master; each costs a connection
 _OFFERED: Final = Right.PUBLISH | Right.PROVIDE
 _NOT_OFFERED: Final = (
     "{} is a name of another master: what is below /remote is subscribed, called and read here "
     "(publish or provide it under a name of this domain; other masters see that)"
 )
-
-
-def nowhere(_place: Endpoint) -> bool:
-    """There are no relays."""
-    return False
 
 
 class Scope(Enum):
@@ -58,21 +64,14 @@ class Scope(Enum):
 
 @dataclass(frozen=True)
 class AccessRule:
-    """What a method needs.
+    """What a method needs."""
 
-    Attributes:
-        scope: what the call reaches.
-        right: the right needed on the argument at `name` (or, for MASTER, on the master's name).
-        name: index of that argument, counted from the caller_id.
-        api: index of the caller's slave API URI, which must not be another node's.
-        service: index of the URI of a service it provides.
-    """
-
-    scope: Scope
+    scope: Scope  # what the call reaches
+    # the right needed on the argument at `name` (or, for MASTER, on the master's name)
     right: Right | None = None
-    name: int = 1
-    api: int | None = None
-    service: int | None = None
+    name: int = 1  # index of that argument, counted from the caller_id
+    api: int | None = None  # index of the caller's slave API URI, which must not be another node's
+    service: int | None = None  # index of the URI of a service it provides
 
 
 RULES: Final[Mapping[str, AccessRule]] = {
@@ -128,63 +127,37 @@ RULES: Final[Mapping[str, AccessRule]] = {
 }
 
 
-CLEANUP_METHODS: Final = frozenset(
-    {"unregisterPublisher", "unregisterSubscriber", "unregisterService"}
-)
+CLEANUP_METHODS: Final = frozenset({"unregisterPublisher", "unregisterSubscriber", "unregisterService"})
 """What an administrator may call as another node: `rosnode cleanup`, after it died."""
 
 
 class AccessControl:
-    """Authorizes calls whose arguments are already resolved.
-
-    Args:
-        graph: to find the node that registered a slave API, and what nodes are registered for.
-        master: the master's own certified name; ADMIN is a right on this name.
-        is_door: whether a relay of this site has a door at a place: no node is there.
-    """
+    """Authorizes calls whose arguments are already resolved."""
 
     def __init__(
-        self, graph: Graph, master: str, is_door: Callable[[Endpoint], bool] = nowhere
+        self, graph: Graph, master: str, is_door: Callable[[Endpoint], bool] = lambda _place: False
     ) -> None:
         self._graph = graph
         self._registry = graph.registry
-        self._master = master
-        self._is_door = is_door
+        self._master = master  # the master's own certified name; ADMIN is a right on this name
+        self._is_door = is_door  # whether a relay of this site has a door at a place: no node is there
 
     def acting_caller(self, method: str, caller: Caller, caller_id: str) -> Caller:
-        """The caller as the node `caller_id`: itself, or a node whose registrations it cleans up.
-
-        Raises:
-            Refused: its identity does not cover that name, nor has it ADMIN on that node.
-        """
+        """The caller as the node `caller_id`: itself, or a node whose registrations it cleans up."""
         try:
             return caller.acting_as(caller_id)
         except Refused:
             node = self._registry.node(caller_id)
-            if (
-                method not in CLEANUP_METHODS
-                or node is None
-                or not caller.may(Right.ADMIN, caller_id)
-            ):
+            if method not in CLEANUP_METHODS or node is None or not caller.may(Right.ADMIN, caller_id):
                 raise
             return replace(
-                caller,
-                name=node.name,
-                thumbprint=node.thumbprint,
-                wildcard=False,
-                certified=caller.name,
+                caller, name=node.name, thumbprint=node.thumbprint, wildcard=False, certified=caller.name
             )
 
     def check(
         self, method: str, caller: Caller, arguments: tuple[object, ...], *, is_local: bool = True
     ) -> None:
-        """Check the rule of `method`; that of TREE is checked by `parameter_trees`.
-
-        `is_local`: the caller is on the master's host.
-
-        Raises:
-            Refused: no rule, a right is missing, or the slave API is another node's.
-        """
+        # The rule of TREE is checked by `parameter_calls`.
         rule = RULES.get(method)
         if rule is None:
             raise Refused("no rule allows this method")
@@ -198,22 +171,15 @@ class AccessControl:
         if rule.api is not None and rule.scope is not Scope.TREE:
             require_address(self._registry, caller, str(arguments[rule.api]), is_local=is_local)
         if rule.scope is Scope.NAMED:
-            self._require_no_door(rule, arguments)
+            given = [str(arguments[at]) for at in (rule.api, rule.service) if at is not None]
+            if any(self._is_door(endpoint(uri)) for uri in given):  # its target would lose it here
+                raise Refused("a relay of this site listens at this address")
         if rule.service is not None and caller.is_foreign:
-            _require_foreign_address(
-                self._registry, caller, str(arguments[rule.service]), is_local=is_local
-            )
+            _require_foreign_address(self._registry, caller, str(arguments[rule.service]), is_local=is_local)
 
     def _administers(self, caller: Caller, service: str) -> bool:
-        """Whether `rosnode cleanup` may look the service up: it unregisters it by its address."""
         providers = self._registry.registered_nodes(Kind.SERVICE, service)
         return any(caller.may(Right.ADMIN, node.name) for node in providers)
-
-    def _require_no_door(self, rule: AccessRule, arguments: tuple[object, ...]) -> None:
-        """Raise `Refused` for the address of a door: its target would lose it here."""
-        given = [str(arguments[at]) for at in (rule.api, rule.service) if at is not None]
-        if any(self._is_door(endpoint(uri)) for uri in given):
-            raise Refused("a relay of this site listens at this address")
 
     def visible_nodes(self, caller: Caller, key: str, nodes: tuple[str, ...]) -> tuple[str, ...]:
         """Which of the nodes registered for `key` the caller may see.
@@ -230,7 +196,6 @@ class AccessControl:
         return (caller.name,) if caller.name in nodes else ()
 
     def is_node_visible(self, caller: Caller, name: str) -> bool:
-        """Whether the caller is the node, or may see it or one of its topics and services."""
         if name == caller.name:
             return True
         if caller.may(Right.GRAPH, name) and (caller.exported is None or caller.may_see(name)):
@@ -241,7 +206,7 @@ class AccessControl:
         keys = ((kind, key) for kind in kinds for key in self._graph.keys_of(name, kind))
         return any(
             caller.may_see(key) and not (kind is Kind.PUBLISHER and caller.slot(key))
-            for kind, key in keys  # of what is in slots `slotted_views` tells
+            for kind, key in keys  # of what is in slots `publisher_views` tells
         )
 
 
@@ -254,7 +219,6 @@ def is_authority(peer: Identity) -> bool:
 
 
 def _require_right(caller: Caller, right: Right, name: str) -> None:
-    """Raise `Refused` unless the caller may register for, or look up, `name`."""
     if right in _OFFERED:
         if is_alias(name):
             raise Refused(_NOT_OFFERED.format(name))
@@ -264,18 +228,12 @@ def _require_right(caller: Caller, right: Right, name: str) -> None:
 
 
 def _require_kind(scope: Scope, caller: Caller) -> None:
-    """Raise `Refused` unless the caller is what a scope without a right is for."""
     if scope is Scope.AUTHORITY and not caller.is_authority:
         raise Refused(f"only the authority's own node {AUTHORITY} may call this")
     if scope is Scope.MEMBER and caller.is_foreign:
         raise Refused("only nodes of the own domain may call this")
-    if scope is Scope.RELAY and not _is_own_relay(caller):
+    if scope is Scope.RELAY and not (is_relay_name(caller.name) and _is_certified_so(caller)):
         raise Refused("only relays of the own domain may call this")
-
-
-def _is_own_relay(caller: Caller) -> bool:
-    """Whether the certified name itself is a relay's: the name of a visitor is an alias."""
-    return is_relay_name(caller.name) and not caller.certified and not caller.wildcard
 
 
 def require(caller: Caller, right: Right, name: str) -> None:
@@ -312,14 +270,10 @@ def _require_free(registry: Registry, caller: Caller, uri: str) -> None:
         raise AddressTaken(node)
 
 
-def _require_foreign_address(
-    registry: Registry, caller: Caller, uri: str, *, is_local: bool
-) -> None:
-    """Raise `Refused` for an address that a foreigner, slave API or service, cannot have.
-
-    One that is registered here as either, and one that a node of another network cannot have: a
-    link-local one names another machine in each network.
-    """
+def _require_foreign_address(registry: Registry, caller: Caller, uri: str, *, is_local: bool) -> None:
+    # Raise `Refused` for an address that a foreigner, slave API or service, cannot have.
+    # One that is registered here as either, and one that a node of another network cannot have: a link-local
+    # one names another machine in each network.
     _require_free(registry, caller, uri)
     for node in registry.providers_at(endpoint(uri)):
         if node.name != caller.name:
@@ -330,13 +284,69 @@ def _require_foreign_address(
 
 
 def require_capacity(registry: Registry, kind: Kind, key: str, node: NodeRef) -> None:
-    """Raise `Refused` when a node has the most registrations, or a key the most nodes."""
     if not registry.has_capacity(kind, key, node):
         if registry.is_current(node):
             raise Refused(
-                f"{node.name} has {REGISTRATIONS_LIMIT} registrations as {kind.value}, "
-                "the limit of a node"
+                f"{node.name} has {REGISTRATIONS_LIMIT} registrations as {kind.value}, the limit of a node"
             )
+        raise Refused(f"the identity of {node.name} has {registry.nodes_limit} nodes, the limit of one key")
+
+
+# Rights on aliases by what a gateway serves: by the served name, from own grants alone.
+# Who holds `subscribe` on `/gateway/LABEL/t` may subscribe `/remote/LABEL/t`, and is told the gateway
+# and nothing of the origin: neither its publishers nor its nodes. A right at the origin is another
+# one, and neither stands for the other (docs/spec/gateway.md). It ends with the trust in the domain
+# that the label stands for. A gateway itself is the origin's receiver: to it an alias is the origin's
+# alone, or it could forward to itself.
+
+
+def is_own_gateway(caller: Caller) -> bool:
+    return is_gateway(caller.name) and _is_certified_so(caller)
+
+
+def _is_certified_so(caller: Caller) -> bool:
+    return not caller.certified and not caller.wildcard
+
+
+def may_subscribe(caller: Caller, topic: str) -> bool:
+    return caller.may(Right.SUBSCRIBE, topic) or may_be_served(caller, topic)
+
+
+def may_be_served(caller: Caller, alias: str) -> bool:
+    served = _served(caller, alias)
+    return served is not None and caller.may(Right.SUBSCRIBE, served)
+
+
+def may_see_served(caller: Caller, alias: str) -> bool:
+    served = _served(caller, alias)
+    return served is not None and caller.may_see(served)
+
+
+def require_gateway(caller: Caller, name: str) -> None:
+    if is_in_gateway(name) and not is_own_gateway(caller):
         raise Refused(
-            f"the identity of {node.name} has {registry.nodes_limit} nodes, the limit of one key"
+            f"{name} is below {GATEWAY}, where only gateways of this domain publish and provide "
+            "(choose another name)"
         )
+
+
+def require_place(registry: Registry, topic: str, node: NodeRef) -> None:
+    """Raise `Refused` if `node` is one gateway too many that publishes below `/gateway`."""
+    if not is_in_gateway(topic):
+        return
+    if any(map(is_in_gateway, registry.keys_of(node.name, Kind.PUBLISHER))):
+        return
+    others = (other.name for other in registry.nodes() if other.name != node.name)
+    if sum(map(is_gateway, others)) >= MAX_GATEWAYS:
+        raise Refused(f"{MAX_GATEWAYS} gateways are registered, the limit of a master")
+
+
+def _served(caller: Caller, alias: str) -> str | None:
+    if not is_alias(alias) or caller.is_foreign or is_own_gateway(caller):
+        return None
+    try:
+        found, served = split_alias(alias), served_name(alias)
+    except NameRefused:
+        return None
+    domain = None if found is None else caller.domain_of(found[0])
+    return None if domain is None or domain == OWN_DOMAIN else served

@@ -1,4 +1,4 @@
-"""A caller of the master and its rights at one time. Pure, default deny.
+"""A caller of the master and its rights at one time, and the rights lately denied. Pure, default deny.
 
 A right on an alias (`/remote/LABEL/...`) is the right on the origin's name, from grants of the
 origin's domain: a grant of the own one, whatever its pattern, gives no more there than `graph` and
@@ -7,25 +7,23 @@ foreign caller has its alias as name, calls itself by its name at home, and sees
 was imported is shown to no other domain.
 """
 
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, Protocol
 
 from ca import names
-from ca.domains.aliases import REMOTE, is_alias, origin_of, shown, split_alias
-from ca.domains.served import served_name
 from ca.errors import HintedError, NameRefused, NotAdmitted
+from ca.names import REMOTE, is_alias, origin_of, served_name, shown, split_alias
+from grants.decision import Reach
 from grants.errors import GrantMissing
-from grants.missing_rights import remedy, rule_form
 from grants.model import ALL_RIGHTS, Right
-from grants.reach import Reach
+from grants.request import is_dispensable, own_form, remedy, rule_form
 from rossec.master.state.registry import NodeRef
 
 NAMES_PER_YIELD: Final = 64
-VISIBILITY_RIGHTS: Final = (
-    Right.PUBLISH | Right.SUBSCRIBE | Right.CALL | Right.PROVIDE | Right.GRAPH
-)
+VISIBILITY_RIGHTS: Final = Right.PUBLISH | Right.SUBSCRIBE | Right.CALL | Right.PROVIDE | Right.GRAPH
 OWN_DOMAIN: Final = ""  # what a site of the own domain has as domain of its label
 _AT_HOME: Final = Right.GRAPH | Right.ADMIN  # what own grants give on aliases
 _AT_ORIGIN: Final = Right.SUBSCRIBE | Right.CALL | Right.PARAM_GET | Right.GRAPH
@@ -43,6 +41,14 @@ class Refused(Exception):
         self.missing = missing
 
 
+@contextmanager
+def refusals_answered() -> Iterator[None]:
+    try:
+        yield
+    except HintedError as error:
+        raise Refused(f"{error} ({error.hint})" if error.hint else str(error)) from error
+
+
 class AddressTaken(Refused):
     """The address is registered by `owner`, which may be gone: only a probe can tell."""
 
@@ -51,16 +57,17 @@ class AddressTaken(Refused):
         self.owner = owner
 
 
-class Peer(Protocol):
-    """A certified name and its key: a `ca.certificates.Identity` or a `NodeRef`."""
+class CertifiedPeer(Protocol):
+    """A certified name, of a foreigner its alias, and the thumbprint of its key.
+
+    A `ca.certificates.Identity` or a `NodeRef`.
+    """
 
     @property
-    def name(self) -> str:
-        """The certified name; of a foreigner its alias."""
+    def name(self) -> str: ...
 
     @property
-    def thumbprint(self) -> bytes:
-        """The certified key's thumbprint."""
+    def thumbprint(self) -> bytes: ...
 
 
 _SAID: Final = 2  # near misses beside the command that gives the right
@@ -72,67 +79,48 @@ DomainOf = Callable[[str], str | None]
 
 
 class OriginRights(NamedTuple):
-    """What a caller's grants of one foreign domain give, on names of that domain."""
-
     reach: Reach
     authorize: Authorize
 
 
-def no_domain(_: str) -> str | None:
-    """Neither foreign domains nor other sites are known."""
+def no_domain(_label: str) -> str | None:
     return None
 
 
 @dataclass(frozen=True)
 class Caller:
-    """A caller and its rights at one time, from the grants it presented.
+    """A caller and its rights at one time, from the grants it presented."""
 
-    Attributes:
-        name: the certified name, of a foreigner its alias; within a call the name of the node, see
-            `acting_as`.
-        thumbprint: of the certified key, to which grants are bound.
-        reach: what its valid grants of the own domain cover.
-        authorize: called for a right on a name that `reach` does not cover.
-        wildcard: the certified name has a wildcard tail.
-        certified: the certified name where `name` is another one.
-        is_authority: it is the authority's own node, see `access_rules.is_authority`.
-        is_own_master: it is a listed master of the own domain.
-        elsewhere: what its grants of foreign domains give, by trust domain.
-        domain_of: resolves the labels of aliases.
-        exported: what a foreigner's domain is shown and given at all; None: what grants allow.
-    """
-
+    # the certified name, of a foreigner its alias; within a call the name of the node, see `acting_as`
     name: str
-    thumbprint: bytes
-    reach: Reach
-    authorize: Authorize
-    wildcard: bool = False
-    certified: str = ""
-    is_authority: bool = False
-    is_own_master: bool = False
+    thumbprint: bytes  # of the certified key, to which grants are bound
+    reach: Reach  # what its valid grants of the own domain cover
+    authorize: Authorize  # called for a right on a name that `reach` does not cover
+    wildcard: bool = False  # the certified name has a wildcard tail
+    certified: str = ""  # the certified name where `name` is another one
+    is_authority: bool = False  # it is the authority's own node, see `access_rules.is_authority`
+    is_own_master: bool = False  # it is a listed master of the own domain
+    # what its grants of foreign domains give, by trust domain
     elsewhere: Mapping[str, OriginRights] = field(default_factory=dict, hash=False)
-    domain_of: DomainOf = no_domain
+    domain_of: DomainOf = no_domain  # resolves the labels of aliases
+    # what a foreigner's domain is shown and given at all; None: what grants allow
     exported: Reach | None = None
 
     @property
     def display_name(self) -> str:
-        """The names, for people."""
         name = shown(self.name)
         return f"{name} (certified as {self.certified})" if self.certified else name
 
     @property
     def identity(self) -> str:
-        """The certified name, for people."""
         return shown(self.certified or self.name)
 
     @property
     def has_tail(self) -> bool:
-        """Whether its certified name has a wildcard tail, by which `acting_as` took another."""
         return self.wildcard or bool(self.certified)
 
     @property
     def is_foreign(self) -> bool:
-        """Whether it is a node of a foreign domain."""
         return is_alias(self.name)
 
     @property
@@ -143,18 +131,11 @@ class Caller:
         return any(not each.reach.is_empty for each in self.elsewhere.values())
 
     def acting_as(self, name: str) -> "Caller":
-        """The caller as the node `name`, which has its own entries in the registry.
-
-        Raises:
-            Refused: its identity does not cover `name`.
-        """
         if name == self.name and not name.startswith(REMOTE):  # the usual case
             return self
         own = origin_of(self.name)  # a foreigner calls itself by its name at home
         if not names.covers(own, name, wildcard=self.wildcard):
-            raise Refused(
-                f"this connection belongs to {shown(self.name)}, it cannot act as another"
-            )
+            raise Refused(f"this connection belongs to {shown(self.name)}, it cannot act as another")
         if name == own:
             return self
         return replace(self, name=name, wildcard=False, certified=self.name)
@@ -167,15 +148,12 @@ class Caller:
         if name.startswith(REMOTE) and is_alias(name):
             return self._may_elsewhere(right, name)
         if self.reach.covers(right, name):
-            return self.exported is None or self._is_exported(right, name)
+            exported = self.exported
+            return exported is None or right in _NOT_EXPORTED or exported.covers(right, name)
         return right is Right.GRAPH and (self.is_authority or self.is_own_master)
 
     def explain(self, right: Right, name: str) -> None:
-        """Raise why `may` is false.
-
-        Raises:
-            HintedError: the reason.
-        """
+        """Raise why `may` is false."""
         if not is_alias(name):
             self.authorize(right, name)
             raise GrantMissing(f"{right.label} on {name} is not exported to this domain")
@@ -200,10 +178,8 @@ class Caller:
         return remedy(node, right, ruled)
 
     def _no_right_there(self, right: Right, alias: str) -> HintedError:
-        """Why grants do not even come into question: nothing is called so, or none was presented.
-
-        Only a node of the own domain is told which labels there are.
-        """
+        # Why grants do not even come into question: nothing is called so, or none was presented.
+        # Only a node of the own domain is told which labels there are.
         missing = f"no grant for {right.label} on {shown(alias)}"
         try:
             found = None if self.is_foreign else split_alias(alias)
@@ -213,9 +189,7 @@ class Caller:
             return GrantMissing(missing)
         domain = self.domain_of(found[0])
         if domain is None:
-            return NotAdmitted(
-                f"no domain is called {found[0]} here", "at the authority: rossec domain list"
-            )
+            return NotAdmitted(f"no domain is called {found[0]} here", "at the authority: rossec domain list")
         if domain == OWN_DOMAIN:
             return GrantMissing(missing)
         if domain not in self.elsewhere:
@@ -223,33 +197,31 @@ class Caller:
         return GrantMissing(missing, _ways(right, alias))
 
     def may_all_below(self, right: Right, namespace: str) -> bool:
-        """Whether grants cover `right`, one of parameters, on every name below `namespace`."""
-        if not is_alias(namespace):
-            exported = self.exported is None or self.exported.covers_below(right, namespace)
-            return exported and self.reach.covers_below(right, namespace)
-        found = self._tree_origin(right, namespace)
-        return found is not None and found[0].covers_below(right, found[1])
+        return self._below(Reach.covers_below, right, namespace)
 
     def may_some_below(self, right: Right, namespace: str) -> bool:
-        """Whether a grant covers `right`, one of parameters, at `namespace` or anywhere below."""
+        return self._below(Reach.touches, right, namespace)
+
+    def _below(self, covers: Callable[[Reach, Right, str], bool], right: Right, namespace: str) -> bool:
+        # Whether grants cover a right of parameters on what is below a namespace.
         if not is_alias(namespace):
-            exported = self.exported is None or self.exported.touches(right, namespace)
-            return exported and self.reach.touches(right, namespace)
-        found = self._tree_origin(right, namespace)
-        return found is not None and found[0].touches(right, found[1])
+            exported = self.exported is None or covers(self.exported, right, namespace)
+            return exported and covers(self.reach, right, namespace)
+        if self.is_foreign or right is not Right.PARAM_GET or namespace == REMOTE:
+            return False
+        label, slash, rest = namespace.removeprefix(f"{REMOTE}/").partition("/")
+        rights = self._rights_at(label)
+        return rights is not None and covers(rights.reach, right, f"{slash}{rest}" or "/")
 
     def patterns(self, right: Right) -> int:
-        """How many patterns must be matched one by one against each name."""
         others = self.elsewhere.values()
         return self.reach.patterns(right) + sum(each.reach.patterns(right) for each in others)
 
     @property
     def names_per_yield(self) -> int:
-        """How many names a query checks between two yields: fewer where each costs more."""
         return max(1, NAMES_PER_YIELD // (1 + sum(map(self.patterns, Right)) // 8))
 
     def may_see(self, name: str) -> bool:
-        """Whether a topic, service or node name may appear in an answer to this caller."""
         if self.is_authority or self.is_own_master:
             return True
         if name.startswith(REMOTE) and is_alias(name):
@@ -260,7 +232,6 @@ class Caller:
 
     @property
     def has_slots(self) -> bool:
-        """Whether any grant is for messages in slots."""
         return self.reach.has_slots and not (self.is_authority or self.is_own_master)
 
     def slot(self, name: str) -> int:
@@ -271,10 +242,6 @@ class Caller:
         if not self.has_slots or is_alias(name):
             return 0
         return self.reach.slot(VISIBILITY_RIGHTS, name)
-
-    def _is_exported(self, right: Right, name: str) -> bool:
-        exported = self.exported
-        return exported is None or right in _NOT_EXPORTED or exported.covers(right, name)
 
     def _may_elsewhere(self, right: Right, alias: str) -> bool:
         if self.is_foreign:
@@ -295,7 +262,6 @@ class Caller:
         return origin is not None and origin[0].reach.covers_any(VISIBILITY_RIGHTS, origin[1])
 
     def _origin(self, right: Right, alias: str) -> tuple[OriginRights, str] | None:
-        """The grants that decide on `alias`, and its name at the origin; None: there are none."""
         try:
             found = split_alias(alias)
         except NameRefused:
@@ -305,14 +271,6 @@ class Caller:
         rights = self._rights_at(found[0])
         return None if rights is None else (rights, found[1])
 
-    def _tree_origin(self, right: Right, namespace: str) -> tuple[Reach, str] | None:
-        """As `_origin` for parameters; `/remote/LABEL` is the root of its origin."""
-        label, slash, rest = namespace.removeprefix(f"{REMOTE}/").partition("/")
-        if self.is_foreign or right is not Right.PARAM_GET or namespace == REMOTE:
-            return None
-        rights = self._rights_at(label)
-        return None if rights is None else (rights.reach, f"{slash}{rest}" or "/")
-
     def _rights_at(self, label: str) -> OriginRights | None:
         domain = self.domain_of(label)
         if domain == OWN_DOMAIN:
@@ -321,9 +279,71 @@ class Caller:
 
 
 def _ways(right: Right, alias: str) -> tuple[str, ...]:
-    """Who could give a right there: the same for every name, so it tells nothing of a gateway."""
+    # Who could give a right there: the same for every name, so it tells nothing of a gateway.
     with suppress(NameRefused):
         if right is Right.SUBSCRIBE:
             own = f"or this one for subscribe on {served_name(alias)}, if a gateway serves it"
             return (f"ask its authority for a grant, {own}",)
     return ()
+
+
+KEPT: Final = 24 * 3600  # seconds
+MAX_DENIALS: Final = 1000
+MAX_OF_NODE: Final = 200
+MAX_NAME: Final = 255  # characters; a longer one is cut
+
+
+class RecentDenial(NamedTuple):
+    at: int
+    node: str
+    right: Right
+    name: str
+
+
+class RecentDenials:
+    """The newest denials of all nodes, for a person to look at; in memory.
+
+    Each right on a name counts once for a node, with the newest time and name: one run of an
+    anonymous node is as the next. Nodes choose the names, so the number is bounded, for each
+    certified name and in all; where the whole is full, the node with most entries loses its oldest:
+    no node pushes out what another was denied, unless many do it together.
+    """
+
+    def __init__(self) -> None:
+        self._nodes: dict[str, OrderedDict[tuple[Right, str], tuple[int, str]]] = {}
+        self._count = 0
+
+    def add(self, now: int, node: str, right: Right, name: str) -> None:
+        """Record a denial, unless of what every program asks for and works without."""
+        own = own_form(node, name)
+        if is_dispensable(right, own):
+            return
+        denials = self._nodes.setdefault(node, OrderedDict())
+        key = right, own[:MAX_NAME]
+        if denials.pop(key, None) is None:
+            self._count += 1
+        denials[key] = now, name[:MAX_NAME]
+        if len(denials) > MAX_OF_NODE:
+            self._forget_oldest(node)
+        while self._count > MAX_DENIALS:
+            self._forget_oldest(max(self._nodes, key=lambda each: len(self._nodes[each])))
+
+    def newest_first(self, now: int) -> list[RecentDenial]:
+        self._drop_old(now)
+        found = [
+            RecentDenial(at, node, right, name)
+            for node, denials in self._nodes.items()
+            for (right, _), (at, name) in denials.items()
+        ]
+        return sorted(found, key=lambda denial: (-denial.at, denial[1:]))
+
+    def _drop_old(self, now: int) -> None:
+        for node in tuple(self._nodes):
+            while node in self._nodes and now - next(iter(self._nodes[node].values()))[0] > KEPT:
+                self._forget_oldest(node)
+
+    def _forget_oldest(self, node: str) -> None:
+        self._nodes[node].popitem(last=False)
+        self._count -= 1
+        if not self._nodes[node]:
+            del self._nodes[node]

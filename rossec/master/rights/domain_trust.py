@@ -14,20 +14,16 @@ from typing import Final, NamedTuple
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.certificates import Identity
-from ca.domains.lists import NameRights
-from ca.domains.standing import Standing
+from ca.domains.trust import NameRights
 from ca.errors import NotAdmitted, RevocationRefused, RevocationsStale
-from ca.keys.publickey import THUMBPRINT_SIZE, thumbprint
+from ca.keys.signing import THUMBPRINT_SIZE, thumbprint
 from ca.names import is_master_name
-from ca.revocation.lists import GRANT_ID_SIZE
-from ca.revocation.state import digest
-from ca.revocation.tree import is_tree
-from grants.decision import RevocationCheck
+from ca.revocation.lists import GRANT_ID_SIZE, digest, is_tree
+from ca.revocation.trust_status import Standing
+from grants.decision import Reach, RevocationCheck
 from grants.model import Permission, Right
-from grants.reach import Reach
 from grants.token import Verifier
 from rossec.master.rights.caller import OWN_DOMAIN
-from rossec.master.rights.delegation import discard
 
 GRACE: Final = 60  # seconds that a connection stands while revocations are stale
 MAX_PROOFS: Final = 16 * 1024  # of one foreign tree, and entries that wait for one
@@ -35,63 +31,40 @@ _ENTRY_SIZES: Final = (GRANT_ID_SIZE, THUMBPRINT_SIZE)  # no tree has others; th
 
 _NOTHING: Final = Reach(())
 
-PersistForeign = Callable[[str, bytes], None]
-"""Makes the revocation list of a foreign domain durable."""
-
+PersistForeign = Callable[[str, bytes], None]  # Makes the revocation list of a foreign domain durable
 
 LoadForeign = Callable[[str], bytes | None]
 """The newest revocation list that was saved of a foreign domain; None: there is none."""
 
 
-def nothing_saved(_domain: str) -> bytes | None:
-    """No list was saved."""
-    return None
-
-
-def discard_foreign(_domain: str, _data: bytes) -> None:
-    """Persist nothing."""
-
-
 class ForeignWord(NamedTuple):
-    """What a foreign domain's master said last: to be relayed, and verified by who gets it."""
-
     revocations: bytes = b""
     timestamp: bytes = b""
     chain: tuple[bytes, ...] = ()
 
     def digest(self) -> bytes:
-        """The digest of the list; empty: there is none."""
         return digest(self.revocations) if self.revocations else b""
 
 
 class DomainTrust:
-    """The list of domains, and the revocations of those that are listed.
-
-    Args:
-        standing: of this master; shared with nobody else.
-        persist: makes a list of domains durable; called before it takes effect.
-        persist_foreign: the same for a foreign revocation list.
-        load_foreign: finds a saved one when its domain is listed (again): no older one counts.
-
-    Attributes:
-        generation: grows with every change of what is trusted or revoked elsewhere.
-        own_sites: the labels of other masters of the own domain.
-    """
+    """The list of domains, and the revocations of those that are listed."""
 
     def __init__(
         self,
         standing: Standing,
-        persist: Callable[[bytes], None] = discard,
-        persist_foreign: PersistForeign = discard_foreign,
-        load_foreign: LoadForeign = nothing_saved,
+        persist: Callable[[bytes], None] = lambda _data: None,
+        persist_foreign: PersistForeign = lambda _domain, _data: None,
+        load_foreign: LoadForeign = lambda _domain: None,
     ) -> None:
         self.standing: Final = standing
         self.anchors: Final = standing.anchors
+        # persist, persist_foreign: make a list durable; called before it takes effect
         self._persist = persist
         self._persist_foreign = persist_foreign
+        # finds a saved one when its domain is listed (again): no older one counts
         self._load_foreign = load_foreign
-        self.generation = 0
-        self.own_sites: Callable[[], Iterable[str]] = tuple
+        self.generation = 0  # grows with every change of what is trusted or revoked elsewhere
+        self.own_sites: Callable[[], Iterable[str]] = tuple  # the labels of other masters of the own domain
         self._own_masters: frozenset[bytes] = frozenset()
         self._words: dict[str, ForeignWord] = {}
         self._proofs: dict[str, dict[bytes, bytes]] = {}
@@ -102,14 +75,7 @@ class DomainTrust:
         self._list_replaced(frozenset())
 
     def update(self, data: bytes) -> frozenset[str] | None:
-        """Take a list of domains; returns those that are gone or have another root.
-
-        None: it is the list held.
-
-        Raises:
-            DomainsRefused: not of the own authority, or older than one seen.
-            HintedError: it could not be persisted; nothing has changed.
-        """
+        # Those that are gone or have another root; None: it is the list held.
         before, roots = self.anchors.data, self._roots()
         ended = self.anchors.update(data, self._persist)
         if self.anchors.data == before:
@@ -121,10 +87,8 @@ class DomainTrust:
     def take(
         self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[bytes], now: int
     ) -> None:
-        """Take a foreign domain's revocations; arguments and errors as `Standing.take_foreign`.
-
-        A valid list is in force even if the timestamp is refused: `generation` has grown then.
-        """
+        # Arguments and errors as `Standing.take_foreign`.
+        # A valid list is in force even if the timestamp is refused: `generation` has grown then.
         before = self._data(domain)
         persist = partial(self._persist_foreign, domain)
         try:
@@ -136,17 +100,14 @@ class DomainTrust:
                 self.generation += 1
 
     def word(self, domain: str) -> ForeignWord:
-        """The newest list of a foreign domain, and the last word on it, as far as there is one."""
         data, word = self._data(domain), self._words.get(domain, ForeignWord())
         return word if word.revocations == data else ForeignWord(data)
 
     @property
     def number(self) -> int:
-        """Sequence number of the list of domains; 0: there is none."""
         return 0 if self.anchors.current is None else self.anchors.current.seq
 
     def digest(self) -> bytes:
-        """The digest of the list of domains; empty: there is none."""
         return digest(self.anchors.data) if self.anchors.data else b""
 
     def proofs(self, domain: str, entries: Sequence[bytes]) -> list[bytes]:
@@ -163,17 +124,11 @@ class DomainTrust:
         return [known.get(entry, b"") for entry in entries]
 
     def wanted_proofs(self, domain: str) -> list[bytes]:
-        """The entries of a foreign tree whose proofs are to be fetched."""
         held = self.standing.foreign(domain)
         unproved = () if held is None else held.unproved
         return list(dict.fromkeys((*unproved, *self._wanted.get(domain, ()))))
 
     def add_proof(self, domain: str, entry: bytes, proof: bytes) -> None:
-        """Take a proof that was fetched.
-
-        Raises:
-            RevocationRefused: it proves nothing about `entry` in the tree held.
-        """
         held = self.standing.foreign(domain)
         if held is None or not is_tree(held.data):
             raise RevocationRefused("a proof, but there is no such tree")
@@ -199,23 +154,10 @@ class DomainTrust:
         self.check_fresh(peer, now)
 
     def check_fresh(self, peer: Identity, now: int) -> None:
-        """Return if no key of a foreigner is revoked, as its domain's master said lately.
-
-        Raises:
-            Revoked: one is.
-            RevocationsStale: this is not known.
-        """
         for key in peer.keys:
             self.standing.check(peer.domain, key, now)
 
     def check_connected(self, peer: Identity, now: int) -> None:
-        """Return if a connection of a foreigner may stand.
-
-        Raises:
-            NotAdmitted: the trust in its domain has ended, or no longer extends to its name.
-            Revoked: one of its keys is revoked, by either authority.
-            RevocationsStale: its domain's revocations have been stale for too long.
-        """
         self.standing.check_trust(peer, now)
         stale: RevocationsStale | None = None
         for key in peer.keys:
@@ -229,7 +171,6 @@ class DomainTrust:
             raise stale
 
     def check_known(self, domain: str, entry: bytes, now: int) -> None:
-        """Raise if `entry` is known to be revoked by `domain`, or `domain` is not listed."""
         with suppress(RevocationsStale):
             self.standing.check(domain, entry, now)
 
@@ -240,19 +181,16 @@ class DomainTrust:
             self.check_fresh(peer, now)
 
     def label_of(self, domain: str) -> str:
-        """The label of a listed foreign domain; empty for any other."""
         listed = self.anchors.listed_domain(domain)
         return "" if listed is None else listed.entry.label
 
     def domain_of(self, label: str) -> str | None:
-        """The trust domain of a label (`rossec.master.rights.caller.DomainOf`)."""
         listed = self.anchors.listed(label)
         if listed is not None:
             return listed.entry.domain
         return OWN_DOMAIN if label in self.own_sites() else None
 
     def is_own_master(self, peer: Identity) -> bool:
-        """Whether a peer is a listed master of the own domain."""
         return (
             not peer.is_foreign
             and not peer.wildcard
@@ -261,19 +199,13 @@ class DomainTrust:
         )
 
     def exported(self, domain: str) -> Reach | None:
-        """What a foreign domain is shown and given at all; None: what grants allow."""
         return self._exports.get(domain)
 
     def imported(self, label: str) -> Reach | None:
-        """What is taken from the domain with this label; None: all it shows. Else nothing."""
         return self._imports.get(label, _NOTHING)
 
     def verifier(self, domain: str) -> Verifier:
-        """Opens grants of a listed foreign domain.
-
-        Raises:
-            NotAdmitted: it is not listed.
-        """
+        """Opens grants of a listed foreign domain."""
         listed, held = self.anchors.listed_domain(domain), self.standing.foreign(domain)
         if listed is None or held is None:
             raise NotAdmitted(f"domain {domain!a} is not listed here")
@@ -287,10 +219,7 @@ class DomainTrust:
         return self.standing.delegates(self.anchors.own.domain)
 
     def keep_only(self, thumbprints: frozenset[bytes]) -> None:
-        """Discard what is known of all other keys."""
-        self._stale_since = {
-            key: since for key, since in self._stale_since.items() if key in thumbprints
-        }
+        self._stale_since = {key: since for key, since in self._stale_since.items() if key in thumbprints}
 
     def next_end(self, now: int) -> int | None:
         """When the trust in a listed domain ends next; None: never."""

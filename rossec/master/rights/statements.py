@@ -2,57 +2,49 @@
 
 Without a list, or with an expired one, identities may still connect (one of them may deliver a
 list), but no grant is valid. Grants are stored per key, verified once, bounded in number and size.
-Those of a foreign domain are verified with its key, and count for names of that domain alone.
+Those of a foreign domain are verified with its key, and count for names of that domain alone. A
+grant may be revoked, expire, or belong to a revoked key; `enforce` checks each registration against
+the rights its node has *now*, so none of these cases needs state of its own.
 """
 
 import hashlib
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 from ca.certificates import Identity, TrustAnchor
-from ca.domains.aliases import REMOTE, is_alias, shown
-from ca.domains.anchors import Anchors
-from ca.domains.standing import Standing
+from ca.domains.trust import Anchors
 from ca.errors import CAError, HintedError, RenewalRefused, Revoked
-from ca.keys.signer import Signer
-from ca.names import MASTER
-from ca.revocation.state import Revocations, digest
+from ca.keys.signing import Signer
+from ca.names import MASTER, REMOTE, is_alias, shown
+from ca.revocation.lists import digest
+from ca.revocation.trust_status import Revocations, Standing
 from grants.errors import GrantError
-from grants.model import Grant
+from grants.model import Grant, Right
 from grants.token import Verifier, peek
-from rossec.master.rights.access_rules import is_authority
-from rossec.master.rights.caller import Caller, Peer
-from rossec.master.rights.delegation import Delegate, discard
+from rossec.master.rights.access_rules import is_authority, may_subscribe
+from rossec.master.rights.caller import Caller, CertifiedPeer
 from rossec.master.rights.domain_trust import DomainTrust
-from rossec.master.rights.grant_holder import check_holder
-from rossec.master.rights.identity_renewals import IdentityRenewals, RenewalAnswer, Renewer
-from rossec.master.rights.list_in_force import ListInForce
-from rossec.master.rights.pertaining import entries_of, pertaining
-from rossec.master.rights.presented_grants import (
+from rossec.master.rights.held_grants import (
     FAILURE_WINDOW,
     MAX_HELD,
     NOT_EVALUATED,
     EvaluationContext,
     Judge,
-    Presented,
     PresentedGrants,
     Renewed,
+    VerifiedGrants,
+    check_holder,
 )
+from rossec.master.rights.renewals import IdentityRenewals, RenewalAnswer, Renewer, TicketSigner
+from rossec.master.rights.revocation_lists import ListInForce, entries_of, pertaining
+from rossec.master.state.registry import Event, Kind, NodeRef, Registry
 
 
 class TrustState(ListInForce):
     """Revocations and presented grants: who is still trusted, and for what.
 
-    Args:
-        anchor: the authority, and the domain that grants must be for.
-        signer: the master's own identity key; signs timestamps.
-        revocations: loaded with what was persisted, if anything.
-        persist: makes a list durable; called before the list takes effect.
-        delegate: renews grants; by default without a delegation.
-        renewer: renews identities at once; None: the authority's service does.
-        persist_entries: makes the entries of a tree durable, before the tree itself.
-        domains: foreign domains and their revocations; by default none is listed.
+    `renewer` renews identities at once; None: the authority's service does.
     """
 
     def __init__(
@@ -61,14 +53,14 @@ class TrustState(ListInForce):
         signer: Signer,
         revocations: Revocations,
         persist: Callable[[bytes], None],
-        delegate: Delegate | None = None,
-        persist_entries: Callable[[bytes], None] = discard,
+        delegate: TicketSigner | None = None,
+        persist_entries: Callable[[bytes], object] = lambda _data: None,
         renewer: Renewer | None = None,
         domains: DomainTrust | None = None,
     ) -> None:
         super().__init__(anchor, signer, revocations, persist, persist_entries)
         self.identities: Final = IdentityRenewals(anchor, renewer)
-        self._delegate = Delegate(anchor, signer) if delegate is None else delegate
+        self._delegate = TicketSigner(anchor, signer) if delegate is None else delegate
         self.domains: Final = domains or DomainTrust(Standing(Anchors(anchor), revocations))
         self._judge = Judge(anchor.domain, self._check_grant, self.domains.domain_of)
         self._held: dict[bytes, PresentedGrants] = {}
@@ -79,20 +71,20 @@ class TrustState(ListInForce):
         self._context = NOT_EVALUATED
 
     def caller(self, peer: Identity, now: int) -> Caller:
-        """The caller with its rights now.
-
-        Raises:
-            Revoked: the key is revoked, or that of the intermediate that issued its certificate.
-            CAError: of a foreigner, as `DomainTrust.check_connected`.
-        """
         if not peer.certified:  # else a twin with the same key would take the place of an own node
             self._identity_keys[peer.thumbprint] = peer.keys
         if self._is_revoked(peer.keys):
-            raise Revoked(
-                f"the key of {shown(peer.name)} is revoked", "enroll the node with a new key"
-            )
+            raise Revoked(f"the key of {shown(peer.name)} is revoked", "enroll the node with a new key")
         if peer.certified:  # a foreigner
-            return self._foreign_caller(peer, now)
+            self.domains.check_connected(peer, now)
+            self._foreigners[peer.name, peer.thumbprint] = peer
+
+            def check(domain: str, entry: bytes, now: int) -> None:
+                self._check_grant(domain, entry, now)
+                self.domains.check_for(peer, entry, now)
+
+            exported = self.domains.exported(peer.domain)
+            return self._caller(peer, now, self._judge._replace(check=check, exported=exported))
         if not peer.wildcard and (held := self._held_by(peer)).has_tails:
             held.drop_tails()
         caller = self._caller(peer, now, self._judge, wildcard=peer.wildcard)
@@ -106,25 +98,13 @@ class TrustState(ListInForce):
         if peer.is_foreign:
             self.domains.admit(peer, now)
 
-    def _foreign_caller(self, peer: Identity, now: int) -> Caller:
-        self.domains.check_connected(peer, now)
-        self._foreigners[peer.name, peer.thumbprint] = peer
-
-        def check(domain: str, entry: bytes, now: int) -> None:
-            self._check_grant(domain, entry, now)
-            self.domains.check_for(peer, entry, now)
-
-        exported = self.domains.exported(peer.domain)
-        return self._caller(peer, now, self._judge._replace(check=check, exported=exported))
-
     def _check_grant(self, domain: str, entry: bytes, now: int) -> None:
-        """The own list counts for every grant here, that of its domain for a foreign one too."""
         self._revocations.check(entry, now)
         if domain != self._anchor.domain:
             self.domains.check_known(domain, entry, now)
 
-    def caller_of(self, peer: Peer, now: int) -> Caller | None:
-        """A name and key seen before, with its rights now; None: the key is revoked."""
+    def caller_of(self, peer: CertifiedPeer, now: int) -> Caller | None:
+        # A name and key seen before; None: the key is revoked.
         if not is_alias(peer.name):
             keys = self._identity_keys.get(peer.thumbprint, (peer.thumbprint,))
             return None if self._is_revoked(keys) else self._caller(peer, now, self._judge)
@@ -135,49 +115,43 @@ class TrustState(ListInForce):
             return None
 
     def update_domains(self, data: bytes) -> bool:
-        """Take a list of domains; returns whether it differs from the one held.
-
-        Grants of domains that are gone, or have another root, are discarded.
-
-        Raises:
-            DomainsRefused: not of the own authority, or older than one seen.
-        """
+        # Whether it differs from the one held; grants of domains that are gone are discarded.
         ended = self.domains.update(data)
         for held in self._held.values() if ended else ():
             held.drop_domains(ended or ())
         return ended is not None
 
-    def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
-        """Verify and store grants; a refused one does not affect the others.
-
-        A grant bound to another key is refused.
-        """
+    def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> VerifiedGrants:
+        # A refused grant does not affect the others; one bound to another key is refused.
         self._confirm(now)
         held = self._held_by(caller)
         held.drop_expired(now)
         refused: list[str] = []
         for token in tokens:
             try:
-                self._add(held, caller, token, now)
+                if hashlib.sha256(token).digest() in held.grants:
+                    continue
+                self._check_failures(held, now)
+                if held.is_full_for(len(token)):
+                    raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
+                grant = self._verifier_of(token, caller).open(token, now)
+                check_holder(caller, grant, self.domains.label_of(grant.domain))
+                held.put(token, grant)
             except HintedError as error:
                 held.count_failure(now)
                 refused.append(str(error))
-        return Presented(len(held.grants), tuple(refused))
+        return VerifiedGrants(len(held.grants), tuple(refused))
 
     def has_presented(self, holder: bytes, grant_id: bytes) -> bool:
-        """Whether a valid or expired grant is among those that its holder has presented."""
         held = self._held.get(holder)
         return held is not None and any(each.id == grant_id for each in held.grants.values())
 
-    def pertaining(
-        self, caller: Caller, names: Iterable[str]
-    ) -> Generator[None, None, frozenset[bytes]]:
-        """The revoked entries that pertain to a caller, see `pertaining.pertaining`."""
+    def pertaining(self, caller: Caller, names: Iterable[str]) -> Generator[None, None, frozenset[bytes]]:
         own = caller.thumbprint, self._delegate.id
         return pertaining(self._revocations.entries, self._known_grants(), own, names)
 
     def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
-        """Renewed tokens, in the same order, empty where one is refused."""
+        # In the same order, empty where one is refused.
         self._confirm(now)
         held = self._held_by(caller)
         held.drop_expired(now)
@@ -193,11 +167,6 @@ class TrustState(ListInForce):
         return Renewed(tuple(renewed), tuple(refused))
 
     def renew_identity(self, caller: Caller, request: bytes, now: int) -> RenewalAnswer:
-        """The renewed identity, or what is waited for; see `IdentityRenewals.ask`.
-
-        Raises:
-            CAError: the request is refused.
-        """
         self._confirm(now)
         held = self._held_by(caller)
         self._check_failures(held, now)
@@ -210,26 +179,18 @@ class TrustState(ListInForce):
             raise
 
     def check(self, entry: bytes, now: int) -> None:
-        """As `Revocations.check`, against the list in force."""
         self._confirm(now)
         self._revocations.check(entry, now)
 
     def update_delegation(self, data: bytes) -> bool:
-        """Accept a delegation to renew grants; returns whether it is newer.
-
-        Raises:
-            GrantError: not signed by the authority, or not for this master.
-        """
         return self._delegate.take(data)
 
     def list_digests(self) -> tuple[bytes, bytes]:
-        """The digests of the revocation list and of the list of domains; empty: none."""
         held = self._revocations
         own = b"" if held.current is None else digest(held.data)
         return own, self.domains.digest()
 
     def _list_replaced(self, before: bytes) -> bool:
-        """Reset what depends on the list; returns whether it differs from `before`."""
         self._revoked_grants = {
             grant.id: grant
             for grant in self._known_grants()
@@ -239,17 +200,13 @@ class TrustState(ListInForce):
         return super()._list_replaced(before)
 
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
-        """Discard the grants of all other keys, and the expired grants of these."""
+        # Discard all that is known of other keys, and the expired grants of these.
         self._held = {key: held for key, held in self._held.items() if key in thumbprints}
         self.held_lists.keep_only(thumbprints)
-        self._identity_keys = {
-            key: keys for key, keys in self._identity_keys.items() if key in thumbprints
-        }
+        self._identity_keys = {key: keys for key, keys in self._identity_keys.items() if key in thumbprints}
         foreign = self._held_by_foreigners
         self._held_by_foreigners = {key: foreign[key] for key in foreign if key[1] in thumbprints}
-        self._foreigners = {
-            key: peer for key, peer in self._foreigners.items() if key[1] in thumbprints
-        }
+        self._foreigners = {key: peer for key, peer in self._foreigners.items() if key[1] in thumbprints}
         self.domains.keep_only(thumbprints)
         for held in (*self._held.values(), *self._held_by_foreigners.values()):
             held.drop_expired(now)
@@ -257,15 +214,13 @@ class TrustState(ListInForce):
     def _is_revoked(self, keys: tuple[bytes, ...]) -> bool:
         return not self._revocations.entries.isdisjoint(keys)
 
-    def _caller(self, peer: Peer, now: int, judge: Judge, *, wildcard: bool = False) -> Caller:
+    def _caller(self, peer: CertifiedPeer, now: int, judge: Judge, *, wildcard: bool = False) -> Caller:
         self._confirm(now)
         return self._held_by(peer).caller(peer, self._context, judge, wildcard=wildcard)
 
-    def _held_by(self, peer: Peer) -> PresentedGrants:
-        """The grants of a key, until `keep_only` discards them.
-
-        One key may be certified in several domains, where it is another peer.
-        """
+    def _held_by(self, peer: CertifiedPeer) -> PresentedGrants:
+        # The grants of a key, until `keep_only` discards them.
+        # One key may be certified in several domains, where it is another peer.
         if peer.name.startswith(REMOTE) and is_alias(peer.name):
             place = peer.name.split("/")[2], peer.thumbprint
             return self._held_by_foreigners.setdefault(place, PresentedGrants())
@@ -275,29 +230,15 @@ class TrustState(ListInForce):
         return held
 
     def _known_grants(self) -> Iterator[Grant]:
-        """The grants held, and those that the list in force has revoked."""
         yield from self._revoked_grants.values()
         for held in (*self._held.values(), *self._held_by_foreigners.values()):
             yield from held.grants.values()
-
-    def _add(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> None:
-        key = hashlib.sha256(token).digest()
-        if key in held.grants:
-            return
-        self._check_failures(held, now)
-        if held.is_full_for(len(token)):
-            raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
-        grant = self._verifier_of(token, caller).open(token, now)
-        check_holder(caller, grant, self.domains.label_of(grant.domain))
-        held.put(token, grant)
 
     def _renew(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:
         self._check_failures(held, now)
         _refuse_foreigner(caller)
         check = self._revocations.check
-        grant, renewed = self._delegate.renew(
-            token, caller.thumbprint, now, seq=self.number, check=check
-        )
+        grant, renewed = self._delegate.renew(token, caller.thumbprint, now, seq=self.number, check=check)
         check_holder(caller, grant, "")
         if not held.is_full_for(len(renewed)):  # else the node presents it later
             held.put(renewed, grant)
@@ -306,34 +247,24 @@ class TrustState(ListInForce):
     @staticmethod
     def _check_failures(held: PresentedGrants, now: int) -> None:
         if held.has_failed_too_often(now):
-            raise GrantError(
-                "too many grants of this node were refused", f"wait {FAILURE_WINDOW} s"
-            )
+            raise GrantError("too many grants of this node were refused", f"wait {FAILURE_WINDOW} s")
 
     def _verifier_of(self, token: bytes, caller: Caller) -> Verifier:
-        """With the key of the domain the token says it is of; a foreigner has only own grants."""
+        # With the key of the domain the token says it is of; a foreigner has only own grants.
         anchor, domains = self._anchor, self.domains
         if domains.anchors.all_listed and not caller.is_foreign:
             domain = peek(token).domain
             if domains.anchors.listed_domain(domain) is not None:
                 return domains.verifier(domain)
         delegates = (self._signer.public_key, *domains.own_delegates())
-        check = self._revocations.check
-        return Verifier(anchor.public_key, anchor.domain, delegates, self.number, check)
+        return Verifier(anchor.public_key, anchor.domain, delegates, self.number, self._revocations.check)
 
     def _confirm(self, now: int) -> None:
-        """Confirm the list to this process, once in each second and for each list."""
-        context, revocations = self._context, self._revocations
-        elsewhere = self.domains.generation
-        if (
-            context.now != now
-            or context.revocations is not revocations.data
-            or context.elsewhere != elsewhere
-        ):
+        held, revocations, elsewhere = self._context, self._revocations, self.domains.generation
+        if held.now != now or held.revocations is not revocations.data or held.elsewhere != elsewhere:
             if revocations.current is not None:
                 revocations.confirm(self._timestamp(now), now)
-            fresh_until = revocations.fresh_until
-            self._context = EvaluationContext(now, revocations.data, fresh_until, elsewhere)
+            self._context = EvaluationContext(now, revocations.data, revocations.fresh_until, elsewhere)
 
 
 def _refuse_foreigner(caller: Caller) -> None:
@@ -341,3 +272,43 @@ def _refuse_foreigner(caller: Caller) -> None:
         raise RenewalRefused(
             "nothing is renewed for a node of another domain", "ask the authority for a new grant"
         )
+
+
+_REQUIRED_RIGHTS: Final = {Kind.PUBLISHER: Right.PUBLISH, Kind.SERVICE: Right.PROVIDE}
+BATCH: Final = 64  # registrations checked in one step, which the loop waits for
+
+
+class EnforcementStep(NamedTuple):
+    node: NodeRef
+    kind: Kind
+    keys: tuple[str, ...]
+
+
+def enforcement_steps(registry: Registry) -> list[EnforcementStep]:
+    # Calls may be answered between two steps.
+    return [
+        EnforcementStep(node, kind, keys[begin : begin + BATCH])
+        for node in registry.nodes()
+        for kind in Kind
+        for keys in (registry.keys_of(node.name, kind),)
+        for begin in range(0, len(keys), BATCH)
+    ]
+
+
+def enforce(registry: Registry, trust: TrustState, step: EnforcementStep, now: int) -> list[Event]:
+    """Remove the registrations of `step` that no right covers; returns the events to deliver."""
+    if not registry.is_current(step.node):
+        return []
+    caller = trust.caller_of(step.node, now)
+    if caller is None:
+        return [*registry.remove_node(step.node.name)]
+    uncovered = [key for key in step.keys if not _is_authorized(caller, step.kind, key)]
+    return [event for key in uncovered for event in registry.remove(step.kind, key, caller.name)]
+
+
+def _is_authorized(caller: Caller, kind: Kind, key: str) -> bool:
+    if kind is Kind.PARAMETER:  # something at or below its key; each update is authorized again anyway
+        return caller.may_some_below(Right.PARAM_GET, key.removesuffix("/") or "/")
+    if kind is Kind.SUBSCRIBER:
+        return may_subscribe(caller, key)
+    return caller.may(_REQUIRED_RIGHTS[kind], key)

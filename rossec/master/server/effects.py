@@ -7,94 +7,179 @@ enforced before the call that delivered it is answered, except for what would ta
 
 import asyncio
 import logging
+import os
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
-from typing import Final
+from pathlib import Path
+from typing import Final, TypeAlias
 
 from ca.certificates import Identity
-from ca.domains.aliases import is_alias, shown
-from ca.domains.served import is_in_gateway
 from ca.errors import HintedError
-from ca.revocation.state import digest
+from ca.names import is_alias, is_in_gateway, shown
+from ca.revocation.lists import digest
+from grants.model import Right
+from grants.request import is_dispensable, needed_rule, own_form, rule_form
+from rossec import files
 from rossec.master.api.methods import (
     Administered,
     CallDenied,
+    CallerPresentedGrants,
+    CallOutcome,
     Denied,
     DomainsChanged,
     GrantsDeposited,
-    GrantsPresented,
     MasterEvent,
     ParameterChanged,
     PersistParameter,
     RevocationsChanged,
     StopMaster,
 )
-from rossec.master.api.turns import CallOutcome
-from rossec.master.operation.denial_causes import BASICS, DenialCauses
-from rossec.master.operation.denial_limit import DENIALS
-from rossec.master.operation.denial_log import OnDenial
-from rossec.master.rights.alias_publishers import AliasPublishers
-from rossec.master.rights.caller import Peer
-from rossec.master.rights.enforce import enforce, steps
-from rossec.master.rights.recent_denials import RecentDenials
-from rossec.master.rights.statements import TrustState
-from rossec.master.server.deposit_file import DepositFile
-from rossec.master.server.dialer import SlaveDialer
-from rossec.master.server.grant_changes import GrantChanges
-from rossec.master.server.graph_changes import GraphChanges
-from rossec.master.server.parameter_file import ParameterFile
-from rossec.master.server.site_polls import SitePolls
-from rossec.master.server.updates import Updates
-from rossec.master.state.doors import Doors
+from rossec.master.operation.admin import DENIALS
+from rossec.master.rights.caller import CertifiedPeer, RecentDenials
+from rossec.master.rights.publisher_views import AliasPublishers
+from rossec.master.rights.statements import TrustState, enforce, enforcement_steps
+from rossec.master.server.saved_state import DepositFile, ParameterFile
+from rossec.master.server.updates import GrantChanges, GraphChanges, SitePolls, SlaveDialer, Updates
+from rossec.master.state.forwarded_ports import ForwardedPorts
 from rossec.master.state.graph import Graph
-from rossec.master.state.import_events import TypeContradicted
+from rossec.master.state.imported_facts import TypeContradicted
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.net.aio import SecureContext, SecureStream
+from rossec.peer_limits import printable
 from rossec.ros.names import DOMAINS_UPDATE, FOREIGN_UPDATE, REVOCATION_UPDATE
-from rossec.ros.text import printable
+
+LINES_PER_NODE: Final = 200  # lines of one node
+MAX_LINES: Final = 10_000  # of all nodes beyond their quotas
+
+OnDenial: TypeAlias = Callable[[int, str, Right, str], None]
+"""Called with `now`, the node, the right it lacks, and the name."""
+
+
+def ignore_denial(now: int, node: str, right: Right, name: str) -> None: ...
+
+
+class DenialLog:
+    """The denial log at `path`: one line for every right that a caller lacked, to learn a policy from.
+
+    `rossec policy learn --from-log` reads it: callers of services and readers of parameters do not
+    appear in the graph. Each line is written once, and their number is limited: an enrolled node
+    chooses the names, and must not fill the disk with them. Each node has a quota that no other can
+    use up, else one of them could keep the others out of the log.
+    """
+
+    def __init__(self, path: Path) -> None:
+        from grants.policy.learn import log_line  # noqa: PLC0415 - not loaded without this log
+
+        self._line = log_line
+        self._file = os.fdopen(files.append_own(path), "a", encoding="utf-8")
+        self._seen: set[tuple[str, Right, str]] = set()
+        self._lines_of_node: Counter[str] = Counter()
+        self._lines_beyond = 0
+
+    def __call__(self, now: int, node: str, right: Right, name: str) -> None:
+        denial = node, right, own_form(node, name)  # one run of an anonymous node is as the next
+        is_beyond = self._lines_of_node[node] >= LINES_PER_NODE
+        if denial in self._seen or (is_beyond and self._lines_beyond >= MAX_LINES):
+            return
+        self._seen.add(denial)
+        self._lines_of_node[node] += 1
+        self._lines_beyond += is_beyond
+        self._file.write(self._line(now, node, right, name) + "\n")
+        self._file.flush()
+
+    def close(self) -> None:
+        self._file.close()
+
+
+LOGGED_FOR: Final = 3600  # seconds
+MAX_CAUSES: Final = 4096
+BASICS: Final = "do all that every ROS program asks for and works without, as "
+_NO_GRANT: Final = "no grant "
+
+_Cause = tuple[str, Right | None, str]
+
+
+@dataclass
+class _Logged:
+    at: int
+    left_out: int = 0
+
+
+class DenialCauses:
+    """Refusals for the log and the audit: one line for each cause, in the words of `rossec explain`.
+
+    A cause is a right that a node lacks on a name; names of one run of an anonymous node are the
+    same cause as those of the next. It is logged once an hour, with the number of refusals left
+    out. What every ROS program asks for by itself and works without is one cause for each node.
+    Refusals for other reasons, such as an address of another node, are all logged.
+    """
+
+    def __init__(self) -> None:
+        self._logged: OrderedDict[_Cause, _Logged] = OrderedDict()
+
+    def text(self, now: int, denied: CallDenied) -> str | None:
+        # Of what every program works without it begins with `BASICS`: it is no warning.
+        if denied.missing is None:
+            return f"{denied.method}: {denied.status}"
+        right, name = denied.missing
+        own = own_form(denied.certified, name, wildcard=denied.wildcard)
+        reason = denied.status.partition(f" on {shown(name)}: ")[2]
+        if is_dispensable(right, own) and reason.startswith(_NO_GRANT):
+            basics = f"{BASICS}{right.label} {own} and so on: basics: true in a policy would change it"
+            return self._once(now, (denied.node, None, ""), basics)
+        ruled = shown(rule_form(denied.certified, name, wildcard=denied.wildcard))
+        words = reason
+        if reason.startswith(_NO_GRANT):
+            words = f"{needed_rule(denied.node, [(right, ruled)])} would change it"
+        cause = (denied.node, right, own + reason[:80])
+        return self._once(now, cause, f"{right.label} {ruled} ({denied.method}): {words}")
+
+    def _once(self, now: int, cause: _Cause, text: str) -> str | None:
+        before = self._logged.get(cause)
+        if before is not None and 0 <= now - before.at < LOGGED_FOR:
+            before.left_out += 1
+            return None
+        self._logged[cause] = _Logged(now)
+        self._logged.move_to_end(cause)
+        if len(self._logged) > MAX_CAUSES:
+            self._logged.popitem(last=False)
+        left_out = before.left_out if before is not None else 0
+        return f"{text} ({left_out} more like this since it was logged last)" if left_out else text
+
 
 _audit = logging.getLogger("rossec.audit")
 _denials = logging.getLogger(DENIALS)
 
 _CONTRADICTED: Final = "%s is not imported from site %s: it is of type %s there, of %s here"
 STEPS_AT_ONCE: Final = 1024  # enforcement steps before the next call is answered
-_Recorded = PersistParameter | Denied | GrantsPresented | CallDenied | TypeContradicted
+_Recorded = PersistParameter | Denied | CallerPresentedGrants | CallDenied | TypeContradicted
 
 
 @dataclass
 class MasterState:
-    """The state of one master, used in its event loop only.
-
-    Args:
-        name: the master's certified name.
-        clock: seconds since the epoch.
-        parameter_file: the journal of parameters; None: they do not survive a restart.
-        deposit_file: the journal of deposited grants; None: none is accepted.
-        streams: accepted connections.
-        imports: what other masters have registered.
-        site_polls: followers that wait for changes of the registrations.
-        demand_changes, renewal_changes: what local nodes want of other masters, of the authority.
-        doors: of the own relays.
-        relay_polls: relays that wait for what is wanted.
-    """
+    """The state of one master, used in its event loop only."""
 
     name: str
     clock: Callable[[], float]
     registry: Registry
     trust: TrustState
-    parameter_file: ParameterFile | None
-    deposit_file: DepositFile | None = None
+    parameter_file: ParameterFile | None  # the journal of parameters; None: they do not survive a restart
+    deposit_file: DepositFile | None = None  # the journal of deposited grants; None: none is accepted
     graph_changes: GraphChanges = field(default_factory=GraphChanges)
     grant_changes: GrantChanges = field(default_factory=GrantChanges)
     streams: set[SecureStream[Identity]] = field(default_factory=set)
     recent_denials: RecentDenials = field(default_factory=RecentDenials)
+    # followers that wait for changes of the registrations
     site_polls: SitePolls = field(default_factory=SitePolls)
+    # demand_changes, renewal_changes: what local nodes want of other masters, of the authority
     demand_changes: GraphChanges = field(default_factory=GraphChanges)
     renewal_changes: GraphChanges = field(default_factory=GraphChanges)
-    doors: Doors = field(default_factory=Doors)
+    doors: ForwardedPorts = field(default_factory=ForwardedPorts)
+    # relays that wait for what is wanted
     relay_polls: SitePolls = field(default_factory=partial(SitePolls, 0.0))
     imports: Imports = field(init=False)
     aliases: AliasPublishers = field(init=False)
@@ -102,12 +187,11 @@ class MasterState:
     def __post_init__(self) -> None:
         self.imports = Imports(self.registry)
         self.aliases = AliasPublishers(Graph(self.registry, self.imports), self.trust.caller_of)
-        self.imports.intake.rules = self.trust.domains.imported
+        self.imports.filter.rules = self.trust.domains.imported
         self.doors.on_wanted = self.relay_polls.notify
         self.trust.identities.on_asked = self.renewal_changes.notify
 
     def now(self) -> int:
-        """The time, in whole seconds."""
         return int(self.clock())
 
     def notify(self) -> None:
@@ -117,52 +201,34 @@ class MasterState:
         self.demand_changes.notify(self.imports.demand.version)
 
     def notify_all(self) -> None:
-        """Rights or lists have changed: every answer may be another one."""
         self.graph_changes.notify()
         self.site_polls.notify()
 
 
 class Effects:
-    """Delivers events; `calls` and `denials` are counters.
-
-    Args:
-        context: the master's own identity, to connect to nodes with.
-        on_denial: called for every right that a caller lacks.
-        max_clients: as of `Updates`.
-
-    Attributes:
-        stopping: set by `StopMaster`.
-        on_new_lists: called when a newer list is in force, whoever delivered it.
-        list_changed: set by `RevocationsChanged`: the next round of maintenance must not wait.
-        on_served: called with a served name whose publishers have changed.
-    """
+    """Delivers events; `calls` and `denials` are counters."""
 
     def __init__(
-        self,
-        state: MasterState,
-        context: SecureContext[Identity],
-        on_denial: OnDenial,
-        max_clients: int,
+        self, state: MasterState, context: SecureContext[Identity], on_denial: OnDenial, max_clients: int
     ) -> None:
         self._state = state
         self._on_denial, self._denial_causes = on_denial, DenialCauses()
         self.dialer: Final = SlaveDialer(context, self.evict)
         self.updates: Final = Updates(self.dialer.dial, max_clients, on_taken=self._record_taken)
         self.stopping: Final = asyncio.Event()
-        self.list_changed: Final = asyncio.Event()
-        self.on_served: Callable[[str], None] = _ignore
-        self.on_new_lists: Final[list[Callable[[], None]]] = []
+        self.list_changed: Final = asyncio.Event()  # the next round of maintenance must not wait
+        self.on_served: Callable[[str], object] = lambda _topic: None  # its publishers have changed
+        self.on_new_lists: Final[list[Callable[[], None]]] = []  # one is in force, whoever delivered it
         self.calls = self.denials = 0
 
     def apply(self, outcome: CallOutcome) -> object:
-        """Deliver the events of a call; returns the answer."""
         self.calls += 1
         for event in outcome.events:
             self.deliver(event)
         self._state.notify()
         return outcome.answer
 
-    def evict(self, node: NodeRef, found: Peer) -> None:
+    def evict(self, node: NodeRef, found: CertifiedPeer) -> None:
         """Remove a node that registered the address of another node, `found`.
 
         Otherwise a node could keep another out by registering its address first.
@@ -176,10 +242,11 @@ class Effects:
             self._state.notify()
 
     def deliver(self, event: MasterEvent) -> None:
-        """Perform the effect of `event`."""
         match event:
             case PublishersChanged():
-                self._publishers_changed(event)
+                if is_in_gateway(event.topic):
+                    self.on_served(event.topic)
+                self.send_publishers(self._state.aliases.updates(event, self._state.now()))
             case ParameterChanged(node, key, value):
                 self._notify(node, "paramUpdate", key, value)
             case ShutdownNode(node, reason):
@@ -192,25 +259,13 @@ class Effects:
                 self._state.grant_changes.notify(holders)
             case Administered(by, what):
                 _audit.info("%s %s", by, printable(what))
-            case (
-                PersistParameter()
-                | Denied()
-                | GrantsPresented()
-                | CallDenied()
-                | TypeContradicted()
-            ):
+            case PersistParameter() | Denied() | CallerPresentedGrants() | CallDenied() | TypeContradicted():
                 self._record(event)
             case StopMaster(reason):
                 _audit.warning("stopping: %s", printable(reason))
                 self.stopping.set()
 
-    def _publishers_changed(self, event: PublishersChanged) -> None:
-        if is_in_gateway(event.topic):
-            self.on_served(event.topic)
-        self.send_publishers(self._state.aliases.updates(event, self._state.now()))
-
     def send_publishers(self, updates: Iterable[PublishersChanged]) -> None:
-        """Send subscribers their lists of publishers."""
         for topic, nodes, uris in ((u.topic, u.subscribers, u.publisher_uris) for u in updates):
             for node in nodes:
                 self._notify(node, "publisherUpdate", topic, list(uris))
@@ -226,7 +281,9 @@ class Effects:
                 self._enforce_list()
                 for changed in self._state.imports.taken_anew():
                     self.deliver(changed)
-                self.send_domains()
+                now, data = self._state.now(), trust.domains.anchors.data
+                for node in self._own_nodes(now):
+                    self.updates.post(node, (DOMAINS_UPDATE, ""), self._state.name, data)
         for tell in self.on_new_lists:
             tell()
 
@@ -245,7 +302,7 @@ class Effects:
             case Denied(node, right, name):
                 self._state.recent_denials.add(self._state.now(), node, right, name)
                 self._on_denial(self._state.now(), node, right, name)
-            case GrantsPresented(name, refused):
+            case CallerPresentedGrants(name, refused):
                 self._state.notify_all()  # it may see more or less now
                 self.send_publishers(self._state.aliases.changes_for(name, self._state.now()))
                 if refused:
@@ -257,7 +314,6 @@ class Effects:
         self.updates.post(node, (method, about), self._state.name, subject, *rest)
 
     def _enforce_list(self) -> None:
-        """Enforce a new list: as much as possible now, the rest in the next round."""
         for _ in islice(self.enforcement(), STEPS_AT_ONCE):
             pass
         self.close_revoked()  # also their pending updates
@@ -267,14 +323,12 @@ class Effects:
         self.list_changed.set()
 
     def enforcement(self) -> Iterator[None]:
-        """Remove what is no longer authorized, some registrations in each step."""
-        for step in steps(self._state.registry):
+        for step in enforcement_steps(self._state.registry):
             for event in enforce(self._state.registry, self._state.trust, step, self._state.now()):
                 self.deliver(event)
             yield
 
     def close_revoked(self) -> None:
-        """Close the connections of revoked identities, and drop their updates."""
         now = self._state.now()
         for stream in tuple(self._state.streams):
             try:
@@ -289,14 +343,12 @@ class Effects:
                 self.updates.drop(node)
 
     def _record_taken(self, node: NodeRef, method: str, params: tuple[object, ...]) -> None:
-        """A node that has taken a list has closed what the list ends."""
         match params:
             case (_, bytes(revocations), _) if revocations and method == REVOCATION_UPDATE:
                 taken = digest(revocations)
                 self._state.trust.held_lists.record(node, taken, self._state.now())
 
     def drop_deposits(self) -> None:
-        """Remove the deposited grants that have ended or are revoked."""
         file = self._state.deposit_file
         if file is not None:
             file.deposits.drop_ended(self._state.now(), self._state.trust.revoked())
@@ -309,42 +361,22 @@ class Effects:
             if timestamp:
                 self.updates.post(node, key, self._state.name, revocations, timestamp)
 
-    def send_domains(self) -> None:
-        """Send every node of the own domain the list of domains."""
-        data = self._state.trust.domains.anchors.data
-        for node in self._own_nodes(self._state.now()):
-            self.updates.post(node, (DOMAINS_UPDATE, ""), self._state.name, data)
-
-    def take_foreign(
-        self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[bytes]
-    ) -> None:
-        """Take what a foreign domain's master says; a newer list is enforced and sent at once.
-
-        Raises:
-            CAError: as `Standing.take_foreign`; a valid list counts even if its timestamp does not.
-        """
+    def take_foreign(self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[bytes]) -> None:
+        """Take what a foreign domain's master says; a newer list is enforced and sent at once."""
         domains = self._state.trust.domains
         before = domains.generation
         try:
             domains.take(domain, revocations, timestamp, chain, self._state.now())
         finally:
             if domains.generation != before:
-                self.foreign_revocations_changed(domain)
-
-    def foreign_revocations_changed(self, domain: str) -> None:
-        """Enforce what is newly revoked in a foreign domain, and send its list to every node."""
-        self._enforce_list()
-        word, key = self._state.trust.domains.word(domain), (FOREIGN_UPDATE, domain)
-        params = (domain, word.revocations, word.timestamp, list(word.chain))
-        for node in self._own_nodes(self._state.now()) if word.revocations else ():
-            self.updates.post(node, key, self._state.name, *params)
+                # What is newly revoked there is enforced, and its list sent to every node.
+                self._enforce_list()
+                word, key = domains.word(domain), (FOREIGN_UPDATE, domain)
+                params = (domain, word.revocations, word.timestamp, list(word.chain))
+                for node in self._own_nodes(self._state.now()) if word.revocations else ():
+                    self.updates.post(node, key, self._state.name, *params)
 
     def _own_nodes(self, now: int) -> list[NodeRef]:
-        """The registered nodes of the own domain; foreigners hear from their own master."""
         trust, nodes = self._state.trust, self._state.registry.nodes()
         own = [node for node in nodes if not is_alias(node.name)]
         return [node for node in own if trust.caller_of(node, now) is not None]
-
-
-def _ignore(_topic: str) -> None:
-    pass

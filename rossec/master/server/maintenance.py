@@ -1,21 +1,290 @@
 """Maintenance: rights are enforced and lists confirmed, in rounds. A shell.
 
 A round runs at every interval, and at once when a revocation list is delivered, for what was left
-to enforce. An exception in one round does not end the rounds.
+to enforce. An exception in one round does not end the rounds. Each round also reads the lists of an
+authority on this host, and keeps the master's own identity current. Gateways are asked meanwhile.
 """
 
 import asyncio
 import contextlib
+import errno
 import logging
 from collections.abc import Callable
-from typing import Final
+from typing import Final, TypeAlias
 
+from ca.certificates import Identity, renew_at, retry_delay, sign_renewal
+from ca.errors import HintedError
+from ca.names import is_in_gateway
+from ca.revocation.lists import is_tree
+from ca.svid import build_request
+from grants.model import format_time
+from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.clock import Setbacks
+from rossec.errors import AnswerRefused, ConfigurationError, RossecError
+from rossec.home import NodeHome
+from rossec.host.runner import TaskSet
 from rossec.master.api.methods import DomainsChanged, RevocationsChanged
+from rossec.master.rights.renewals import RenewalAnswer
+from rossec.master.rights.statements import TrustState
 from rossec.master.server.effects import Effects, MasterState
-from rossec.master.server.local_authority import SOURCE, LocalAuthority
-from rossec.master.server.parameter_file import ParameterFile
-from rossec.net.aio.tasks import TaskSet
+from rossec.master.server.saved_state import ParameterFile
+from rossec.master.server.updates import SlaveClient
+from rossec.master.state.registry import Kind, NodeRef
+from rossec.peer_limits import printable
+from rossec.ros.xmlrpc import Fault
+
+SOURCE: Final = "the authority on this host"
+
+_log = logging.getLogger("rossec.master.nearby")
+
+FindRevocations: TypeAlias = Callable[[], tuple[bytes, bytes] | None]
+"""Returns the newest signed list or tree, and the entries of a tree; None: unchanged."""
+
+FindDomains: TypeAlias = Callable[[], bytes]
+"""Returns the newest signed list of domains; empty: unchanged, or there is none."""
+
+
+def no_authority() -> None: ...
+
+
+def no_domains() -> bytes:
+    return b""
+
+
+class LocalAuthority:
+    """Reads the lists of an authority on the master's host, from its directory.
+
+    A list that could not be delivered, as the master was not running or not reachable, would
+    otherwise wait for a person, while the master keeps confirming the old one. An invalid list is
+    logged, and the list in force stays.
+    """
+
+    def __init__(
+        self, find: FindRevocations, trust: TrustState, find_domains: FindDomains = no_domains
+    ) -> None:
+        self._find = find  # find, find_domains: read the directory. They raise `HintedError` or `OSError`
+        self._trust = trust
+        self._find_domains = find_domains
+        self._last_warnings: dict[str, str] = {}  # by what was looked for
+
+    def has_newer_list(self, now: int) -> bool:
+        def accept() -> bool:
+            found = self._find()
+            if found is not None and is_tree(found[0]):
+                return self._trust.update_tree(*found, now)
+            return found is not None and self._trust.update(found[0], now)
+
+        return self._take("list", accept)
+
+    def has_newer_domains(self) -> bool:
+        def accept() -> bool:
+            data = self._find_domains()
+            return data != b"" and self._trust.update_domains(data)
+
+        return self._take("list of domains", accept)
+
+    def _take(self, what: str, accept: Callable[[], bool]) -> bool:
+        try:
+            newer = accept()
+        except (HintedError, OSError) as error:
+            reason = printable(error)
+            if reason != self._last_warnings.get(what):
+                _log.warning("the %s of %s is not accepted: %s", what, SOURCE, reason)
+            self._last_warnings[what] = reason
+            return False
+        self._last_warnings.pop(what, None)
+        return newer
+
+
+_HOUR: Final = 3600
+_RETRY: Final = 600
+_GRACE: Final = 60  # seconds at most for the first answer
+_own_identity_log = logging.getLogger("rossec.master.own")
+
+Renew = Callable[[bytes, int], RenewalAnswer]
+"""Answers a renewal request with the new bundle, or with what is waited for."""
+
+
+class OwnIdentity:
+    """The credentials of the master; `check` keeps them current.
+
+    A master runs for months, its certificate is valid for one. So it reloads a certificate that was
+    installed (`rossec node install`) and has its own renewed like that of any node, by the
+    authority's service or by an intermediate here; while that does not succeed, it logs a warning.
+    The key stays the same: nodes identify their master by it.
+    """
+
+    def __init__(self, home: NodeHome, now: int) -> None:
+        self._home = home
+        self._identity = home.identity(now)
+        self._loaded_version = self._file_version()
+        self._next_attempt = self._next_warning = 0
+        self._csr = b""
+        self.renew: Renew | None = None
+        self.credentials = LiveCredentials(home.credentials())
+
+    def check(self, now: int) -> None:
+        self._attempt(self._reload, now)
+        held = self._identity
+        if now >= max(self._next_attempt, renew_at(held.not_before, held.not_after)):
+            self._next_attempt = now + retry_delay(held.not_before, held.not_after, _RETRY)
+            self._attempt(self._renew, now)
+
+    def _attempt(self, action: Callable[[int], None], now: int) -> None:
+        try:
+            action(now)
+        except (HintedError, OSError) as error:
+            hint = f" ({error.hint})" if isinstance(error, HintedError) and error.hint else ""
+            _own_identity_log.warning("the master's own identity: %s%s", printable(error), hint)
+
+    def _reload(self, now: int) -> None:
+        version = self._file_version()
+        if version == self._loaded_version:
+            return
+        self._loaded_version = version
+        found = self._home.identity(now)
+        if found.thumbprint != self._identity.thumbprint:
+            raise ConfigurationError("the installed identity has another key", "restart the master")
+        self._replace(found)
+
+    def _replace(self, identity: Identity) -> None:
+        self.credentials.current = self._home.credentials()
+        self._identity, self._csr = identity, b""
+        self._next_attempt = self._next_warning = 0
+        _own_identity_log.info("the master's own identity is valid until %s", format_time(identity.not_after))
+
+    def _renew(self, now: int) -> None:
+        own, held = self.credentials.current, self._identity
+        if now > held.not_after or self.renew is None:
+            self._warn("", now)
+            return
+        self._csr = self._csr or build_request(own.signer, held.domain, held.name)
+        answer = self.renew(sign_renewal(own.signer, own.chain, self._csr, now), now)
+        if answer.bundle:
+            self._replace(self._home.install(answer.bundle, now))
+            self._loaded_version = self._file_version()
+            return
+        self._next_attempt = now + 1  # in the next round, or as soon as there is an answer
+        self._warn(f": {answer.status}", now)
+
+    def _warn(self, why: str, now: int) -> None:
+        # Once an hour, but not before a service that runs had time to answer.
+        held = self._identity
+        if not self._next_warning and why:
+            self._next_warning = now + retry_delay(held.not_before, held.not_after, _GRACE)
+        if now < self._next_warning:
+            return
+        self._next_warning = now + retry_delay(held.not_before, held.not_after, _HOUR)
+        verb, option = ("expires", "") if now <= held.not_after else ("expired", "--expired ")
+        raise ConfigurationError(
+            f"it {verb} {format_time(held.not_after)}, after which no node connects{why}",
+            f"rossec ca renew {option}{held.name}, then rossec node install FILE here; no restart",
+        )
+
+    def _file_version(self) -> tuple[int, int, int]:
+        found = (self._home.path / "node.pem").stat()
+        return found.st_ino, found.st_mtime_ns, found.st_size
+
+
+ASK_EVERY: Final = 2.0  # seconds
+RETRY_AFTER: Final = 1.0
+ANSWER_WITHIN: Final = 4.0
+SILENT_AFTER: Final = 5.0  # since the last answer
+_FAILURES: Final = 2  # at least: a master that was stopped itself has asked nobody
+
+_gateways_log = logging.getLogger("rossec.master.gateways")
+_audit = logging.getLogger("rossec.audit")
+
+
+class Gateways:
+    """Gateways that have died: noticed, so that subscribers do not wait for them.
+
+    A gateway replaces the origin's publishers, so nobody else would notice. Each one that serves a
+    topic is asked for its process id, on one connection that stays: the end of a process ends it at
+    once. One without an answer is silent, and serves nothing until it answers again; where nobody
+    listens at its address any more it is unregistered. A master where nothing is served asks nobody.
+    """
+
+    def __init__(self, state: MasterState, effects: Effects) -> None:
+        self._state = state
+        self._effects = effects
+        self._asked: set[NodeRef] = set()
+        self._tasks = TaskSet()
+
+    def __len__(self) -> int:
+        return len(self._asked)
+
+    def start(self) -> None:
+        self._effects.on_served = self._served
+
+    async def close(self) -> None:
+        await self._tasks.close()
+
+    def _served(self, topic: str) -> None:
+        for node in self._state.registry.registered_nodes(Kind.PUBLISHER, topic):
+            if node not in self._asked:
+                self._asked.add(node)
+                self._tasks.spawn(self._ask(node), f"asking {node.name}")
+
+    async def _ask(self, node: NodeRef) -> None:
+        client, loop = SlaveClient(node, self._effects.dialer.dial, ANSWER_WITHIN), asyncio.get_running_loop()
+        heard, failures = loop.time(), 0
+        try:
+            while self._topics(node):
+                error = await self._error_of(client, node)
+                if error is None:
+                    heard, failures = loop.time(), 0
+                    self._note(node, silent=False)
+                else:
+                    failures += 1
+                    if failures >= _FAILURES and loop.time() - heard >= SILENT_AFTER:
+                        if not _is_refused(error):
+                            self._note(node, silent=True)
+                        elif self._state.registry.is_current(node):
+                            _audit.warning("%s is unregistered: nobody listens at %s", node.name, node.uri)
+                            for event in self._state.registry.remove_node(node.name):
+                                self._effects.deliver(event)
+                            self._state.notify()
+                await asyncio.sleep(RETRY_AFTER if failures else ASK_EVERY)
+        finally:
+            self._asked.discard(node)
+            await client.close()
+
+    async def _error_of(self, client: SlaveClient, node: NodeRef) -> Exception | None:
+        # Why a gateway does not answer; None: it does, whatever it says.
+        try:
+            await client.ask("getPid", self._state.name)
+        except (Fault, AnswerRefused):
+            return None
+        except (RossecError, OSError, TimeoutError) as error:
+            _gateways_log.info("%s does not answer: %s", node.name, printable(error))
+            await client.close()
+            return error
+        return None
+
+    def _note(self, node: NodeRef, *, silent: bool) -> None:
+        if not self._state.registry.set_silent(node, silent=silent):
+            return
+        _audit.warning("%s %s", node.name, "does not answer" if silent else "answers again")
+        for topic in self._topics(node):
+            changes = self._state.aliases.changes(topic, self._state.now())
+            self._effects.send_publishers(changes)
+        self._state.notify()
+
+    def _topics(self, node: NodeRef) -> list[str]:
+        registry = self._state.registry
+        keys = registry.keys_of(node.name, Kind.PUBLISHER) if registry.is_current(node) else ()
+        return [key for key in keys if is_in_gateway(key)]
+
+
+def _is_refused(error: BaseException | None) -> bool:
+    # Whether nobody listens at the address: the process is gone, not just out of reach.
+    while error is not None:
+        if isinstance(error, OSError) and error.errno == errno.ECONNREFUSED:
+            return True
+        error = error.__cause__
+    return False
+
 
 _CLOCK_SET_BACK: Final = (
     "the host's clock went back: the master counts the seconds that have passed instead"
@@ -23,19 +292,10 @@ _CLOCK_SET_BACK: Final = (
 )
 
 _SAVE_PAUSE: Final = 1.0  # seconds between two times that parameters are saved, however many
-_log = logging.getLogger("rossec.master.upkeep")
-_audit = logging.getLogger("rossec.audit")
+_maintenance_log = logging.getLogger("rossec.master.upkeep")
 
 
 class Maintenance:
-    """Runs rounds of maintenance on `state`, from `start` to `close`.
-
-    Args:
-        interval: seconds between two rounds.
-        check_own_identity: called with the time in each round.
-        local_authority: may have signed newer lists.
-    """
-
     def __init__(
         self,
         state: MasterState,
@@ -54,14 +314,12 @@ class Maintenance:
         self._tasks = TaskSet()
 
     def start(self, keep_views: Callable[[frozenset[bytes]], None]) -> None:
-        """Begin the rounds; `keep_views` discards what watchers saw, but those with these keys."""
         self._tasks.spawn(self._run(keep_views), name="rossec master maintenance")
         if self._state.parameter_file is not None:
             saving = self._save(self._state.parameter_file)
             self._tasks.spawn(saving, name="rossec master parameters")
 
     async def close(self) -> None:
-        """End the rounds."""
         await self._tasks.close()
 
     async def _run(self, keep_views: Callable[[frozenset[bytes]], None]) -> None:
@@ -71,13 +329,12 @@ class Maintenance:
                 await self._run_once()
                 keep_views(self._connected_keys())
             except Exception:  # noqa: BLE001 - one failure must not end freshness and enforcement
-                _log.exception("maintenance failed; it is tried again")
+                _maintenance_log.exception("maintenance failed; it is tried again")
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self._pause()):
                     await self._effects.list_changed.wait()
 
     def _pause(self) -> float:
-        """Seconds to the next round; neither the end of trust in a domain waits nor a slot."""
         now = self._state.now()
         moments = self._state.trust.domains.next_end(now), self._state.aliases.next_slot(now)
         waits = [moment - self._state.clock() for moment in moments if moment is not None]
@@ -89,7 +346,11 @@ class Maintenance:
         self._effects.close_revoked()
         await self._enforce()
         self._effects.send_revocations()
-        self._prune()
+        self._effects.drop_deposits()
+        nodes = frozenset(self._state.registry.nodes())
+        self._effects.updates.prune(nodes)
+        keys = self._connected_keys() | {node.thumbprint for node in nodes}
+        self._state.trust.keep_only(keys, self._state.now())
         self._check_own_identity(self._state.now())
         if self._local_authority.has_newer_list(self._state.now()):
             self._effects.deliver(RevocationsChanged(SOURCE))
@@ -99,7 +360,6 @@ class Maintenance:
             self._state.deposit_file.sync()
 
     async def _save(self, file: ParameterFile) -> None:
-        """Save parameters; a disk takes its time, for which nothing that is revoked waits."""
         while True:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self._interval):
@@ -107,11 +367,10 @@ class Maintenance:
             try:
                 await file.save()
             except Exception:  # noqa: BLE001 - as above
-                _log.exception("parameters were not saved; it is tried again")
+                _maintenance_log.exception("parameters were not saved; it is tried again")
             await asyncio.sleep(min(_SAVE_PAUSE, self._interval))  # also after a failure
 
     async def _enforce(self) -> None:
-        """Remove what is no longer authorized; other calls are answered meanwhile."""
         for _ in self._effects.enforcement():
             self._state.notify()
             await asyncio.sleep(0)
@@ -119,13 +378,6 @@ class Maintenance:
             self._effects.send_publishers(updates)
             await asyncio.sleep(0)
         self._state.notify_all()  # rights also narrow what watchers see
-
-    def _prune(self) -> None:
-        self._effects.drop_deposits()
-        nodes = frozenset(self._state.registry.nodes())
-        self._effects.updates.prune(nodes)
-        keys = self._connected_keys() | {node.thumbprint for node in nodes}
-        self._state.trust.keep_only(keys, self._state.now())
 
     def _connected_keys(self) -> frozenset[bytes]:
         return frozenset(stream.peer.thumbprint for stream in self._state.streams)

@@ -3,7 +3,7 @@
 Decisions are elsewhere: access control authorizes calls, `TrustState` tells which grants are valid,
 the registry returns events. All state is used in one event loop, and a call is answered without
 waiting for any peer, so no locks are needed. The effects of events are in `effects`, periodic work
-in `maintenance`, connections to nodes in `dialer`.
+in `maintenance`, connections to nodes in `updates`.
 """
 
 import asyncio
@@ -11,6 +11,7 @@ import contextlib
 import logging
 import os
 import secrets
+import socket
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -18,51 +19,51 @@ from functools import partial
 from typing import Final
 
 from ca import svid
-from ca.certificates import Identity
-from ca.domains.aliases import shown
-from ca.errors import HintedError
-from rossec.channel.edhoc.credentials import OwnCredential, Verify
-from rossec.channel.edhoc.known import KnownCertificates
+from ca.certificates import Identity, TrustAnchor
+from ca.errors import HintedError, RevocationRefused
+from ca.keys.signing import Signer
+from ca.names import shown
+from ca.revocation.lists import is_tree
+from ca.revocation.trust_status import Revocations
+from rossec.channel.edhoc.credentials import KnownCertificates, OwnCredential, Verify
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.records import ChannelLimits
 from rossec.clock import time as host_time
-from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.methods import StopMaster
+from rossec.home import NodeHome
+from rossec.host.addresses import is_near
+from rossec.master.api.dispatch import CONNECTION_SECONDS, MasterApi, RevokedCalls, RevokedConnections
+from rossec.master.api.methods import StopMaster, TurnClock
 from rossec.master.api.parameter_calls import ParameterCalls
-from rossec.master.api.revoked_calls import CONNECTION_SECONDS, RevokedCalls, RevokedConnections
-from rossec.master.api.turns import Turns
-from rossec.master.operation.denial_limit import DENIALS
-from rossec.master.operation.denial_log import OnDenial, ignore_denial
-from rossec.master.operation.limits import MasterLimits
-from rossec.master.rights.deposits import Deposits
+from rossec.master.operation.admin import DENIALS
+from rossec.master.operation.config import MasterLimits
+from rossec.master.rights.domain_trust import DomainTrust
+from rossec.master.rights.held_grants import verifier
+from rossec.master.rights.renewals import Renewer, TicketSigner
 from rossec.master.rights.statements import TrustState
-from rossec.master.server.admission import Admission
-from rossec.master.server.answers import CallAnswers
-from rossec.master.server.deposit_file import DepositFile
-from rossec.master.server.effects import Effects, MasterState
-from rossec.master.server.gateways import Gateways
-from rossec.master.server.grant_changes import WAIT, GrantChanges
-from rossec.master.server.local_authority import (
+from rossec.master.server.answers import Admission, CallAnswers
+from rossec.master.server.effects import Effects, MasterState, OnDenial, ignore_denial
+from rossec.master.server.maintenance import (
     FindDomains,
     FindRevocations,
+    Gateways,
     LocalAuthority,
+    Maintenance,
+    OwnIdentity,
     no_authority,
     no_domains,
 )
-from rossec.master.server.maintenance import Maintenance
-from rossec.master.server.parameter_file import ParameterFile
-from rossec.master.server.updates import MAX_CLOSING
-from rossec.master.state.mirrors import MirrorChange
+from rossec.master.server.saved_state import DepositFile, ListFile, ParameterFile
+from rossec.master.server.updates import MAX_CLOSING, WAIT, GrantChanges
+from rossec.master.state.imported_facts import Site
+from rossec.master.state.parameters import MirrorChange
 from rossec.master.state.registry import Kind, Registry
-from rossec.master.state.sites import Site
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
-from rossec.net.bounds import UNSHOWN_UNIT
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
-from rossec.net.host.relayed import is_near
-from rossec.net.rpc.client import serve_calls
-from rossec.ros.httpread import HEADERS_LIMIT
-from rossec.ros.names import MASTER
-from rossec.ros.text import printable
+from rossec.net.limits import UNSHOWN_UNIT, HalfOpen, HalfOpenCount
+from rossec.net.rpc.calls import serve_calls
+from rossec.peer_limits import printable
+from rossec.ros.http import HEADERS_LIMIT
+from rossec.ros.names import MASTER, is_loopback
+from rossec.saved_statements import DomainFiles, saved_revocations
 
 TIMESTAMP_EVERY: Final = 10.0  # seconds; a timestamp is valid for 30
 _LIMITS: Final = MasterLimits()
@@ -74,23 +75,8 @@ _denials = logging.getLogger(DENIALS)
 class MasterServer:
     """The master; not a context manager: `start`, then `stopped` or `close`.
 
-    Args:
-        credentials, verify: the master's own identity, and verification of the peers'.
-        trust: grants and revocations.
-        name: the master's certified name.
-        host: address to listen on (None: all). port: 0 for any free one.
-        advertise: host name in `uri`, which nodes are sent.
-        clock: seconds since the epoch.
-        parameter_file: the journal of parameters; None: they do not survive a restart.
-        deposit_file: the journal of deposited grants; None: none is accepted.
-        limits: limits on what one peer may use.
-        suites: the post-quantum policy (`rossec.channel.suite_selection`).
-        check_own_identity: called with the time in each round of maintenance.
-        turns: limits how long one call may delay others.
-        find_revocations, find_domains: read what an authority on this host has signed.
-
-    Attributes:
-        state: what the master knows, for its event loop.
+    It listens at `host` (None: all), and nodes are sent `advertise` as its host; `check_own_identity`
+    is called with the time in each round of maintenance.
     """
 
     def __init__(
@@ -111,19 +97,19 @@ class MasterServer:
         limits: MasterLimits = _LIMITS,
         suites: tuple[int, ...] = PRODUCTION,
         check_own_identity: Callable[[int], None] = lambda _: None,
-        turns: Turns | None = None,
+        turns: TurnClock | None = None,
         find_revocations: FindRevocations = no_authority,
         find_domains: FindDomains = no_domains,
     ) -> None:
         self._address = (host, port)
         self._advertise = advertise
         self._limits = limits
-        self._turns = Turns(time.monotonic) if turns is None else turns
+        self._turns = TurnClock(time.monotonic) if turns is None else turns
         channel_limits = ChannelLimits(
             unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds
         )
         unshown = replace(channel_limits, preauth_limit=min(channel_limits.unit, UNSHOWN_UNIT))
-        self._context = SecureContext(
+        self.context: Final = SecureContext(
             credentials,
             verify,
             suites=suites,
@@ -134,18 +120,19 @@ class MasterServer:
             renews=Identity.renews,
         )
         self.state = state = MasterState(
-            name, clock, Registry(limits.nodes_per_identity), trust, parameter_file, deposit_file,
+            name,
+            clock,
+            Registry(limits.nodes_per_identity),
+            trust,
+            parameter_file,
+            deposit_file,
             grant_changes=GrantChanges(min(WAIT, limits.idle_seconds / 2)),
-        )  # fmt: skip
-        trust.domains.own_sites = state.imports.own_sites
-        self._effects = Effects(
-            state, self._context, on_denial, limits.nodes_per_identity + MAX_CLOSING
         )
-        self._maintenance = Maintenance(
-            state, self._effects, timestamp_every, check_own_identity,
-            LocalAuthority(find_revocations, trust, find_domains),
-        )  # fmt: skip
-        self._gateways = Gateways(state, self._effects)
+        trust.domains.own_sites = state.imports.own_sites
+        self.effects: Final = Effects(state, self.context, on_denial, limits.nodes_per_identity + MAX_CLOSING)
+        nearby = LocalAuthority(find_revocations, trust, find_domains)
+        self._maintenance = Maintenance(state, self.effects, timestamp_every, check_own_identity, nearby)
+        self._gateways = Gateways(state, self.effects)
         self._admission = Admission(state, limits)
         self._revoked_connections = RevokedConnections()
         self._parameters: ParameterCalls  # set by `start`
@@ -154,36 +141,23 @@ class MasterServer:
 
     @property
     def port(self) -> int:
-        """The port listened on."""
         return self._address[1] if self._server is None else self._server.port
 
     @property
     def uri(self) -> str:
-        """The value for ROS_MASTER_URI."""
         host = f"[{self._advertise}]" if ":" in self._advertise else self._advertise
         return f"http://{host}:{self.port}/"
 
-    @property
-    def context(self) -> SecureContext[Identity]:
-        """The master's own identity, to dial with."""
-        return self._context
-
-    @property
-    def effects(self) -> Effects:
-        """Delivers events that do not come from a call."""
-        return self._effects
-
     async def start(self) -> None:
-        """Listen.
-
-        Raises:
-            OSError: the address is not of this host, or the port is in use.
-        """
-        state, parameters = self.state, None
-        self._server = serve(self._handle, *self._address, self._context, WireProtocol.HTTP)
+        state, parameters, deposits = self.state, None, None
+        self._server = serve(self._handle, *self._address, self.context, WireProtocol.HTTP)
         if state.parameter_file is not None:
             state.parameter_file.open()
             parameters = state.parameter_file.parameters
+        if state.deposit_file is not None:
+            state.deposit_file.open()
+            self.effects.drop_deposits()
+            deposits = state.deposit_file.deposits
         api = MasterApi(
             state.registry,
             state.trust,
@@ -194,7 +168,7 @@ class MasterServer:
             started=state.now(),
             parameters=parameters,
             parameter_bytes=self._limits.parameters,
-            deposits=self._load_deposits(),
+            deposits=deposits,
             denials=state.recent_denials,
             connected=lambda: [stream.peer for stream in state.streams],
             imports=state.imports,
@@ -202,44 +176,29 @@ class MasterServer:
             doors=state.doors,
         )
         self._parameters = api.parameters
-        self._answers = CallAnswers(api, state, self._effects, self._turns)
+        self._answers = CallAnswers(api, state, self.effects, self._turns)
         self._maintenance.start(api.keep_views)
         self._gateways.start()
 
-    def _load_deposits(self) -> Deposits | None:
-        file = self.state.deposit_file
-        if file is None:
-            return None
-        file.open()
-        self._effects.drop_deposits()
-        return file.deposits
-
     def mirror(self, site: Site, tree: dict[str, object]) -> None:
-        """Take over the mirrored parameters of a site, and update their subscribers.
-
-        Raises:
-            ImportRefused: as `Mirrors.replace`.
-        """
         self._send_mirrored(self.state.imports.mirrors.replace(site, tree))
 
     def drop_mirror(self, label: str) -> None:
-        """Forget the mirrored parameters of a site."""
         self._send_mirrored(self.state.imports.mirrors.drop(label))
 
     def _send_mirrored(self, changes: Iterable[MirrorChange]) -> None:
         for event in self._parameters.mirror(changes, self.state.now()):
-            self._effects.deliver(event)
+            self.effects.deliver(event)
 
     def status(self) -> dict[str, str | int]:
-        """Figures for administrators and metrics."""
         registry = self.state.registry
         entries = [entry for kind in Kind for entry in registry.entries(kind)]
-        own = svid.parse(self._context.credentials.certificate)
+        own = svid.parse(self.context.credentials.current.certificate)
         return {
             "uri": self.uri,
             "pid": os.getpid(),
-            "calls": self._effects.calls,
-            "denials": self._effects.denials,
+            "calls": self.effects.calls,
+            "denials": self.effects.denials,
             "nodes": len(tuple(registry.nodes())),
             "registrations": sum(len(names) for _, names in entries),
             "connections": 0 if self._server is None else self._server.connections,
@@ -252,18 +211,15 @@ class MasterServer:
         }
 
     def stop(self, reason: str) -> None:
-        """Stop, as requested by an administrator."""
-        self._effects.deliver(StopMaster(reason))
+        self.effects.deliver(StopMaster(reason))
 
     async def stopped(self) -> None:
-        """Wait until an administrator stops the master."""
-        await self._effects.stopping.wait()
+        await self.effects.stopping.wait()
 
     async def close(self) -> None:
-        """Stop listening, close all connections, stop sending updates."""
         await self._maintenance.close()
         await self._gateways.close()
-        await self._effects.updates.close()
+        await self.effects.updates.close()
         if self._server is not None:
             await self._server.close()
         for file in (self.state.parameter_file, self.state.deposit_file):
@@ -303,7 +259,7 @@ class MasterServer:
         )
 
     async def _serve_revoked(self, stream: SecureStream[Identity]) -> None:
-        """Answer for a few seconds; not one of the streams, so it is sent no updates."""
+        # Answer for a few seconds; not one of the streams, so it is sent no updates.
         keys = stream.peer.keys
         if not self._revoked_connections.admit(keys):
             stream.abort("too many connections of a revoked identity")
@@ -316,3 +272,126 @@ class MasterServer:
         finally:
             stream.abort("the identity is revoked")
             self._revoked_connections.release(keys)
+
+
+_log = logging.getLogger("rossec.master.start")
+
+
+def master_of(
+    home: NodeHome,
+    *,
+    host: str | None,
+    port: int,
+    newest: bytes | None,
+    now: int,
+    entries: bytes | None = None,
+    renewer: Renewer | None = None,
+    on_denial: OnDenial = ignore_denial,
+    limits: MasterLimits = _LIMITS,
+    suites: tuple[int, ...] = PRODUCTION,
+    find_revocations: FindRevocations = no_authority,
+    find_domains: FindDomains = no_domains,
+) -> MasterServer:
+    """The master whose identity is in `home`, not yet started.
+
+    `host` (ROS_HOSTNAME or ROS_IP) is advertised, and listened on alone when it is loopback, as in
+    ROS; None: this machine's name, and any address. `newest` is a revocation list (of a tree, with its
+    `entries`) that may be newer than the one saved, from an authority on this host. `renewer` renews
+    identities with an intermediate of this host; None: the authority's service does.
+    """
+    anchor, own_identity, saved_list = home.anchor(), OwnIdentity(home, now), ListFile(home)
+    signer = own_identity.credentials.current.signer
+    trust = _trust(home, saved_list, signer, newest, entries, renewer, now)
+    own_key = home.identity(now).thumbprint
+    own_identity.renew = lambda request, at: trust.identities.ask(own_key, request, at, trust.check)
+
+    def maintain(now: int) -> None:
+        own_identity.check(now)
+        saved_list.retry()
+
+    server = MasterServer(
+        own_identity.credentials,
+        trust.domains.anchors.verify,
+        trust,
+        name=home.name,
+        host=host if host is not None and is_loopback(host) else None,
+        port=port,
+        advertise=host or socket.gethostname(),
+        on_denial=on_denial,
+        parameter_file=ParameterFile(home.path / "parameters.journal"),
+        deposit_file=DepositFile(home.path / "deposits.journal", verifier(anchor, trust.check)),
+        limits=limits,
+        suites=suites,
+        check_own_identity=maintain,
+        find_revocations=find_revocations,
+        find_domains=find_domains,
+    )
+
+    def answered(key: bytes) -> None:
+        if key == own_key:
+            server.effects.list_changed.set()
+
+    trust.identities.on_answered = answered
+    return server
+
+
+def _trust(
+    home: NodeHome,
+    saved_list: ListFile,
+    signer: Signer,
+    newest: bytes | None,
+    entries: bytes | None,
+    renewer: Renewer | None,
+    now: int,
+) -> TrustState:
+    anchor = home.anchor()
+    revocations = saved_revocations(home, anchor, now)
+    if newest is not None:
+        revocations.update(newest, now, saved_list.save)
+    delegate = TicketSigner(anchor, signer, home.save_delegation)
+    delegation = home.load_delegation()
+    if delegation is not None:
+        try:
+            delegate.take(delegation)
+        except HintedError as error:
+            _log.warning("grants are not renewed: %s", error)
+    trust = TrustState(
+        anchor,
+        signer,
+        revocations,
+        saved_list.save,
+        delegate,
+        saved_list.save_entries,
+        renewer,
+        _domains(home, anchor, revocations, saved_list, now),
+    )
+    if is_tree(revocations.data):
+        for found in (entries, home.load_entries()):
+            if found is not None:
+                with contextlib.suppress(RevocationRefused):
+                    trust.update_tree(revocations.data, found, now)
+                    return trust
+        _log.warning("the entries of the revocation tree are missing: rossec ca publish")
+    return trust
+
+
+def _domains(
+    home: NodeHome, anchor: TrustAnchor, own: Revocations, saved_list: ListFile, now: int
+) -> DomainTrust:
+    saved = DomainFiles(home, anchor)
+    standing = saved.standing(saved.anchors(), own, now)
+
+    def load_foreign(domain: str) -> bytes | None:
+        try:
+            return saved.load_foreign(domain)
+        except (HintedError, OSError) as error:
+            _log.warning("the saved revocations of %s: %s", domain, printable(error))
+            return None
+
+    def save_foreign(domain: str, data: bytes) -> None:
+        listed = standing.anchors.listed_domain(domain)
+        if listed is not None:
+            saved_list.save_by(("of", domain), partial(saved.save_foreign, listed.anchor), data)
+
+    save = partial(saved_list.save_by, "domains", saved.save_domains)
+    return DomainTrust(standing, save, save_foreign, load_foreign)

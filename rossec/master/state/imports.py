@@ -1,99 +1,162 @@
 """What other masters have registered, as a layer over the own registrations. Pure.
 
 Own facts always win: a service that is registered here is not imported, nor a topic from a site
-that gives it another type. Of several sites the one with the lower label wins. What is imported is
-never exported, and nothing below `/remote` can be registered, so a fact travels one hop and no loop
-can arise. The master never calls an imported node.
-
-Names are local here, as `sites` says. What wins is decided when it is asked, so a fact that was
-hidden appears by itself when what hid it goes.
+that gives it another type. Of several sites the one with the lower label wins. What wins is decided
+when it is asked, so a fact that was hidden appears by itself when what hid it goes. What is imported
+is never exported, and nothing below `/remote` can be registered, so a fact travels one hop and no
+loop can arise. The master never calls an imported node. Names are local here (`Site`).
 """
 
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
+from contextlib import suppress
 from typing import Final
 
-from ca.domains.aliases import is_alias
-from ca.domains.served import alias_of_served
-from grants.model import Right
+from ca.errors import NameRefused
+from ca.names import REMOTE, alias_of_served, is_alias, served_name, split_alias
+from grants.decision import Reach
+from grants.model import ALL_RIGHTS, Right
 from rossec.errors import ImportRefused
-from rossec.master.state.demand import Demand
-from rossec.master.state.import_events import Contradictions, ImportEvent, SiteStatus, finished
 from rossec.master.state.imported_facts import (
     FACTS_LIMIT,
     Address,
+    Contradictions,
     Fact,
+    ImportEvent,
+    RetainedPublishers,
+    Site,
     SiteFacts,
+    SiteStatus,
     checked,
     parts,
 )
-from rossec.master.state.intake import Intake
-from rossec.master.state.kept_publishers import KeptPublishers
-from rossec.master.state.mirrors import Mirrors
-from rossec.master.state.registry import (
-    ANY_TYPE,
-    Kind,
-    PublishersChanged,
-    Registry,
-)
-from rossec.master.state.sites import Site
+from rossec.master.state.parameters import Mirrors
+from rossec.master.state.registry import ANY_TYPE, Kind, PublishersChanged, Registry
+from rossec.ros.xmlrpc import run_out
+
+WANTED_SECONDS: Final = 60
+MAX_WANTED: Final = 4096  # names in one call; more is everything
+MAX_WANTED_BYTES: Final = 256 * 1024
+EVERYTHING: Final[tuple[str, ...]] = ()
+NOTHING: Final = ("",)  # the empty name matches nothing
+
+
+class Demand:
+    """The names that local nodes want of other masters, as local names; `version` grows with them.
+
+    Facts travel by need, as in the thesis (chapter 6). Wanted is what local nodes subscribe, and for
+    a minute what they looked up; a tool that lists the graph wants everything for a minute. While a
+    name is wanted its sites report changes, so a further lookup is answered at once, also with no.
+    """
+
+    def __init__(self, registry: Registry) -> None:
+        self.version = 0
+        self._registry = registry
+        self._asked: dict[str, int] = {}  # until when, the oldest first
+        self._everything_until = 0
+
+    def ask(self, name: str, now: int) -> None:
+        is_subscribed = len(self._registry.registered_nodes(Kind.SUBSCRIBER, name)) > 1  # by others
+        if self._asked.pop(name, 0) <= now and not is_subscribed:
+            self.version += 1
+        self._asked[name] = now + WANTED_SECONDS
+        while len(self._asked) > MAX_WANTED:
+            del self._asked[next(iter(self._asked))]
+
+    def ask_everything(self, now: int) -> None:
+        if self._everything_until <= now:
+            self.version += 1
+        self._everything_until = now + WANTED_SECONDS
+
+    def wanted(self, site: Site, now: int) -> tuple[str, ...]:
+        if now < self._everything_until:
+            return EVERYTHING
+        found = {name for name in map(site.origin, self._names(now)) if name is not None}
+        if len(found) > MAX_WANTED or sum(map(len, found)) > MAX_WANTED_BYTES:
+            return EVERYTHING
+        return tuple(sorted(found)) or NOTHING
+
+    def _names(self, now: int) -> Iterator[str]:
+        for name in self._registry.keys(Kind.SUBSCRIBER):
+            yield name
+            if is_alias(name):  # a gateway registered at another master of the domain serves it too
+                with suppress(NameRefused):
+                    yield served_name(name)
+        for name in [name for name, until in self._asked.items() if until <= now]:
+            del self._asked[name]
+        yield from self._asked
+
+
+Rules = Callable[[str], Reach | None]
+"""What is taken from the foreign domain with a label, as names there; None: all it shows."""
+
+
+class ImportFilter:
+    """What is taken from foreign domains into the own graph, as the list of domains says.
+
+    It is asked with every query, so another list counts at once, for what was imported before too.
+    A right decides on what it is used for: `subscribe` on the addresses of a topic's publishers,
+    `call` on that of a service, `param-get` on a mirrored parameter; to be seen in the graph, any
+    right does.
+    """
+
+    def __init__(self, rules: Rules = lambda _label: None) -> None:
+        self.rules = rules
+
+    def shows(self, name: str) -> bool:
+        return self.gives(ALL_RIGHTS, name)
+
+    def shows_node(self, alias: str, registered: Iterable[str]) -> bool:
+        return self.shows(alias) or any(map(self.shows, registered))
+
+    def gives(self, rights: Right, name: str) -> bool:
+        if not name.startswith(REMOTE):
+            return True
+        try:
+            found = split_alias(name)
+        except NameRefused:
+            return False
+        if found is None:
+            return True
+        reach = self.rules(found[0])
+        return reach is None or reach.covers_any(rights, found[1])
+
 
 MAX_REGISTERED: Final = 1024  # nodes of a site for one name; each update has all addresses
 
-_Entry = tuple[str, str]
-"""The label of a site, and the name there of a node."""
+_Entry = tuple[str, str]  # The label of a site, and the name there of a node
 
 
 class Imports:
-    """The facts of all sites.
-
-    Args:
-        registry: the own registrations; its events name imported publishers from now on.
-        limit: facts of one site.
-
-    Attributes:
-        version: grows with every change.
-        demand: what local nodes want of the sites.
-        mirrors: parameters of the sites.
-        intake: what is taken from foreign domains at all.
-        on_settled: called when `is_settled` has become true.
-    """
+    """The facts of all sites."""
 
     def __init__(self, registry: Registry, limit: int = FACTS_LIMIT) -> None:
-        self.version = 0
-        self.demand: Final = Demand(registry)
-        self.mirrors: Final = Mirrors()
-        self.intake: Final = Intake()
-        self.on_settled: Callable[[], None] = _ignore
-        self._registry = registry
-        self._limit = limit
+        self.version = 0  # grows with every change
+        self.demand: Final = Demand(registry)  # what local nodes want of the sites
+        self.mirrors: Final = Mirrors()  # parameters of the sites
+        self.filter: Final = ImportFilter()  # what is taken from foreign domains at all
+        self.on_settled: Callable[[], object] = lambda: None  # called when `is_settled` has become true
+        self._registry = registry  # the own registrations; its events name imported publishers from now on
+        self._limit = limit  # facts of one site
         self._sites: dict[str, SiteFacts] = {}
         self._entries: dict[Kind, dict[str, dict[_Entry, None]]] = {kind: {} for kind in Kind}
         self._contradictions = Contradictions(registry)
-        self._kept: Final = KeptPublishers()
+        self._retained: Final = RetainedPublishers()
         registry.imported_publishers = self.publisher_uris
 
     def apply(
         self, site: Site, added: Iterable[Fact], removed: Iterable[Fact], *, whole: bool = False
     ) -> list[ImportEvent]:
-        """Take over a complete answer of a site: nothing takes effect if it is refused.
-
-        Args:
-            site: as in the calls before; another one with this label takes its place.
-            added, removed: facts with the origin's names.
-            whole: `added` is all that the site has.
-
-        Raises:
-            ImportRefused: a malformed fact, or too many. The facts of the site are still held.
-            NameRefused: the site's label is not one.
-        """
-        return finished(self.apply_in_steps(site, added, removed, whole=whole))
+        """Take over a complete answer of a site, at once; as `apply_in_steps`."""
+        return run_out(self.apply_in_steps(site, added, removed, whole=whole))
 
     def apply_in_steps(
         self, site: Site, added: Iterable[Fact], removed: Iterable[Fact], *, whole: bool = False
     ) -> Generator[None, None, list[ImportEvent]]:
-        """As `apply`; yields where other calls may be answered, and returns the events.
+        """Take over a complete answer of a site: nothing takes effect if it is refused.
 
-        One answer of a site is taken over at a time; `drop` ends it.
+        Yields where other calls may be answered, and returns the events. One answer of a site is
+        taken over at a time; `drop` ends it. Another site with this label takes its place; `whole`:
+        `added` is all that the site has.
         """
         held = self._sites.get(site.label)
         old = held.facts if held is not None and held.site == site else set[Fact]()
@@ -109,7 +172,7 @@ class Imports:
         held = self._sites.setdefault(site.label, SiteFacts(site))
         held.is_lost = False
         events += yield from self._change(held, new, gone)
-        events += self._forget_kept(site.label)
+        events += self._forget_retained(site.label)
         return [*events, *self._contradictions.report(held, new)]
 
     def lose(self, label: str) -> None:
@@ -124,14 +187,14 @@ class Imports:
             for topic in self._followed_topics(held, held.facts):
                 used = self._used(Kind.PUBLISHER, topic)
                 found = [held.nodes[node] for each, node in used if each == label]
-                self._kept.keep(label, topic, found)
+                self._retained.keep(label, topic, found)
             self._forget(held)
 
     def drop(self, label: str) -> list[ImportEvent]:
         """Forget a site, its facts, and what `expire` kept of it."""
         held = self._sites.get(label)
         events = [] if held is None else self._forget(held)
-        return [*events, *self._forget_kept(label)]
+        return [*events, *self._forget_retained(label)]
 
     def _forget(self, held: SiteFacts) -> list[PublishersChanged]:
         label, topics = held.site.label, self._followed_topics(held, held.facts)
@@ -144,13 +207,13 @@ class Imports:
         self._report_settled()
         return self._changed(before)
 
-    def _forget_kept(self, label: str) -> list[PublishersChanged]:
-        before = {topic: self.publisher_uris(topic) for topic in self._kept.topics(label)}
-        self._kept.forget(label)
+    def _forget_retained(self, label: str) -> list[PublishersChanged]:
+        before = {topic: self.publisher_uris(topic) for topic in self._retained.topics(label)}
+        self._retained.forget(label)
         return self._changed(before)
 
     def taken_anew(self) -> list[PublishersChanged]:
-        """What is taken from foreign domains may have changed: tell the subscribers there."""
+        # What is taken from foreign domains may have changed: the subscribers there are told.
         self.version += 1
         topics = [topic for topic in self._registry.keys(Kind.SUBSCRIBER) if is_alias(topic)]
         return [self._registry.publishers_changed(topic) for topic in topics]
@@ -163,58 +226,49 @@ class Imports:
 
     @property
     def is_settled(self) -> bool:
-        """Whether every site that is connected has answered for all that is wanted now."""
         demand = self.demand.version
         return all(held.is_lost or held.settled >= demand for held in self._sites.values())
 
     @property
     def sites(self) -> tuple[SiteStatus, ...]:
-        """All sites, by label."""
         found = (self._sites[label] for label in sorted(self._sites))
         return tuple(SiteStatus(it.site, len(it.facts), it.is_lost, it.topics) for it in found)
 
     def own_sites(self) -> Collection[str]:
-        """The labels of the sites that are other masters of the own domain."""
         return [label for label, held in self._sites.items() if not held.site.domain]
 
     def keys(self, kind: Kind) -> Collection[str]:
-        """All imported names of one kind, also those that something hides."""
         return self._entries[kind].keys()
 
     def nodes_of(self, kind: Kind, key: str) -> tuple[str, ...]:
-        """The imported nodes registered for a name, as aliases."""
         found = self._used(kind, key)
         return tuple(dict.fromkeys(self._sites[label].nodes[node].name for label, node in found))
 
     def publisher_uris(self, topic: str) -> list[str]:
         """The slave API URIs of the imported publishers of a topic, and of those kept."""
-        if not self.intake.gives(Right.SUBSCRIBE, topic):
+        if not self.filter.gives(Right.SUBSCRIBE, topic):
             return []
         found = [self._sites[each].nodes[name] for each, name in self._used(Kind.PUBLISHER, topic)]
-        kept = [each for each in self._kept.addresses(topic) if self._is_elsewhere(each)]
+        kept = [each for each in self._retained.addresses(topic) if self._is_elsewhere(each)]
         return list(dict.fromkeys(address.uri for address in (*found, *kept)))
 
     def service_uri(self, service: str) -> str | None:
-        """The rosrpc URI of an imported service."""
-        if not self.intake.gives(Right.CALL, service):
+        if not self.filter.gives(Right.CALL, service):
             return None
         for label, _ in self._used(Kind.SERVICE, service):
             return self._sites[label].providers[service].uri
         return None
 
     def topic_type(self, topic: str) -> str:
-        """The type of an imported topic, `*` while it is unknown."""
         used = (*self._used(Kind.PUBLISHER, topic), *self._used(Kind.SUBSCRIBER, topic))
         types = (self._sites[label].types.get(topic) for label, _ in sorted(used))
         return next((name for name in types if name is not None), ANY_TYPE)
 
     def node_uri(self, alias: str) -> str | None:
-        """The slave API URI of an imported node."""
         found = self._find(alias)
         return None if found is None else found[0].nodes[found[1]].uri
 
     def nodes(self) -> Iterator[tuple[str, str]]:
-        """All imported nodes as of now, as alias and URI."""
         for label in sorted(self._sites):
             held = self._sites.get(label)
             for address in () if held is None else tuple(held.nodes.values()):
@@ -223,7 +277,6 @@ class Imports:
                     yield address.name, found[0].nodes[found[1]].uri
 
     def keys_of(self, alias: str, kind: Kind) -> tuple[str, ...]:
-        """The names an imported node is registered for."""
         found = self._find(alias)
         if found is None:
             return ()
@@ -235,7 +288,6 @@ class Imports:
             self.on_settled()
 
     def _find(self, alias: str) -> tuple[SiteFacts, str] | None:
-        """The site with the lowest label that has this node."""
         for label in sorted(self._sites):
             held = self._sites[label]
             if not alias.startswith(f"/remote/{held.site.namespace}/"):
@@ -246,35 +298,31 @@ class Imports:
         return None
 
     def _is_used(self, held: SiteFacts, name: str) -> bool:
-        """Whether a node has an address, which is not one of this master's own nodes."""
+        # Whether a node has an address, which is not one of this master's own nodes.
         address = held.nodes.get(name)
         if address is None or self._registry.is_registered_endpoint(address.endpoint):
             return False
         if not held.site.domain:
             return self._registry.node(name) is None
         keys = (each.key for each in held.registered.get(name, ()))
-        return self.intake.shows_node(address.name, keys)
+        return self.filter.shows_node(address.name, keys)
 
     def _used(self, kind: Kind, key: str) -> list[_Entry]:
-        """The registrations for a name that count, by label."""
         entries = self._entries[kind].get(key)
-        if not entries or not self.intake.shows(key):
+        if not entries or not self.filter.shows(key):
             return []
         if kind is Kind.SERVICE:
-            return self._used_provider(key, entries)
+            if self._registry.service_uri(key) is not None:
+                return []
+            for label, node in sorted(entries):
+                held = self._sites[label]
+                address = held.providers.get(key)
+                if address is not None and self._is_elsewhere(address) and self._is_used(held, node):
+                    return [(label, node)]
+            return []
         found = [each for each in sorted(entries) if self._is_used(self._sites[each[0]], each[1])]
         type_name = self._type_that_counts(key)
-        return [each for each in found if self._agrees(each[0], key, type_name)]
-
-    def _used_provider(self, service: str, entries: Iterable[_Entry]) -> list[_Entry]:
-        if self._registry.service_uri(service) is not None:
-            return []
-        for label, node in sorted(entries):
-            held = self._sites[label]
-            address = held.providers.get(service)
-            if address is not None and self._is_elsewhere(address) and self._is_used(held, node):
-                return [(label, node)]
-        return []
+        return [each for each in found if (self._sites[each[0]].types.get(key, type_name) == type_name)]
 
     def _is_elsewhere(self, address: Address) -> bool:
         return not self._registry.is_registered_endpoint(address.endpoint)
@@ -286,9 +334,6 @@ class Imports:
         labels = {label for kind in _TOPIC_KINDS for label, _ in self._entries[kind].get(topic, ())}
         types = (self._sites[label].types.get(topic) for label in sorted(labels))
         return next((name for name in types if name is not None), ANY_TYPE)
-
-    def _agrees(self, label: str, topic: str, type_name: str) -> bool:
-        return self._sites[label].types.get(topic, type_name) == type_name
 
     def _change(
         self, held: SiteFacts, new: set[Fact], gone: set[Fact]
@@ -308,7 +353,6 @@ class Imports:
         return self._changed(before)
 
     def _changed(self, before: Mapping[str, list[str]]) -> list[PublishersChanged]:
-        """The events of the topics that have other publishers than `before`."""
         return [
             self._registry.publishers_changed(topic)
             for topic, uris in before.items()
@@ -331,14 +375,9 @@ class Imports:
                 self._entries[found.kind].pop(found.key, None)
 
     def _followed_topics(self, held: SiteFacts, changes: Iterable[Fact]) -> list[str]:
-        """The topics with local subscribers whose publishers may change."""
         followed = self._registry.keys(Kind.SUBSCRIBER)
         found = held.keys(changes) if followed else set[str]()
         return sorted(k for k in found if k in followed or alias_of_served(k) in followed)
-
-
-def _ignore() -> None:
-    pass
 
 
 _TOPIC_KINDS: Final = (Kind.PUBLISHER, Kind.SUBSCRIBER)

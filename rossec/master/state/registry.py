@@ -2,24 +2,96 @@
 
 Answers as stock `rosmaster` (registrations.py) gives them, in its order. Rights are checked before
 (`rossec.master.rights.access_rules`). A change of which nodes must be notified returns events; the
-shell delivers them. `version` grows with every change, so equal versions mean equal state.
-
-Beyond stock: when a node is replaced or removed, the subscribers of its topics are notified (stock
-leaves them with a dead publisher), and lookups by node are indexed.
+shell delivers them. Beyond stock: when a node is replaced or removed, the subscribers of its topics
+are notified (stock leaves them with a dead publisher), and lookups by node are indexed. The master
+connects to the addresses it is given, so these are validated and normalized (attack M8); that the
+node listens there is proved by its key when it is called.
 """
 
+import ipaddress
+import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import lru_cache
 from typing import Final, NamedTuple
+from urllib.parse import urlsplit
 
-from rossec.master.state.addresses import Endpoint, endpoint
+# getaddrinfo takes 127.1, 0x7f000001 and 017700000001 for IPv4 addresses too (WHATWG URL, 3.5).
+_NUMERIC_HOST: Final = re.compile(r"(?:.*\.)?(?:[0-9]+|0x[0-9a-f]*)\.?", re.IGNORECASE)
+_LOCALHOST: Final = re.compile(r"(?:.*\.)?(?:localhost|localhost\.localdomain|ip6-localhost)\.?")
+_BROADCAST: Final = "255.255.255.255"
+URI_LIMIT: Final = 512
+Endpoint = tuple[str, int | None]  # Host and port, normalized
+_Address = ipaddress.IPv4Address | ipaddress.IPv6Address
+_CACHE_SIZE: Final = 256  # a node sends its own URIs in each call
+
+
+@lru_cache(_CACHE_SIZE)
+def endpoint(uri: str) -> Endpoint:
+    """Host and port of a URI, normalized: equal for each spelling of one endpoint."""
+    parts = urlsplit(uri)
+    host = parts.hostname or ""
+    address = _address(host)
+    return (host.removesuffix(".") if address is None else str(address)), parts.port
+
+
+@lru_cache(_CACHE_SIZE)
+def is_connectable(uri: str, scheme: str) -> bool:
+    """Whether `uri` is of `scheme`, and has a host and a port to connect to."""
+    if len(uri) > URI_LIMIT or not uri.isascii() or not uri.isprintable() or " " in uri:
+        return False
+    try:
+        parts = urlsplit(uri)
+        port = parts.port
+    except ValueError:
+        return False
+    host = parts.hostname or ""
+    return parts.scheme == scheme and is_unicast_host(host) and bool(port) and "@" not in uri
+
+
+def is_unicast_host(host: str) -> bool:
+    address = _address(host)
+    if address is None:
+        return bool(host) and ":" not in host and _NUMERIC_HOST.fullmatch(host) is None
+    return not (address.is_unspecified or address.is_multicast or str(address) == _BROADCAST)
+
+
+def is_loopback_host(host: str) -> bool:
+    address = _address(host)
+    return _LOCALHOST.fullmatch(host) is not None if address is None else address.is_loopback
+
+
+def is_reachable_from_here(host: str) -> bool:
+    """Whether `host`, in an address that another host named, can be that host's.
+
+    Loopback and link-local addresses mean another machine here than there.
+    """
+    address = _address(host)
+    if address is None:
+        return not is_loopback_host(host)
+    return not (address.is_loopback or address.is_link_local)
+
+
+def _address(host: str) -> _Address | None:
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return None
+    mapped = address.ipv4_mapped if isinstance(address, ipaddress.IPv6Address) else None
+    return address if mapped is None else mapped
+
 
 ANY_TYPE: Final = "*"
+_TYPE_LIMIT: Final = 255
 REGISTRATIONS_LIMIT: Final = 1024  # registrations of one kind of one node
 NODES_LIMIT: Final = 64  # nodes of one key
 REPLACED: Final = "new node registered with same name"
+
+
+def is_type_name(value: str) -> bool:
+    return value.count("/") == 1 and len(value) <= _TYPE_LIMIT and value.isprintable()
 
 
 class Kind(Enum):
@@ -66,8 +138,6 @@ Event = PublishersChanged | ShutdownNode
 
 
 class Unregistered(NamedTuple):
-    """Stock's answer to unregistering: it always succeeds, `removed` is 0 or 1."""
-
     status: str
     removed: int
 
@@ -77,17 +147,13 @@ class _Node:
     ref: NodeRef
     keys: dict[Kind, dict[str, None]] = field(default_factory=lambda: {kind: {} for kind in Kind})
 
-    def is_empty(self) -> bool:
-        return not any(self.keys.values())
-
 
 class Registry:
     """All registrations. Methods that change it return the events to deliver."""
 
     def __init__(self, nodes_limit: int = NODES_LIMIT) -> None:
-        """`nodes_limit`: nodes of one key; only a wildcard identity can have more than one."""
-        self.imported_publishers: Callable[[str], list[str]] = _nothing_imported
-        self.version = 0
+        self.imported_publishers: Callable[[str], list[str]] = lambda _topic: []
+        self.version = 0  # grows with every change, so equal versions mean equal state
         self._nodes: dict[str, _Node] = {}
         self._names: dict[Kind, dict[str, dict[str, None]]] = {kind: {} for kind in Kind}
         self._service_uris: dict[str, str] = {}
@@ -118,9 +184,7 @@ class Registry:
 
     def register_service(self, service: str, service_uri: str, node: NodeRef) -> list[Event]:
         """Register a service; the last provider to register replaces the one before."""
-        for other in [
-            name for name in self._names[Kind.SERVICE].get(service, ()) if name != node.name
-        ]:
+        for other in [name for name in self._names[Kind.SERVICE].get(service, ()) if name != node.name]:
             self._discard(Kind.SERVICE, service, other)
         events = self._register(Kind.SERVICE, service, node)
         if self._service_uris.get(service) != service_uri:
@@ -132,7 +196,6 @@ class Registry:
         return events
 
     def register_parameter(self, key: str, node: NodeRef) -> list[Event]:
-        """Register a subscriber to changes at or below a parameter."""
         return self._register(Kind.PARAMETER, key, node)
 
     def unregister(self, kind: Kind, key: str, node: NodeRef) -> tuple[Unregistered, list[Event]]:
@@ -149,7 +212,6 @@ class Registry:
     def unregister_service(
         self, service: str, name: str, service_uri: str, thumbprint: bytes
     ) -> Unregistered:
-        """Remove a service; name, key and service URI must match."""
         node = self._nodes.get(name)
         if node is None or node.ref.thumbprint != thumbprint:
             return Unregistered(f"[{name}] is not a registered node", 0)
@@ -163,7 +225,6 @@ class Registry:
         return Unregistered(f"Unregistered [{name}] as provider of [{service}]", 1)
 
     def remove_node(self, name: str) -> list[Event]:
-        """Remove all registrations of a node; subscribers of its topics are notified."""
         node = self._nodes.get(name)
         if node is None:
             return []
@@ -181,12 +242,10 @@ class Registry:
         return [self.publishers_changed(key)] if kind is Kind.PUBLISHER else []
 
     def node_uri(self, name: str) -> str | None:
-        """The slave API URI of a registered node."""
         node = self._nodes.get(name)
         return None if node is None else node.ref.uri
 
     def node(self, name: str) -> NodeRef | None:
-        """The node registered under a name."""
         node = self._nodes.get(name)
         return None if node is None else node.ref
 
@@ -200,7 +259,6 @@ class Registry:
         return key in keys or len(keys) < REGISTRATIONS_LIMIT
 
     def is_current(self, node: NodeRef) -> bool:
-        """Whether a node with this name, URI and key is registered."""
         known = self._nodes.get(node.name)
         return known is not None and known.ref == node
 
@@ -210,7 +268,6 @@ class Registry:
 
     @property
     def silent_names(self) -> frozenset[str]:
-        """The names of those nodes."""
         return frozenset(node.name for node in self._silent)
 
     def set_silent(self, node: NodeRef, *, silent: bool) -> bool:
@@ -222,11 +279,9 @@ class Registry:
         return True
 
     def owner(self, uri: str) -> str | None:
-        """The node that registered a slave API at this host and port, in any spelling."""
         return self._owners.get(endpoint(uri))
 
     def is_registered_endpoint(self, place: Endpoint) -> bool:
-        """Whether a slave API or a service is registered at this host and port."""
         return place in self._owners or place in self._service_endpoints
 
     def providers_at(self, place: Endpoint) -> Iterator[NodeRef]:
@@ -236,54 +291,42 @@ class Registry:
             yield from (node for key in found for node in self.registered_nodes(Kind.SERVICE, key))
 
     def nodes(self) -> Iterator[NodeRef]:
-        """All registered nodes."""
         return (node.ref for node in self._nodes.values())
 
     def keys_of(self, name: str, kind: Kind) -> tuple[str, ...]:
-        """The names a node is registered for."""
         node = self._nodes.get(name)
         return () if node is None else tuple(node.keys[kind])
 
     def is_registered(self, kind: Kind, key: str, name: str) -> bool:
-        """Whether a node is registered for a name."""
         return name in self._names[kind].get(key, ())
 
     def registered_nodes(self, kind: Kind, key: str) -> tuple[NodeRef, ...]:
-        """The nodes registered for a name, in order of registration."""
         names = self._names[kind].get(key, ())
         return tuple(self._nodes[name].ref for name in names)
 
     def uris(self, kind: Kind, key: str) -> list[str]:
-        """The slave API URIs of the nodes registered for a name."""
         return [node.uri for node in self.registered_nodes(kind, key)]
 
     def publisher_uris(self, topic: str) -> list[str]:
-        """The slave API URIs of the publishers of a topic, those of other masters last."""
         return [*self.uris(Kind.PUBLISHER, topic), *self.imported_publishers(topic)]
 
     def publishers_changed(self, topic: str) -> PublishersChanged:
-        """The event that notifies the subscribers of a topic of its publishers."""
         subscribers = self.registered_nodes(Kind.SUBSCRIBER, topic)
         return PublishersChanged(topic, subscribers, tuple(self.publisher_uris(topic)))
 
     def entries(self, kind: Kind) -> Iterator[tuple[str, tuple[str, ...]]]:
-        """All names of one kind as of now, each with its nodes as of when it is yielded."""
         return ((key, tuple(names)) for key, names in tuple(self._names[kind].items()))
 
     def keys(self, kind: Kind) -> Collection[str]:
-        """All names of one kind."""
         return self._names[kind].keys()
 
     def service_uri(self, service: str) -> str | None:
-        """The rosrpc URI of a service."""
         return self._service_uris.get(service)
 
     def topic_types(self) -> Iterable[tuple[str, str]]:
-        """Every registered topic whose type is known; stock also keeps removed topics."""
         return tuple(self._types.items())
 
     def topic_type(self, topic: str) -> str:
-        """The type of a topic, `*` while it is unknown."""
         return self._types.get(topic, ANY_TYPE)
 
     def _register(self, kind: Kind, key: str, ref: NodeRef) -> list[Event]:
@@ -294,18 +337,15 @@ class Registry:
             if old.ref.uri != ref.uri:  # else the new node itself listens there
                 events.append(ShutdownNode(old.ref, REPLACED))
             old = None
-        node = old or self._add_node(ref)
+        if old is None:
+            self._nodes_per_key[ref.thumbprint] += 1
+            self._owners[endpoint(ref.uri)] = ref.name
+        node = self._nodes[ref.name] = old or _Node(ref)
         if key not in node.keys[kind]:
             node.keys[kind][key] = None
             self._names[kind].setdefault(key, {})[ref.name] = None
             self.version += 1
         return events
-
-    def _add_node(self, ref: NodeRef) -> _Node:
-        node = self._nodes[ref.name] = _Node(ref)
-        self._nodes_per_key[ref.thumbprint] += 1
-        self._owners[endpoint(ref.uri)] = ref.name
-        return node
 
     def _discard(self, kind: Kind, key: str, name: str) -> None:
         self.version += 1
@@ -318,7 +358,7 @@ class Registry:
                 self._drop_service_uri(key)
             if not any(key in self._names[each] for each in (Kind.PUBLISHER, Kind.SUBSCRIBER)):
                 self._types.pop(key, None)  # else one node could fill the memory with types
-        if node.is_empty():
+        if not any(node.keys.values()):
             del self._nodes[name]
             self._silent.discard(node.ref)
             self._nodes_per_key[node.ref.thumbprint] -= 1
@@ -338,7 +378,3 @@ class Registry:
     def _set_type(self, topic: str, type_name: str) -> None:
         self.version += self._types.get(topic) != type_name
         self._types[topic] = type_name
-
-
-def _nothing_imported(_topic: str) -> list[str]:
-    return []

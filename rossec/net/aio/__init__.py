@@ -6,7 +6,4 @@ from rossec.net.aio.server import SecureServer, serve
 from rossec.net.aio.stream import SecureStream
 from rossec.net.context import SecureContext
 
-__all__ = [
-    "SecureContext", "SecureServer", "SecureStream", "WireProtocol",
-    "as_master", "connect", "serve",
-]  # fmt: skip
+__all__ = ["SecureContext", "SecureServer", "SecureStream", "WireProtocol", "as_master", "connect", "serve"]

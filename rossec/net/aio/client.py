@@ -1,11 +1,15 @@
-"""Connecting: TCP over IPv4 or IPv6, whichever answers first, then the handshake."""
+"""Connecting: TCP to whichever address of a host answers first (RFC 8305), then the handshake."""
 
 import asyncio
+import contextlib
+import errno
 import os
 import socket
 from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import Final
+
+from aiohappyeyeballs import start_connection
 
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import PeerT
@@ -21,11 +25,11 @@ from rossec.errors import (
     PeerUnreachable,
     PlainPeer,
 )
-from rossec.net.aio.dial import dial
 from rossec.net.aio.stream import SecureStream
 from rossec.net.aio.transport import ByteTransport, Transport, TransportOwner
 from rossec.net.context import SecureContext
 
+STAGGER: Final = 0.25  # seconds; RFC 8305 section 5
 _CONNECT_TIMEOUT: Final = 10.0
 _NOT_RUNNING: Final = (
     "is the peer running, and ROS_HOSTNAME or ROS_IP right on its side? If it is the master:"
@@ -33,8 +37,7 @@ _NOT_RUNNING: Final = (
 )
 _START_MASTER: Final = "start it: rossec master; or set ROS_MASTER_URI to where it runs"
 _PLAIN_MASTER: Final = (
-    "stop it, and start the other in its place: rossec master; or set ROS_MASTER_URI to where that"
-    " runs"
+    "stop it, and start the other in its place: rossec master; or set ROS_MASTER_URI to where that runs"
 )
 _OTHER_MASTER: Final = (
     "stop the master that runs there, or set ROS_MASTER_URI to where that of this authority runs;"
@@ -81,18 +84,14 @@ async def connect(
     return stream
 
 
-async def _handshake(
-    sock: socket.socket, core: Callable[[], Connection[PeerT]]
-) -> SecureStream[PeerT]:
+async def _handshake(sock: socket.socket, core: Callable[[], Connection[PeerT]]) -> SecureStream[PeerT]:
     try:
         connection, address = core(), sock.getpeername()[0]
         ready = authenticate(connection, partial(Transport, sock), address)
     except OSError as error:
         sock.close()
-        text = f"the connection was reset at once: {error}"
-        raise PeerUnreachable(
-            text, "the peer is overloaded, or something on the path resets connections"
-        ) from error
+        hint = "the peer is overloaded, or something on the path resets connections"
+        raise PeerUnreachable(f"the connection was reset at once: {error}", hint) from error
     except BaseException:
         sock.close()
         raise
@@ -100,9 +99,7 @@ async def _handshake(
 
 
 def authenticate(
-    connection: Connection[PeerT],
-    transport: Callable[[TransportOwner], ByteTransport],
-    address: str,
+    connection: Connection[PeerT], transport: Callable[[TransportOwner], ByteTransport], address: str
 ) -> Awaitable[SecureStream[PeerT]]:
     """Begin the handshake over this transport; what is returned waits for its end.
 
@@ -134,6 +131,54 @@ async def _wait(
         raise
     finally:
         del ready  # its error refers to this frame
+
+
+async def dial(host: str, port: int, within: float) -> socket.socket:
+    """Return a connected, non-blocking socket within that time in seconds."""
+    family = _family(host)
+    if family is None:
+        async with asyncio.timeout(within):
+            return await _race(host, port)
+    # No thread, no resolver, and on loopback no waiting.
+    sock = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        sock.setblocking(False)
+        if sock.connect_ex((host, port)) != errno.EINPROGRESS or not _connected(sock):
+            async with asyncio.timeout(within):
+                await asyncio.get_running_loop().sock_connect(sock, (host, port))
+    except BaseException:
+        sock.close()
+        raise
+    return sock
+
+
+def _family(host: str) -> int | None:
+    for family in (socket.AF_INET, socket.AF_INET6):
+        with contextlib.suppress(OSError):
+            socket.inet_pton(family, host)
+            return family
+    return None
+
+
+async def _race(host: str, port: int) -> socket.socket:
+    loop, task = asyncio.get_running_loop(), asyncio.current_task()
+    found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    if not found:
+        raise OSError(f"no address for {host}")
+    cancelled = task is not None and task.cancelling()
+    sock = await start_connection(found, happy_eyeballs_delay=STAGGER)
+    if task is not None and task.cancelling() > cancelled:  # while other attempts were ended
+        sock.close()
+        raise asyncio.CancelledError
+    return sock
+
+
+def _connected(sock: socket.socket) -> bool:
+    try:
+        sock.getpeername()
+    except OSError:
+        return False
+    return True
 
 
 async def _dial(host: str, port: int, timeout: float) -> socket.socket:  # noqa: ASYNC109 - passed on by `connect`

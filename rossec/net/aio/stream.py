@@ -1,49 +1,265 @@
-"""`SecureStream`: what `connect` and `serve` return.
+"""`SecureStream`: one `Connection` on an asyncio loop, what `connect` and `serve` return.
 
-A *unit* is the data of one `send`; it arrives whole. Framing inside a unit is TCPROS's or HTTP's
-own, and small units sent in one burst are joined into one: a receiver takes units as a stream of
-bytes that never breaks inside what was sent together.
+A *unit* is the data of one `send`; it arrives whole. Framing inside a unit is TCPROS's or HTTP's own, and
+small units sent in one burst are joined into one: a receiver takes units as a stream of bytes that never
+breaks inside what was sent together. The class has the transport, the timer and back-pressure, and no
+decisions; what arrives is read straight into the connection's receive buffer.
 """
 
 import asyncio
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from time import monotonic
-from types import TracebackType
-from typing import Final, Self
+from typing import Final, Generic, Protocol, Self
 
+from rossec import clock
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import PeerT
+from rossec.channel.negotiation import (
+    Authenticated,
+    Closed,
+    Event,
+    GrantsPresented,
+    IdentityRenewed,
+    Renewal,
+    UnitReceived,
+)
 from rossec.channel.records import Bytes
-from rossec.errors import ChannelError
-from rossec.net.aio.driver import Driver
-from rossec.net.aio.transport import ByteTransport, TransportOwner
+from rossec.channel.tuning import JOIN_UNITS_BELOW, JOINED_UNITS
+from rossec.errors import ChannelClosed, ChannelError
+from rossec.net.aio.transport import BaseStream, ByteTransport, TransportOwner
+from rossec.net.context import forget_in_children
+from rossec.ros.tcpros import PATIENCE, Framing
 
-_JOIN_LIMIT: Final = 64 * 1024
-_SMALL: Final = 32 * 1024  # below it joining beats a record of its own
+LINGER: Final = 5.0  # seconds to wait for the peer's FIN after the last flight
 _BURST: Final = 1 / 3  # of the time a record took: a turn of the loop takes longer, on any machine
 
 
-class SecureStream(Driver[PeerT]):
-    """An authenticated connection, as `Driver` with what is sent."""
+class UnitSource(Protocol):
+    def receive(self) -> Awaitable[bytes]: ...
+
+
+def wall_clock() -> int:  # never ROS time
+    return clock.now()
+
+
+class SecureStream(BaseStream, Generic[PeerT]):
+    """One authenticated connection on a loop; it owns its transport and starts at once. `transport` makes
+    what carries its bytes: `partial(Transport, sock)` for a connected socket."""
+
+    peer: PeerT  # the identity of the peer's certificate, once it is authenticated
+    _on_authenticated: Callable[[Self], None]
+    _on_end: Callable[[Self, ChannelError], None]
 
     def __init__(
         self,
         connection: Connection[PeerT],
         transport: Callable[[TransportOwner], ByteTransport],
-        address: str,
-        on_authenticated: Callable[[Self], None],
-        on_end: Callable[[Self, ChannelError], None],
+        address: str,  # the peer's
+        on_authenticated: Callable[[Self], None],  # called once
+        on_end: Callable[[Self, ChannelError], None],  # called once, with the reason
     ) -> None:
+        super().__init__()
         self._turn = asyncio.Lock()
         self._queue: list[bytes] = []
         self._queued = 0
         self._flush_due = False
         self._burst_until = 0.0
         self._limit = connection.unit_limit
-        self._join = min(_JOIN_LIMIT, self._limit)
-        self._small = min(_SMALL, self._limit)
-        super().__init__(connection, transport, address, on_authenticated, on_end)
+        self._join = min(JOINED_UNITS, self._limit)
+        self._small = min(JOIN_UNITS_BELOW, self._limit)
+        self.connection = connection
+        forget_in_children(connection)
+        self._on_authenticated = on_authenticated
+        self._on_end = on_end
+        self._timer: asyncio.TimerHandle | None = None
+        self._abort_at = 0.0
+        self._socket_closed = False
+        self._when_closed: list[Callable[[], None]] | None = None
+        self.authenticated = False
+        self._on_renewal: Callable[[Renewal[PeerT]], None] | None = None
+        self._untold: Renewal[PeerT] | None = None
+        self.address = address
+        self.transport = transport(self)
+        self.get_buffer = connection.get_buffer  # the socket's reader calls the core itself
+        self.flush()
+        self.transport.resume_reading()
+        self._arm()
+        if connection.streams is not None:
+            connection.streams.add(self)
+
+    # -- called by the transport
+
+    def buffer_updated(self, count: int) -> None:
+        try:
+            events = self.connection.buffer_updated(count, wall_clock())
+        except ChannelError as error:
+            self.fail(error)
+            return
+        if self.authenticated or not events:
+            self.flush()
+        if len(events) == 1 and self._take is not None and self._units is None:
+            event = events[0]
+            if isinstance(event, UnitReceived) and self._take(event.data):
+                return
+        self._handle_events(events)
+        if self.connection.has_unfinished_unit:
+            self._arm()
+
+    def _handle_events(self: Self, events: Sequence[Event[PeerT]]) -> None:
+        for event in events:
+            if isinstance(event, UnitReceived):
+                self._deliver(event.data)
+            elif isinstance(event, Authenticated):
+                self.peer = event.identity
+                self.authenticated = True
+                self._on_authenticated(self)
+                self._loop.call_soon(self.flush)
+                self._arm()
+            elif not isinstance(event, Closed):
+                if isinstance(event, IdentityRenewed):
+                    self.peer = event.identity
+                    self._arm()
+                if self._on_renewal is not None:
+                    self._on_renewal(event)
+                elif isinstance(event, GrantsPresented):
+                    self._untold = event
+            else:
+                self.flush()
+                self._end(ChannelClosed("the peer closed the connection"))
+                self.transport.finish()  # both sides have closed
+        if self._units:
+            self._notify()
+
+    def eof_received(self) -> None:
+        try:
+            self.connection.receive_eof()
+        except ChannelError as error:
+            self.fail(error)
+
+    def resume_writing(self) -> None:
+        self._wake_waiters()
+
+    def connection_lost(self) -> None:
+        self._cancel_timer()
+        if self.error is None:
+            self.eof_received()
+            self._end(ChannelClosed("the connection is closed"))
+        self._socket_closed = True
+        self._wake_waiters()
+        callbacks, self._when_closed = self._when_closed, None
+        for callback in callbacks or ():
+            callback()
+        del self._on_authenticated, self._on_end  # no reference cycle with the owner
+
+    # -- for users
+
+    @property
+    def local_address(self) -> str:
+        return self.transport.local_address
+
+    def when_closed(self, callback: Callable[[], None]) -> None:
+        if self._socket_closed:
+            callback()
+            return
+        if self._when_closed is None:
+            self._when_closed = []
+        self._when_closed.append(callback)
+
+    def on_renewal(self, callback: Callable[[Renewal[PeerT]], None]) -> None:
+        self._on_renewal = callback
+        untold, self._untold = self._untold, None
+        if untold is not None:
+            callback(untold)
+
+    @property
+    def takes_renewals(self) -> bool:
+        return self.connection.takes_renewals
+
+    def present_identity(self, chain: Sequence[bytes]) -> None:
+        if self.error is None:
+            self.connection.present_identity(chain)
+            self.flush()
+
+    def present_grants(self, data: bytes) -> bool:
+        if self.error is not None or not self.connection.present_grants(data):
+            return False
+        self.flush()
+        return True
+
+    def raise_unit_limit(self, limit: int | None = None) -> None:
+        self.check()
+        self.connection.raise_unit_limit(limit)
+
+    def write(self, record: Bytes) -> None:
+        self.check()
+        self.transport.write(record)
+
+    def flush(self) -> None:
+        data = self.connection.data_to_send()
+        if data:
+            self.transport.write(data)
+
+    def abort(self, reason: str) -> None:
+        # At once, for example because the peer's grant was revoked; the peer sees a truncation.
+        self._end(ChannelClosed(reason))
+        self.transport.abort()
+
+    def fail(self, error: ChannelError) -> None:
+        self.flush()
+        self._end(error, linger=True)
+
+    def _end(self: Self, error: ChannelError, *, linger: bool = False) -> None:
+        if self.error is not None:
+            return
+        self.error = error.bare()
+        if linger and not self.transport.closed:
+            # Send FIN; wait for the peer's, or a reset would discard the last flight.
+            self.transport.write_eof()
+            self.transport.resume_reading()
+            self._abort_at = self._loop.time() + LINGER
+            self._arm_timer(LINGER)
+        self._on_end(self, error)
+        self._notify()
+
+    # -- time
+
+    def _arm(self) -> None:
+        deadline = self.connection.deadline()
+        if deadline is not None:
+            # A day at most: the host's clock may be set meanwhile.
+            self._arm_timer(min(max(0.0, deadline - clock.time()), 86400.0))
+
+    def _arm_timer(self, delay: float) -> None:
+        at = self._loop.time() + delay
+        if self._timer is None or at < self._timer.when():
+            self._cancel_timer()
+            self._timer = self._loop.call_at(at, self._on_timer)
+
+    def _on_timer(self) -> None:
+        self._timer = None
+        if self.error is None:
+            self._run_timers()
+        elif self._loop.time() >= self._abort_at:
+            self.transport.abort()
+        else:
+            self._arm_timer(self._abort_at - self._loop.time())
+
+    def _run_timers(self) -> None:
+        try:
+            self.connection.tick(wall_clock(), reading=self.transport.reading)
+        except ChannelError as error:
+            self.fail(error)
+            return
+        self.flush()
+        self._arm()
+
+    def _cancel_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    # -- sending
 
     async def send(self, *pieces: Bytes) -> None:
         """Send the pieces as one unit, after what is queued; waits while the peer lags.
@@ -57,7 +273,9 @@ class SecureStream(Driver[PeerT]):
             ChannelError: the connection has ended.
             LimitExceeded: the unit is too long; the connection is untouched.
         """
-        size = _size(pieces)
+        size = 0
+        for piece in pieces:
+            size += piece.nbytes if isinstance(piece, memoryview) else len(piece)
         free = self.error is None and self.transport.writable and not self._turn.locked()
         if free and size < self._small:
             self._send_small(pieces, size)
@@ -65,23 +283,17 @@ class SecureStream(Driver[PeerT]):
         async with self._turn:
             await self.drain()
             self._flush_queue()
-            await self._write(self.connection.seal_unit(*pieces, reuse=True))
-
-    async def _write(self, records: Iterator[Bytes]) -> None:
-        """Write each record as it is sealed: another one sealed meanwhile must come after it."""
-        done = False
-        try:
-            for record in records:
-                self.write(record)
-                if not self.transport.writable:
-                    await self.drain()
-            done = True
-        finally:
-            if not done:
+            records = self.connection.seal_unit(*pieces, reuse=True)
+            try:
+                for record in records:  # written as it is sealed: one sealed meanwhile must come after it
+                    self.write(record)
+                    if not self.transport.writable:
+                        await self.drain()
+            except BaseException:
                 self.abort("a message was given up half-way")
+                raise
 
     def _send_small(self, pieces: tuple[Bytes, ...], size: int) -> None:
-        """Send a small unit at once, or queue it, to be flushed with others of its burst."""
         if size == 0:
             return
         piece = pieces[0] if len(pieces) == 1 else b"".join(pieces)
@@ -103,7 +315,7 @@ class SecureStream(Driver[PeerT]):
             self._try_flush()
 
     def _try_flush(self) -> None:
-        """Flush unless a write is in progress or the peer lags; then the next writer does."""
+        # Flush unless a write is in progress or the peer lags; then the next writer does.
         if self._turn.locked() or self.error is not None:
             return
         if self.transport.writable:
@@ -122,7 +334,6 @@ class SecureStream(Driver[PeerT]):
             self._write_now(unit)
 
     def _write_now(self, unit: bytes) -> None:
-        """Send a record; what follows within a part of its time belongs to the same burst."""
         began = monotonic()
         try:
             record = self.connection.seal_small(unit)
@@ -160,42 +371,49 @@ class SecureStream(Driver[PeerT]):
         return transport.writable
 
     def pad_units(self, multiple: int) -> None:
-        """As of `Driver`; what is queued leaves as it was to be sent."""
+        """Pad what is sent from now on, not what is queued, to a multiple of so many bytes; 0: do not."""
         if self.error is None and not self._turn.locked():
             with suppress(ChannelError):  # the connection has ended: its users get the error
                 self._flush_queue()
-        super().pad_units(multiple)
+        self.connection.pad_units(multiple)
 
     async def close(self) -> None:
-        """Send what is queued, then close in order."""
-        if self.error is None and not self._turn.locked():
-            self._flush_queue()
-        await self._close()
+        """Send what is queued, then close in order; wait for the peer's close, but not for long."""
+        self.close_soon()
+        while not self._socket_closed:
+            await self._changed()
 
     def close_soon(self) -> None:
         """As `close`, without waiting for the peer: it may keep its end open for seconds."""
         if self.error is None and not self._turn.locked():
             self._flush_queue()
-        self._begin_close()
+        if self.error is None:
+            self.connection.close()
+            self.flush()
+            self._end(ChannelClosed("the connection was closed"), linger=True)
 
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             await self.close()
         else:
             self.abort("the user of the connection failed")
 
 
-def _size(pieces: Sequence[Bytes]) -> int:
-    """How many bytes the pieces have together."""
-    total = 0
-    for piece in pieces:
-        total += piece.nbytes if isinstance(piece, memoryview) else len(piece)
-    return total
+async def next_messages(source: UnitSource, framing: Framing) -> list[bytes]:
+    """The messages that the next bytes complete, possibly none; each must make progress.
+
+    Raises:
+        ChannelError: there are no more; or as of `Framing`.
+    """
+    while framing.incomplete:
+        try:
+            async with asyncio.timeout(PATIENCE):
+                data = await source.receive()
+        except TimeoutError:
+            framing.check_progress(clock.now())
+        else:
+            return framing.feed(data, clock.now())
+    return framing.feed(await source.receive(), clock.now())

@@ -1,46 +1,39 @@
-"""One non-blocking socket on a loop: bytes in, bytes out, nothing else.
+"""One non-blocking socket on a loop, and what every stream over one has: received units, back-pressure.
 
-Not an asyncio transport: those copy what the kernel does not take at once, twice for a large
-record, and cost more calls per message. Here a remainder is copied once, and the socket is read
-straight into the owner's buffer.
+Not an asyncio transport: those copy what the kernel does not take at once, twice for a large record, and cost
+more calls per message. Here a remainder is copied once, and the socket is read straight into the owner's
+buffer. A unit is whatever the stream delivers: `SecureStream` what was sent together, the sidecar's
+`PlainStream` what arrived.
 """
 
 import asyncio
 import socket
 import struct
 from collections import deque
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from typing import Final, Protocol
+from typing import Final, NoReturn, Protocol
 
 from rossec.channel.records import Bytes
-from rossec.net.bounds import UNSENT
+from rossec.channel.tuning import HIGH_WATER, UNSENT
+from rossec.errors import ChannelError
 
 _RESET_ON_CLOSE: Final = struct.pack("ii", 1, 0)
-_HIGH_WATER: Final = 64 * 1024  # bytes buffered here, above which a writer should wait
+_PAUSE_ABOVE: Final = 1024 * 1024  # bytes delivered and not taken
 
 
 class TransportOwner(Protocol):
     """Receives the events of the socket; names as in `asyncio.BufferedProtocol`."""
 
     def get_buffer(self) -> memoryview:
-        """The buffer for the next bytes.
-
-        Raises:
-            BlockingIOError: there is no room; the owner has paused reading.
-        """
+        """The buffer for the next bytes; raises BlockingIOError: no room, the owner has paused reading."""
         ...
 
-    def buffer_updated(self, count: int) -> None:
-        """So many bytes were written there."""
-        ...
+    def buffer_updated(self, count: int) -> None: ...
 
-    def eof_received(self) -> bool | None:
-        """The peer sends nothing more; true: this side does, the socket stays open."""
-        ...
+    def eof_received(self) -> bool | None: ...
 
-    def resume_writing(self) -> None:
-        """Everything written is with the kernel."""
-        ...
+    def resume_writing(self) -> None: ...
 
     def connection_lost(self) -> None:
         """The socket is closed; called once, never from within a call of this class."""
@@ -48,63 +41,37 @@ class TransportOwner(Protocol):
 
 
 class ByteTransport(Protocol):
-    """What carries the bytes of one connection: `Transport`, or a link between sites.
-
-    `rossec.net.aio.driver.Driver` is given a function that makes it for its owner.
-    """
+    """What carries the bytes of one connection: `Transport`, or a link between sites."""
 
     @property
-    def backlog(self) -> int:
-        """How many bytes are buffered here."""
-        ...
+    def backlog(self) -> int: ...
 
     @property
-    def closed(self) -> bool:
-        """Whether nothing more is sent or received."""
-        ...
+    def closed(self) -> bool: ...
+
+    # This side's IP address, as the peer sees it unless there is NAT between; or empty.
+    @property
+    def local_address(self) -> str: ...
 
     @property
-    def local_address(self) -> str:
-        """This side's IP address, as the peer sees it unless there is NAT between; or empty."""
-        ...
+    def writable(self) -> bool: ...
 
     @property
-    def writable(self) -> bool:
-        """Whether a writer need not wait."""
-        ...
+    def reading(self) -> bool: ...
 
-    @property
-    def reading(self) -> bool:
-        """Whether arriving bytes are read."""
-        ...
+    def resume_reading(self) -> None: ...
 
-    def resume_reading(self) -> None:
-        """Read whenever bytes arrive."""
-        ...
+    def pause_reading(self) -> None: ...
 
-    def pause_reading(self) -> None:
-        """Read no more for now; flow control slows the peer."""
-        ...
+    def write(self, data: Bytes) -> None: ...
 
-    def write(self, data: Bytes) -> None:
-        """Send `data`, which may change afterwards."""
-        ...
+    def limit_unsent(self) -> None: ...
 
-    def limit_unsent(self) -> None:
-        """Take no more than a line can send soon: what is written then leaves soon."""
-        ...
+    def write_eof(self) -> None: ...
 
-    def write_eof(self) -> None:
-        """End this side's stream after what was written."""
-        ...
+    def finish(self) -> None: ...
 
-    def finish(self) -> None:
-        """Close once everything is written: both sides have closed."""
-        ...
-
-    def abort(self) -> None:
-        """Close now; what was not sent is dropped."""
-        ...
+    def abort(self) -> None: ...
 
 
 class Transport:
@@ -117,10 +84,10 @@ class Transport:
         "_loop",
         "_owner",
         "_pending",
-        "_reading",
         "_socket",
         "backlog",
         "closed",
+        "reading",
     )
 
     def __init__(self, sock: socket.socket, owner: TransportOwner) -> None:
@@ -133,14 +100,10 @@ class Transport:
         self._pending: deque[memoryview] | None = None  # None: an empty one has its price
         self.backlog = 0
         self.closed = False
-        self._closing = self._eof_due = self._reading = False
+        self._closing = self._eof_due = self.reading = False
 
     @property
     def local_address(self) -> str:
-        """This side's IP address, as the peer sees it unless there is NAT between.
-
-        Empty when the connection is gone.
-        """
         try:
             host: str = self._socket.getsockname()[0]
         except OSError:
@@ -149,26 +112,19 @@ class Transport:
 
     @property
     def writable(self) -> bool:
-        """Whether a writer need not wait."""
-        return self.backlog <= _HIGH_WATER
+        return self.backlog <= HIGH_WATER
 
     # -- reading
 
-    @property
-    def reading(self) -> bool:
-        """Whether arriving bytes are read."""
-        return self._reading
-
     def resume_reading(self) -> None:
-        """Read whenever bytes arrive."""
-        if not (self._reading or self._closing or self.closed):
-            self._reading = True
+        if not (self.reading or self._closing or self.closed):
+            self.reading = True
             self._loop.add_reader(self._fd, self._readable)
 
     def pause_reading(self) -> None:
         """Leave arriving bytes in the kernel, whose flow control slows the peer."""
-        if self._reading:
-            self._reading = False
+        if self.reading:
+            self.reading = False
             self._loop.remove_reader(self._fd)
 
     def read_now(self) -> None:
@@ -249,7 +205,6 @@ class Transport:
             self._owner.resume_writing()
 
     def limit_unsent(self) -> None:
-        """Have the kernel take little more than it can send: its buffer may hold seconds."""
         with suppress(OSError):
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)
 
@@ -292,3 +247,165 @@ class Transport:
         self._socket.close()
         self._loop.call_soon(self._owner.connection_lost)
         del self._owner  # no reference cycle with the owner
+
+
+class BaseStream:
+    """Units received and not taken, and the waiters for a change of the connection.
+
+    Reading pauses while the consumer lags, writers wait while the peer does. A base class, since a second
+    object would cost a call for each unit. A subclass calls `_deliver` and then `_notify`, sets `error` at
+    the end, and wakes the waiters.
+    """
+
+    transport: ByteTransport
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._units: deque[bytes] | None = None  # None: an empty one costs memory
+        self._unread = 0
+        self._write_nowait: Callable[[Bytes], bool] | None = None
+        self._forward_error: BaseException | None = None
+        self._waiters: list[asyncio.Future[None]] = []
+        self._callback: Callable[[], None] | None = None
+        self._take: Callable[[bytes], bool] | None = None
+        self.error: ChannelError | None = None
+
+    def check(self) -> None:
+        if self.error is not None:
+            raise self.error.bare()
+
+    def _deliver(self, unit: Bytes) -> None:
+        # Pass the unit on at once while forwarding; queue it otherwise, a copy of a view.
+        write_nowait = self._write_nowait
+        if write_nowait is None:
+            if self._units is None:
+                self._units = deque()
+            self._units.append(bytes(unit))
+            self._unread += len(unit)
+            return
+        try:
+            lags = not write_nowait(unit)
+        except BaseException as error:  # noqa: BLE001 - raised in `forward`
+            self._forward_error, lags = error, True
+        if lags:
+            self._write_nowait = None
+            self.transport.pause_reading()
+            self._wake_waiters()
+
+    # -- receiving
+
+    async def receive(self) -> bytes:
+        """Return the next unit.
+
+        Raises:
+            ChannelClosed: the connection was closed in order.
+            ChannelError: it ended in another way; the class says how.
+        """
+        while (unit := self.next_unit()) is None:
+            await self._changed()
+        return unit
+
+    def on_ready(
+        self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
+    ) -> None:
+        """Call back whenever `next_unit` has a new result: instead of `receive`. A unit that arrived alone
+        may be offered to `take` first; if it returns true, it is not queued. Neither may raise."""
+        self._callback, self._take = callback, take
+
+    @property
+    def has_unit(self) -> bool:
+        return self._units is not None
+
+    def next_unit(self) -> bytes | None:
+        """Return the next unit if it has arrived; raises ChannelError: as `receive`."""
+        if self._units is None:
+            self.check()
+            return None
+        unit = self._units.popleft()
+        if not self._units:
+            self._units = None
+        self._unread -= len(unit)
+        if self._unread <= _PAUSE_ABOVE // 2 and self.error is None:
+            self.transport.resume_reading()
+        return unit
+
+    def _notify(self) -> None:
+        if self._callback is not None:
+            self._callback()
+        if self._waiters:
+            self._wake_waiters()
+        if self._unread > _PAUSE_ABOVE and self.error is None:
+            self.transport.pause_reading()
+
+    async def forward(
+        self, write_nowait: Callable[[Bytes], bool], drain: Callable[[], Awaitable[None]]
+    ) -> NoReturn:
+        """Pass each unit to `write_nowait` as it arrives, without another turn of the loop.
+
+        When it returns false, nothing more is read until `drain` returns.
+
+        Raises:
+            ChannelError: the connection has ended; or what `write_nowait` or `drain` raise.
+        """
+        try:
+            while True:
+                while self._units:
+                    write_nowait(await self.receive())
+                    await drain()
+                self.check()
+                self.transport.resume_reading()
+                self._write_nowait = write_nowait
+                while self._is_forwarding():
+                    await self._changed()
+                # Raise it once: kept here it would be part of a cycle with the frames it names.
+                error, self._forward_error = self._forward_error, None
+                try:
+                    if error is not None:
+                        raise error
+                finally:
+                    del error
+                await drain()
+        finally:
+            self._write_nowait = None
+
+    def _is_forwarding(self) -> bool:  # a method: it changes while `_changed` is awaited
+        return self._write_nowait is not None and self.error is None
+
+    def _changed(self) -> asyncio.Future[None]:
+        waiter = self._loop.create_future()
+        self._waiters.append(waiter)
+        return waiter
+
+    def _wake_waiters(self) -> None:
+        waiting, self._waiters = self._waiters, []
+        for waiter in waiting:
+            if not waiter.done():
+                waiter.set_result(None)
+
+    # -- sending
+
+    @property
+    def lags(self) -> bool:
+        """Whether the peer does: further writes would be buffered here."""
+        return not self.transport.writable
+
+    @property
+    def backlog(self) -> int:
+        return self.transport.backlog
+
+    async def drain(self) -> None:
+        """Wait until the peer caught up; raises ChannelError: the connection ended meanwhile."""
+        if self.transport.writable:
+            self.check()
+        else:
+            await self.flushed()
+
+    async def flushed(self) -> None:
+        """Wait until everything written was taken by what carries it; raises as `drain`."""
+        while self.transport.backlog > 0 and self.error is None:
+            await self._changed()
+        self.check()
+
+    async def wait_ended(self) -> None:
+        while self.error is None:
+            await self._changed()

@@ -1,25 +1,282 @@
-"""State shared by all layers: the identity they act for, its endpoints and registrations. Pure.
+"""What all layers share: commands, events, and the state of the identity they act for. Pure.
 
-A layer is a generator: it yields a command, is sent the event, and returns the outcome. Any
-exception of a layer closes its connection; errors fail closed.
+A layer is a generator: it yields a command, is sent the one event that fits it, and returns the outcome.
+Any exception of a layer closes its connection; errors fail closed. An event that does not fit is a bug
+of the shell. Programs are reached only at loopback ports, peers only through the secure channel: no
+command sends plaintext to another host.
 """
 
-from collections.abc import Generator
-from dataclasses import dataclass, field
-from typing import TypeAlias, TypeVar
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final, NamedTuple, TypeAlias, TypeVar
 
 from ca.certificates import Identity
+from ca.errors import HintedError
+from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp, RossecError
 from rossec.participant.access import Access
 from rossec.participant.definitions import FindDefinition
-from rossec.participant.publisher_grace import PublisherGrace
-from rossec.participant.registrations import RegistrationTable
-from rossec.sidecar.core.commands import Command, OpenEgress, OpenIngress
-from rossec.sidecar.core.endpoints import Endpoint, EndpointMap, local_endpoint, parse_endpoint
-from rossec.sidecar.core.events import Event, NoAnswer, Opened, PeerAuthenticated
+from rossec.participant.registrations import PublisherGrace, RegistrationTable
+from rossec.ros.names import DOOR_PATH, is_door, parse_uri
+
+_SCHEMES: Final = {WireProtocol.HTTP: "http", WireProtocol.TCPROS: "rosrpc"}
 
 Outcome = TypeVar("Outcome")
+
+
+class Loopback(NamedTuple):
+    """The loopback address of programs and sidecar, and its host name in URIs."""
+
+    address: str
+    host: str
+
+
+LOOPBACK: Final = Loopback("127.0.0.1", "127.0.0.1")
+
+
+@dataclass(frozen=True)
+class ListeningAddress:
+    """A listening address, for XML-RPC (HTTP) or for topics and services (TCPROS)."""
+
+    protocol: WireProtocol
+    host: str
+    port: int
+    via_slave_api: bool = False  # `port` is the slave API's; the topic port is requested from it
+    door: bool = False  # a slave API behind a relay, which leads TCPROS connections to the same node
+
+    @property
+    def uri(self) -> str:
+        """As in ROS: `http://host:port/` or `rosrpc://host:port`; a door's is `http://host:port/via`."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        end = "/" if self.protocol is WireProtocol.HTTP else ""
+        end = DOOR_PATH if self.door else end
+        return f"{_SCHEMES[self.protocol]}://{host}:{self.port}{end}"
+
+
+def local_endpoint(protocol: WireProtocol, port: int) -> ListeningAddress:
+    return ListeningAddress(protocol, LOOPBACK.host, port)
+
+
+def topic_endpoint(api: ListeningAddress) -> ListeningAddress:
+    return ListeningAddress(WireProtocol.TCPROS, api.host, api.port, via_slave_api=True)
+
+
+def parse_endpoint(uri: object, protocol: WireProtocol) -> ListeningAddress | None:
+    """The endpoint that a URI names; None: invalid, or of another protocol."""
+    head = f"{_SCHEMES[protocol]}://"
+    if not isinstance(uri, str) or not uri.startswith(head):
+        return None
+    try:
+        address = parse_uri("http://" + uri.removeprefix(head))
+    except HintedError:
+        return None
+    return ListeningAddress(protocol, *address, door=protocol is WireProtocol.HTTP and is_door(uri))
+
+
+class EndpointMap:
+    """The endpoint mapping of one identity; peers reach this host at `host`.
+
+    A program keeps its loopback port and gets a network port (ingress); a peer keeps its address and
+    gets a loopback port (egress). A program's own URI is returned to it byte for byte: roscpp compares
+    it so to recognize itself. An endpoint on this host is identified by its port, whatever host a
+    program writes; programs get the host name by which they reach loopback.
+    """
+
+    def __init__(self, host: str, loopback_host: str = LOOPBACK.host) -> None:
+        self.host = host
+        self._loopback_host = loopback_host
+        self._ingress: dict[ListeningAddress, ListeningAddress] = {}  # network -> loopback
+        self._egress: dict[int, ListeningAddress] = {}  # loopback port -> remote
+        self._own_uris: dict[ListeningAddress, str] = {}
+        self._apis: dict[ListeningAddress, ListeningAddress] = {}  # topics of a peer -> its slave API
+
+    def add_ingress(self, local: ListeningAddress, port: int) -> ListeningAddress:
+        """Map a network port to `local`; returns the endpoint for peers."""
+        network = ListeningAddress(local.protocol, self.host, port)
+        self._ingress[_casefolded(network)] = local
+        return network
+
+    def add_egress(self, remote: ListeningAddress, port: int) -> ListeningAddress:
+        self._egress[port] = remote
+        return ListeningAddress(remote.protocol, self._loopback_host, port)
+
+    def remove_ingress(self, local: ListeningAddress, port: int) -> None:
+        self._ingress.pop(_casefolded(ListeningAddress(local.protocol, self.host, port)), None)
+        self._own_uris.pop(local, None)
+
+    def remove_egress(self, port: int) -> None:
+        """Forget the loopback port `port`; a program may bind it later."""
+        remote = self._egress.pop(port, None)
+        if remote is not None:
+            self._apis.pop(remote, None)
+
+    def set_api(self, topics: ListeningAddress, api: ListeningAddress) -> None:
+        self._apis[topics] = api
+
+    def api_of(self, topics: ListeningAddress) -> ListeningAddress | None:
+        return self._apis.get(topics)
+
+    def set_own_uri(self, local: ListeningAddress, uri: str) -> None:
+        self._own_uris[local] = uri
+
+    def own_uri(self, local: ListeningAddress) -> str:
+        return self._own_uris.get(local, replace(local, host=self._loopback_host).uri)
+
+    def network_of(self, local: ListeningAddress) -> ListeningAddress:
+        """Where peers reach `local`; without a port for it, an address that nothing registered."""
+        for network, program in self._ingress.items():
+            if program == local:
+                return network
+        return replace(local, host=self.host)
+
+    def program_at(self, network: ListeningAddress) -> ListeningAddress | None:
+        return self._ingress.get(_casefolded(network))
+
+    def peer_at(self, local: ListeningAddress) -> ListeningAddress | None:
+        remote = self._egress.get(local.port)
+        return remote if remote is not None and remote.protocol is local.protocol else None
+
+
+def _casefolded(endpoint: ListeningAddress) -> ListeningAddress:
+    return replace(endpoint, host=endpoint.host.lower())
+
+
+@dataclass(frozen=True)
+class OpenIngress:
+    """Open a network port for a program's endpoint; always the same port. -> Opened"""
+
+    local: ListeningAddress
+
+
+@dataclass(frozen=True)
+class OpenEgress:
+    """Open a loopback port for a peer's endpoint; always the same port. -> Opened
+
+    With `probe` it listens only if the peer answers; otherwise the port stays reserved and the
+    kernel refuses callers, as for a dead node.
+    """
+
+    remote: ListeningAddress
+    probe: bool = False
+
+
+@dataclass(frozen=True)
+class Suspend:
+    """The program at this endpoint has ended: refuse callers, keep the port. -> CommandDone"""
+
+    local: ListeningAddress
+
+
+@dataclass(frozen=True)
+class CallMaster:
+    """Call the secured master. -> Answered, NoAnswer"""
+
+    method: str
+    params: tuple[object, ...]
+
+
+@dataclass(frozen=True)
+class CallProgram:
+    """Call a program's slave API. -> Answered; NoAnswer"""
+
+    local: ListeningAddress
+    method: str
+    params: tuple[object, ...]
+
+
+@dataclass(frozen=True)
+class CallPeer:
+    """Call a peer's slave API, after presenting the grants for `right` on it.
+
+    -> Answered; RawResponse if not `parse`; NoAnswer
+    """
+
+    remote: ListeningAddress
+    method: str
+    params: tuple[object, ...]
+    right: Right | None = None
+    parse: bool = True
+
+
+@dataclass(frozen=True)
+class AuthenticatePeer:
+    """Connect to a peer, whose identity decides on the call or header that follows.
+
+    The next `CallPeer` or `ConnectPeer` there uses this connection. -> PeerAuthenticated, NoAnswer
+    """
+
+    remote: ListeningAddress
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Check whether the program still listens. -> CommandDone, NoAnswer"""
+
+    local: ListeningAddress
+
+
+@dataclass(frozen=True)
+class ConnectProgram:
+    """Connect to a program for TCPROS and send this header. -> HeaderArrived, NoAnswer"""
+
+    local: ListeningAddress
+    fields: Mapping[str, bytes]
+
+
+@dataclass(frozen=True)
+class ConnectPeer:
+    """Connect to a peer for TCPROS and send this header. -> HeaderArrived, NoAnswer"""
+
+    remote: ListeningAddress
+    fields: Mapping[str, bytes]
+
+
+Request = CallMaster | CallProgram | CallPeer | AuthenticatePeer | Probe | ConnectProgram | ConnectPeer
+Command = OpenIngress | OpenEgress | Suspend | Request
+
+
+@dataclass(frozen=True)
+class PortOpened:
+    port: int  # on the network for `OpenIngress`, on loopback for `OpenEgress`
+
+
+@dataclass(frozen=True)
+class Answered:
+    value: object  # of an XML-RPC call
+    peer: Identity | None = None  # that answered
+
+
+@dataclass(frozen=True)
+class PeerAuthenticated:
+    peer: Identity
+
+
+@dataclass(frozen=True)
+class RawResponse:
+    body: bytes  # unparsed, to be forwarded unchanged
+
+
+@dataclass(frozen=True)
+class HeaderArrived:
+    fields: Mapping[str, bytes]
+    peer: Identity | None  # None: a program of this host
+    now: int
+
+
+@dataclass(frozen=True)
+class NoAnswer:
+    reason: str
+    dead: bool = False  # nothing listens there any more, as opposed to slow or broken
+
+
+@dataclass(frozen=True)
+class CommandDone:
+    """The command was executed; it has no result."""
+
+
+Event = PortOpened | Answered | PeerAuthenticated | RawResponse | HeaderArrived | NoAnswer | CommandDone
+
 Layer: TypeAlias = Generator[Command, Event, Outcome]
 
 
@@ -29,33 +286,21 @@ class UnexpectedEvent(RossecError):
 
 @dataclass
 class Program:
-    """A program's slave API: the name it registered under, and its registrations."""
-
     name: str
     registrations: RegistrationTable = field(default_factory=RegistrationTable)
 
 
 @dataclass
 class AgentState:
-    """One identity the sidecar acts for.
-
-    Attributes:
-        identity: its certificate data.
-        access: its own grants, and the authorization of peers.
-        endpoints: the mapping of network and loopback endpoints.
-        master_uri: the loopback master, as programs know it.
-        known_types: finds a message type that this host knows.
-        publisher_grace: the publishers of each topic that its programs subscribe to.
-        programs: the slave APIs of its programs.
-    """
+    """One identity the sidecar acts for."""
 
     identity: Identity
     access: Access
     endpoints: EndpointMap
-    master_uri: str
-    known_types: FindDefinition
-    publisher_grace: PublisherGrace
-    programs: dict[Endpoint, Program] = field(default_factory=dict)
+    master_uri: str  # of the loopback master, as programs know it
+    known_types: FindDefinition  # that this host knows
+    publisher_grace: PublisherGrace  # of each topic that its programs subscribe to
+    programs: dict[ListeningAddress, Program] = field(default_factory=dict)  # by their slave APIs
 
     def name_for(self, caller: str) -> str:
         """The caller_id for peers: the program's own if the identity covers it, else the identity.
@@ -65,19 +310,16 @@ class AgentState:
         return caller if self.covers(caller) else self.identity.name
 
     def name_for_peer(self, caller: str, peer: Identity) -> str:
-        """As `name_for`; a foreign peer honours no certified tails."""
         return self.identity.name if peer.is_foreign else self.name_for(caller)
 
     def covers(self, name: str) -> bool:
-        """Whether a program may use `name`."""
         return self.identity.covers(name)
 
-    def ingress_endpoint(self, local: Endpoint) -> Layer[Endpoint]:
-        """The endpoint at which peers reach the program at `local`."""
+    def ingress_endpoint(self, local: ListeningAddress) -> Layer[ListeningAddress]:
         return self.endpoints.add_ingress(local, opened_port((yield OpenIngress(local))))
 
     def egress_uri(
-        self, remote: Endpoint, own_api: Endpoint | None = None, *, probe: bool = False
+        self, remote: ListeningAddress, own_api: ListeningAddress | None = None, *, probe: bool = False
     ) -> Layer[str]:
         """The URI at which a program reaches `remote`; its own URI is returned as it wrote it."""
         local = self.endpoints.program_at(remote)
@@ -87,16 +329,14 @@ class AgentState:
         return self.endpoints.add_egress(remote, port).uri
 
     def followed_publishers(self, topic: object, uris: object) -> list[str]:
-        """The publishers to connect to: those the master names, and those in their grace period."""
         valid = [uri for uri in uris if isinstance(uri, str)] if isinstance(uris, list) else []
         return self.publisher_grace.update(topic, valid) if isinstance(topic, str) else valid
 
-    def is_listed(self, topic: str, publisher: Endpoint) -> bool:
-        """Whether the master lists the node with this slave API, or may list it again."""
+    def is_listed(self, topic: str, publisher: ListeningAddress) -> bool:
         uris = self.publisher_grace.to_follow(topic)
         return any(parse_endpoint(uri, WireProtocol.HTTP) == publisher for uri in uris)
 
-    def egress_uris(self, uris: object, own_api: Endpoint | None) -> Layer[list[str]]:
+    def egress_uris(self, uris: object, own_api: ListeningAddress | None) -> Layer[list[str]]:
         """`egress_uri` for a list of slave API URIs; invalid ones are left out."""
         egress = []
         for uri in uris if isinstance(uris, list) else []:
@@ -105,24 +345,18 @@ class AgentState:
                 egress.append((yield from self.egress_uri(remote, own_api)))
         return egress
 
-    def forget(self, local: Endpoint) -> None:
+    def forget(self, local: ListeningAddress) -> None:
         """The program at `local` has ended: do not register it with a restarted master."""
         self.programs.pop(local, None)
 
 
 def opened_port(event: Event) -> int:
-    """The port of an `Opened` event."""
-    if not isinstance(event, Opened):
+    if not isinstance(event, PortOpened):
         raise UnexpectedEvent(f"no port but {type(event).__name__}")
     return event.port
 
 
 def authenticated_peer(event: Event) -> Identity:
-    """The peer of a `PeerAuthenticated` event.
-
-    Raises:
-        HangUp: there is no answer.
-    """
     match event:
         case PeerAuthenticated(peer):
             return peer
@@ -132,7 +366,6 @@ def authenticated_peer(event: Event) -> Identity:
             raise UnexpectedEvent(f"no peer but {type(event).__name__}")
 
 
-def own_endpoint(uri: object) -> Endpoint | None:
-    """The slave API endpoint of the calling program: on this host, whatever host it writes."""
+def own_endpoint(uri: object) -> ListeningAddress | None:
     api = parse_endpoint(uri, WireProtocol.HTTP)
     return None if api is None else local_endpoint(WireProtocol.HTTP, api.port)

@@ -1,44 +1,66 @@
-"""Calls of programs to their master, rewritten for the secured one. Pure layers.
+"""Calls of programs to their master, rewritten for the secured one, and made again later. Pure layers.
 
 The table says where a call carries an address: the program's slave API, its service, or one in the
 answer. A method that is not in it is not forwarded. Elements of a multicall are handled as single
-calls. Registrations are stored, to be made again later (`registrations`).
+calls. Registrations are stored, to be made again: for a restarted master, for topics whose connection
+ended, for rights that are new, and for publishers that the master did not name again in time.
 """
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from typing import Final, TypeAlias
 
-from grants.basics import is_dispensable
-from grants.missing_rights import missing_right
+from grants.model import Right
+from grants.request import is_dispensable, missing_right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
-from rossec.participant.caller_names import (
-    RELATIVE_NAME,
-    SEARCH,
-    not_found,
-    resolve_params,
-    search_places,
-    search_result,
-    searched_key,
-)
-from rossec.participant.registrations import REGISTERS, UNREGISTERS
-from rossec.participant.remote_names import offer_refusal
+from rossec.participant import registrations
+from rossec.participant.handshakes import offer_refusal
 from rossec.participant.slave_api import without_caller
-from rossec.ros.text import printable
+from rossec.peer_limits import printable
+from rossec.ros.names import MASTER
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.core.commands import CallMaster
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint, parse_endpoint
-from rossec.sidecar.core.events import Answered, NoAnswer
-from rossec.sidecar.core.layers import AgentState, Layer, Program, UnexpectedEvent, own_endpoint
+from rossec.sidecar.core.layers import (
+    AgentState,
+    Answered,
+    CallMaster,
+    CallProgram,
+    Event,
+    Layer,
+    ListeningAddress,
+    NoAnswer,
+    Probe,
+    Program,
+    Suspend,
+    UnexpectedEvent,
+    local_endpoint,
+    own_endpoint,
+    parse_endpoint,
+)
 
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096
 
+SUBSCRIBE: Final = "registerSubscriber"
+REFUSED: Final = "rossec: "  # a status that begins so is not one of the stock master
+# Registrations that succeed for a program that works without them, with their value.
+_DISPENSABLE: Final = {"registerPublisher": [], "registerService": 1}
+
+_RIGHTS: Final = {
+    "registerPublisher": Right.PUBLISH,
+    SUBSCRIBE: Right.SUBSCRIBE,
+    "registerService": Right.PROVIDE,
+}
+
+Holds: TypeAlias = Callable[[Right, str], bool]
+"""Whether this identity has a right on a name now; without it the master would only refuse."""
+
+FIRST_DELAY: Final = 1.0
+MAX_DELAY: Final = 32.0
+
 
 class Result(Enum):
-    """The value of a successful answer."""
-
     PLAIN = "no address"
     NODES = "a list of slave API URIs"
     NODE = "a slave API URI"
@@ -48,24 +70,14 @@ class Result(Enum):
 
 @dataclass(frozen=True)
 class CallRule:
-    """Where one method carries addresses; indices count the caller_id as 0.
+    """Where one method carries addresses; indices count the caller_id as 0."""
 
-    Attributes:
-        api: the caller's slave API URI.
-        service: a service URI of the caller.
-        default: the value of a refusal, as of the stock master.
-    """
-
-    api: int | None = None
-    service: int | None = None
+    api: int | None = None  # the caller's slave API URI
+    service: int | None = None  # a service URI of the caller
     result: Result = Result.PLAIN
-    default: object = 0
+    default: object = 0  # the value of a refusal, as of the stock master
 
 
-SUBSCRIBE: Final = "registerSubscriber"
-REFUSED: Final = "rossec: "  # a status that begins so is not one of the stock master
-_DISPENSABLE: Final = {"registerPublisher": [], "registerService": 1}
-"""Registrations that succeed for a program that works without them, with their value."""
 RULES: Final = {
     "registerPublisher": CallRule(api=3, result=Result.NODES, default=[]),
     SUBSCRIBE: CallRule(api=3, result=Result.NODES, default=[]),
@@ -87,18 +99,12 @@ RULES: Final = {
     "setParam": CallRule(),
     "deleteParam": CallRule(),
     "hasParam": CallRule(default=False),
-    SEARCH: CallRule(),
+    registrations.SEARCH: CallRule(),
     "getParamNames": CallRule(default=[]),
 }
 
 
 def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> Layer[object]:
-    """Answer one call of a program.
-
-    Raises:
-        Fault: no such method.
-        HangUp: the master is unreachable; the program will try again.
-    """
     if method == MULTICALL:
         return (yield from _multicall(agent, params))
     rule = rule_of(method)
@@ -109,7 +115,7 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
     master_params = yield from _params_for_master(agent, method, rule, caller, params)
     if master_params is None:
         return [-1, "rossec: this address is not the program's own", 0]
-    key = None if master_params[0] == caller else searched_key(method, params)
+    key = None if master_params[0] == caller else registrations.searched_key(method, params)
     if key is None:
         answer = yield from _call_master(method, master_params)
     else:
@@ -117,9 +123,11 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
     if answer[0] == 1:
         _record_registration(agent, method, rule, params, master_params)
         if method == SUBSCRIBE:
-            answer[2] = agent.followed_publishers(master_params[RELATIVE_NAME[method]], answer[2])
+            answer[2] = agent.followed_publishers(
+                master_params[registrations.RELATIVE_NAME[method]], answer[2]
+            )
         return (yield from _answer_for_program(agent, rule, _own_api(rule, params), answer))
-    if method in REGISTERS and str(answer[1]).startswith(REFUSED):
+    if method in registrations.REGISTERS and str(answer[1]).startswith(REFUSED):
         _record_registration(agent, method, rule, params, master_params, refused=True)
         missing = missing_right(str(answer[1]))
         if method in _DISPENSABLE and missing and is_dispensable(missing.right, missing.own):
@@ -130,22 +138,25 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
 def _refusal(
     agent: AgentState, method: str, rule: CallRule, params: tuple[object, ...]
 ) -> list[object] | None:
-    """The answer to a call that need not reach the master; None: it must."""
+    # The answer to a call that need not reach the master; None: it must.
     refused = without_caller(params, rule.default)
     if refused is not None:
         return refused
     caller = str(params[0])
-    if method in REGISTERS and not agent.covers(caller):
-        return [-1, _not_covered(agent, caller), 0]
-    return offer_refusal(method, resolve_params(method, params, caller))
+    if method in registrations.REGISTERS and not agent.covers(caller):
+        name = agent.identity.name
+        told = (
+            f"rossec: a program with the identity of {name} calls itself {printable(caller, 255)}:"
+            f" start it with __name:={name.rpartition('/')[2]}, or"
+        )
+        if caller.startswith(f"{name}_"):  # as programs do that may run several times
+            again = f"rossec node request {name} --anonymous"
+            return [-1, f"{told} enroll it for anonymous nodes too, with a key of its own: {again}", 0]
+        return [-1, f"{told} with an identity of its own", 0]
+    return offer_refusal(method, registrations.resolve_params(method, params, caller))
 
 
 def rule_of(method: str) -> CallRule:
-    """The rule of a method.
-
-    Raises:
-        Fault: no such method.
-    """
     rule = RULES.get(method)
     if rule is None:
         raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
@@ -163,43 +174,43 @@ def _call_master(method: str, params: tuple[object, ...]) -> Layer[list[object]]
 
 
 def _search(caller: str, name: object, key: str) -> Layer[list[object]]:
-    """Search from the namespace of `caller`; the master would search from that of `name`."""
-    for candidate, found in search_places(caller, key):
-        answer = search_result((yield from _call_master(SEARCH, (name, candidate))), found)
+    # Search from the namespace of `caller`; the master would search from that of `name`.
+    for candidate, found in registrations.search_places(caller, key):
+        answer = registrations.search_result(
+            (yield from _call_master(registrations.SEARCH, (name, candidate))), found
+        )
         if answer is not None:
             return answer
-    return not_found(key)
+    return registrations.not_found(key)
 
 
-def _multicall(agent: AgentState, params: tuple[object, ...]) -> Layer[object]:
-    calls = params[0] if len(params) == 1 else None
+def _multicall(agent: AgentState, given: tuple[object, ...]) -> Layer[object]:
+    calls = given[0] if len(given) == 1 else None
     if not isinstance(calls, list) or len(calls) > MULTICALL_LIMIT:
         raise Fault(1, f"rossec: a multicall is one list of at most {MULTICALL_LIMIT} calls")
     answers: list[object] = []
     for element in calls:
         try:
-            answers.append([(yield from _element(agent, element))])
+            match element:
+                case {"methodName": str() as method, "params": list() as params} if method != MULTICALL:
+                    answers.append([(yield from handle_call(agent, method, tuple(params)))])
+                case _:
+                    raise Fault(1, "rossec: a multicall element needs methodName and params")
         except Fault as fault:
             answers.append({"faultCode": fault.faultCode, "faultString": fault.faultString})
     return answers
 
 
-def _element(agent: AgentState, element: object) -> Layer[object]:
-    match element:
-        case {"methodName": str() as method, "params": list() as params} if method != MULTICALL:
-            return (yield from handle_call(agent, method, tuple(params)))
-        case _:
-            raise Fault(1, "rossec: a multicall element needs methodName and params")
-
-
 def _params_for_master(
     agent: AgentState, method: str, rule: CallRule, caller: str, params: tuple[object, ...]
 ) -> Layer[tuple[object, ...] | None]:
-    """The parameters for the secured master; None: the address is not the program's own."""
+    # The parameters for the secured master; None: the address is not the program's own.
     name = caller
-    if method not in UNREGISTERS:  # `rosnode cleanup` names dead nodes; the master authorizes it
+    if (
+        method not in registrations.UNREGISTERS
+    ):  # `rosnode cleanup` names dead nodes; the master authorizes it
         name = agent.name_for(caller)
-    changed = list(params if name == caller else resolve_params(method, params, caller))
+    changed = list(params if name == caller else registrations.resolve_params(method, params, caller))
     changed[0] = name
     for index, protocol in ((rule.api, WireProtocol.HTTP), (rule.service, WireProtocol.TCPROS)):
         if index is None or index >= len(params):
@@ -212,7 +223,7 @@ def _params_for_master(
             return None
         changed[index] = address
     own_api = _own_api(rule, params)
-    if own_api is not None and method in REGISTERS:
+    if own_api is not None and method in registrations.REGISTERS:
         agent.endpoints.set_own_uri(own_api, str(params[rule.api or 0]))
         known = agent.programs.get(own_api)
         if known is None or known.name != caller:  # the port may have been reused
@@ -220,21 +231,18 @@ def _params_for_master(
     return tuple(changed)
 
 
-def _address(agent: AgentState, method: str, given: Endpoint) -> Layer[str | None]:
-    """The address, for the master, of an endpoint that a program names.
-
-    An egress port stands for a peer: `rosnode cleanup` sends the URI that `lookupNode` returned. No
-    program can register one as its own; the sidecar would call itself. Only who registers opens a
-    port: who unregisters may name that of a program that has ended, which another one has now.
-    """
+def _address(agent: AgentState, method: str, given: ListeningAddress) -> Layer[str | None]:
+    # An egress port stands for a peer: `rosnode cleanup` sends the URI that `lookupNode` returned. No program
+    # can register one as its own; the sidecar would call itself. Only who registers opens a port: who
+    # unregisters may name that of a program that has ended, which another one has now.
     local = local_endpoint(given.protocol, given.port)
     remote = agent.endpoints.peer_at(local)
-    if method not in REGISTERS:
+    if method not in registrations.REGISTERS:
         return (remote or agent.endpoints.network_of(local)).uri
     return None if remote is not None else (yield from agent.ingress_endpoint(local)).uri
 
 
-def _own_api(rule: CallRule, params: tuple[object, ...]) -> Endpoint | None:
+def _own_api(rule: CallRule, params: tuple[object, ...]) -> ListeningAddress | None:
     if rule.api is None or rule.api >= len(params):
         return None
     return own_endpoint(params[rule.api])
@@ -250,25 +258,28 @@ def _record_registration(
     refused: bool = False,
 ) -> None:
     own_api = _own_api(rule, params)
-    if method in REGISTERS and own_api is not None:
+    if method in registrations.REGISTERS and own_api is not None:
         program = agent.programs.setdefault(own_api, Program(str(params[0])))
         program.registrations.record(method, master_params, refused=refused)
-    elif method in UNREGISTERS:
+    elif method in registrations.UNREGISTERS:
         for program in agent.programs.values():
             program.registrations.record(method, master_params)
 
 
 def _answer_for_program(
-    agent: AgentState, rule: CallRule, own_api: Endpoint | None, answer: list[object]
+    agent: AgentState, rule: CallRule, own_api: ListeningAddress | None, answer: list[object]
 ) -> Layer[list[object]]:
-    """A successful answer of the master, rewritten for the program."""
     code, status, value = answer
     match rule.result:
         case Result.NODES:
             value = yield from agent.egress_uris(value, own_api)
         case Result.NODE:
             remote = parse_endpoint(value, WireProtocol.HTTP)
-            value = "" if remote is None else (yield from _node(agent, remote))
+            if remote is None:
+                value = ""
+            else:
+                own = agent.endpoints.program_at(remote)
+                value = yield from agent.egress_uri(remote, own, probe=True)
         case Result.SERVICE:
             remote = parse_endpoint(value, WireProtocol.TCPROS)
             value = "" if remote is None else (yield from agent.egress_uri(remote))
@@ -280,18 +291,112 @@ def _answer_for_program(
     return [code, status, value]
 
 
-def _node(agent: AgentState, remote: Endpoint) -> Layer[str]:
-    """The URI of a node; a node of the same identity is reached directly."""
-    own_api = agent.endpoints.program_at(remote)
-    return (yield from agent.egress_uri(remote, own_api, probe=True))
+def restore(agent: AgentState, holds: Holds) -> Layer[None]:
+    """Make every registration again with a restarted master, except those of dead programs.
+
+    A dead program could replace a new one of the same name, which the master would shut down. One
+    that was refused before is made if this identity `holds` the right now.
+    """
+    for own_api, program in tuple(agent.programs.items()):
+        if (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
+            continue
+        refused = program.registrations.refused()
+        calls = [call for call in program.registrations if call not in refused]
+        for method, params in (*calls, *_allowed(refused, holds)):
+            yield from _register_again(agent, own_api, method, params)
 
 
-def _not_covered(agent: AgentState, caller: str) -> str:
-    name = agent.identity.name
-    told = f"rossec: a program with the identity of {name} calls itself {printable(caller, 255)}:"
-    if caller.startswith(f"{name}_"):  # as programs do that may run several times
-        return (
-            f"{told} start it with __name:={name.rpartition('/')[2]}, or enroll it for anonymous"
-            f" nodes too, with a key of its own: rossec node request {name} --anonymous"
-        )
-    return f"{told} start it with __name:={name.rpartition('/')[2]}, or with an identity of its own"
+def resubscribe(agent: AgentState, topic: str) -> Layer[None]:
+    for own_api, program in tuple(agent.programs.items()):
+        params = program.registrations.find(SUBSCRIBE, topic)
+        if params is not None:
+            yield from _register_again(agent, own_api, SUBSCRIBE, params)
+
+
+def rights_changed(agent: AgentState, holds: Holds) -> Layer[None]:
+    for own_api, program in tuple(agent.programs.items()):
+        wanted = _allowed(program.registrations, holds)
+        if wanted and not (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
+            for method, params in wanted:
+                yield from _register_again(agent, own_api, method, params)
+
+
+def _allowed(calls: Iterable[registrations.Call], holds: Holds) -> list[registrations.Call]:
+    return [
+        (method, params)
+        for method, params in calls
+        if method in _RIGHTS and holds(_RIGHTS[method], str(params[registrations.RELATIVE_NAME[method]]))
+    ]
+
+
+def _register_again(
+    agent: AgentState, own_api: ListeningAddress, method: str, params: tuple[object, ...]
+) -> Layer[None]:
+    event = yield CallMaster(method, params)
+    program = agent.programs.get(own_api)
+    match event:
+        case Answered(value=[1, _, _]) if program is not None:
+            program.registrations.record(method, params)
+        case _:
+            pass
+    match event:
+        case Answered(value=[1, _, value]) if method == SUBSCRIBE:
+            topic = str(params[registrations.RELATIVE_NAME[SUBSCRIBE]])
+            publishers = agent.followed_publishers(topic, value)
+            yield from _update_publishers(agent, own_api, topic, publishers)
+        case NoAnswer(reason=reason):
+            raise HangUp(reason)
+        case _:
+            pass
+
+
+def drop_expired_publishers(agent: AgentState) -> Layer[None]:
+    """Update the subscribers of topics whose publishers the master did not name again in time."""
+    for topic in agent.publisher_grace.expired_topics():
+        for own_api, program in tuple(agent.programs.items()):
+            if program.registrations.find(SUBSCRIBE, topic) is not None:
+                publishers = agent.publisher_grace.to_follow(topic)
+                yield from _update_publishers(agent, own_api, topic, publishers)
+
+
+def _update_publishers(
+    agent: AgentState, own_api: ListeningAddress, topic: str, publishers: list[str]
+) -> Layer[None]:
+    uris = yield from agent.egress_uris(publishers, own_api)
+    yield from _is_gone(
+        agent, own_api, (yield CallProgram(own_api, "publisherUpdate", (MASTER, topic, uris)))
+    )
+
+
+def _is_gone(agent: AgentState, own_api: ListeningAddress, event: Event) -> Layer[bool]:
+    if isinstance(event, NoAnswer) and event.dead:
+        agent.forget(own_api)
+        yield Suspend(own_api)
+        return True
+    return False
+
+
+class ResubscribeQueue:
+    """The topics of one identity to resubscribe; times are seconds of one clock.
+
+    rospy drops a connection that ended until it gets a publisherUpdate; the sidecar sends one once it
+    holds a grant again. The delay doubles while connections keep ending soon.
+    """
+
+    def __init__(self) -> None:
+        self._due: dict[str, float] = {}
+        self._delays: dict[str, float] = {}
+
+    def add(self, topic: str, began: float, now: float) -> None:
+        """A connection for `topic`, made at `began`, has ended."""
+        lasted = now - began > MAX_DELAY
+        delay = FIRST_DELAY if lasted else self._delays.get(topic, FIRST_DELAY)
+        self._due[topic] = now + delay
+        self._delays[topic] = min(2 * delay, MAX_DELAY)
+
+    def take_due(self, now: float, may_subscribe: Callable[[str], bool]) -> list[str]:
+        """The topics that are due; one without a grant waits until there is one."""
+        due = [topic for topic, at in self._due.items() if at <= now and may_subscribe(topic)]
+        for topic in due:
+            del self._due[topic]
+        return due

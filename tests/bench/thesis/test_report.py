@@ -7,7 +7,10 @@ from bench.thesis.results import Measured
 def made() -> dict[str, object]:
     rows = {
         name: {
-            "largest": size, "copies": 3.0, "copies_on_link": {"1000": 3.0}, "mean": 10.0,
+            "largest": size,
+            "copies": 3.0,
+            "copies_on_link": {"1000": 3.0},
+            "mean": 10.0,
             "spread": 5.0,
             "latency_ms": [
                 Measured(100, 10, 2.5, 1, 4, 3, 1, 0).as_json(),
@@ -15,7 +18,7 @@ def made() -> dict[str, object]:
             ],
         }
         for name, size in (("direct_100m", 2_000_000), ("plain_100m", 1), ("relay_300k", 10_000))
-    }  # fmt: skip
+    }
     memory = {"full": 67.0, "full_kb_a_node": 1.6, "master": 29.0, "sidecar": 26.0, "relay": 35.0}
     others = {"memory_mb": memory, "failures": {"revocation_ms": 109.0}, "mesh": {"2": {"a": 1}}}
     return combined(rows, others)
@@ -44,9 +47,7 @@ def test_statements_are_said_with_their_ratio() -> None:
 
 
 def test_sizes_are_in_units_of_the_thesis() -> None:
-    assert [report.size(each) for each in (0, 999, 5000, 1_500_000)] == [
-        "0 B", "999 B", "5 kB", "1.5 MB",
-    ]  # fmt: skip
+    assert [report.size(each) for each in (0, 999, 5000, 1_500_000)] == ["0 B", "999 B", "5 kB", "1.5 MB"]
 
 
 def test_a_result_of_one_experiment_has_no_other() -> None:

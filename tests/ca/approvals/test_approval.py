@@ -3,22 +3,15 @@ from typing import Any
 
 import pytest
 
-from ca.approvals.approval import Approval, ApprovalVerifier
-from ca.approvals.assertion import Assertion
-from ca.approvals.statement import LIFETIME, Grant, Kind
-from ca.errors import (
-    ApprovalOutdated,
-    OtherChallenge,
-    PasskeyCloned,
-    PasskeyUnknown,
-    StatementRefused,
-)
+from ca.approvals.passkeys import Approval, ApprovalVerifier, Assertion
+from ca.approvals.statement import LIFETIME, GrantStatement, StatementKind
+from ca.errors import ApprovalOutdated, OtherChallenge, PasskeyCloned, PasskeyUnknown, StatementRefused
 from tests.support import passkeys
 from tests.support.approving import NOW, WHATS, registered, state, touch
 
 DEVICE = passkeys.Passkey()
 PAYLOAD = b"claims"
-STATEMENT = state(Grant(b"r" * 16, hashlib.sha256(PAYLOAD).digest()))
+STATEMENT = state(GrantStatement(b"r" * 16, hashlib.sha256(PAYLOAD).digest()))
 
 
 @pytest.fixture
@@ -67,7 +60,7 @@ def test_an_assertion_for_another_statement_is_refused(device: passkeys.Passkey)
 
 @pytest.mark.parametrize(
     "change",
-    [{"id": b"x" * 16}, {"kind": int(Kind.ENROLL)}, {"subject": b"s"}],
+    [{"id": b"x" * 16}, {"kind": int(StatementKind.ENROLL)}, {"subject": b"s"}],
     ids=lambda change: next(iter(change)),
 )
 def test_fields_of_another_statement_are_refused(change: dict[str, Any]) -> None:
@@ -86,4 +79,4 @@ def test_an_approval_at_another_time_is_refused(at: int) -> None:
     with pytest.raises(ApprovalOutdated, match="did not come in time"):
         touch(STATEMENT, PAYLOAD, at=at).read()
     for within in (NOW, NOW + LIFETIME):
-        touch(state(WHATS[Kind.DELEGATE]), at=within).read()
+        touch(state(WHATS[StatementKind.DELEGATE]), at=within).read()

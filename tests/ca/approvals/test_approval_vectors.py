@@ -2,10 +2,8 @@
 
 import json
 
-from ca.approvals.approval import Approval, ApprovalVerifier
-from ca.approvals.assertion import Assertion
-from ca.approvals.registration import Registration, register
-from ca.approvals.statement import Kind, Statement
+from ca.approvals.passkeys import Approval, ApprovalVerifier, Assertion, Registration, register
+from ca.approvals.statement import Statement, StatementKind
 from tests.support.approving import WHATS, state
 from tests.vectors.make_approvals import CREATION, FILE, GRANT, vectors
 
@@ -13,10 +11,10 @@ V = json.loads(FILE.read_text())
 
 
 def test_each_kind_has_its_statement() -> None:
-    assert set(V["statements"]) == {kind.name.lower() for kind in Kind}
+    assert set(V["statements"]) == {kind.name.lower() for kind in StatementKind}
     for name, vector in V["statements"].items():
         statement = Statement.from_bytes(bytes.fromhex(vector["statement"]))
-        assert statement == state(WHATS[Kind[name.upper()]])
+        assert statement == state(WHATS[StatementKind[name.upper()]])
         assert statement.challenge.hex() == vector["challenge"]
 
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.approvals.assertion import Assertion, counter_of, verify
+from ca.approvals.passkeys import Assertion, counter_of, verify
 from ca.errors import (
     ApprovalRefused,
     AssertionForged,
@@ -45,9 +45,7 @@ def test_an_assertion_of_this_challenge_is_accepted() -> None:
         ({"flags": UV}, NotVerified),
     ],
 )
-def test_each_check_refuses_by_its_own_error(
-    changes: dict[str, Any], error: type[ApprovalRefused]
-) -> None:
+def test_each_check_refuses_by_its_own_error(changes: dict[str, Any], error: type[ApprovalRefused]) -> None:
     with pytest.raises(error):
         verify(sign(**changes), PASSKEY, CHALLENGE, 0)
 

@@ -3,7 +3,7 @@ import hashlib
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.approvals.authenticator import MAX_AUTHENTICATOR_DATA, AuthenticatorData, read_key
+from ca.approvals.passkeys import MAX_AUTHENTICATOR_DATA, AuthenticatorData, read_key
 from ca.encoding import encode
 from ca.errors import AssertionMalformed, NotVerified, OtherOrigin
 from tests.support.passkeys import AT, BE, BS, ED, RP_ID, UP, UV, Passkey

@@ -3,8 +3,8 @@ import hashlib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.approvals.challenges import Challenge, Purpose
-from ca.approvals.statement import Kind
+from ca.approvals.passkeys import Challenge, Purpose
+from ca.approvals.statement import StatementKind
 from ca.encoding import encode
 from tests.support.approving import WHATS, state
 
@@ -28,4 +28,4 @@ def test_a_challenge_says_what_it_is_for() -> None:
     assert challenge.digest == hashlib.sha256(encode(fields)).digest()  # type: ignore[arg-type]
     other = challenge._replace(purpose=Purpose.PASSKEY)
     statements = {state(what).challenge for what in WHATS.values()}
-    assert len({challenge.digest, other.digest} | statements) == 2 + len(Kind)
+    assert len({challenge.digest, other.digest} | statements) == 2 + len(StatementKind)

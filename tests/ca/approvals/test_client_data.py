@@ -3,7 +3,7 @@ from typing import Any
 
 import pytest
 
-from ca.approvals.client_data import MAX_CLIENT_DATA, Ceremony, base64url, check_client_data
+from ca.approvals.passkeys import MAX_CLIENT_DATA, Ceremony, base64url, check_client_data
 from ca.errors import AssertionMalformed, OtherChallenge, OtherOrigin
 
 CHALLENGE = bytes(range(32))

@@ -5,9 +5,10 @@ from typing import Any
 
 import pytest
 
-from ca.approvals.challenges import Challenge, Purpose
-from ca.approvals.registration import (
+from ca.approvals.passkeys import (
     MAX_ATTESTATION,
+    Challenge,
+    Purpose,
     Registration,
     check_passkey_name,
     register,
@@ -38,9 +39,7 @@ def made(device: Passkey = DEVICE, **changes: Any) -> Registration:
 def test_a_registration_gives_the_passkey() -> None:
     found = register(made(), CHALLENGE, "Ann's phone", NOW)
     assert found == registered(DEVICE)
-    assert to_approve(found) == NewPasskey(
-        DEVICE.id, hashlib.sha256(DEVICE.cose_key).digest(), "Ann's phone"
-    )
+    assert to_approve(found) == NewPasskey(DEVICE.id, hashlib.sha256(DEVICE.cose_key).digest(), "Ann's phone")
     added = register(made(), CHALLENGE, "Ann's phone", NOW, approval=b"a" * 16)
     assert added == found._replace(approval=b"a" * 16)
 
@@ -74,9 +73,7 @@ def test_an_attestation_may_have_another_order() -> None:
         ({"flags": UV | AT}, NotVerified),
     ],
 )
-def test_each_check_refuses_by_its_own_error(
-    changes: dict[str, Any], error: type[ApprovalRefused]
-) -> None:
+def test_each_check_refuses_by_its_own_error(changes: dict[str, Any], error: type[ApprovalRefused]) -> None:
     with pytest.raises(error):
         register(made(**changes), CHALLENGE, "phone", NOW)
 
@@ -124,8 +121,7 @@ def test_every_truncated_attestation_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [b"", b"\x00", b"\xa0", b"\x80", b"\xbb" + b"\xff" * 8, b"\x81" * 9999, b"\xff" * 99],
+    "wrong", [b"", b"\x00", b"\xa0", b"\x80", b"\xbb" + b"\xff" * 8, b"\x81" * 9999, b"\xff" * 99]
 )
 def test_an_attestation_of_another_form_is_refused(wrong: bytes) -> None:
     with pytest.raises(AssertionMalformed, match="unknown form"):

@@ -10,17 +10,17 @@ from ca.approvals.statement import (
     MAX_PAYLOAD,
     MAX_STATEMENT,
     VERSION,
-    Delegate,
+    DelegateStatement,
     Enroll,
-    ForeignDomain,
-    Grant,
-    Intermediate,
+    ForeignDomainStatement,
+    GrantStatement,
+    IntermediateStatement,
     Invitation,
-    Kind,
     NewPasskey,
     PolicyChange,
     RevokeMaster,
     Statement,
+    StatementKind,
 )
 from ca.encoding import Value, decode, encode
 from ca.errors import StatementRefused
@@ -32,18 +32,14 @@ numbers = st.integers(0, (1 << 53) - 1)
 texts = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=64)
 whats = st.one_of(
     st.builds(Enroll, digests, texts, digests, st.booleans(), numbers, st.booleans()),
-    st.builds(Grant, ids, digests),
+    st.builds(GrantStatement, ids, digests),
     st.builds(PolicyChange, digests, digests, digests),
-    st.builds(Delegate, digests, numbers, numbers),
-    st.builds(Intermediate, digests, st.booleans(), numbers),
+    st.builds(DelegateStatement, digests, numbers, numbers),
+    st.builds(IntermediateStatement, digests, st.booleans(), numbers),
     st.builds(NewPasskey, st.binary(min_size=1, max_size=1023), digests, texts),
     st.builds(Invitation, texts, numbers, numbers, st.booleans()),
-    st.builds(ForeignDomain, digests),
-    st.builds(
-        RevokeMaster,
-        st.one_of(texts, st.just("")),
-        st.sampled_from(["/master", "/master/kitchen"]),
-    ),
+    st.builds(ForeignDomainStatement, digests),
+    st.builds(RevokeMaster, st.one_of(texts, st.just("")), st.sampled_from(["/master", "/master/kitchen"])),
 )
 
 
@@ -53,9 +49,13 @@ def statements(draw: st.DrawFn) -> Statement:
     made = draw(st.integers(0, 1 << 40))
     until = made + draw(st.integers(1, LIFETIME))
     return state(what)._replace(
-        id=draw(ids), domain=draw(texts), made=made, until=until,
-        log_size=draw(numbers), log_root=draw(digests),
-    )  # fmt: skip
+        id=draw(ids),
+        domain=draw(texts),
+        made=made,
+        until=until,
+        log_size=draw(numbers),
+        log_root=draw(digests),
+    )
 
 
 def test_the_first_master_is_left_out_as_before_there_were_others() -> None:
@@ -65,9 +65,7 @@ def test_the_first_master_is_left_out_as_before_there_were_others() -> None:
     assert isinstance(head, list)
     assert head[-1] == ["stolen"]
     assert Statement.from_bytes(first).what == RevokeMaster("stolen", "/master")
-    others: tuple[list[Value], ...] = (
-        ["stolen", "/master"], ["stolen", "/robot"], ["stolen", ""], [],
-    )  # fmt: skip
+    others: tuple[list[Value], ...] = (["stolen", "/master"], ["stolen", "/robot"], ["stolen", ""], [])
     for fields in others:
         with pytest.raises(StatementRefused):
             Statement.from_bytes(encode([*head[:-1], fields]))
@@ -87,9 +85,7 @@ def test_no_two_statements_have_one_challenge(first: Statement, second: Statemen
 
 
 @given(statements(), st.data())
-def test_another_byte_is_another_challenge_or_no_statement(
-    statement: Statement, data: st.DataObject
-) -> None:
+def test_another_byte_is_another_challenge_or_no_statement(statement: Statement, data: st.DataObject) -> None:
     encoded = bytearray(statement.to_bytes())
     encoded[data.draw(st.integers(0, len(encoded) - 1))] ^= data.draw(st.integers(1, 255))
     try:
@@ -102,7 +98,7 @@ def test_another_byte_is_another_challenge_or_no_statement(
 
 
 def test_each_kind_has_a_form() -> None:
-    assert set(WHATS) == set(Kind)
+    assert set(WHATS) == set(StatementKind)
     for kind, what in WHATS.items():
         value = decode(state(what).to_bytes())
         assert isinstance(value, list)
@@ -110,13 +106,13 @@ def test_each_kind_has_a_form() -> None:
 
 
 def test_the_challenge_is_the_digest_of_the_encoding() -> None:
-    statement = state(WHATS[Kind.GRANT])
+    statement = state(WHATS[StatementKind.GRANT])
     assert statement.challenge == hashlib.sha256(statement.to_bytes()).digest()
 
 
 @pytest.mark.parametrize("size", [0, 1, 20, -1])
 def test_a_truncated_or_longer_statement_is_refused(size: int) -> None:
-    encoded = state(WHATS[Kind.ENROLL]).to_bytes()
+    encoded = state(WHATS[StatementKind.ENROLL]).to_bytes()
     for data in (encoded[:size], encoded + bytes(abs(size) or 1)):
         with pytest.raises(StatementRefused, match="not a statement"):
             Statement.from_bytes(data)
@@ -177,12 +173,12 @@ def test_anything_else_is_refused(value: Any) -> None:
 @pytest.mark.parametrize(
     "statement",
     [
-        state(WHATS[Kind.GRANT])._replace(kind=Kind.ENROLL),
-        state(WHATS[Kind.GRANT])._replace(domain="\ud800"),
-        state(WHATS[Kind.GRANT])._replace(until=NOW),
-        state(Grant(b"r", bytes(32))),
+        state(WHATS[StatementKind.GRANT])._replace(kind=StatementKind.ENROLL),
+        state(WHATS[StatementKind.GRANT])._replace(domain="\ud800"),
+        state(WHATS[StatementKind.GRANT])._replace(until=NOW),
+        state(GrantStatement(b"r", bytes(32))),
         state(Enroll(bytes(32), "", bytes(32), wildcard=False, lifetime=1, replaces=False)),
-        state(Delegate(bytes(32), -1, 1)),
+        state(DelegateStatement(bytes(32), -1, 1)),
     ],
 )
 def test_what_is_no_statement_is_not_written(statement: Statement) -> None:
@@ -190,13 +186,16 @@ def test_what_is_no_statement_is_not_written(statement: Statement) -> None:
         statement.to_bytes()
 
 
-@pytest.mark.parametrize("kind", sorted(Kind))
-def test_a_payload_is_the_one_of_the_digest(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", sorted(StatementKind))
+def test_a_payload_is_the_one_of_the_digest(kind: StatementKind) -> None:
     payload = b"shown"
     digest = hashlib.sha256(payload).digest()
     fields = {
-        Kind.ENROLL: "csr", Kind.GRANT: "payload", Kind.POLICY: "new", Kind.INTERMEDIATE: "csr",
-    }  # fmt: skip
+        StatementKind.ENROLL: "csr",
+        StatementKind.GRANT: "payload",
+        StatementKind.POLICY: "new",
+        StatementKind.INTERMEDIATE: "csr",
+    }
     what = WHATS[kind]
     if kind in fields:
         what = type(what)(**{**what._asdict(), fields[kind]: digest})
@@ -213,7 +212,7 @@ def test_a_payload_is_the_one_of_the_digest(kind: Kind) -> None:
 
 def test_a_statement_is_about_what_it_answers() -> None:
     subjects = {kind: state(what).subject for kind, what in WHATS.items()}
-    assert subjects[Kind.GRANT] == b"r" * 16
-    assert subjects[Kind.PASSKEY] == b"credential"
-    assert subjects[Kind.POLICY] == PolicyChange(*WHATS[Kind.POLICY]).new
-    assert subjects[Kind.INVITATION] == subjects[Kind.REVOKE_MASTER] == b""
+    assert subjects[StatementKind.GRANT] == b"r" * 16
+    assert subjects[StatementKind.PASSKEY] == b"credential"
+    assert subjects[StatementKind.POLICY] == PolicyChange(*WHATS[StatementKind.POLICY]).new
+    assert subjects[StatementKind.INVITATION] == subjects[StatementKind.REVOKE_MASTER] == b""

@@ -5,18 +5,11 @@ from typing import Any
 import pytest
 
 from ca.authority import Authority
-from ca.certificates import Identity, build_request
-from ca.domains.anchors import Anchors
-from ca.errors import (
-    CertificateExpired,
-    CertificateRefused,
-    DomainsRefused,
-    ForeignCertificate,
-    NotAdmitted,
-)
-from ca.intermediates import build_intermediate_request
-from ca.keys.publickey import to_coordinates
-from ca.keys.signer import KeySigner
+from ca.certificates import Identity, build_intermediate_request
+from ca.domains.trust import Anchors
+from ca.errors import CertificateExpired, CertificateRefused, DomainsRefused, ForeignCertificate, NotAdmitted
+from ca.keys.signing import KeySigner, to_coordinates
+from ca.svid import build_request
 from tests.support.domains import domains, foreign
 from tests.support.pki import DAY, NOW, Draft, Site, draft_leaf, leaf_extensions, new_signer
 
@@ -151,13 +144,9 @@ def test_an_intermediate_of_a_listed_domain(world: World) -> None:
     world.accept()
     key = new_signer()
     csr = build_intermediate_request(key, "hospital.example")
-    ward = world.hospital.authority.issue_intermediate(
-        csr, now=NOW, serial=5, may_enroll=True, lifetime=DAY
-    )
+    ward = world.hospital.authority.issue_intermediate(csr, now=NOW, serial=5, may_enroll=True, lifetime=DAY)
     below = Authority(key, world.hospital.root, ward)
-    leaf = below.issue(
-        build_request(new_signer(), "hospital.example", "/rounds/b"), now=NOW, serial=6
-    )
+    leaf = below.issue(build_request(new_signer(), "hospital.example", "/rounds/b"), now=NOW, serial=6)
     found = world.anchors.verify([leaf, ward], NOW)
     assert found.name == "/remote/hospital/rounds/b"
     assert len(found.issuers) == 1
@@ -182,9 +171,7 @@ def test_a_new_list_says_whose_connections_end(world: World) -> None:
     assert world.list(*entries, seq=2) == frozenset()
     wider = foreign(world.hospital, until=NOW + DAY, fresh=60, exported=(("/a", 2),))
     assert world.list(wider, entries[1], seq=3) == frozenset()
-    assert world.list(foreign(world.hospital, admitted=("/a",)), entries[1], seq=4) == {
-        "hospital.example"
-    }
+    assert world.list(foreign(world.hospital, admitted=("/a",)), entries[1], seq=4) == {"hospital.example"}
     assert world.list(foreign(world.hospital, "clinic"), entries[1], seq=5) == {"hospital.example"}
     assert world.list(entries[1], seq=6) == {"hospital.example"}
     again = foreign(Site.create("cafe"), "cafe")  # the same name, another key

@@ -2,8 +2,8 @@ import json
 
 import pytest
 
-from ca.domains.card_codes import card_code, check_code
 from ca.enrollment import qr
+from ca.enrollment.qr import card_code, check_code
 from ca.errors import CardRefused, CodeRefused
 from tests.vectors.make_domains import FILE
 
@@ -30,9 +30,18 @@ def test_a_code_has_a_place_on_a_small_terminal() -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "ROSSEC:", "ROSSEC:A", "ROSSEC:##", card_code(CARD)[:-1], card_code(CARD) + "00",
-     card_code(CARD)[7:], "ROSSEC:" + "0" * 90, qr.label_code(b"a request")],
-)  # fmt: skip
+    [
+        "",
+        "ROSSEC:",
+        "ROSSEC:A",
+        "ROSSEC:##",
+        card_code(CARD)[:-1],
+        card_code(CARD) + "00",
+        card_code(CARD)[7:],
+        "ROSSEC:" + "0" * 90,
+        qr.label_code(b"a request"),
+    ],
+)
 def test_other_texts_are_no_codes_of_cards(text: str) -> None:
     with pytest.raises(CodeRefused) as caught:
         check_code(text, CARD)

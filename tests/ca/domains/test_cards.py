@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.domains.cards import MAX_CARD, SKEW, open_card, sign_card
+from ca.domains.trust import MAX_CARD, SKEW, open_card, sign_card
 from ca.errors import CardRefused, CertificateRefused, PatternRefused
 from tests.support.pki import DAY, NOW, new_signer
 from tests.vectors.make_domains import CARDS, FILE, HOSPITAL

@@ -5,9 +5,7 @@ import json
 import pytest
 
 from ca.certificates import TrustAnchor
-from ca.domains.anchors import Anchors
-from ca.domains.cards import open_card
-from ca.domains.lists import open_domains
+from ca.domains.trust import Anchors, open_card, open_domains
 from ca.errors import CAError
 from tests.vectors.make_domains import CARDS, FILE, LISTS, vectors
 

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ca.certificates import TrustAnchor
-from ca.domains import lists
-from ca.domains.lists import DomainList, ForeignDomain, open_domains, sign_domains, verify_domains
+from ca.domains import trust
+from ca.domains.trust import DomainList, ForeignDomain, open_domains, sign_domains, verify_domains
 from ca.encoding import encode
 from ca.errors import CAError, DomainsRefused, EncodingError, NameRefused
-from ca.keys.publickey import to_coordinates
+from ca.keys.signing import to_coordinates
 from tests.support.domains import domains, foreign
 from tests.support.pki import NOW, Site, new_signer
 from tests.vectors.make_domains import ENTRY, FILE, OTHER
@@ -68,8 +68,8 @@ def test_other_bytes_are_no_list(data: bytes) -> None:
 
 def test_a_list_is_bounded_before_it_is_read() -> None:
     with pytest.raises(DomainsRefused, match="at most"):
-        open_domains(BOTH + bytes(lists.MAX_LIST), OWN)
-    long = tuple("/" + "a" * 250 + str(number) for number in range(lists.MAX_RULES))
+        open_domains(BOTH + bytes(trust.MAX_LIST), OWN)
+    long = tuple("/" + "a" * 250 + str(number) for number in range(trust.MAX_RULES))
     many = []
     for number in range(5):
         site = Site.create(f"d{number}")
@@ -102,12 +102,18 @@ def test_what_a_list_may_have_at_most() -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"fresh": True}, {"until": True}, {"until": 1 << 53}, {"fresh": lists.LEAST_FRESH - 1},
-        {"admitted": ()}, {"label": "a b"}, {"domain": "office"}, {"exported": (("a", 1),)},
+        {"fresh": True},
+        {"until": True},
+        {"until": 1 << 53},
+        {"fresh": trust.LEAST_FRESH - 1},
+        {"admitted": ()},
+        {"label": "a b"},
+        {"domain": "office"},
+        {"exported": (("a", 1),)},
         {"imported": (("/a", True),)},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_terms_that_are_not_in_form(change: dict[str, Any]) -> None:
     with pytest.raises((DomainsRefused, NameRefused)):
         dataclasses.replace(ENTRY, **change)

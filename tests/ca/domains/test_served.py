@@ -2,16 +2,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.domains.aliases import alias_of, is_alias
-from ca.domains.served import (
+from ca.errors import NameRefused
+from ca.names import (
     GATEWAY,
+    alias_of,
     alias_of_served,
+    is_alias,
     is_gateway,
     is_in_gateway,
     is_served,
     served_name,
 )
-from ca.errors import NameRefused
 from tests.ca.domains.test_aliases import LABELS, NAMES
 
 
@@ -40,13 +41,26 @@ def test_what_is_a_served_name_has_exactly_one_alias(name: str) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "", "/", "/pose", "/gateway", "/gateway/", "/gateway/hospital", "/gateway/hospital/",
-        "/gateway//pose", "/gateway/9/pose", "/gateway/a-b/pose", "/gateways/hospital/pose",
-        "/gateway_1/hospital/pose", "/remote/hospital/gateway/hospital/pose", "gateway/a/b",
-        "/gateway/hospital/pose/", "/gateway/hospital/pose\n", f"/gateway/{'x' * 33}/pose",
+        "",
+        "/",
+        "/pose",
+        "/gateway",
+        "/gateway/",
+        "/gateway/hospital",
+        "/gateway/hospital/",
+        "/gateway//pose",
+        "/gateway/9/pose",
+        "/gateway/a-b/pose",
+        "/gateways/hospital/pose",
+        "/gateway_1/hospital/pose",
+        "/remote/hospital/gateway/hospital/pose",
+        "gateway/a/b",
+        "/gateway/hospital/pose/",
+        "/gateway/hospital/pose\n",
+        f"/gateway/{'x' * 33}/pose",
         f"/gateway/hospital/{'a' * 250}",
     ],
-)  # fmt: skip
+)
 def test_any_other_name_stands_for_no_alias(name: str) -> None:
     assert alias_of_served(name) is None
     assert not is_served(name)

@@ -2,8 +2,7 @@ from typing import Any
 
 import pytest
 
-from ca.domains.anchors import Anchors
-from ca.domains.standing import MAX_DELEGATES, Standing
+from ca.domains.trust import Anchors
 from ca.errors import (
     CertificateRefused,
     ClocksDisagree,
@@ -13,8 +12,8 @@ from ca.errors import (
     Revoked,
     RollbackRefused,
 )
-from ca.keys.publickey import thumbprint, to_coordinates
-from ca.revocation.state import SKEW, Revocations
+from ca.keys.signing import thumbprint, to_coordinates
+from ca.revocation.trust_status import MAX_DELEGATES, SKEW, Revocations, Standing
 from tests.support.domains import Pair, SomeNode, domains, foreign, revoked, revoked_tree
 from tests.support.pki import DAY, NOW, Site
 
@@ -152,9 +151,7 @@ def test_what_is_refused_is_not_persisted(pair: Pair) -> None:
         raise OSError("disk full")
 
     with pytest.raises(OSError, match="disk full"):
-        pair.standing.take_foreign(
-            domain, revoked(pair.hospital, A, seq=2), stamp, chain, NOW, full
-        )
+        pair.standing.take_foreign(domain, revoked(pair.hospital, A, seq=2), stamp, chain, NOW, full)
     pair.standing.check(DOMAIN, A, NOW)
 
 
@@ -250,14 +247,10 @@ def test_tickets_count_from_masters_that_are_known_and_not_revoked(pair: Pair) -
     kitchen = SomeNode(pair.home, "/master/kitchen")
     own = (to_coordinates(kitchen.key),)
     pair.anchors.update(domains(pair.home, foreign(pair.hospital), seq=2, masters=own))
-    assert [thumbprint(key) for key in pair.standing.delegates("home")] == [
-        kitchen.identity.thumbprint
-    ]
+    assert [thumbprint(key) for key in pair.standing.delegates("home")] == [kitchen.identity.thumbprint]
     assert pair.standing.delegates(DOMAIN) == ()
     pair.confirm_foreign()
-    assert [thumbprint(key) for key in pair.standing.delegates(DOMAIN)] == [
-        pair.master.identity.thumbprint
-    ]
+    assert [thumbprint(key) for key in pair.standing.delegates(DOMAIN)] == [pair.master.identity.thumbprint]
     pair.confirm_own(kitchen.identity.thumbprint, pair.master.identity.thumbprint, seq=2)
     assert pair.standing.delegates("home") == pair.standing.delegates(DOMAIN) == ()
 

@@ -1,17 +1,8 @@
 import pytest
 
-from ca.enrollment import qr, transcript
-from ca.enrollment.authority import TABLE, AuthorityEnrollment, AuthorityState
-from ca.enrollment.messages import (
-    Abort,
-    Acknowledgement,
-    Delivery,
-    Done,
-    Fetch,
-    Reason,
-    read,
-    write,
-)
+from ca.enrollment import qr, sides
+from ca.enrollment.messages import Abort, Acknowledgement, Delivery, Done, Fetch, Reason, read, write
+from ca.enrollment.sides import AUTHORITY_TABLE, AuthorityEnrollment, AuthorityState
 from ca.errors import (
     AcknowledgementRefused,
     ConflictingOffer,
@@ -121,7 +112,7 @@ def test_the_answer_of_another_key() -> None:
     node = Robot().enrollment()
     authority, offer = offered(node, SITE)
     node.receive(offer, NOW)
-    statement = transcript.sign_acknowledgement(new_signer(), node.pending.transcript, fresh())
+    statement = sides.sign_acknowledgement(new_signer(), node.pending.transcript, fresh())
     with pytest.raises(AcknowledgementRefused, match="not signed by the node"):
         authority.receive(write(Acknowledgement(statement)), NOW)
     assert authority.state is AuthorityState.OVER
@@ -162,9 +153,7 @@ def test_the_last_word_before_the_answer_changes_nothing() -> None:
     (answer,) = node.receive(offer, NOW)
     node.confirm(node.pending.digits, NOW)
     (done,) = node.activated()
-    with pytest.raises(
-        EnrollmentMessageRefused, match="unexpected Done in state 'waiting for the ack"
-    ):
+    with pytest.raises(EnrollmentMessageRefused, match="unexpected Done in state 'waiting for the ack"):
         authority.receive(done, NOW)
     for message in (answer, answer, done, answer):
         authority.receive(message, NOW)
@@ -174,7 +163,7 @@ def test_the_last_word_before_the_answer_changes_nothing() -> None:
 def test_a_second_different_answer() -> None:
     node = Robot().enrollment()
     authority, _ = acknowledged(node, SITE)
-    other = transcript.sign_acknowledgement(new_signer(), node.pending.transcript, fresh())
+    other = sides.sign_acknowledgement(new_signer(), node.pending.transcript, fresh())
     with pytest.raises(AcknowledgementRefused, match="a second, different answer"):
         authority.receive(write(Acknowledgement(other)), NOW)
     assert authority.digits == node.pending.digits
@@ -229,7 +218,7 @@ WITHOUT_MESSAGE = {AuthorityState.APPROVED, AuthorityState.OFFERED, AuthoritySta
 
 
 def test_the_table_names_methods_that_exist() -> None:
-    assert all(callable(getattr(AuthorityEnrollment, method)) for method, _ in TABLE.values())
-    reached = {end for _, ends in TABLE.values() for end in ends}
+    assert all(callable(getattr(AuthorityEnrollment, method)) for method, _ in AUTHORITY_TABLE.values())
+    reached = {end for _, ends in AUTHORITY_TABLE.values() for end in ends}
     assert reached | WITHOUT_MESSAGE == set(AuthorityState) - {AuthorityState.FETCHING}
     assert isinstance(read(scanned(Robot().enrollment()).fetch()), Fetch)

@@ -49,9 +49,8 @@ def test_the_layout_as_specified() -> None:
     body = CODE.body()
     address = CODE.address.encode()
     assert body[:-4] == (
-        b"\x31" + CODE.root + CODE.secret + NOW.to_bytes(4) + bytes([len(address)]) + address
-        + b"/fleet/*"
-    )  # fmt: skip
+        b"\x31" + CODE.root + CODE.secret + NOW.to_bytes(4) + bytes([len(address)]) + address + b"/fleet/*"
+    )
     assert body[-4:] == hashlib.sha256(body[:-4]).digest()[:4]
     assert replace(CODE, wildcard=True).body()[0] == 0x41
 
@@ -122,8 +121,11 @@ def test_what_is_no_code(text: str, error: str) -> None:
 
 def test_a_code_has_one_spelling() -> None:
     """Base32 has bits at its end that mean nothing: they must be zero."""
-    spare = next(replace(CODE, pattern="/" + "a" * n) for n in range(1, 9)
-                 if len(replace(CODE, pattern="/" + "a" * n).body()) % 5)  # fmt: skip
+    spare = next(
+        replace(CODE, pattern="/" + "a" * n)
+        for n in range(1, 9)
+        if len(replace(CODE, pattern="/" + "a" * n).body()) % 5
+    )
     text = spare.text()
     alphabet = "ABCDEFGHIJKLMNOPQRSTUVWXYZ234567"
     other = text[:-1] + alphabet[alphabet.index(text[-1]) | 1]
@@ -139,8 +141,7 @@ def test_another_version() -> None:
 
 
 @pytest.mark.parametrize(
-    "tail",
-    [b"\x05a:1", b"\xffa:1/x", b"\x03a:1x", b"\x00/x", b"\x03a 1/x", b"\x03a:1/x-", b"\x03a:1\xff"],
+    "tail", [b"\x05a:1", b"\xffa:1/x", b"\x03a:1x", b"\x00/x", b"\x03a 1/x", b"\x03a:1/x-", b"\x03a:1\xff"]
 )
 def test_malformed_texts_in_it(tail: bytes) -> None:
     with pytest.raises(CodeRefused):
@@ -150,11 +151,20 @@ def test_malformed_texts_in_it(tail: bytes) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"root": bytes(31)}, {"secret": bytes(15)}, {"expires": 1 << 32}, {"expires": -1},
-        {"address": ""}, {"address": "x" * 65}, {"address": "a b"}, {"address": "é"},
-        {"pattern": ""}, {"pattern": "a"}, {"pattern": "/" + "a" * 255}, {"pattern": "/a b"},
+        {"root": bytes(31)},
+        {"secret": bytes(15)},
+        {"expires": 1 << 32},
+        {"expires": -1},
+        {"address": ""},
+        {"address": "x" * 65},
+        {"address": "a b"},
+        {"address": "é"},
+        {"pattern": ""},
+        {"pattern": "a"},
+        {"pattern": "/" + "a" * 255},
+        {"pattern": "/a b"},
     ],
-)  # fmt: skip
+)
 def test_what_does_not_fit(change: dict[str, object]) -> None:
     with pytest.raises(CodeRefused):
         replace(CODE, **change)  # type: ignore[arg-type]

@@ -1,9 +1,8 @@
 import pytest
 
-from ca.certificates import build_request
-from ca.enrollment.issued import check_issued
+from ca.enrollment.messages import check_issued
 from ca.errors import OfferRefused
-from ca.requests import check_request
+from ca.svid import build_request, check_request
 from tests.support.pki import DAY, NOW, Site, new_signer
 
 HOME, OTHER, KEY = Site.create(), Site.create(), new_signer()

@@ -1,23 +1,21 @@
 import pytest
 
-from ca.enrollment import join_transcript
-from ca.enrollment.join_authority import (
-    TABLE,
-    WITHOUT_MESSAGE,
+from ca.enrollment import invitation
+from ca.enrollment.join import (
+    AUTHORITY_TABLE,
+    AUTHORITY_WITHOUT_MESSAGE,
     AuthorityJoin,
     AuthorityJoinState,
-    LiveIdentity,
-)
-from ca.enrollment.join_messages import (
-    Claim,
+    ClaimMessage,
     Hello,
     Issued,
     Join,
     JoinMessage,
+    LiveIdentity,
     Named,
-    Refused,
+    RefusedMessage,
     RefuseReason,
-    Waiting,
+    WaitingMessage,
     WaitReason,
     Welcome,
     read,
@@ -28,11 +26,17 @@ from tests.support.pki import new_signer
 
 ID, NONCE, OWN = bytes(32), b"1" * 16, b"2" * 16
 SIGNER = new_signer()
-BUSY = Refused(RefuseReason.BUSY)
+BUSY = RefusedMessage(RefuseReason.BUSY)
 MESSAGES: list[JoinMessage] = [
-    Hello(ID, NONCE), Welcome(NONCE, (b"c",), b"r", b"s"), Join("/a", b"csr", b"proof"),
-    Issued((b"c",)), Waiting(WaitReason.LOCKED), BUSY, Claim(b"<node/>", b"proof"), Named("/a"),
-]  # fmt: skip
+    Hello(ID, NONCE),
+    Welcome(NONCE, (b"c",), b"r", b"s"),
+    Join("/a", b"csr", b"proof"),
+    Issued((b"c",)),
+    WaitingMessage(WaitReason.LOCKED),
+    BUSY,
+    ClaimMessage(b"<node/>", b"proof"),
+    Named("/a"),
+]
 
 
 def session(*messages: JoinMessage) -> AuthorityJoin:
@@ -49,8 +53,8 @@ def test_the_authority_shows_itself_and_hands_the_request_on() -> None:
     welcome = read(sent)
     assert isinstance(welcome, Welcome)
     assert (welcome.nonce, welcome.chain, welcome.root) == (OWN, (b"leaf",), b"root")
-    agreed = join_transcript.transcript(ID, NONCE, OWN, [b"leaf"], b"root")
-    join_transcript.check_live(welcome.statement, SIGNER.public_key, agreed)
+    agreed = invitation.transcript(ID, NONCE, OWN, [b"leaf"], b"root")
+    invitation.check_live(welcome.statement, SIGNER.public_key, agreed)
     assert core.receive(write(MESSAGES[2])) is None
     request = core.request
     assert (request.invitation, request.transcript) == (ID, agreed)
@@ -67,7 +71,7 @@ def test_what_is_not_in_the_table_ends_the_session(
     begin: tuple[JoinMessage, ...], message: JoinMessage
 ) -> None:
     core = session(*begin)
-    if (core.state, type(message)) in TABLE:
+    if (core.state, type(message)) in AUTHORITY_TABLE:
         return
     with pytest.raises(EnrollmentMessageRefused, match="unexpected"):
         core.receive(write(message))
@@ -109,9 +113,7 @@ def test_a_claim_is_handed_on_and_the_request_follows_it() -> None:
         core.name(Named("/a"))
     assert core.receive(write(MESSAGES[6])) is None
     assert core.state is AuthorityJoinState.NAMING
-    assert (core.claim.invitation, core.claim.metadata, core.claim.proof) == (
-        ID, b"<node/>", b"proof",
-    )  # fmt: skip
+    assert (core.claim.invitation, core.claim.metadata, core.claim.proof) == (ID, b"<node/>", b"proof")
     assert read(core.name(Named("/a"))) == Named("/a")
     core.receive(write(Join("/a", b"csr", b"proof", b"<node/>")))
     assert core.request.metadata == b"<node/>"
@@ -124,7 +126,7 @@ def test_one_claim_a_session_and_a_refused_one_ends_it() -> None:
     with pytest.raises(EnrollmentMessageRefused, match="unexpected"):
         core.receive(write(MESSAGES[6]))
     core = session(MESSAGES[0], MESSAGES[6])
-    assert read(core.name(Refused(RefuseReason.UNNAMED))) == Refused(RefuseReason.UNNAMED)
+    assert read(core.name(RefusedMessage(RefuseReason.UNNAMED))) == RefusedMessage(RefuseReason.UNNAMED)
     with pytest.raises(EnrollmentMessageRefused, match="unexpected"):
         core.receive(write(MESSAGES[2]))
 
@@ -135,6 +137,6 @@ def test_a_nonce_has_its_size() -> None:
 
 
 def test_every_state_is_reached() -> None:
-    reached = {follower for _, followers in TABLE.values() for follower in followers}
-    reached |= {after for _, after, _ in WITHOUT_MESSAGE} | {AuthorityJoinState.GREETING}
+    reached = {follower for _, followers in AUTHORITY_TABLE.values() for follower in followers}
+    reached |= {after for _, after, _ in AUTHORITY_WITHOUT_MESSAGE} | {AuthorityJoinState.GREETING}
     assert reached == set(AuthorityJoinState)

@@ -2,9 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_claim import MAX_SIZE, JoinClaim
-from ca.enrollment.join_transcript import sign_claim, sign_proof
+from ca.enrollment.invitation import MAX_CLAIM_SIZE, InvitationCode, JoinClaim, sign_claim, sign_proof
 from ca.errors import EnrollmentMessageRefused, JoinRefused
 from tests.support.pki import NOW
 
@@ -41,7 +39,7 @@ def test_what_is_cut_short_is_refused_or_not_proved() -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        bytes(MAX_SIZE + 1),
+        bytes(MAX_CLAIM_SIZE + 1),
         bytes(66),
         bytes(64) + (513).to_bytes(2) + bytes(514),
         bytes(66) + bytes(4097),
@@ -53,8 +51,7 @@ def test_wrong_sizes(data: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    "change",
-    [{"metadata": b"<node/>"}, {"transcript": bytes(32)}, {"proof": b""}, {"proof": b"x"}],
+    "change", [{"metadata": b"<node/>"}, {"transcript": bytes(32)}, {"proof": b""}, {"proof": b"x"}]
 )
 def test_the_proof_is_about_every_part(change: dict[str, bytes]) -> None:
     with pytest.raises(JoinRefused):

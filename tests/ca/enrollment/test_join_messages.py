@@ -2,16 +2,16 @@ import pytest
 
 from ca.encoding import encode
 from ca.enrollment import messages
-from ca.enrollment.join_messages import (
-    Claim,
+from ca.enrollment.join import (
+    ClaimMessage,
     Hello,
     Issued,
     Join,
     JoinMessage,
     Named,
-    Refused,
+    RefusedMessage,
     RefuseReason,
-    Waiting,
+    WaitingMessage,
     WaitReason,
     Welcome,
     read,
@@ -28,11 +28,11 @@ MESSAGES: list[JoinMessage] = [
     Issued((b"leaf",)),
     Issued((b"leaf", b"intermediate")),
     Join("/robot", b"csr", b"proof", b"<node/>"),
-    Claim(b"<node/>", b"proof"),
-    Claim(bytes(4096), bytes(512)),
+    ClaimMessage(b"<node/>", b"proof"),
+    ClaimMessage(bytes(4096), bytes(512)),
     Named("/robot"),
-    *(Waiting(reason) for reason in WaitReason),
-    *(Refused(reason) for reason in RefuseReason),
+    *(WaitingMessage(reason) for reason in WaitReason),
+    *(RefusedMessage(reason) for reason in RefuseReason),
 ]
 
 
@@ -52,11 +52,11 @@ def test_the_forms_as_specified() -> None:
     assert write(MESSAGES[1]) == encode([1, 8, NONCE, [b"leaf"], b"root", b"statement"])
     assert write(MESSAGES[3]) == encode([1, 9, "/robot", b"csr", b"proof"])
     assert write(MESSAGES[4]) == encode([1, 10, [b"leaf"]])
-    assert write(Waiting(WaitReason.PERSON)) == encode([1, 11, 2])
-    assert write(Refused(RefuseReason.BUSY)) == encode([1, 12, 6])
+    assert write(WaitingMessage(WaitReason.PERSON)) == encode([1, 11, 2])
+    assert write(RefusedMessage(RefuseReason.BUSY)) == encode([1, 12, 6])
     joined = encode([1, 9, "/robot", b"csr", b"proof", b"<node/>"])
     assert write(Join("/robot", b"csr", b"proof", b"<node/>")) == joined
-    assert write(Claim(b"<node/>", b"proof")) == encode([1, 13, b"<node/>", b"proof"])
+    assert write(ClaimMessage(b"<node/>", b"proof")) == encode([1, 13, b"<node/>", b"proof"])
     assert write(Named("/robot")) == encode([1, 14, "/robot"])
 
 
@@ -72,7 +72,7 @@ def test_no_message_is_one_of_an_enrollment(message: JoinMessage) -> None:
         messages.Fetch(),
         messages.Delivery(b"csr"),
         messages.Abort(messages.Reason.OVER),
-        messages.Offer((b"leaf",), b"root", NONCE, b""),
+        messages.EnrollmentOffer((b"leaf",), b"root", NONCE, b""),
     ],
 )
 def test_and_none_of_an_enrollment_is_one(message: messages.Message) -> None:

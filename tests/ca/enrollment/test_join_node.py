@@ -5,25 +5,29 @@ from pathlib import Path
 
 import pytest
 
-from ca.certificates import build_request
 from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_authority import AuthorityJoin, AuthorityJoinState, LiveIdentity
-from ca.enrollment.join_messages import (
-    Claim,
+from ca.enrollment.join import (
+    NODE_TABLE,
+    NODE_WITHOUT_MESSAGE,
+    AuthorityJoin,
+    AuthorityJoinState,
+    ClaimMessage,
     Hello,
     Issued,
     Join,
     JoinMessage,
+    LiveIdentity,
     Named,
-    Refused,
+    NodeJoin,
+    NodeJoinState,
+    RefusedMessage,
     RefuseReason,
-    Waiting,
+    WaitingMessage,
     WaitReason,
     Welcome,
     read,
     write,
 )
-from ca.enrollment.join_node import TABLE, WITHOUT_MESSAGE, NodeJoin, NodeJoinState
 from ca.errors import (
     EnrollmentMessageRefused,
     EnrollmentOver,
@@ -36,7 +40,8 @@ from ca.errors import (
     OfferRefused,
     RequestRefused,
 )
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 from tests.support.joining import fresh
 from tests.support.pki import NOW, Site, new_signer
 
@@ -54,9 +59,7 @@ CSR = build_request(NODE, "home", "/fleet/a")
 CODE = InvitationCode(sha256(HOME.root).digest(), bytes(16), NOW + 9, "10.0.0.1:1", "/fleet/*")
 
 
-def identity(
-    chain: bytes = CA_LEAF, signer: KeySigner = OWN, root: bytes = HOME.root
-) -> LiveIdentity:
+def identity(chain: bytes = CA_LEAF, signer: KeySigner = OWN, root: bytes = HOME.root) -> LiveIdentity:
     return LiveIdentity(signer, (chain,), root)
 
 
@@ -92,22 +95,20 @@ def impostors() -> dict[str, tuple[LiveIdentity, str]]:
     robot = new_signer()
     return {
         "another authority": (
-            identity(leaf("/ca", OWN, OTHER), root=OTHER.root), "another authority answers",
+            identity(leaf("/ca", OWN, OTHER), root=OTHER.root),
+            "another authority answers",
         ),
-        "the same root, its leaf of another": (
-            identity(leaf("/ca", OWN, OTHER)), "is not the authority",
-        ),
+        "the same root, its leaf of another": (identity(leaf("/ca", OWN, OTHER)), "is not the authority"),
         "an enrolled node": (
-            identity(leaf("/robot", robot), robot), "the peer is /robot, a node of this site",
+            identity(leaf("/robot", robot), robot),
+            "the peer is /robot, a node of this site",
         ),
         "a node with a name like it": (identity(leaf("/ca/ca", robot), robot), "is /ca/ca"),
         "the master": (identity(leaf("/master", robot), robot), "the peer is /master"),
-        "a copy of the certificate without its key": (
-            identity(CA_LEAF, robot), "does not have the key",
-        ),
+        "a copy of the certificate without its key": (identity(CA_LEAF, robot), "does not have the key"),
         "the root itself as the leaf": (identity(HOME.root, KeySigner(HOME.key)), "not the"),
         "rubbish": (identity(b"rubbish"), "is not the authority"),
-    }  # fmt: skip
+    }
 
 
 IMPOSTORS = impostors()
@@ -176,7 +177,7 @@ def test_only_its_own_identity_is_taken(chain: tuple[bytes, ...], error: str) ->
 def test_waiting_is_raised(reason: WaitReason) -> None:
     node = proved()
     with pytest.raises(JoinWaiting) as caught:
-        node.receive(write(Waiting(reason)), NOW)
+        node.receive(write(WaitingMessage(reason)), NOW)
     assert "rossec node join" in caught.value.hint
     assert node.state is NodeJoinState.WAITING
 
@@ -187,17 +188,22 @@ def test_a_refusal_is_raised(reason: RefuseReason, early: bool) -> None:
     node = NodeJoin(CODE, fresh()) if early else proved()
     kind = JoinBusy if reason is RefuseReason.BUSY else JoinRefused
     with pytest.raises(kind) as caught:
-        node.receive(write(Refused(reason)), NOW)
+        node.receive(write(RefusedMessage(reason)), NOW)
     assert type(caught.value) is kind
     assert caught.value.hint
     assert node.state is NodeJoinState.OVER
 
 
 MESSAGES: list[JoinMessage] = [
-    Hello(bytes(32), bytes(16)), Welcome(bytes(16), (b"c",), b"r", b"s"), Join("/a", b"", b""),
-    Issued((b"c",)), Waiting(WaitReason.LOCKED), Refused(RefuseReason.BUSY),
-    Claim(b"<node/>", b""), Named("/fleet/a"),
-]  # fmt: skip
+    Hello(bytes(32), bytes(16)),
+    Welcome(bytes(16), (b"c",), b"r", b"s"),
+    Join("/a", b"", b""),
+    Issued((b"c",)),
+    WaitingMessage(WaitReason.LOCKED),
+    RefusedMessage(RefuseReason.BUSY),
+    ClaimMessage(b"<node/>", b""),
+    Named("/fleet/a"),
+]
 METADATA = b"<node><name>a</name></node>"
 
 
@@ -253,7 +259,7 @@ def test_a_refused_claim_is_raised(reason: RefuseReason) -> None:
     node = claimed()
     kind = JoinBusy if reason is RefuseReason.BUSY else JoinRefused
     with pytest.raises(kind) as caught:
-        node.receive(write(Refused(reason)), NOW)
+        node.receive(write(RefusedMessage(reason)), NOW)
     assert type(caught.value) is kind
     assert node.state is NodeJoinState.OVER
 
@@ -280,15 +286,13 @@ def test_metadata_may_come_with_the_request_alone() -> None:
     authority.request.verify(CODE.key)
     assert authority.request.metadata == METADATA
     with pytest.raises(JoinRefused, match="another name"):
-        node.receive(authority.answer(Refused(RefuseReason.NAME)), NOW)
+        node.receive(authority.answer(RefusedMessage(RefuseReason.NAME)), NOW)
 
 
 @pytest.mark.parametrize("state", NodeJoinState)
 @pytest.mark.parametrize("message", MESSAGES)
-def test_what_is_not_in_the_table_ends_the_session(
-    state: NodeJoinState, message: JoinMessage
-) -> None:
-    if (state, type(message)) in TABLE:
+def test_what_is_not_in_the_table_ends_the_session(state: NodeJoinState, message: JoinMessage) -> None:
+    if (state, type(message)) in NODE_TABLE:
         return
     node = NodeJoin(CODE, fresh())
     node.state = state
@@ -299,9 +303,12 @@ def test_what_is_not_in_the_table_ends_the_session(
 
 @pytest.mark.parametrize(
     "csr",
-    [b"rubbish", build_request(NODE, "elsewhere", "/fleet/a"),
-     build_request(NODE, "home", "/fleet/a", wildcard=True)],
-)  # fmt: skip
+    [
+        b"rubbish",
+        build_request(NODE, "elsewhere", "/fleet/a"),
+        build_request(NODE, "home", "/fleet/a", wildcard=True),
+    ],
+)
 def test_a_request_that_is_invalid_is_not_sent(csr: bytes) -> None:
     node = NodeJoin(CODE, fresh())
     node.receive(welcomed(node), NOW)
@@ -327,6 +334,6 @@ def test_the_states_are_those_of_the_specification() -> None:
 
 
 def test_every_state_is_reached() -> None:
-    reached = {follower for _, followers in TABLE.values() for follower in followers}
-    reached |= {after for _, after, _ in WITHOUT_MESSAGE} | {NodeJoinState.GREETING}
+    reached = {follower for _, followers in NODE_TABLE.values() for follower in followers}
+    reached |= {after for _, after, _ in NODE_WITHOUT_MESSAGE} | {NodeJoinState.GREETING}
     assert reached == set(NodeJoinState)

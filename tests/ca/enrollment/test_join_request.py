@@ -2,9 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_request import MAX_SIZE, JoinRequest
-from ca.enrollment.join_transcript import sign_proof
+from ca.enrollment.invitation import MAX_REQUEST_SIZE, InvitationCode, JoinRequest, sign_proof
 from ca.errors import EnrollmentMessageRefused, JoinRefused
 from tests.support.pki import NOW
 
@@ -31,10 +29,12 @@ def test_the_octets_as_documented() -> None:
 @pytest.mark.parametrize(
     "made",
     [
-        request_for(), request_for("/" + "a" * 254, bytes(2048), bytes(4096)),
-        request_for("", b""), request_for("", b"", b"<node/>"),
+        request_for(),
+        request_for("/" + "a" * 254, bytes(2048), bytes(4096)),
+        request_for("", b""),
+        request_for("", b"", b"<node/>"),
     ],
-)  # fmt: skip
+)
 def test_the_same_comes_back(made: JoinRequest) -> None:
     assert JoinRequest.from_bytes(made.to_bytes()) == made
     JoinRequest.from_bytes(made.to_bytes()).verify(CODE.key)
@@ -52,7 +52,7 @@ def test_what_is_cut_short_is_refused_or_not_proved() -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        bytes(MAX_SIZE + 1),
+        bytes(MAX_REQUEST_SIZE + 1),
         bytes(64) + (513).to_bytes(2) + bytes(3) + bytes(513),
         bytes(64) + b"\0\0\2\0\0" + b"/\xff",
         bytes(64) + b"\0\0\0" + (4097).to_bytes(2) + bytes(4097),
@@ -67,10 +67,15 @@ def test_wrong_sizes(data: bytes) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"invitation": b""}, {"transcript": b""}, {"name": "/é"}, {"name": "/" + "a" * 255},
-        {"csr": bytes(2049)}, {"proof": bytes(513)}, {"metadata": bytes(4097)},
+        {"invitation": b""},
+        {"transcript": b""},
+        {"name": "/é"},
+        {"name": "/" + "a" * 255},
+        {"csr": bytes(2049)},
+        {"proof": bytes(513)},
+        {"metadata": bytes(4097)},
     ],
-)  # fmt: skip
+)
 def test_parts_that_do_not_fit(change: dict[str, object]) -> None:
     with pytest.raises(EnrollmentMessageRefused):
         replace(request_for(), **change)  # type: ignore[arg-type]
@@ -79,10 +84,13 @@ def test_parts_that_do_not_fit(change: dict[str, object]) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"name": "/fleet/b"}, {"csr": b"x"}, {"transcript": bytes(32)}, {"proof": b""},
+        {"name": "/fleet/b"},
+        {"csr": b"x"},
+        {"transcript": bytes(32)},
+        {"proof": b""},
         {"metadata": b"<node/>"},
     ],
-)  # fmt: skip
+)
 def test_the_proof_is_about_every_part(change: dict[str, object]) -> None:
     with pytest.raises(JoinRefused):
         replace(request_for(), **change).verify(CODE.key)  # type: ignore[arg-type]

@@ -2,9 +2,8 @@ from hashlib import sha256
 
 import pytest
 
-from ca.cose import Profile
 from ca.encoding import Value, encode
-from ca.enrollment.join_transcript import (
+from ca.enrollment.invitation import (
     MAX_STATEMENT,
     check_claim,
     check_live,
@@ -15,6 +14,7 @@ from ca.enrollment.join_transcript import (
     transcript,
 )
 from ca.errors import JoinRefused, NotTheAuthority
+from ca.keys.signing import Profile
 from tests.support.pki import new_signer
 
 ID, ONE, TWO = bytes(32), b"1" * 16, b"2" * 16

@@ -4,11 +4,11 @@ import json
 from hashlib import sha256
 
 from ca.certificates import TrustAnchor
-from ca.enrollment import invitation, join_transcript, ndef
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import Claim, Issued, Join, Named, Welcome, read, write
-from ca.enrollment.join_node import NodeJoin
-from ca.enrollment.join_request import JoinRequest
+from ca.enrollment import invitation
+from ca.enrollment import invitation as join_transcript
+from ca.enrollment import invitation as ndef
+from ca.enrollment.invitation import JoinClaim, JoinRequest
+from ca.enrollment.join import ClaimMessage, Issued, Join, Named, NodeJoin, Welcome, read, write
 from tests.vectors.make_join import FILE
 
 V = json.loads(FILE.read_text())
@@ -50,7 +50,7 @@ def test_a_claim_and_the_request_that_follows() -> None:
     metadata, key = bytes.fromhex(V["metadata"]), bytes.fromhex(V["key"])
     claim = JoinClaim.from_bytes(bytes.fromhex(V["claim"]))
     claim.verify(key)
-    assert read(MESSAGES["claim"]) == Claim(metadata, claim.proof)
+    assert read(MESSAGES["claim"]) == ClaimMessage(metadata, claim.proof)
     assert read(MESSAGES["named"]) == Named(V["name"])
     request = JoinRequest.from_bytes(bytes.fromhex(V["named_request"]))
     request.verify(key)

@@ -8,7 +8,7 @@ import zxingcpp
 from PIL import Image
 
 from ca.enrollment import qr
-from ca.enrollment.labels import PER_PAGE, Label, sheet
+from ca.enrollment.qr import PER_PAGE, Label, sheet
 
 FINGERPRINT = "0123 4567 89ab cdef 0123 4567 89ab cdef"
 

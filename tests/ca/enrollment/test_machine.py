@@ -14,10 +14,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from ca.enrollment import qr, transcript
-from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
-from ca.enrollment.messages import Offer, read, write
-from ca.enrollment.node import NodeEnrollment, NodeState, Pending
+from ca.enrollment import qr, sides
+from ca.enrollment.messages import EnrollmentOffer, read, write
+from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeEnrollment, NodeState, Pending
 from ca.errors import CAError
 from tests.support.enrolling import ADDRESS, Robot, fresh
 from tests.support.pki import NOW, Site
@@ -35,8 +34,10 @@ def test_the_states_are_those_of_the_specification() -> None:
     authority = text.partition("## 5.")[2].partition("## 6.")[0]
     for states, section in ((NodeState, node), (AuthorityState, authority)):
         assert {state.name for state in states} == set(re.findall(r"\b[A-Z]{4,}\b", section)) - {
-            "MUST", "SHOULD", "FALSE",
-        }  # fmt: skip
+            "MUST",
+            "SHOULD",
+            "FALSE",
+        }
 
 
 class Enrollments(RuleBasedStateMachine):
@@ -101,10 +102,10 @@ class Enrollments(RuleBasedStateMachine):
         if fresh_start:
             self.node = self.new_node()
         nonce = fresh()
-        agreed = transcript.transcript(ROBOT.csr, [FORGED], MALLORY.root, nonce)
+        agreed = sides.transcript(ROBOT.csr, [FORGED], MALLORY.root, nonce)
         secret = qr.parse(self.node.code(ADDRESS)).secret
-        tag = transcript.tag(secret, agreed) if secret and self.thief else b""
-        self.deliver("node", write(Offer((FORGED,), MALLORY.root, nonce, tag)))
+        tag = sides.tag(secret, agreed) if secret and self.thief else b""
+        self.deliver("node", write(EnrollmentOffer((FORGED,), MALLORY.root, nonce, tag)))
 
     @rule(to=st.sampled_from(["node", "authority"]), pick=PICK)
     def mallory_plays_back(self, to: str, pick: int) -> None:
@@ -144,8 +145,8 @@ class Enrollments(RuleBasedStateMachine):
     def who_says_enrolled_means_what_a_node_confirmed(self) -> None:
         if self.authority.state is AuthorityState.ENROLLED:
             offer = read(self.offer)
-            assert isinstance(offer, Offer)
-            agreed = transcript.transcript(ROBOT.csr, offer.chain, offer.root, offer.nonce)
+            assert isinstance(offer, EnrollmentOffer)
+            agreed = sides.transcript(ROBOT.csr, offer.chain, offer.root, offer.nonce)
             assert agreed in {pending.transcript for pending in self.trusted}
 
     @invariant()

@@ -9,9 +9,9 @@ from ca.enrollment.messages import (
     Acknowledgement,
     Delivery,
     Done,
+    EnrollmentOffer,
     Fetch,
     Message,
-    Offer,
     Reason,
     frame,
     length,
@@ -20,12 +20,12 @@ from ca.enrollment.messages import (
 )
 from ca.errors import EnrollmentMessageRefused
 
-OFFER = Offer((b"leaf", b"intermediate"), b"root", bytes(16), bytes(32))
+OFFER = EnrollmentOffer((b"leaf", b"intermediate"), b"root", bytes(16), bytes(32))
 MESSAGES = [
     Fetch(),
     Delivery(b"csr"),
     OFFER,
-    Offer((b"leaf",), b"root", bytes(16), b""),
+    EnrollmentOffer((b"leaf",), b"root", bytes(16), b""),
     Acknowledgement(b"statement"),
     Done(b"statement"),
     *map(Abort, Reason),
@@ -40,7 +40,16 @@ def test_every_message_comes_back(message: Message) -> None:
 @pytest.mark.parametrize(
     "fields",
     [
-        [], [1], [1, 0], [1, 7], [1, 1, 1], [True, 1], [1, True], [1.0, 1], [1, 2], [1, 2, "csr"],
+        [],
+        [1],
+        [1, 0],
+        [1, 7],
+        [1, 1, 1],
+        [True, 1],
+        [1, True],
+        [1.0, 1],
+        [1, 2],
+        [1, 2, "csr"],
         [1, 3, [], b"r", bytes(16), b""],
         [1, 3, [b"a", b"b", b"c"], b"r", bytes(16), b""],
         [1, 3, [b"a", "b"], b"r", bytes(16), b""],
@@ -48,10 +57,16 @@ def test_every_message_comes_back(message: Message) -> None:
         [1, 3, [b"a"], b"r", bytes(15), b""],
         [1, 3, [b"a"], b"r", bytes(16), bytes(31)],
         [1, 3, [b"a"], b"r", bytes(16), bytes(32), 1],
-        [1, 4, 1], [1, 5, b"a", b"b"], [1, 6, 0], [1, 6, 4], [1, 6, True], "text", {1: 1},
+        [1, 4, 1],
+        [1, 5, b"a", b"b"],
+        [1, 6, 0],
+        [1, 6, 4],
+        [1, 6, True],
+        "text",
+        {1: 1},
     ],
     ids=repr,
-)  # fmt: skip
+)
 def test_invalid_messages_are_refused(fields: Value) -> None:
     with pytest.raises(EnrollmentMessageRefused, match="not a message of the enrollment"):
         read(encode(fields))

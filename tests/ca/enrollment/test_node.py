@@ -1,23 +1,8 @@
 import pytest
 
-from ca.certificates import build_request
-from ca.enrollment import qr, transcript
-from ca.enrollment.messages import (
-    Abort,
-    Acknowledgement,
-    Done,
-    Offer,
-    Reason,
-    read,
-    write,
-)
-from ca.enrollment.node import (
-    MAX_BAD_DIGITS,
-    MAX_BAD_TAGS,
-    TABLE,
-    NodeEnrollment,
-    NodeState,
-)
+from ca.enrollment import qr, sides
+from ca.enrollment.messages import Abort, Acknowledgement, Done, EnrollmentOffer, Reason, read, write
+from ca.enrollment.sides import MAX_BAD_DIGITS, MAX_BAD_TAGS, NODE_TABLE, NodeEnrollment, NodeState
 from ca.errors import (
     ConflictingOffer,
     DigitsRefused,
@@ -29,6 +14,7 @@ from ca.errors import (
     OfferRefused,
     RequestRefused,
 )
+from ca.svid import build_request
 from tests.support.enrolling import ADDRESS, WINDOW, Robot, acknowledged, fresh, offered, scanned
 from tests.support.pki import NOW, Site, new_signer
 
@@ -127,8 +113,8 @@ def test_an_offer_after_the_enrollment() -> None:
     node.confirm(authority.digits, NOW)
     node.activated()
     changed = read(offer)
-    assert isinstance(changed, Offer)
-    other = write(Offer(changed.chain, changed.root, fresh(), changed.tag))
+    assert isinstance(changed, EnrollmentOffer)
+    other = write(EnrollmentOffer(changed.chain, changed.root, fresh(), changed.tag))
     with pytest.raises(EnrollmentOver, match="enrolled already"):
         node.receive(other, NOW)
     node.stop(EnrollmentOver("too late to stop"))
@@ -150,8 +136,8 @@ def test_five_bad_tags_lock_the_code() -> None:
 
 def forged(offer: bytes, tag: bytes = bytes(32)) -> bytes:
     message = read(offer)
-    assert isinstance(message, Offer)
-    return write(Offer(message.chain, message.root, fresh(), tag))
+    assert isinstance(message, EnrollmentOffer)
+    return write(EnrollmentOffer(message.chain, message.root, fresh(), tag))
 
 
 def test_bad_tags_do_not_disturb_an_offer_that_waits() -> None:
@@ -178,7 +164,7 @@ def test_an_offer_with_a_tag_is_not_for_a_label() -> None:
 
 
 def crafted(robot: Robot, chain: tuple[bytes, ...], root: bytes) -> bytes:
-    return write(Offer(chain, root, fresh(), b""))
+    return write(EnrollmentOffer(chain, root, fresh(), b""))
 
 
 def test_an_identity_for_somebody_else() -> None:
@@ -191,9 +177,7 @@ def test_an_identity_for_somebody_else() -> None:
         with pytest.raises(OfferRefused, match=message):
             node.receive(crafted(robot, (leaf,), SITE.root), NOW)
     elsewhere = Site.create("lab")
-    leaf = elsewhere.authority.issue(
-        build_request(robot.signer, "lab", robot.name), now=NOW, serial=3
-    )
+    leaf = elsewhere.authority.issue(build_request(robot.signer, "lab", robot.name), now=NOW, serial=3)
     with pytest.raises(OfferRefused, match="for another name"):
         node.receive(crafted(robot, (leaf,), elsewhere.root), NOW)
     assert node.state is NodeState.SHOWING
@@ -218,9 +202,12 @@ def test_certificates_that_do_not_hold() -> None:
     node = robot.enrollment(label=True)
     leaf = SITE.authority.issue(robot.csr, now=NOW, serial=3)
     for chain, root in (
-        ((leaf,), OTHER.root), ((leaf,), leaf), ((leaf,), b"x"), ((b"x",), SITE.root),
+        ((leaf,), OTHER.root),
+        ((leaf,), leaf),
+        ((leaf,), b"x"),
+        ((b"x",), SITE.root),
         ((SITE.root,), SITE.root),
-    ):  # fmt: skip
+    ):
         with pytest.raises(OfferRefused, match="invalid offer"):
             node.receive(crafted(robot, chain, root), NOW)
     expired = SITE.authority.issue(robot.csr, now=NOW, serial=3, lifetime=1)
@@ -307,10 +294,10 @@ WITHOUT_MESSAGE = {NodeState.CONFIRMED, NodeState.ENROLLED, NodeState.OVER}
 
 
 def test_the_table_names_methods_that_exist() -> None:
-    assert all(callable(getattr(NodeEnrollment, method)) for method, _ in TABLE.values())
-    reached = {end for _, ends in TABLE.values() for end in ends}
+    assert all(callable(getattr(NodeEnrollment, method)) for method, _ in NODE_TABLE.values())
+    reached = {end for _, ends in NODE_TABLE.values() for end in ends}
     assert reached | WITHOUT_MESSAGE == set(NodeState)
-    assert not any(begin is NodeState.OVER for begin, _ in TABLE)
+    assert not any(begin is NodeState.OVER for begin, _ in NODE_TABLE)
 
 
 def test_the_digits_depend_on_what_the_node_reveals_last() -> None:
@@ -322,4 +309,4 @@ def test_the_digits_depend_on_what_the_node_reveals_last() -> None:
     second.receive(offer, NOW)
     assert first.pending.transcript == second.pending.transcript
     assert first.pending.digits != second.pending.digits
-    assert transcript.group_digits(first.pending.digits)[3] == " "
+    assert sides.group_digits(first.pending.digits)[3] == " "

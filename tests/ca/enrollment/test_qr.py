@@ -20,12 +20,7 @@ REQUEST = b"any bytes serve as a request here"
 # RFC 9285 section 4.3 and 4.4
 @pytest.mark.parametrize(
     ("data", "text"),
-    [
-        (b"AB", "BB8"),
-        (b"Hello!!", "%69 VD92EX0"),
-        (b"base-45", "UJCLQE7W581"),
-        (b"ietf!", "QED8WEX0"),
-    ],
+    [(b"AB", "BB8"), (b"Hello!!", "%69 VD92EX0"), (b"base-45", "UJCLQE7W581"), (b"ietf!", "QED8WEX0")],
 )
 def test_the_examples_of_the_rfc(data: bytes, text: str) -> None:
     assert qr.encode_base45(data) == text
@@ -64,11 +59,7 @@ def test_a_screen_code_carries_secret_end_and_address() -> None:
     assert len(text) <= 117
     code = qr.parse(f"  {text}\n")
     assert code.matches(REQUEST)
-    assert (code.secret, code.expires, code.address) == (
-        b"s" * 16,
-        1_800_000_000,
-        "192.168.1.7:40123",
-    )
+    assert (code.secret, code.expires, code.address) == (b"s" * 16, 1_800_000_000, "192.168.1.7:40123")
 
 
 @pytest.mark.parametrize(
@@ -79,9 +70,7 @@ def test_a_screen_code_that_would_not_fit(secret: bytes, address: str) -> None:
         qr.screen_code(REQUEST, secret, 0, address)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "ROSSEC", "rossec:BB8", "https://example.com", "ROSSEC:" + "0" * 600]
-)
+@pytest.mark.parametrize("text", ["", "ROSSEC", "rossec:BB8", "https://example.com", "ROSSEC:" + "0" * 600])
 def test_other_texts_are_not_codes(text: str) -> None:
     with pytest.raises(CodeRefused, match="not the text of a rossec code") as caught:
         qr.parse(text)
@@ -110,9 +99,7 @@ def test_an_empty_code() -> None:
         qr.parse(qr.PREFIX)
 
 
-@pytest.mark.parametrize(
-    "text", [qr.label_code(REQUEST), qr.screen_code(REQUEST, b"k" * 16, 9, "[::1]:9")]
-)
+@pytest.mark.parametrize("text", [qr.label_code(REQUEST), qr.screen_code(REQUEST, b"k" * 16, 9, "[::1]:9")])
 def test_the_terminal_rendering_scans(text: str) -> None:
     rendered = qr.terminal(text)
     assert zxingcpp.read_barcodes(picture(rendered))[0].text == text
@@ -152,9 +139,7 @@ def picture(rendered: str) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
 def enlarge(
     modules: np.ndarray[tuple[int, ...], np.dtype[np.uint8]],
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    return np.pad(
-        np.kron(255 * (1 - modules), np.ones((6, 6), dtype=np.uint8)), 24, constant_values=255
-    )
+    return np.pad(np.kron(255 * (1 - modules), np.ones((6, 6), dtype=np.uint8)), 24, constant_values=255)
 
 
 def test_a_screen_code_ends() -> None:

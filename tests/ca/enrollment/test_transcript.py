@@ -4,7 +4,7 @@ import hmac
 import pytest
 
 from ca.encoding import encode
-from ca.enrollment import transcript as t
+from ca.enrollment import sides as t
 from ca.errors import AcknowledgementRefused
 from tests.support.pki import new_signer
 
@@ -75,8 +75,6 @@ def test_the_last_word_is_about_one_offer() -> None:
 
 def test_one_statement_is_never_taken_for_the_other() -> None:
     with pytest.raises(AcknowledgementRefused, match="not a statement of kind"):
-        t.check_done(
-            t.sign_acknowledgement(SIGNER, AGREED, CONTRIBUTION), SIGNER.public_key, AGREED
-        )
+        t.check_done(t.sign_acknowledgement(SIGNER, AGREED, CONTRIBUTION), SIGNER.public_key, AGREED)
     with pytest.raises(AcknowledgementRefused, match="not a statement of kind"):
         t.open_acknowledgement(t.sign_done(SIGNER, AGREED), SIGNER.public_key, AGREED)

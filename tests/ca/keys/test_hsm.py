@@ -15,10 +15,10 @@ from pkcs11 import Attribute, KeyType
 from pkcs11.util.ec import encode_named_curve_parameters
 
 from ca.authority import Authority, create_root
-from ca.certificates import build_request
-from ca.cose import Profile
 from ca.errors import KeyRefused, TokenRefused
-from ca.keys.hsm import DEFAULT_MODULE, KeyUri, TokenSigner, _session
+from ca.keys.private_keys import DEFAULT_MODULE, KeyUri, TokenSigner, _session
+from ca.keys.signing import Profile
+from ca.svid import build_request
 from tests.support.pki import NOW, new_signer
 from tests.support.token import MODULE, PIN, softhsm
 
@@ -80,9 +80,7 @@ def test_a_wrong_pin_says_so() -> None:
 def test_a_missing_token_or_key_is_refused() -> None:
     with pytest.raises(TokenRefused, match="there is no token elsewhere"):
         TokenSigner.open(fresh("elsewhere"), PIN)
-    with pytest.raises(
-        TokenRefused, match=r"the token home has no usable key key[0-9]+: NoSuchKey"
-    ):
+    with pytest.raises(TokenRefused, match=r"the token home has no usable key key[0-9]+: NoSuchKey"):
         TokenSigner.open(fresh(), PIN)
     with pytest.raises(TokenRefused, match=r"there is no PKCS#11 module at /none\.so"):
         TokenSigner.open(KeyUri("home", "x", "/none.so"), PIN)
@@ -125,12 +123,12 @@ def test_a_token_that_was_pulled_out(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(TokenRefused, match="the token does not sign: DeviceRemoved"):
         signer.sign(b"message")
     with monkeypatch.context() as patched:
-        patched.setattr("ca.keys.hsm._log_in", Mock(side_effect=pkcs11.exceptions.DeviceError()))
+        patched.setattr("pkcs11.lib", Mock(side_effect=pkcs11.exceptions.DeviceError()))
         with pytest.raises(TokenRefused, match="the token home cannot be opened: DeviceError"):
             TokenSigner.open(fresh(), PIN)
     session = failing(create_domain_parameters=pkcs11.exceptions.MechanismInvalid())
     session.get_objects.return_value = []
-    monkeypatch.setattr("ca.keys.hsm._session", lambda *_: session)
+    monkeypatch.setattr("ca.keys.private_keys._session", lambda *_: session)
     with pytest.raises(TokenRefused, match="cannot generate a P-256 key: MechanismInvalid"):
         TokenSigner.create(fresh(), PIN)
 
@@ -143,8 +141,7 @@ def test_a_token_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["pkcs11:token=home;object=ca", "pkcs11:object=ca;token=home?module-path=" + DEFAULT_MODULE],
+    "text", ["pkcs11:token=home;object=ca", "pkcs11:object=ca;token=home?module-path=" + DEFAULT_MODULE]
 )
 def test_key_uris_round_trip(text: str) -> None:
     uri = KeyUri.parse(text)
@@ -161,12 +158,18 @@ def test_uris_are_percent_encoded() -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "", "file:ca.key", "pkcs11:", "pkcs11:token=home", "pkcs11:object=ca",
-        "pkcs11:token=;object=ca", "pkcs11:token=a;token=b;object=ca",
-        "pkcs11:token=a;object=ca;id=1", "pkcs11:token=a;object=ca?module-name=x",
+        "",
+        "file:ca.key",
+        "pkcs11:",
+        "pkcs11:token=home",
+        "pkcs11:object=ca",
+        "pkcs11:token=;object=ca",
+        "pkcs11:token=a;token=b;object=ca",
+        "pkcs11:token=a;object=ca;id=1",
+        "pkcs11:token=a;object=ca?module-name=x",
         "token=home;object=ca",
     ],
-)  # fmt: skip
+)
 def test_an_invalid_key_uri_is_refused(text: str) -> None:
     with pytest.raises(TokenRefused, match="does not name a key in a token") as caught:
         KeyUri.parse(text)

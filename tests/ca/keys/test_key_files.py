@@ -14,7 +14,8 @@ from cryptography.hazmat.primitives.serialization import (
 )
 
 from ca.errors import KeyRefused, PassphraseRefused
-from ca.keys import key_files
+from ca.keys import private_keys
+from ca.keys.signing import thumbprint
 
 
 def public_bytes(key: ec.EllipticCurvePrivateKey) -> bytes:
@@ -28,31 +29,31 @@ def write(path: Path, data: bytes, mode: int = 0o600) -> Path:
 
 
 def test_generate_makes_new_p256_keys() -> None:
-    first, second = key_files.generate(), key_files.generate()
+    first, second = private_keys.generate(), private_keys.generate()
     assert isinstance(first.curve, ec.SECP256R1)
-    assert key_files.thumbprint(first.public_key()) != key_files.thumbprint(second.public_key())
+    assert thumbprint(first.public_key()) != thumbprint(second.public_key())
 
 
 def test_unencrypted_round_trip(tmp_path: Path) -> None:
-    key, path = key_files.generate(), tmp_path / "node.key"
-    key_files.write_private(path, key)
+    key, path = private_keys.generate(), tmp_path / "node.key"
+    private_keys.write_private(path, key)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    assert public_bytes(key_files.load_private(path)) == public_bytes(key)
+    assert public_bytes(private_keys.load_private(path)) == public_bytes(key)
 
 
 def test_round_trip_encrypted(tmp_path: Path) -> None:
-    key, path = key_files.generate(), tmp_path / "ca.key"
-    key_files.write_private(path, key, "pässword")
+    key, path = private_keys.generate(), tmp_path / "ca.key"
+    private_keys.write_private(path, key, "pässword")
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    assert public_bytes(key_files.load_private(path, "pässword")) == public_bytes(key)
+    assert public_bytes(private_keys.load_private(path, "pässword")) == public_bytes(key)
     other = load_pem_private_key(path.read_bytes(), "pässword".encode())
     assert isinstance(other, ec.EllipticCurvePrivateKey)
     assert public_bytes(other) == public_bytes(key)
 
 
 def test_openssl_reads_the_encrypted_file(tmp_path: Path) -> None:
-    key, path = key_files.generate(), tmp_path / "ca.key"
-    key_files.write_private(path, key, "secret")
+    key, path = private_keys.generate(), tmp_path / "ca.key"
+    private_keys.write_private(path, key, "secret")
     done = subprocess.run(
         ["openssl", "pkey", "-in", path, "-passin", "pass:secret", "-pubout", "-outform", "DER"],
         capture_output=True,
@@ -64,7 +65,7 @@ def test_openssl_reads_the_encrypted_file(tmp_path: Path) -> None:
 def test_existing_files_are_never_overwritten(tmp_path: Path) -> None:
     path = write(tmp_path / "node.key", b"precious")
     with pytest.raises(KeyRefused, match="exists and is not overwritten") as caught:
-        key_files.write_private(path, key_files.generate())
+        private_keys.write_private(path, private_keys.generate())
     assert "move the old key away" in caught.value.hint
     assert path.read_bytes() == b"precious"
 
@@ -73,19 +74,19 @@ def test_does_not_write_through_a_link(tmp_path: Path) -> None:
     path = tmp_path / "node.key"
     path.symlink_to(tmp_path / "elsewhere")
     with pytest.raises(KeyRefused, match="exists and is not overwritten"):
-        key_files.write_private(path, key_files.generate())
+        private_keys.write_private(path, private_keys.generate())
     assert not (tmp_path / "elsewhere").exists()
 
 
 def test_an_empty_passphrase_is_none_chosen(tmp_path: Path) -> None:
     with pytest.raises(PassphraseRefused, match="the passphrase is empty"):
-        key_files.write_private(tmp_path / "ca.key", key_files.generate(), "")
+        private_keys.write_private(tmp_path / "ca.key", private_keys.generate(), "")
     assert not (tmp_path / "ca.key").exists()
 
 
 def test_no_directory_to_write_to(tmp_path: Path) -> None:
     with pytest.raises(KeyRefused, match=r"cannot create .*No such file"):
-        key_files.write_private(tmp_path / "missing" / "node.key", key_files.generate())
+        private_keys.write_private(tmp_path / "missing" / "node.key", private_keys.generate())
 
 
 def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,56 +95,56 @@ def test_a_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(KeyRefused, match=r"cannot write .*No space left"):
-        key_files.write_private(tmp_path / "node.key", key_files.generate())
+        private_keys.write_private(tmp_path / "node.key", private_keys.generate())
     assert list(tmp_path.iterdir()) == []
 
 
 def test_file_and_directory_are_synced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kinds: list[bool] = []
     monkeypatch.setattr(os, "fsync", lambda fd: kinds.append(stat.S_ISDIR(os.fstat(fd).st_mode)))
-    key_files.write_private(tmp_path / "node.key", key_files.generate())
+    private_keys.write_private(tmp_path / "node.key", private_keys.generate())
     assert kinds == [False, True]
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o601, 0o666])
 def test_a_key_others_can_reach_is_refused(tmp_path: Path, mode: int) -> None:
     path = tmp_path / "node.key"
-    key_files.write_private(path, key_files.generate())
+    private_keys.write_private(path, private_keys.generate())
     path.chmod(mode)
     with pytest.raises(KeyRefused, match="can be read or written by others") as caught:
-        key_files.load_private(path)
+        private_keys.load_private(path)
     assert f"chmod 600 {path}" in caught.value.hint
 
 
 def test_a_missing_key_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(KeyRefused, match="there is no key at"):
-        key_files.load_private(tmp_path / "node.key")
+        private_keys.load_private(tmp_path / "node.key")
 
 
 def test_a_link_is_not_followed(tmp_path: Path) -> None:
-    key_files.write_private(tmp_path / "real.key", key_files.generate())
+    private_keys.write_private(tmp_path / "real.key", private_keys.generate())
     (tmp_path / "node.key").symlink_to(tmp_path / "real.key")
     with pytest.raises(KeyRefused, match="cannot open") as caught:
-        key_files.load_private(tmp_path / "node.key")
+        private_keys.load_private(tmp_path / "node.key")
     assert "symbolic link" in caught.value.hint
 
 
 def test_a_fifo_does_not_hang(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "node.key", 0o600)
     with pytest.raises(KeyRefused, match="is not a regular file"):
-        key_files.load_private(tmp_path / "node.key")
+        private_keys.load_private(tmp_path / "node.key")
 
 
 def test_a_huge_file_is_not_read(tmp_path: Path) -> None:
     path = write(tmp_path / "node.key", bytes(8193))
     with pytest.raises(KeyRefused, match="is too large for a key"):
-        key_files.load_private(path)
+        private_keys.load_private(path)
 
 
 @pytest.mark.parametrize("data", [b"", b"garbage", b"-----BEGIN PRIVATE KEY-----\n"])
 def test_a_file_without_a_key_is_refused(tmp_path: Path, data: bytes) -> None:
     with pytest.raises(KeyRefused, match="holds no private key"):
-        key_files.load_private(write(tmp_path / "node.key", data))
+        private_keys.load_private(write(tmp_path / "node.key", data))
 
 
 @pytest.mark.parametrize(
@@ -154,18 +155,18 @@ def test_a_key_file_holds_a_p256_key(
 ) -> None:
     pem = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
     with pytest.raises(KeyRefused, match="holds a key that is not P-256"):
-        key_files.load_private(write(tmp_path / "node.key", pem))
+        private_keys.load_private(write(tmp_path / "node.key", pem))
 
 
 def test_passphrases_that_do_not_fit(tmp_path: Path) -> None:
     closed, plain = tmp_path / "ca.key", tmp_path / "node.key"
-    key_files.write_private(closed, key_files.generate(), "right")
-    key_files.write_private(plain, key_files.generate())
+    private_keys.write_private(closed, private_keys.generate(), "right")
+    private_keys.write_private(plain, private_keys.generate())
     with pytest.raises(PassphraseRefused, match="is encrypted"):
-        key_files.load_private(closed)
+        private_keys.load_private(closed)
     with pytest.raises(PassphraseRefused, match="the passphrase does not open"):
-        key_files.load_private(closed, "wrong")
+        private_keys.load_private(closed, "wrong")
     with pytest.raises(PassphraseRefused, match="the passphrase does not open"):
-        key_files.load_private(closed, "")
+        private_keys.load_private(closed, "")
     with pytest.raises(PassphraseRefused, match="not encrypted although a passphrase was given"):
-        key_files.load_private(plain, "right")
+        private_keys.load_private(plain, "right")

@@ -82,9 +82,7 @@ def test_a_sticky_directory_above_is_good_and_the_last_one_is_not(mine: Path) ->
 
 
 @pytest.mark.parametrize("missing", [("new",), ("new", "nodes", "robot")])
-def test_what_is_to_be_made_in_a_sticky_directory_is_good(
-    mine: Path, missing: tuple[str, ...]
-) -> None:
+def test_what_is_to_be_made_in_a_sticky_directory_is_good(mine: Path, missing: tuple[str, ...]) -> None:
     mine.chmod(0o1777)
     ownership.check_directory(mine.joinpath(*missing))
     mine.chmod(0o777)
@@ -150,9 +148,7 @@ def test_every_link_on_the_way_is_followed(mine: Path) -> None:
         ownership.check_directory(mine / "round")
 
 
-def test_a_directory_of_another_user_is_refused(
-    mine: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_directory_of_another_user_is_refused(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     as_another(monkeypatch)
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     hint = refused(mine / "ca.pem", "home belongs to user 4242, who could change")
@@ -170,9 +166,7 @@ def test_root_is_told_the_owner(mine: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert "(sudo -u '#4242' rossec ...)" in refused(mine / "ca.pem", "belongs to user 4242")
 
 
-def test_a_file_of_somebody_else_in_ones_own_directory(
-    mine: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_of_somebody_else_in_ones_own_directory(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     as_another(monkeypatch)
     monkeypatch.setattr(ownership, "check_directory", lambda path: None)
     refused(mine / "ca.pem", "ca.pem belongs to user 4242")
@@ -214,9 +208,7 @@ def test_a_group_whose_users_are_not_listed_does_not(groups: list[SimpleNamespac
 
 
 @pytest.mark.parametrize("pair", [(78, 5), (77, 6)])
-def test_a_group_nobody_can_name_does_not(
-    groups: list[SimpleNamespace], pair: tuple[int, int]
-) -> None:
+def test_a_group_nobody_can_name_does_not(groups: list[SimpleNamespace], pair: tuple[int, int]) -> None:
     assert not ownership._is_user_private_group(*pair)
 
 

@@ -10,12 +10,12 @@ from cryptography.hazmat.primitives.serialization import (
 )
 
 from ca.errors import KeyRefused
-from ca.keys import pbes2
+from ca.keys import passphrases
 
 PASSPHRASE = b"correct horse"
 KEY = ec.generate_private_key(ec.SECP256R1())
 PLAIN = KEY.private_bytes(Encoding.DER, PrivateFormat.PKCS8, NoEncryption())
-ENCRYPTED = pbes2.encrypt(PLAIN, PASSPHRASE, salt=bytes(range(16)), iv=bytes(range(16, 32)))
+ENCRYPTED = passphrases.encrypt(PLAIN, PASSPHRASE, salt=bytes(range(16)), iv=bytes(range(16, 32)))
 
 
 def test_cryptography_reads_it() -> None:
@@ -47,60 +47,67 @@ def test_the_parameters_are_the_promised_ones() -> None:
 
 @pytest.mark.parametrize("size", [0, 15, 16, 200, 70_000])
 def test_every_length_form(size: int) -> None:
-    blob = pbes2.encrypt(bytes(size), b"x", salt=bytes(16), iv=bytes(16))
+    blob = passphrases.encrypt(bytes(size), b"x", salt=bytes(16), iv=bytes(16))
     done = subprocess.run(
         ["openssl", "asn1parse", "-inform", "DER"], input=blob, capture_output=True, check=False
     )
     assert done.returncode == 0
 
 
-def asking(*costs: int, derivation: bytes = pbes2._OID_SCRYPT) -> bytes:
+def asking(*costs: int, derivation: bytes = passphrases._OID_SCRYPT) -> bytes:
     """An encrypted key whose file asks for these costs; nothing was derived."""
-    salt = pbes2._der(pbes2._OCTETS, bytes(16))
-    parameters = pbes2._der(pbes2._SEQUENCE, salt, *map(pbes2._integer, costs))
-    encryption = pbes2._der(
-        pbes2._SEQUENCE, pbes2._OID_AES256_CBC, pbes2._der(pbes2._OCTETS, bytes(16))
+    salt = passphrases.der(passphrases._OCTETS, bytes(16))
+    parameters = passphrases.der(passphrases.SEQUENCE, salt, *map(passphrases._integer, costs))
+    encryption = passphrases.der(
+        passphrases.SEQUENCE, passphrases._OID_AES256_CBC, passphrases.der(passphrases._OCTETS, bytes(16))
     )
-    both = pbes2._der(
-        pbes2._SEQUENCE, pbes2._der(pbes2._SEQUENCE, derivation, parameters), encryption
+    both = passphrases.der(
+        passphrases.SEQUENCE, passphrases.der(passphrases.SEQUENCE, derivation, parameters), encryption
     )
-    algorithm = pbes2._der(pbes2._SEQUENCE, pbes2._OID_PBES2, both)
-    return pbes2._der(pbes2._SEQUENCE, algorithm, pbes2._der(pbes2._OCTETS, bytes(160)))
+    algorithm = passphrases.der(passphrases.SEQUENCE, passphrases._OID_PBES2, both)
+    return passphrases.der(passphrases.SEQUENCE, algorithm, passphrases.der(passphrases._OCTETS, bytes(160)))
 
 
 def test_what_rossec_and_openssl_write_costs_no_more_than_is_allowed() -> None:
-    pbes2.check_cost(ENCRYPTED)
+    passphrases.check_cost(ENCRYPTED)
     command = ["openssl", "pkcs8", "-topk8", "-inform", "DER", "-outform", "DER"]
     for how in (["-scrypt"], ["-v2", "aes-256-cbc", "-iter", "600000"]):
         done = subprocess.run(
             [*command, *how, "-passout", "pass:x"], input=PLAIN, capture_output=True, check=True
         )
-        pbes2.check_cost(done.stdout)
+        passphrases.check_cost(done.stdout)
 
 
 @pytest.mark.parametrize(
     "costs",
-    [(2**14, 8, 5000), (2**30, 8, 1), (2**14, 2**20, 1), (2**14, 8, 33), (2**64, 1, 1), (0, 8, 1),
-     (2**14, 8, -1)],
-)  # fmt: skip
+    [
+        (2**14, 8, 5000),
+        (2**30, 8, 1),
+        (2**14, 2**20, 1),
+        (2**14, 8, 33),
+        (2**64, 1, 1),
+        (0, 8, 1),
+        (2**14, 8, -1),
+    ],
+)
 def test_a_key_that_costs_too_much_is_refused(costs: tuple[int, ...]) -> None:
     with pytest.raises(KeyRefused, match="more work"):
-        pbes2.check_cost(asking(*costs))
+        passphrases.check_cost(asking(*costs))
 
 
 @pytest.mark.parametrize("iterations", [4_000_001, 2**31, 0])
 def test_iterations_are_bounded_too(iterations: int) -> None:
-    pbes2.check_cost(asking(4_000_000, derivation=pbes2._OID_PBKDF2))
+    passphrases.check_cost(asking(4_000_000, derivation=passphrases._OID_PBKDF2))
     with pytest.raises(KeyRefused, match="more work"):
-        pbes2.check_cost(asking(iterations, derivation=pbes2._OID_PBKDF2))
+        passphrases.check_cost(asking(iterations, derivation=passphrases._OID_PBKDF2))
 
 
 def test_nothing_but_der_of_these_is_read() -> None:
-    other = ENCRYPTED.replace(pbes2._OID_SCRYPT, pbes2._OID_SCRYPT[:-1] + b"\x0c")
+    other = ENCRYPTED.replace(passphrases._OID_SCRYPT, passphrases._OID_SCRYPT[:-1] + b"\x0c")
     longer = ENCRYPTED[:1] + b"\x83\x00" + ENCRYPTED[2:]
     for data in (other, longer, ENCRYPTED + b"\x00", b"", b"\x30", b"\x30\x80\x00\x00", PLAIN):
         with pytest.raises(ValueError, match=r"DER|element|algorithm"):
-            pbes2.check_cost(data)
+            passphrases.check_cost(data)
     for end in range(len(ENCRYPTED)):
         with pytest.raises(ValueError, match=r"DER|element|algorithm"):
-            pbes2.check_cost(ENCRYPTED[:end])
+            passphrases.check_cost(ENCRYPTED[:end])

@@ -2,13 +2,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519
 
 from ca.errors import KeyRefused
-from ca.keys.publickey import (
-    from_coordinates,
-    require_p256,
-    thumbprint,
-    thumbprint_of,
-    to_coordinates,
-)
+from ca.keys.signing import from_coordinates, require_p256, thumbprint, thumbprint_of, to_coordinates
 
 
 def test_thumbprint_of_rfc_9679() -> None:
@@ -16,9 +10,7 @@ def test_thumbprint_of_rfc_9679() -> None:
     x = int("65eda5a12577c2bae829437fe338701a10aaa375e1bb5b5de108de439c08551d", 16)
     y = int("1e52ed75701163f7f9e40ddf9f341b3dc9ba860af7e0ca7ca7e9eecd0084d19c", 16)
     key = ec.EllipticCurvePublicNumbers(x, y, ec.SECP256R1()).public_key()
-    assert (
-        thumbprint(key).hex() == "496bd8afadf307e5b08c64b0421bf9dc01528a344a43bda88fadd1669da253ec"
-    )
+    assert thumbprint(key).hex() == "496bd8afadf307e5b08c64b0421bf9dc01528a344a43bda88fadd1669da253ec"
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
-from ca.keys.signer import KeySigner, Signer
+from ca.keys.signing import KeySigner, Signer
 
 
 def test_signs_es256_in_raw_form() -> None:

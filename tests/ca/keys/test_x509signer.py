@@ -5,8 +5,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
-from ca.keys.signer import KeySigner
-from ca.keys.x509signer import X509Signer
+from ca.keys.signing import KeySigner, X509Signer
 
 SIGNER = KeySigner(ec.generate_private_key(ec.SECP256R1()))
 ADAPTER = X509Signer(SIGNER)

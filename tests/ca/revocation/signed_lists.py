@@ -1,9 +1,10 @@
-"""Signed lists and what a node knows from them, for the tests of `ca.revocation.state`."""
+"""Signed lists and what a node knows from them, for the tests of `ca.revocation.trust_status`."""
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
-from ca.revocation.state import MAX_AGE, RevocationList, Revocations, Timestamp, digest, sign_list
+from ca.revocation.lists import MAX_AGE, RevocationList, Timestamp, digest, sign_list
+from ca.revocation.trust_status import Revocations
 from tests.support.pki import NOW, new_signer
 
 SIGNER = new_signer()

@@ -36,9 +36,7 @@ entries = st.frozensets(st.binary(min_size=16, max_size=16) | st.binary(min_size
 
 @settings(max_examples=50)
 @given(numbers, numbers, st.integers(0, 2**52), st.integers(1, 2**52 - 1), entries)
-def test_lists_round_trip(
-    epoch: int, seq: int, issued: int, life: int, held: frozenset[bytes]
-) -> None:
+def test_lists_round_trip(epoch: int, seq: int, issued: int, life: int, held: frozenset[bytes]) -> None:
     revocations = RevocationList(epoch, seq, issued, issued + life, held)
     assert open_list(sign_list(SIGNER, revocations), SIGNER.public_key) == revocations
     assert revocations.number == (epoch, seq)
@@ -110,9 +108,7 @@ def test_size_comes_first() -> None:
 
 
 def list_payload(changes: Mapping[int | str, Value] | None = None) -> Value:
-    good: dict[int | str, Value] = {
-        4: NOW + 1, 6: NOW, -70001: 1, -70002: 2, -70003: [GRANT, KEY]
-    }  # fmt: skip
+    good: dict[int | str, Value] = {4: NOW + 1, 6: NOW, -70001: 1, -70002: 2, -70003: [GRANT, KEY]}
     return good | dict(changes or {})
 
 

@@ -9,26 +9,24 @@ from hypothesis import strategies as st
 
 from ca.errors import ProofRefused
 from ca.revocation import merkle
-from ca.revocation.merkle import (
-    EMPTY_ROOT,
-    Tree,
-    extend,
-    leaf_hash,
-    node_hash,
-    root_of,
-    verify_consistency,
-    verify_inclusion,
-)
+from ca.revocation.merkle import EMPTY_ROOT, Tree, extend, leaf_hash, node_hash, root_of, verify_inclusion
+from tests.support.consistency import verify_consistency
 
 # The reference tree of the Certificate Transparency project (merkletree tests of its C++, Go and
 # Java logs): contents, and the roots over the first 1, 2 ... 8 of them.
 LEAVES = [
     bytes.fromhex(text)
     for text in (
-        "", "00", "10", "2021", "3031", "40414243", "5051525354555657",
+        "",
+        "00",
+        "10",
+        "2021",
+        "3031",
+        "40414243",
+        "5051525354555657",
         "606162636465666768696a6b6c6d6e6f",
     )
-]  # fmt: skip
+]
 ROOTS = [
     bytes.fromhex(text)
     for text in (

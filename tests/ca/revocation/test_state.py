@@ -4,25 +4,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from ca.errors import RevocationRefused, RevocationsStale, Revoked, RollbackRefused
-from ca.revocation.state import (
-    MAX_AGE,
-    SKEW,
-    RevocationList,
-    Revocations,
-    sign_list,
-)
-from tests.ca.revocation.signed_lists import (
-    KEY,
-    LIFE,
-    SIGNER,
-    A,
-    B,
-    fresh,
-    never,
-    signed,
-    stamp,
-    twisted,
-)
+from ca.revocation.lists import MAX_AGE, RevocationList, sign_list
+from ca.revocation.trust_status import SKEW, Revocations
+from tests.ca.revocation.signed_lists import KEY, LIFE, SIGNER, A, B, fresh, never, signed, stamp, twisted
 from tests.support.pki import NOW, new_signer
 
 
@@ -37,12 +21,7 @@ def test_a_fresh_list_lets_others_pass() -> None:
 
 def test_nothing_known_means_no() -> None:
     state = Revocations(SIGNER.public_key)
-    assert (state.fresh_until, state.entries, state.data, state.current) == (
-        0,
-        frozenset(),
-        b"",
-        None,
-    )
+    assert (state.fresh_until, state.entries, state.data, state.current) == (0, frozenset(), b"", None)
     with pytest.raises(RevocationsStale, match="no revocation list was received yet") as caught:
         state.check(A, NOW)
     assert "master" in caught.value.hint
@@ -195,9 +174,7 @@ def test_confirmations_that_do_not_fit() -> None:
         state.confirm(stamp(1, data), NOW)
     state.update(data, NOW)
     for bad in (stamp(2, data), stamp(0, data), stamp(1, data + b"\0"), stamp(1, b"")):
-        with pytest.raises(
-            RevocationRefused, match="is for another list than the current number 1"
-        ):
+        with pytest.raises(RevocationRefused, match="is for another list than the current number 1"):
             state.confirm(bad, NOW)
     with pytest.raises(RevocationRefused, match="the timestamp is from the future"):
         state.confirm(stamp(1, data, issued=NOW + SKEW + 1), NOW)

@@ -3,18 +3,18 @@
 import pytest
 
 from ca.errors import RevocationRefused, RevocationsStale, Revoked
-from ca.revocation.state import (
+from ca.revocation.lists import (
     MAX_AGE,
     RevocationList,
-    Revocations,
+    RevocationTree,
     Timestamp,
+    TreeEntries,
     digest,
     sign_list,
+    sign_tree,
 )
-from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
-from tests.ca.revocation.signed_lists import (
-    SIGNER,
-)
+from ca.revocation.trust_status import Revocations
+from tests.ca.revocation.signed_lists import SIGNER
 from tests.support.pki import NOW
 
 ENTRIES = frozenset(n.to_bytes(16) for n in range(1, 40, 3))
@@ -95,7 +95,7 @@ def test_a_list_after_a_tree_says_it_all_again() -> None:
 
 
 def test_what_is_remembered_of_a_tree_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ca.revocation.state.MAX_PROOFS", 2)
+    monkeypatch.setattr("ca.revocation.trust_status.MAX_PROOFS", 2)
     state = with_tree()
     for n in (2, 3, 5):
         with pytest.raises(RevocationsStale):

@@ -10,20 +10,21 @@ from hypothesis import strategies as st
 
 from ca.encoding import decode, encode
 from ca.errors import RevocationRefused
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.revocation.lists import RevocationList, sign_list
-from ca.revocation.merkle import EMPTY_ROOT
-from ca.revocation.tree import (
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import (
     MAX_LEAVES,
     TREE,
+    RevocationList,
     RevocationTree,
     TreeEntries,
     is_revoked,
     is_tree,
     open_tree,
+    sign_list,
     sign_tree,
 )
+from ca.revocation.merkle import EMPTY_ROOT
 
 CA = KeySigner(generate())
 ENTRIES = frozenset(hashlib.sha256(bytes([n])).digest()[: 16 if n % 2 else 32] for n in range(21))
@@ -75,11 +76,18 @@ def proof_of(entry: bytes) -> list[Any]:
 @pytest.mark.parametrize(
     "broken",
     [
-        b"", encode({}), encode([]), encode([5]), encode([[True, b"x", []]]),
-        encode([[0, b"x", [5]]]), encode([[0, bytes(16), []]]), encode([[99, bytes(16), []]]),
-        encode([[0, b"x"]]), bytes(5000),
+        b"",
+        encode({}),
+        encode([]),
+        encode([5]),
+        encode([[True, b"x", []]]),
+        encode([[0, b"x", [5]]]),
+        encode([[0, bytes(16), []]]),
+        encode([[99, bytes(16), []]]),
+        encode([[0, b"x"]]),
+        bytes(5000),
     ],
-)  # fmt: skip
+)
 def test_an_invalid_proof_is_refused(broken: bytes) -> None:
     with pytest.raises(RevocationRefused):
         is_revoked(TREE_, bytes(16), broken)
@@ -114,10 +122,15 @@ def test_the_statement() -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"epoch": -1}, {"seq": 1 << 53}, {"issued": True}, {"expires": 1000}, {"size": 0},
-        {"size": MAX_LEAVES + 1}, {"root": bytes(31)},
+        {"epoch": -1},
+        {"seq": 1 << 53},
+        {"issued": True},
+        {"expires": 1000},
+        {"size": 0},
+        {"size": MAX_LEAVES + 1},
+        {"root": bytes(31)},
     ],
-)  # fmt: skip
+)
 def test_invalid_trees_are_refused(changes: Any) -> None:
     with pytest.raises(RevocationRefused):
         replace(TREE_, **changes)

@@ -8,15 +8,13 @@ from typing import Any
 
 import pytest
 
-from ca.approvals.approval import Approval
-from ca.approvals.registration import to_approve
-from ca.approvals.statement import Grant, Kind
+from ca.approvals.passkeys import Approval, to_approve
+from ca.approvals.statement import GrantStatement, StatementKind
 from ca.errors import LogDamaged
-from ca.store import schema
-from ca.store.approval_replay import RESTORED, replay_approvals
-from ca.store.approvals import ApprovalState
-from ca.store.log_entries import digest_of
+from ca.store import database
+from ca.store.log import RESTORED, ApprovalState, replay_approvals
 from ca.store.record import Store
+from ca.store.values import digest_of
 from tests.support import passkeys
 from tests.support.approving import NOW, WHATS, approve, registered, state, touch
 from tests.support.pki import new_signer
@@ -39,11 +37,11 @@ def audited(store: Store) -> None:
 
 def write(store: Store, what: str, row: tuple[Any, ...]) -> None:
     """A row and its log entry, as who owns the file could write them."""
-    table, _ = schema.LOGGED_TABLES[what]
+    table, _ = database.LOGGED_TABLES[what]
     marks = ", ".join("?" * len(row))
     with store.transaction() as db:
         db.execute(f"INSERT INTO {table} VALUES ({marks})", row)
-        schema.append_entry(db, NOW, what, "", "", digest_of(row))
+        database.append_entry(db, NOW, what, "", "", digest_of(row))
 
 
 def test_what_was_done_in_order_is_accepted(store: Store) -> None:
@@ -79,11 +77,11 @@ def by_another_key(store: Store) -> Approval:
 
 
 def about_another_log(store: Store) -> Approval:
-    return touch(state(WHATS[Kind.DELEGATE], store=store)._replace(log_root=bytes(32)), b"", DEVICE)
+    return touch(state(WHATS[StatementKind.DELEGATE], store=store)._replace(log_root=bytes(32)), b"", DEVICE)
 
 
 def about_the_future(store: Store) -> Approval:
-    statement = state(WHATS[Kind.DELEGATE], store=store)
+    statement = state(WHATS[StatementKind.DELEGATE], store=store)
     return touch(statement._replace(log_size=9), b"", DEVICE)
 
 
@@ -94,7 +92,7 @@ def from_before_a_restore(store: Store) -> Approval:
 
 
 def with_another_payload(store: Store) -> Approval:
-    what = Grant(b"r" * 16, hashlib.sha256(b"shown").digest())
+    what = GrantStatement(b"r" * 16, hashlib.sha256(b"shown").digest())
     return approve(store, what, b"wider", device=DEVICE)
 
 
@@ -121,9 +119,7 @@ def test_an_approval_that_nobody_made_is_found(store: Store, forged: Forgery, me
         audited(store)
 
 
-@pytest.mark.parametrize(
-    "change", [{"cose_key": OTHER.cose_key}, {"name": "Eve"}, {"approval": b"x"}]
-)
+@pytest.mark.parametrize("change", [{"cose_key": OTHER.cose_key}, {"name": "Eve"}, {"approval": b"x"}])
 def test_a_passkey_that_nobody_approved_is_found(store: Store, change: dict[str, Any]) -> None:
     new = registered(passkeys.Passkey(), "Bob's phone")
     addition = approve(store, to_approve(new), device=DEVICE)
@@ -135,10 +131,7 @@ def test_a_passkey_that_nobody_approved_is_found(store: Store, change: dict[str,
 
 @pytest.mark.parametrize(
     ("what", "row"),
-    [
-        ("passkey ended", (b"unknown", "", NOW)),
-        ("approval ended", (b"x" * 16, "done", "", NOW)),
-    ],
+    [("passkey ended", (b"unknown", "", NOW)), ("approval ended", (b"x" * 16, "done", "", NOW))],
 )
 def test_an_end_of_what_never_was_is_found(store: Store, what: str, row: tuple[Any, ...]) -> None:
     write(store, what, row)

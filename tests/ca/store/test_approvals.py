@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.approvals.statement import Kind
+from ca.approvals.statement import StatementKind
 from ca.errors import (
     ApprovalOutdated,
     ApprovalOver,
@@ -16,8 +16,7 @@ from ca.errors import (
     StatementRefused,
     StoreError,
 )
-from ca.store.approval_replay import RESTORED
-from ca.store.approvals import ApprovalEnd, ApprovalState
+from ca.store.log import RESTORED, ApprovalEnd, ApprovalState
 from ca.store.record import Store
 from tests.support import passkeys
 from tests.support.approving import NOW, WHATS, approve, registered, state, touch
@@ -43,20 +42,18 @@ def audited(store: Store) -> None:
 def test_an_approval_is_recorded_as_given_and_waits(store: Store, device: passkeys.Passkey) -> None:
     approval = approve(store, device=device)
     statement = store.approvals.add(approval)
-    assert (statement.kind, statement.what) == (Kind.DELEGATE, WHATS[Kind.DELEGATE])
+    assert (statement.kind, statement.what) == (StatementKind.DELEGATE, WHATS[StatementKind.DELEGATE])
     assert store.approvals.get(approval.id) == approval
     assert store.approvals.all() == store.approvals.newest(5) == store.approvals.waiting()
     assert store.approvals.state(approval.id) is ApprovalState.WAITING
-    assert store.approvals.about(Kind.DELEGATE, statement.subject) == [approval]
-    assert store.approvals.about(Kind.GRANT, statement.subject) == []
-    assert store.log.entries()[-1][2:5] == (
-        "approval", "Ann's phone", f"delegate {approval.id.hex()}",
-    )  # fmt: skip
+    assert store.approvals.about(StatementKind.DELEGATE, statement.subject) == [approval]
+    assert store.approvals.about(StatementKind.GRANT, statement.subject) == []
+    assert store.log.entries()[-1][2:5] == ("approval", "Ann's phone", f"delegate {approval.id.hex()}")
     audited(store)
 
 
 def test_a_statement_is_approved_once(store: Store, device: passkeys.Passkey) -> None:
-    statement = state(WHATS[Kind.DELEGATE], store=store)
+    statement = state(WHATS[StatementKind.DELEGATE], store=store)
     first = touch(statement, device=device)
     store.approvals.add(first)
     with pytest.raises(PasskeyCloned):  # the same assertion
@@ -77,9 +74,7 @@ def test_a_passkey_that_does_not_count_approves_a_statement_once(store: Store) -
     audited(store)
 
 
-def test_the_counter_is_that_of_the_newest_assertion(
-    store: Store, device: passkeys.Passkey
-) -> None:
+def test_the_counter_is_that_of_the_newest_assertion(store: Store, device: passkeys.Passkey) -> None:
     assert store.approvals.counter(device.id) == 0
     clone = device.clone()
     store.approvals.add(approve(store, device=device))
@@ -113,7 +108,7 @@ def test_an_approval_comes_in_time(store: Store, device: passkeys.Passkey, at: i
 
 
 def test_a_payload_is_the_approved_one(store: Store, device: passkeys.Passkey) -> None:
-    what = WHATS[Kind.GRANT]._replace(payload=hashlib.sha256(b"claims").digest())  # type: ignore[call-arg]  # a Grant
+    what = WHATS[StatementKind.GRANT]._replace(payload=hashlib.sha256(b"claims").digest())  # type: ignore[call-arg]  # a Grant
     with pytest.raises(StatementRefused, match="not what was shown"):
         store.approvals.add(approve(store, what, b"other claims", device=device))
     approval = approve(store, what, b"claims", device=device)
@@ -121,22 +116,18 @@ def test_a_payload_is_the_approved_one(store: Store, device: passkeys.Passkey) -
     assert store.approvals.get(approval.id).payload == b"claims"
 
 
-def test_an_approval_is_about_this_record(
-    store: Store, device: passkeys.Passkey, tmp_path: Path
-) -> None:
+def test_an_approval_is_about_this_record(store: Store, device: passkeys.Passkey, tmp_path: Path) -> None:
     with closing(Store.create(tmp_path / "other.db")) as other:
         other.log_event("elsewhere", "", "", NOW)
         with pytest.raises(ApprovalOutdated, match="restored or replaced"):
             store.approvals.add(approve(other, device=device))
-    later = state(WHATS[Kind.DELEGATE], store=store)._replace(log_size=99)
+    later = state(WHATS[StatementKind.DELEGATE], store=store)._replace(log_size=99)
     with pytest.raises(ApprovalOutdated):
         store.approvals.add(touch(later, device=device))
-    store.approvals.add(touch(state(WHATS[Kind.DELEGATE], store=store), device=device))
+    store.approvals.add(touch(state(WHATS[StatementKind.DELEGATE], store=store), device=device))
 
 
-def test_an_approval_from_before_a_restore_is_refused(
-    store: Store, device: passkeys.Passkey
-) -> None:
+def test_an_approval_from_before_a_restore_is_refused(store: Store, device: passkeys.Passkey) -> None:
     before = approve(store, device=device)
     store.log_event(RESTORED, "record", "", NOW)
     with pytest.raises(ApprovalOutdated, match="restored or replaced"):
@@ -150,9 +141,7 @@ def test_an_approval_ends_once(store: Store, device: passkeys.Passkey) -> None:
     store.approvals.add(approval)
     store.approvals.end(approval.id, ApprovalState.DONE, "list 1.2", NOW + 1)
     assert store.approvals.state(approval.id) is ApprovalState.DONE
-    assert store.approvals.ends() == {
-        approval.id: ApprovalEnd(approval.id, "done", "list 1.2", NOW + 1)
-    }
+    assert store.approvals.ends() == {approval.id: ApprovalEnd(approval.id, "done", "list 1.2", NOW + 1)}
     assert store.approvals.waiting() == []
     with pytest.raises(ApprovalOver, match="this approval has ended: done"):
         store.approvals.end(approval.id, ApprovalState.FAILED, "", NOW)

@@ -4,8 +4,8 @@ import pytest
 
 from ca.encoding import Value, encode
 from ca.errors import BackupRefused, PassphraseRefused
-from ca.store import backup
-from ca.store.backup import seal, unseal
+from ca.keys import passphrases
+from ca.keys.passphrases import seal, unseal
 
 FILES = {"ca.db": bytes(100_000), "node/node.key": b"key", "inbox/1.request": b"", "ca.key": b"k"}
 WORDS, SALT, NONCE = "four random words here", b"s" * 16, b"n" * 12
@@ -65,10 +65,8 @@ def test_names_stay_inside(name: str, tmp_path: Path) -> None:
 def forged(value: Value, monkeypatch: pytest.MonkeyPatch) -> bytes:
     """What a stranger who knows the passphrase could seal."""
     with monkeypatch.context() as patched:
-        patched.setattr(
-            backup, "encode", lambda _: value if isinstance(value, bytes) else encode(value)
-        )
-        patched.setattr(backup, "_check_names", lambda _: None)
+        patched.setattr(passphrases, "encode", lambda _: value if isinstance(value, bytes) else encode(value))
+        patched.setattr(passphrases, "_check_names", lambda _: None)
         return sealed()
 
 
@@ -90,7 +88,7 @@ def test_malformed_content_of_a_backup_is_refused(
 
 
 def test_too_large_input_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(backup, "MAX_BACKUP", 90_000)
+    monkeypatch.setattr(passphrases, "MAX_BACKUP", 90_000)
     with pytest.raises(BackupRefused, match="too large for one backup"):
         sealed()
     with pytest.raises(BackupRefused, match="this is not a backup"):

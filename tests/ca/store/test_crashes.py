@@ -8,9 +8,17 @@ from pathlib import Path
 import pytest
 
 SCENARIOS = {
-    "issue", "deny", "collect", "revoke", "renew", "replace", "approve", "trust", "rename",
+    "issue",
+    "deny",
+    "collect",
+    "revoke",
+    "renew",
+    "replace",
+    "approve",
+    "trust",
+    "rename",
     "migrate",
-}  # fmt: skip
+}
 
 
 @pytest.mark.timeout(300)  # some 310 processes: seconds on an idle machine, minutes on a busy one

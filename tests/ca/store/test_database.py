@@ -13,9 +13,8 @@ import pytest
 
 from ca.errors import RecordUnusable, StoreError
 from ca.store import database as module
-from ca.store import schema
-from ca.store.database import Database
-from ca.store.schema import append_entry
+from ca.store import database as schema
+from ca.store.database import Database, append_entry
 
 NOW = 1_800_000_000
 
@@ -61,10 +60,7 @@ def test_no_command_writes_between_a_decision_and_its_record(
     other = Database.open(path)
     with database.transaction() as db:
         assert noted(database) == []
-        with (
-            pytest.raises(RecordUnusable, match="another command is using it"),
-            other.transaction(),
-        ):
+        with pytest.raises(RecordUnusable, match="another command is using it"), other.transaction():
             pytest.fail("two are at work")
         note(db, "decided")
     with other.transaction() as db:
@@ -77,9 +73,8 @@ def elsewhere(path: Path, script: str) -> str:
     """What another process prints that does this with the record as `db`."""
     begin = f"import sqlite3; db = sqlite3.connect({str(path)!r}, timeout=0, isolation_level=None)"
     done = subprocess.run(
-        (sys.executable, "-c", f"{begin}\n{script}"),
-        capture_output=True, text=True, check=False, timeout=300,
-    )  # fmt: skip
+        (sys.executable, "-c", f"{begin}\n{script}"), capture_output=True, text=True, check=False, timeout=300
+    )
     return done.stdout + done.stderr
 
 
@@ -89,9 +84,7 @@ def test_opening_it_once_more_gives_up_no_lock(path: Path, database: Database) -
         Database.open(path).close()
         assert "database is locked" in elsewhere(path, "db.execute('BEGIN IMMEDIATE')")
         note(db, "alone")
-    assert elsewhere(path, "print(db.execute('SELECT subject FROM log').fetchall())") == (
-        "[('alone',)]\n"
-    )
+    assert elsewhere(path, "print(db.execute('SELECT subject FROM log').fetchall())") == ("[('alone',)]\n")
 
 
 def test_another_process_that_ends_takes_nothing_away(path: Path, database: Database) -> None:
@@ -147,9 +140,7 @@ def test_a_reader_sees_one_moment(path: Path, database: Database) -> None:
 
 
 @pytest.mark.parametrize("there", [True, False])
-def test_a_record_that_was_moved_aside_takes_nothing_in(
-    path: Path, database: Database, there: bool
-) -> None:
+def test_a_record_that_was_moved_aside_takes_nothing_in(path: Path, database: Database, there: bool) -> None:
     path.rename(path.with_name("aside.db"))
     if there:
         Database.create(path).close()
@@ -161,9 +152,7 @@ def test_a_record_that_was_moved_aside_takes_nothing_in(
     assert "run the command again" in caught.value.hint
 
 
-def test_a_record_that_cannot_be_made_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_record_that_cannot_be_made_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(_: sqlite3.Connection) -> None:
         raise sqlite3.OperationalError("no")
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from ca.domains.lists import DomainList, ForeignDomain, sign_domains
+from ca.domains.trust import DomainList, ForeignDomain, sign_domains
 from ca.errors import LogDamaged
-from ca.keys.signer import KeySigner
-from ca.store.domain_replay import KINDS, replay_domains
-from ca.store.log_entries import LogEntry
+from ca.keys.signing import KeySigner
 from ca.store.record import Store
+from ca.store.signed_statements import KINDS, replay_domains
+from ca.store.values import LogEntry
 from tests.support.domains import foreign
 from tests.support.pki import NOW, Site, new_signer
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.lists import ForeignDomain
+from ca.domains.trust import ForeignDomain
 from ca.errors import DomainUnknown, StoreError
-from ca.store.domains import DomainRow, check_apart
 from ca.store.record import Store
+from ca.store.signed_statements import DomainRow, check_domains_apart
 from tests.support.domains import SomeNode, foreign
 from tests.support.pki import NOW, Site
 
@@ -98,10 +98,10 @@ def test_a_change_that_is_refused_changes_nothing(store: Store, hospital: Foreig
 def test_two_domains_share_nothing(found: tuple[str, str, bytes], message: str | None) -> None:
     known = DomainRow(1, "a", "x", b"k", b"", NOW)
     if message is None:
-        check_apart(known, *found)
+        check_domains_apart(known, *found)
         return
     with pytest.raises(StoreError, match=message) as caught:
-        check_apart(known, *found)
+        check_domains_apart(known, *found)
     assert caught.value.hint
 
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from ca.errors import RecordUnusable, StoreError
-from ca.store.faults import fault
+from ca.store.database import fault
 
 PATH = Path("/authority/ca.db")
 

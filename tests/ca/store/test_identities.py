@@ -6,7 +6,7 @@ import pytest
 
 from ca.errors import KeyChanged, RenewalRefused, StoreError
 from ca.store.record import Store
-from ca.store.rows import CertificateRow
+from ca.store.values import CertificateRow
 from tests.support.pki import DAY, NOW
 
 OLD, NEW, THIRD = (bytes([number]) * 32 for number in range(3))
@@ -71,9 +71,7 @@ def test_all_valid_identities_at_once(store: Store) -> None:
 
 
 @pytest.mark.parametrize("name", ["/", "/ab", "/a/b", "/b", "/a~", "/A", "/é", "/a" + "z" * 200])
-def test_names_with_a_common_beginning_are_compared_whatever_their_order(
-    store: Store, name: str
-) -> None:
+def test_names_with_a_common_beginning_are_compared_whatever_their_order(store: Store, name: str) -> None:
     compared = list[str]()
 
     def covers(other: str) -> bool:
@@ -84,22 +82,12 @@ def test_names_with_a_common_beginning_are_compared_whatever_their_order(
     for asked in ("/a", "/a/b/c", "/abc", "/é"):
         compared.clear()
         store.identities.check_names(asked, THIRD, NOW, covers)
-        related = {
-            other for other in ("/a", name) if asked.startswith(other) or other.startswith(asked)
-        }
+        related = {other for other in ("/a", name) if asked.startswith(other) or other.startswith(asked)}
         assert set(compared) == related - {asked}
 
 
 def test_the_valid_identities_of_masters(store: Store) -> None:
-    names = [
-        "/master",
-        "/masters",
-        "/master/a",
-        "/master/a/b",
-        "/robot",
-        "/robot/master",
-        "/master/b",
-    ]
+    names = ["/master", "/masters", "/master/a", "/master/a/b", "/robot", "/robot/master", "/master/b"]
     for serial, name in enumerate(names, 101):
         store.add_certificate(row(serial, bytes([serial]) * 32, name), NOW)
     found = [each.name for each in store.identities.valid_masters(NOW)]

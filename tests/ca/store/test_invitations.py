@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import InvitationRefused, LogDamaged, StoreError
-from ca.store.invitations import InvitationRow, InvitationUse
+from ca.store.identities import InvitationRow, InvitationUse
 from ca.store.record import Store
 from tests.support.pki import new_signer
 

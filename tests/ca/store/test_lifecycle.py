@@ -3,7 +3,7 @@ import itertools
 import pytest
 
 from ca.errors import RequestClosed
-from ca.store.lifecycle import DAY, OPEN, RETENTION, TRANSITIONS, RequestRow, RequestState, advance
+from ca.store.values import DAY, OPEN, RETENTION, TRANSITIONS, RequestRow, RequestState, advance
 
 NOW = 1_800_000_000
 WAYS = {
@@ -31,9 +31,7 @@ def test_the_ways_there_are(old: RequestState, new: RequestState) -> None:
     assert (moved.digest, moved.arrived) == (b"d" * 32, NOW)
 
 
-@pytest.mark.parametrize(
-    ("old", "new"), sorted(set(itertools.product(RequestState, RequestState)) - WAYS)
-)
+@pytest.mark.parametrize(("old", "new"), sorted(set(itertools.product(RequestState, RequestState)) - WAYS))
 def test_other_transitions_are_refused(old: RequestState, new: RequestState) -> None:
     with pytest.raises(RequestClosed, match=f"the request of /a is {old} and cannot be {new}"):
         advance(row(old), new, NOW)

@@ -8,13 +8,11 @@ from pathlib import Path
 import pytest
 
 from ca.errors import LogDamaged, StoreError
-from ca.requests import build_request, check_request
 from ca.revocation.merkle import EMPTY_ROOT
-from ca.store import requests as request_record
-from ca.store.lifecycle import DAY
-from ca.store.log_entries import extend_peaks, sign_head
+from ca.store import identities as request_record
 from ca.store.record import Store
-from ca.store.rows import CertificateRow, GrantRow
+from ca.store.values import DAY, CertificateRow, GrantRow, extend_peaks, sign_head
+from ca.svid import build_request, check_request
 from tests.support.pki import NOW, new_signer
 
 KEY = new_signer()
@@ -95,10 +93,7 @@ def test_a_record_in_order(store: Store, monkeypatch: pytest.MonkeyPatch) -> Non
         ("INSERT INTO revocation VALUES (x'01', '', 0)", "a revocation is recorded that is not"),
         ("INSERT INTO grant_ VALUES (x'01', '/m', x'', 0, 0, 0)", "a grant is recorded that is"),
         ("UPDATE csr SET state = 'approved' WHERE name = '/c'", "differ from the log"),
-        (
-            "DELETE FROM csr WHERE name = '/c'",
-            "the states of the requests differ from the log",
-        ),
+        ("DELETE FROM csr WHERE name = '/c'", "the states of the requests differ from the log"),
         ("UPDATE head SET data = x'00'", "not a signed head"),
     ],
 )
@@ -131,8 +126,12 @@ def test_a_rewritten_past_contradicts_the_heads(store: Store, path: Path) -> Non
 def test_a_cut_log_contradicts_a_head_kept_elsewhere(store: Store, path: Path) -> None:
     kept = store.log.heads()[-1]
     size = store.log.head(NOW).size
-    tamper(path, f"DELETE FROM log WHERE number = {size - 1}", "DELETE FROM head WHERE rowid = 2",
-           "DELETE FROM list WHERE seq = 2")  # fmt: skip
+    tamper(
+        path,
+        f"DELETE FROM log WHERE number = {size - 1}",
+        "DELETE FROM head WHERE rowid = 2",
+        "DELETE FROM list WHERE seq = 2",
+    )
     audited(store)  # a file alone cannot tell
     with pytest.raises(LogDamaged, match="its end is missing"):
         store.log.audit(KEY.public_key, kept)
@@ -142,13 +141,11 @@ def test_a_forbidden_transition_in_the_log_is_found(store: Store, path: Path) ->
     for what in ("issued", "approved", "collected", "pending"):
         with closing(Store.create(path.with_name(what))) as other:
             with other.database.transaction() as db:
-                from ca.store.schema import append_entry
+                from ca.store.database import append_entry
 
                 append_entry(db, NOW, what, "/a", "", b"d" * 32)
             if what in {"issued", "approved"}:
-                with pytest.raises(
-                    LogDamaged, match="log entry 0 is not an allowed transition of a request"
-                ):
+                with pytest.raises(LogDamaged, match="log entry 0 is not an allowed transition of a request"):
                     audited(other)
             elif what == "pending":
                 with pytest.raises(LogDamaged, match="the states of the requests differ"):

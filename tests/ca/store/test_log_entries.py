@@ -2,12 +2,12 @@ from typing import Any
 
 import pytest
 
-from ca.cose import Profile
 from ca.encoding import Value
 from ca.errors import LogDamaged
+from ca.keys.signing import Profile
 from ca.revocation.merkle import Tree
-from ca.store import log_entries
-from ca.store.log_entries import (
+from ca.store import values
+from ca.store.values import (
     Head,
     LogEntry,
     check_entries,
@@ -36,7 +36,7 @@ def recorded(size: int) -> list[tuple[LogEntry, bytes]]:
 
 def test_a_log_as_it_was_written() -> None:
     tree = check_entries(recorded(9))
-    assert tree.root() == Tree(log_entries.leaf(entry(number)) for number in range(9)).root()
+    assert tree.root() == Tree(values.leaf(entry(number)) for number in range(9)).root()
     assert len(check_entries([])) == 0
 
 
@@ -95,12 +95,17 @@ def test_heads_of_another_authority_are_refused() -> None:
 @pytest.mark.parametrize(
     "payload",
     [
-        {}, [], {6: NOW, -70011: 1}, {6: NOW, -70011: 1, -70012: b"r" * 31},
-        {6: NOW, -70011: -1, -70012: b"r" * 32}, {6: NOW, -70011: True, -70012: b"r" * 32},
-        {6: 1 << 53, -70011: 1, -70012: b"r" * 32}, {6: NOW, -70011: 1, -70012: "r" * 32},
+        {},
+        [],
+        {6: NOW, -70011: 1},
+        {6: NOW, -70011: 1, -70012: b"r" * 31},
+        {6: NOW, -70011: -1, -70012: b"r" * 32},
+        {6: NOW, -70011: True, -70012: b"r" * 32},
+        {6: 1 << 53, -70011: 1, -70012: b"r" * 32},
+        {6: NOW, -70011: 1, -70012: "r" * 32},
         {6: NOW, -70011: 1, -70012: b"r" * 32, 7: 1},
     ],
-)  # fmt: skip
+)
 def test_unknown_or_missing_fields_are_refused(payload: Value) -> None:
     with pytest.raises(LogDamaged, match="missing or unknown fields"):
-        open_head(log_entries.HEAD_PROFILE.sign(KEY, payload), KEY.public_key)
+        open_head(values.HEAD_PROFILE.sign(KEY, payload), KEY.public_key)

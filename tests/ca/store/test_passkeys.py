@@ -31,16 +31,14 @@ def test_passkeys_are_recorded_as_given(store: Store) -> None:
     assert store.passkeys.all() == store.passkeys.active() == [PASSKEY, OTHER]
     assert store.passkeys.get(OTHER.id) == OTHER
     assert [(entry.what, entry.subject) for entry in store.log.entries()] == [
-        ("passkey", "Ann's phone"), ("passkey", "Bob's phone"),
-    ]  # fmt: skip
+        ("passkey", "Ann's phone"),
+        ("passkey", "Bob's phone"),
+    ]
     store.log.audit(new_signer().public_key)
 
 
 def test_an_unknown_passkey_is_refused(store: Store) -> None:
-    for call in (
-        lambda: store.passkeys.get(b"unknown"),
-        lambda: store.passkeys.end(b"unknown", "", NOW),
-    ):
+    for call in (lambda: store.passkeys.get(b"unknown"), lambda: store.passkeys.end(b"unknown", "", NOW)):
         with pytest.raises(PasskeyUnknown, match="is not registered here, or was removed") as error:
             call()
         assert error.value.hint == "register the phone: rossec console phone"

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from ca.certificates import build_request
 from ca.errors import KeyChanged, NameCovered, StoreError
 from ca.store.record import CertificateRow, GrantRow, Store
+from ca.svid import build_request
 from tests.support import approving
 from tests.support.pki import Site, new_signer
 
@@ -66,12 +66,7 @@ def test_everything_is_there_after_reopening(store: Store, path: Path) -> None:
     assert again.grants() == [grant()]
     assert again.revoked_entries() == {OTHER}
     assert again.newest_list() == b"list"
-    assert [entry.what for entry in again.log.entries()] == [
-        "certificate",
-        "grant",
-        "revocation",
-        "list",
-    ]
+    assert [entry.what for entry in again.log.entries()] == ["certificate", "grant", "revocation", "list"]
     again.close()
 
 

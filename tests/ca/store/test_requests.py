@@ -5,11 +5,10 @@ from pathlib import Path
 import pytest
 
 from ca.errors import KeyChanged, NameContested, NameCovered, RequestClosed, StoreError
-from ca.requests import IdentityRequest, build_request, check_request
-from ca.store import requests as request_record
-from ca.store.lifecycle import DAY, RequestState
+from ca.store import identities as request_record
 from ca.store.record import Store
-from ca.store.rows import CertificateRow
+from ca.store.values import DAY, CertificateRow, RequestState
+from ca.svid import IdentityRequest, build_request, check_request
 from tests.support.pki import NOW, new_signer
 
 
@@ -52,9 +51,11 @@ def test_a_request_goes_from_pending_to_issued(store: Store) -> None:
     assert store.requests.get(request.digest).state is RequestState.ISSUED
     assert store.identities.issued_for(request.digest) == certificate(request)
     assert log_of(store) == [
-        ("pending", "/a", "192.0.2.7"), ("approved", "/a", "known"), ("issued", "/a", ""),
+        ("pending", "/a", "192.0.2.7"),
+        ("approved", "/a", "known"),
+        ("issued", "/a", ""),
         ("certificate", "/a", request.thumbprint.hex()),
-    ]  # fmt: skip
+    ]
 
 
 def test_one_request_is_recorded_once(store: Store) -> None:
@@ -112,9 +113,7 @@ def test_a_clock_that_is_ahead_deletes_nothing(store: Store) -> None:
     assert store.requests.approve(waiting.digest, NOW)
 
 
-def test_of_what_expired_long_ago_the_newest_stay(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_what_expired_long_ago_the_newest_stay(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(request_record, "KEPT_EXPIRED", 2)
     made = [pending(store, f"/{letter}", NOW + at) for at, letter in enumerate("abc")]
     assert store.requests.collect(NOW + 20 * DAY) == []
@@ -152,9 +151,7 @@ def test_those_who_join_leave_room_for_who_enrolls_by_hand(
     assert store.requests.add(request, der, "file", NOW)
 
 
-def test_the_number_of_open_requests_is_limited(
-    store: Store, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_number_of_open_requests_is_limited(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(request_record, "MAX_OPEN", 2)
     first = pending(store)
     pending(store, "/b")
@@ -199,9 +196,7 @@ def test_a_known_name_keeps_its_key_unless_it_is_said(store: Store) -> None:
     with pytest.raises(KeyChanged) as caught:
         store.requests.approve(second.digest, NOW)
     assert "--replace-key /a" in caught.value.hint
-    with pytest.raises(
-        StoreError, match="the key of /b was to be replaced, but the request is of /a"
-    ):
+    with pytest.raises(StoreError, match="the key of /b was to be replaced, but the request is of /a"):
         store.requests.approve(second.digest, NOW, replace_key="/b")
     row = store.requests.approve(second.digest, NOW, "new disk", replace_key="/a")
     assert row.replaces

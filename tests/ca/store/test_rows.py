@@ -1,8 +1,8 @@
 from ca.authority import Authority
-from ca.certificates import build_request
-from ca.intermediates import build_intermediate_request
-from ca.keys.publickey import thumbprint
-from ca.store.rows import CertificateRow
+from ca.certificates import build_intermediate_request
+from ca.keys.signing import thumbprint
+from ca.store.values import CertificateRow
+from ca.svid import build_request
 from tests.support.pki import DAY, NOW, Site, new_signer
 
 SITE, HOST = Site.create(), new_signer()
@@ -25,9 +25,8 @@ def test_a_row_covers_what_its_certificate_does() -> None:
 
 def test_the_issuer_of_a_row_is_the_intermediate_whose_key_signed_it() -> None:
     der = SITE.authority.issue_intermediate(
-        build_intermediate_request(HOST, "home"),
-        now=NOW, serial=2, may_enroll=True, lifetime=DAY,
-    )  # fmt: skip
+        build_intermediate_request(HOST, "home"), now=NOW, serial=2, may_enroll=True, lifetime=DAY
+    )
     row = CertificateRow(2, "intermediate/x", thumbprint(HOST.public_key), der, NOW, NOW + DAY)
     csr = build_request(new_signer(), "home", "/below")
     leaf = Authority(HOST, SITE.root, der).issue(csr, now=NOW, serial=3)

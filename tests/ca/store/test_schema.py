@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from ca.errors import StoreError
-from ca.store import schema
-from ca.store.lifecycle import TRANSITIONS, RequestState
+from ca.store import database
 from ca.store.record import Store
+from ca.store.values import TRANSITIONS, RequestState
 from tests.support.pki import new_signer
 
 
@@ -24,9 +24,7 @@ def new(tmp_path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def insert(db: sqlite3.Connection, state: str) -> None:
-    db.execute(
-        "INSERT INTO csr VALUES (x'01', '/a', x'02', x'03', '', 0, ?, '', 0, 0, 0)", (state,)
-    )
+    db.execute("INSERT INTO csr VALUES (x'01', '/a', x'02', x'03', '', 0, ?, '', 0, 0, 0)", (state,))
 
 
 @pytest.mark.parametrize("old_state", sorted(RequestState))
@@ -60,20 +58,18 @@ def test_a_request_begins_pending_and_does_not_change(new: sqlite3.Connection) -
 @pytest.fixture
 def record() -> sqlite3.Connection:
     db = sqlite3.connect(":memory:", isolation_level=None)
-    schema.create(db)
+    database.create(db)
     return db
 
 
 def test_a_record_of_ours_is_ours(record: sqlite3.Connection) -> None:
-    schema.check_no_foreign_objects(record)
+    database.check_no_foreign_objects(record)
 
 
 def moves(record: sqlite3.Connection, ways: Iterable[str]) -> None:
     """Let the record's requests go these ways."""
     listed = ", ".join(f"'{way}'" for way in ways)
-    record.executescript(
-        "DROP TRIGGER csr_moves;" + schema._REQUEST_TRANSITIONS.format(allowed=listed)
-    )
+    record.executescript("DROP TRIGGER csr_moves;" + database._REQUEST_TRANSITIONS.format(allowed=listed))
 
 
 WAYS = [f"{old}>{new}" for old, following in TRANSITIONS.items() for new in following]
@@ -83,28 +79,31 @@ WAYS = [f"{old}>{new}" for old, following in TRANSITIONS.items() for new in foll
 def test_the_ways_of_a_request_are_a_set(record: sqlite3.Connection, ways: tuple[str, ...]) -> None:
     """Older versions wrote them in the order of a frozenset: any, and another in each process."""
     moves(record, ways)
-    schema.check_no_foreign_objects(record)
+    database.check_no_foreign_objects(record)
 
 
 @pytest.mark.parametrize("ways", [WAYS[1:], [*WAYS, "denied>issued"], [*WAYS[1:], WAYS[1]]])
 def test_a_set_of_other_ways_is_not_ours(record: sqlite3.Connection, ways: list[str]) -> None:
     moves(record, ways)
     with pytest.raises(StoreError, match="a trigger that is not rossec's: 'csr_moves'"):
-        schema.check_no_foreign_objects(record)
+        database.check_no_foreign_objects(record)
 
 
 def test_every_process_makes_the_same_record() -> None:
     script = (
-        "import sqlite3; from ca.store import schema; db = sqlite3.connect(':memory:');"
-        "schema.create(db); print('\\n'.join(db.iterdump()))"
+        "import sqlite3; from ca.store import database; db = sqlite3.connect(':memory:');"
+        "database.create(db); print('\\n'.join(db.iterdump()))"
     )
     made = {
         subprocess.run(
-            (sys.executable, "-c", script), env={**os.environ, "PYTHONHASHSEED": seed},
-            capture_output=True, check=True, timeout=300,
+            (sys.executable, "-c", script),
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            check=True,
+            timeout=300,
         ).stdout
         for seed in "12345678"
-    }  # fmt: skip
+    }
     assert len(made) == 1
 
 
@@ -123,7 +122,7 @@ def test_every_process_makes_the_same_record() -> None:
 def test_a_record_of_somebody_else(record: sqlite3.Connection, script: str, said: str) -> None:
     record.executescript(script)
     with pytest.raises(StoreError, match=said) as caught:
-        schema.check_no_foreign_objects(record)
+        database.check_no_foreign_objects(record)
     assert "a backup of your own" in caught.value.hint
 
 
@@ -135,9 +134,7 @@ def test_tables_of_another_form_hold_nothing_that_counts(tmp_path: Path) -> None
         db.execute("DROP TABLE head")
         db.execute("CREATE TABLE head (data, at)")
         db.execute("INSERT INTO head VALUES (-1, 'never')")
-    with pytest.raises(
-        StoreError, match="the table head of the record differs from rossec's schema"
-    ):
+    with pytest.raises(StoreError, match="the table head of the record differs from rossec's schema"):
         Store.open(path)
 
 

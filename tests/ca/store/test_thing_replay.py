@@ -6,14 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from ca.cose import Profile
 from ca.errors import LogDamaged
-from ca.keys.publickey import thumbprint
-from ca.store.log_entries import digest_of
+from ca.keys.signing import Profile, thumbprint
+from ca.store.database import append_entry
 from ca.store.record import Store
-from ca.store.schema import append_entry
-from ca.store.things import ThingRow
-from ca.things.statement import sign_statement
+from ca.store.signed_statements import ThingRow
+from ca.store.values import digest_of
+from ca.things.constrained_nodes import sign_statement
 from tests.support.things import FAN, LAMP, add_thing, again, row_of
 from tests.vectors.make_things import HOME, NOW, OTHER
 
@@ -75,13 +74,16 @@ def a_second_router_for_a_name(store: Store) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        by_another_key, of_another_kind, another_id, another_name, another_time,
-        a_second_name_for_a_key, a_second_router_for_a_name,
+        by_another_key,
+        of_another_kind,
+        another_id,
+        another_name,
+        another_time,
+        a_second_name_for_a_key,
+        a_second_router_for_a_name,
     ],
-)  # fmt: skip
-def test_what_could_not_have_been_signed_is_found(
-    store: Store, change: Callable[[Store], None]
-) -> None:
+)
+def test_what_could_not_have_been_signed_is_found(store: Store, change: Callable[[Store], None]) -> None:
     add_thing(store, LAMP)
     change(store)
     with pytest.raises(LogDamaged, match="log entry 1") as caught:

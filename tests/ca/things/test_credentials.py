@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from ca.encoding import encode
 from ca.errors import KeyRefused, ThingRefused
-from ca.keys.publickey import thumbprint
-from ca.things.credentials import (
+from ca.keys.signing import thumbprint
+from ca.things.constrained_nodes import (
     MAX_CCS,
     ThingKey,
     ThingSecret,

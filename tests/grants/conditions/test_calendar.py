@@ -2,7 +2,7 @@
 
 import pytest
 
-from grants.conditions.calendar import FIELDS, clock_field, parse_timestamp
+from grants.conditions.compile import FIELDS, clock_field, parse_timestamp
 from grants.errors import ConditionRefused
 
 EXPECTED = {
@@ -36,9 +36,18 @@ def test_timestamps_are_parsed() -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "now", "2027-01-15", "2027-01-15T08:00:00", "2027-02-30T00:00:00Z",
-             "2027-01-15T08:00:00.5Z", "2027-01-15 08:00:00Z", "2027-01-15T08:00:00+99:00"],
-)  # fmt: skip
+    "text",
+    [
+        "",
+        "now",
+        "2027-01-15",
+        "2027-01-15T08:00:00",
+        "2027-02-30T00:00:00Z",
+        "2027-01-15T08:00:00.5Z",
+        "2027-01-15 08:00:00Z",
+        "2027-01-15T08:00:00+99:00",
+    ],
+)
 def test_invalid_timestamps_are_refused(text: str) -> None:
     with pytest.raises(ConditionRefused, match="not a time"):
         parse_timestamp(text)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from grants.conditions.fields import fields_read, reads
+from grants.conditions.syntax import fields_read, reads
 
 
 @pytest.mark.parametrize(
@@ -20,8 +20,7 @@ def test_every_field_that_is_named_is_read_once(text: str, fields: list[str]) ->
 
 
 @pytest.mark.parametrize(
-    ("field", "read"),
-    [("a.x", True), ("a.y", False), ("a.x.part", True), ("a", True), ("aa.x", False)],
+    ("field", "read"), [("a.x", True), ("a.y", False), ("a.x.part", True), ("a", True), ("aa.x", False)]
 )
 def test_a_part_and_the_whole_of_what_is_read_are_read(field: str, read: bool) -> None:
     assert reads("msg.a.x < 5", field) is read

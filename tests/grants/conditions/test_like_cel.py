@@ -21,15 +21,21 @@ cel = pytest.importorskip("cel_expr_python.cel")
 EXPRESSIONS = 5000
 MESSAGES = 3
 SHAPE = layout(
-    "bool on\nint32 count\nfloat64 x\nstring frame\nuint8 level\nN inner",
-    "MSG: t/N\nstring name\nfloat32 f",
+    "bool on\nint32 count\nfloat64 x\nstring frame\nuint8 level\nN inner", "MSG: t/N\nstring name\nfloat32 f"
 )
 
 ZONES = ("", '"UTC"', '"Europe/Zurich"', '"America/New_York"', '"Asia/Kolkata"')
 METHODS = (
-    "getFullYear", "getMonth", "getDate", "getDayOfMonth", "getDayOfWeek", "getDayOfYear",
-    "getHours", "getMinutes", "getSeconds",
-)  # fmt: skip
+    "getFullYear",
+    "getMonth",
+    "getDate",
+    "getDayOfMonth",
+    "getDayOfWeek",
+    "getDayOfYear",
+    "getHours",
+    "getMinutes",
+    "getSeconds",
+)
 TEXTS = ("", "a", "map", "ma", "ä", "odom", "🤖")
 COMPARISONS = ("==", "!=", "<", "<=", ">", ">=")
 
@@ -84,11 +90,13 @@ class Writer:
             return self._calculation(self.whole, depth)
         return self._dice.choice(
             [
-                "msg.count", "msg.level", str(self._dice.randrange(-5, 70)),
+                "msg.count",
+                "msg.level",
+                str(self._dice.randrange(-5, 70)),
                 str(self._dice.choice([2**63 - 1, 2**62, 2**32, 0])),
                 f"now.{self._dice.choice(METHODS)}({self._dice.choice(ZONES)})",
             ]
-        )  # fmt: skip
+        )
 
     def double(self, depth: int) -> str:
         if depth > 0 and self._dice.random() < 0.5:
@@ -106,11 +114,16 @@ def environment() -> Any:
     kind = cel.Type
     return cel.NewEnv(
         variables={
-            "msg.on": kind.BOOL, "msg.count": kind.INT, "msg.x": kind.DOUBLE,
-            "msg.frame": kind.STRING, "msg.level": kind.INT, "msg.inner.name": kind.STRING,
-            "msg.inner.f": kind.DOUBLE, "now": kind.TIMESTAMP,
+            "msg.on": kind.BOOL,
+            "msg.count": kind.INT,
+            "msg.x": kind.DOUBLE,
+            "msg.frame": kind.STRING,
+            "msg.level": kind.INT,
+            "msg.inner.name": kind.STRING,
+            "msg.inner.f": kind.DOUBLE,
+            "now": kind.TIMESTAMP,
         }
-    )  # fmt: skip
+    )
 
 
 def random_message(rng: Random) -> tuple[bytes, dict[str, Any]]:
@@ -120,9 +133,14 @@ def random_message(rng: Random) -> tuple[bytes, dict[str, Any]]:
     count = rng.choice([count, rng.randrange(-5, 70)])
     data = struct.pack("<?id", on, count, x) + text(frame) + bytes([level]) + text(name)
     values = {
-        "msg.on": on, "msg.count": count, "msg.x": x, "msg.frame": frame, "msg.level": level,
-        "msg.inner.name": name, "msg.inner.f": f,
-    }  # fmt: skip
+        "msg.on": on,
+        "msg.count": count,
+        "msg.x": x,
+        "msg.frame": frame,
+        "msg.level": level,
+        "msg.inner.name": name,
+        "msg.inner.f": f,
+    }
     return data + struct.pack("<f", f), values
 
 
@@ -174,10 +192,19 @@ def test_conditions_refused_here_are_refused_or_wider_in_cel() -> None:
     """Texts with a wrong type in them: refused by both."""
     env = environment()
     for source in (
-        "msg.x + 1 > 0.0", "msg.on > 1", "msg.frame == 1", "msg.nothing", "1", "msg.x.y == 1",
-        "now + 1 > 0", "msg.frame.startsWith(1)", "!msg.x", "-msg.frame == msg.frame",
-        "msg.on && 1", "msg.x in [true]",
-    ):  # fmt: skip
+        "msg.x + 1 > 0.0",
+        "msg.on > 1",
+        "msg.frame == 1",
+        "msg.nothing",
+        "1",
+        "msg.x.y == 1",
+        "now + 1 > 0",
+        "msg.frame.startsWith(1)",
+        "!msg.x",
+        "-msg.frame == msg.frame",
+        "msg.on && 1",
+        "msg.x in [true]",
+    ):
         with pytest.raises(ConditionRefused):
             compile_condition(SHAPE, source)
         if source not in ("1", "msg.x in [true]"):  # a result of CEL may be any value

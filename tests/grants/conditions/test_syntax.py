@@ -6,7 +6,7 @@ from grants.conditions.syntax import (
     Binary,
     FunctionCall,
     Literal,
-    Membership,
+    MembershipTest,
     Now,
     Path,
     Unary,
@@ -23,11 +23,9 @@ TREES = {
     "msg.a == msg.b + msg.c * 2": Binary("==", A, Binary("+", B, Binary("*", C, Literal(2)))),
     "!msg.a == msg.b": Binary("==", Unary("!", A), B),
     "-1 - -1.5": Binary("-", Unary("-", Literal(1)), Unary("-", Literal(1.5))),
-    "msg.a in ['x', \"y\"]": Membership(A, (Literal("x"), Literal("y"))),
-    "msg.a in []": Membership(A, ()),
-    "now.getHours('UTC') >= 8": Binary(
-        ">=", FunctionCall(Now(), "getHours", (Literal("UTC"),)), Literal(8)
-    ),
+    "msg.a in ['x', \"y\"]": MembershipTest(A, (Literal("x"), Literal("y"))),
+    "msg.a in []": MembershipTest(A, ()),
+    "now.getHours('UTC') >= 8": Binary(">=", FunctionCall(Now(), "getHours", (Literal("UTC"),)), Literal(8)),
     "timestamp('x')": FunctionCall(None, "timestamp", (Literal("x"),)),
     "msg.a.contains(msg.b)": FunctionCall(A, "contains", (B,)),
     "f(1, 2)": FunctionCall(None, "f", (Literal(1), Literal(2))),

@@ -5,15 +5,17 @@ import struct
 import pytest
 
 from grants.errors import DefinitionRefused
-from grants.filters.codegen import (
+from grants.filters.layout import (
     LAYOUT_ERRORS,
     MAX_LOOPS,
+    Array,
     Cursor,
     SourceWriter,
+    Text,
+    Type,
     expression,
     layout_mismatch,
 )
-from grants.filters.layout import Array, Text, Type
 from tests.grants.messages import LAYOUT, layout, text
 
 
@@ -33,9 +35,7 @@ def test_a_position_is_an_expression() -> None:
 
 def test_every_type_can_be_skipped() -> None:
     shape = layout(
-        "int8 a\nN[] n\nstring[2] s\nfloat64[] f\nE[] e\nN[0] z",
-        "MSG: t/N\nstring s\nint8 i",
-        "MSG: t/E",
+        "int8 a\nN[] n\nstring[2] s\nfloat64[] f\nE[] e\nN[0] z", "MSG: t/N\nstring s\nint8 i", "MSG: t/E"
     )
     data = b"a" + struct.pack("<I", 2) + (text("xy") + b"1") * 2 + text("") + text("abc")
     data += struct.pack("<I", 1) + bytes(8) + struct.pack("<I", 2**32 - 1)
@@ -79,7 +79,4 @@ def test_bound_values_appear_by_name_only() -> None:
 
 
 def test_a_layout_mismatch_names_the_type() -> None:
-    assert (
-        str(layout_mismatch("t/T"))
-        == "a message that is not a t/T: truncated, too long or malformed"
-    )
+    assert str(layout_mismatch("t/T")) == "a message that is not a t/T: truncated, too long or malformed"

@@ -54,11 +54,7 @@ def round_value(kind: str, value: Any, step: float) -> Any:
         ticks, unit = round(step * 1e9), 10**9
         low, high = (0, 2**32 - 1) if base == "time" else (-(2**31), 2**31 - 1)
         total = suggest(value.secs * unit + value.nsecs, ticks, low * unit, high * unit + unit - 1)
-        return (
-            type(value)(*divmod(total, unit))
-            if base == "time"
-            else genpy.Duration(*divmod(total, unit))
-        )
+        return type(value)(*divmod(total, unit)) if base == "time" else genpy.Duration(*divmod(total, unit))
     if base.startswith("float"):
         if not math.isfinite(value) or not math.isfinite(value / step):
             return value
@@ -160,15 +156,25 @@ def sample() -> bytes:
     named = text("näme") + path + points[1]
     return b"".join(
         [
-            bytes(12), text("map"), numbers, bytes(range(16)), text("hällo"),
-            points[0], path, points[1] * 2,
-            (2).to_bytes(4, "little") + bytes(range(8)), bytes(24), bytes(288),
+            bytes(12),
+            text("map"),
+            numbers,
+            bytes(range(16)),
+            text("hällo"),
+            points[0],
+            path,
+            points[1] * 2,
+            (2).to_bytes(4, "little") + bytes(range(8)),
+            bytes(24),
+            bytes(288),
             (10).to_bytes(4, "little") + bytes(range(10)),
-            (1).to_bytes(4, "little") + bytes(range(8)), bytes(4),
+            (1).to_bytes(4, "little") + bytes(range(8)),
+            bytes(4),
             (2).to_bytes(4, "little") + text("a") + text("bc"),
-            (2).to_bytes(4, "little") + named * 2, named * 2,
+            (2).to_bytes(4, "little") + named * 2,
+            named * 2,
         ]
-    )  # fmt: skip
+    )
 
 
 def apply(rules: Rules, message: bytes | memoryview | bytearray | None = None) -> bytes:
@@ -282,8 +288,7 @@ def test_refused_rules(name: str, path: str, treatment: dict[str, object], messa
 
 
 @pytest.mark.parametrize(
-    "paths",
-    [("point", "point.x"), ("points", "points[*].x"), ("named[*].path", "named[*].path[*].x")],
+    "paths", [("point", "point.x"), ("points", "points[*].x"), ("named[*].path", "named[*].path[*].x")]
 )
 def test_overlapping_rules_are_refused(paths: tuple[str, str]) -> None:
     for order in (paths, paths[::-1]):
@@ -304,9 +309,17 @@ def test_a_type_without_treatment_is_refused(monkeypatch: pytest.MonkeyPatch) ->
 
 
 NOTHINGS = "Nothing[] many\nPair[] pairs\nNothing one\nstring text\n" + "\n".join(
-    [SEPARATOR, "MSG: t/Nothing", SEPARATOR, "MSG: t/Pair", "Nothing[] inner", "Nothing single",
-     "Nothing[3] fixed", SEPARATOR]
-).removesuffix("\n" + SEPARATOR)  # fmt: skip
+    [
+        SEPARATOR,
+        "MSG: t/Nothing",
+        SEPARATOR,
+        "MSG: t/Pair",
+        "Nothing[] inner",
+        "Nothing single",
+        "Nothing[3] fixed",
+        SEPARATOR,
+    ]
+).removesuffix("\n" + SEPARATOR)
 
 
 @pytest.mark.parametrize(

@@ -21,10 +21,19 @@ from tests.grants.messages import fill, seeded_random, serialized
 pytestmark = pytest.mark.ros
 
 PACKAGES = (
-    "std_msgs", "sensor_msgs", "geometry_msgs", "nav_msgs", "diagnostic_msgs", "stereo_msgs",
-    "shape_msgs", "trajectory_msgs", "visualization_msgs", "actionlib_msgs", "actionlib",
+    "std_msgs",
+    "sensor_msgs",
+    "geometry_msgs",
+    "nav_msgs",
+    "diagnostic_msgs",
+    "stereo_msgs",
+    "shape_msgs",
+    "trajectory_msgs",
+    "visualization_msgs",
+    "actionlib_msgs",
+    "actionlib",
     "tf2_msgs",
-)  # fmt: skip
+)
 AT_LEAST = 101
 KEYS = {"ward": bytes(range(32))}
 RUNS = 10  # sets of rules per type
@@ -157,9 +166,7 @@ def overlaps(path: str, others: Rules) -> bool:
     return False
 
 
-def random_rules(
-    kind: Any, rng: random.Random, memory: dict[str, float]
-) -> tuple[Rules, dict[str, Change]]:
+def random_rules(kind: Any, rng: random.Random, memory: dict[str, float]) -> tuple[Rules, dict[str, Change]]:
     rules: Rules = {}
     changes: dict[str, Change] = {}
     found = list(fields(kind))
@@ -193,9 +200,7 @@ def test_checksums_equal_genpy() -> None:
 
 @pytest.mark.parametrize("package", PACKAGES)
 @pytest.mark.parametrize("minimum", [0, 24])
-def test_random_filters_equal_genpy(
-    package: str, minimum: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_random_filters_equal_genpy(package: str, minimum: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Arrays of elements of different sizes are treated in both ways: collected, and one by one."""
     monkeypatch.setattr(message_rewriter, "MIN_COLLECTED", minimum)
     kinds = {name: kind for name, kind in debian_types().items() if name.startswith(f"{package}/")}

@@ -3,18 +3,10 @@
 import numpy as np
 import pytest
 
-from grants.filters.codegen import LAYOUT_ERRORS
-from grants.filters.fixed_arrays import table_rewriter
-from grants.filters.layout import PRIMITIVES, Array, Struct
-from grants.filters.lazy_numpy import Vector
-from grants.filters.treatments import (
-    ArrayTreatment,
-    Constant,
-    FieldTreatment,
-    Keep,
-    Numbers,
-    StructTreatment,
-)
+from grants.filters.coarsening import Vector
+from grants.filters.layout import LAYOUT_ERRORS, PRIMITIVES, Array, Struct
+from grants.filters.message_rewriter import table_rewriter
+from grants.filters.operators import ArrayTreatment, Constant, FieldTreatment, Keep, Numbers, StructTreatment
 
 BYTE = PRIMITIVES["uint8"]
 CALLS: list[tuple[int, ...]] = []
@@ -27,9 +19,7 @@ def add(values: Vector) -> Vector:
 
 ADD = Numbers(lambda value: value + 1, add)
 INNER = Struct("t/I", (("a", BYTE), ("b", BYTE)))
-ELEMENT = Struct(
-    "t/E", (("k", BYTE), ("x", BYTE), ("y", BYTE), ("i", Array(INNER, 2)), ("z", BYTE))
-)
+ELEMENT = Struct("t/E", (("k", BYTE), ("x", BYTE), ("y", BYTE), ("i", Array(INNER, 2)), ("z", BYTE)))
 TREATED = FieldTreatment(BYTE, ADD)
 NODE = StructTreatment(
     ELEMENT,

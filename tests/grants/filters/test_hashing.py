@@ -7,13 +7,7 @@ import pytest
 
 from grants.errors import FilterRefused, MessageRefused
 from grants.filters.compile import compile_filter
-from grants.filters.hashing import (
-    check_key_name,
-    is_personal,
-    key_names,
-    pseudonyms,
-    receiver_keys,
-)
+from grants.filters.hashing import check_key_name, is_personal, key_names, pseudonyms, receiver_keys
 from grants.model import filter_rules
 from tests.grants.messages import layout, text
 
@@ -37,9 +31,7 @@ def message(a: str, *b: str, c: str = "") -> bytes:
 def test_a_pseudonym_is_a_truncated_hmac() -> None:
     rules = {"a": hashed(), "b": hashed(8), "c[*].id": hashed(64, "other")}
     compiled = compile_filter(LAYOUT, filter_rules(rules), KEYS)
-    expected = message(
-        digest("Anna")[:16], digest("")[:8], digest("ß")[:8], c=digest("Anna", "other")
-    )
+    expected = message(digest("Anna")[:16], digest("")[:8], digest("ß")[:8], c=digest("Anna", "other"))
     assert b"".join(compiled(message("Anna", "", "ß", c="Anna"))) == expected
 
 

@@ -8,23 +8,23 @@ from typing import Any
 import pytest
 
 from grants.errors import DefinitionRefused
-from grants.filters.layout import (
-    MAX_TEXT,
-    Array,
-    Primitive,
-    Struct,
-    Text,
-    dependencies,
-    parse,
-    service_md5,
-)
+from grants.filters.layout import MAX_TEXT, Array, Primitive, Struct, Text, dependencies, parse, service_md5
 from tests.grants.messages import EVERYTHING, LAYOUT, SEPARATOR, layout, seeded_random
 
 ROS_PACKAGES = (
-    "actionlib_msgs", "diagnostic_msgs", "geometry_msgs", "nav_msgs", "rosgraph_msgs",
-    "sensor_msgs", "shape_msgs", "std_msgs", "stereo_msgs", "tf2_msgs", "trajectory_msgs",
+    "actionlib_msgs",
+    "diagnostic_msgs",
+    "geometry_msgs",
+    "nav_msgs",
+    "rosgraph_msgs",
+    "sensor_msgs",
+    "shape_msgs",
+    "std_msgs",
+    "stereo_msgs",
+    "tf2_msgs",
+    "trajectory_msgs",
     "visualization_msgs",
-)  # fmt: skip
+)
 
 
 def ros_types() -> list[Any]:

@@ -5,11 +5,10 @@ from typing import Any
 
 import pytest
 
-from grants.filters.codegen import LAYOUT_ERRORS
 from grants.filters.compile import compile_filter
-from grants.filters.layout import PRIMITIVES, Array, Struct, Text
+from grants.filters.layout import LAYOUT_ERRORS, PRIMITIVES, Array, Struct, Text
 from grants.filters.message_rewriter import generate
-from grants.filters.treatments import (
+from grants.filters.operators import (
     ArrayTreatment,
     Constant,
     ContentTreatment,
@@ -24,9 +23,7 @@ from tests.grants.messages import layout, text
 
 INT = PRIMITIVES["int32"]
 ADD = Numbers(lambda value: value + 1, lambda values: values + 1)
-SWAP = Numbers(
-    lambda a, b: (b, a), lambda values: values.reshape(-1, 2)[:, ::-1].reshape(values.shape)
-)
+SWAP = Numbers(lambda a, b: (b, a), lambda values: values.reshape(-1, 2)[:, ::-1].reshape(values.shape))
 TWICE = ContentTreatment(lambda content: (bytes(content) * 2, len(content) * 2))
 
 
@@ -67,26 +64,17 @@ def test_a_time_is_treated_as_two_values() -> None:
         count = b"" if length else (2).to_bytes(4, "little")
         values = [1, 2] * (length or 2)
         expected = count + ints(*values[::-1])
-        assert (
-            rewrite(ArrayTreatment(kind, FieldTreatment(pair, SWAP)), count + ints(*values))
-            == expected
-        )
+        assert rewrite(ArrayTreatment(kind, FieldTreatment(pair, SWAP)), count + ints(*values)) == expected
 
 
 def test_content_and_text_are_rewritten() -> None:
-    node = struct_of(
-        Keep(Text()), FieldTreatment(Text(), TWICE), FieldTreatment(Text(), Constant(text("-")))
-    )
+    node = struct_of(Keep(Text()), FieldTreatment(Text(), TWICE), FieldTreatment(Text(), Constant(text("-"))))
     assert rewrite(node, text("a") + text("bc") + text("d")) == text("a") + text("bcbc") + text("-")
 
 
 def test_nested_arrays_are_treated_in_nested_loops() -> None:
-    inner = struct_of(
-        Keep(Text()), FieldTreatment(INT, ADD), FieldTreatment(Text(), TWICE), Keep(INT)
-    )
-    outer = struct_of(
-        Keep(INT), ArrayTreatment(Array(inner.kind, None), inner), FieldTreatment(INT, ADD)
-    )
+    inner = struct_of(Keep(Text()), FieldTreatment(INT, ADD), FieldTreatment(Text(), TWICE), Keep(INT))
+    outer = struct_of(Keep(INT), ArrayTreatment(Array(inner.kind, None), inner), FieldTreatment(INT, ADD))
     node = struct_of(Keep(INT), ArrayTreatment(Array(outer.kind, 2), outer), Keep(Text()))
 
     def message(add: int, times: int) -> bytes:
@@ -98,11 +86,7 @@ def test_nested_arrays_are_treated_in_nested_loops() -> None:
 
 
 def table(length: int | None) -> ArrayTreatment:
-    inside: list[Node] = [
-        Keep(INT),
-        FieldTreatment(INT, ADD),
-        FieldTreatment(INT, Constant(b"wxyz")),
-    ]
+    inside: list[Node] = [Keep(INT), FieldTreatment(INT, ADD), FieldTreatment(INT, Constant(b"wxyz"))]
     numbers = ArrayTreatment(Array(INT, 3), FieldTreatment(INT, ADD))
     element = struct_of(
         *inside, numbers, StructTreatment(Struct("t/S", (("a", INT),)), (FieldTreatment(INT, ADD),))
@@ -125,9 +109,7 @@ def test_arrays_of_fixed_size_elements(count: int) -> None:
 def test_the_source_contains_only_numbers() -> None:
     evil: Any = "x=1\nimport os"
     shape = Struct(evil, ((evil, INT), (evil + "2", Text())))
-    node = StructTreatment(
-        shape, (FieldTreatment(INT, ADD), FieldTreatment(Text(), Constant(text(evil))))
-    )
+    node = StructTreatment(shape, (FieldTreatment(INT, ADD), FieldTreatment(Text(), Constant(text(evil)))))
     assert rewrite(node, ints(1) + text("a")) == ints(2) + text(evil)
 
 

@@ -10,8 +10,7 @@ import pytest
 from grants.errors import FilterRefused
 from grants.filters.compile import compile_filter
 from grants.filters.layout import PRIMITIVES, Array, Struct, Text
-from grants.filters.operators import OPERATORS, treatment_for
-from grants.filters.treatments import DESCEND, Constant, Numbers
+from grants.filters.operators import DESCEND, OPERATORS, Constant, Numbers, treatment_for
 from grants.model import FilterRule, filter_rules
 from tests.grants.messages import layout, text
 
@@ -173,10 +172,7 @@ def test_unsuitable_types_and_parameters_are_refused(number: int) -> None:
 
 
 def test_unknown_operators_have_a_hint() -> None:
-    for operator, hint in (
-        ("cleer", "did you mean 'clear'?"),
-        ("?", "expected one of clear, round"),
-    ):
+    for operator, hint in (("cleer", "did you mean 'clear'?"), ("?", "expected one of clear, round")):
         with pytest.raises(FilterRefused) as refused:
             treatment_for(FilterRule("x", operator))
         assert refused.value.hint.startswith(hint)

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from grants.errors import FilterRefused
-from grants.filters.parameters import expect, integer, number
+from grants.filters.operators import expect, integer, number
 
 
 def test_exactly_the_expected_names() -> None:

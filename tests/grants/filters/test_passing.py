@@ -5,8 +5,8 @@ import pytest
 from grants.errors import FilterRefused
 from grants.filters.layout import PRIMITIVES, Primitive, Text
 from grants.filters.operators import OPERATORS
-from grants.filters.passing import _OPERATORS, Passing, Through, passing, size_of
 from grants.model import filter_rules
+from grants.policy.assertion_check import _OPERATORS, Passing, Through, passing, size_of
 
 FLOAT, BYTE, SHORT = (PRIMITIVES[name] for name in ("float64", "uint8", "int16"))
 SQUARE, CORNERED = "0 0, 4 3", "0 0, 4 0, 0 4"
@@ -60,10 +60,16 @@ def test_rooms_are_as_wide_as_the_narrowest_line() -> None:
 @pytest.mark.parametrize(
     ("steps", "size"),
     [
-        ([], 0), ([2], 2), ([2, 2], 2), ([2, 4], 4), ([4, 2, 8], 8), ([2, 3], 2), ([0.1, 0.3], 0.3),
+        ([], 0),
+        ([2], 2),
+        ([2, 2], 2),
+        ([2, 4], 4),
+        ([4, 2, 8], 8),
+        ([2, 3], 2),
+        ([0.1, 0.3], 0.3),
         ([0.1, 0.2], 0.1),
     ],
-)  # fmt: skip
+)
 def test_steps_on_steps(steps: list[float], size: float) -> None:
     for given in (steps, steps[::-1]):
         assert size_of(Passing(Through.STEPS, each) for each in given) == size

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from grants.errors import FilterRefused, MessageRefused
+from grants.filters.coarsening import PIXEL_SIZES, pixelation
 from grants.filters.compile import compile_filter
 from grants.filters.layout import Layout, parse
-from grants.filters.pictures import PIXEL_SIZES, pixelation
 from grants.model import filter_rules
 from tests.grants.messages import SEPARATOR, layout, seeded_random, text
 
@@ -57,17 +57,13 @@ def pixelated(
 @pytest.mark.parametrize("encoding", ["rgb8", "mono8", "rgba16", "32FC1", "8UC3"])
 @pytest.mark.parametrize("block", [2, 3, 16, 65535])
 @pytest.mark.parametrize("region", [None, (0, 0, 3, 2), (2, 1, 4, 9), (50, 0, 1, 1), (1, 1, 0, 0)])
-def test_squares_show_their_first_pixel(
-    encoding: str, block: int, region: tuple[int, ...] | None
-) -> None:
+def test_squares_show_their_first_pixel(encoding: str, block: int, region: tuple[int, ...] | None) -> None:
     size = PIXEL_SIZES[encoding]
     named = dict(zip(("x", "y", "width", "height"), region or (), strict=False))
     for height, width, padding in ((1, 1, 0), (5, 7, 0), (7, 6, 3), (33, 18, 1), (0, 4, 0)):
         step = width * size + padding
         data = seeded_random(height).randbytes(height * step)
-        expected = pixelated(
-            data, height, width, size, step, block, region or (0, 0, width, height)
-        )
+        expected = pixelated(data, height, width, size, step, block, region or (0, 0, width, height))
         before, after = (image(height, width, encoding, step, d) for d in (data, expected))
         assert treated(before, LAYOUT, block=block, **named) == after
 
@@ -97,16 +93,15 @@ def test_an_inconsistent_image_is_refused(message: bytes) -> None:
 
 def test_images_in_a_message_and_in_an_array() -> None:
     fields, header = IMAGE.split(SEPARATOR)
-    shape = layout("int32 a\nsensor_msgs/Image one\nsensor_msgs/Image[] many",
-                   f"MSG: sensor_msgs/Image\n{fields.rstrip()}", header.strip())  # fmt: skip
-    rules = filter_rules(
-        {"one.data": {"pixelate": {"block": 2}}, "many[*].data": {"pixelate": {"block": 2}}}
+    shape = layout(
+        "int32 a\nsensor_msgs/Image one\nsensor_msgs/Image[] many",
+        f"MSG: sensor_msgs/Image\n{fields.rstrip()}",
+        header.strip(),
     )
+    rules = filter_rules({"one.data": {"pixelate": {"block": 2}}, "many[*].data": {"pixelate": {"block": 2}}})
     before, after = (image(1, 2, "mono8", 2, data) for data in (b"ab", b"aa"))
     head = bytes(4)
-    made = b"".join(
-        compile_filter(shape, rules)(head + before + (2).to_bytes(4, "little") + before * 2)
-    )
+    made = b"".join(compile_filter(shape, rules)(head + before + (2).to_bytes(4, "little") + before * 2))
     assert made == head + after + (2).to_bytes(4, "little") + after * 2
 
 
@@ -115,8 +110,10 @@ def test_only_image_messages_can_be_pixelated(other: str) -> None:
     for shape in (layout(other), parse("sensor_msgs/Image", other)):
         with pytest.raises(FilterRefused, match="needs the data of a sensor_msgs/Image"):
             treated(b"", shape, block=2)
-    behind = parse("sensor_msgs/Image", IMAGE.replace("uint8[] data\n", "").replace(
-        "uint32 step", "uint8[] data\nuint32 step"))  # fmt: skip
+    behind = parse(
+        "sensor_msgs/Image",
+        IMAGE.replace("uint8[] data\n", "").replace("uint32 step", "uint8[] data\nuint32 step"),
+    )
     with pytest.raises(FilterRefused, match="needs the data"):
         treated(b"", behind, block=2)
 
@@ -140,12 +137,8 @@ def greyed(pixels: list[list[int]], block: int, levels: int) -> list[list[int]]:
 
 
 @pytest.mark.parametrize("levels", [2, 8, 256])
-@pytest.mark.parametrize(
-    ("high", "wide", "block"), [(1, 1, 2), (5, 7, 3), (8, 8, 4), (3, 9, 65535)]
-)
-def test_squares_show_their_mean_in_levels_of_grey(
-    high: int, wide: int, block: int, levels: int
-) -> None:
+@pytest.mark.parametrize(("high", "wide", "block"), [(1, 1, 2), (5, 7, 3), (8, 8, 4), (3, 9, 65535)])
+def test_squares_show_their_mean_in_levels_of_grey(high: int, wide: int, block: int, levels: int) -> None:
     data = seeded_random(high * wide).randbytes(high * wide)
     rows = [list(data[r * wide : (r + 1) * wide]) for r in range(high)]
     expected = b"".join(map(bytes, greyed(rows, block, levels)))
@@ -153,9 +146,7 @@ def test_squares_show_their_mean_in_levels_of_grey(
     assert treated(before, block=block, levels=levels) == image(high, wide, "mono8", wide, expected)
 
 
-@pytest.mark.parametrize(
-    ("encoding", "size"), [("rgb8", 3), ("8UC3", 3), ("bgra8", 4), ("rgba8", 4)]
-)
+@pytest.mark.parametrize(("encoding", "size"), [("rgb8", 3), ("8UC3", 3), ("bgra8", 4), ("rgba8", 4)])
 def test_colours_become_one_grey_and_opacity_is_lost(encoding: str, size: int) -> None:
     pixels = [(10, 20, 61, 7), (200, 200, 201, 9)]
     padding = b"\x55\x55"
@@ -183,9 +174,7 @@ def test_so_many_squares_fit_across_at_most(high: int, wide: int, across: int) -
         given = {"across": across} if block == 2 else {"across": across, "block": block}
         same = {"block": side(high, wide, across, block)}
         assert treated(before, LAYOUT, **given) == treated(before, LAYOUT, **same)
-        assert treated(before, LAYOUT, levels=8, **given) == treated(
-            before, LAYOUT, levels=8, **same
-        )
+        assert treated(before, LAYOUT, levels=8, **given) == treated(before, LAYOUT, levels=8, **same)
     found = np.frombuffer(treated(before, across=across)[-high * wide :], np.uint8)
     rows = found.reshape(high, wide)
     size = side(high, wide, across)
@@ -215,9 +204,7 @@ def test_a_region_has_the_squares_of_the_whole_picture() -> None:
     whole = treated(picture, across=2, levels=256)[-64:]
     found = treated(picture, across=2, levels=256, x=3, y=3, width=2, height=2)[-64:]
     inside = {8 * row + column for row in (3, 4) for column in (3, 4)}
-    assert [found[at] for at in range(64)] == [
-        whole[at] if at in inside else data[at] for at in range(64)
-    ]
+    assert [found[at] for at in range(64)] == [whole[at] if at in inside else data[at] for at in range(64)]
 
 
 def test_squares_larger_than_32_bits_can_sum() -> None:
@@ -229,10 +216,15 @@ def test_squares_larger_than_32_bits_can_sum() -> None:
     assert set(content) == {255}
 
 
-@pytest.mark.parametrize("message", [
-    image(1 << 31, 1 << 31, "mono8", 1 << 31, bytes(4)), image(2, 2, "mono8", 2, bytes(5)),
-    image(0, 9, "mono8", 2, b""), image(2, 2, "bayer_rggb8", 2, bytes(4)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "message",
+    [
+        image(1 << 31, 1 << 31, "mono8", 1 << 31, bytes(4)),
+        image(2, 2, "mono8", 2, bytes(5)),
+        image(0, 9, "mono8", 2, b""),
+        image(2, 2, "bayer_rggb8", 2, bytes(4)),
+    ],
+)
 def test_of_a_size_that_cannot_be_nothing_is_sent(message: bytes) -> None:
     with pytest.raises(MessageRefused):
         treated(message, across=16)

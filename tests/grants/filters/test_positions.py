@@ -8,7 +8,7 @@ import pytest
 
 from grants.errors import FilterRefused, MessageRefused
 from grants.filters.compile import compile_filter
-from grants.filters.positions import rooms
+from grants.filters.operators import rooms
 from grants.model import filter_rules
 from tests.grants.messages import layout
 
@@ -77,11 +77,15 @@ def test_a_message_that_is_too_short_is_refused() -> None:
 @pytest.mark.parametrize(
     "kind",
     [
-        "float64 x\nfloat64 y\nfloat64 z\nfloat64 w", "float64 x\nfloat32 y\nfloat64 z",
-        "float64 y\nfloat64 x", "int32 x\nint32 y", "float64 x", "string x\nstring y",
+        "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+        "float64 x\nfloat32 y\nfloat64 z",
+        "float64 y\nfloat64 x",
+        "int32 x\nint32 y",
+        "float64 x",
+        "string x\nstring y",
         "float64[2] x\nfloat64[2] y",
     ],
-)  # fmt: skip
+)
 def test_other_messages_have_no_position(kind: str) -> None:
     with pytest.raises(FilterRefused, match="p: rooms needs a message of x, y and maybe z"):
         compile_filter(layout("P p", f"MSG: t/P\n{kind}"), filter_rules({"p": {"rooms": PLAN}}))

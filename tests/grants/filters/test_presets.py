@@ -10,8 +10,8 @@ import pytest
 
 from grants.decision import Decision
 from grants.errors import FilterRefused, MessageRefused
+from grants.filters.compile import PRESETS, preset
 from grants.filters.layout import Layout, parse
-from grants.filters.presets import PRESETS, preset
 from grants.guard import Guard
 from grants.model import Restriction, Right, filter_rules
 from rossec.participant.message_types import message_type
@@ -31,9 +31,7 @@ COARSE = preset("coarse-position").restriction(POSE)
 
 def guard(restriction: Restriction, of: Layout = POSE) -> Guard:
     return Guard(
-        of,
-        Decision(Right.SUBSCRIBE, "/pose", (), NOW + 10**6, (restriction,)),
-        {"diagnostics": bytes(32)},
+        of, Decision(Right.SUBSCRIBE, "/pose", (), NOW + 10**6, (restriction,)), {"diagnostics": bytes(32)}
     )
 
 
@@ -52,9 +50,7 @@ def observed(restriction: Restriction, walk: list[float]) -> Iterator[tuple[int,
 
 
 def only_rounded(step: float) -> Restriction:
-    return Restriction(
-        POSE.type_name, (), filter_rules({"pose.position": {"round": {"step": step}}})
-    )
+    return Restriction(POSE.type_name, (), filter_rules({"pose.position": {"round": {"step": step}}}))
 
 
 def noisy(x: float, minutes: int = 10) -> list[float]:
@@ -151,9 +147,7 @@ def test_blurred_camera_keeps_one_of_eight_greys_per_square() -> None:
 
 
 def test_every_preset_states_what_it_reveals() -> None:
-    assert list(PRESETS) == [
-        "coarse-position", "presence-only", "anonymous-diagnostics", "blurred-camera",
-    ]  # fmt: skip
+    assert list(PRESETS) == ["coarse-position", "presence-only", "anonymous-diagnostics", "blurred-camera"]
     for entry in PRESETS.values():
         assert entry.hides
         assert entry.reveals
@@ -172,14 +166,18 @@ def test_unknown_presets_and_types_are_refused() -> None:
 def test_a_grant_keeps_what_its_preset_said_when_it_was_signed() -> None:
     """A grant holds the filters themselves: that of the version before still has two metres."""
     before = Restriction(
-        POSE.type_name, (),
-        filter_rules({
-            "header.seq": {"clear": True}, "header.stamp": {"round": {"step": 10}},
-            "pose.orientation": {"clear": True},
-            "pose.position": {"round": {"step": 2.0, "hysteresis": 0.5}},
-        }),
+        POSE.type_name,
+        (),
+        filter_rules(
+            {
+                "header.seq": {"clear": True},
+                "header.stamp": {"round": {"step": 10}},
+                "pose.orientation": {"clear": True},
+                "pose.position": {"round": {"step": 2.0, "hysteresis": 0.5}},
+            }
+        ),
         0.2,
-    )  # fmt: skip
+    )
     walk = [0.5 * n / SCAN for n in range(60 * SCAN)]
     told = list(observed(before, walk))
     assert {seen % 2 for _, seen in told} == {0.0}
@@ -191,8 +189,7 @@ def diagnostics(*parts: tuple[int, str]) -> bytes:
     kind = message_type("diagnostic_msgs/DiagnosticArray")
     status = message_type("diagnostic_msgs/DiagnosticStatus")
     found = [
-        status.create(level=level, name=f"the name of {part}", hardware_id=part)
-        for level, part in parts
+        status.create(level=level, name=f"the name of {part}", hardware_id=part) for level, part in parts
     ]
     return bytes(kind.serialize(kind.create(status=found)))
 
@@ -202,9 +199,7 @@ def test_anonymous_diagnostics_have_no_order_and_no_names() -> None:
     parts = [(0, "arm"), (2, "wheel"), (0, "lamp")]
     told = []
     for order in itertools.permutations(parts):
-        pieces = guard(preset("anonymous-diagnostics").restriction(of), of).apply(
-            diagnostics(*order), NOW
-        )
+        pieces = guard(preset("anonymous-diagnostics").restriction(of), of).apply(diagnostics(*order), NOW)
         assert pieces is not None
         told.append(b"".join(pieces))
     assert len(set(told)) == 1

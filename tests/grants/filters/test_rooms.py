@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from grants.common_state import HysteresisState
 from grants.errors import FilterRefused
-from grants.filters.rooms import Room, read_plan, snap_rows, snapping
+from grants.filters.coarsening import HysteresisState, Room, read_plan, snap_rows, snapping
 
 FLAT = {"bath": "4 0, 6 2", "hall": "4 2, 6 2, 6 5, 0 5, 0 4, 4 4", "kitchen": "0 0, 4 4"}
 PLAN = read_plan(FLAT)
@@ -30,12 +29,7 @@ def test_a_rectangle_is_written_by_two_corners_and_stands_for_its_middle() -> No
 
 @pytest.mark.parametrize(
     ("place", "room"),
-    [
-        ((1, 1, 9), "kitchen"),
-        ((3.999, 0, 0), "kitchen"),
-        ((4, 0, 0), "bath"),
-        ((1, 4.5, 0), "hall"),
-    ],
+    [((1, 1, 9), "kitchen"), ((3.999, 0, 0), "kitchen"), ((4, 0, 0), "bath"), ((1, 4.5, 0), "hall")],
 )
 def test_a_position_becomes_the_point_of_its_room(place: tuple[float, ...], room: str) -> None:
     assert snapped(*place) == (*POINTS[room], 0.0)
@@ -77,9 +71,7 @@ def test_with_hysteresis_a_room_is_kept_until_the_position_is_far_outside() -> N
 
 
 @given(st.lists(st.tuples(st.floats(3.6, 4.4), st.floats(0.1, 1.9)), min_size=1))
-def test_with_hysteresis_a_position_at_a_door_tells_one_room(
-    walked: list[tuple[float, float]],
-) -> None:
+def test_with_hysteresis_a_position_at_a_door_tells_one_room(walked: list[tuple[float, float]]) -> None:
     snap = snapping(PLAN, 0.5)(HysteresisState())
     assert len({snap(*place) for place in walked}) == 1
 

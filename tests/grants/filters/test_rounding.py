@@ -9,10 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from grants.common_state import HysteresisState
 from grants.errors import FilterRefused
+from grants.filters.coarsening import (
+    HysteresisState,
+    round_floats,
+    round_integers,
+    round_times,
+    with_hysteresis,
+)
 from grants.filters.layout import PRIMITIVES
-from grants.filters.rounding import round_floats, round_integers, round_times, with_hysteresis
 
 STEPS = st.floats(min_value=1e-320, max_value=1e308) | st.sampled_from([0.1, 0.5, 1.0, 2.0, 1e40])
 FLOATS = {"float32": st.floats(width=32), "float64": st.floats()}
@@ -127,9 +132,7 @@ def test_hysteresis_of_integers() -> None:
 
 
 @given(x=st.floats(-1e6, 1e6), step=st.sampled_from([0.5, 1, 2, 4]), odd=st.sampled_from([3, 5, 7]))
-def test_cells_nest_where_one_step_is_an_odd_multiple_of_the_other(
-    x: float, step: float, odd: int
-) -> None:
+def test_cells_nest_where_one_step_is_an_odd_multiple_of_the_other(x: float, step: float, odd: int) -> None:
     """The coarse cell follows from the fine one: it tells a second receiver nothing more."""
     fine, _ = round_floats(PRIMITIVES["float64"], step)
     coarse, _ = round_floats(PRIMITIVES["float64"], step * odd)

@@ -8,19 +8,16 @@ from hypothesis import strategies as st
 
 from grants.errors import FilterRefused, MessageRefused
 from grants.filters.compile import compile_filter
-from grants.filters.sorting import sorting
+from grants.filters.operators import sorting
 from grants.model import filter_rules
 from tests.grants.messages import layout, text
 
 SHAPE = layout("string a\nS[] x\nuint8 b", "MSG: t/S\nuint8 level\nstring name\nint16[] more")
-RULES = filter_rules(
-    {"x": {"sort": True}, "x[*].name": {"hash": {"key": "k"}}, "x[*].more": {"clear": True}}
-)
+RULES = filter_rules({"x": {"sort": True}, "x[*].name": {"hash": {"key": "k"}}, "x[*].more": {"clear": True}})
 KEYS = {"k": bytes(32)}
 Element = tuple[int, str, list[int]]
 ELEMENTS = st.lists(
-    st.tuples(st.integers(0, 255), st.text(max_size=3), st.lists(st.integers(0, 9), max_size=2)),
-    max_size=30,
+    st.tuples(st.integers(0, 255), st.text(max_size=3), st.lists(st.integers(0, 9), max_size=2)), max_size=30
 )
 
 
@@ -46,9 +43,7 @@ def test_elements_are_sorted_as_they_are_sent() -> None:
     rules = filter_rules({"x": {"sort": True}, "x[*].name": {"clear": True}})
     compiled = compile_filter(SHAPE, rules)
     elements: list[Element] = [(7, "a", [2]), (7, "b", [1]), (3, "z", [])]
-    assert b"".join(compiled(message(elements))) == message(
-        [(3, "", []), (7, "", [1]), (7, "", [2])]
-    )
+    assert b"".join(compiled(message(elements))) == message([(3, "", []), (7, "", [1]), (7, "", [2])])
 
 
 @given(values=st.lists(st.integers(-(2**15), 2**15 - 1)))
@@ -71,11 +66,8 @@ def test_bytes_that_are_no_elements_are_refused() -> None:
 
 @pytest.mark.parametrize(
     ("fields", "kind"),
-    [
-        ("string[3] x", ""), ("string x", ""), ("int8 x", ""),
-        ("E[] x", "MSG: t/E"), ("E x", "MSG: t/E"),
-    ],
-)  # fmt: skip
+    [("string[3] x", ""), ("string x", ""), ("int8 x", ""), ("E[] x", "MSG: t/E"), ("E x", "MSG: t/E")],
+)
 def test_what_cannot_be_sorted(fields: str, kind: str) -> None:
     shape = layout(fields, *([kind] if kind else []))
     with pytest.raises(FilterRefused, match="x: sort needs an array of variable length"):

@@ -1,5 +1,5 @@
 from grants.filters.layout import Array, Primitive, Struct
-from grants.filters.treatments import (
+from grants.filters.operators import (
     ArrayTreatment,
     Constant,
     FieldTreatment,

@@ -5,10 +5,9 @@ import struct
 import pytest
 
 from grants.filters import message_rewriter
-from grants.filters.codegen import LAYOUT_ERRORS
-from grants.filters.layout import PRIMITIVES, Array, Struct, Text
-from grants.filters.message_rewriter import generate
-from grants.filters.treatments import (
+from grants.filters.layout import LAYOUT_ERRORS, PRIMITIVES, Array, Struct, Text
+from grants.filters.message_rewriter import generate, preserves_sizes
+from grants.filters.operators import (
     ArrayTreatment,
     Constant,
     ContentTreatment,
@@ -18,21 +17,16 @@ from grants.filters.treatments import (
     Numbers,
     StructTreatment,
 )
-from grants.filters.variable_arrays import preserves_sizes
 from tests.grants.messages import seeded_random, text
 
 INT = PRIMITIVES["int32"]
 TIME = PRIMITIVES["time"]
 ADD = Numbers(lambda value: value + 1, lambda values: values + 1)
-SWAP = Numbers(
-    lambda a, b: (b, a), lambda values: values.reshape(-1, 2)[:, ::-1].reshape(values.shape)
-)
+SWAP = Numbers(lambda a, b: (b, a), lambda values: values.reshape(-1, 2)[:, ::-1].reshape(values.shape))
 
 
 def struct_of(*nodes: Node) -> StructTreatment:
-    return StructTreatment(
-        Struct("t/T", tuple((f"f{n}", node.kind) for n, node in enumerate(nodes))), nodes
-    )
+    return StructTreatment(Struct("t/T", tuple((f"f{n}", node.kind) for n, node in enumerate(nodes))), nodes)
 
 
 def ints(*values: int) -> bytes:
@@ -43,11 +37,17 @@ FIXED = struct_of(Keep(INT), FieldTreatment(INT, ADD))
 INNER = struct_of(Keep(Text()), FieldTreatment(INT, ADD))
 # Adjacent regions, separate regions, a fixed array, a nested loop, an empty constant.
 ELEMENT = struct_of(
-    FieldTreatment(INT, ADD), FieldTreatment(TIME, SWAP), FieldTreatment(INT, Constant(b"wxyz")),
-    Keep(Text()), Keep(INT), FIXED, ArrayTreatment(Array(FIXED.kind, 3), FIXED),
+    FieldTreatment(INT, ADD),
+    FieldTreatment(TIME, SWAP),
+    FieldTreatment(INT, Constant(b"wxyz")),
+    Keep(Text()),
+    Keep(INT),
+    FIXED,
+    ArrayTreatment(Array(FIXED.kind, 3), FIXED),
     FieldTreatment(Struct("t/E", ()), Constant(b"")),
-    ArrayTreatment(Array(INNER.kind, None), INNER), FieldTreatment(INT, ADD),
-)  # fmt: skip
+    ArrayTreatment(Array(INNER.kind, None), INNER),
+    FieldTreatment(INT, ADD),
+)
 
 
 def message(count: int, treated: bool) -> bytes:

@@ -12,10 +12,9 @@ from typing import Any
 from grants.filters.layout import Layout, parse
 from grants.model import Right
 from grants.policy.lint import lint
-from grants.policy.lint_findings import Finding, Suggestion
-from grants.policy.mistakes import Mistakes
+from grants.policy.lint_findings import LintFinding, Suggestion
 from grants.policy.model import Policy
-from grants.policy.source import Part, YamlMapping, YamlScalar, read_source
+from grants.policy.source import Mistakes, Part, YamlMapping, YamlScalar, read_source
 from tests.grants.policy.policies import definition, policy
 
 TYPES = {
@@ -43,9 +42,7 @@ HEADER = "rossec: 1\nrobot: test\ndefaults: {lifetime: 7d}\n"
 def text_of(*lines: str, head: str = "", types: dict[str, str] | None = None) -> str:
     """A policy of these rules; what is the same in most of them is added."""
     rules = "".join(f"  - {{{_rule(line)}}}\n" for line in lines)
-    named = {
-        topic: kind for topic, kind in TYPES.items() if re.search(rf"(?<![\w*}}]){topic}\b", rules)
-    }
+    named = {topic: kind for topic, kind in TYPES.items() if re.search(rf"(?<![\w*}}]){topic}\b", rules)}
     listed = json.dumps(named | (types or {}))
     return f"{HEADER}{head}types: {listed}\nrules:\n{rules}"
 
@@ -60,7 +57,7 @@ def layout_of(kind: str) -> Layout:
     return parse(kind, definition(kind))
 
 
-def findings(text: str) -> list[Finding]:
+def findings(text: str) -> list[LintFinding]:
     return lint(policy(text), layout_of)
 
 
@@ -115,8 +112,7 @@ def _write_filters(rule: dict[str, Any], read: Policy) -> None:
     [meant] = [each for each in read.rules if each.id == rule["id"]]
     rule["filter"] = {
         clause.pattern: {
-            item.path: {item.operator: dict(item.parameters) or True}
-            for item in clause.restriction.filters
+            item.path: {item.operator: dict(item.parameters) or True} for item in clause.restriction.filters
         }
         for clause in meant.clauses
         if clause.right is Right.SUBSCRIBE and clause.restriction and clause.restriction.filters

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from ca.errors import HintedError
 from grants.model import Right
 from grants.policy.decision import Decider, Verdict
-from grants.policy.mistakes import Mistake
 from grants.policy.model import Policy, Subject
 from grants.policy.read import load, mistakes_in
+from grants.policy.source import Mistake
 from rossec.participant.message_types import message_type, type_names
 
 HEATING_KEY = bytes(range(32))

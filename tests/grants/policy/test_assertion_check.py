@@ -3,7 +3,7 @@
 import pytest
 
 from grants.errors import PolicyRefused
-from grants.policy.assertion_check import Outcome, check_tests, require_tests
+from grants.policy.assertion_check import CheckOutcome, check_tests, require_tests
 from rossec.authority.policyfile import layout_of
 from tests.grants.policy.policies import policy
 
@@ -28,7 +28,7 @@ tests:
 """
 
 
-def outcomes(test: str, text: str = TEXT) -> list[Outcome]:
+def outcomes(test: str, text: str = TEXT) -> list[CheckOutcome]:
     return check_tests(policy(f"{text}  - {test}\n"), layout_of)
 
 
@@ -236,13 +236,16 @@ tests:
 @pytest.mark.parametrize(
     ("name", "asked", "holds"),
     [
-        ("/safety/max_speed", "/safety", False), ("/safety/a/b", "/safety", False),
-        ("/safety", "/safety/max_speed", False), ("/**", "/safety", False),
-        ("/safety", "/safety", False), ("/safetyx", "/safety", True),
+        ("/safety/max_speed", "/safety", False),
+        ("/safety/a/b", "/safety", False),
+        ("/safety", "/safety/max_speed", False),
+        ("/**", "/safety", False),
+        ("/safety", "/safety", False),
+        ("/safetyx", "/safety", True),
         ("/other/safety", "/safety", True),
         ("'{node}/p'", "/a", False),
     ],
-)  # fmt: skip
+)
 def test_a_parameter_that_may_not_be_set_is_so_in_all_its_parts(
     right: str, name: str, asked: str, *, holds: bool
 ) -> None:

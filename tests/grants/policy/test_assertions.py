@@ -3,7 +3,7 @@
 import pytest
 
 from grants.model import Right
-from grants.policy.assertions import Assertion, Claim, Says, SeenField
+from grants.policy.assertions import CheckedClaim, PolicyTest, Says, SeenField
 from grants.policy.model import Subject
 from tests.grants.policy.policies import HEADER, HEATING_KEY, mistakes, policy
 
@@ -16,7 +16,7 @@ tests:
 """
 
 
-def read(text: str) -> tuple[Assertion, ...]:
+def read(text: str) -> tuple[PolicyTest, ...]:
     return policy(f"{HEAD}{text}\n").tests
 
 
@@ -32,11 +32,11 @@ def test_every_part_is_read() -> None:
     )
     assert found.subject == Subject("/heating", HEATING_KEY)
     assert found.claims == (
-        Claim(Says.MAY, Right.SUBSCRIBE, "/robot/pose", 10),
-        Claim(Says.MAY, Right.SUBSCRIBE, "/clock", 10),
-        Claim(Says.MAY_NOT, Right.PUBLISH, "/cmd_vel", 11),
-        Claim(Says.ASKS, Right.CALL, "/door", 12),
-        Claim(Says.MAY_NOT, Right.SUBSCRIBE, "/img", 13),
+        CheckedClaim(Says.MAY, Right.SUBSCRIBE, "/robot/pose", 10),
+        CheckedClaim(Says.MAY, Right.SUBSCRIBE, "/clock", 10),
+        CheckedClaim(Says.MAY_NOT, Right.PUBLISH, "/cmd_vel", 11),
+        CheckedClaim(Says.ASKS, Right.CALL, "/door", 12),
+        CheckedClaim(Says.MAY_NOT, Right.SUBSCRIBE, "/img", 13),
     )
     assert found.seen == (
         SeenField("/robot/pose", "pose.position", 2.0, 13),
@@ -57,8 +57,9 @@ def test_nodes_and_identities_are_subjects() -> None:
 def test_a_group_is_each_of_its_members() -> None:
     found = read("  - {who: robots, may: {call: /s}}")
     assert [each.subject for each in found] == [
-        Subject("/robot1", bytes(32)), Subject("/heating", HEATING_KEY),
-    ]  # fmt: skip
+        Subject("/robot1", bytes(32)),
+        Subject("/heating", HEATING_KEY),
+    ]
 
 
 def test_a_policy_needs_no_tests() -> None:

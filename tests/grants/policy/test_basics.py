@@ -2,13 +2,13 @@
 
 import pytest
 
-from grants.basics import BASICS, TRANSFORMS
 from grants.model import Right
-from grants.policy.basics import ID, is_basics
 from grants.policy.decision import Decider
 from grants.policy.lint import lint
 from grants.policy.model import DAY, Subject
+from grants.policy.rules import ID, is_basics
 from grants.policy.wanted import WantedState
+from grants.request import BASICS, TRANSFORMS
 from rossec.authority.policyfile import layout_of
 from tests.grants.policy.policies import HEADER, mistakes, node, policy, rules
 
@@ -16,18 +16,14 @@ TRUE = f"{HEADER}basics: true\n"
 WIDE = "{id: own, who: /tool, allow: {param-get: /**}, lifetime: 30d, renew_until: 90d, why: all}"
 
 
-def wanted(
-    text_rules: tuple[str, ...], subject: Subject, head: str = TRUE
-) -> set[tuple[Right, str]]:
+def wanted(text_rules: tuple[str, ...], subject: Subject, head: str = TRUE) -> set[tuple[Right, str]]:
     state = WantedState(Decider(rules(*text_rules, head=head)))
     return {each.atom for each in state.of(subject).rights}
 
 
 def test_every_node_gets_the_table_and_no_more() -> None:
     expected = {
-        (right, name.replace("{node}", "/talker"))
-        for right, names in BASICS.items()
-        for name in names
+        (right, name.replace("{node}", "/talker")) for right, names in BASICS.items() for name in names
     }
     assert wanted((), node("/talker")) == expected
     assert wanted((), node("/talker"), HEADER) == set()

@@ -5,9 +5,8 @@ import re
 import pytest
 
 from grants.model import Right
-from grants.policy.beginning import beginning
 from grants.policy.decision import Decider
-from grants.policy.editing import NewRule, add_rules
+from grants.policy.learn import NewRule, add_rules, beginning
 from grants.policy.lint import lint
 from rossec.authority.policyfile import layout_of
 from tests.grants.policy.policies import node, policy

@@ -3,8 +3,8 @@
 import pytest
 
 from grants.model import FilterRule, Permission, Restriction, Right
-from grants.policy.changes import Before, Change, Kind, change_of, kept, withdrawn
 from grants.policy.decision import Decider
+from grants.policy.difference import Before, Change, ChangeKind, change_of, kept, withdrawn
 from grants.policy.model import DAY, Effect, PolicyRule
 from grants.policy.wanted import WantedRight
 from tests.grants.policy.policies import node, rules
@@ -35,46 +35,48 @@ def before(restrictions: Restrictions, lifetime: int = DAY, longest: int = DAY) 
 @pytest.mark.parametrize(
     ("old", "new", "kind"),
     [
-        ((None,), (SLOW,), Kind.NARROWER),
-        ((SLOW,), (None,), Kind.WIDER),
-        ((FAST,), (SLOW,), Kind.NARROWER),
-        ((None,), (ROUND,), Kind.NARROWER),
-        ((ROUND,), (ROUND, DAYTIME), Kind.NARROWER),
-        ((ROUND, DAYTIME), (DAYTIME,), Kind.WIDER),
-        ((KEPT,), (None,), Kind.NARROWER),
-        ((None,), (KEPT,), Kind.WIDER),
-        ((ROUND,), (COARSE,), Kind.CHANGED),
-        ((ROUND,), (SLOW,), Kind.CHANGED),
-        ((KEPT,), (FAST,), Kind.NARROWER),
-        ((ROUND, SLOW), (ROUND, SLOW), Kind.KEPT),
+        ((None,), (SLOW,), ChangeKind.NARROWER),
+        ((SLOW,), (None,), ChangeKind.WIDER),
+        ((FAST,), (SLOW,), ChangeKind.NARROWER),
+        ((None,), (ROUND,), ChangeKind.NARROWER),
+        ((ROUND,), (ROUND, DAYTIME), ChangeKind.NARROWER),
+        ((ROUND, DAYTIME), (DAYTIME,), ChangeKind.WIDER),
+        ((KEPT,), (None,), ChangeKind.NARROWER),
+        ((None,), (KEPT,), ChangeKind.WIDER),
+        ((ROUND,), (COARSE,), ChangeKind.CHANGED),
+        ((ROUND,), (SLOW,), ChangeKind.CHANGED),
+        ((KEPT,), (FAST,), ChangeKind.NARROWER),
+        ((ROUND, SLOW), (ROUND, SLOW), ChangeKind.KEPT),
     ],
 )
-def test_restrictions_are_compared(old: Restrictions, new: Restrictions, kind: Kind) -> None:
+def test_restrictions_are_compared(old: Restrictions, new: Restrictions, kind: ChangeKind) -> None:
     assert change_of(X, wanted(new), before(old)).kind is kind
 
 
 @pytest.mark.parametrize(
     ("lifetime", "renew", "kind"),
     [
-        (DAY, 0, Kind.KEPT),
-        (2 * DAY, 0, Kind.WIDER),
-        (DAY // 2, 0, Kind.NARROWER),
-        (DAY, 30 * DAY, Kind.WIDER),
-        (DAY // 2, 30 * DAY, Kind.CHANGED),
+        (DAY, 0, ChangeKind.KEPT),
+        (2 * DAY, 0, ChangeKind.WIDER),
+        (DAY // 2, 0, ChangeKind.NARROWER),
+        (DAY, 30 * DAY, ChangeKind.WIDER),
+        (DAY // 2, 30 * DAY, ChangeKind.CHANGED),
     ],
 )
-def test_validities_are_compared(lifetime: int, renew: int, kind: Kind) -> None:
+def test_validities_are_compared(lifetime: int, renew: int, kind: ChangeKind) -> None:
     assert change_of(X, wanted((None,), lifetime, renew), before((None,))).kind is kind
 
 
 def test_a_new_right_has_its_rule_and_its_restrictions() -> None:
     change = change_of(X, wanted((ROUND, SLOW), renew=30 * DAY))
     assert change == Change(
-        Kind.NEW, X, Right.SUBSCRIBE, "/pose",
-        ("at most 1 message a second", "pose.position: round step 2.0",
-         "valid 1d, renewed until 30d"),
+        ChangeKind.NEW,
+        X,
+        Right.SUBSCRIBE,
+        "/pose",
+        ("at most 1 message a second", "pose.position: round step 2.0", "valid 1d, renewed until 30d"),
         (RULE,),
-    )  # fmt: skip
+    )
 
 
 def test_a_changed_right_shows_what_it_was() -> None:
@@ -89,7 +91,7 @@ def test_a_right_that_goes_has_the_rules_that_deny_it() -> None:
     for subject, ids in ((X, ["d"]), (node("/y"), [])):
         verdict = Decider(policy).decide(subject, *atom)
         change = withdrawn(subject, atom, verdict, before((ROUND,)))
-        assert (change.kind, [rule.id for rule in change.rules]) == (Kind.GONE, ids)
+        assert (change.kind, [rule.id for rule in change.rules]) == (ChangeKind.GONE, ids)
         assert change.restrictions == ("pose.position: round step 2.0",)
 
 
@@ -98,4 +100,4 @@ def test_a_kept_right_says_what_it_is() -> None:
 
 
 def test_each_kind_has_its_sign() -> None:
-    assert "".join(kind.sign for kind in Kind) == "+~~~-="
+    assert "".join(kind.sign for kind in ChangeKind) == "+~~~-="

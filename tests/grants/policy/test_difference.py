@@ -11,27 +11,18 @@ from hypothesis import strategies as st
 from grants.decision import authorize
 from grants.errors import GrantMissing
 from grants.model import Grant, Permission, Right, merge
-from grants.policy.changes import Kind
 from grants.policy.decision import Decider
 from grants.policy.difference import (
     MAX_GRANTS,
     MAX_PRESENTED,
+    ChangeKind,
     Moment,
     NodeDifference,
     RecordedGrant,
     atoms,
     difference,
 )
-from grants.policy.model import (
-    DAY,
-    Clause,
-    Defaults,
-    Effect,
-    Policy,
-    PolicyRule,
-    Subject,
-    SubjectPattern,
-)
+from grants.policy.model import DAY, Clause, Defaults, Effect, Policy, PolicyRule, Subject, SubjectPattern
 from grants.policy.wanted import WantedState, rule_ids
 from tests.grants.policy.policies import HEADER, node, rules
 
@@ -52,15 +43,21 @@ def signed(found: NodeDifference, now: int = NOW, subject: Subject = X) -> list[
     return [
         RecordedGrant(
             Grant(
-                "home", subject.name, subject.key, now - SKEW, now + group[0].lifetime,
-                now + max(group[0].lifetime, group[0].renew_until), bytes(16),
+                "home",
+                subject.name,
+                subject.key,
+                now - SKEW,
+                now + group[0].lifetime,
+                now + max(group[0].lifetime, group[0].renew_until),
+                bytes(16),
                 tuple(item for each in group for item in each.permissions),
-                next(_ids).to_bytes(16), bytes(32),
+                next(_ids).to_bytes(16),
+                bytes(32),
             ),
             rule_ids(rule for each in group for rule in each.rules),
         )
         for group in found.sign
-    ]  # fmt: skip
+    ]
 
 
 def applied(policy: Policy, *recorded: RecordedGrant) -> list[RecordedGrant]:
@@ -70,8 +67,18 @@ def applied(policy: Policy, *recorded: RecordedGrant) -> list[RecordedGrant]:
 
 
 def by_hand(pattern: str, right: Right = Right.SUBSCRIBE) -> RecordedGrant:
-    grant = Grant("home", "/x", X.key, NOW, NOW + DAY, NOW + DAY, bytes(16),
-                  (Permission(pattern, right),), next(_ids).to_bytes(16), bytes(32))  # fmt: skip
+    grant = Grant(
+        "home",
+        "/x",
+        X.key,
+        NOW,
+        NOW + DAY,
+        NOW + DAY,
+        bytes(16),
+        (Permission(pattern, right),),
+        next(_ids).to_bytes(16),
+        bytes(32),
+    )
     return RecordedGrant(grant)
 
 
@@ -79,7 +86,7 @@ def shown(found: NodeDifference) -> list[str]:
     return [
         f"{each.kind.sign} {each.right.label} {each.pattern}"
         for each in found.changes
-        if each.kind is not Kind.KEPT
+        if each.kind is not ChangeKind.KEPT
     ]
 
 
@@ -94,7 +101,7 @@ def test_each_set_of_rules_is_a_grant() -> None:
     assert found.ends == NOW + 7 * DAY
     again = compare(rules(A, B), *signed(found))
     assert (shown(again), again.sign, again.revoke) == ([], (), ())
-    assert [each.kind for each in again.changes] == [Kind.KEPT] * 3
+    assert [each.kind for each in again.changes] == [ChangeKind.KEPT] * 3
 
 
 def test_a_changed_rule_touches_no_grant_of_another() -> None:
@@ -122,7 +129,7 @@ def test_a_restriction_replaces_the_grant() -> None:
     (first,) = applied(rules(B.replace("call", "subscribe")))
     found = compare(rules(B.replace("call", "subscribe")[:-1] + ", limit: {rate: 1}}"), first)
     assert (shown(found), found.revoke) == (["~ subscribe /c"], (first.grant,))
-    assert found.changes[0].kind is Kind.NARROWER
+    assert found.changes[0].kind is ChangeKind.NARROWER
 
 
 def test_a_denial_takes_what_was_given() -> None:
@@ -154,8 +161,9 @@ def test_grants_by_hand_are_left_alone_and_named_if_denied() -> None:
     found = compare(rules(deny), *hand)
     assert (found.revoke, found.sign) == ((), ())
     assert [(each.grant, each.pattern, each.rule.id) for each in found.contradictions] == [
-        (hand[0].grant, "/a/b", "d"), (hand[1].grant, "/**", "d"),
-    ]  # fmt: skip
+        (hand[0].grant, "/a/b", "d"),
+        (hand[1].grant, "/**", "d"),
+    ]
 
 
 def test_a_node_without_a_valid_identity_only_loses() -> None:
@@ -166,12 +174,8 @@ def test_a_node_without_a_valid_identity_only_loses() -> None:
     assert compare(rules(A), gets=False).sign == ()
 
 
-@pytest.mark.parametrize(
-    ("later", "signs", "due"), [(4 * DAY, 0, 0), (5 * DAY, 0, 1), (7 * DAY, 1, 0)]
-)
-def test_what_has_ended_is_signed_and_what_ends_soon_is_named(
-    later: int, signs: int, due: int
-) -> None:
+@pytest.mark.parametrize(("later", "signs", "due"), [(4 * DAY, 0, 0), (5 * DAY, 0, 1), (7 * DAY, 1, 0)])
+def test_what_has_ended_is_signed_and_what_ends_soon_is_named(later: int, signs: int, due: int) -> None:
     given_ = applied(rules(A))
     found = compare(rules(A), *given_, moment=Moment(NOW + later, SKEW))
     assert (len(found.sign), len(found.due), found.revoke) == (signs, due, ())
@@ -201,16 +205,13 @@ def test_what_the_master_renews_ends_with_its_cap() -> None:
 def test_a_changed_validity_replaces_the_grant() -> None:
     given_ = applied(rules(A))
     found = compare(rules(A[:-1] + ", lifetime: 1d}"), *given_)
-    assert {each.kind for each in found.changes} == {Kind.NARROWER}
+    assert {each.kind for each in found.changes} == {ChangeKind.NARROWER}
     assert len(found.revoke) == 1
 
 
 def many(number: int) -> Policy:
     return rules(
-        *(
-            f"{{id: r{n}, who: /x, allow: {{call: [/s{n}]}}, lifetime: {n % 2 + 1}d}}"
-            for n in range(number)
-        )
+        *(f"{{id: r{n}, who: /x, allow: {{call: [/s{n}]}}, lifetime: {n % 2 + 1}d}}" for n in range(number))
     )
 
 
@@ -246,8 +247,7 @@ def test_rights_of_one_entry_are_told_apart() -> None:
     entry = Permission("/a", Right.PUBLISH | Right.SUBSCRIBE)
     grant = replace(by_hand("/a").grant, permissions=(entry,))
     assert atoms(grant) == {
-        (right, "/a"): frozenset({Permission("/a", right)})
-        for right in (Right.PUBLISH, Right.SUBSCRIBE)
+        (right, "/a"): frozenset({Permission("/a", right)}) for right in (Right.PUBLISH, Right.SUBSCRIBE)
     }
 
 
@@ -281,9 +281,9 @@ rule = st.builds(
     id=st.text("rst", min_size=1, max_size=3),
     effect=st.sampled_from([Effect.ALLOW, Effect.ALLOW, Effect.DENY, Effect.PROMPT]),
     who=who.map(lambda one: (one,)),
-    clauses=st.lists(
-        st.builds(Clause, st.sampled_from(RIGHTS), pattern | name), min_size=1, max_size=3
-    ).map(tuple),
+    clauses=st.lists(st.builds(Clause, st.sampled_from(RIGHTS), pattern | name), min_size=1, max_size=3).map(
+        tuple
+    ),
     lifetime=st.sampled_from([DAY, 2 * DAY]),
 )
 limited = st.builds(
@@ -295,9 +295,7 @@ limited = st.builds(
     rule.filter(lambda item: item.effect is not Effect.DENY),
     st.sampled_from([1.0, 2.0]),
 )
-policies = st.lists(rule | limited, max_size=6).map(
-    lambda made: Policy("r", Defaults(), {}, {}, tuple(made))
-)
+policies = st.lists(rule | limited, max_size=6).map(lambda made: Policy("r", Defaults(), {}, {}, tuple(made)))
 
 
 def fresh(bytes_: bytes, now: int) -> None:
@@ -317,7 +315,7 @@ def test_a_second_difference_is_empty(before: Policy, after: Policy) -> None:
     force = applied(after, *applied(before))
     found = compare(after, *force)
     assert (found.sign, found.revoke, found.due) == ((), (), ())
-    assert {each.kind for each in found.changes} <= {Kind.KEPT}
+    assert {each.kind for each in found.changes} <= {ChangeKind.KEPT}
 
 
 @given(policies, policies)

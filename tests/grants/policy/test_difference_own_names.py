@@ -52,10 +52,7 @@ def test_tail_patterns_are_signed_in_a_grant_of_their_own_and_kept_until_the_tai
         return difference(WantedState(Decider(policy)), subject, recorded, MOMENT)
 
     first = compared(rviz)
-    assert [[each.pattern for each in group] for group in first.sign] == [
-        ["/rviz~/get_loggers"],
-        ["/map"],
-    ]
+    assert [[each.pattern for each in group] for group in first.sign] == [["/rviz~/get_loggers"], ["/map"]]
     held = signed(first, subject=rviz)
     assert compared(rviz, *held).sign == ()
     assert compared(rviz, *held).revoke == ()

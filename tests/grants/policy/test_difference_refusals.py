@@ -5,16 +5,9 @@ from typing import Final
 
 from grants.model import Draft, Grant, Right
 from grants.policy.decision import Decider
-from grants.policy.difference import (
-    MAX_PRESENTED,
-    Moment,
-    NodeDifference,
-    RecordedGrant,
-    difference,
-)
-from grants.policy.drafts import drafts
+from grants.policy.difference import MAX_PRESENTED, Moment, NodeDifference, RecordedGrant, difference
 from grants.policy.model import Policy
-from grants.policy.wanted import WantedState, rule_ids
+from grants.policy.wanted import WantedState, drafts, rule_ids
 from tests.grants.policy.policies import node, rules
 
 NOW: Final = 1_800_000_000

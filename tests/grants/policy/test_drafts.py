@@ -9,8 +9,8 @@ from grants.document import open_grant, sign
 from grants.errors import PolicyRefused
 from grants.model import Draft, FilterRule, Restriction, Right
 from grants.policy.decision import Decider, Verdict
-from grants.policy.drafts import approve, approximate, drafts, limit, permissions, plan, shorten
 from grants.policy.model import DAY, HOUR, Effect, Policy, Subject
+from grants.policy.wanted import approve, approximate, drafts, limit, permissions, plan, shorten
 from grants.request import RequestedRight
 from tests.grants.authority import CA, NOW
 from tests.grants.policy.policies import HEADER, decide, node, rules
@@ -41,10 +41,12 @@ def made(*verdicts: Verdict) -> list[Draft]:
 
 def test_requested_rights_are_sorted_by_decision(policy: Policy) -> None:
     rights = [
-        RequestedRight(Right.CALL, "/door"), RequestedRight(Right.CALL, "/lift"),
+        RequestedRight(Right.CALL, "/door"),
+        RequestedRight(Right.CALL, "/lift"),
         RequestedRight(Right.SUBSCRIBE, "/b"),
-        RequestedRight(Right.SUBSCRIBE, "/b"), RequestedRight(Right.SUBSCRIBE, "/unheard"),
-    ]  # fmt: skip
+        RequestedRight(Right.SUBSCRIBE, "/b"),
+        RequestedRight(Right.SUBSCRIBE, "/unheard"),
+    ]
     sorted_ = plan(Decider(policy), X, rights)
     assert [v.name for v in sorted_.allowed] == ["/b"]
     assert [v.name for v in sorted_.prompted] == ["/lift"]
@@ -56,9 +58,7 @@ def test_a_signed_draft_has_the_decided_restrictions(policy: Policy) -> None:
     pose = verdict_on(policy, Right.SUBSCRIBE, "/pose")
     (draft,) = made(pose)
     grant = open_grant(sign(CA, draft), CA.public_key, NOW)
-    found = authorize(
-        [grant], Right.SUBSCRIBE, "/pose", holder=X.key, now=NOW, check=lambda *_: None
-    )
+    found = authorize([grant], Right.SUBSCRIBE, "/pose", holder=X.key, now=NOW, check=lambda *_: None)
     assert found.restrictions == pose.restrictions
     assert len(found.restrictions) == 2
     assert (found.expires, grant.cap) == (NOW + 7 * DAY, NOW + 7 * DAY)
@@ -128,9 +128,7 @@ def test_on_stale_reaches_the_grant_when_every_rule_says_keep() -> None:
         "{id: b, who: /x, allow: {subscribe: [/pose]}, when: now.getHours() >= 6, on_stale: cut}",
         "{id: c, who: /x, allow: {subscribe: [/slow]}, limit: {rate: 1}, on_stale: keep}",
     )
-    kept, slow, cut = (
-        verdict_on(policy, Right.SUBSCRIBE, name) for name in ("/stop", "/slow", "/pose")
-    )
+    kept, slow, cut = (verdict_on(policy, Right.SUBSCRIBE, name) for name in ("/stop", "/slow", "/pose"))
     assert [item.restriction for item in permissions(kept)] == [Restriction(keep_when_stale=True)]
     [limited] = permissions(slow)
     assert limited.restriction == Restriction(rate=1, keep_when_stale=True)
@@ -148,10 +146,7 @@ def test_a_draft_is_backdated_by_the_skew(policy: Policy) -> None:
 def test_tail_patterns_have_a_draft_of_their_own() -> None:
     policy = rules('{id: a, who: "*", allow: {provide: [~/get_loggers], publish: [/map]}}')
     rviz = Subject("/rviz", bytes(32), tail=True)
-    asked = [
-        RequestedRight(Right.PROVIDE, "/rviz~/get_loggers"),
-        RequestedRight(Right.PUBLISH, "/map"),
-    ]
+    asked = [RequestedRight(Right.PROVIDE, "/rviz~/get_loggers"), RequestedRight(Right.PUBLISH, "/map")]
     allowed = plan(Decider(policy), rviz, asked).allowed
     made = drafts(allowed, domain="home", now=0, serial=lambda: bytes(16))
     assert sorted(each.permissions[0].pattern for each in made) == ["/map", "/rviz~/get_loggers"]

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from grants.errors import PolicyRefused
-from grants.policy import editing
-from grants.policy.editing import NewRule, add_rules, empty, free_id
+from grants.policy import learn
+from grants.policy.learn import NewRule, add_rules, empty, free_id
 from tests.grants.policy.policies import policy
 
 TEXT = """# The flat.
@@ -25,9 +25,13 @@ rules:
 
 def rule(**changes: object) -> NewRule:
     usual: dict[str, object] = {
-        "id": "two", "why": "because", "who": "/b", "effect": "allow",
-        "rights": {"publish": ["/c"]}, "types": {"/c": "std_msgs/String"},
-    }  # fmt: skip
+        "id": "two",
+        "why": "because",
+        "who": "/b",
+        "effect": "allow",
+        "rights": {"publish": ["/c"]},
+        "types": {"/c": "std_msgs/String"},
+    }
     return NewRule(**{**usual, **changes})  # type: ignore[arg-type]
 
 
@@ -35,9 +39,7 @@ def test_comments_and_quotes_stay() -> None:
     text = add_rules(TEXT, [rule()])
     for line in ("# The flat.", "robot: r   # an old one", "# What holds.", '- id: "one"'):
         assert line in text
-    assert text.endswith(
-        "  - id: two\n    why: because\n    who: /b\n    allow:\n      publish: [/c]\n"
-    )
+    assert text.endswith("  - id: two\n    why: because\n    who: /b\n    allow:\n      publish: [/c]\n")
     read = policy(text)
     assert [item.id for item in read.rules] == ["one", "two"]
     assert read.types == {"/c": "std_msgs/String", "/scan": "sensor_msgs/LaserScan"}
@@ -47,8 +49,10 @@ def test_an_existing_rule_is_extended() -> None:
     more = rule(id="one", rights={"subscribe": ["/scan", "/d"], "call": ["/e"]}, types={})
     read = policy(add_rules(TEXT, [more, more]))
     assert [(c.right.label, c.pattern) for c in read.rules[0].clauses] == [
-        ("subscribe", "/scan"), ("subscribe", "/d"), ("call", "/e"),
-    ]  # fmt: skip
+        ("subscribe", "/scan"),
+        ("subscribe", "/d"),
+        ("call", "/e"),
+    ]
 
 
 def test_an_existing_type_is_not_changed() -> None:
@@ -130,7 +134,7 @@ def test_a_text_in_a_condition_keeps_its_spaces() -> None:
 
 
 def test_a_rewriting_that_changes_anything_else_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(editing, "_add_types", lambda data, _: data.update(robot="other"))
+    monkeypatch.setattr(learn, "_add_types", lambda data, _: data.update(robot="other"))
     with pytest.raises(PolicyRefused, match="nothing was written") as error:
         add_rules(KINDS % "none", [rule(types={})])
     assert error.value.hint == "add the rules by hand: allow for /b (two)"

@@ -12,10 +12,8 @@ from grants.model import Right
 from grants.policy.decision import Decider
 from grants.policy.lint import lint
 from grants.policy.model import DAY, HOUR, Effect
+from grants.policy.privacy import Trial, level_lines, shown
 from grants.policy.read import load
-from grants.policy.shown import lines as level_lines
-from grants.policy.shown import shown
-from grants.policy.trial import Trial
 from tests.grants.policy.policies import definition, node
 
 FOLDER = Path(__file__).parents[3] / "examples" / "policies"
@@ -38,8 +36,11 @@ def test_decisions_of_the_home_policy() -> None:
     assert room
     assert [item.slot for item in room.restrictions] == [30]
     assert {rule.path for item in room.restrictions for rule in item.filters} == {
-        "pose.position", "pose.orientation", "header.stamp", "header.seq",
-    }  # fmt: skip
+        "pose.position",
+        "pose.orientation",
+        "header.stamp",
+        "header.seq",
+    }
     assert (room.lifetime, room.renew_until) == (7 * DAY, 180 * DAY)
     assert home.decide(heating, Right.PUBLISH, "/heating/temperature")
     assert not home.decide(node("/heating"), Right.PUBLISH, "/heating/temperature")
@@ -93,7 +94,7 @@ def test_examples_get_no_advice(name: str) -> None:
 HOW_TO = sorted((FOLDER.parents[1] / "docs" / "howto").glob("*.md"))
 POLICY = re.compile(r"(?:```yaml\n|<<'END'\n)(rossec: 1\n.*?)(?:```|END\n)", re.DOTALL)
 REMARKED = {
-    "names-by-rules": {"wide-right"},  # a phone is wherever the rules put it
+    "names-by-rules": {"wide-right"}  # a phone is wherever the rules put it
 }
 
 

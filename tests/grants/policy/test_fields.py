@@ -3,7 +3,7 @@
 import pytest
 
 from grants.filters.layout import parse
-from grants.policy.fields import (
+from grants.policy.restrictions import (
     check_condition,
     check_fields,
     check_preset,
@@ -11,8 +11,7 @@ from grants.policy.fields import (
     read_fields,
     suggest_field,
 )
-from grants.policy.mistakes import Mistakes
-from grants.policy.source import YamlMapping, YamlScalar, YamlSequence, read_source
+from grants.policy.source import Mistakes, YamlMapping, YamlScalar, YamlSequence, read_source
 from tests.grants.policy.policies import definition
 
 POSE = parse("geometry_msgs/PoseStamped", definition("geometry_msgs/PoseStamped"))
@@ -71,9 +70,7 @@ def test_short_and_long_forms(text: str, expected: str, mistakes: Mistakes) -> N
         ("{round: x}", "a: step must be a number", "write {round: STEP}"),
     ],
 )
-def test_a_mistake_has_position_and_hint(
-    text: str, message: str, hint: str, mistakes: Mistakes
-) -> None:
+def test_a_mistake_has_position_and_hint(text: str, message: str, hint: str, mistakes: Mistakes) -> None:
     if text == "{clamp: 5}":
         message, hint = "a: high must be a number", "write {clamp: [LOW, HIGH]}"
     assert rule(text, mistakes) is None
@@ -103,20 +100,15 @@ def test_fields_are_checked_each_and_together(mistakes: Mistakes) -> None:
     ("text", "message"),
     [("now.getHours() >= 6", False), ("msg.header.seq > 1u", None), ("msg.header.seq > 1", True)],
 )
-def test_conditions_that_read_the_message(
-    text: str, message: bool | None, mistakes: Mistakes
-) -> None:
+def test_conditions_that_read_the_message(text: str, message: bool | None, mistakes: Mistakes) -> None:
     when = read_condition(YamlScalar(text, 1, 1), mistakes)
     assert (when.reads_message if when is not None else None) is message
 
 
 @pytest.mark.parametrize(
-    "part",
-    [YamlScalar(5, 1, 1), YamlSequence((), 1, 1), YamlScalar("now >", 1, 1), YamlScalar("5", 1, 1)],
+    "part", [YamlScalar(5, 1, 1), YamlSequence((), 1, 1), YamlScalar("now >", 1, 1), YamlScalar("5", 1, 1)]
 )
-def test_invalid_conditions_are_mistakes(
-    part: YamlScalar | YamlSequence, mistakes: Mistakes
-) -> None:
+def test_invalid_conditions_are_mistakes(part: YamlScalar | YamlSequence, mistakes: Mistakes) -> None:
     assert read_condition(part, mistakes) is None
     assert len(mistakes.found) == 1
 

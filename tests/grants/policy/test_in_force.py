@@ -4,8 +4,8 @@ import pytest
 
 from grants.model import Grant, Permission, Restriction, Right
 from grants.policy.decision import Verdict
-from grants.policy.in_force import in_force, lines
 from grants.policy.model import Effect
+from grants.policy.wanted import in_force, in_force_lines
 from tests.grants.authority import COARSE, HOLDER, NOW, granted
 from tests.grants.policy.policies import node
 
@@ -36,18 +36,15 @@ def test_a_revoked_grant_is_not_in_force(what: str) -> None:
 
 @pytest.mark.parametrize(
     ("pattern", "right", "name"),
-    [
-        ("/a/**", SUBSCRIBE, "/a/b"), ("/a/b", SUBSCRIBE, "/a/**"), ("/a", SET, "/a/b/c"),
-        ("/a/b", SET, "/a"),
-    ],
-)  # fmt: skip
+    [("/a/**", SUBSCRIBE, "/a/b"), ("/a/b", SUBSCRIBE, "/a/**"), ("/a", SET, "/a/b/c"), ("/a/b", SET, "/a")],
+)
 def test_a_part_counts(pattern: str, right: Right, name: str) -> None:
     assert found(granted(Permission(pattern, right)), right, name)
 
 
 def said(grant: Grant, effect: Effect, right: Right = SUBSCRIBE, name: str = "/a") -> list[str]:
     verdict = Verdict(effect, node("/heating"), right, name)
-    return lines(found(grant, right, name), verdict)
+    return in_force_lines(found(grant, right, name), verdict)
 
 
 def test_it_is_said_if_the_policy_does_not_allow_it() -> None:

@@ -4,18 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.patterns import covers
+from ca.names import pattern_covers
 from grants.model import ALL_RIGHTS, Right
-from grants.policy.index import Index, hits
-from grants.policy.model import (
-    Clause,
-    Defaults,
-    Effect,
-    Policy,
-    PolicyRule,
-    Subject,
-    SubjectPattern,
-)
+from grants.policy.decision import Index, hits
+from grants.policy.model import Clause, Defaults, Effect, Policy, PolicyRule, Subject, SubjectPattern
 
 KEYS = (bytes(32), bytes([1]) * 32)
 segment = st.sampled_from(["a", "a_b", "b"])
@@ -61,7 +53,7 @@ def test_an_exact_subscription_is_found_by_covering_patterns_alone(
     policy: Policy, asking: Subject, about: str
 ) -> None:
     for _, found in Index(policy).find(asking, Right.SUBSCRIBE, about):
-        assert covers(found.pattern, about)
+        assert pattern_covers(found.pattern, about)
 
 
 def test_a_right_without_clauses_finds_nothing() -> None:
@@ -70,16 +62,12 @@ def test_a_right_without_clauses_finds_nothing() -> None:
 
 @pytest.mark.parametrize(("asked", "found"), [("/a", 1), ("/a/b", 1), ("/a/b/c", 1), ("/b", 0)])
 def test_a_denial_below_denies_the_parameter_above(asked: str, found: int) -> None:
-    deny = PolicyRule(
-        "d", Effect.DENY, (SubjectPattern("x", "/x"),), (Clause(Right.PARAM_SET, "/a/b"),)
-    )
+    deny = PolicyRule("d", Effect.DENY, (SubjectPattern("x", "/x"),), (Clause(Right.PARAM_SET, "/a/b"),))
     index = Index(of(deny))
     assert len(index.find(Subject("/x", KEYS[0]), Right.PARAM_SET, asked)) == found
 
 
-def test_the_cost_does_not_grow_with_rules_on_other_names(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_cost_does_not_grow_with_rules_on_other_names(monkeypatch: pytest.MonkeyPatch) -> None:
     compared: list[str] = []
 
     def compare(rule: PolicyRule, _: Subject) -> bool:
@@ -88,9 +76,7 @@ def test_the_cost_does_not_grow_with_rules_on_other_names(
 
     monkeypatch.setattr(PolicyRule, "applies_to", compare)
     made = [
-        PolicyRule(
-            f"r{n}", Effect.ALLOW, (SubjectPattern("w", f"/n{n}"),), (Clause(Right.CALL, f"/s{n}"),)
-        )
+        PolicyRule(f"r{n}", Effect.ALLOW, (SubjectPattern("w", f"/n{n}"),), (Clause(Right.CALL, f"/s{n}"),))
         for n in range(500)
     ]
     assert len(Index(of(*made)).find(Subject("/n7", KEYS[0]), Right.CALL, "/s7")) == 1

@@ -8,15 +8,7 @@ from grants.errors import PolicyRefused
 from grants.model import Right
 from grants.policy import learn as module
 from grants.policy.decision import Decider
-from grants.policy.learn import (
-    Observation,
-    from_graph,
-    from_log,
-    learn,
-    learnable,
-    log_line,
-    needs_basics,
-)
+from grants.policy.learn import Observation, from_graph, from_log, learn, learnable, log_line, needs_basics
 from grants.policy.model import Subject
 from tests.grants.policy.policies import SMALL, policy
 
@@ -39,9 +31,18 @@ def test_observations_of_a_graph() -> None:
 
 
 @pytest.mark.parametrize(
-    "state", [5, [], [[], []], [[], [], 5], [[["/a"]], [], []], [[["/a", 5]], [], []],
-              [[["/a", [5]]], [], []], [[["a b", ["/n"]]], [], []]]
-)  # fmt: skip
+    "state",
+    [
+        5,
+        [],
+        [[], []],
+        [[], [], 5],
+        [[["/a"]], [], []],
+        [[["/a", 5]], [], []],
+        [[["/a", [5]]], [], []],
+        [[["a b", ["/n"]]], [], []],
+    ],
+)
 def test_a_malformed_graph_is_refused(state: object) -> None:
     with pytest.raises(PolicyRefused, match="not the state of a ROS graph"):
         from_graph(state)
@@ -63,7 +64,11 @@ def test_the_denial_log_round_trips() -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        "{", "5", "[]", "{}", '{"node": "/a", "right": "publish"}',
+        "{",
+        "5",
+        "[]",
+        "{}",
+        '{"node": "/a", "right": "publish"}',
         '{"node": "/a", "right": "publish", "name": "/b", "more": 1}',
         '{"node": "/a", "right": "publsh", "name": "/b"}',
         '{"node": "/a", "right": ["publish"], "name": "/b"}',
@@ -72,7 +77,7 @@ def test_the_denial_log_round_trips() -> None:
         json.dumps({"node": "/a", "right": "publish", "name": "/b", "type": "x" * 5000}),
         "[" * 4000,
     ],
-)  # fmt: skip
+)
 def test_an_invalid_line_is_named(line: str) -> None:
     with pytest.raises(PolicyRefused, match="line 2 of the denial log is invalid"):
         from_log([log_line(1, "/a", Right.CALL, "/b"), line])
@@ -87,9 +92,7 @@ def test_a_log_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_only_what_no_rule_decides_is_learned() -> None:
     text, rules = learn(SMALL, Decider(policy()), from_graph(STATE, TYPES), "2026-11-21")
     (rule,) = rules  # /nav/a may publish already, the camera is denied
-    assert (rule.id, rule.who, rule.why) == (
-        "learned-joy", "/joy", "seen running 2026-11-21; review me",
-    )  # fmt: skip
+    assert (rule.id, rule.who, rule.why) == ("learned-joy", "/joy", "seen running 2026-11-21; review me")
     assert rule.rights == {"publish": ["/cmd_vel", "/robot/pose"], "provide": ["/lift"]}
     read = policy(text)
     assert read.rules[-1].id == "learned-joy"
@@ -119,17 +122,11 @@ def test_nothing_is_learned_of_other_masters_names() -> None:
         ("/rviz", "/rviz_1795466501944712825/load", ("/rviz", "{node}/load")),
         ("/rviz_1795466501944712825", "/goal", ("/rviz", "/goal")),
         ("/rostopic_16936_1795466494397", "/scan", ("/rostopic", "/scan")),
-        (
-            "/rostopic_16936_1795466494397",
-            "/rostopic_16936_1795466494397/x",
-            ("/rostopic", "{node}/x"),
-        ),
+        ("/rostopic_16936_1795466494397", "/rostopic_16936_1795466494397/x", ("/rostopic", "{node}/x")),
         ("/robot_12", "/camera_7/image", ("/robot_12", "/camera_7/image")),
     ],
 )
-def test_names_are_learned_as_rules_say_them(
-    node: str, name: str, learned: tuple[str, str]
-) -> None:
+def test_names_are_learned_as_rules_say_them(node: str, name: str, learned: tuple[str, str]) -> None:
     found = learnable(Observation(node, Right.PROVIDE, name, "a/B"))
     assert found == Observation(learned[0], Right.PROVIDE, learned[1], "a/B")
 
@@ -160,9 +157,7 @@ def test_what_is_learned_is_a_policy_that_gives_it() -> None:
     text, _ = learn(SMALL, Decider(policy(SMALL)), seen, "2026-11-20")
     read = policy(text.replace("std_srvs/Empty", "std_msgs/String"))
     assert "1795466501944712825" not in text
-    verdict = Decider(read).decide(
-        Subject("/rviz", bytes(32), tail=True), Right.PROVIDE, "{node}/load"
-    )
+    verdict = Decider(read).decide(Subject("/rviz", bytes(32), tail=True), Right.PROVIDE, "{node}/load")
     assert verdict
     assert learn(text, Decider(read), seen, "2026-11-21") == (text, [])
 
@@ -194,17 +189,19 @@ def test_nodes_whose_names_begin_alike_get_rules_of_their_own(length: int) -> No
         text, _ = learn(text, Decider(policy(text)), one, "2026-11-27")
     read = policy(text)
     assert [(rule.who[0].node, rule.clauses[0].pattern) for rule in read.rules] == [
-        (first, "/a"), (second, "/b"),
-    ]  # fmt: skip
+        (first, "/a"),
+        (second, "/b"),
+    ]
 
 
 def test_a_learned_rule_that_was_changed_is_not_extended() -> None:
     """Its id is kept by whoever reviewed it, and is for others by now."""
-    for changed in ('who: "*", allow: {call: [/x]}', "who: /a, deny: {call: [/x]}",
-                    "who: /a, allow: {call: [/x]}, lifetime: 1h"):  # fmt: skip
+    for changed in (
+        'who: "*", allow: {call: [/x]}',
+        "who: /a, deny: {call: [/x]}",
+        "who: /a, allow: {call: [/x]}, lifetime: 1h",
+    ):
         text = f"rossec: 1\nrobot: r\nrules:\n  - {{id: learned-a, {changed}}}\n"
-        new, (rule,) = learn(
-            text, Decider(policy(text)), [Observation("/a", Right.CALL, "/b")], "2026-11-27"
-        )
+        new, (rule,) = learn(text, Decider(policy(text)), [Observation("/a", Right.CALL, "/b")], "2026-11-27")
         assert rule.id == "learned-a-2"
         assert [len(each.clauses) for each in policy(new).rules] == [1, 1]

@@ -2,9 +2,8 @@
 
 import pytest
 
-from grants.policy.limiting import Limit, read_limit
-from grants.policy.mistakes import Mistakes
-from grants.policy.source import read_source
+from grants.policy.restrictions import Limit, read_limit
+from grants.policy.source import Mistakes, read_source
 
 
 def read(text: str, topics: list[str] | None = None) -> tuple[Limit, list[tuple[str, str]]]:
@@ -56,6 +55,4 @@ def test_a_mistake_is_said(text: str, message: str) -> None:
 
 
 def test_there_must_be_something_to_limit() -> None:
-    assert read("{slot: 30}", [])[1] == [
-        ("rule a: nothing to limit", "add a subscribe or publish right")
-    ]
+    assert read("{slot: 30}", [])[1] == [("rule a: nothing to limit", "add a subscribe or publish right")]

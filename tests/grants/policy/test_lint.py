@@ -6,10 +6,11 @@ from pathlib import Path
 import pytest
 
 from grants.errors import GrantError, PolicyRefused
-from grants.filters.presets import PRESETS
-from grants.policy.lint import ADVICE, CHECKS, Finding, lint, sample_subject
+from grants.filters.compile import PRESETS
+from grants.policy.lint import CHECKS, lint
+from grants.policy.lint_findings import ADVICE, LintFinding
 from grants.policy.model import SubjectPattern
-from grants.vocabulary.words import LEVELS
+from grants.vocabulary.contents import LEVELS
 from tests.grants.policy.lint_cases import TYPES, applied, codes, findings, layout_of, text_of
 from tests.grants.policy.lint_leaks import HOME, Leak
 from tests.grants.policy.lint_leaks import LEAKS as OF_FIELDS
@@ -57,7 +58,7 @@ def test_no_lifetime() -> None:
 
 
 @cache
-def with_suggestions() -> list[tuple[str, Finding]]:
+def with_suggestions() -> list[tuple[str, LintFinding]]:
     return [(of(leak), item) for leak in LEAKS for item in findings(of(leak)) if item.suggestions]
 
 
@@ -132,8 +133,11 @@ def test_no_level_gets_advice() -> None:
 
 
 def test_the_same_advice_is_given_once_and_in_the_order_of_the_file() -> None:
-    found = findings(text_of(*(line for leak in LEAKS[:3] for line in leak.rules), types={})
-                     .replace("id: a", "id: b", 1).replace("id: a", "id: c", 1))  # fmt: skip
+    found = findings(
+        text_of(*(line for leak in LEAKS[:3] for line in leak.rules), types={})
+        .replace("id: a", "id: b", 1)
+        .replace("id: a", "id: c", 1)
+    )
     assert [item.line for item in found] == sorted(item.line for item in found)
     assert len({(item.code, item.message) for item in found}) == len(found)
 
@@ -144,7 +148,7 @@ def test_a_policy_without_rules_gets_no_advice() -> None:
 
 def test_checks_are_a_table() -> None:
     assert len(set(CHECKS)) == len(CHECKS)
-    assert sample_subject(SubjectPattern("*", "/**")).name == "/x"
+    assert SubjectPattern("*", "/**").sample.name == "/x"
 
 
 SPEC = (Path(__file__).parents[3] / "docs" / "spec" / "policy.md").read_text()

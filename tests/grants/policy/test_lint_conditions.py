@@ -2,7 +2,7 @@
 
 import pytest
 
-from grants.conditions.fields import fields_read
+from grants.conditions.syntax import fields_read
 from tests.grants.policy.lint_cases import codes, findings, messages, text_of
 from tests.grants.policy.lint_leaks import COARSE, CONDITIONS, Leak, also, filtered
 

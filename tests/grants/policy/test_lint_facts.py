@@ -3,8 +3,8 @@
 import pytest
 
 from grants.filters.layout import parse
-from grants.policy.lint_facts import Aspect, aspects, conventional, is_known
-from grants.vocabulary.describe import describe
+from grants.policy.lint_views import Aspect, aspects, conventional, is_known
+from grants.vocabulary.contents import describe
 from tests.grants.policy.lint_cases import TYPES, layout_of
 
 OWN = "float32 x\nfloat32 y\nfloat32 theta\nfloat32 linear_velocity\nstring x_name\nfloat32[] lat"
@@ -56,9 +56,11 @@ def test_only_a_local_map_shows_where_the_robot_is() -> None:
 
 def test_numbers_of_other_packages_by_their_names() -> None:
     assert aspects(describe(parse("own/Place", OWN))) == {
-        "x": Aspect.POSITION, "y": Aspect.POSITION, "theta": Aspect.HEADING,
+        "x": Aspect.POSITION,
+        "y": Aspect.POSITION,
+        "theta": Aspect.HEADING,
         "linear_velocity": Aspect.MOVEMENT,
-    }  # fmt: skip
+    }
 
 
 def test_what_is_known() -> None:
@@ -70,11 +72,15 @@ def test_what_is_known() -> None:
 @pytest.mark.parametrize(
     ("topic", "aspect"),
     [
-        ("/tf", Aspect.POSITION), ("/robot/odom", Aspect.POSITION), ("/cmd_vel", Aspect.MOVEMENT),
-        ("/camera/**", Aspect.IMAGE), ("/*/scan", Aspect.SURROUNDINGS), ("/clock", Aspect.NOTHING),
+        ("/tf", Aspect.POSITION),
+        ("/robot/odom", Aspect.POSITION),
+        ("/cmd_vel", Aspect.MOVEMENT),
+        ("/camera/**", Aspect.IMAGE),
+        ("/*/scan", Aspect.SURROUNDINGS),
+        ("/clock", Aspect.NOTHING),
         ("/joint_states", Aspect.JOINT),
     ],
-)  # fmt: skip
+)
 def test_what_the_name_of_a_topic_says(topic: str, aspect: Aspect) -> None:
     assert conventional(topic) is aspect
 

@@ -25,8 +25,11 @@ def test_what_to_add(leak: Leak) -> None:
 
 def test_each_related_field_is_named_once() -> None:
     assert codes(filtered("/odom", POSE, f", {LIMIT}")) == [
-        "covariance-open", "heading-open", "movement-open", "time-open",
-    ]  # fmt: skip
+        "covariance-open",
+        "heading-open",
+        "movement-open",
+        "time-open",
+    ]
     found = messages(filtered("/odom", POSE, f", {LIMIT}"))
     assert len(found) == 5  # a stamp and a count
     assert (
@@ -46,8 +49,11 @@ def test_a_height_indoors_may_stay() -> None:
 
 
 def test_altitude_outdoors_may_not() -> None:
-    found = codes(filtered("/fix", "latitude: {clear: true}, longitude: {clear: true}, "
-                           "position_covariance: {clear: true}"))  # fmt: skip
+    found = codes(
+        filtered(
+            "/fix", "latitude: {clear: true}, longitude: {clear: true}, position_covariance: {clear: true}"
+        )
+    )
     assert found == ["position-open"]
 
 

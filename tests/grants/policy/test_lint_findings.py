@@ -2,7 +2,7 @@
 
 import re
 
-from grants.policy.lint_findings import ADVICE, FORM, Finding, Suggestion
+from grants.policy.lint_findings import ADVICE, FORM, LintFinding, Suggestion
 
 
 def test_codes_are_words_with_dashes() -> None:
@@ -19,11 +19,11 @@ def test_every_advice_says_what_and_what_to_do_in_one_line() -> None:
 
 def test_what_is_only_form_is_no_leak() -> None:
     assert ADVICE.keys() > FORM
-    assert not Finding(1, "no-reason", "m", "h").is_leak
-    assert Finding(1, "no-rate", "m", "h").is_leak
+    assert not LintFinding(1, "no-reason", "m", "h").is_leak
+    assert LintFinding(1, "no-rate", "m", "h").is_leak
 
 
 def test_a_finding_for_programs() -> None:
-    finding = Finding(3, "no-rate", "m", "h", (Suggestion("a", rate=1.0),))
+    finding = LintFinding(3, "no-rate", "m", "h", (Suggestion("a", rate=1.0),))
     assert finding.as_json() == {"line": 3, "code": "no-rate", "message": "m", "hint": "h"}
-    assert min(Finding(2, "a", "", ""), Finding(1, "b", "", "")).line == 1
+    assert min(LintFinding(2, "a", "", ""), LintFinding(1, "b", "", "")).line == 1

@@ -18,9 +18,7 @@ from tests.grants.policy.lint_leaks import (
     pose,
 )
 
-REST_OF_FIX = (
-    "longitude: {clear: true}, altitude: {clear: true}, position_covariance: {clear: true}, "
-)
+REST_OF_FIX = "longitude: {clear: true}, altitude: {clear: true}, position_covariance: {clear: true}, "
 HINTS = {
     "no hysteresis": "write pose.position: {round: {step: 2.0, hysteresis: 1.0}}",
     "no rate": "add limit: {rate: 0.03}",
@@ -47,9 +45,9 @@ HINTS = {
     "squares of a hundred greys": "write data: {pixelate: {across: 20, levels: 8}}",
     "rooms without a rate": "add limit: {rate: 0.03}",
     "rooms without hysteresis": 'write pose.position: {rooms: {hall: "0 0, 4 3", kitchen: "4 0, 9'
-                                ' 3", hysteresis: 0.5}}',
+    ' 3", hysteresis: 0.5}}',
     "clamped": "write pose.position: {round: {step: 4.0, hysteresis: 2.0}}",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("leak", PARAMETERS, ids=lambda leak: leak.name)
@@ -59,9 +57,13 @@ def test_what_to_write(leak: Leak) -> None:
 
 @pytest.mark.parametrize(
     ("topic", "fields"),
-    [("/scan", "ranges: {round: 1}"), ("/particles", "poses[*].position: {round: 2}"),
-     ("/plan", "poses[*].pose: {round: 2}"), ("/joints", "position: {round: 0.5}")],
-)  # fmt: skip
+    [
+        ("/scan", "ranges: {round: 1}"),
+        ("/particles", "poses[*].position: {round: 2}"),
+        ("/plan", "poses[*].pose: {round: 2}"),
+        ("/joints", "position: {round: 0.5}"),
+    ],
+)
 def test_hysteresis_in_an_array_is_never_advised(topic: str, fields: str) -> None:
     """The specification refuses it (grant.md 6.1)."""
     for item in findings(text_of(filtered(topic, fields))):
@@ -70,11 +72,7 @@ def test_hysteresis_in_an_array_is_never_advised(topic: str, fields: str) -> Non
 
 @pytest.mark.parametrize(
     ("limit", "code"),
-    [
-        ("", ["no-rate"]),
-        (", limit: {rate: 2.5}", ["rate-does-nothing"]),
-        (", limit: {rate: 2}", []),
-    ],
+    [("", ["no-rate"]), (", limit: {rate: 2.5}", ["rate-does-nothing"]), (", limit: {rate: 2}", [])],
 )
 def test_rates(limit: str, code: list[str]) -> None:
     assert codes(filtered("/pose", f"pose.position: {CELLS}, {REST}", limit)) == code
@@ -98,17 +96,20 @@ def test_a_slot_needs_no_rate() -> None:
         ("/cmd_vel", "linear", "", 0.5, ""),
         ("/pose", "header.stamp", "", 1, ""),
     ],
-)  # fmt: skip
-def test_steps_by_what_sensors_err(
-    topic: str, field: str, rest: str, step: float, code: str
-) -> None:
+)
+def test_steps_by_what_sensors_err(topic: str, field: str, rest: str, step: float, code: str) -> None:
     rule = filtered(topic, f"{rest}{field}: {{round: {step:f}}}", f", {LIMIT}")
     assert codes(rule) == code.split()
 
 
 def test_what_another_rule_hides_needs_no_parameter() -> None:
-    assert codes(filtered("/pose", "pose: {clear: true}"),
-                 also("/pose", ", filter: {pose.position: {round: 0.001}}")) == []  # fmt: skip
+    assert (
+        codes(
+            filtered("/pose", "pose: {clear: true}"),
+            also("/pose", ", filter: {pose.position: {round: 0.001}}"),
+        )
+        == []
+    )
 
 
 def test_a_hysteresis_of_another_rule_counts() -> None:
@@ -121,8 +122,9 @@ def test_a_region_of_a_picture_becomes_the_whole() -> None:
     [finding] = findings(text_of(filtered("/camera", region, SECOND)))
     assert finding.hint == "write data: {pixelate: {across: 16, block: 99, levels: 8}}"
     whole = filtered("/camera", f"data: {SQUARES}", SECOND).replace("id: a", "id: b")
-    assert codes(filtered("/camera", region.replace("block: 99", "across: 9, levels: 8"), SECOND),
-                 whole) == []  # fmt: skip
+    assert (
+        codes(filtered("/camera", region.replace("block: 99", "across: 9, levels: 8"), SECOND), whole) == []
+    )
 
 
 def test_a_step_for_a_whole_pose_is_measured_by_its_position() -> None:

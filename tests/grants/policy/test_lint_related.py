@@ -2,14 +2,13 @@
 
 import pytest
 
-from grants.policy.lint_related import RELATED
+from grants.policy.lint_topics import RELATED
 from tests.grants.policy.lint_cases import codes, findings, messages, text_of
 from tests.grants.policy.lint_leaks import COARSE, HASHED, PERSONAL, SECOND, also, filtered
 from tests.grants.policy.lint_leaks_related import KEPT
 
 HIDDEN = filtered("/cmd_vel", "linear: {clear: true}, angular: {clear: true}", SECOND)
-NAMELESS = filtered("/diagnostics", "status[*].name: {clear: true}, status[*].hardware_id: "
-                    "{clear: true}")  # fmt: skip
+NAMELESS = filtered("/diagnostics", "status[*].name: {clear: true}, status[*].hardware_id: {clear: true}")
 AIR = "header: {clear: true}, variance: {clear: true}, temperature: {clear: true}"
 
 
@@ -39,9 +38,7 @@ def test_several_kinds_of_one_topic_are_closed_together() -> None:
     types = {"/air": "sensor_msgs/Temperature", "/attic": "sensor_msgs/Temperature"}
     text = text_of(filtered("/air", AIR, SECOND), also("/attic"), types=types)
     [finding] = findings(text)
-    assert finding.hint == (
-        "filter /attic as well: temperature: {clear: true}, variance: {clear: true}"
-    )
+    assert finding.hint == ("filter /attic as well: temperature: {clear: true}, variance: {clear: true}")
 
 
 def test_states_of_different_things_do_not_tell_each_other() -> None:
@@ -61,9 +58,14 @@ def test_names_of_joints_are_not_those_of_devices() -> None:
 
 @pytest.mark.parametrize(
     ("other", "expected"),
-    [("/pose", ["presence-open"]), ("/bed/pose", ["presence-open"]), ("/clock", []),
-     ("/x/orders", []), ("'/lamp/*'", [])],
-)  # fmt: skip
+    [
+        ("/pose", ["presence-open"]),
+        ("/bed/pose", ["presence-open"]),
+        ("/clock", []),
+        ("/x/orders", []),
+        ("'/lamp/*'", []),
+    ],
+)
 def test_slots_are_undone_by_what_comes_as_it_is_sent(other: str, expected: list[str]) -> None:
     types = {"/bed/pose": "geometry_msgs/PoseStamped", "/x/orders": "std_msgs/String"}
     given = {topic: kind for topic, kind in types.items() if topic == other}

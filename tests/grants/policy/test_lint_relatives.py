@@ -60,8 +60,7 @@ def test_pictures_are_given_away_by_pictures_and_points_in_space() -> None:
 
 
 def test_names_are_given_away_by_the_same_type_only() -> None:
-    hidden = filtered("/diagnostics", "status[*].name: {clear: true}, "
-                      "status[*].hardware_id: {clear: true}")  # fmt: skip
+    hidden = filtered("/diagnostics", "status[*].name: {clear: true}, status[*].hardware_id: {clear: true}")
     assert codes(hidden, also("/joints")) == []
 
 
@@ -84,13 +83,7 @@ def test_what_nothing_is_known_of() -> None:
     assert codes(also("/secret")) == []  # beside nothing that is hidden
 
 
-@pytest.mark.parametrize(
-    ("other", "code"),
-    [
-        ("tablet", ["second-receiver"]),
-        ("/nobody", []),
-    ],
-)
+@pytest.mark.parametrize(("other", "code"), [("tablet", ["second-receiver"]), ("/nobody", [])])
 def test_receivers_of_one_key(other: str, code: list[str]) -> None:
     exact = f"id: b, who: {other}, allow: {{subscribe: [/odom]}}"
     unused = [] if other == "tablet" else ["unused-identity"]

@@ -62,11 +62,14 @@ DENIED = "rule a: call /b never applies: it is always denied by rule no"
         ("who: /x, allow: {call: '/*'}", "who: /x, deny: {call: /b}", []),
         ("who: /x, allow: {call: /b}", "who: '*', except: '/*', deny: {call: /b}", []),
         ("who: 'h:/x', allow: {call: /b}", "who: 'h:/**', deny: {call: /b}", [DENIED]),
-        ("who: /x, allow: {provide: ~/b}", "who: '*', deny: {provide: ['/**']}",
-         ["rule a: provide {node}/b never applies: it is always denied by rule no"]),
+        (
+            "who: /x, allow: {provide: ~/b}",
+            "who: '*', deny: {provide: ['/**']}",
+            ["rule a: provide {node}/b never applies: it is always denied by rule no"],
+        ),
         ("who: /x, allow: {provide: /x/b}", "who: '*', deny: {provide: ['~/b']}", []),
     ],
-)  # fmt: skip
+)
 def test_what_another_rule_always_decides(allowed: str, denial: str, found: list[str]) -> None:
     assert messages(f"id: a, {allowed}", f"id: no, {denial}") == found
 
@@ -75,8 +78,9 @@ def test_a_denial_by_key_does_not_always_decide() -> None:
     head = f"identities: {{k: {{node: /x, key: 'sha256:{'ab' * 32}'}}}}\n"
     allowed = "id: a, who: /x, allow: {call: /b}"
     assert messages(allowed, "id: no, who: k, deny: {call: /b}", head=head) == []
-    assert messages("id: a, who: k, allow: {call: /b}", "id: no, who: /x, deny: {call: /b}",
-                    head=head) == [DENIED]  # fmt: skip
+    assert messages("id: a, who: k, allow: {call: /b}", "id: no, who: /x, deny: {call: /b}", head=head) == [
+        DENIED
+    ]
 
 
 def test_a_type_for_own_names_is_used() -> None:
@@ -84,5 +88,6 @@ def test_a_type_for_own_names_is_used() -> None:
     used = "id: a, who: /x, allow: {publish: [~/p], subscribe: [/a/b/q]}"
     assert messages(used, types=types) == []
     assert messages("id: a, who: /x, allow: {call: /c}", types=types) == [
-        "the type of /a/*/q is used by no rule", "the type of {node}/p is used by no rule",
-    ]  # fmt: skip
+        "the type of /a/*/q is used by no rule",
+        "the type of {node}/p is used by no rule",
+    ]

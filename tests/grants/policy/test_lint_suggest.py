@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from grants.errors import GrantError, PolicyRefused
 from grants.filters.compile import compile_filter
 from grants.model import FilterRule
-from grants.policy.lint_facts import aspects
-from grants.policy.lint_suggest import closing, coarsening, fits, limiting, replacing, written
+from grants.policy.lint_findings import closing, coarsening, fits, limiting, replacing, written
+from grants.policy.lint_views import aspects
 from grants.policy.privacy import leaf_paths
-from grants.vocabulary.describe import describe
+from grants.vocabulary.contents import describe
 from tests.grants.policy.lint_cases import TYPES, applied, findings, layout_of, text_of
 from tests.grants.policy.lint_leaks import COARSE, also, filtered
 from tests.grants.policy.policies import policy
@@ -26,12 +26,11 @@ from tests.grants.policy.test_lint_views import view
     [
         (FilterRule("header.seq", "clear"), "header.seq: {clear: true}"),
         (FilterRule("a", "round", (("step", 2),)), "a: {round: 2}"),
-        (FilterRule("a", "round", (("hysteresis", 1), ("step", 2))),
-         "a: {round: {step: 2, hysteresis: 1}}"),
+        (FilterRule("a", "round", (("hysteresis", 1), ("step", 2))), "a: {round: {step: 2, hysteresis: 1}}"),
         (FilterRule("a[*].b", "hash", (("key", "k"),)), '"a[*].b": {hash: k}'),
         (FilterRule("a", "rooms", (("hall", "0 0, 1 1"),)), 'a: {rooms: {hall: "0 0, 1 1"}}'),
     ],
-)  # fmt: skip
+)
 def test_treatments_as_a_policy_writes_them(rule: FilterRule, text: str) -> None:
     assert written(rule) == text
 
@@ -76,13 +75,21 @@ def test_a_rate() -> None:
 
 
 TREATMENTS: tuple[tuple[str, tuple[tuple[str, Any], ...]], ...] = (
-    ("clear", ()), ("drop", ()), ("zero", ()), ("round", (("step", 0.001),)),
-    ("round", (("step", 3),)), ("round", (("hysteresis", 0.01), ("step", 3))),
-    ("clamp", (("high", 9), ("low", 0))), ("truncate", (("length", 0),)),
-    ("truncate", (("length", 2),)), ("hash", (("key", "k"),)), ("sort", ()),
-    ("pixelate", (("block", 4),)), ("pixelate", (("block", 32),)),
+    ("clear", ()),
+    ("drop", ()),
+    ("zero", ()),
+    ("round", (("step", 0.001),)),
+    ("round", (("step", 3),)),
+    ("round", (("hysteresis", 0.01), ("step", 3))),
+    ("clamp", (("high", 9), ("low", 0))),
+    ("truncate", (("length", 0),)),
+    ("truncate", (("length", 2),)),
+    ("hash", (("key", "k"),)),
+    ("sort", ()),
+    ("pixelate", (("block", 4),)),
+    ("pixelate", (("block", 32),)),
     ("rooms", (("hall", "0 0, 1 1"),)),
-)  # fmt: skip
+)
 
 
 @cache

@@ -3,16 +3,7 @@
 import pytest
 
 from grants.model import FilterRule
-from grants.policy.lint_facts import Aspect
-from grants.policy.lint_views import (
-    Precision,
-    Scene,
-    View,
-    receivers,
-    sample_subject,
-    too_fine,
-    too_small,
-)
+from grants.policy.lint_views import Aspect, Precision, Scene, View, receivers, too_fine, too_small
 from grants.policy.model import SubjectPattern
 from tests.grants.policy.lint_cases import layout_of, text_of
 from tests.grants.policy.lint_leaks import COARSE, KEY, filtered, pose
@@ -29,23 +20,27 @@ def view(*lines: str, topic: str = "/pose") -> View:
 
 
 def test_a_sample_for_each_subject() -> None:
-    of = policy(text_of("id: a, who: [/x, '/y/**', '*'], allow: {call: /b}",
-                        "id: n, who: /no, deny: {call: /b}"))  # fmt: skip
+    of = policy(
+        text_of("id: a, who: [/x, '/y/**', '*'], allow: {call: /b}", "id: n, who: /no, deny: {call: /b}")
+    )
     assert [each.subject.name for each in receivers(of)] == ["/x", "/y/x"]
-    assert sample_subject(SubjectPattern("i", None, bytes(range(32)))).key == bytes(range(32))
+    assert SubjectPattern("i", None, bytes(range(32))).sample.key == bytes(range(32))
 
 
 def test_a_sample_for_each_key_that_is_pinned() -> None:
     head = f"identities: {{i: {{node: '/*', key: '{KEY}'}}}}\n"
     found = scene("id: a, who: [/y, i], allow: {call: /b}", head=head).views
     assert {(each.subject.name, any(each.subject.key)) for each in found} == {
-        ("/y", False), ("/y", True), ("/x", True),
-    }  # fmt: skip
+        ("/y", False),
+        ("/y", True),
+        ("/x", True),
+    }
 
 
 def test_topics_below_a_pattern() -> None:
-    [views] = scene("id: a, who: /x, allow: {subscribe: ['/**']}",
-                    types={"/my/pose": "geometry_msgs/Pose"}).views.values()  # fmt: skip
+    [views] = scene(
+        "id: a, who: /x, allow: {subscribe: ['/**']}", types={"/my/pose": "geometry_msgs/Pose"}
+    ).views.values()
     topics = {each.topic: each for each in views}
     assert {"/**", "/tf", "/my/pose"} < topics.keys()
     assert topics["/tf"].is_below_pattern
@@ -71,7 +66,7 @@ def test_what_is_left_of_fields() -> None:
     assert seen.filter_on("pose.position.y").operator == "round"
     assert seen.rule.id == "coarse"
     assert seen.place(seen.filters[0])[0].id == "coarse"
-    assert (seen.is_slow, seen.has_slot, seen.is_empty) == (True, False, False)
+    assert (seen.verdict.rate is not None, seen.has_slot, seen.is_empty) == (True, False, False)
 
 
 def test_the_strictest_of_all_rules_counts() -> None:
@@ -80,9 +75,7 @@ def test_the_strictest_of_all_rules_counts() -> None:
     assert view(filtered("/pose", "pose: {clear: true}, header: {clear: true}")).is_empty
 
 
-@pytest.mark.parametrize(
-    "treatment", ["{clamp: [0, 5]}", "{round: 0.001}", "{clamp: {low: -1, high: 1}}"]
-)
+@pytest.mark.parametrize("treatment", ["{clamp: [0, 5]}", "{round: 0.001}", "{clamp: {low: -1, high: 1}}"])
 def test_what_leaves_a_value_as_it_is(treatment: str) -> None:
     assert view(pose(treatment)).left("pose.position.x") is Precision.EXACT
     assert view(pose(treatment)).shows(Aspect.POSITION)
@@ -103,11 +96,6 @@ def test_a_topic_without_a_type_shows_what_its_name_says() -> None:
     assert not seen.shows(Aspect.IMAGE)
     assert seen.is_known
     assert (seen.aspects, seen.filters, seen.is_empty) == ({}, (), False)
-
-
-def test_a_slot_is_slow() -> None:
-    seen = view(filtered("/words", "data: {clear: true}", ", limit: {rate: 1}"), topic="/words")
-    assert seen.is_slow
 
 
 def test_floors() -> None:

@@ -3,8 +3,7 @@
 import pytest
 
 from grants.errors import PolicyRefused
-from grants.policy.mistakes import MAX_MISTAKES, Mistakes, suggest
-from grants.policy.source import YamlScalar
+from grants.policy.source import MAX_MISTAKES, Mistakes, YamlScalar, suggest
 
 
 def test_all_mistakes_are_raised_in_the_order_of_the_file() -> None:
@@ -17,9 +16,7 @@ def test_all_mistakes_are_raised_in_the_order_of_the_file() -> None:
         mistakes.raise_if_any()
     assert str(caught.value) == "p.yaml:3:1: first (and 1 more, see: rossec policy check p.yaml)"
     assert caught.value.hint == "a"
-    assert [str(item) for item in caught.value.mistakes] == [
-        "p.yaml:3:1: first", "p.yaml:9:2: second",
-    ]  # fmt: skip
+    assert [str(item) for item in caught.value.mistakes] == ["p.yaml:3:1: first", "p.yaml:9:2: second"]
 
 
 def test_one_mistake_is_the_message() -> None:
@@ -46,8 +43,6 @@ def test_the_number_of_mistakes_is_bounded() -> None:
         ("zzz", (), "none is defined"),
         ("zz", list("abcdefghijklmnop"), "expected one of a, b, c, d, e, f, g, h, i, j, k, l, ..."),
     ],
-)  # fmt: skip
-def test_the_most_similar_value_or_a_list_is_suggested(
-    word: str, known: tuple[str, ...], hint: str
-) -> None:
+)
+def test_the_most_similar_value_or_a_list_is_suggested(word: str, known: tuple[str, ...], hint: str) -> None:
     assert suggest(word, known) == hint

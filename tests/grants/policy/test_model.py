@@ -3,15 +3,7 @@
 import pytest
 
 from grants.model import Right
-from grants.policy.model import (
-    Clause,
-    Defaults,
-    Effect,
-    Policy,
-    PolicyRule,
-    SubjectPattern,
-    type_of,
-)
+from grants.policy.model import Clause, Defaults, Effect, Policy, PolicyRule, SubjectPattern, type_of
 from tests.grants.policy.policies import HEATING, HEATING_KEY, node
 
 NAMED = SubjectPattern("heating", "/heating", HEATING_KEY)

@@ -3,15 +3,8 @@
 from grants.filters.layout import Layout, parse
 from grants.model import FilterRule
 from grants.policy.decision import Decider
-from grants.policy.privacy import (
-    PrivacyRow,
-    as_json,
-    filters_of,
-    from_policy,
-    leaf_paths,
-    lines,
-    rows,
-)
+from grants.policy.privacy import PrivacyRow, as_json, from_policy, leaf_paths, lines, rows
+from grants.vocabulary.assess import filters_of
 from tests.grants.policy.policies import definition, policy, rules
 
 
@@ -29,9 +22,7 @@ def test_every_field_has_its_row() -> None:
     assert by_field["header.stamp"].treatment == "as it is"
     assert by_field["pose.orientation.w"].treatment == "clear"
     x = by_field["pose.position.x"]
-    assert (x.treatment, x.why, x.by) == (
-        "round step 2.0", "Heating lowers rooms.", "rule heating-room",
-    )  # fmt: skip
+    assert (x.treatment, x.why, x.by) == ("round step 2.0", "Heating lowers rooms.", "rule heating-room")
     assert x.when.endswith('msg.header.frame_id == "map" and at most 0.2 messages a second')
     assert x.until == "7d at a time, renewed for 180d"
     assert as_json(found())[0]["topic"] == "/robot/pose"
@@ -77,8 +68,11 @@ def test_two_treatments_of_one_field_are_both_reported() -> None:
         "{id: b, who: /x, allow: {subscribe: /p}, filter: {pose.position.x: {round: 1}}}",
         head="rossec: 1\nrobot: r\ntypes: {/p: geometry_msgs/PoseStamped}\n",
     )
-    (x,) = [row for row in rows(from_policy(Decider(of)), layout) if row.field.endswith("ion.x")
-            and "position" in row.field]  # fmt: skip
+    (x,) = [
+        row
+        for row in rows(from_policy(Decider(of)), layout)
+        if row.field.endswith("ion.x") and "position" in row.field
+    ]
     assert sorted(x.treatment.split(", then ")) == ["clear", "round step 1"]
 
 
@@ -110,10 +104,7 @@ def test_the_report_as_text() -> None:
     assert report[0] == "/robot/pose (geometry_msgs/PoseStamped) -> /heating"
     assert report[1] == "  sees where it is: to 2 m; how it moves: only by where it is"
     assert report[2] == "  why: Heating lowers rooms. (rule heating-room)"
-    assert (
-        "  clear: pose.orientation.w, pose.orientation.x, pose.orientation.y, "
-        "pose.orientation.z" in report
-    )
+    assert "  clear: pose.orientation.w, pose.orientation.x, pose.orientation.y, pose.orientation.z" in report
     assert "  why: no reason given (rule nav-full)" in report
     assert lines([]) == ["no receiver has access"]
 
@@ -124,7 +115,4 @@ def test_own_names_of_one_node_are_shown_with_its_name_those_of_many_as_written(
         head='rossec: 1\nrobot: r\ntypes: {"~/state": std_msgs/String}\n',
     )
     found = {(row.topic, row.receiver): row.type for row in rows(from_policy(Decider(own)), layout)}
-    assert found == {
-        ("/x/state", "/x"): "std_msgs/String",
-        ("{node}/state", "/fleet/*"): "std_msgs/String",
-    }
+    assert found == {("/x/state", "/x"): "std_msgs/String", ("{node}/state", "/fleet/*"): "std_msgs/String"}

@@ -1,15 +1,13 @@
 from grants.policy.model import Subject
-from grants.policy.projected_grants import projected_for_names, projected_grants
 from grants.policy.read import load
+from grants.policy.wanted import projected_for_names, projected_grants
 from tests.grants.policy.policies import HEATING, OTHER_KEY, definition, policy, rules
 
 
 def test_rules_for_a_name_are_listed() -> None:
     found = projected_grants(policy(), HEATING)
     assert found[0] == "allow subscribe /robot/pose (rule heating-room: Heating lowers rooms.)"
-    assert "  pose.position: {round: 2.0}" in found or any(
-        "pose.position" in line for line in found
-    )
+    assert "  pose.position: {round: 2.0}" in found or any("pose.position" in line for line in found)
     assert "  at most 0.2 messages a second" in found
     assert "allow publish /heating/** (rule heating-own)" in found
     assert found[-1] == "deny subscribe /camera/** (rule no-camera: no)"
@@ -33,9 +31,7 @@ def test_rules_for_the_names_of_a_pattern_are_listed_with_whom_they_are_for() ->
 
 def test_own_names_are_shown_for_the_name() -> None:
     own = rules('{id: a, who: "*", allow: {publish: [~/pose]}}')
-    assert projected_grants(own, HEATING) == [
-        "allow publish {node}/pose, here /heating/pose (rule a)"
-    ]
+    assert projected_grants(own, HEATING) == ["allow publish {node}/pose, here /heating/pose (rule a)"]
     assert projected_grants(own, Subject("/remote/lab/a", OTHER_KEY)) == []
     assert projected_for_names(own, "/nav/*") == ["*: allow publish {node}/pose (rule a)"]
 

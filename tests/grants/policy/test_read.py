@@ -11,9 +11,7 @@ from tests.grants.policy.policies import HEADER, HEATING_KEY, mistakes, nothing_
 def test_a_valid_policy() -> None:
     read = policy()
     assert read.robot == "test-robot"
-    assert [rule.id for rule in read.rules] == [
-        "heating-room", "heating-own", "nav-full", "no-camera",
-    ]  # fmt: skip
+    assert [rule.id for rule in read.rules] == ["heating-room", "heating-own", "nav-full", "no-camera"]
     assert read.identities["heating"].key == HEATING_KEY
     assert read.type_of("/robot/pose") == "geometry_msgs/PoseStamped"
     defaults = read.defaults
@@ -39,11 +37,17 @@ def test_defaults_deny() -> None:
         ("rossec: [1]\nrobot: r\nrules: []", "a policy of an unknown version", "version 1"),
         ("rossec: 1\nrobot: r\n", "the policy has no 'rules'", "add rules: []"),
         ("robot: r\nrules: []\n", "the policy has no 'rossec'", "add rossec: 1"),
-        ("rossec: 1\nrules: []\n", "the policy has no 'robot'",
-         "add robot: NAME, what the policy is for: a robot, a home; reports are headed with it"),
+        (
+            "rossec: 1\nrules: []\n",
+            "the policy has no 'robot'",
+            "add robot: NAME, what the policy is for: a robot, a home; reports are headed with it",
+        ),
         (HEADER + "rules: 5", "a rule must be a mapping", "write key: value"),
-        (HEADER + "rules: []\ndefaults: {decision: allow}",
-         "unknown default decision: 'allow'", "expected one of deny, prompt"),
+        (
+            HEADER + "rules: []\ndefaults: {decision: allow}",
+            "unknown default decision: 'allow'",
+            "expected one of deny, prompt",
+        ),
         (HEADER + "rules: []\ndefaults: 5", "defaults must be a mapping", ""),
         (HEADER + "rules: []\nidentities: {x: {}}", "identity x has neither node nor key", "add"),
         (HEADER + "rules: []\nidentities: {x: 5}", "identity x must be a mapping", ""),
@@ -53,7 +57,7 @@ def test_defaults_deny() -> None:
         (HEADER + "rules: []\ntypes: {/x: 5}", "the type of /x must be text", ""),
         (HEADER + "rules: []\nrobot: x", "duplicate key 'robot'", "keep one"),
     ],
-)  # fmt: skip
+)
 def test_mistakes_outside_rules(text: str, message: str, hint: str) -> None:
     about = [item for item in mistakes(text) if item.message.startswith(message)]
     assert about, mistakes(text)
@@ -63,9 +67,7 @@ def test_mistakes_outside_rules(text: str, message: str, hint: str) -> None:
 def test_ids_are_unique() -> None:
     rule = "  - {id: a, who: /x, allow: {call: [/y]}}\n"
     found = mistakes(HEADER + "rules:\n" + rule + rule)
-    assert [item.message for item in found] == [
-        "duplicate rule 'a'; the first is in 4:5",
-    ]
+    assert [item.message for item in found] == ["duplicate rule 'a'; the first is in 4:5"]
 
 
 def test_without_known_types_the_error_of_the_definition_is_used() -> None:

@@ -30,13 +30,13 @@ def test_subjects_rights_and_validity() -> None:
         head=HEAD,
     ).rules
     assert rule.effect is Effect.PROMPT
-    assert [(who.label, who.node) for who in rule.who] == [
-        ("x", "/x"), ("/y/*", "/y/*"), ("*", "/**"),
-    ]  # fmt: skip
+    assert [(who.label, who.node) for who in rule.who] == [("x", "/x"), ("/y/*", "/y/*"), ("*", "/**")]
     assert [who.label for who in rule.exceptions] == ["/z"]
     assert [(item.right, item.pattern) for item in rule.clauses] == [
-        (Right.CALL, "/b"), (Right.PARAM_GET, "/c"), (Right.PARAM_GET, "/d"),
-    ]  # fmt: skip
+        (Right.CALL, "/b"),
+        (Right.PARAM_GET, "/c"),
+        (Right.PARAM_GET, "/d"),
+    ]
     assert (rule.lifetime, rule.renew_until, rule.has_lifetime) == (2 * HOUR, 0, True)
 
 
@@ -55,15 +55,17 @@ def test_a_filter_for_one_of_two_topics() -> None:
     }
     assert {item.pattern: item.restriction for item in rule.clauses} == expected
     assert {item.pattern: item.rate for item in rule.clauses} == {
-        "/pose": 2, "/scan": 2, "/else": 2, "/cmd": None,
-    }  # fmt: skip
+        "/pose": 2,
+        "/scan": 2,
+        "/else": 2,
+        "/cmd": None,
+    }
 
 
 def test_a_coarse_position_has_a_slot_and_no_rate() -> None:
     for limit, rate in (("", None), (", limit: {rate: 0.01}", 0.01)):
         (rule,) = rules(
-            "{id: a, who: x, allow: {subscribe: /pose}, filter: {use: coarse-position}"
-            f"{limit}}}",
+            f"{{id: a, who: x, allow: {{subscribe: /pose}}, filter: {{use: coarse-position}}{limit}}}",
             head=HEAD,
         ).rules
         (clause,) = rule.clauses
@@ -71,9 +73,7 @@ def test_a_coarse_position_has_a_slot_and_no_rate() -> None:
         assert clause.restriction is not None
         assert clause.restriction.slot == 30
         assert "pose.position" in {item.path for item in clause.restriction.filters}
-    ((message, hint),) = found(
-        "{id: a, who: x, allow: {subscribe: /scan}, filter: {use: coarse-position}}"
-    )
+    ((message, hint),) = found("{id: a, who: x, allow: {subscribe: /scan}, filter: {use: coarse-position}}")
     assert message.startswith("coarse-position: the preset does not support sensor_msgs/Laser")
     assert hint.startswith("it supports geometry_msgs/PoseStamped")
 
@@ -90,12 +90,9 @@ def test_a_preset_has_its_own_slot() -> None:
 
 def test_a_condition_on_time_needs_no_type() -> None:
     (rule,) = rules(
-        "{id: a, who: x, allow: {subscribe: /unknown, call: /b}, when: [now.getHours() > 5]}",
-        head=HEAD,
+        "{id: a, who: x, allow: {subscribe: /unknown, call: /b}, when: [now.getHours() > 5]}", head=HEAD
     ).rules
-    assert {item.restriction for item in rule.clauses} == {
-        Restriction(None, ("now.getHours() > 5",))
-    }
+    assert {item.restriction for item in rule.clauses} == {Restriction(None, ("now.getHours() > 5",))}
 
 
 @pytest.mark.parametrize(
@@ -104,8 +101,11 @@ def test_a_condition_on_time_needs_no_type() -> None:
         ("just words", "a rule must be a mapping", "write key: value"),
         ("{id: a, who: y, allow: {call: /b}}", "unknown identity 'y'", "expected one of x"),
         ("{id: a, who: x, allow: {call: /b/}}", "call: not a name pattern", "segment"),
-        ("{id: a, who: x, allow: {subscribe: /pose}, filter: {/poze: {header: {clear: true}}}}",
-         "rule a has no subscribe right on '/poze'", "'/pose'"),
+        (
+            "{id: a, who: x, allow: {subscribe: /pose}, filter: {/poze: {header: {clear: true}}}}",
+            "rule a has no subscribe right on '/poze'",
+            "'/pose'",
+        ),
         ("{id: a, who: x}", "rule a needs one of allow, deny and prompt", "for example allow"),
         ("{id: a, who: x, allow: {call: /b}, deny: {call: /b}}", "rule a needs one", "two rules"),
         ("{id: a, who: x, allow: 5}", "allow of rule a must be a mapping", "write key: value"),
@@ -117,31 +117,54 @@ def test_a_condition_on_time_needs_no_type() -> None:
         ("{id: a, allow: {call: /b}}", "rule a has no 'who'", "add who: ..."),
         ("{id: a, who: 5, allow: {call: /b}}", "who must be text", "quotes"),
         ("{id: a, who: /y/, allow: {call: /b}}", "who: not a name pattern", "segment"),
-        ("{id: a, who: x, deny: {call: /b}, lifetime: 1d}",
-         "rule a: a deny rule cannot have 'lifetime'", "remove it"),
-        ("{id: a, who: x, allow: {param-get: /b}, when: now.getHours() > 5}",
-         "rule a: parameters, graph and admin rights", "separate rule"),
-        ("{id: a, who: x, allow: {call: /pose}, when: msg.header.seq > 5}",
-         "call /pose: conditions on messages are for topics", "separate rule"),
-        ("{id: a, who: x, allow: {subscribe: /b}, when: msg.header.seq > 5}",
-         "the message type of /b is unknown", "add it to types: {/b: package/Type}"),
-        ("{id: a, who: x, allow: {call: /b}, filter: {use: place}}", "rule a: nothing to filter",
-         "add a subscribe or publish right"),
+        (
+            "{id: a, who: x, deny: {call: /b}, lifetime: 1d}",
+            "rule a: a deny rule cannot have 'lifetime'",
+            "remove it",
+        ),
+        (
+            "{id: a, who: x, allow: {param-get: /b}, when: now.getHours() > 5}",
+            "rule a: parameters, graph and admin rights",
+            "separate rule",
+        ),
+        (
+            "{id: a, who: x, allow: {call: /pose}, when: msg.header.seq > 5}",
+            "call /pose: conditions on messages are for topics",
+            "separate rule",
+        ),
+        (
+            "{id: a, who: x, allow: {subscribe: /b}, when: msg.header.seq > 5}",
+            "the message type of /b is unknown",
+            "add it to types: {/b: package/Type}",
+        ),
+        (
+            "{id: a, who: x, allow: {call: /b}, filter: {use: place}}",
+            "rule a: nothing to filter",
+            "add a subscribe or publish right",
+        ),
         ("{id: a, who: x, allow: {subscribe: /pose}, filter: {}}", "rule a: nothing to filter", ""),
         ("{id: a, who: x, allow: {subscribe: /pose}, filter: 5}", "filter of rule a must be a", ""),
-        ("{id: a, who: x, allow: {subscribe: /pose}, filter: {/pose: 5}}", "filter of /pose must",
-         ""),
-        ("{id: a, who: x, allow: {subscribe: /pose}, filter: {use: plaze}}",
-         "unknown filter: 'plaze'", "'place'"),
-        ("{id: a, who: x, allow: {subscribe: /pose}, filter: {use: place, x: 1}}",
-         "unknown key 'x' in a filter with use", "expected one of use"),
+        ("{id: a, who: x, allow: {subscribe: /pose}, filter: {/pose: 5}}", "filter of /pose must", ""),
+        (
+            "{id: a, who: x, allow: {subscribe: /pose}, filter: {use: plaze}}",
+            "unknown filter: 'plaze'",
+            "'place'",
+        ),
+        (
+            "{id: a, who: x, allow: {subscribe: /pose}, filter: {use: place, x: 1}}",
+            "unknown key 'x' in a filter with use",
+            "expected one of use",
+        ),
         ("{id: a, who: x, allow: {call: /b}, limit: {rate: 1}}", "rule a: nothing to limit", "add"),
         ("{id: a, who: x, allow: {subscribe: /b}, limit: {rate: 0}}", "rate must be a number", ""),
         ("{id: a, who: x, allow: {subscribe: /b}, limit: 5}", "limit of rule a must be a", ""),
-        ("{id: a, who: x, allow: {subscribe: /pose}, filter: {pose: {clear: true}, use: place}}",
-         "unknown key 'pose' in a filter with use", ""),
+        (
+            "{id: a, who: x, allow: {subscribe: /pose}, filter: {pose: {clear: true}, use: place}}",
+            "unknown key 'pose' in a filter with use",
+            "",
+        ),
     ],
-)  # fmt: skip
+)
 def test_mistakes_of_a_rule(line: str, message: str, hint: str) -> None:
     about = [(m, h) for m, h in found(line) if m.startswith(message)]
     assert about, found(line)
@@ -167,24 +190,24 @@ def test_a_valid_policy_has_rules() -> None:
     ("line", "message"),
     [
         ("{id: a, who: x, allow: {call: /b}, on_stale: stay}", "unknown on_stale: 'stay'"),
-        ("{id: a, who: x, deny: {call: /b}, on_stale: keep}",
-         "rule a: a deny rule cannot have 'on_stale'"),
-        ("{id: a, who: x, allow: {graph: /b}, on_stale: keep}",
-         "rule a: parameters, graph and admin rights cannot have restrictions"),
+        ("{id: a, who: x, deny: {call: /b}, on_stale: keep}", "rule a: a deny rule cannot have 'on_stale'"),
+        (
+            "{id: a, who: x, allow: {graph: /b}, on_stale: keep}",
+            "rule a: parameters, graph and admin rights cannot have restrictions",
+        ),
     ],
-)  # fmt: skip
+)
 def test_invalid_uses_of_on_stale(line: str, message: str) -> None:
     assert [said for said, _ in found(line)] == [message]
 
 
 def test_a_subject_with_a_label_is_a_node_of_another_domain() -> None:
-    line = (
-        '{id: a, who: ["hospital:/rounds/*", /y], allow: {subscribe: [/pose], graph: [/remote/**]}}'
-    )
+    line = '{id: a, who: ["hospital:/rounds/*", /y], allow: {subscribe: [/pose], graph: [/remote/**]}}'
     (rule,) = rules(line, head=HEAD).rules
     assert [(who.label, who.node) for who in rule.who] == [
-        ("hospital:/rounds/*", "/remote/hospital/rounds/*"), ("/y", "/y"),
-    ]  # fmt: skip
+        ("hospital:/rounds/*", "/remote/hospital/rounds/*"),
+        ("/y", "/y"),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -218,13 +241,10 @@ def test_own_topics_have_types_and_filters() -> None:
         head=OWN_TYPES,
     ).rules
     own, other = rule.clauses
-    assert (own.pattern, own.type, other.restriction) == (
-        "{node}/pose", "geometry_msgs/PoseStamped", None,
-    )  # fmt: skip
+    assert (own.pattern, own.type, other.restriction) == ("{node}/pose", "geometry_msgs/PoseStamped", None)
     assert own.restriction is not None
     (plain,) = rules(
-        "{id: a, who: /x, allow: {subscribe: /x/pose}, filter: {use: coarse-position}}",
-        head=OWN_TYPES,
+        "{id: a, who: /x, allow: {subscribe: /x/pose}, filter: {use: coarse-position}}", head=OWN_TYPES
     ).rules
     assert plain.clauses[0].type == "geometry_msgs/PoseStamped"
 
@@ -241,16 +261,18 @@ def test_a_wide_type_is_that_of_own_topics() -> None:
     ("text", "message", "hint"),
     [
         ("types: {'{node}': std_msgs/String}\nrules: []\n", "{node} is no topic", "~/pose"),
-        ("rules: [{id: a, who: /x, allow: {subscribe: ~/b}, when: msg.data == 'x'}]\n",
-         "the message type of {node}/b is unknown", "types: {~/b: package/Type}"),
+        (
+            "rules: [{id: a, who: /x, allow: {subscribe: ~/b}, when: msg.data == 'x'}]\n",
+            "the message type of {node}/b is unknown",
+            "types: {~/b: package/Type}",
+        ),
         ("rules: [{id: a, who: /x, allow: {publish: '{me}/b'}}]\n", "'{me}'", "~/pose"),
         ("rules: [{id: a, who: /x, allow: {publish: {node}}}]\n", "without quotes", '"{node}"'),
         ("rules: [{id: a, who: '/robot*', allow: {publish: /b}}]\n", "'/robot*'", "groups:"),
         ("rules: [{id: a, who: /x, allow: {publish: '/robot*/b'}}]\n", "part of a segment", "~/"),
-        (_OTHER_TOPIC,
-         "no subscribe right on '{node}/poze'", "{node}/pose"),
+        (_OTHER_TOPIC, "no subscribe right on '{node}/poze'", "{node}/pose"),
     ],
-)  # fmt: skip
+)
 def test_mistakes_in_own_names(text: str, message: str, hint: str) -> None:
     (mistake,) = mistakes("rossec: 1\nrobot: r\n" + text)
     assert message in mistake.message

@@ -9,16 +9,14 @@ from dataclasses import replace
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from grants.decision import authorize
+from grants.decision import Reach, authorize
 from grants.errors import GrantMissing
 from grants.model import MESSAGE_RIGHTS, TREE_RIGHTS, Grant, Restriction, Right
 from grants.policy.assertion_check import check_tests
-from grants.policy.assertions import Assertion, Claim, Says
+from grants.policy.assertions import CheckedClaim, PolicyTest, Says
 from grants.policy.decision import Decider
-from grants.policy.in_force import in_force
 from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject
-from grants.policy.wanted import WantedState
-from grants.reach import Reach
+from grants.policy.wanted import WantedState, in_force
 from rossec.authority.policyfile import layout_of
 from tests.grants.policy.test_index import KEYS, name, of, own, pattern, right, subject, who
 
@@ -45,12 +43,19 @@ def signed(policy: Policy, asking: Subject) -> list[Grant]:
     wanted = WantedState(Decider(policy)).of(asking).rights
     return [
         Grant(
-            domain="home", subject=asking.name, holder=asking.key, not_before=NOW,
-            expires=NOW + each.lifetime, cap=NOW + each.lifetime, serial=bytes(16),
-            permissions=each.permissions, id=at.to_bytes(16, "big"), issuer=bytes(32),
+            domain="home",
+            subject=asking.name,
+            holder=asking.key,
+            not_before=NOW,
+            expires=NOW + each.lifetime,
+            cap=NOW + each.lifetime,
+            serial=bytes(16),
+            permissions=each.permissions,
+            id=at.to_bytes(16, "big"),
+            issuer=bytes(32),
         )
         for at, each in enumerate(wanted)
-    ]  # fmt: skip
+    ]
 
 
 def never(_id: bytes, _now: int) -> None:
@@ -87,8 +92,8 @@ def test_what_is_said_of_a_right_is_what_every_grant_gives(
 def test_what_a_test_says_may_not_be_is_given_by_no_grant(
     policy: Policy, asking: Subject, asked: Right, about: str
 ) -> None:
-    claim = Claim(Says.MAY_NOT, asked, about, 1)
-    test = Assertion(Subject(asking.name, KEYS[0]), (claim,))
+    claim = CheckedClaim(Says.MAY_NOT, asked, about, 1)
+    test = PolicyTest(Subject(asking.name, KEYS[0]), (claim,))
     (outcome,) = check_tests(replace(policy, tests=(test,)), layout_of)
     if not outcome:
         return

@@ -5,7 +5,7 @@ import struct
 import pytest
 
 from grants.errors import MessageRefused
-from grants.policy.sample_messages import Value, below, leaves, read_back, serialize
+from grants.policy.assertions import Value, below, read_back, serialize
 from rossec.authority.policyfile import layout_of
 from rossec.participant.message_types import message_type, type_names
 
@@ -13,11 +13,7 @@ POSE = layout_of("geometry_msgs/PoseStamped")
 
 
 def test_values_are_read_back() -> None:
-    values: dict[str, Value] = {
-        "header.frame_id": "map",
-        "header.stamp": 12.5,
-        "pose.position.x": -3.25,
-    }
+    values: dict[str, Value] = {"header.frame_id": "map", "header.stamp": 12.5, "pose.position.x": -3.25}
     read = read_back(POSE, serialize(POSE, values))
     assert {path: value for path, value in read.items() if value} == values
 
@@ -28,7 +24,7 @@ def test_zero_messages_are_those_of_the_library(name: str) -> None:
     layout = layout_of(name)
     data = serialize(layout, {})
     read = read_back(layout, data)
-    assert read.keys() == leaves(layout).keys()
+    assert read.keys() == layout.leaves().keys()
     assert all(value in (0, "", None) for value in read.values())
     message_type(name).deserialize(data)
 
@@ -41,11 +37,11 @@ def test_the_first_element_of_an_array_is_read() -> None:
 
 
 def test_parts_of_a_field_are_found() -> None:
-    paths = leaves(POSE)
+    paths = POSE.leaves()
     assert below(paths, "pose.position") == [f"pose.position.{axis}" for axis in "xyz"]
     assert below(paths, "pose.position.x") == ["pose.position.x"]
     assert below(paths, "pose.pos") == []
-    path = leaves(layout_of("nav_msgs/Path"))
+    path = layout_of("nav_msgs/Path").leaves()
     assert below(path, "poses.header.seq") == ["poses[*].header.seq"]
 
 

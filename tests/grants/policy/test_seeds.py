@@ -102,22 +102,34 @@ SEEDS: dict[str, list[tuple[str, ...]]] = {
         ("[/lift/down]", "[/lift/]", "call: not a name pattern: '/lift/'", "segment"),
         ('"/vendor/**"}', '"/vendor//x"}', "node of vendor: not a name pattern", "segment"),
         ("  /diagnostics: d", "  diagnostics: d", "topic: not a name pattern", "segment"),
-        ("      /diagnostics:\n", "      /diagnostic:\n", "rule vendor-scan has no subscribe right",
-         "'/diagnostics'"),
+        (
+            "      /diagnostics:\n",
+            "      /diagnostic:\n",
+            "rule vendor-scan has no subscribe right",
+            "'/diagnostics'",
+        ),
     ],
     "type": [
-        ("geometry_msgs/PoseStamped", "geometry_msgs/PoseStampd", "unknown message type",
-         "PoseStamped"),
+        ("geometry_msgs/PoseStamped", "geometry_msgs/PoseStampd", "unknown message type", "PoseStamped"),
         ("sensor_msgs/LaserScan", "sensor_msg/LaserScan", "unknown message type", "LaserScan"),
-        ("diagnostic_msgs/DiagnosticArray", "DiagnosticArray", "'DiagnosticArray' is no",
-         "diagnostic_msgs/DiagnosticArray"),
-        ("  /scan: sensor_msgs/LaserScan\n", "", "the message type of /scan is unknown", "/scan",
-         "[/scan, /diag"),
+        (
+            "diagnostic_msgs/DiagnosticArray",
+            "DiagnosticArray",
+            "'DiagnosticArray' is no",
+            "diagnostic_msgs/DiagnosticArray",
+        ),
+        (
+            "  /scan: sensor_msgs/LaserScan\n",
+            "",
+            "the message type of /scan is unknown",
+            "/scan",
+            "[/scan, /diag",
+        ),
         ("{round: 2.0}", '{round: "2"}', "pose.position: step must be a number", "round"),
         ("{set: hidden}", "{set: 5}", "diagnostic_msgs/DiagnosticArray: status[*].name: set", ""),
         ("position.x > 0.0", 'position.x > "0"', "geometry_msgs/PoseStamped: > cannot be", ""),
     ],
-}  # fmt: skip
+}
 
 
 def test_the_valid_policy_has_no_mistakes() -> None:
@@ -131,12 +143,9 @@ def test_there_are_seven_of_each_of_seven_kinds() -> None:
 
 
 @pytest.mark.parametrize(
-    "seed",
-    [pytest.param(seed, id=f"{k}-{n}") for k, s in SEEDS.items() for n, seed in enumerate(s)],
+    "seed", [pytest.param(seed, id=f"{k}-{n}") for k, s in SEEDS.items() for n, seed in enumerate(s)]
 )
-def test_an_inserted_mistake_is_reported_with_its_line_and_a_hint(
-    seed: tuple[str, ...],
-) -> None:
+def test_an_inserted_mistake_is_reported_with_its_line_and_a_hint(seed: tuple[str, ...]) -> None:
     there, inserted, message, hint, *where = seed
     text = GOOD.replace(there, inserted, 1)
     assert text != GOOD

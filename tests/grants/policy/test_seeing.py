@@ -46,9 +46,7 @@ def test_a_level_becomes_a_filter_and_a_rate() -> None:
 def test_of_all_topics_each_gets_what_concerns_it() -> None:
     found = policy(text("{position: room, image: no}", "/pose, /camera"))
     assert "pose.position: round hysteresis 2.0 step 4.0" in lines(found, "/pose")
-    assert lines(found, "/camera") == [
-        "data: zero", "header.seq: clear", "header.stamp: clear", "1 in 1 s",
-    ]  # fmt: skip
+    assert lines(found, "/camera") == ["data: zero", "header.seq: clear", "header.stamp: clear", "1 in 1 s"]
 
 
 def test_by_topic() -> None:
@@ -81,8 +79,9 @@ def test_rooms_of_the_policy_take_the_place_of_cells() -> None:
 def test_rooms_and_the_area_do_not_nest() -> None:
     said = text("{position: area}", head=HEAD + ROOMS)
     assert only(said) == (
-        "/pose: pose.position: where the policy has rooms, a position has no area", "room, or no",
-    )  # fmt: skip
+        "/pose: pose.position: where the policy has rooms, a position has no area",
+        "room, or no",
+    )
     wrong = f"{HEAD}rooms: {{a: '0'}}\nrules: []\n"
     assert "a" in only(wrong)[0]
 

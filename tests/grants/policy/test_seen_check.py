@@ -4,9 +4,9 @@ import pytest
 
 from grants.errors import PolicyRefused
 from grants.model import Right
+from grants.policy.assertion_check import seen_too_well
 from grants.policy.assertions import Limit, SeenField
 from grants.policy.decision import Decider
-from grants.policy.seen_check import seen_too_well
 from rossec.authority.policyfile import layout_of
 from tests.grants.policy.policies import node, policy
 

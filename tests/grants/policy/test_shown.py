@@ -4,9 +4,9 @@ from grants.filters.layout import Layout
 from grants.model import Right
 from grants.policy.decision import Decider, Verdict
 from grants.policy.model import Policy
-from grants.policy.shown import as_json, lines, shown
+from grants.policy.privacy import level_lines, levels_json, shown
 from grants.vocabulary.assess import Seen
-from grants.vocabulary.words import DataWord
+from grants.vocabulary.contents import DataWord
 from tests.grants.policy.policies import HEADER, node, policy
 from tests.grants.vocabulary.layouts import layout_of
 
@@ -36,11 +36,11 @@ def seen(name: str, topic: str) -> dict[DataWord, Seen]:
 def test_all_rules_hold_together() -> None:
     found = seen("/heating", "/pose")
     assert {word: one.level for word, one in found.items()} == {P: "room", M: "rough"}
-    assert lines(found) == [
+    assert level_lines(found) == [
         "sees where it is: the room (no finer than 4 m, one message at the start of each 30 s)",
         "sees how it moves: only by where it is",
     ]
-    assert as_json(found) == {"position": "room", "movement": "rough"}
+    assert levels_json(found) == {"position": "room", "movement": "rough"}
 
 
 def test_nothing_is_said_of_what_is_not_allowed_or_not_known() -> None:
@@ -66,4 +66,4 @@ def test_the_vocabulary_of_the_policy_counts() -> None:
         "rules: [{id: a, who: /x, allow: {subscribe: /door}, see: {home: rough}}]\n"
     )
     found = shown(own, verdict("/x", "/door", own), layout)
-    assert as_json(found) == {"home": "no"}
+    assert levels_json(found) == {"home": "no"}

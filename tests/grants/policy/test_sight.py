@@ -13,9 +13,9 @@ from grants.decision import Decision
 from grants.errors import GrantError
 from grants.guard import Guard
 from grants.model import Restriction, Right, filter_rules
+from grants.policy.assertion_check import Visibility
 from grants.policy.decision import Decider, Verdict
 from grants.policy.model import Clause, Effect
-from grants.policy.sight import Sight
 from rossec.authority.policyfile import layout_of
 from tests.grants.policy.policies import node, policy
 
@@ -23,7 +23,7 @@ POSE = layout_of("geometry_msgs/PoseStamped")
 X = "pose.position.x"
 
 
-def sight(*filters: str, topic_type: str = "geometry_msgs/PoseStamped") -> Sight:
+def sight(*filters: str, topic_type: str = "geometry_msgs/PoseStamped") -> Visibility:
     """That of a receiver under one rule for each of `filters`."""
     listed = (
         "".join(
@@ -34,7 +34,7 @@ def sight(*filters: str, topic_type: str = "geometry_msgs/PoseStamped") -> Sight
     )
     read = policy(f"rossec: 1\nrobot: r\ntypes: {{/t: {topic_type}}}\nrules:{listed}\n")
     verdict = Decider(read).decide(node("/a"), Right.SUBSCRIBE, "/t")
-    return Sight(layout_of(topic_type), verdict)
+    return Visibility(layout_of(topic_type), verdict)
 
 
 def test_without_a_filter_everything_is_exact() -> None:
@@ -163,16 +163,22 @@ def test_a_field_that_a_condition_reads_is_neither_hidden_nor_coarse() -> None:
         f"  - {{id: r, who: /a, allow: {{subscribe: /t}}, when: {text!r},"
         " filter: {pose.position: {clear: true}}}\n"
     )
-    found = Sight(POSE, Decider(read).decide(node("/a"), Right.SUBSCRIBE, "/t"))
+    found = Visibility(POSE, Decider(read).decide(node("/a"), Right.SUBSCRIBE, "/t"))
     assert not found.is_hidden(X)
     assert not found.is_no_finer_than(X, 0.1)
     assert found.is_hidden("pose.position.y")
 
 
 NUMBERS = {
-    "std_msgs/Float64": "d", "std_msgs/Float32": "f", "std_msgs/Int8": "b", "std_msgs/UInt8": "B",
-    "std_msgs/Int16": "h", "std_msgs/UInt32": "I", "std_msgs/Int64": "q", "std_msgs/UInt64": "Q",
-}  # fmt: skip
+    "std_msgs/Float64": "d",
+    "std_msgs/Float32": "f",
+    "std_msgs/Int8": "b",
+    "std_msgs/UInt8": "B",
+    "std_msgs/Int16": "h",
+    "std_msgs/UInt32": "I",
+    "std_msgs/Int64": "q",
+    "std_msgs/UInt64": "Q",
+}
 
 
 def _limits(code: str) -> tuple[int, int]:
@@ -192,11 +198,7 @@ def chains(draw: st.DrawFn) -> tuple[str, list[dict[str, object]], list[float]]:
         st.floats(width=width) if floats else st.integers(int(low), int(high))
     )  # NaN and infinities among them
     bound = st.floats(low, high, width=width) if floats else any_value
-    step = (
-        st.floats(0.015625, 1e6, width=32)
-        if floats
-        else st.integers(1, min(_limits(code)[1], 10**9))
-    )
+    step = st.floats(0.015625, 1e6, width=32) if floats else st.integers(1, min(_limits(code)[1], 10**9))
     rules: list[dict[str, object]] = []
     near: list[float] = []
     for _ in range(draw(st.integers(0, 3))):
@@ -223,7 +225,7 @@ def test_what_is_said_is_what_the_guard_does(
     given_by = tuple(Restriction(kind, (), filter_rules({"data": each})) for each in rules)
     clauses = tuple(Clause(Right.SUBSCRIBE, "/t", each) for each in given_by)
     verdict = Verdict(Effect.ALLOW, node("/a"), Right.SUBSCRIBE, "/t", clauses=clauses)
-    said = Sight(layout, verdict)
+    said = Visibility(layout, verdict)
     guard = Guard(layout, Decision(Right.SUBSCRIBE, "/t", (), 1 << 40, verdict.restrictions))
 
     def sent(value: float) -> bytes:

@@ -4,7 +4,7 @@ import pytest
 
 from grants.errors import PolicyRefused
 from grants.model import FilterRule, Permission, Restriction, Right
-from grants.policy.signable import MAX_ENTRIES, divide, why_unsignable
+from grants.policy.restrictions import MAX_ENTRIES, divide, why_unsignable
 from tests.grants.policy.policies import HEADER, mistakes, policy
 
 
@@ -18,9 +18,7 @@ def test_what_verifiers_accept_can_be_signed() -> None:
 
 
 def test_what_verifiers_refuse_cannot_be_signed() -> None:
-    assert "too large" in why_unsignable(
-        tuple(entry(f'msg.data == "{"x" * 900}{n}"') for n in range(20))
-    )
+    assert "too large" in why_unsignable(tuple(entry(f'msg.data == "{"x" * 900}{n}"') for n in range(20)))
     assert why_unsignable((entry("msg.data =="),))
     odd = FilterRule("data", "redact", (("text", "\ud800"),))
     bad = Permission("/p", Right.SUBSCRIBE, Restriction("std_msgs/String", (), (odd,)))
@@ -52,16 +50,13 @@ def test_rights_are_divided_among_grants_in_order() -> None:
     """Where what a right needs stays together."""
     sizes = [1] * MAX_ENTRIES + [2, MAX_ENTRIES + 3, 1]
     made = [
-        tuple(Permission(f"/r{at}/p{n}", Right.CALL) for n in range(size))
-        for at, size in enumerate(sizes)
+        tuple(Permission(f"/r{at}/p{n}", Right.CALL) for n in range(size)) for at, size in enumerate(sizes)
     ]
     parts = list(divide(range(len(sizes)), made.__getitem__))
     assert [each for part in parts for each in part] == list(range(len(sizes)))
     assert len(parts) > 3
     counts = [sum(sizes[each] for each in part) for part in parts]
-    assert all(
-        count <= MAX_ENTRIES or len(part) == 1 for count, part in zip(counts, parts, strict=True)
-    )
+    assert all(count <= MAX_ENTRIES or len(part) == 1 for count, part in zip(counts, parts, strict=True))
     assert list(divide([], made.__getitem__)) == []
     long = [tuple(entry(f'msg.data == "{"x" * 900}{n}"') for n in range(4)) for _ in range(4)]
     assert len(list(divide(range(4), long.__getitem__))) > 1

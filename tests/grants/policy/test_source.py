@@ -6,11 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from grants import yaml_text
 from grants.errors import PolicyRefused
 from grants.policy import source
-from grants.policy.mistakes import Mistakes
-from grants.policy.source import YamlMapping, YamlScalar, YamlSequence, read_source
+from grants.policy import source as yaml_text
+from grants.policy.source import Mistakes, YamlMapping, YamlScalar, YamlSequence, read_source
 
 
 def read(text: str) -> object:
@@ -43,12 +42,27 @@ def test_every_part_has_its_position() -> None:
 @pytest.mark.parametrize(
     ("text", "value"),
     [
-        ("22:00", "22:00"), ("no", "no"), ("on", "on"), ("2026-11-20", "2026-11-20"),
-        ("0x10", "0x10"), ("~", "~"), ("", ""), ("'5'", "5"), ('"true"', "true"),
-        ("5", 5), ("-5", -5), ("2.5", 2.5), (".5", 0.5), ("1e3", 1000.0), ("1_000", "1_000"),
-        ("true", True), ("false", False), (".nan", ".nan"), (".inf", ".inf"),
+        ("22:00", "22:00"),
+        ("no", "no"),
+        ("on", "on"),
+        ("2026-11-20", "2026-11-20"),
+        ("0x10", "0x10"),
+        ("~", "~"),
+        ("", ""),
+        ("'5'", "5"),
+        ('"true"', "true"),
+        ("5", 5),
+        ("-5", -5),
+        ("2.5", 2.5),
+        (".5", 0.5),
+        ("1e3", 1000.0),
+        ("1_000", "1_000"),
+        ("true", True),
+        ("false", False),
+        (".nan", ".nan"),
+        (".inf", ".inf"),
     ],
-)  # fmt: skip
+)
 def test_plain_scalars_stay_as_written(text: str, value: object) -> None:
     part = read(f"a: {text}")
     assert isinstance(part, YamlMapping)
@@ -106,8 +120,7 @@ def test_any_yaml_like_text_is_read_or_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["a: {node}/pose\n", "a: [{node}/pose]\n", "a:\n  - {node}/**\n", "b: 1\na: [x, {node}/y]"],
+    "text", ["a: {node}/pose\n", "a: [{node}/pose]\n", "a:\n  - {node}/**\n", "b: 1\na: [x, {node}/y]"]
 )
 def test_own_names_without_quotes_say_what_to_write(text: str) -> None:
     with pytest.raises(PolicyRefused, match=r"^p.yaml:[12]:") as refused:
@@ -122,5 +135,8 @@ def test_own_names_in_quotes_or_short_are_texts() -> None:
     row = part.get("a")
     assert isinstance(row, YamlSequence)
     assert [each.value for each in row.items if isinstance(each, YamlScalar)] == [
-        "{node}/pose", "{node}", "~/pose", "~/**",
-    ]  # fmt: skip
+        "{node}/pose",
+        "{node}",
+        "~/pose",
+        "~/**",
+    ]

@@ -40,14 +40,22 @@ def test_an_sros2_policy_is_imported() -> None:
     text, notes = import_sros2(TALKER)
     allow, deny, again = policy(text).rules
     assert [(item.right.label, item.pattern) for item in allow.clauses] == [
-        ("publish", "/robot/chatter"), ("publish", "/abs"), ("publish", "{node}/own"),
-        ("publish", "/robot/fib/status"), ("publish", "/robot/fib/feedback"),
-        ("publish", "/robot/fib/result"), ("provide", "/add"), ("call", "/sub"),
-        ("subscribe", "/robot/fib/goal"), ("subscribe", "/robot/fib/cancel"),
-    ]  # fmt: skip
+        ("publish", "/robot/chatter"),
+        ("publish", "/abs"),
+        ("publish", "{node}/own"),
+        ("publish", "/robot/fib/status"),
+        ("publish", "/robot/fib/feedback"),
+        ("publish", "/robot/fib/result"),
+        ("provide", "/add"),
+        ("call", "/sub"),
+        ("subscribe", "/robot/fib/goal"),
+        ("subscribe", "/robot/fib/cancel"),
+    ]
     assert (allow.subjects_text, str(deny.effect), deny.clauses[0].pattern) == (
-        "/robot/talker", "deny", "/camera/**",
-    )  # fmt: skip
+        "/robot/talker",
+        "deny",
+        "/camera/**",
+    )
     assert (again.id, again.clauses[0].right.label) == ("sros2-robot-talker-2", "publish")
     assert notes == [
         "read: /robot/talker: subscribe /camera/* as /camera/**, its * crosses / in SROS2",
@@ -68,10 +76,7 @@ def test_an_sros2_policy_is_imported() -> None:
         ('<!DOCTYPE p SYSTEM "http://x/y"><policy/>', "a policy with a DTD is refused"),
         ("\x00", "not XML"),
         (_policy('<topics publish="DENY"><topic>rt*</topic></topics>'), "publish /rt"),
-        (
-            _policy('<topics publish="DENY"><topic>a?</topic></topics>'),
-            "publish /a.*whole segments",
-        ),
+        (_policy('<topics publish="DENY"><topic>a?</topic></topics>'), "publish /a.*whole segments"),
         (_policy('<topics publish="DENY"><topic>/a[bc]</topic></topics>'), "publish /a"),
         (_policy('<topics publish="deny"><topic>a</topic></topics>'), "'deny', not ALLOW or DENY"),
         (_policy('<topics publsh="DENY"><topic>a</topic></topics>'), "an attribute 'publsh'"),
@@ -136,9 +141,7 @@ def test_what_is_denied_is_denied_as_wide(written: str, kept: str, denied: list[
     found = policy(text)
     (deny,) = [rule for rule in found.rules if str(rule.effect) == "deny"]
     assert [clause.pattern for clause in deny.clauses] == [kept]
-    assert all(
-        fnmatchcase(name, written if written[0] == "/" else f"/{written}") for name in denied
-    )
+    assert all(fnmatchcase(name, written if written[0] == "/" else f"/{written}") for name in denied)
     decider, subject = Decider(found), Subject("/planner", b"k" * 32, False)
     for name in denied:
         assert decider.decide(subject, Right.PUBLISH, name).effect is Effect.DENY, name
@@ -183,8 +186,4 @@ def test_all_that_cannot_be_kept_is_said() -> None:
     )
     with pytest.raises(PolicyRefused, match="2 parts of this policy cannot be kept") as caught:
         import_sros2(_policy(content))
-    assert [str(each).partition(": ")[0] for each in caught.value.mistakes] == [
-        "/a",
-        "/a",
-        "left out",
-    ]
+    assert [str(each).partition(": ")[0] for each in caught.value.mistakes] == ["/a", "/a", "left out"]

@@ -4,7 +4,7 @@ import pytest
 
 from grants.model import Right
 from grants.policy.model import Subject
-from grants.policy.subjects import MAX_MEMBERS
+from grants.policy.rules import MAX_MEMBERS
 from tests.grants.policy.policies import HEADER, HEATING, HEATING_KEY, decide, mistakes, node, rules
 
 HEAD = f"""{HEADER}identities:
@@ -20,12 +20,19 @@ ALLOW = "{id: a, who: home, except: /fleet/old, allow: {subscribe: /map}}"
 @pytest.mark.parametrize(
     ("subject", "expected"),
     [
-        (node("/robot1"), True), (node("/fleet/a"), True), (node("/fleet/old"), False),
-        (HEATING, True), (node("/heating"), False), (node("/robot11"), False),
-        (node("/robots"), False), (node("/home"), False), (node("/fleet/a/b"), False),
-        (node("/remote/hospital/rounds/x"), True), (node("/spare"), False),
+        (node("/robot1"), True),
+        (node("/fleet/a"), True),
+        (node("/fleet/old"), False),
+        (HEATING, True),
+        (node("/heating"), False),
+        (node("/robot11"), False),
+        (node("/robots"), False),
+        (node("/home"), False),
+        (node("/fleet/a/b"), False),
+        (node("/remote/hospital/rounds/x"), True),
+        (node("/spare"), False),
     ],
-)  # fmt: skip
+)
 def test_a_rule_for_a_group_is_one_for_its_members(subject: Subject, expected: bool) -> None:
     policy = rules(ALLOW, head=HEAD)
     assert bool(decide(policy, subject, Right.SUBSCRIBE, "/map")) is expected
@@ -40,8 +47,9 @@ def test_an_exception_for_a_group_is_one_for_its_members() -> None:
 def test_a_denial_for_a_group_denies_a_member_by_its_key_too() -> None:
     policy = rules(
         "{id: a, who: [home, spare], deny: {subscribe: /map}}",
-        '{id: b, who: "*", allow: {subscribe: /map}}', head=HEAD,
-    )  # fmt: skip
+        '{id: b, who: "*", allow: {subscribe: /map}}',
+        head=HEAD,
+    )
     for denied in (node("/heating"), node("/renamed", HEATING_KEY), node("/spare")):
         assert not decide(policy, denied, Right.SUBSCRIBE, "/map")
     assert decide(policy, node("/other"), Right.SUBSCRIBE, "/map")
@@ -50,19 +58,14 @@ def test_a_denial_for_a_group_denies_a_member_by_its_key_too() -> None:
 def test_it_is_shown_by_its_name() -> None:
     (rule,) = rules(ALLOW, head=HEAD).rules
     assert rule.subjects_text == "home except /fleet/old"
-    assert {who.label for who in rule.who} == {
-        "/robot1", "/fleet/*", "heating", "hospital:/rounds/*",
-    }  # fmt: skip
+    assert {who.label for who in rule.who} == {"/robot1", "/fleet/*", "heating", "hospital:/rounds/*"}
 
 
 def test_groups_of_a_policy_and_those_without_a_rule() -> None:
     policy = rules(ALLOW, head=HEAD)
     assert [who.label for who in policy.groups["robots"]] == ["/robot1", "/fleet/*"]
     assert policy.unused_groups == ("spare",)
-    assert rules("{id: a, who: robots, allow: {call: /a}}", head=HEAD).unused_groups == (
-        "home",
-        "spare",
-    )
+    assert rules("{id: a, who: robots, allow: {call: /a}}", head=HEAD).unused_groups == ("home", "spare")
 
 
 def test_the_order_of_groups_does_not_matter() -> None:
@@ -97,7 +100,7 @@ def test_a_node_without_its_slash_is_told_how_it_is_written() -> None:
         ("[a]", "groups must be a mapping", "key: value"),
         ("{a: /remote/x/y}", "with the label of the domain", "hospital:/rounds/*"),
     ],
-)  # fmt: skip
+)
 def test_mistakes_in_groups(groups: str, message: str, hint: str) -> None:
     head = HEADER + "identities: {heating: {node: /heating}}\n"
     found = mistakes(f"{head}groups: {groups}\nrules: []\n")

@@ -6,11 +6,10 @@ from grants.errors import PolicyRefused
 from grants.filters.layout import Layout
 from grants.model import Right
 from grants.policy.decision import Decider
-from grants.policy.editing import NewRule, add_rules
+from grants.policy.learn import NewRule, add_rules
 from grants.policy.lint import lint
 from grants.policy.model import Policy, Subject
-from grants.policy.read import load
-from grants.policy.titles import MAX_TITLE, flaw_of
+from grants.policy.read import MAX_TITLE, flaw_of, load
 
 HEAD = "rossec: 1\nrobot: r\ngroups: {lamps: [/lamp1, /lamp2, '/hall/*']}\nrules: []\n"
 
@@ -33,30 +32,39 @@ def test_a_title(title: str) -> None:
 @pytest.mark.parametrize(
     ("title", "flaw"),
     [
-        ("", "1 to 60 characters"), ("a" * 61, "1 to 60 characters"),
-        ("a\nb", "control"), ("a\u202eb", "direction"), ("a\u200bb", "format"),
+        ("", "1 to 60 characters"),
+        ("a" * 61, "1 to 60 characters"),
+        ("a\nb", "control"),
+        ("a\u202eb", "direction"),
+        ("a\u200bb", "format"),
         ("a\ud800", "control"),
-        ("a\u2066b", "direction"), ("a\u00a0b", "other spaces"), ("a\u2003b", "other spaces"),
-        (" a", "single spaces"), ("a ", "single spaces"), ("a  b", "single spaces"),
-        ("e\u0301", "NFC"), ("\u0301a", "combining"), ("x\u0323\u0331\u0330", "combining"),
-        ("Dr. Meier /doctor", "slash"), ("/doctor", "slash"),
+        ("a\u2066b", "direction"),
+        ("a\u00a0b", "other spaces"),
+        ("a\u2003b", "other spaces"),
+        (" a", "single spaces"),
+        ("a ", "single spaces"),
+        ("a  b", "single spaces"),
+        ("e\u0301", "NFC"),
+        ("\u0301a", "combining"),
+        ("x\u0323\u0331\u0330", "combining"),
+        ("Dr. Meier /doctor", "slash"),
+        ("/doctor", "slash"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_title(title: str, flaw: str) -> None:
     assert flaw in flaw_of(title)
 
 
 def test_titles_are_of_names_patterns_and_members_of_groups() -> None:
-    policy = read(
-        "{/doctor: Dr. Meier, '/robot/**': all of it, lamps: a lamp, /lamp2: the red one}"
-    )
+    policy = read("{/doctor: Dr. Meier, '/robot/**': all of it, lamps: a lamp, /lamp2: the red one}")
     assert policy.titles == {
-        "/doctor": "Dr. Meier", "/robot/**": "all of it", "/lamp1": "a lamp",
-        "/lamp2": "the red one", "/hall/*": "a lamp",
-    }  # fmt: skip
-    assert read("{'hospital:/rounds/one': Ward 3}").titles == {
-        "/remote/hospital/rounds/one": "Ward 3"
+        "/doctor": "Dr. Meier",
+        "/robot/**": "all of it",
+        "/lamp1": "a lamp",
+        "/lamp2": "the red one",
+        "/hall/*": "a lamp",
     }
+    assert read("{'hospital:/rounds/one': Ward 3}").titles == {"/remote/hospital/rounds/one": "Ward 3"}
     assert load(HEAD, str).titles == {}
 
 
@@ -86,9 +94,7 @@ def test_a_title_decides_nothing_and_is_kept_when_the_file_is_rewritten() -> Non
     plain, titled = load(HEAD, str), read("{/doctor: Dr. Meier}  # who comes on Mondays")
     asked = Subject("/doctor", bytes(32)), Right.SUBSCRIBE, "/robot/pose"
     assert Decider(titled).decide(*asked).effect is Decider(plain).decide(*asked).effect
-    assert [each.code for each in lint(titled, unknown)] == [
-        each.code for each in lint(plain, unknown)
-    ]
+    assert [each.code for each in lint(titled, unknown)] == [each.code for each in lint(plain, unknown)]
     text = f"{HEAD}title: {{/doctor: Dr. Meier}}  # who comes on Mondays\n"
     after = add_rules(text, [NewRule("a", "b", "/doctor", "deny", {"subscribe": ["/x"]})])
     assert "title: {/doctor: Dr. Meier}  # who comes on Mondays" in after

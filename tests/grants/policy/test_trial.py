@@ -6,8 +6,8 @@ import pytest
 
 from grants.filters.layout import parse
 from grants.model import Right
-from grants.policy import trial as module
-from grants.policy.trial import Trial
+from grants.policy import privacy as module
+from grants.policy.privacy import Trial
 from tests.grants.policy.policies import HEADER, decide, definition, node, rules
 
 STRING = parse("std_msgs/String", definition("std_msgs/String"))
@@ -33,12 +33,7 @@ def test_a_trial_filters_as_the_guard() -> None:
 @pytest.mark.parametrize(
     ("who", "message", "now", "reason"),
     [
-        (
-            "/x",
-            struct.pack("<I", 1) + b"j",
-            0,
-            'the condition is not true: msg.data.startsWith("h")',
-        ),
+        ("/x", struct.pack("<I", 1) + b"j", 0, 'the condition is not true: msg.data.startsWith("h")'),
         ("/x", HELLO, 1 << 34, "the condition is not true: now.getFullYear() < 2030"),
         ("/x", HELLO + b"tail", 0, "std_msgs/String"),
         ("/y", HELLO, 0, "deny: rule d: no"),
@@ -84,9 +79,7 @@ def test_another_type_is_withheld() -> None:
     assert "of type std_msgs/String, these are geometry_msgs/PoseStamped" in outcome.reason
 
 
-def test_a_withheld_message_without_failed_condition(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_withheld_message_without_failed_condition(monkeypatch: pytest.MonkeyPatch) -> None:
     tried = trial()
     monkeypatch.setattr(module, "compile_condition", lambda *_: lambda *_: True)
     assert tried(struct.pack("<I", 1) + b"j", 0).reason == "not admitted"

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from ca.encoding import decode
-from grants.claims import from_draft
+from grants.document import from_draft
 from grants.model import Draft, Right
-from grants.policy.drafts import drafts
 from grants.policy.model import Subject
+from grants.policy.wanted import drafts
 from tests.grants.authority import NOW
 from tests.grants.policy.policies import decide, mistakes, node, rules
 

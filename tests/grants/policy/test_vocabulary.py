@@ -3,11 +3,9 @@
 import pytest
 
 from grants.filters.layout import Layout, parse
-from grants.policy.mistakes import Mistakes
-from grants.policy.source import YamlMapping, YamlScalar, read_source
-from grants.policy.vocabulary import SAYABLE, Vocabulary, read_rooms, read_vocabulary
-from grants.vocabulary.contents import Content
-from grants.vocabulary.words import DataWord
+from grants.policy.model import SAYABLE, Vocabulary, read_rooms, read_vocabulary
+from grants.policy.source import Mistakes, YamlMapping, YamlScalar, read_source
+from grants.vocabulary.contents import Content, DataWord
 from tests.grants.policy.policies import definition
 
 TYPES = {"/door": "std_msgs/Bool", "/bed": "acme_msgs/Bed", "/rooms/*/lamp": "std_msgs/Bool"}
@@ -33,8 +31,10 @@ def test_a_type_says_words_and_contents() -> None:
     assert mistakes == []
     described = found.describe(BED)
     assert [field.content for field in described.fields] == [
-        Content.NAME, Content.READING, Content.UNCERTAINTY,
-    ]  # fmt: skip
+        Content.NAME,
+        Content.READING,
+        Content.UNCERTAINTY,
+    ]
     assert described.words == (DataWord.POSITION, DataWord.IDENTITY, DataWord.HOME)
 
 
@@ -104,9 +104,11 @@ def test_a_word_alone_is_shown_in_no_part() -> None:
 
 
 LAMPS = {
-    "/a/x": "std_msgs/Float64", "/*/x": "std_msgs/Float64", "/a/*": "std_msgs/Float64",
+    "/a/x": "std_msgs/Float64",
+    "/*/x": "std_msgs/Float64",
+    "/a/*": "std_msgs/Float64",
     "/b/x": "std_msgs/Float64",
-}  # fmt: skip
+}
 VALUE = parse("std_msgs/Float64", definition("std_msgs/Float64"))
 
 

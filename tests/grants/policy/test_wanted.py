@@ -75,8 +75,9 @@ def test_a_pattern_of_which_a_name_is_denied_is_withheld(denied: str) -> None:
 
 
 def test_what_a_person_decides_is_left_to_a_person() -> None:
-    policy = rules("{id: p, who: /x, prompt: {call: [/lift, /door]}}",
-                   "{id: a, who: /x, allow: {call: [/door]}}")  # fmt: skip
+    policy = rules(
+        "{id: p, who: /x, prompt: {call: [/lift, /door]}}", "{id: a, who: /x, allow: {call: [/door]}}"
+    )
     wanted = state(policy).of(X)
     assert named(wanted.rights) == ["call /door"]
     ((right, pattern, effect, rule, by),) = wanted.withheld

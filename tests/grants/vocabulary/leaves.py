@@ -75,9 +75,7 @@ def _other(kind: Type, value: Any) -> list[Any]:
             raise AssertionError(kind)
 
 
-def _changes(
-    kind: Struct, value: dict[str, Any], within: str = ""
-) -> Iterator[tuple[str, dict[str, Any]]]:
+def _changes(kind: Struct, value: dict[str, Any], within: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
     for field, member in kind.fields:
         if kind.name == PICTURE and field in _SIZES:
             continue
@@ -95,9 +93,7 @@ def _of(key: str, kind: Type, value: Any, is_picture: bool) -> Iterator[tuple[st
         yield from ((key, other) for other in _other(kind, value))
 
 
-def _of_array(
-    key: str, kind: Array, value: list[Any], is_picture: bool
-) -> Iterator[tuple[str, Any]]:
+def _of_array(key: str, kind: Array, value: list[Any], is_picture: bool) -> Iterator[tuple[str, Any]]:
     inner = kind.element
     is_messages = isinstance(inner, Struct)
     if kind.length is None and not (is_picture and key.endswith(".data")):

@@ -11,9 +11,8 @@ from grants.filters.hashing import FILTER_KEY_SIZE
 from grants.filters.layout import Array, Layout, Primitive, Struct, Text, Type
 from grants.guard import Guard
 from grants.model import Restriction, Right
-from grants.vocabulary.describe import describe
-from grants.vocabulary.levels import PSEUDONYM_KEY
-from grants.vocabulary.resolve import Levels, Resolved, resolve
+from grants.vocabulary.contents import describe
+from grants.vocabulary.levels import PSEUDONYM_KEY, Levels, Resolved, resolve
 
 Chosen = Callable[[str], bool]
 _Drawn = TypeVar("_Drawn")

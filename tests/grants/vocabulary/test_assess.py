@@ -4,12 +4,11 @@ import math
 
 import pytest
 
-from grants.filters.presets import preset
+from grants.filters.compile import preset
 from grants.model import Restriction, filter_rules
 from grants.vocabulary.assess import Seen, assess
-from grants.vocabulary.describe import describe
-from grants.vocabulary.resolve import resolve
-from grants.vocabulary.words import EXACT, LEVELS, NO, DataWord
+from grants.vocabulary.contents import EXACT, LEVELS, NO, DataWord, describe
+from grants.vocabulary.levels import resolve
 from tests.grants.vocabulary.layouts import STANDARD, layout_of
 
 ODOMETRY = "nav_msgs/Odometry"
@@ -37,11 +36,7 @@ def test_a_level_is_seen_as_itself_or_a_coarser_one(word: DataWord) -> None:
         description = describe(layout)
         for level in LEVELS[word][1:] if description.tells(word) else ():
             found = resolve(layout, description, {word: level})
-            given = (
-                [Restriction(name, (), found.rules, slot=found.slot)]
-                if found.rules or found.slot
-                else []
-            )
+            given = [Restriction(name, (), found.rules, slot=found.slot)] if found.rules or found.slot else []
             one = assess(description, given, found.rate, [word])[word]
             assert one.is_no_finer_than(level), (name, level, one)
             checked += 1
@@ -57,9 +52,13 @@ def test_without_rules_everything_is_exact_and_open() -> None:
 
 def test_a_position_between_two_levels_has_a_size() -> None:
     found = seen(
-        ODOMETRY, 0.2, pose__pose__position=rounded(2, 0.5), pose__pose__orientation=CLEAR,
-        pose__covariance=CLEAR, twist=CLEAR,
-    )  # fmt: skip
+        ODOMETRY,
+        0.2,
+        pose__pose__position=rounded(2, 0.5),
+        pose__pose__orientation=CLEAR,
+        pose__covariance=CLEAR,
+        twist=CLEAR,
+    )
     assert (found[P].level, found[P].size, found[P].open) == (EXACT, 2.0, ())
     assert found[P].is_no_finer_than(2)
     assert not found[P].is_no_finer_than(2.1)
@@ -93,9 +92,12 @@ def test_a_wider_step_is_at_least_the_level() -> None:
 
 def test_one_axis_as_it_is_makes_all_exact() -> None:
     found = seen(
-        POSE, 1 / 30, pose__position__x=rounded(4, 2), pose__position__y=rounded(4, 2),
+        POSE,
+        1 / 30,
+        pose__position__x=rounded(4, 2),
+        pose__position__y=rounded(4, 2),
         pose__orientation=CLEAR,
-    )  # fmt: skip
+    )
     assert found[P].open == ("pose.position.z",)
 
 
@@ -125,8 +127,7 @@ def test_a_slot_is_a_rate_too() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "word", "level"),
-    [("coarse-position", P, "room"), ("blurred-camera", DataWord.IMAGE, "blurred")],
+    ("name", "word", "level"), [("coarse-position", P, "room"), ("blurred-camera", DataWord.IMAGE, "blurred")]
 )
 def test_presets_are_at_a_level(name: str, word: DataWord, level: str) -> None:
     kind = "sensor_msgs/Image" if word is DataWord.IMAGE else ODOMETRY
@@ -167,9 +168,7 @@ def test_a_relative_in_coarse_steps_is_as_coarse_as_its_level() -> None:
     battery = describe(layout_of("sensor_msgs/BatteryState"))
     for level, metres in (("room", 20.0), ("area", 20.0), (NO, math.inf)):  # quarters of both
         found = resolve(layout_of("sensor_msgs/BatteryState"), battery, {P: level})
-        given = Restriction(
-            "sensor_msgs/BatteryState", (), found.rules, found.rate, slot=found.slot
-        )
+        given = Restriction("sensor_msgs/BatteryState", (), found.rules, found.rate, slot=found.slot)
         sight = assess(battery, [given], None, [P])[P]
         assert (sight.level, sight.size) == (level, metres)
     open_one = assess(battery, [Restriction("sensor_msgs/BatteryState", (), (), 0.001)], None, [P])
@@ -190,9 +189,13 @@ def test_pseudonyms_of_names_in_a_fixed_order_are_no_level() -> None:
 
 def test_degrees_are_measured_in_metres() -> None:
     rules: dict[str, dict[str, object]] = {
-        "status": CLEAR, "latitude": rounded(0.001), "longitude": rounded(0.001),
-        "altitude": CLEAR, "position_covariance": CLEAR, "position_covariance_type": CLEAR,
-    }  # fmt: skip
+        "status": CLEAR,
+        "latitude": rounded(0.001),
+        "longitude": rounded(0.001),
+        "altitude": CLEAR,
+        "position_covariance": CLEAR,
+        "position_covariance_type": CLEAR,
+    }
     assert seen("sensor_msgs/NavSatFix", None, **rules)[P].size == pytest.approx(111.32)
 
 
@@ -242,9 +245,11 @@ def test_a_pseudonym_for_all_receivers_is_not_one_of_each() -> None:
     own: dict[str, object] = {"hash": {"key": "ward", "per": "receiver"}}
     kind = "actionlib_msgs/GoalID"
     identity = DataWord.IDENTITY
-    words = {rule: assess(
-        describe(layout_of(kind)),
-        [Restriction(kind, (), filter_rules({"id": given}))], None, [identity],
-    )[identity] for rule, given in (("key", key), ("own", own))}  # fmt: skip
+    words = {
+        rule: assess(
+            describe(layout_of(kind)), [Restriction(kind, (), filter_rules({"id": given}))], None, [identity]
+        )[identity]
+        for rule, given in (("key", key), ("own", own))
+    }
     assert (words["own"].level, words["own"].is_shared) == ("pseudonym", False)
     assert (words["key"].level, words["key"].is_shared) == (EXACT, True)

@@ -2,8 +2,7 @@
 
 import pytest
 
-from grants.vocabulary.contents import MEANINGS, NOT_KNOWN, TIMES, Content, Meaning, fields_by
-from grants.vocabulary.words import DataWord
+from grants.vocabulary.contents import MEANINGS, NOT_KNOWN, TIMES, Content, DataWord, Meaning, fields_by
 
 
 def test_every_content_has_a_meaning() -> None:

@@ -1,9 +1,7 @@
 """A type described by what its fields are, at any depth."""
 
 from grants.filters.layout import Layout, parse
-from grants.vocabulary.contents import Content
-from grants.vocabulary.describe import Description, describe
-from grants.vocabulary.words import DataWord
+from grants.vocabulary.contents import Content, DataWord, Description, describe
 from tests.grants.messages import SEPARATOR
 from tests.grants.vocabulary.layouts import layout_of
 
@@ -50,9 +48,7 @@ def test_a_nested_type_is_described_by_its_own_table() -> None:
 def test_a_named_field_has_its_content_throughout() -> None:
     found = by_path(describe(layout_of("geometry_msgs/Transform")))
     assert found["translation.x"] is Content.COORDINATE  # not the bare x of a Vector3
-    assert by_path(describe(layout_of("nav_msgs/OccupancyGrid")))["info.origin.position.x"] is (
-        Content.MAP
-    )
+    assert by_path(describe(layout_of("nav_msgs/OccupancyGrid")))["info.origin.position.x"] is (Content.MAP)
 
 
 def test_elements_of_arrays_name_the_outermost_array() -> None:
@@ -69,10 +65,7 @@ def test_what_no_table_has_is_unknown_and_the_rest_is_not() -> None:
 
 
 def test_a_policy_says_what_its_own_types_contain() -> None:
-    own = {
-        "acme_msgs/Table": {"who": Content.NAME},
-        "acme_msgs/Seat": {"taken": Content.READING},
-    }
+    own = {"acme_msgs/Table": {"who": Content.NAME}, "acme_msgs/Seat": {"taken": Content.READING}}
     found = describe(LAYOUT, own)
     assert found.unknown == ()
     assert found.words == (DataWord.POSITION, DataWord.IDENTITY, DataWord.HOME)

@@ -11,11 +11,8 @@ import pytest
 
 from grants.errors import FilterRefused
 from grants.guard import Guard
-from grants.vocabulary.contents import FRAMES, MEANINGS, TIMES, Content
-from grants.vocabulary.describe import describe
-from grants.vocabulary.resolve import resolve
-from grants.vocabulary.types import TYPES
-from grants.vocabulary.words import LEVELS, DataWord
+from grants.vocabulary.contents import FRAMES, LEVELS, MEANINGS, TIMES, TYPES, Content, DataWord, describe
+from grants.vocabulary.levels import resolve
 from rossec.participant.host_types import layout_of
 from rossec.participant.message_types import type_names
 from tests.grants.vocabulary.leaves import base, mutations

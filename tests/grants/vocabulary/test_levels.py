@@ -6,17 +6,8 @@ import pytest
 
 from grants.filters.operators import treatment_for
 from grants.model import FilterRule
-from grants.vocabulary.contents import MEANINGS, Content
-from grants.vocabulary.levels import (
-    CLEAR,
-    LEVEL_TABLE,
-    Level,
-    hiding,
-    in_steps,
-    level_of,
-    position_in,
-)
-from grants.vocabulary.words import EXACT, LEVELS, NO, DataWord
+from grants.vocabulary.contents import EXACT, LEVELS, MEANINGS, NO, Content, DataWord
+from grants.vocabulary.levels import CLEAR, LEVEL_TABLE, Level, hiding, in_steps, level_of, position_in
 
 ALL = [(word, level) for word, levels in LEVELS.items() for level in levels[1:]]
 

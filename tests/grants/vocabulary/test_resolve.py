@@ -8,11 +8,18 @@ from hypothesis import strategies as st
 
 from grants.errors import FilterRefused
 from grants.filters.layout import parse
-from grants.vocabulary.contents import FRAMES, TIMES, Content
-from grants.vocabulary.describe import FieldContent, describe
-from grants.vocabulary.levels import level_of
-from grants.vocabulary.resolve import Levels, Resolved, resolve
-from grants.vocabulary.words import EXACT, LEVELS, NO, DataWord
+from grants.vocabulary.contents import (
+    EXACT,
+    FRAMES,
+    LEVELS,
+    NO,
+    TIMES,
+    Content,
+    DataWord,
+    FieldContent,
+    describe,
+)
+from grants.vocabulary.levels import Levels, Resolved, level_of, resolve
 from tests.grants.vocabulary.layouts import STANDARD, layout_of
 from tests.grants.vocabulary.made import Maker, through
 
@@ -49,10 +56,13 @@ def test_an_odometry_at_the_room() -> None:
 @pytest.mark.parametrize(
     ("levels", "slot"),
     [
-        ({"position": "room"}, 900), ({"position": "area"}, 3600), ({"position": "no"}, 3600),
-        ({"movement": "rough"}, 900), ({"movement": "no"}, 900),
+        ({"position": "room"}, 900),
+        ({"position": "area"}, 3600),
+        ({"position": "no"}, 3600),
+        ({"movement": "rough"}, 900),
+        ({"movement": "no"}, 900),
     ],
-)  # fmt: skip
+)
 def test_outdoors_a_slot_follows_the_cell(levels: dict[str, str], slot: int) -> None:
     """At 8 m/s a sample every 30 s tells where the border of a cell of 2.2 km was crossed."""
     assert resolved("sensor_msgs/NavSatFix", **levels).slot == slot
@@ -85,10 +95,13 @@ def test_times_stay_where_there_are_no_names() -> None:
 
 @pytest.mark.parametrize(
     ("name", "field"),
-    [("sensor_msgs/JointState", "name"), ("sensor_msgs/MultiDOFJointState", "joint_names"),
-     ("trajectory_msgs/JointTrajectory", "joint_names"),
-     ("trajectory_msgs/MultiDOFJointTrajectory", "joint_names")],
-)  # fmt: skip
+    [
+        ("sensor_msgs/JointState", "name"),
+        ("sensor_msgs/MultiDOFJointState", "joint_names"),
+        ("trajectory_msgs/JointTrajectory", "joint_names"),
+        ("trajectory_msgs/MultiDOFJointTrajectory", "joint_names"),
+    ],
+)
 def test_names_in_a_fixed_order_have_no_pseudonyms(name: str, field: str) -> None:
     """The third joint of a robot is the third for every receiver."""
     assert f"{field}: clear" in rules(name, identity="pseudonym")
@@ -97,8 +110,10 @@ def test_names_in_a_fixed_order_have_no_pseudonyms(name: str, field: str) -> Non
 @pytest.mark.parametrize("word", ["position", "movement"])
 def test_goals_are_not_counted(word: str) -> None:
     assert {"status_list: clear"} <= set(rules("actionlib_msgs/GoalStatusArray", **{word: "no"}))
-    layout = parse("acme_msgs/Goals", "actionlib_msgs/GoalID[] goals\n" + "=" * 80 +
-                   "\nMSG: actionlib_msgs/GoalID\ntime stamp\nstring id")  # fmt: skip
+    layout = parse(
+        "acme_msgs/Goals",
+        "actionlib_msgs/GoalID[] goals\n" + "=" * 80 + "\nMSG: actionlib_msgs/GoalID\ntime stamp\nstring id",
+    )
     said = {DataWord(word): "no", DataWord.IDENTITY: NO}
     described = describe(layout, here={"goals": Content.REQUEST})
     assert "goals: clear" in map(str, resolve(layout, described, said).rules)
@@ -111,8 +126,9 @@ def test_a_path_keeps_its_order_when_frames_have_pseudonyms() -> None:
 
 
 def test_an_array_of_fixed_length_is_not_sorted() -> None:
-    layout = parse("acme_msgs/Pair", "Part[2] parts\n" + "=" * 80 + "\nMSG: acme_msgs/Part\n"
-                   "string name\nfloat64 value")  # fmt: skip
+    layout = parse(
+        "acme_msgs/Pair", "Part[2] parts\n" + "=" * 80 + "\nMSG: acme_msgs/Part\nstring name\nfloat64 value"
+    )
     own = {"acme_msgs/Part": {"name": Content.NAME, "value": Content.READING}}
     found = resolve(layout, describe(layout, own), {DataWord.IDENTITY: "pseudonym"})
     assert [rule.path for rule in found.rules] == ["parts[*].name"]
@@ -120,9 +136,7 @@ def test_an_array_of_fixed_length_is_not_sorted() -> None:
 
 def test_a_picture_stays_one_that_can_be_read() -> None:
     assert "data: zero" in rules("sensor_msgs/Image", image="no")
-    assert "data: pixelate across 16 block 32 levels 8" in rules(
-        "sensor_msgs/Image", image="blurred"
-    )
+    assert "data: pixelate across 16 block 32 levels 8" in rules("sensor_msgs/Image", image="blurred")
 
 
 def test_what_cannot_be_blurred_is_hidden() -> None:
@@ -198,9 +212,7 @@ def check_coarser_is_a_function_of_finer(
 
 
 @pytest.mark.parametrize(("word", "finer", "coarser"), PAIRS)
-def test_a_level_lets_through_no_more_than_the_one_before(
-    word: DataWord, finer: str, coarser: str
-) -> None:
+def test_a_level_lets_through_no_more_than_the_one_before(word: DataWord, finer: str, coarser: str) -> None:
     for name in TYPES:
         check_coarser_is_a_function_of_finer(name, word, finer, coarser, sum(name.encode()))
 
@@ -256,17 +268,31 @@ def test_nothing_in_the_message_gives_a_level_away(word: DataWord, level: str) -
 
 @settings(max_examples=100)
 @given(st.sampled_from(TYPES), st.sampled_from(LEVEL_PAIRS), NUMBERS, NUMBERS)
-def test_in_any_message_neither(
-    name: str, pair: tuple[DataWord, str], seed: int, other: int
-) -> None:
+def test_in_any_message_neither(name: str, pair: tuple[DataWord, str], seed: int, other: int) -> None:
     check_nothing_gives_it_away(name, *pair, [seed, other])
 
 
 @pytest.mark.parametrize(
     "part",
-    ["orientation", "rotation", "quaternion", "theta", "linear", "angular", "twist", "covariance",
-     "velocity", "ranges", "intensities", "stamp", "seq", "effort", "accel", "magnetic_field"],
-)  # fmt: skip
+    [
+        "orientation",
+        "rotation",
+        "quaternion",
+        "theta",
+        "linear",
+        "angular",
+        "twist",
+        "covariance",
+        "velocity",
+        "ranges",
+        "intensities",
+        "stamp",
+        "seq",
+        "effort",
+        "accel",
+        "magnetic_field",
+    ],
+)
 def test_a_field_by_this_name_never_stays_beside_a_coarse_position(part: str) -> None:
     """By names, not by the table: a slip in it would be found."""
     seen = 0

@@ -11,12 +11,8 @@ from grants.errors import FilterRefused
 from grants.filters.layout import parse
 from grants.model import FilterRule, Restriction
 from grants.vocabulary.assess import assess
-from grants.vocabulary.contents import Content
-from grants.vocabulary.describe import describe
-from grants.vocabulary.levels import Treatment
-from grants.vocabulary.resolve import resolve
-from grants.vocabulary.rooms import OPERATOR, in_rooms, plan_treatment, smallest
-from grants.vocabulary.words import DataWord
+from grants.vocabulary.contents import Content, DataWord, describe
+from grants.vocabulary.levels import OPERATOR, Treatment, in_rooms, plan_treatment, resolve, smallest
 from tests.grants.vocabulary.layouts import layout_of
 from tests.grants.vocabulary.made import NOW, Maker, guard_of
 
@@ -101,9 +97,7 @@ def test_a_plan_of_strips_is_refused() -> None:
 
 @settings(max_examples=60)
 @given(st.integers(0, 2**32), st.integers(0, 2**32), st.booleans())
-def test_two_places_in_a_room_are_the_same_to_the_receiver(
-    one: int, other: int, in_hall: bool
-) -> None:
+def test_two_places_in_a_room_are_the_same_to_the_receiver(one: int, other: int, in_hall: bool) -> None:
     """Whatever else the two messages say that tells a position."""
     layout = layout_of(POSE)
     found = resolve(layout, describe(layout), ROOM, PLAN)
@@ -115,8 +109,6 @@ def test_two_places_in_a_room_are_the_same_to_the_receiver(
         x, y = low + seed % 1000 / 1000 * 3.8, 0.1 + seed % 777 / 777 * 2.8
         return made[:at] + struct.pack("<2d", x, y) + made[at + 16 :]
 
-    first, second = (
-        b"".join(guard_of(layout, found)(message(seed), NOW) or ()) for seed in (one, other)
-    )
+    first, second = (b"".join(guard_of(layout, found)(message(seed), NOW) or ()) for seed in (one, other))
     assert first == second
     assert first != message(one)

@@ -4,19 +4,15 @@ import math
 
 import pytest
 
-from grants.vocabulary.assess import Seen
-from grants.vocabulary.sentences import HIDDEN, SAID, TOPICS, details, seen, sentence
-from grants.vocabulary.words import EXACT, LEVELS, NO, DataWord
+from grants.vocabulary.assess import HIDDEN, SAID, TOPICS, Seen, details, seen, sentence
+from grants.vocabulary.contents import EXACT, LEVELS, NO, DataWord
 
 P, M, PICTURE = DataWord.POSITION, DataWord.MOVEMENT, DataWord.IMAGE
 
 
 def test_every_word_and_level_is_said() -> None:
     between = {
-        (word, level)
-        for word, levels in LEVELS.items()
-        for level in levels
-        if level not in (EXACT, NO)
+        (word, level) for word, levels in LEVELS.items() for level in levels if level not in (EXACT, NO)
     }
     assert set(SAID) == between
     assert set(TOPICS) == set(DataWord)
@@ -41,9 +37,7 @@ def test_a_word_at_a_level(one: Seen, said: str) -> None:
 
 
 def test_a_sentence_has_all_words() -> None:
-    assert sentence([Seen(P, "room", 4.0), Seen(M, NO)]) == (
-        "where it is: the room; not how it moves"
-    )
+    assert sentence([Seen(P, "room", 4.0), Seen(M, NO)]) == ("where it is: the room; not how it moves")
     assert sentence([]) == ""
 
 

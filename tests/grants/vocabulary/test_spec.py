@@ -1,6 +1,6 @@
 """The specification has the tables of the code, and every word and level."""
 
-from grants.vocabulary.words import LEVELS
+from grants.vocabulary.contents import LEVELS
 from tools.vocabulary import SPEC, TABLES, written
 
 TEXT = SPEC.read_text()

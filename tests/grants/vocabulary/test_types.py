@@ -8,9 +8,7 @@ import importlib
 import pytest
 
 from grants.filters.layout import Layout, parse
-from grants.vocabulary.contents import Content
-from grants.vocabulary.describe import describe
-from grants.vocabulary.types import TYPES
+from grants.vocabulary.contents import TYPES, Content, describe
 from tests.grants.vocabulary.layouts import PACKAGES, STANDARD, layout_of
 
 KNOWN_HERE = sorted(TYPES)

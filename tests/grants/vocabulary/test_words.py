@@ -2,7 +2,7 @@
 
 import pytest
 
-from grants.vocabulary.words import EXACT, LEVELS, NO, DataWord, rank
+from grants.vocabulary.contents import EXACT, LEVELS, NO, DataWord, rank
 
 
 def test_every_word_has_levels_that_begin_with_exact() -> None:

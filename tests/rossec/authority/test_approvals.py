@@ -8,7 +8,7 @@ import pytest
 
 from ca.errors import HintedError, RecordUnusable, SignatureError, StoreError
 from grants.errors import GrantForged
-from grants.filters.presets import PRESETS
+from grants.filters.compile import PRESETS
 from grants.model import Right
 from grants.policy.model import Subject
 from grants.request import GrantRequest, RequestedRight, sign_request
@@ -65,10 +65,7 @@ def test_what_the_policy_allows_is_signed(place: Place) -> None:
     queue = place.queue()
     queue.add_request(place.request(POSE, RequestedRight(Right.PUBLISH, "/toast"), DOOR))
     approvals = queue.pending()  # the door is denied, and answered
-    assert [str(item.stored.requested) for item in approvals] == [
-        "subscribe /pose",
-        "publish /toast",
-    ]
+    assert [str(item.stored.requested) for item in approvals] == ["subscribe /pose", "publish /toast"]
     ((draft, data),) = queue.sign(place.authority, approvals, lambda verdict: verdict, "policy")
     assert (draft.subject, len(draft.permissions)) == ("/toaster", 2)
     assert place.authority.store.grants()[-1].data == data
@@ -99,9 +96,7 @@ def test_a_person_denies_a_request(place: Place) -> None:
     assert queue.pending() == []
 
 
-def test_a_node_that_asks_for_too_much_is_denied(
-    place: Place, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_node_that_asks_for_too_much_is_denied(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_PENDING", 2)
     queue = place.queue()
     for _ in range(4):
@@ -249,8 +244,10 @@ def test_what_the_policy_allows_by_itself_is_recorded_with_its_rules(place: Plac
     queue.add_request(place.request(POSE, LIFT))
     made = queue.sign(place.authority, queue.pending(), lambda verdict: verdict, "policy")
     store = place.authority.store
-    rules = {draft.permissions[0].pattern: store.policy_grants().get(row.id, "")
-             for (draft, _), row in zip(made, store.grants(), strict=True)}  # fmt: skip
+    rules = {
+        draft.permissions[0].pattern: store.policy_grants().get(row.id, "")
+        for (draft, _), row in zip(made, store.grants(), strict=True)
+    }
     assert rules == {"/pose": "a", "/lift": ""}
     assert made[0][0].not_before < place.now
     queue.close()

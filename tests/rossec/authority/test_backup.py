@@ -16,14 +16,13 @@ from ca.errors import (
     RevocationRefused,
     StoreError,
 )
-from ca.revocation.state import open_list
-from ca.revocation.tree import TreeEntries, is_tree
+from ca.revocation.lists import TreeEntries, is_tree, open_list
 from rossec import files
 from rossec.authority import backup as backups
 from rossec.authority.backup import back_up, restore
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
-from rossec.authority.keyservice.lock import LOCK, service_lock
+from rossec.authority.keyservice.client import LOCK, service_lock
 from rossec.errors import ConfigurationError
 from tests.support import approving, passkeys
 from tests.support.commands import PASSPHRASE, Shell, refused
@@ -73,9 +72,7 @@ def test_a_restore_ends_passkeys_and_what_waits(home: AuthorityHome, tmp_path: P
     device = passkeys.Passkey()
     with closing(home.store()) as store:
         store.passkeys.add(approving.registered(device, at=NOW))
-        waits, late = (
-            approving.approve(store, id=id_ * 16, device=device, at=NOW) for id_ in (b"1", b"2")
-        )
+        waits, late = (approving.approve(store, id=id_ * 16, device=device, at=NOW) for id_ in (b"1", b"2"))
         store.approvals.add(waits)
         data = back_up(home, PASSPHRASE)
         store.approvals.add(late)
@@ -219,14 +216,10 @@ def test_the_command_line_backs_up_and_restores(shell: Shell, tmp_path: Path) ->
     done = shell.unlocked(*over, "--list", str(newest))
     assert "1 revocations newer than the backup were taken over" in done.out
     assert "was revoked after the backup" not in done.err
-    again = shell.unlocked(
-        "ca", "restore", target, "--over", "home", "--forget", "3", "--without-list"
-    )
+    again = shell.unlocked("ca", "restore", target, "--over", "home", "--forget", "3", "--without-list")
     assert "what was revoked after the backup is valid again" in again.err
     newest.write_bytes(AuthorityHome.at(shell.root).revocation_list())
-    empty = shell.unlocked(
-        "ca", "restore", target, "--over", "home", "--forget", "3", "--list", str(newest)
-    )
+    empty = shell.unlocked("ca", "restore", target, "--over", "home", "--forget", "3", "--list", str(newest))
     assert empty.code == 0
     assert "1 revocations newer than the backup were taken over" in empty.out
     assert shell("ca", "log", "verify").code == 0
@@ -266,10 +259,7 @@ def test_the_entries_beside_a_tree_are_found(
     over = (*plain, "--forget", forget, "--list", str(kept / "revocations.cose"))
     refused(shell.unlocked(*over), "a tree", "--entries")
     (kept / "other").write_bytes(home.newest_statement()[1])
-    refused(
-        shell.unlocked(*over, "--entries", str(shell.secret)),
-        "not the entries of a revocation tree",
-    )
+    refused(shell.unlocked(*over, "--entries", str(shell.secret)), "not the entries of a revocation tree")
     (kept / "other").rename(kept / "revocations.entries")
     done = shell.unlocked(*over)
     assert "1 revocations newer than the backup" in done.out
@@ -312,9 +302,7 @@ def test_the_audit_of_the_service_is_not_in_a_backup(home: AuthorityHome, tmp_pa
     with service_lock(home.path):
         data = back_up(home, PASSPHRASE)
     restored = restore(tmp_path / "elsewhere", data, PASSPHRASE, NOW).home
-    assert not {"audit.log", "audit.log.1", "service.lock"} & {
-        path.name for path in restored.path.iterdir()
-    }
+    assert not {"audit.log", "audit.log.1", "service.lock"} & {path.name for path in restored.path.iterdir()}
 
 
 def test_invitations_end(home: AuthorityHome, tmp_path: Path) -> None:

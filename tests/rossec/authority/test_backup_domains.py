@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.anchors import Anchors
-from ca.domains.lists import DomainList, ForeignDomain
+from ca.domains.trust import Anchors, DomainList, ForeignDomain
 from ca.errors import DomainsRefused
 from rossec.authority.backup import Restored, back_up, restore
 from rossec.authority.home import AuthorityHome
@@ -27,7 +26,7 @@ class Trusting:
         self.cafe = foreign(Site.create("cafe"), "cafe")
         self.place = root / "new"
         for each in (self.hospital, self.cafe):
-            self.service.accept_domain(each)
+            self.service.domains.accept(each)
         self.backup = back_up(self.home, PASSPHRASE)
 
     def list(self) -> bytes:
@@ -50,7 +49,7 @@ def content(home: AuthorityHome) -> tuple[DomainList, list[ForeignDomain]]:
 
 @pytest.fixture
 def trusting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Trusting:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     return Trusting(tmp_path)
 
 
@@ -66,11 +65,11 @@ def test_without_a_newer_list_no_domain_is_trusted(trusting: Trusting) -> None:
 
 
 def test_a_newer_list_says_what_was_done_since(trusting: Trusting) -> None:
-    trusting.service.remove_domain("hospital", "", revoke_grants=False)
+    trusting.service.domains.remove("hospital", "", revoke_grants=False)
     office = foreign(Site.create("office"), "hospital")  # its label was free
     narrower = dataclasses.replace(trusting.cafe, admitted=("/a",))
-    trusting.service.accept_domain(office)
-    trusting.service.accept_domain(narrower)
+    trusting.service.domains.accept(office)
+    trusting.service.domains.accept(narrower)
     done = trusting.restore(trusting.list())
     assert done.ended_domains == 1
     listed, held = content(done.home)
@@ -86,7 +85,7 @@ def test_the_same_list_changes_nothing(trusting: Trusting) -> None:
 
 def test_an_older_or_foreign_list_is_refused(trusting: Trusting) -> None:
     old = trusting.list()
-    trusting.service.remove_domain("cafe", "", revoke_grants=False)
+    trusting.service.domains.remove("cafe", "", revoke_grants=False)
     trusting.backup = back_up(trusting.home, PASSPHRASE)
     with pytest.raises(DomainsRefused, match="older than the backup"):
         trusting.restore(old)
@@ -98,31 +97,20 @@ def test_an_older_or_foreign_list_is_refused(trusting: Trusting) -> None:
 def test_a_record_that_never_had_domains_signs_no_list(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)
     home = AuthorityHome.create(tmp_path / "home", "home", PASSPHRASE, NOW)
     done = restore(tmp_path / "new", back_up(home, PASSPHRASE), PASSPHRASE, NOW)
     assert (done.ended_domains, done.home.domain_list()) == (0, None)
 
 
-def test_the_command_says_what_is_trusted_no_more(
-    empty: Shell, trusting: Trusting, tmp_path: Path
-) -> None:
+def test_the_command_says_what_is_trusted_no_more(empty: Shell, trusting: Trusting, tmp_path: Path) -> None:
     file, newest = tmp_path / "b", tmp_path / "domains.cose"
     file.write_bytes(trusting.backup)
     newest.write_bytes(trusting.list())
     said = empty.unlocked("ca", "restore", str(file), "--without-list")
     assert "2 domains are trusted no more: see rossec domain list --all" in said.err
     assert len(empty("domain", "list", "--all").out.splitlines()) == 2
-    again = (
-        "ca",
-        "restore",
-        str(file),
-        "--without-list",
-        "--over",
-        "home",
-        "--domains",
-        str(newest),
-    )
+    again = ("ca", "restore", str(file), "--without-list", "--over", "home", "--domains", str(newest))
     lost = len(empty("ca", "log").out.splitlines()) - trusting_entries(trusting)
     said = empty.unlocked(*again, "--forget", str(lost))
     assert said.code == 0, said

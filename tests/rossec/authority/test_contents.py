@@ -3,20 +3,42 @@ from pathlib import Path
 import pytest
 
 from ca.errors import BackupRefused, PathRefused
-from rossec.authority import contents
+from rossec.authority import backup
 from rossec.authority.keyservice import messages
 
 KEPT = [
-    "ca.key", "ca.uri", "ca.pem", "ca.db", "revocations.entries", "intermediate.pem",
-    "intermediate.csr", "policy.yaml", "inbox/ab12.request", "outgoing/ab12.grant",
-    "delegations/ab12.cose", "node/node.key", "node/node.csr", "node/node.pem", "node/ca.pem",
-    "node/revocations.cose", "node/domains.cose", "node/foreign/hospital.example.cose",
+    "ca.key",
+    "ca.uri",
+    "ca.pem",
+    "ca.db",
+    "revocations.entries",
+    "intermediate.pem",
+    "intermediate.csr",
+    "policy.yaml",
+    "inbox/ab12.request",
+    "outgoing/ab12.grant",
+    "delegations/ab12.cose",
+    "node/node.key",
+    "node/node.csr",
+    "node/node.pem",
+    "node/ca.pem",
+    "node/revocations.cose",
+    "node/domains.cose",
+    "node/foreign/hospital.example.cose",
     "node/filters/ward.key",
-]  # fmt: skip
+]
 NOT_KEPT = [
-    "ca.db-wal", "ca.db-shm", "audit.log", "audit.log.1.gz", "service.lock", "console/lock",
-    "console/address", "console/tls.key", "console/tls.pem", "node/grants/ab12.grant",
-]  # fmt: skip
+    "ca.db-wal",
+    "ca.db-shm",
+    "audit.log",
+    "audit.log.1.gz",
+    "service.lock",
+    "console/lock",
+    "console/address",
+    "console/tls.key",
+    "console/tls.pem",
+    "node/grants/ab12.grant",
+]
 
 
 def filled(directory: Path, *names: str) -> Path:
@@ -30,55 +52,57 @@ def filled(directory: Path, *names: str) -> Path:
 
 @pytest.mark.parametrize("name", KEPT)
 def test_each_of_these_is_in_a_backup_once(name: str, tmp_path: Path) -> None:
-    assert [each.kept for each in contents.OWNED if each.names(name)] == [True]
+    assert [each.kept for each in backup.OWNED if each.names(name)] == [True]
     content = {} if name == "ca.db" else {name: name.encode()}  # the record is a snapshot
-    assert contents.kept(filled(tmp_path, name)) == content
-    assert contents.restorable({name: b"x"}) == ({name: b"x"}, [])
+    assert backup.kept(filled(tmp_path, name)) == content
+    assert backup.restorable({name: b"x"}) == ({name: b"x"}, [])
     public = name.endswith(".pem")
-    assert contents.mode(name) == (0o644 if public else 0o600)
+    assert backup.mode(name) == (0o644 if public else 0o600)
 
 
 @pytest.mark.parametrize("name", NOT_KEPT)
 def test_these_are_declared_and_stay_out(name: str, tmp_path: Path) -> None:
-    assert [each.kept for each in contents.OWNED if each.names(name)] == [False]
+    assert [each.kept for each in backup.OWNED if each.names(name)] == [False]
     filled(tmp_path, name)
-    assert (contents.kept(tmp_path), contents.undeclared(tmp_path)) == ({}, [])
-    assert contents.restorable({name: b"x"}) == ({}, [name])
+    assert (backup.kept(tmp_path), backup.undeclared(tmp_path)) == ({}, [])
+    assert backup.restorable({name: b"x"}) == ({}, [name])
 
 
 def test_what_nobody_declares_is_named_and_not_taken_along(tmp_path: Path) -> None:
     filled(tmp_path, "notes.txt", "node/node.key.bak", ".ca.key.0123", "policy.yaml")
-    assert contents.undeclared(tmp_path) == ["node/node.key.bak", "notes.txt"]
-    assert list(contents.kept(tmp_path)) == ["policy.yaml"]
+    assert backup.undeclared(tmp_path) == ["node/node.key.bak", "notes.txt"]
+    assert list(backup.kept(tmp_path)) == ["policy.yaml"]
 
 
 def test_a_backup_of_an_older_version_may_have_more_in_its_places() -> None:
     content = {"ca.pem": b"", "policy.yaml.bak": b"", "inbox/x": b""}
-    assert contents.restorable(content) == ({"ca.pem": b""}, ["inbox/x", "policy.yaml.bak"])
+    assert backup.restorable(content) == ({"ca.pem": b""}, ["inbox/x", "policy.yaml.bak"])
 
 
 @pytest.mark.parametrize("name", ["a/b", "console/x", "node/foreign/x", "outgoing/x.key"])
 def test_other_places_are_refused(name: str) -> None:
     with pytest.raises(BackupRefused, match="is not a file of an authority"):
-        contents.restorable({name: b""})
+        backup.restorable({name: b""})
 
 
 def test_a_link_is_followed_for_the_policy_alone(tmp_path: Path) -> None:
     filled(tmp_path, "elsewhere/mine.yaml")
     home = filled(tmp_path / "ca", "ca.pem")
     (home / "policy.yaml").symlink_to(tmp_path / "elsewhere" / "mine.yaml")
-    assert contents.kept(home)["policy.yaml"] == b"elsewhere/mine.yaml"
+    assert backup.kept(home)["policy.yaml"] == b"elsewhere/mine.yaml"
     (home / "ca.key").symlink_to(tmp_path / "elsewhere" / "mine.yaml")
     with pytest.raises(PathRefused, match="is a symbolic link"):
-        contents.kept(home)
+        backup.kept(home)
 
 
 def test_what_an_older_one_would_undo_stays(tmp_path: Path) -> None:
     filled(tmp_path, *KEPT)
-    assert set(contents.staying(tmp_path)) == {
-        "policy.yaml", "node/revocations.cose", "node/domains.cose",
+    assert set(backup.staying(tmp_path)) == {
+        "policy.yaml",
+        "node/revocations.cose",
+        "node/domains.cose",
         "node/foreign/hospital.example.cose",
-    }  # fmt: skip
+    }
 
 
 def test_sockets_are_no_files(tmp_path: Path) -> None:
@@ -86,4 +110,4 @@ def test_sockets_are_no_files(tmp_path: Path) -> None:
 
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(tmp_path / messages.SOCKET))
-        assert contents.undeclared(tmp_path) == []
+        assert backup.undeclared(tmp_path) == []

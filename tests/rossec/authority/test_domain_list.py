@@ -3,10 +3,9 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.anchors import Anchors
-from ca.domains.lists import open_domains
-from ca.keys.publickey import to_coordinates
-from rossec.authority import domain_list
+from ca.domains.trust import Anchors, open_domains
+from ca.keys.signing import to_coordinates
+from rossec.authority import signing
 from tests.support import trust
 from tests.support.site import DAY, Site
 
@@ -41,7 +40,7 @@ def hospital(tmp_path: Path, clock: Clock) -> Iterator[Site]:
 
 
 def is_due(site: Site) -> bool:
-    return domain_list.is_due(site.authority.store, site.anchor, site.now())
+    return signing.is_domain_list_due(site.authority.store, site.anchor, site.now())
 
 
 def keys(site: Site, *names: str) -> tuple[bytes, ...]:
@@ -67,15 +66,13 @@ def test_a_second_master_makes_a_list_of_the_keys_of_both(home: Site) -> None:
     home.authority.store.log.audit(home.anchor.public_key)
 
 
-def test_the_keys_of_masters_that_are_revoked_or_over_leave_the_list(
-    home: Site, clock: Clock
-) -> None:
+def test_the_keys_of_masters_that_are_revoked_or_over_leave_the_list(home: Site, clock: Clock) -> None:
     home.enroll("/master", 10 * DAY)
     home.enroll("/master/attic", 10 * DAY)
     home.enroll("/master/kitchen", 2 * DAY)
     home.revoke(home.identity("/master/attic").thumbprint)
     home.authority.refresh_list(home.now())
-    assert domain_list.required_masters(home.authority.store, home.now()) == keys(
+    assert signing.required_masters(home.authority.store, home.now()) == keys(
         home, "/master", "/master/kitchen"
     )
     expected = keys(home, "/master")
@@ -92,7 +89,7 @@ def test_an_accepted_domain_is_listed_until_its_time_is_over(
     data = trust.accept(home, hospital, "clinic", lifetime=DAY)
     (entry,) = open_domains(data, home.anchor).domains
     assert (entry.domain, entry.label, entry.until) == ("hospital", "clinic", home.now() + DAY)
-    assert domain_list.required_domains(home.authority.store, home.now()) == (entry,)
+    assert signing.required_domains(home.authority.store, home.now()) == (entry,)
     assert not is_due(home)
     clock.at += DAY
     assert is_due(home)
@@ -113,18 +110,18 @@ def test_a_removed_domain_is_cut_by_the_next_list(home: Site, hospital: Site) ->
 
 def test_an_old_list_is_signed_anew(home: Site, hospital: Site, clock: Clock) -> None:
     trust.accept(home, hospital, lifetime=100 * DAY)
-    clock.at += domain_list.REFRESH
+    clock.at += signing.DOMAIN_LIST_REFRESH
     assert not is_due(home)
     clock.at += 1
     assert is_due(home)
     home.authority.refresh_list(home.now())
     listed = open_domains(home.authority.store.domains.newest_list(), home.anchor)
-    assert (listed.seq, listed.expires) == (2, home.now() + domain_list.LIFETIME)
+    assert (listed.seq, listed.expires) == (2, home.now() + signing.DOMAIN_LIST_LIFETIME)
 
 
 def test_a_new_epoch_beats_every_list_before(home: Site, hospital: Site) -> None:
     before = open_domains(trust.accept(home, hospital), home.anchor)
-    listed = domain_list.sign(
+    listed = signing.sign_domain_list(
         home.authority.authority, home.authority.store, home.now(), new_epoch=True
     )
     assert listed.number > (before.epoch, 1 << 40)

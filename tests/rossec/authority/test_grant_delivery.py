@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from ca.revocation.state import open_statement
+from ca.revocation.trust_status import open_statement
 from grants import document
 from grants.model import Draft, Permission, Right
-from rossec.authority import grant_delivery as module
-from rossec.authority.grant_delivery import RefusedDeposit, require_delivered
-from rossec.authority.master_call import MasterCall
+from rossec.authority import grant_operations as module
+from rossec.authority.grant_operations import RefusedDeposit, require_delivered
 from rossec.authority.service import AuthorityService
+from rossec.authority.session import StatementCall
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 from tests.rossec.authority.test_service import DAY, Office
@@ -32,7 +32,7 @@ class Delivering(Office):
     def opened(self) -> AuthorityService:
         return AuthorityService(self.root, self._passphrase, self.respond, lambda: self.now)
 
-    def respond(self, call: MasterCall) -> object:
+    def respond(self, call: StatementCall) -> object:
         self._deliver(call)
         if call.method == "rossec.revocationStanding":
             return self.said_of_its_list()
@@ -66,7 +66,7 @@ class Delivering(Office):
 
     def grant(self, name: str = "/robot", lifetime: int = DAY, renewal: int = 0) -> bytes:
         permissions = (Permission("/p", Right.PUBLISH),)
-        _, data = self.service.sign_grant(name, permissions, lifetime, renewal)
+        _, data = self.service.grants.sign(name, permissions, lifetime, renewal)
         return data
 
     def move_away(self, name: str) -> None:
@@ -78,17 +78,17 @@ class Delivering(Office):
 
 @pytest.fixture
 def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Delivering:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     return Delivering(tmp_path / "office")
 
 
 def test_a_grant_is_stored_for_a_node_of_this_home_only(office: Delivering) -> None:
     data = office.grant()
-    path = office.service.store_grant(data)
+    path = office.service.grants.store(data)
     assert path == NodeHome.of(office.root, "/robot").path
     assert NodeHome.of(office.root, "/robot").grants() == [data]
     office.move_away("/robot")
-    assert office.service.store_grant(data) is None
+    assert office.service.grants.store(data) is None
     assert office.calls == []
 
 
@@ -99,7 +99,7 @@ def test_grants_are_deposited_and_those_of_this_home_stored_too(office: Deliveri
     office.refuses = {two: "no more\x1b room"}
     asked = office.asked
     office.service.close()
-    refused = office.service.deposit([one, two])
+    refused = office.service.grants.deposit([one, two])
     assert [(each.grant_id, each.node) for each in refused] == [(document.grant_id(two), "/camera")]
     assert refused[0].reason.isprintable(), "it is another host's text"
     assert office.made("rossec.depositGrants") == [[one, two]]
@@ -115,33 +115,35 @@ def test_grants_are_deposited_in_calls_that_the_master_takes(
 ) -> None:
     grants = [office.grant() for _ in range(5)]
     monkeypatch.setattr(module, "DEPOSIT_LIMIT", 2)
-    assert office.service.deposit(iter(grants)) == []
+    assert office.service.grants.deposit(iter(grants)) == []
     assert office.made("rossec.depositGrants") == [grants[:2], grants[2:4], grants[4:]]
     office.calls.clear()
     monkeypatch.setattr(module, "DEPOSIT_BYTES", len(grants[0]) + 1)
-    office.service.deposit(grants[:2])
+    office.service.grants.deposit(grants[:2])
     assert office.made("rossec.depositGrants") == [grants[:1], grants[1:2]]
     office.calls.clear()
-    assert office.service.deposit([]) == []
+    assert office.service.grants.deposit([]) == []
     assert office.calls == []
 
 
-def test_states_are_asked_of_the_grants_in_force(
-    office: Delivering, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_states_are_asked_of_the_grants_in_force(office: Delivering, monkeypatch: pytest.MonkeyPatch) -> None:
     office.enroll("/lost")
     held, ended, renewable, revoked, lost = (
-        office.grant(), office.grant(lifetime=60), office.grant(lifetime=60, renewal=DAY),
-        office.grant(), office.grant("/lost"),
-    )  # fmt: skip
-    office.service.revoke_grant(document.grant_id(revoked).hex(), "a test")
-    office.service.revoke_identity("/lost", "a test")
+        office.grant(),
+        office.grant(lifetime=60),
+        office.grant(lifetime=60, renewal=DAY),
+        office.grant(),
+        office.grant("/lost"),
+    )
+    office.service.grants.revoke(document.grant_id(revoked).hex(), "a test")
+    office.service.identities.revoke("/lost", "a test")
     office.now += 60
     office.states = {document.grant_id(held): "held"}
     monkeypatch.setattr(module, "STATES_LIMIT", 1)
-    assert office.service.delivery_states() == {
-        document.grant_id(held): "held", document.grant_id(renewable): "",
-    }  # fmt: skip
+    assert office.service.grants.delivery_states() == {
+        document.grant_id(held): "held",
+        document.grant_id(renewable): "",
+    }
     holder = document.peek(held).holder
     assert office.made("rossec.deliveryStates") == [
         [document.grant_id(data) + holder] for data in (held, renewable)
@@ -154,16 +156,14 @@ def test_what_the_master_does_not_have_is_deposited(office: Delivering) -> None:
     one, two, three = office.grant(), office.grant(), office.grant()
     office.states = {document.grant_id(one): "fetched"}
     office.refuses = {three: "too many"}
-    count, (refused,) = office.service.deposit_missing()
+    count, (refused,) = office.service.grants.deposit_missing()
     assert count == 1
-    assert refused._replace(hint="") == RefusedDeposit(
-        document.grant_id(three), "/robot", "too many"
-    )
+    assert refused._replace(hint="") == RefusedDeposit(document.grant_id(three), "/robot", "too many")
     assert refused.hint.endswith("rossec grant deliver")
     assert office.made("rossec.depositGrants") == [[two, three]]
     office.refuses = {}
-    assert office.service.deposit_missing() == (1, [])
-    assert office.service.deposit_missing() == (0, [])
+    assert office.service.grants.deposit_missing() == (1, [])
+    assert office.service.grants.deposit_missing() == (0, [])
 
 
 @pytest.mark.parametrize("answer", [[], ["", ""], [7], "text", 5])
@@ -171,7 +171,7 @@ def test_an_answer_that_does_not_fit_is_an_error(office: Delivering, answer: obj
     office.grant()
     office.answer = answer
     with pytest.raises(NotDelivered, match="about the grant is malformed") as error:
-        office.service.delivery_states()
+        office.service.grants.delivery_states()
     assert "rossec grant deliver" in error.value.hint
 
 
@@ -179,11 +179,11 @@ def test_without_a_master_what_is_here_is_stored_all_the_same(office: Delivering
     data = office.grant()
     office.reachable = False
     with pytest.raises(NotDelivered) as error:
-        office.service.deposit([data])
+        office.service.grants.deposit([data])
     assert "rossec grant deliver" in error.value.hint
     assert office.robot.grants() == [data]
     with pytest.raises(NotDelivered):
-        office.service.deposit_missing()
+        office.service.grants.deposit_missing()
 
 
 def test_grants_for_other_domains_are_kept_to_be_carried(office: Delivering) -> None:
@@ -191,11 +191,11 @@ def test_grants_for_other_domains_are_kept_to_be_carried(office: Delivering) -> 
     foreign = replace(document.peek(own), subject="/remote/hospital/rounds/robot3")
     draft = Draft(**{each.name: getattr(foreign, each.name) for each in fields(Draft)})
     data = office.service.unlock().issue_grant(draft, foreign.not_before)
-    assert office.service.deposit([data, own]) == []
+    assert office.service.grants.deposit([data, own]) == []
     assert office.made("rossec.depositGrants") == [[own]]
-    (file,) = office.service.outgoing.iterdir()
+    (file,) = office.service.grants.outgoing.iterdir()
     assert file.read_bytes() == data
-    assert office.service.deposit_missing() == (0, [])
+    assert office.service.grants.deposit_missing() == (0, [])
 
 
 def test_a_master_that_lacks_the_list_is_given_it_and_asked_again(office: Delivering) -> None:
@@ -204,31 +204,27 @@ def test_a_master_that_lacks_the_list_is_given_it_and_asked_again(office: Delive
     data, other = office.grant(), office.grant("/camera")
     office.lacks = True
     office.refuses = {other: "no room"}
-    (refused,) = office.service.deposit([data, other])
+    (refused,) = office.service.grants.deposit([data, other])
     assert (refused.node, refused.reason) == ("/camera", "no room")
     assert office.states == {document.grant_id(data): "waiting"}
-    assert office.methods() == [
-        "depositGrants", "revocationStanding", "updateRevocations", "depositGrants",
-    ]  # fmt: skip
+    assert office.methods() == ["depositGrants", "revocationStanding", "updateRevocations", "depositGrants"]
     office.calls.clear()
-    assert len(office.service.deposit([other])) == 1
+    assert len(office.service.grants.deposit([other])) == 1
     assert "updateRevocations" not in office.methods(), "it has the list: that is not the reason"
 
 
 @pytest.mark.parametrize("said", [{}, {"list": 5}, "1.1", [], {"list": "1.1 "}])
-def test_an_unclear_answer_about_the_list_is_answered_with_it(
-    office: Delivering, said: object
-) -> None:
+def test_an_unclear_answer_about_the_list_is_answered_with_it(office: Delivering, said: object) -> None:
     data = office.grant()
     office.lacks, office.standing = True, said
-    assert office.service.deposit([data]) == []
+    assert office.service.grants.deposit([data]) == []
 
 
 def test_an_older_master_is_not_asked_again(office: Delivering) -> None:
     """The operator reads what to do."""
     data = office.grant()
     office.lacks, office.standing = True, NotDelivered("no such method", "rossec ca publish")
-    (refused,) = office.service.deposit([data])
+    (refused,) = office.service.grants.deposit([data])
     assert refused.hint == "rossec ca publish; afterwards deliver it with: rossec grant deliver"
     assert "updateRevocations" not in office.methods()
 
@@ -237,7 +233,7 @@ def test_a_list_that_has_expired_is_to_be_signed_first(office: Delivering) -> No
     data = office.grant(lifetime=200 * DAY)
     office.lacks = True
     office.now += 100 * DAY
-    (refused,) = office.service.deposit([data])
+    (refused,) = office.service.grants.deposit([data])
     assert refused.hint == "rossec ca refresh; afterwards deliver it with: rossec grant deliver"
     with pytest.raises(NotDelivered, match="1 grant is signed, but not delivered") as caught:
         require_delivered([refused])

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from grants.model import Permission, Right
-from rossec.authority.grantable import check_own_names, check_tail
+from rossec.authority.signing import check_own_names, check_tail
 from rossec.errors import ConfigurationError
 from tests.grants.authority import draft
 from tests.support.site import Site

@@ -6,14 +6,13 @@ import pytest
 
 from ca.certificates import to_pem
 from ca.errors import DomainsRefused, PassphraseRefused, RevocationRefused, TokenRefused
-from ca.keys.hsm import KeyUri
+from ca.keys.private_keys import KeyUri
 from ca.names import is_reserved
-from ca.revocation.state import open_list
-from ca.revocation.tree import TreeEntries, open_tree
-from ca.store.approval_replay import RESTORED
+from ca.revocation.lists import TreeEntries, open_list, open_tree
+from ca.store.log import RESTORED
 from ca.store.record import Store
 from grants.renewal import open_delegation
-from rossec.authority import token_modules
+from rossec.authority import home as token_modules
 from rossec.authority.home import ENTRIES, AuthorityHome, fingerprint
 from rossec.authority.signing import OWN_NODE, delegations
 from rossec.errors import ConfigurationError
@@ -49,11 +48,7 @@ def test_a_second_one_in_the_same_place_is_refused(home: AuthorityHome) -> None:
 
 @pytest.mark.parametrize(
     "step",
-    [
-        "ca.store.record.Store.create",
-        "ca.keys.key_files.write_private",
-        "rossec.files.commit_directory",
-    ],
+    ["ca.store.record.Store.create", "ca.keys.private_keys.write_private", "rossec.files.commit_directory"],
 )
 def test_an_interrupted_beginning_never_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
@@ -141,7 +136,7 @@ def test_the_entries_of_a_tree_are_in_the_record_or_beside_it(
     def older(*_: object) -> NoReturn:
         raise RevocationRefused("written by an older version")
 
-    monkeypatch.setattr("rossec.authority.list_contents.tree_entries", older)
+    monkeypatch.setattr("rossec.authority.signing.tree_entries", older)
     with pytest.raises(ConfigurationError, match="the entries of the tree are missing"):
         copy.newest_statement()[1]
     (copy.path / ENTRIES).write_bytes(entries)
@@ -149,9 +144,7 @@ def test_the_entries_of_a_tree_are_in_the_record_or_beside_it(
     assert copy.newest_statement()[1] == entries
 
 
-def test_grants_are_renewed_while_each_master_has_confirmed_to_have_the_leave(
-    tmp_path: Path,
-) -> None:
+def test_grants_are_renewed_while_each_master_has_confirmed_to_have_the_leave(tmp_path: Path) -> None:
     """What was only signed, is another key's or is revoked renews nothing."""
     site = RunningSite(tmp_path, clock=lambda: NOW)
     (tmp_path / "ca.pem").write_bytes(to_pem(site.anchor.certificate))

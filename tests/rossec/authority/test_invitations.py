@@ -3,19 +3,12 @@ from pathlib import Path
 
 import pytest
 
-from ca.enrollment.join_messages import RefuseReason
+from ca.enrollment.join import RefuseReason
 from ca.errors import NameRefused, PatternRefused
-from ca.revocation.state import open_list
-from ca.things.statement import sign_statement
+from ca.revocation.lists import open_list
+from ca.things.constrained_nodes import sign_statement
 from rossec.authority.home import AuthorityHome
-from rossec.authority.invitations import (
-    InvitationStatus,
-    end,
-    find,
-    invitations,
-    invite,
-    revoke_nodes,
-)
+from rossec.authority.invitations import InvitationStatus, end, find, invitations, invite, revoke_nodes
 from rossec.errors import ConfigurationError
 from tests.support.joining import HOUR, JoinSite, issued, refusal
 from tests.support.pki import NOW, new_signer

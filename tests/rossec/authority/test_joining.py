@@ -3,16 +3,16 @@ from pathlib import Path
 
 import pytest
 
-from ca.enrollment.join_messages import Refused, RefuseReason, Waiting, WaitReason
-from ca.enrollment.join_transcript import sign_proof
+from ca.enrollment.invitation import sign_proof
+from ca.enrollment.join import RefusedMessage, RefuseReason, WaitingMessage, WaitReason
 from ca.errors import RecordUnusable
-from ca.requests import check_request
-from ca.store.lifecycle import RequestState
-from rossec.authority.joining import MAX_WAITING, allowed_pattern, join, join_locked
+from ca.store.values import RequestState
+from ca.svid import check_request
+from rossec.authority.invitations import MAX_WAITING, allowed_pattern, join, join_locked
 from tests.support.joining import HOUR, JoinSite, asked, issued, refusal
 from tests.support.pki import NOW, new_signer
 
-LOCKED, PERSON = Waiting(WaitReason.LOCKED), Waiting(WaitReason.PERSON)
+LOCKED, PERSON = WaitingMessage(WaitReason.LOCKED), WaitingMessage(WaitReason.PERSON)
 
 
 @pytest.fixture
@@ -177,7 +177,7 @@ def test_the_requests_that_wait_are_bounded(home: JoinSite) -> None:
 
 
 def test_the_record_is_full_of_requests(home: JoinSite, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ca.store.requests.MAX_OPEN", 0)
+    monkeypatch.setattr("ca.store.identities.MAX_OPEN", 0)
     code = home.invite()
     assert refusal(home.join(code)) is RefuseReason.BUSY
     assert uses(home, code.id) == []
@@ -207,17 +207,15 @@ def test_while_the_authority_is_locked(home: JoinSite) -> None:
     assert join_locked(home.store, request, NOW + HOUR + 1) == LOCKED
 
 
-def test_metadata_are_looked_at_for_who_proves_an_invitation_that_is_open_or_was_used(
-    home: JoinSite,
-) -> None:
+def test_metadata_are_looked_at_for_who_proves_an_invitation_that_is_open_or_was_used(home: JoinSite) -> None:
     code, store = home.invite(uses=2), home.store
     request = home.request(code, asked("/fleet/a"))
     assert allowed_pattern(store, request, NOW) == "/fleet/*"
     unproved = replace(request, metadata=b"<node/>")
-    assert allowed_pattern(store, unproved, NOW) == Refused(RefuseReason.REFUSED)
+    assert allowed_pattern(store, unproved, NOW) == RefusedMessage(RefuseReason.REFUSED)
     unknown = replace(request, invitation=bytes(32))
-    assert allowed_pattern(store, unknown, NOW) == Refused(RefuseReason.REFUSED)
+    assert allowed_pattern(store, unknown, NOW) == RefusedMessage(RefuseReason.REFUSED)
     late = NOW + 2 * HOUR
-    assert allowed_pattern(store, request, late) == Refused(RefuseReason.ENDED)
+    assert allowed_pattern(store, request, late) == RefusedMessage(RefuseReason.ENDED)
     join(home.authority, request, NOW)
     assert allowed_pattern(store, request, late) == "/fleet/*"

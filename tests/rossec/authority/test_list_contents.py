@@ -7,11 +7,10 @@ from pathlib import Path
 import pytest
 
 from ca.errors import RecordUnusable, RevocationRefused
-from ca.revocation.state import RevocationList, sign_list
-from ca.revocation.tree import open_tree
+from ca.revocation.lists import RevocationList, open_tree, sign_list
 from grants import document
 from grants.model import Draft, Permission, Right
-from rossec.authority import list_contents
+from rossec.authority import signing
 from rossec.authority.home import ENTRIES, AuthorityHome
 from rossec.authority.signing import SigningAuthority
 from rossec.errors import ConfigurationError
@@ -32,7 +31,7 @@ def opened(home: AuthorityHome) -> SigningAuthority:
 
 
 def missing(opened: SigningAuthority, now: int = NOW) -> frozenset[bytes]:
-    return list_contents.missing_entries(opened.store, opened.signer.public_key, now)
+    return signing.missing_entries(opened.store, opened.signer.public_key, now)
 
 
 def lose(opened: SigningAuthority, entry: bytes) -> None:
@@ -104,10 +103,10 @@ def test_the_entries_of_a_tree_are_in_the_record(
     opened.revoke(KEY, "", NOW)
     tree = open_tree(home.revocation_list(), home.own_key())
     before = home.newest_statement()[1]
-    assert list_contents.tree_entries(opened.store, tree).entries == {KEY}
+    assert signing.tree_entries(opened.store, tree).entries == {KEY}
     opened.store.revoke(OTHER, "killed before it signed", NOW)
     with pytest.raises(RevocationRefused, match="are not those of the signed tree"):
-        list_contents.tree_entries(opened.store, tree)
+        signing.tree_entries(opened.store, tree)
     assert missing(opened) == {KEY, OTHER}
     with pytest.raises(ConfigurationError, match="the entries of the tree are missing"):
         home.newest_statement()[1]

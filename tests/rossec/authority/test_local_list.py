@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.lists import open_domains
-from ca.revocation.state import open_list
-from ca.revocation.tree import TreeEntries, is_tree, open_tree
+from ca.domains.trust import open_domains
+from ca.revocation.lists import TreeEntries, is_tree, open_list, open_tree
 from rossec.authority.home import AuthorityHome
 from rossec.authority.local_list import LocalList
 from rossec.errors import NotWritten
@@ -67,9 +66,7 @@ def test_a_tree_comes_with_its_entries(shell: Shell, monkeypatch: pytest.MonkeyP
     TreeEntries.read(found[1]).check(open_tree(found[0], key))
 
 
-def test_what_could_not_be_read_is_read_again(
-    shell: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_could_not_be_read_is_read_again(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     """Else who fills the disk for a moment keeps a revocation from the master for good."""
     local_list = LocalList(shell.root)
     local_list.newest()

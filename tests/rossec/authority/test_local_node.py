@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from ca.authority import LIFETIME
-from rossec.authority.home import AuthorityHome
-from rossec.authority.local_node import check_new, enroll_here
+from rossec.authority.home import AuthorityHome, check_new, enroll_here
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER

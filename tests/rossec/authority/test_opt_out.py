@@ -7,8 +7,7 @@ import pytest
 from ca.errors import StoreError
 from grants import document
 from grants.model import Draft, Permission, Right
-from rossec.authority.opt_out import add_denial, revoke_shown
-from rossec.authority.policyfile import PolicyFile
+from rossec.authority.policyfile import PolicyFile, add_denial, revoke_shown
 from rossec.authority.signing import SigningAuthority
 from rossec.errors import ConfigurationError
 from tests.support.site import Site
@@ -36,9 +35,7 @@ def policy(tmp_path: Path) -> PolicyFile:
 
 def grant(site: Site, name: str, *permissions: Permission, expires: int = NOW + DAY) -> bytes:
     holder = site.authority.store.valid_certificate(name, NOW).thumbprint
-    draft = Draft(
-        "home", name, holder, NOW - 60, expires, NOW + DAY, name.encode().ljust(16), permissions
-    )
+    draft = Draft("home", name, holder, NOW - 60, expires, NOW + DAY, name.encode().ljust(16), permissions)
     site.authority.issue_grant(draft, NOW)
     return site.authority.store.grants()[-1].id
 
@@ -100,9 +97,7 @@ def test_all_grants_are_revoked_or_none(
     assert site.authority.store.revoked_entries() == frozenset()
 
 
-def test_what_is_left_of_a_grant_of_the_policy_is_of_the_policy(
-    site: Site, policy: PolicyFile
-) -> None:
+def test_what_is_left_of_a_grant_of_the_policy_is_of_the_policy(site: Site, policy: PolicyFile) -> None:
     holder = site.authority.store.valid_certificate("/viewer", NOW).thumbprint
     draft = Draft("home", "/viewer", holder, NOW, NOW + DAY, NOW + DAY, bytes(16), (SEES, OTHER))
     site.authority.issue_grant(draft, NOW, "rule")

@@ -9,15 +9,17 @@ import pytest
 from ca.errors import StoreError
 from grants import document
 from grants.policy.difference import Moment
-from rossec.authority.policy_apply import (
+from rossec.authority.policyfile import (
+    PlanOptions,
+    PolicyFile,
+    PolicyPlan,
     grant_outright,
+    make_plan,
     revoke_planned,
     sign_each,
     sign_planned,
     take_away,
 )
-from rossec.authority.policy_plan import PlanOptions, PolicyPlan, make_plan
-from rossec.authority.policyfile import PolicyFile
 from rossec.authority.signing import SKEW, SigningAuthority
 from rossec.errors import AuthorityLocked, ConfigurationError
 from tests.support.refusals import refuse_to_sign_for
@@ -156,9 +158,7 @@ def test_a_node_for_which_nothing_can_be_signed_keeps_none_of_the_others(
     assert left.revoke == ()
 
 
-def test_refusals_about_the_key_are_of_all(
-    applied: Applied, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_refusals_about_the_key_are_of_all(applied: Applied, monkeypatch: pytest.MonkeyPatch) -> None:
     def locked(*_: object) -> NoReturn:
         raise AuthorityLocked("the key is locked")
 

@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 
 from ca.errors import HintedError
-from ca.revocation.state import open_statement
+from ca.revocation.trust_status import open_statement
 from grants import document
 from grants.model import Right
 from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, read_policy
-from rossec.authority.service import AuthorityService, MasterCall
+from rossec.authority.service import AuthorityService
+from rossec.authority.session import StatementCall
 from rossec.errors import ConfigurationError, NotDelivered
 from rossec.home import NodeHome
 
@@ -50,7 +51,7 @@ class Office:
     def enroll(self, root: Path, name: str) -> NodeHome:
         node = NodeHome.of(root, name)
         node.create_request("home")
-        bundle = self.service.issue(
+        bundle = self.service.identities.issue(
             node.request(), 30 * DAY, replace_key=None, wildcard=False, source="a test"
         )
         node.install(bundle, self.now)
@@ -59,7 +60,7 @@ class Office:
     def write(self, text: str) -> None:
         (self.root / "ca" / "policy.yaml").write_text(text)
 
-    def _deliver(self, call: MasterCall) -> object:
+    def _deliver(self, call: StatementCall) -> object:
         if not self.reachable:
             raise NotDelivered(f"no master for {call.what}", call.hint)
         if call.method == "rossec.revocationStanding":  # it has the newest list
@@ -78,8 +79,8 @@ class Office:
     def apply(self) -> list[str]:
         """What is reported."""
         said: list[str] = []
-        plan = self.service.plan_policy(read_policy(self.root, None))
-        self.service.apply_policy(plan, said.append)
+        plan = self.service.policy.plan(read_policy(self.root, None))
+        self.service.policy.apply(plan, said.append)
         return said
 
     def asked(self, *names: str) -> PolicyFile:
@@ -89,16 +90,16 @@ class Office:
         wanted = tuple(RequestedRight(Right.CALL, name) for name in names)
         made = GrantRequest("home", "/there", self.now, secrets.token_bytes(16), wanted, "please")
         data = sign_request(self.there.credentials().signer, made)
-        assert self.service.collect_grant_requests(policy, [data]) == []
+        assert self.service.policy.collect_requests(policy, [data]) == []
         return policy
 
     def is_done(self) -> bool:
-        return self.service.plan_policy(read_policy(self.root, None)).is_empty
+        return self.service.policy.plan(read_policy(self.root, None)).is_empty
 
 
 @pytest.fixture
 def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Office]:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     made = Office(tmp_path / "office")
     with closing(made.service):
         yield made
@@ -117,9 +118,7 @@ def test_new_grants_are_delivered_before_the_old_are_revoked(office: Office) -> 
     office.calls.clear()
     office.write(CHANGED)
     assert office.apply() == ["signed: 2", "revoked: 2 (list 2)", "the master has the new list"]
-    assert office.calls == [
-        "rossec.deliveryStates", "rossec.depositGrants", "rossec.updateRevocations",
-    ]  # fmt: skip
+    assert office.calls == ["rossec.deliveryStates", "rossec.depositGrants", "rossec.updateRevocations"]
     assert len(office.known) == 5
 
 
@@ -132,10 +131,8 @@ def test_without_a_master_all_is_signed_and_revoked_here(office: Office) -> None
         office.apply()
     assert office.is_done()
     office.reachable = True
-    office.service.complete_policy()
-    assert office.calls == [
-        "rossec.deliveryStates", "rossec.depositGrants", "rossec.updateRevocations",
-    ]  # fmt: skip
+    office.service.policy.complete()
+    assert office.calls == ["rossec.deliveryStates", "rossec.depositGrants", "rossec.updateRevocations"]
     assert len(office.known) == 3
 
 
@@ -150,17 +147,17 @@ def test_a_file_that_is_missing_is_written_again(office: Office) -> None:
     office.apply()
     for path in office.here.grant_files():
         path.unlink()
-    office.service.complete_policy()
+    office.service.policy.complete()
     assert len(office.here.grants()) == 2
     office.now += 8 * DAY  # what has ended is of no use
     for path in office.here.grant_files():
         path.unlink()
-    office.service.complete_policy()
+    office.service.policy.complete()
     assert office.here.grants() == []
 
 
 def test_before_a_policy_was_applied_there_is_nothing_to_complete(office: Office) -> None:
-    office.service.complete_policy()
+    office.service.policy.complete()
     assert office.calls == []
 
 
@@ -182,21 +179,21 @@ def test_a_delivery_that_fails_holds_no_revocation_back(office: Office, error: E
 def test_a_plan_that_only_revokes_is_not_carried_out_by_another_policy(office: Office) -> None:
     office.apply()
     office.write("rossec: 1\nrobot: r\nrules: []\n")
-    plan = office.service.plan_policy(read_policy(office.root, None))
+    plan = office.service.policy.plan(read_policy(office.root, None))
     office.write(POLICY)
     with pytest.raises(ConfigurationError, match="changed"):
-        office.service.apply_policy(plan)
+        office.service.policy.apply(plan)
     assert office.is_done(), "nothing was revoked"
 
 
 def test_a_new_identity_gets_what_the_policy_gives_it(office: Office) -> None:
-    (signed,) = office.service.grant_outright("/there")
+    (signed,) = office.service.policy.grant_outright("/there")
     assert signed[0].subject == "/there"
-    assert office.service.grant_outright("/there") == []
+    assert office.service.policy.grant_outright("/there") == []
     assert office.calls == []  # delivering is a step of its own
     office.write("rossec: 1\n")
     with pytest.raises(HintedError):
-        office.service.grant_outright("/here")
+        office.service.policy.grant_outright("/here")
 
 
 def test_a_new_identity_gets_nothing_by_a_policy_whose_tests_do_not_hold(office: Office) -> None:
@@ -204,20 +201,18 @@ def test_a_new_identity_gets_nothing_by_a_policy_whose_tests_do_not_hold(office:
     text = (office.root / "ca" / "policy.yaml").read_text()
     office.write(f"{text}tests: [{{who: /there, may_not: {{subscribe: /pose}}}}]\n")
     with pytest.raises(HintedError, match="the test does not hold"):
-        office.service.grant_outright("/there")
+        office.service.policy.grant_outright("/there")
     office.write(f"{text}tests: [{{who: /there, may: {{subscribe: /pose}}}}]\n")
-    assert len(office.service.grant_outright("/there")) == 1
+    assert len(office.service.policy.grant_outright("/there")) == 1
 
 
-def test_what_a_new_identity_gets_is_in_the_policy_that_was_given(
-    office: Office, tmp_path: Path
-) -> None:
+def test_what_a_new_identity_gets_is_in_the_policy_that_was_given(office: Office, tmp_path: Path) -> None:
     (tmp_path / "given.yaml").write_text("rossec: 1\nrobot: r\nrules: []\n")
-    assert office.service.grant_outright("/there", place=tmp_path / "given.yaml") == []
-    assert office.service.grant_outright("/there", place=tmp_path / "none.yaml") == []
-    assert len(office.service.grant_outright("/there")) == 1
+    assert office.service.policy.grant_outright("/there", place=tmp_path / "given.yaml") == []
+    assert office.service.policy.grant_outright("/there", place=tmp_path / "none.yaml") == []
+    assert len(office.service.policy.grant_outright("/there")) == 1
     (office.root / "ca" / "policy.yaml").unlink()
-    assert office.service.grant_outright("/here") == []
+    assert office.service.policy.grant_outright("/here") == []
 
 
 def test_what_the_master_renews_is_not_signed_again(office: Office) -> None:
@@ -225,58 +220,60 @@ def test_what_the_master_renews_is_not_signed_again(office: Office) -> None:
     office.apply()
     master = office.enroll(office.root / "other", "/master")
     office.now = NOW + 10 * DAY
-    plan = office.service.plan_policy(read_policy(office.root, None))
+    plan = office.service.policy.plan(read_policy(office.root, None))
     assert plan.signs == 3
 
     def renews() -> tuple[int, bool]:
-        plan = office.service.plan_policy(read_policy(office.root, None))
+        plan = office.service.policy.plan(read_policy(office.root, None))
         return plan.signs, plan.moment.renews
 
-    delegation, call = office.service.delegate(DAY * 30, 3600)
+    delegation, call = office.service.grants.delegate(DAY * 30, 3600)
     assert renews() == (3, False), "it was signed, but the master does not have it"
     office.reachable = False
     with pytest.raises(NotDelivered):
-        office.service.deliver_delegation(delegation, call)
+        office.service.grants.deliver_delegation(delegation, call)
     assert renews() == (3, False)
     office.reachable = True
-    office.service.deliver_delegation(delegation, call)
+    office.service.grants.deliver_delegation(delegation, call)
     assert renews() == (1, True)
     office.enroll(office.root / "other", "/master/kitchen")
     assert renews() == (3, False), "a node that asks the other master gets no renewal"
-    office.service.deliver_delegation(*office.service.delegate(DAY * 3, 3600, "/master/kitchen"))
+    office.service.grants.deliver_delegation(
+        *office.service.grants.delegate(DAY * 3, 3600, "/master/kitchen")
+    )
     assert renews() == (1, True)
     office.now += 4 * DAY
     assert renews() == (3, False), "the delegation of one of them has ended"
     office.now -= 4 * DAY
-    office.service.revoke_delegations("test")
-    assert not office.service.plan_policy(read_policy(office.root, None)).moment.renews
+    office.service.grants.revoke_delegations("test")
+    assert not office.service.policy.plan(read_policy(office.root, None)).moment.renews
     assert master.path.is_dir()
 
 
 def test_options_reach_the_plan(office: Office) -> None:
     policy = PolicyFile.read(office.root / "ca" / "policy.yaml")
-    plan = office.service.plan_policy(policy, ["/here"], renew_due=True, prune=True)
+    plan = office.service.policy.plan(policy, ["/here"], renew_due=True, prune=True)
     assert [node.subject.name for node in plan.nodes] == ["/here"]
     assert (plan.moment.renew_due, plan.options.prune) == (True, True)
 
 
 def test_a_person_approves_what_waits_and_the_policy_decides_the_rest(office: Office) -> None:
     policy = office.asked("/lift", "/window")
-    decided = office.service.decide_grants(policy)
+    decided = office.service.policy.decide(policy)
     assert (decided.grants, decided.allowed, decided.waiting) == ([], 0, 1)
     assert [each.stored.requested.pattern for each in decided.denied] == ["/window"]
-    (waiting,) = office.service.pending_grants(policy)
+    (waiting,) = office.service.policy.pending(policy)
     beginning = waiting.stored.request.id.hex()[:8]
-    ((draft, _),) = office.service.approve_grants(policy, beginning, lambda verdict: verdict)
+    ((draft, _),) = office.service.policy.approve(policy, beginning, lambda verdict: verdict)
     assert [permission.pattern for permission in draft.permissions] == ["/lift"]
-    assert office.service.pending_grants(policy) == []
-    assert office.service.decide_grants(policy) == ([], 0, 0, [])
+    assert office.service.policy.pending(policy) == []
+    assert office.service.policy.decide(policy) == ([], 0, 0, [])
 
 
 def test_what_the_policy_allows_is_signed_when_it_is_asked_for(office: Office) -> None:
     office.asked("/lift")
     office.write(POLICY + PROMPT.replace("prompt", "allow"))
-    decided = office.service.decide_grants(read_policy(office.root, None))
+    decided = office.service.policy.decide(read_policy(office.root, None))
     assert (len(decided.grants), decided.allowed, decided.waiting) == (1, 1, 0)
 
 
@@ -285,38 +282,38 @@ def test_nothing_asked_for_is_signed_by_a_policy_whose_tests_do_not_hold(office:
     allowing = POLICY + PROMPT.replace("prompt", "allow")
     office.write(f"{allowing}tests: [{{who: /there, may_not: {{call: /lift}}}}]\n")
     with pytest.raises(HintedError, match="the test does not hold"):
-        office.service.decide_grants(read_policy(office.root, None))
+        office.service.policy.decide(read_policy(office.root, None))
     office.write(allowing)
-    assert len(office.service.decide_grants(read_policy(office.root, None)).grants) == 1
+    assert len(office.service.policy.decide(read_policy(office.root, None)).grants) == 1
 
 
 def test_a_person_denies_all_rights_of_a_request(office: Office) -> None:
     policy = office.asked("/lift", "/door")
-    (first, second) = office.service.pending_grants(policy)
-    denied = office.service.deny_grants(policy, first.stored.request.id.hex())
+    (first, second) = office.service.policy.pending(policy)
+    denied = office.service.policy.deny(policy, first.stored.request.id.hex())
     assert denied == [first, second]
-    assert office.service.pending_grants(policy) == []
+    assert office.service.policy.pending(policy) == []
 
 
 def test_an_invalid_file_in_the_inbox_is_reported(office: Office) -> None:
     inbox = office.root / "ca" / "inbox"
     inbox.mkdir(exist_ok=True)
     (inbox / "bad.request").write_bytes(b"nonsense")
-    (error,) = office.service.collect_grant_requests(read_policy(office.root, None))
+    (error,) = office.service.policy.collect_requests(read_policy(office.root, None))
     assert error.startswith("bad.request: ")
 
 
 def test_opting_out_changes_the_policy_and_revokes_what_shows_it(office: Office) -> None:
     office.apply()
-    opted_out = office.service.opt_out(read_policy(office.root, None), "/pose")
+    opted_out = office.service.policy.opt_out(read_policy(office.root, None), "/pose")
     assert opted_out.rule == "opt-out-pose"
-    revoked = office.service.revoke_opted_out(opted_out)
+    revoked = office.service.policy.revoke_opted_out(opted_out)
     assert {grant.subject for grant, _ in revoked} == {"/here", "/there"}
-    assert office.service.revoke_opted_out(opted_out) == []
+    assert office.service.policy.revoke_opted_out(opted_out) == []
 
 
 def test_opting_out_of_a_node_that_is_enrolled_needs_no_option(office: Office) -> None:
     office.apply()
-    opted_out = office.service.opt_out(read_policy(office.root, None), "/there")
-    ((grant, _),) = office.service.revoke_opted_out(opted_out)
+    opted_out = office.service.policy.opt_out(read_policy(office.root, None), "/there")
+    ((grant, _),) = office.service.policy.revoke_opted_out(opted_out)
     assert grant.subject == "/there"

@@ -14,9 +14,9 @@ def test_a_grant_that_the_master_refuses_is_reported(office: Office) -> None:
     office.write(POLICY.replace('"*"', "/there").replace("/here", "/there"))
     office.answer = lambda _: "too many"
     said: list[str] = []
-    plan = office.service.plan_policy(read_policy(office.root, None))
+    plan = office.service.policy.plan(read_policy(office.root, None))
     with pytest.raises(NotDelivered, match="2 grants are signed, but not delivered") as caught:
-        office.service.apply_policy(plan, said.append)
+        office.service.policy.apply(plan, said.append)
     assert "rossec grant deliver" in caught.value.hint
     assert said == [
         "signed: 2",
@@ -25,14 +25,12 @@ def test_a_grant_that_the_master_refuses_is_reported(office: Office) -> None:
     ]
     office.known.clear()
     with pytest.raises(NotDelivered):
-        office.service.complete_policy()
+        office.service.policy.complete()
     office.answer = lambda _: ""
-    office.service.complete_policy()
+    office.service.policy.complete()
 
 
-def test_what_the_master_had_no_room_for_is_deposited_after_the_revocation(
-    office: Office,
-) -> None:
+def test_what_the_master_had_no_room_for_is_deposited_after_the_revocation(office: Office) -> None:
     office.apply()
     office.write(CHANGED)
 

@@ -9,9 +9,8 @@ from ca.revocation.lists import MAX_ENTRIES
 from grants import document
 from grants.model import Draft, Grant, Permission, Right
 from grants.policy.difference import Moment
-from rossec.authority import policy_plan as module
-from rossec.authority.policy_plan import PlanOptions, PolicyPlan, make_plan
-from rossec.authority.policyfile import PolicyFile
+from rossec.authority import policyfile as module
+from rossec.authority.policyfile import PlanOptions, PolicyFile, PolicyPlan, make_plan
 from rossec.authority.signing import SKEW
 from rossec.home import NodeHome
 from tests.support.site import DAY, Site
@@ -39,9 +38,7 @@ def policy(site: Site, text: str = POLICY) -> PolicyFile:
     return PolicyFile.read(path)
 
 
-def plan(
-    site: Site, text: str = POLICY, options: PlanOptions | None = None, later: int = 0
-) -> PolicyPlan:
+def plan(site: Site, text: str = POLICY, options: PlanOptions | None = None, later: int = 0) -> PolicyPlan:
     moment = Moment(NOW + later, SKEW)
     return make_plan(site.authority.store, policy(site, text), options or PlanOptions(), moment)
 
@@ -52,8 +49,16 @@ def sign(site: Site, made: PolicyPlan, now: int = NOW) -> list[Grant]:
 
 
 def by_hand(site: Site, name: str, *permissions: Permission, expires: int = NOW + DAY) -> Grant:
-    draft = Draft("home", name, site.identity(name).thumbprint, NOW - SKEW, expires, NOW + 2 * DAY,
-                  name.encode().ljust(16), permissions)  # fmt: skip
+    draft = Draft(
+        "home",
+        name,
+        site.identity(name).thumbprint,
+        NOW - SKEW,
+        expires,
+        NOW + 2 * DAY,
+        name.encode().ljust(16),
+        permissions,
+    )
     return document.peek(site.authority.issue_grant(draft, NOW))
 
 
@@ -63,9 +68,7 @@ def test_every_node_but_the_trusted_ones_gets_its_rights(site: Site) -> None:
     assert (made.signs, made.revoke, made.ends) == (2, (), NOW + DAY)
     grants = sign(site, made)
     assert [grant.subject for grant in grants] == ["/robot", "/viewer"]
-    assert grants[0].permissions == (
-        Permission("/pose", Right.SUBSCRIBE), Permission("/odom", Right.PUBLISH),
-    )  # fmt: skip
+    assert grants[0].permissions == (Permission("/pose", Right.SUBSCRIBE), Permission("/odom", Right.PUBLISH))
     times = (grants[0].not_before, grants[0].expires, grants[0].cap)
     assert times == (NOW - SKEW, NOW + DAY, NOW + DAY)
     again = plan(site)
@@ -114,15 +117,11 @@ def test_grants_by_hand_are_pruned_but_for_the_rest(site: Site) -> None:
     assert pruned.contradictions == ()
     assert (set(pruned.revoke), pruned.signs, pruned.listed) == ({mixed, bare}, 1, 2)
     ((draft, rules),) = pruned.drafts("home", NOW, lambda: bytes(16))
-    assert (draft.permissions, draft.expires, draft.cap, rules) == (
-        (led,), mixed.expires, mixed.cap, "",
-    )  # fmt: skip
+    assert (draft.permissions, draft.expires, draft.cap, rules) == ((led,), mixed.expires, mixed.cap, "")
     assert list(pruned.drafts("home", mixed.expires, lambda: bytes(16))) == []
 
 
-def test_the_list_is_measured_before_anything_is_signed(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_list_is_measured_before_anything_is_signed(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     sign(site, plan(site))
     less = POLICY.replace(", publish: [/odom]", "")
     made = plan(site, less)

@@ -104,9 +104,7 @@ def test_a_rewritten_policy_keeps_its_mode_and_owner(tmp_path: Path, mode: int) 
     before = path.stat()
     PolicyFile.read(path).replace(TEXT.replace("robot: r", "robot: s"))
     after = path.stat()
-    assert (after.st_mode, after.st_uid, after.st_gid) == (
-        before.st_mode, before.st_uid, before.st_gid,
-    )  # fmt: skip
+    assert (after.st_mode, after.st_uid, after.st_gid) == (before.st_mode, before.st_uid, before.st_gid)
     new = tmp_path / "new.yaml"
     PolicyFile(new, TEXT, PolicyFile.read(path).policy).replace(TEXT)
     assert new.stat().st_mode & 0o777 == 0o644

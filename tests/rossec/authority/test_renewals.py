@@ -4,13 +4,12 @@ from pathlib import Path
 import pytest
 
 from ca.authority import Authority
-from ca.certificates import build_request, check_request, from_pem, to_pem
+from ca.certificates import build_intermediate_request, from_pem, sign_renewal, to_pem
 from ca.errors import KeyChanged, RenewalRefused, RequestClosed, Revoked, StoreError
-from ca.intermediates import build_intermediate_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.renewal import sign_renewal
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
 from ca.store.record import Store
+from ca.svid import build_request, check_request
 from rossec.authority.home import OWN_LIFETIME, AuthorityHome
 from rossec.authority.renewals import (
     INTERMEDIATE_LIFETIME,
@@ -80,8 +79,9 @@ def test_one_renewal_one_answer(site: Site) -> None:
     first = renew(site.authority, asked, LATER)
     assert renew(site.authority, asked, LATER + 100) == first
     assert len(site.authority.store.identities.by_name("/robot")) == 2
-    site.authority.revoke(check_request(build_request(key, "home", "/robot"), "home").thumbprint,
-                          "lost", LATER)  # fmt: skip
+    site.authority.revoke(
+        check_request(build_request(key, "home", "/robot"), "home").thumbprint, "lost", LATER
+    )
     with pytest.raises(RequestClosed, match="that identity is invalid or differs"):
         renew(site.authority, asked, LATER + 100)
 
@@ -115,9 +115,7 @@ def test_an_intermediate_renews_whom_it_never_saw(site: Site) -> None:
 
 def test_an_intermediate_is_recorded_and_revoked_by_name(site: Site) -> None:
     name, host = below(site)
-    assert (
-        site.authority.store.valid_certificate(name, NOW).not_after == NOW + INTERMEDIATE_LIFETIME
-    )
+    assert site.authority.store.valid_certificate(name, NOW).not_after == NOW + INTERMEDIATE_LIFETIME
     listed, count = site.authority.revoke_identity(name, "stolen", NOW)
     assert (set(listed.entries), count) == ({host.authority.issuer.thumbprint}, 1)
     site.authority.store.log.audit(site.authority.signer.public_key)
@@ -213,9 +211,8 @@ def test_bundles_with_an_intermediate_install(site: Site) -> None:
     home = site.enroll("/robot", LIFE)
     _, host = below(site)
     der = host.authority.reissue(
-        site.identity("/robot"), site.identity("/robot").public_key,
-        now=NOW, serial=secrets.randbits(127),
-    )  # fmt: skip
+        site.identity("/robot"), site.identity("/robot").public_key, now=NOW, serial=secrets.randbits(127)
+    )
     home.install(host.bundle(der), NOW)
     assert home.credentials().chain == (der, *host.authority.chain)
     assert home.identity(NOW).issuers == (host.authority.issuer.thumbprint,)
@@ -265,9 +262,7 @@ def test_what_cannot_be_imported(site: Site) -> None:
         import_identity(site.authority, bundle, NOW)
 
 
-def test_an_intermediate_that_is_not_in_the_record_vouches_for_nobody(
-    site: Site, tmp_path: Path
-) -> None:
+def test_an_intermediate_that_is_not_in_the_record_vouches_for_nobody(site: Site, tmp_path: Path) -> None:
     _, host = below(site, may_enroll=True)
     path = tmp_path / "older"
     path.mkdir()

@@ -7,7 +7,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.errors import StoreError
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner
 from ca.store.database import Database
 from ca.store.record import Store
 from grants.model import Right
@@ -38,11 +38,7 @@ def test_a_request_is_answered_wish_by_wish(path: Path) -> None:
     box = opened(path)
     box.add(ASKED, DATA, NOW + 5)
     first, second = box.unanswered()
-    assert (first.request, first.at, [first.requested, second.requested]) == (
-        ASKED,
-        NOW + 5,
-        list(RIGHTS),
-    )
+    assert (first.request, first.at, [first.requested, second.requested]) == (ASKED, NOW + 5, list(RIGHTS))
     assert first.short_id == ASKED.id.hex()[:8]
     box.answer(first, "granted", "policy", NOW)
     assert box.unanswered() == [second]

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import BackupRefused, DomainsRefused, RevocationRefused
-from ca.revocation.state import Revocations
+from ca.revocation.trust_status import Revocations
 from rossec.authority import restored_lists
 from rossec.authority.restored_lists import NewerLists
 from rossec.authority.signing import SigningAuthority
@@ -29,10 +29,7 @@ def listed(authority: SigningAuthority) -> bytes:
 def test_a_list_says_what_is_revoked_and_its_epoch(authority: SigningAuthority) -> None:
     anchor = authority.authority.anchor
     authority.revoke(ONE, "", NOW)
-    assert restored_lists.read_revoked(listed(authority), None, anchor) == (
-        frozenset({ONE}),
-        1,
-    )
+    assert restored_lists.read_revoked(listed(authority), None, anchor) == (frozenset({ONE}), 1)
     assert restored_lists.read_revoked(None, None, anchor) == (frozenset(), 0)
     with pytest.raises(RevocationRefused):
         restored_lists.read_revoked(b"rubbish", None, anchor)
@@ -117,9 +114,7 @@ def test_the_newest_list_here_is_named(
     assert restored_lists.newest_here(home, anchor) == tree / "revocations.cose"
 
 
-def test_a_master_of_the_record_is_where_the_newest_is(
-    authority: SigningAuthority, tmp_path: Path
-) -> None:
+def test_a_master_of_the_record_is_where_the_newest_is(authority: SigningAuthority, tmp_path: Path) -> None:
     node = NodeHome.of(tmp_path / "other", "/master/beta")
     node.create_request(authority.domain)
     authority.issue(node.request(), NOW, 60)

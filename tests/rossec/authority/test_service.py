@@ -7,14 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from ca.certificates import check_request, from_pem
+from ca.certificates import build_intermediate_request, from_pem
 from ca.errors import KeyChanged, PassphraseRefused, RequestClosed, StoreError
-from ca.intermediates import build_intermediate_request
-from ca.keys import key_files
-from ca.keys.signer import KeySigner
+from ca.keys import private_keys
+from ca.keys.signing import KeySigner
 from ca.revocation.lists import open_list
-from ca.store.lifecycle import RequestState
-from ca.store.log_entries import open_head
+from ca.store.values import RequestState, open_head
+from ca.svid import check_request
 from grants import document
 from grants.errors import GrantForged
 from grants.model import Permission, Right
@@ -22,7 +21,8 @@ from grants.renewal import MIN_TICKET, open_delegation
 from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority.home import OWN_LIFETIME, AuthorityHome
 from rossec.authority.policyfile import PolicyFile
-from rossec.authority.service import AuthorityService, MasterCall
+from rossec.authority.service import AuthorityService
+from rossec.authority.session import StatementCall
 from rossec.errors import AuthorityLocked, ConfigurationError, NotDelivered
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
@@ -49,7 +49,7 @@ class Office:
         self.now = NOW
         self.asked = 0
         self.secret = SECRET
-        self.calls: list[MasterCall] = []
+        self.calls: list[StatementCall] = []
         self.reachable = True
         self.home = AuthorityHome.create(root, "home", SECRET, NOW)
         self.service = self.opened()
@@ -62,7 +62,7 @@ class Office:
         self.asked += 1
         return self.secret
 
-    def _deliver(self, call: MasterCall) -> None:
+    def _deliver(self, call: StatementCall) -> None:
         if not self.reachable:
             raise NotDelivered("no master", call.hint)
         self.calls.append(call)
@@ -73,7 +73,7 @@ class Office:
         return node.request()
 
     def issue(self, csr: bytes, replace_key: str | None = None) -> bytes:
-        return self.service.issue(
+        return self.service.identities.issue(
             csr, DAY, replace_key=replace_key, wildcard=False, source="a test"
         )
 
@@ -98,7 +98,7 @@ class Office:
 
 @pytest.fixture
 def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Office:
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     return Office(tmp_path / "office")
 
 
@@ -147,20 +147,20 @@ def test_without_an_authority_nobody_is_asked(tmp_path: Path) -> None:
 
 def test_a_request_for_an_identity_is_approved_or_denied(office: Office) -> None:
     service, asked = office.service, office.csr("/camera")
-    row = service.add_request(check_request(asked, "home"), asked, "a test")
+    row = service.identities.add_request(check_request(asked, "home"), asked, "a test")
     assert (row.state, row.name) == (RequestState.PENDING, "/camera")
-    assert service.request(row.digest.hex()[:9]) == row
+    assert service.identities.request(row.digest.hex()[:9]) == row
     office.issue(row.der)
-    again = service.add_request(check_request(asked, "home"), asked, "a test")
+    again = service.identities.add_request(check_request(asked, "home"), asked, "a test")
     assert (again.state, again.digest) == (RequestState.ISSUED, row.digest)
     other = office.csr("/other")
-    row = service.add_request(check_request(other, "home"), other, "a test")
-    service.deny_request(row, "unknown")
-    assert service.request(row.digest.hex()).reason == "unknown"
+    row = service.identities.add_request(check_request(other, "home"), other, "a test")
+    service.identities.deny_request(row, "unknown")
+    assert service.identities.request(row.digest.hex()).reason == "unknown"
     with pytest.raises(RequestClosed):
         office.issue(other)
     with pytest.raises(ConfigurationError, match="'xx' is not a request id"):
-        service.request("xx")
+        service.identities.request("xx")
 
 
 def test_a_replaced_key_is_to_be_published(office: Office) -> None:
@@ -186,26 +186,26 @@ def test_a_list_that_was_due_is_to_be_published(office: Office) -> None:
 
 def test_identities_are_renewed(office: Office) -> None:
     office.now = NOW + DAY // 2
-    bundle = office.service.renew("/robot", DAY)
+    bundle = office.service.identities.renew("/robot", DAY)
     assert office.robot.install(bundle, office.now).not_after == office.now + DAY
-    assert office.service.renew_own_node() == office.now + OWN_LIFETIME
+    assert office.service.identities.renew_own_node() == office.now + OWN_LIFETIME
     with pytest.raises(ConfigurationError, match="is an intermediate"):
-        office.service.renew("intermediate/0123", DAY)
+        office.service.identities.renew("intermediate/0123", DAY)
     with pytest.raises(StoreError, match="/nobody has no valid identity"):
-        office.service.renew("/nobody", DAY)
+        office.service.identities.renew("/nobody", DAY)
 
 
 def test_an_intermediate_is_signed_and_its_identities_imported(office: Office) -> None:
-    request = build_intermediate_request(KeySigner(key_files.generate()), "home")
-    name, bundle = office.service.sign_intermediate(request, may_enroll=True, lifetime=DAY)
+    request = build_intermediate_request(KeySigner(private_keys.generate()), "home")
+    name, bundle = office.service.identities.sign_intermediate(request, may_enroll=True, lifetime=DAY)
     assert name.startswith("intermediate/")
     assert len(from_pem(bundle)) == 2
-    identity, new = office.service.import_identity((office.robot.path / "node.pem").read_bytes())
+    identity, new = office.service.identities.import_bundle((office.robot.path / "node.pem").read_bytes())
     assert (identity.name, new) == ("/robot", False)
 
 
 def test_a_revocation_is_recorded_and_then_published(office: Office) -> None:
-    listed, count = office.service.revoke_identity("/robot", "stolen")
+    listed, count = office.service.identities.revoke("/robot", "stolen")
     assert (listed.seq, count) == (2, 1)
     assert office.service.has_revoked
     office.reachable = False
@@ -223,11 +223,9 @@ def test_a_revocation_is_recorded_and_then_published(office: Office) -> None:
         office.issue(office.robot.request())
 
 
-def test_a_tree_is_published_with_its_entries(
-    office: Office, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_tree_is_published_with_its_entries(office: Office, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
-    office.service.revoke_identity("/robot", "stolen")
+    office.service.identities.revoke("/robot", "stolen")
     office.service.publish()
     (call,) = office.calls
     assert call.method == "rossec.updateRevocationTree"
@@ -260,73 +258,73 @@ def test_a_refresh_renews_the_own_node_when_it_is_due(office: Office) -> None:
 
 
 def test_a_grant_is_signed_and_revoked(office: Office) -> None:
-    draft, data = office.service.sign_grant("/robot", PUBLISH, DAY, 3 * DAY)
+    draft, data = office.service.grants.sign("/robot", PUBLISH, DAY, 3 * DAY)
     grant = document.open_grant(data, office.home.anchor().public_key, NOW, domain="home")
     assert (grant.expires, grant.cap, grant.holder) == (NOW + DAY, NOW + 3 * DAY, draft.holder)
     assert office.home.store().grants()[-1].data == data
     with pytest.raises(StoreError, match="/nobody has no valid identity"):
-        office.service.sign_grant("/nobody", PUBLISH, DAY)
-    office.service.sign_grant("/robot", PUBLISH, DAY)
+        office.service.grants.sign("/nobody", PUBLISH, DAY)
+    office.service.grants.sign("/robot", PUBLISH, DAY)
     for beginning in ("", "xx"):
         with pytest.raises(ConfigurationError, match="no grant begins"):
-            office.service.revoke_grant(beginning, "")
-    listed, entry = office.service.revoke_grant(grant.id.hex()[:12].upper(), "over")
+            office.service.grants.revoke(beginning, "")
+    listed, entry = office.service.grants.revoke(grant.id.hex()[:12].upper(), "over")
     assert listed.entries == {entry} == {grant.id}
 
 
 def test_the_policy_decides_or_a_person(office: Office) -> None:
     policy, service = office.policy(), office.opened()
-    assert service.collect_grant_requests(policy) == []
-    assert service.decide_grants(policy) == ([], 0, 0, [])
+    assert service.policy.collect_requests(policy) == []
+    assert service.policy.decide(policy) == ([], 0, 0, [])
     asked = office.asked
     door = RequestedRight(Right.CALL, "/door")
-    service.collect_grant_requests(policy, [office.request(POSE, LIFT, door)])
-    (pending,) = service.pending_grants(policy)
+    service.policy.collect_requests(policy, [office.request(POSE, LIFT, door)])
+    (pending,) = service.policy.pending(policy)
     assert pending.stored.requested == LIFT
     assert office.asked == asked  # nothing needed the key
-    decided = service.decide_grants(policy)
+    decided = service.policy.decide(policy)
     assert decided[1:] == (1, 1, [])  # the third was denied when they were shown
     ((draft, data),) = decided.grants
     assert office.home.store().grants()[-1].data == data
     assert [item.pattern for item in draft.permissions] == ["/pose"]
     with pytest.raises(ConfigurationError, match="no open request begins"):
-        service.approve_grants(policy, "xx", lambda verdict: verdict)
+        service.policy.approve(policy, "xx", lambda verdict: verdict)
     request_id = pending.stored.request.id.hex()
-    ((draft, _),) = service.approve_grants(policy, request_id[:8], lambda verdict: verdict)
+    ((draft, _),) = service.policy.approve(policy, request_id[:8], lambda verdict: verdict)
     assert [item.pattern for item in draft.permissions] == ["/lift"]
-    assert service.pending_grants(policy) == []
+    assert service.policy.pending(policy) == []
     with pytest.raises(GrantForged):
-        service.collect_grant_requests(policy, [office.request(LIFT)[:-1] + b"x"])
+        service.policy.collect_requests(policy, [office.request(LIFT)[:-1] + b"x"])
 
 
 def test_a_person_denies_without_the_key(office: Office) -> None:
     policy, service = office.policy(), office.opened()
     asked = office.asked
-    service.collect_grant_requests(policy, [office.request(LIFT)])
-    (pending,) = service.pending_grants(policy)
-    (denied,) = service.deny_grants(policy, pending.stored.request.id.hex())
+    service.policy.collect_requests(policy, [office.request(LIFT)])
+    (pending,) = service.policy.pending(policy)
+    (denied,) = service.policy.deny(policy, pending.stored.request.id.hex())
     assert denied == pending
-    assert service.pending_grants(policy) == []
+    assert service.policy.pending(policy) == []
     assert office.asked == asked
 
 
 def test_an_opt_out_revokes_what_is_shown(office: Office) -> None:
     shown = (Permission("/pose", Right.SUBSCRIBE), *PUBLISH)
-    _, data = office.service.sign_grant("/robot", shown, DAY)
-    opted_out = office.service.opt_out(office.policy(), "/pose")
+    _, data = office.service.grants.sign("/robot", shown, DAY)
+    opted_out = office.service.policy.opt_out(office.policy(), "/pose")
     assert (opted_out.rule, opted_out.is_node) == ("opt-out-pose", False)
-    ((grant, reissued),) = office.service.revoke_opted_out(opted_out)
+    ((grant, reissued),) = office.service.policy.revoke_opted_out(opted_out)
     assert grant.id == document.grant_id(data)
     assert reissued is not None
     assert [item.pattern for item in document.peek(reissued).permissions] == ["/p"]
-    assert office.service.opt_out(office.policy(), "/robot").is_node
+    assert office.service.policy.opt_out(office.policy(), "/robot").is_node
 
 
 def test_a_delegation_is_recorded_delivered_and_revoked(office: Office) -> None:
     with pytest.raises(StoreError, match="/master has no valid identity"):
-        office.service.delegate(DAY, MIN_TICKET)
+        office.service.grants.delegate(DAY, MIN_TICKET)
     holder = office.enroll(MASTER).identity(NOW).thumbprint
-    delegation, call = office.service.delegate(DAY, MIN_TICKET)
+    delegation, call = office.service.grants.delegate(DAY, MIN_TICKET)
     assert (delegation.holder, delegation.max_ttl) == (holder, MIN_TICKET)
     (path,) = (office.home.path / "delegations").iterdir()
     assert call.statement == (path.read_bytes(),)
@@ -334,5 +332,5 @@ def test_a_delegation_is_recorded_delivered_and_revoked(office: Office) -> None:
     assert str(path.parent) in call.hint
     office.service.deliver(call)
     assert office.calls == [call]
-    listed, count = office.service.revoke_delegations("withdrawn")
+    listed, count = office.service.grants.revoke_delegations("withdrawn")
     assert (listed.entries, count) == (frozenset({delegation.id}), 1)

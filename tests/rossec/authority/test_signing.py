@@ -4,12 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from ca.certificates import build_request, check_request, from_pem
+from ca.certificates import from_pem
 from ca.errors import RequestClosed, StoreError
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.revocation.state import RevocationList, open_list, open_statement
-from ca.revocation.tree import is_tree, open_tree
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import RevocationList, is_tree, open_list, open_tree
+from ca.revocation.trust_status import open_statement
+from ca.svid import build_request, check_request
 from grants import document
 from grants.model import Draft, Permission, Right
 from grants.renewal import open_delegation
@@ -48,9 +49,8 @@ def listed_entries(opened: SigningAuthority) -> frozenset[bytes]:
 
 def draft(holder: bytes = bytes(32)) -> Draft:
     return Draft(
-        "home", "/a", holder, NOW, NOW + 10, NOW + 1000, bytes(16),
-        (Permission("/t", Right.PUBLISH),),
-    )  # fmt: skip
+        "home", "/a", holder, NOW, NOW + 10, NOW + 1000, bytes(16), (Permission("/t", Right.PUBLISH),)
+    )
 
 
 def test_a_repeated_request_gets_the_same_certificate(opened: SigningAuthority) -> None:
@@ -110,9 +110,7 @@ def test_the_list_is_kept_young_while_the_key_is_at_hand(opened: SigningAuthorit
     assert opened.store.next_number() == (1, seq + 2)
 
 
-def test_a_list_that_was_not_signed_for_a_revocation_is_signed_next(
-    opened: SigningAuthority,
-) -> None:
+def test_a_list_that_was_not_signed_for_a_revocation_is_signed_next(opened: SigningAuthority) -> None:
     opened.store.revoke(b"d" * 32, "then it was killed", NOW)
     with pytest.raises(ConfigurationError, match="no valid identity") as caught:
         opened.revoke_identity("/robot7", "again", NOW)
@@ -137,9 +135,7 @@ def test_a_grant_is_recorded_unless_its_key_was_revoked(opened: SigningAuthority
         opened.issue_grant(draft(b"h" * 32), NOW)
 
 
-def test_a_revoked_grant_leaves_the_list_when_nothing_can_bring_it_back(
-    opened: SigningAuthority,
-) -> None:
+def test_a_revoked_grant_leaves_the_list_when_nothing_can_bring_it_back(opened: SigningAuthority) -> None:
     entry = document.grant_id(opened.issue_grant(draft(), NOW))
     opened.revoke(bytes(32), "", NOW)
     assert opened.revoke(entry, "", NOW).entries == {entry, bytes(32)}
@@ -152,9 +148,7 @@ def test_a_delegation_is_recorded_until_it_is_revoked(opened: SigningAuthority) 
     with pytest.raises(ConfigurationError, match="no delegation is in force"):
         opened.revoke_delegations("", NOW)
     living, expired = (
-        open_delegation(
-            opened.issue_delegation(bytes(32), days * DAY, 60, NOW), opened.signer.public_key
-        )
+        open_delegation(opened.issue_delegation(bytes(32), days * DAY, 60, NOW), opened.signer.public_key)
         for days in (2, 1)
     )
     listed, count = opened.revoke_delegations("", NOW + DAY)

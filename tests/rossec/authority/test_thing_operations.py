@@ -6,14 +6,13 @@ from pathlib import Path
 import pytest
 
 from ca.errors import StoreError, ThingChanged, ThingRefused, ThingUnknown
-from ca.things.credentials import ThingSecret
-from ca.things.statement import open_statement
-from rossec.authority import thing_records
-from rossec.authority.list_contents import required_entries
-from rossec.authority.thing_operations import ThingOrder
+from ca.things.constrained_nodes import ThingSecret, open_statement
+from rossec.authority import signing
+from rossec.authority.service import ThingOrder
+from rossec.authority.signing import required_entries
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.saved_things import ThingFiles
+from rossec.saved_statements import ThingFiles
 from tests.support.thingoffice import ATTIC, BORDER, DAY, LAMP, Office
 
 
@@ -30,8 +29,8 @@ def test_a_thing_is_stated_for_one_border_router(office: Office) -> None:
     assert (found.name, found.border) == (LAMP, office.thumbprint(BORDER))
     assert found.expires == office.now + DAY
     assert (signed.bundle, signed.revoked) == (b"", 0)
-    assert [(each.row.name, each.state) for each in office.service.things()] == [
-        (LAMP, thing_records.IN_FORCE)
+    assert [(each.row.name, each.state) for each in office.service.things.states()] == [
+        (LAMP, signing.IN_FORCE)
     ]
     office.service.unlock().store.log.audit(key)
 
@@ -40,7 +39,7 @@ def test_it_is_installed_where_its_router_is_here(office: Office, tmp_path: Path
     node = NodeHome.of(tmp_path, LAMP)
     node.create_request("home")
     signed = office.sign(request=node.request(), identity_lifetime=DAY)
-    path = office.service.store_thing(signed.data, signed.bundle)
+    path = office.service.things.store(signed.data, signed.bundle)
     files = ThingFiles(NodeHome.of(tmp_path, BORDER))
     assert path == files.path
     assert files.load().statements == {LAMP: signed.statement}
@@ -48,7 +47,7 @@ def test_it_is_installed_where_its_router_is_here(office: Office, tmp_path: Path
     elsewhere = office.enroll("/shed")
     elsewhere.path.rename(tmp_path / "gone")
     fan = office.sign(name="/things/fan", border="/shed", credential=office.key(b"1"))
-    assert office.service.store_thing(fan.data) is None
+    assert office.service.things.store(fan.data) is None
 
 
 def test_identity_and_statement_are_one_step(office: Office) -> None:
@@ -69,7 +68,7 @@ def test_a_thing_that_was_renamed(office: Office) -> None:
     renamed = office.sign(name="/things/light", replaced=frozenset({LAMP}))
     assert renamed.revoked == 2
     assert office.revoked() == {former.statement.id, node}
-    states = [(each.row.name, each.state) for each in office.service.things()]
+    states = [(each.row.name, each.state) for each in office.service.things.states()]
     assert states == [(LAMP, "revoked"), ("/things/light", "in force")]
 
 
@@ -102,29 +101,29 @@ def test_there_must_be_something_to_replace(office: Office) -> None:
 def test_a_renewal_states_the_same_again(office: Office) -> None:
     office.sign()
     office.now += DAY // 2
-    renewed = office.service.renew_thing(LAMP, 2 * DAY)
+    renewed = office.service.things.renew(LAMP, 2 * DAY)
     assert renewed.statement.expires == office.now + 2 * DAY
     assert renewed.revoked == 0
-    states = [each.state for each in office.service.things()]
-    assert states == [thing_records.RENEWED, thing_records.IN_FORCE]
+    states = [each.state for each in office.service.things.states()]
+    assert states == [signing.RENEWED, signing.IN_FORCE]
     office.now += 3 * DAY
-    assert office.service.things()[-1].state == thing_records.EXPIRED
-    again = office.service.renew_thing(LAMP, DAY)
+    assert office.service.things.states()[-1].state == signing.EXPIRED
+    again = office.service.things.renew(LAMP, DAY)
     assert again.statement.credential == office.order.credential
     with pytest.raises(ThingUnknown):
-        office.service.renew_thing("/things/fan", DAY)
+        office.service.things.renew("/things/fan", DAY)
 
 
 def test_a_revoked_thing(office: Office) -> None:
     first = office.sign()
-    second = office.service.renew_thing(LAMP, DAY)
-    listed, count = office.service.revoke_thing(LAMP, "lost")
+    second = office.service.things.renew(LAMP, DAY)
+    listed, count = office.service.things.revoke(LAMP, "lost")
     assert count == 2
     assert listed.entries == {first.statement.id, second.statement.id}
     with pytest.raises(ThingUnknown):
-        office.service.revoke_thing(LAMP, "again")
+        office.service.things.revoke(LAMP, "again")
     with pytest.raises(ThingUnknown):
-        office.service.renew_thing(LAMP, DAY)
+        office.service.things.renew(LAMP, DAY)
     office.sign()
     store = office.service.unlock().store
     assert required_entries(store, office.now + DAY + 120) == frozenset()
@@ -133,7 +132,7 @@ def test_a_revoked_thing(office: Office) -> None:
 def test_a_revoked_node_of_a_thing_takes_its_statement_along(office: Office) -> None:
     signed = office.sign(request=office.request(), identity_lifetime=DAY)
     node = office.thumbprint(LAMP)
-    listed, count = office.service.revoke_identity(LAMP, "lost")
+    listed, count = office.service.identities.revoke(LAMP, "lost")
     assert (set(listed.entries), count) == ({signed.statement.id, node}, 1)
 
 
@@ -141,7 +140,7 @@ def test_a_revoked_router_takes_its_things_along(office: Office) -> None:
     lamp = office.sign(request=office.request(), identity_lifetime=DAY)
     fan = office.sign(name="/things/fan", border=ATTIC, credential=office.key(b"1"))
     keys = {office.thumbprint(name) for name in (LAMP, BORDER)}
-    listed, count = office.service.revoke_identity(BORDER, "stolen")
+    listed, count = office.service.identities.revoke(BORDER, "stolen")
     assert (set(listed.entries), count) == (keys | {lamp.statement.id}, 1)
     assert fan.statement.id not in listed.entries
     with pytest.raises(StoreError, match="the identity of /border is revoked"):
@@ -153,7 +152,7 @@ def test_a_moved_thing_does_not_end_with_its_former_router(office: Office) -> No
     moved = office.sign(
         border=ATTIC, replaced=frozenset({LAMP}), request=office.request(), identity_lifetime=DAY
     )
-    listed, _ = office.service.revoke_identity(BORDER, "stolen")
+    listed, _ = office.service.identities.revoke(BORDER, "stolen")
     assert not listed.entries & {moved.statement.id, office.thumbprint(LAMP)}
 
 
@@ -164,7 +163,7 @@ def test_a_router_that_was_set_up_anew(office: Office) -> None:
     office.enroll(BORDER, replaced=BORDER)
     assert {signed.statement.id, node} < office.revoked()
     with pytest.raises(ThingUnknown, match="there is no thing"):
-        office.service.renew_thing(LAMP, DAY)
+        office.service.things.renew(LAMP, DAY)
     assert office.sign().statement.border == office.thumbprint(BORDER)
 
 
@@ -186,9 +185,7 @@ def test_what_cannot_be_stated(office: Office) -> None:
         office.sign()
 
 
-def test_an_intermediate_says_nothing_about_things(
-    office: Office, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_intermediate_says_nothing_about_things(office: Office, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(type(office.service.unlock().authority), "is_root", property(lambda _: 0))
     with pytest.raises(ConfigurationError, match="an intermediate cannot say what a thing is"):
-        office.service.sign_thing(ThingOrder(LAMP, BORDER, office.key(b"1"), DAY))
+        office.service.things.sign(ThingOrder(LAMP, BORDER, office.key(b"1"), DAY))

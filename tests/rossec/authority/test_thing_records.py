@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from ca.errors import ThingUnknown
-from rossec.authority.console.removals import keys_of
-from rossec.authority.thing_records import (
+from rossec.authority.console.grant_requests import keys_of
+from rossec.authority.signing import (
     EXPIRED,
     IN_FORCE,
     OTHER_KEY,
@@ -30,7 +30,7 @@ def test_the_states_of_statements(office: Office) -> None:
     store = office.service.unlock().store
     assert states(store, office.now) == []
     office.sign()
-    office.service.renew_thing(LAMP, 3 * DAY)
+    office.service.things.renew(LAMP, 3 * DAY)
     fan = office.sign(name="/things/fan", credential=office.key(b"1"))
     store.revoke(fan.statement.id, "lost", office.now)
     assert [each.state for each in states(store, office.now)] == [RENEWED, IN_FORCE, REVOKED]

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 from ca.encoding import Value, encode
 from grants.filters.layout import Layout, parse
-from rossec.border.bodies import from_ros, to_ros
-from rossec.border.links import CBOR_BODY, ROS_BODY
-from rossec.border.quotas import MAX_BODY
+from rossec.border.conversations import MAX_BODY
+from rossec.border.resources import CBOR_BODY, ROS_BODY, from_ros, to_ros
 from rossec.errors import BodyRefused
 from rossec.node import message_type
 
@@ -24,10 +23,21 @@ ALL = parse(
     "MSG: t/Part\nint32 x\nstring y\n",
 )
 FIELDS: dict[int | str, Value] = {
-    "b": True, "i": -5, "u": 2**64 - 1, "f": 1.5, "d": -0.1, "s": "grün", "t": [7, 9],
-    "e": [-1, 5], "o": b"\x01\x02", "p": b"abc", "n": [1, -2], "g": [0.5, 2.0],
-    "m": [{"x": 1, "y": "a"}, {"x": 2, "y": ""}], "one": {"x": -1, "y": "z"},
-}  # fmt: skip
+    "b": True,
+    "i": -5,
+    "u": 2**64 - 1,
+    "f": 1.5,
+    "d": -0.1,
+    "s": "grün",
+    "t": [7, 9],
+    "e": [-1, 5],
+    "o": b"\x01\x02",
+    "p": b"abc",
+    "n": [1, -2],
+    "g": [0.5, 2.0],
+    "m": [{"x": 1, "y": "a"}, {"x": 2, "y": ""}],
+    "one": {"x": -1, "y": "z"},
+}
 MESSAGE = to_ros(encode(FIELDS), CBOR_BODY, ALL)
 
 
@@ -48,8 +58,9 @@ def test_a_stamped_message_of_ros() -> None:
     layout = message_type("sensor_msgs/Temperature").layout
     fields: dict[int | str, Value] = {
         "header": {"seq": 3, "stamp": [10, 20], "frame_id": "lamp"},
-        "temperature": 20.5, "variance": 0.0,
-    }  # fmt: skip
+        "temperature": 20.5,
+        "variance": 0.0,
+    }
     message = to_ros(encode(fields), CBOR_BODY, layout)
     assert message == struct.pack("<4I4s2d", 3, 10, 20, 4, b"lamp", 20.5, 0.0)
     assert from_ros(message, CBOR_BODY, layout) == encode(fields)
@@ -58,17 +69,29 @@ def test_a_stamped_message_of_ros() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("b", 1, "neither true nor false"), ("i", True, "not an integer"),
-        ("i", 1.0, "not an integer"), ("i", 128, "out of the range"),
-        ("u", -1, "out of the range"), ("f", "1", "not a number"), ("f", True, "not a number"),
-        ("f", 1e300, "out of the range"), ("s", b"x", "not text"), ("t", [1], "secs, nsecs"),
-        ("t", [1, 2.0], "secs, nsecs"), ("t", [-1, 0], "out of the range"), ("o", [1], "byte"),
-        ("p", b"ab", "has 2 elements, not 3"), ("n", b"ab", "not an array"),
-        ("g", [0.5], "has 1 elements, not 2"), ("m", {}, "not an array"),
-        ("one", {"x": 1}, "exactly the fields x, y"), ("one", [], "exactly the fields"),
-        ("one", {"x": 1, "y": "", "z": 0}, "exactly the fields"), ("s", None, "not text"),
+        ("b", 1, "neither true nor false"),
+        ("i", True, "not an integer"),
+        ("i", 1.0, "not an integer"),
+        ("i", 128, "out of the range"),
+        ("u", -1, "out of the range"),
+        ("f", "1", "not a number"),
+        ("f", True, "not a number"),
+        ("f", 1e300, "out of the range"),
+        ("s", b"x", "not text"),
+        ("t", [1], "secs, nsecs"),
+        ("t", [1, 2.0], "secs, nsecs"),
+        ("t", [-1, 0], "out of the range"),
+        ("o", [1], "byte"),
+        ("p", b"ab", "has 2 elements, not 3"),
+        ("n", b"ab", "not an array"),
+        ("g", [0.5], "has 1 elements, not 2"),
+        ("m", {}, "not an array"),
+        ("one", {"x": 1}, "exactly the fields x, y"),
+        ("one", [], "exactly the fields"),
+        ("one", {"x": 1, "y": "", "z": 0}, "exactly the fields"),
+        ("s", None, "not text"),
     ],
-)  # fmt: skip
+)
 def test_a_field_of_another_kind_is_refused(name: str, value: Value, message: str) -> None:
     with pytest.raises(BodyRefused, match=message):
         to_ros(encode({**FIELDS, name: value}), CBOR_BODY, ALL)

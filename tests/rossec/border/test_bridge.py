@@ -10,16 +10,16 @@ from aiocoap.numbers import codes
 from ca.encoding import encode
 from grants.model import Right
 from rossec.border.bridge import ThingBridge
-from rossec.border.links import read_links
-from rossec.border.requests import Answer, OnAnswer, Request
+from rossec.border.endpoint import CoapAnswer, CoapRequest, OnAnswer
+from rossec.border.resources import read_links
 from rossec.errors import ServiceFailed, ThingUnreachable
-from rossec.net.aio.tasks import TaskSet
+from rossec.host.runner import TaskSet
 from tests.rossec.border.test_thing_node import thing_node
 from tests.support.border import LAMP, TEMPERATURE
 from tests.support.site import Site
 from tests.support.witness import until
 
-NOTHING = Answer(codes.CHANGED, None, b"")
+NOTHING = CoapAnswer(codes.CHANGED, None, b"")
 
 
 class Played:
@@ -27,22 +27,22 @@ class Played:
 
     def __init__(self) -> None:
         self.there = True
-        self.asked: list[tuple[Request, OnAnswer]] = []
-        self.cancelled: list[Request] = []
+        self.asked: list[tuple[CoapRequest, OnAnswer]] = []
+        self.cancelled: list[CoapRequest] = []
         self.tasks = TaskSet()
 
-    def ask(self, request: Request, on_answer: OnAnswer) -> Callable[[], None] | None:
+    def ask(self, request: CoapRequest, on_answer: OnAnswer) -> Callable[[], None] | None:
         if not self.there:
             return None
         self.asked.append((request, on_answer))
         return lambda: self.cancelled.append(request)
 
-    def observed(self, answer: Answer | ThingUnreachable) -> None:
+    def observed(self, answer: CoapAnswer | ThingUnreachable) -> None:
         """A state."""
         on_answer = [call for request, call in self.asked if request.observe][-1]
         on_answer(answer)
 
-    async def request(self, code: Any) -> tuple[Request, OnAnswer]:
+    async def request(self, code: Any) -> tuple[CoapRequest, OnAnswer]:
         """The newest request of a kind."""
         await until(lambda: any(request.code == code for request, _ in self.asked))
         return [found for found in self.asked if found[0].code == code][-1]
@@ -61,8 +61,8 @@ async def bridge(site: Site) -> AsyncIterator[tuple[ThingBridge, Played]]:
         await made.close("the test ends")
 
 
-def state(value: float) -> Answer:
-    return Answer(codes.CONTENT, 60, encode({"data": value}))
+def state(value: float) -> CoapAnswer:
+    return CoapAnswer(codes.CONTENT, 60, encode({"data": value}))
 
 
 async def test_a_state_is_published(bridge: tuple[ThingBridge, Played], site: Site) -> None:
@@ -80,14 +80,12 @@ async def test_a_state_is_published(bridge: tuple[ThingBridge, Played], site: Si
 @pytest.mark.parametrize(
     "answer",
     [
-        Answer(codes.CONTENT, 60, b"\xff"),
-        Answer(codes.CONTENT, 65001, bytes(4)),
-        Answer(codes.NOT_FOUND, None, b""),
+        CoapAnswer(codes.CONTENT, 60, b"\xff"),
+        CoapAnswer(codes.CONTENT, 65001, bytes(4)),
+        CoapAnswer(codes.NOT_FOUND, None, b""),
     ],
 )
-async def test_what_is_no_state_is_dropped(
-    bridge: tuple[ThingBridge, Played], answer: Answer
-) -> None:
+async def test_what_is_no_state_is_dropped(bridge: tuple[ThingBridge, Played], answer: CoapAnswer) -> None:
     made, played = bridge
     played.observed(answer)
     assert (made.received, made.refused) == (0, 1)
@@ -117,7 +115,7 @@ async def test_a_message_is_written(bridge: tuple[ThingBridge, Played], site: Si
         light.publish(light.create(data=True))
         request, on_answer = await played.request(codes.PUT)
         assert (request.path, request.body) == (("l",), encode({"data": True}))
-        on_answer(Answer(codes.NOT_FOUND, None, b""))
+        on_answer(CoapAnswer(codes.NOT_FOUND, None, b""))
         await until(lambda: made.refused == 1)
         played.there = False
         light.publish(light.create(data=False))
@@ -130,9 +128,9 @@ async def test_a_call_is_answered_or_fails(bridge: tuple[ThingBridge, Played], s
     async with site.node("/heating") as node:
         call = node.client(f"{LAMP}/switch", "std_srvs/SetBool")
         for answer in (
-            Answer(codes.CHANGED, 60, encode({"success": True, "message": "on"})),
+            CoapAnswer(codes.CHANGED, 60, encode({"success": True, "message": "on"})),
             ThingUnreachable("it is out of reach"),
-            Answer(codes.CHANGED, 60, b"\xff"),
+            CoapAnswer(codes.CHANGED, 60, b"\xff"),
         ):
             played.asked.clear()
             running = asyncio.gather(call(data=True), return_exceptions=True)
@@ -140,7 +138,7 @@ async def test_a_call_is_answered_or_fails(bridge: tuple[ThingBridge, Played], s
             assert request.body == encode({"data": True})
             on_answer(answer)
             (found,) = await running
-            good = isinstance(answer, Answer) and answer.body != b"\xff"
+            good = isinstance(answer, CoapAnswer) and answer.body != b"\xff"
             assert isinstance(found, ServiceFailed) is not good
 
 

@@ -3,8 +3,8 @@
 import aiocoap
 import pytest
 
-from rossec.border import wire
-from rossec.border.contexts import OscoreContext, name_context, unprotected
+from rossec.border import messages
+from rossec.border.messages import OscoreContext, name_context, unprotected
 from rossec.errors import DatagramRefused
 
 SECRET, SALT = bytes(range(16)), bytes(8)
@@ -15,8 +15,8 @@ def pair(secret: bytes = SECRET) -> tuple[OscoreContext, OscoreContext]:
 
 
 def over_the_wire(message: aiocoap.Message) -> aiocoap.Message:
-    message.mtype, message.mid, message.token = wire.CON, 1, b"t"
-    return wire.read(wire.write(message))
+    message.mtype, message.mid, message.token = messages.CON, 1, b"t"
+    return messages.read(messages.write(message))
 
 
 def request() -> aiocoap.Message:

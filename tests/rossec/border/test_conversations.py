@@ -3,8 +3,8 @@
 import pytest
 
 from rossec.border import conversations
-from rossec.border.contexts import OscoreContext
 from rossec.border.conversations import REMEMBERED, Conversation, Conversations
+from rossec.border.messages import OscoreContext
 
 HERE, THERE = ("::1", 5683, 0, 0), ("::1", 5684, 0, 0)
 

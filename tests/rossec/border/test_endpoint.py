@@ -10,15 +10,21 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.things.credentials import ThingKey
-from rossec.border import wire
-from rossec.border.contexts import OscoreContext, name_context, unprotected
-from rossec.border.conversations import Conversation
-from rossec.border.endpoint import HANDSHAKE_PATH, HANDSHAKES, Endpoint
+from ca.things.constrained_nodes import ThingKey
+from rossec.border import messages
+from rossec.border.conversations import MESSAGE_BURST, SOURCE_BURST, Conversation
+from rossec.border.endpoint import HANDSHAKE_PATH, HANDSHAKES, CoapEndpoint, CoapRequest
 from rossec.border.handshakes import StaticKey
-from rossec.border.quotas import MESSAGE_BURST, SOURCE_BURST
-from rossec.border.rederivation import LIFETIME, R2_SIZE, thing_context, unwrapped, wrapped
-from rossec.border.requests import Request
+from rossec.border.messages import (
+    LIFETIME,
+    R2_SIZE,
+    OscoreContext,
+    name_context,
+    thing_context,
+    unprotected,
+    unwrapped,
+    wrapped,
+)
 from tests.rossec.border.test_handshakes import Initiator
 
 OWN = StaticKey(ec.generate_private_key(ec.SECP256R1()))
@@ -36,7 +42,7 @@ class Router:
         self.served = True
         self.now = 1000.0
         self.mid = 0
-        self.endpoint = Endpoint(
+        self.endpoint = CoapEndpoint(
             OWN, self, self, lambda data, to: self.sent.append((data, to)), os.urandom, lambda: 0.5
         )
 
@@ -60,17 +66,17 @@ class Router:
 
     # --- datagrams
 
-    def send(self, message: Any, source: Any = HERE, kind: Any = wire.CON) -> bytes:
+    def send(self, message: Any, source: Any = HERE, kind: Any = messages.CON) -> bytes:
         """A message of a thing arrives; its bytes."""
         self.mid += 1
         message.mtype, message.mid, message.token = kind, self.mid, b"tk"
-        data = wire.write(message)
+        data = messages.write(message)
         self.endpoint.receive(data, source, self.now)
         return data
 
     @property
     def answer(self) -> Any:
-        return wire.read(self.sent[-1][0])
+        return messages.read(self.sent[-1][0])
 
     def edhoc(self, payload: bytes, source: Any = HERE) -> Any:
         request = aiocoap.Message(code=codes.POST, uri_path=HANDSHAKE_PATH, payload=payload)
@@ -84,9 +90,14 @@ class Router:
         return self.lamp.message_3(answer.payload)
 
     def ask(
-        self, context: OscoreContext, code: Any = codes.POST, path: str = "rd",
-        message_3: bytes = b"", kid_context: bytes = b"", source: Any = HERE,
-    ) -> tuple[Any, bytes, Any]:  # fmt: skip
+        self,
+        context: OscoreContext,
+        code: Any = codes.POST,
+        path: str = "rd",
+        message_3: bytes = b"",
+        kid_context: bytes = b"",
+        source: Any = HERE,
+    ) -> tuple[Any, bytes, Any]:
         """A protected request of a thing; the answer opened, its bytes, and what binds it."""
         sealed, identifier = context.seal(aiocoap.Message(code=code, uri_path=(path,)))
         if kid_context:
@@ -157,7 +168,7 @@ def derive(router: Router, random: bytes = b"12345678") -> tuple[OscoreContext, 
     name_context(sealed, wrapped(random))
     router.send(sealed)
     answer = router.answer
-    _, _, found, _ = OscoreContext._extract_encrypted0(wire.read(router.sent[-1][0]))
+    _, _, found, _ = OscoreContext._extract_encrypted0(messages.read(router.sent[-1][0]))
     value_2 = unwrapped(next(each for key, each in found.items() if key == 10))
     assert len(value_2) == R2_SIZE
     opened, _ = thing_context(SECRET, KID, value_2 + random).open(answer, identifier)
@@ -205,7 +216,7 @@ def test_who_is_not_served_learns_nothing(router: Router) -> None:
     answers.add(router.answer.code)
     assert {int(each) for each in answers} == {int(codes.UNAUTHORIZED)}
     count = len(router.sent)
-    router.send(aiocoap.Message(code=codes.GET, uri_path=("rd",)), kind=wire.NON)
+    router.send(aiocoap.Message(code=codes.GET, uri_path=("rd",)), kind=messages.NON)
     assert len(router.sent) == count
     assert router.told == []
     assert len(router.endpoint.conversations) == 0
@@ -233,14 +244,14 @@ def test_a_flood_of_handshakes_spares_the_things_that_are_there(router: Router) 
 
 
 def test_pings_resets_and_answers_that_nobody_waits_for(router: Router) -> None:
-    router.endpoint.receive(wire.empty(wire.CON, 9), HERE, router.now)
-    assert router.sent[-1] == (wire.empty(wire.RST, 9), HERE)
+    router.endpoint.receive(messages.empty(messages.CON, 9), HERE, router.now)
+    assert router.sent[-1] == (messages.empty(messages.RST, 9), HERE)
     count = len(router.sent)
-    for data in (wire.empty(wire.ACK, 9), wire.empty(wire.RST, 9), b"", b"\x40"):
+    for data in (messages.empty(messages.ACK, 9), messages.empty(messages.RST, 9), b"", b"\x40"):
         router.endpoint.receive(data, HERE, router.now)
     assert len(router.sent) == count
-    router.send(aiocoap.Message(code=codes.CONTENT), kind=wire.CON)
-    assert router.sent[-1][0][:2] == bytes((0x40 | wire.RST << 4, 0))
+    router.send(aiocoap.Message(code=codes.CONTENT), kind=messages.CON)
+    assert router.sent[-1][0][:2] == bytes((0x40 | messages.RST << 4, 0))
 
 
 def test_the_router_asks_a_thing_in_the_same_context(router: Router) -> None:
@@ -248,23 +259,19 @@ def test_the_router_asks_a_thing_in_the_same_context(router: Router) -> None:
     conversation = router.endpoint.conversations.of(LAMP)
     assert conversation is not None
     answers: list[Any] = []
-    router.endpoint.requests.start(
-        conversation, Request(codes.GET, ("t",)), answers.append, router.now
-    )
+    router.endpoint.requests.start(conversation, CoapRequest(codes.GET, ("t",)), answers.append, router.now)
     sealed = router.answer
-    opened, identifier = router.lamp.context.open(wire.read(router.sent[-1][0]))
+    opened, identifier = router.lamp.context.open(messages.read(router.sent[-1][0]))
     assert (opened.code, opened.opt.uri_path) == (codes.GET, ("t",))
     assert unprotected(sealed)[0] == router.lamp._own_id
-    answer, _ = router.lamp.context.seal(
-        aiocoap.Message(code=codes.CONTENT, payload=b"20"), identifier
-    )
-    answer.token, answer.mtype, answer.mid = sealed.token, wire.CON, 77
-    router.endpoint.receive(wire.write(answer), HERE, router.now)
+    answer, _ = router.lamp.context.seal(aiocoap.Message(code=codes.CONTENT, payload=b"20"), identifier)
+    answer.token, answer.mtype, answer.mid = sealed.token, messages.CON, 77
+    router.endpoint.receive(messages.write(answer), HERE, router.now)
     assert [each.body for each in answers] == [b"20"]
-    assert router.sent[-1][0] == wire.empty(wire.ACK, 77)
+    assert router.sent[-1][0] == messages.empty(messages.ACK, 77)
     router.endpoint.conversations.drop(LAMP)
     assert router.told[-1] == f"ended {LAMP}"
-    router.endpoint.run_timers(router.now + 1000)
+    router.endpoint.timers.run(router.now + 1000)
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x00", b"\x43ab", b"\x43abc", b"\xf5", b"\x58\xff"])

@@ -6,10 +6,9 @@ import aiocoap
 import pytest
 from aiocoap.numbers import codes
 
-from rossec.border import wire
-from rossec.border.contexts import OscoreContext
-from rossec.border.endpoint import HANDSHAKE_PATH
-from rossec.border.requests import Request
+from rossec.border import messages
+from rossec.border.endpoint import HANDSHAKE_PATH, CoapRequest
+from rossec.border.messages import OscoreContext
 from tests.rossec.border.test_endpoint import ELSEWHERE, HERE, LAMP, SECRET, Router
 from tests.rossec.border.test_handshakes import Initiator
 
@@ -26,18 +25,18 @@ def test_forged_resets_end_no_request(router: Router) -> None:
     assert conversation is not None
     answers: list[Any] = []
     router.endpoint.requests.start(
-        conversation, Request(codes.POST, ("open",)), answers.append, router.now
+        conversation, CoapRequest(codes.POST, ("open",)), answers.append, router.now
     )
     asked = router.sent[-1][0]
     for mid in range(0x10000):
-        router.endpoint.receive(wire.empty(wire.RST, mid), HERE, router.now)
+        router.endpoint.receive(messages.empty(messages.RST, mid), HERE, router.now)
     assert answers == []
-    router.endpoint.run_timers(router.now + 4)
+    router.endpoint.timers.run(router.now + 4)
     assert router.sent[-1] == (asked, HERE), "the very same: it may have been carried out"
-    _, identifier = router.lamp.context.open(wire.read(asked))
+    _, identifier = router.lamp.context.open(messages.read(asked))
     answer, _ = router.lamp.context.seal(aiocoap.Message(code=codes.CHANGED), identifier)
-    answer.mtype, answer.mid, answer.token = wire.CON, 3, wire.read(asked).token
-    router.endpoint.receive(wire.write(answer), HERE, router.now)
+    answer.mtype, answer.mid, answer.token = messages.CON, 3, messages.read(asked).token
+    router.endpoint.receive(messages.write(answer), HERE, router.now)
     assert [each.code for each in answers] == [codes.CHANGED]
 
 
@@ -48,9 +47,10 @@ def test_a_stranger_learns_no_message_id_of_others(router: Router) -> None:
     assert conversation is not None
     told: set[int] = set()
     for number in range(30):
-        first = aiocoap.Message(code=codes.POST, uri_path=HANDSHAKE_PATH,
-                                payload=b"\xf5" + Initiator().message_1())  # fmt: skip
-        router.send(first, (f"{number + 1:x}::1", 9, 0, 0), wire.NON)
+        first = aiocoap.Message(
+            code=codes.POST, uri_path=HANDSHAKE_PATH, payload=b"\xf5" + Initiator().message_1()
+        )
+        router.send(first, (f"{number + 1:x}::1", 9, 0, 0), messages.NON)
         told.add(router.answer.mid)
     gaps = {abs(a - b) for a in told for b in told if a != b}
     assert len(told) > 25

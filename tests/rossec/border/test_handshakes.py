@@ -6,15 +6,15 @@ from typing import Any
 
 import lakers
 import pytest
-from aiocoap import POST
+from aiocoap import POST, Message
 from cryptography.hazmat.primitives.asymmetric import ec
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.things.credentials import ThingKey
-from rossec.border import handshakes, wire
-from rossec.border.contexts import KEY_SIZE, MAX_ID, SALT_SIZE, OscoreContext
+from ca.things.constrained_nodes import ThingKey
+from rossec.border import handshakes, messages
 from rossec.border.handshakes import ID_SIZE, PENDING_FOR, Handshakes, StaticKey
+from rossec.border.messages import KEY_SIZE, MAX_ID, SALT_SIZE, OscoreContext
 from rossec.errors import ThingUnauthenticated
 
 OWN = StaticKey(ec.generate_private_key(ec.SECP256R1()))
@@ -64,9 +64,9 @@ def test_both_sides_have_the_same_context_after_three_small_messages() -> None:
     assert len(peer_id) == ID_SIZE
     found = responder.finish(peer_id, message_3, NOW + 1)
     assert (found.key, len(responder)) == (thing.credential, 0)
-    sealed, _ = thing.context.seal(wire.Message(code=POST, uri_path=("rd",)))
-    sealed.mtype, sealed.mid, sealed.token = wire.CON, 1, b""
-    opened, _ = found.context.open(wire.read(wire.write(sealed)))
+    sealed, _ = thing.context.seal(Message(code=POST, uri_path=("rd",)))
+    sealed.mtype, sealed.mid, sealed.token = messages.CON, 1, b""
+    opened, _ = found.context.open(messages.read(messages.write(sealed)))
     assert opened.opt.uri_path == ("rd",)
 
 
@@ -161,9 +161,7 @@ def test_the_routers_credential_is_small_and_of_its_key() -> None:
     assert OWN.credential.subject == ""
 
 
-def test_a_point_that_is_not_on_the_curve_does_not_reach_lakers(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_a_point_that_is_not_on_the_curve_does_not_reach_lakers(capfd: pytest.CaptureFixture[str]) -> None:
     """A panic there writes a stack trace to stderr, and anybody can send this."""
     message_1 = Initiator().message_1()
     at = message_1.index(b"\x58\x20") + 2

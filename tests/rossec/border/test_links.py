@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.border.links import (
+from rossec.border.conversations import MAX_OBSERVATIONS, MAX_RESOURCES
+from rossec.border.resources import (
     CBOR_BODY,
     MAX_LIST,
     PUBLISHER,
@@ -16,7 +17,6 @@ from rossec.border.links import (
     Resource,
     read_links,
 )
-from rossec.border.quotas import MAX_OBSERVATIONS, MAX_RESOURCES
 from rossec.errors import ThingLinksRefused
 
 LAMP = "/things/lamp"

@@ -6,8 +6,8 @@ import pytest
 
 from grants.model import Right
 from rossec import clock
-from rossec.border import master_visits
-from rossec.border.master_visits import quietly
+from rossec.border import constrained_node
+from rossec.border.constrained_node import quietly
 from rossec.errors import AnswerRefused, ConfigurationError, RossecError
 from tests.rossec.border.test_thing_node import thing_node
 from tests.support.border import LAMP
@@ -27,10 +27,8 @@ async def test_calls_at_a_time_share_a_connection(site: Site) -> None:
             await visits.call("registerPublisher", "/x", "std_msgs/String", "http://127.0.0.1:1/")
 
 
-async def test_a_connection_in_use_is_not_closed(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(master_visits, "IDLE", 0.01)
+async def test_a_connection_in_use_is_not_closed(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(constrained_node, "IDLE", 0.01)
     async with thing_node(site) as node:
         visits = node._visits
         await visits.call("getPid")

@@ -2,8 +2,8 @@
 
 import pytest
 
-from rossec.border import quotas
-from rossec.border.quotas import (
+from rossec.border import conversations
+from rossec.border.conversations import (
     MESSAGE_BURST,
     MESSAGE_RATE,
     SOURCE_BURST,
@@ -57,6 +57,6 @@ def test_the_part_of_an_address_that_a_host_cannot_change() -> None:
 
 def test_a_bounded_number_of_senders_is_remembered() -> None:
     budget = Unauthenticated(10**9)
-    for number in range(quotas.MAX_SOURCES + 10):
+    for number in range(conversations.MAX_SOURCES + 10):
         assert budget.take(f"10.{number // 256}.{number % 256}.1", 1, NOW)
-    assert len(budget._sources) == quotas.MAX_SOURCES
+    assert len(budget._sources) == conversations.MAX_SOURCES

@@ -1,6 +1,6 @@
 """A thing that goes on after it was told."""
 
-from rossec.border.quotas import Quota
+from rossec.border.conversations import Quota
 
 
 def test_what_is_far_beyond_the_rate_is_not_looked_at() -> None:

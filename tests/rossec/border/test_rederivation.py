@@ -4,14 +4,14 @@ import aiocoap
 import pytest
 
 from ca.encoding import encode
-from rossec.border import wire
-from rossec.border.contexts import OscoreContext
-from rossec.border.rederivation import (
+from rossec.border import messages
+from rossec.border.messages import (
     LIFETIME,
     MAX_ID1,
     NONCE_SIZE,
     R2_SIZE,
-    Challenges,
+    ContextChallenges,
+    OscoreContext,
     border_context,
     is_in,
     thing_context,
@@ -30,16 +30,24 @@ def test_a_value_is_in_a_kid_context_as_a_byte_string() -> None:
 
 @pytest.mark.parametrize(
     "kid_context",
-    [b"", b"abc", encode("12345678"), encode(1), wrapped(bytes(NONCE_SIZE - 1)),
-     wrapped(bytes(MAX_ID1 + 1)), wrapped(bytes(8)) + b"\0", b"\x58\x08" + bytes(8)],
-)  # fmt: skip
+    [
+        b"",
+        b"abc",
+        encode("12345678"),
+        encode(1),
+        wrapped(bytes(NONCE_SIZE - 1)),
+        wrapped(bytes(MAX_ID1 + 1)),
+        wrapped(bytes(8)) + b"\0",
+        b"\x58\x08" + bytes(8),
+    ],
+)
 def test_other_kid_contexts_are_refused(kid_context: bytes) -> None:
     with pytest.raises(DatagramRefused, match="kid context"):
         unwrapped(kid_context)
 
 
 def test_a_challenge_is_recognized_for_a_while() -> None:
-    challenges = Challenges(KEY)
+    challenges = ContextChallenges(KEY)
     value = challenges.make(KID, NOW, b"ab")
     assert len(value) == R2_SIZE
     made = int(NOW * 1000)
@@ -49,28 +57,28 @@ def test_a_challenge_is_recognized_for_a_while() -> None:
 
 
 def test_a_challenge_is_of_one_thing_and_one_process() -> None:
-    value = Challenges(KEY).make(KID, NOW, b"ab")
-    assert Challenges(KEY).issued(b"\x08", value, NOW) == 0
-    assert Challenges(bytes(16)).issued(KID, value, NOW) == 0
+    value = ContextChallenges(KEY).make(KID, NOW, b"ab")
+    assert ContextChallenges(KEY).issued(b"\x08", value, NOW) == 0
+    assert ContextChallenges(bytes(16)).issued(KID, value, NOW) == 0
     for at in range(R2_SIZE):
         changed = value[:at] + bytes([value[at] ^ 1]) + value[at + 1 :]
-        assert Challenges(KEY).issued(KID, changed, NOW) == 0
-    assert Challenges(KEY).issued(KID, b"", NOW) == 0
+        assert ContextChallenges(KEY).issued(KID, changed, NOW) == 0
+    assert ContextChallenges(KEY).issued(KID, b"", NOW) == 0
 
 
 def test_both_sides_derive_the_same_from_the_same() -> None:
     border, thing = (make(KEY, KID, bytes(8)) for make in (border_context, thing_context))
     sealed, _ = thing.seal(aiocoap.Message(code=aiocoap.POST, payload=b"here"))
-    sealed.mtype, sealed.mid, sealed.token = wire.CON, 1, b""
-    data = wire.write(sealed)
-    assert border.open(wire.read(data))[0].payload == b"here"
+    sealed.mtype, sealed.mid, sealed.token = messages.CON, 1, b""
+    data = messages.write(sealed)
+    assert border.open(messages.read(data))[0].payload == b"here"
     for other in (border_context(KEY, KID, bytes(9)), border_context(bytes(16), KID, bytes(8))):
         with pytest.raises(DatagramRefused):
-            other.open(wire.read(data))
+            other.open(messages.read(data))
 
 
 def test_a_challenge_is_answered_once_and_only_the_newest() -> None:
-    challenges = Challenges(KEY)
+    challenges = ContextChallenges(KEY)
     older, newer = (challenges.make(KID, NOW + each, b"ab") for each in (0, 1))
     assert not challenges.take(KID, newer, NOW + 2)  # no R3
     assert challenges.take(KID, newer + bytes(NONCE_SIZE), NOW + 2)

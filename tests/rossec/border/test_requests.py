@@ -8,13 +8,10 @@ import pytest
 from aiocoap.numbers import codes
 from aiocoap.optiontypes import BlockOption
 
-from rossec.border import requests, wire
-from rossec.border.contexts import OscoreContext
-from rossec.border.conversations import Conversation
-from rossec.border.quotas import MAX_BLOCK, MAX_BODY, MESSAGE_BURST
-from rossec.border.requests import DEADLINE, Answer, Request, Requests
-from rossec.border.timers import Timers
-from rossec.border.transmissions import MAX_RETRANSMIT, Transmissions
+from rossec.border import endpoint, messages
+from rossec.border.conversations import MAX_BLOCK, MAX_BODY, MESSAGE_BURST, Conversation
+from rossec.border.endpoint import DEADLINE, CoapAnswer, CoapRequest, Requests
+from rossec.border.messages import MAX_RETRANSMIT, OscoreContext, Timers, Transmissions
 from rossec.errors import DatagramRefused, ThingUnreachable
 
 THING = ("::1", 5683, 0, 0)
@@ -29,28 +26,30 @@ class Line:
         send = Transmissions(lambda data, _: self.sent.append(data), self.timers, lambda: 0.0)
         self.open = Requests(send, self.timers, os.urandom)
         self.thing = OscoreContext(bytes(16), b"", b"t", b"")
-        self.conversation = Conversation(
-            "/things/lamp", OscoreContext(bytes(16), b"", b"", b"t"), THING
-        )
-        self.answers: list[Answer | ThingUnreachable] = []
+        self.conversation = Conversation("/things/lamp", OscoreContext(bytes(16), b"", b"", b"t"), THING)
+        self.answers: list[CoapAnswer | ThingUnreachable] = []
         self.opened: dict[bytes, tuple[aiocoap.Message, aiocoap.Message, Any]] = {}
         self.now = 0.0
 
     def ask(self, code: Any = codes.GET, **options: Any) -> Any:
-        request = Request(code, ("t",), **options)
+        request = CoapRequest(code, ("t",), **options)
         return self.open.start(self.conversation, request, self.answers.append, self.now)
 
     def asked(self) -> tuple[aiocoap.Message, aiocoap.Message, Any]:
         """The last request: as it was sent, opened (once), and what an answer is bound to."""
         data = self.sent[-1]
         if data not in self.opened:
-            self.opened[data] = (wire.read(data), *self.thing.open(wire.read(data)))
+            self.opened[data] = (messages.read(data), *self.thing.open(messages.read(data)))
         return self.opened[data]
 
     def seal(
-        self, sealed: aiocoap.Message, identifier: Any, code: Any = codes.CONTENT,
-        payload: bytes = b"", **options: Any,
-    ) -> aiocoap.Message:  # fmt: skip
+        self,
+        sealed: aiocoap.Message,
+        identifier: Any,
+        code: Any = codes.CONTENT,
+        payload: bytes = b"",
+        **options: Any,
+    ) -> aiocoap.Message:
         """An answer of the thing, as it arrives."""
         message = aiocoap.Message(code=code, payload=payload)
         for name, value in options.items():
@@ -58,8 +57,8 @@ class Line:
         answer, _ = self.thing.seal(message, identifier)
         if message.opt.observe is not None:
             answer.opt.observe = message.opt.observe
-        answer.token, answer.mtype, answer.mid = sealed.token, wire.NON, 7
-        return wire.read(wire.write(answer))
+        answer.token, answer.mtype, answer.mid = sealed.token, messages.NON, 7
+        return messages.read(messages.write(answer))
 
     def take(self, message: aiocoap.Message) -> None:
         found = self.open.find(message, THING)
@@ -81,9 +80,9 @@ def test_a_request_and_its_answer(line: Line) -> None:
     line.ask(codes.PUT, body=b"on", format=60)
     sealed, opened, identifier = line.asked()
     assert (opened.code, opened.opt.uri_path, opened.payload) == (codes.PUT, ("t",), b"on")
-    assert (int(opened.opt.content_format), sealed.mtype) == (60, wire.CON)
+    assert (int(opened.opt.content_format), sealed.mtype) == (60, messages.CON)
     line.take(line.seal(sealed, identifier, codes.CHANGED))
-    assert line.answers == [Answer(codes.CHANGED, None, b"")]
+    assert line.answers == [CoapAnswer(codes.CHANGED, None, b"")]
     assert (len(line.open), line.conversation.tokens, len(line.timers)) == (0, set(), 0)
 
 
@@ -138,7 +137,7 @@ def test_observed_states_in_their_order(line: Line) -> None:
         line.take(each)
     with pytest.raises(DatagramRefused):
         line.take(states[1])
-    assert [each.body for each in line.answers if isinstance(each, Answer)] == [b"1", b"3"]
+    assert [each.body for each in line.answers if isinstance(each, CoapAnswer)] == [b"1", b"3"]
     assert len(line.open) == 1
     line.open.cancel(exchange)
     assert line.open.find(states[0], THING) is None
@@ -155,18 +154,18 @@ def test_more_states_than_its_rate_are_dropped(line: Line) -> None:
 
 def test_an_unprotected_answer_ends_nothing_and_is_asked_again(line: Line) -> None:
     line.ask()
-    for tries in range(requests.RETRIES + 2):
+    for tries in range(endpoint.RETRIES + 2):
         sealed, _, _ = line.asked()
         plain = aiocoap.Message(code=codes.UNAUTHORIZED)
-        plain.token, plain.mtype, plain.mid = sealed.token, wire.ACK, sealed.mid
+        plain.token, plain.mtype, plain.mid = sealed.token, messages.ACK, sealed.mid
         for _ in range(2):
             with pytest.raises(DatagramRefused):
-                line.take(wire.read(wire.write(plain)))
+                line.take(messages.read(messages.write(plain)))
         assert line.answers == []
-        line.timers.run(requests.RETRY * 2**tries)
-    assert len({bytes(wire.read(data).token) for data in line.sent}) == 1 + requests.RETRIES
+        line.timers.run(endpoint.RETRY * 2**tries)
+    assert len({bytes(messages.read(data).token) for data in line.sent}) == 1 + endpoint.RETRIES
     line.reply(b"20")
-    assert [each.body for each in line.answers if isinstance(each, Answer)] == [b"20"]
+    assert [each.body for each in line.answers if isinstance(each, CoapAnswer)] == [b"20"]
 
 
 def test_a_thing_that_learns_its_context_late_is_not_left_to_repetitions(line: Line) -> None:
@@ -174,19 +173,19 @@ def test_a_thing_that_learns_its_context_late_is_not_left_to_repetitions(line: L
     answered: set[int] = set()
     line.ask()
     while not line.answers and line.now < DEADLINE:
-        sealed = wire.read(line.sent[-1])
-        mid = wire.number_of(sealed)
+        sealed = messages.read(line.sent[-1])
+        mid = messages.number_of(sealed)
         if mid not in answered and line.now >= 10:  # what told it its context was lost twice
             line.reply(b"20")
         elif mid not in answered:
             plain = aiocoap.Message(code=codes.UNAUTHORIZED)
-            plain.token, plain.mtype, plain.mid = sealed.token, wire.ACK, mid
+            plain.token, plain.mtype, plain.mid = sealed.token, messages.ACK, mid
             with pytest.raises(DatagramRefused):
-                line.take(wire.read(wire.write(plain)))
+                line.take(messages.read(messages.write(plain)))
         answered.add(mid)
         line.now += 0.25
         line.timers.run(line.now)
-    assert [each.body for each in line.answers if isinstance(each, Answer)] == [b"20"]
+    assert [each.body for each in line.answers if isinstance(each, CoapAnswer)] == [b"20"]
     assert line.now < 20
 
 
@@ -203,7 +202,7 @@ def test_an_answer_in_blocks(line: Line) -> None:
         assert wanted is None if number == 0 else wanted.block_number == number
         part = body[number * MAX_BLOCK : (number + 1) * MAX_BLOCK]
         line.reply(part, block2=block(number, number < 2))
-    assert line.answers == [Answer(codes.CONTENT, None, body)]
+    assert line.answers == [CoapAnswer(codes.CONTENT, None, body)]
 
 
 def test_a_body_in_blocks(line: Line) -> None:
@@ -215,7 +214,7 @@ def test_a_body_in_blocks(line: Line) -> None:
     second = line.asked()[1]
     assert (second.payload, second.opt.block1) == (body[MAX_BLOCK:], block(1, False))
     line.reply(b"done", codes.CHANGED)
-    assert line.answers == [Answer(codes.CHANGED, None, b"done")]
+    assert line.answers == [CoapAnswer(codes.CHANGED, None, b"done")]
 
 
 @pytest.mark.parametrize("flaw", ["a gap", "a short block", "too long", "more than there is"])
@@ -242,7 +241,7 @@ def test_an_observed_state_in_blocks(line: Line) -> None:
     line.ask(observe=True)
     line.reply(body[:MAX_BLOCK], observe=1, block2=block(0, True))
     line.reply(body[MAX_BLOCK:], block2=block(1, False))
-    assert line.answers == [Answer(codes.CONTENT, None, body)]
+    assert line.answers == [CoapAnswer(codes.CONTENT, None, body)]
     assert len(line.open) == 1
 
 

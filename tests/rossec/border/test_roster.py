@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from ca.revocation.state import MAX_AGE, Revocations, Timestamp, digest, open_list
-from ca.things.credentials import ThingKey, ThingSecret
-from ca.things.statement import ThingStatement, sign_statement
-from rossec.border.roster import Roster
-from rossec.saved_things import ThingFiles
+from ca.revocation.lists import MAX_AGE, Timestamp, digest, open_list
+from ca.revocation.trust_status import Revocations
+from ca.things.constrained_nodes import ThingKey, ThingSecret, ThingStatement, sign_statement
+from rossec.border.bridge import Roster
+from rossec.saved_statements import ThingFiles
 from tests.support.pki import new_signer
 from tests.support.site import Site
 from tests.support.things import again
@@ -31,10 +31,14 @@ class Place:
         self.confirm()
         self.roster = Roster(self.files, self.revocations, lambda: self.now)
         self.lamp = ThingStatement(
-            "home", LAMP, ThingKey.of(new_signer().public_key, KID),
-            self.home.identity(self.site.now()).thumbprint, self.now - 60, self.now + 600,
+            "home",
+            LAMP,
+            ThingKey.of(new_signer().public_key, KID),
+            self.home.identity(self.site.now()).thumbprint,
+            self.now - 60,
+            self.now + 600,
             bytes(16),
-        )  # fmt: skip
+        )
 
     def confirm(self) -> None:
         """The master says that the newest list is the newest."""
@@ -142,9 +146,12 @@ def test_a_thing_that_was_renamed_is_served_under_its_new_name(place: Place) -> 
 
 def test_of_two_things_with_a_kid_the_newer_counts(place: Place) -> None:
     newer = again(
-        place.lamp, 2, name="/a/lamp", not_before=place.lamp.not_before + 5,
+        place.lamp,
+        2,
+        name="/a/lamp",
+        not_before=place.lamp.not_before + 5,
         credential=ThingKey.of(new_signer().public_key, KID),
-    )  # fmt: skip
+    )
     place.install(place.lamp, newer)
     assert place.roster.by_key(KID) == ("/a/lamp", newer.credential)
     place.revoke(newer.id)

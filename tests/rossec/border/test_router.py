@@ -8,7 +8,7 @@ import pytest
 from aiocoap.oscore import NotAProtectedMessage
 
 from ca.encoding import decode, encode
-from ca.things.credentials import ThingKey
+from ca.things.constrained_nodes import ThingKey
 from grants.model import Right
 from rossec.node import Node
 from tests.support.border import LAMP, BorderSite
@@ -67,9 +67,7 @@ async def test_a_thing_publishes_subscribes_and_provides(border: BorderSite, kin
     allow_all(border)
     thing = border.thing() if kind == "key" else border.secret_thing()
     temperature, light, switch = with_values(thing)
-    switch.handler = lambda body: encode(
-        {"success": body == encode({"data": True}), "message": "on"}
-    )
+    switch.handler = lambda body: encode({"success": body == encode({"data": True}), "message": "on"})
     border.site.publish("/heating", f"{LAMP}/light")
     border.site.grant("/heating", Right.CALL, f"{LAMP}/switch")
     async with reader(border) as node, thing:

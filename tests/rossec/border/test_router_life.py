@@ -6,7 +6,7 @@ import pytest
 from aiocoap.numbers import codes
 
 from ca.encoding import encode
-from rossec.border import router as routers
+from rossec.border import border_router as routers
 from rossec.errors import DatagramRefused, NodeShutdown
 from tests.support.border import LAMP, BorderSite
 from tests.support.rawthing import RawThing

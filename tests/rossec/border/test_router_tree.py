@@ -3,7 +3,7 @@
 import secrets
 
 from ca.encoding import encode
-from ca.revocation.tree import is_tree
+from ca.revocation.lists import is_tree
 from tests.support.border import LAMP, BorderSite
 from tests.support.rawthing import RawThing
 from tests.support.site import Site

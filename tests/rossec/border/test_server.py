@@ -8,13 +8,13 @@ import pytest
 from aiocoap.numbers import codes
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.things.credentials import ThingKey
-from rossec.border import wire
-from rossec.border.contexts import OscoreContext
+from ca.things.constrained_nodes import ThingKey
+from rossec.border import messages
+from rossec.border.border_router import Server
 from rossec.border.conversations import Conversation
+from rossec.border.endpoint import CoapAnswer, CoapRequest
 from rossec.border.handshakes import StaticKey
-from rossec.border.requests import Answer, Request
-from rossec.border.server import Server
+from rossec.border.messages import OscoreContext
 from rossec.errors import ConfigurationError, ThingUnreachable
 
 OWN = StaticKey(ec.generate_private_key(ec.SECP256R1()))
@@ -66,8 +66,8 @@ async def test_datagrams_come_and_go() -> None:
     server = Server(OWN, nobody, nobody, "::1", 0)
     await peer.start(server.address)
     for number in range(100):
-        peer.transport.sendto(wire.empty(wire.CON, number))
-        assert await peer.next() == wire.empty(wire.RST, number)
+        peer.transport.sendto(messages.empty(messages.CON, number))
+        assert await peer.next() == messages.empty(messages.RST, number)
     assert server.endpoint.counts.datagrams == 100
     server.close()
     peer.transport.close()
@@ -76,12 +76,12 @@ async def test_datagrams_come_and_go() -> None:
 async def test_requests_are_sent_again_and_fail_when_the_conversation_ends(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("rossec.border.transmissions.ACK_TIMEOUT", 0.05)
+    monkeypatch.setattr("rossec.border.messages.ACK_TIMEOUT", 0.05)
     nobody, peer = Nobody(), Peer()
     server = Server(OWN, nobody, nobody, "::1", 0)
     await peer.start(server.address)
-    answers: list[Answer | ThingUnreachable] = []
-    request = Request(codes.GET, ("t",))
+    answers: list[CoapAnswer | ThingUnreachable] = []
+    request = CoapRequest(codes.GET, ("t",))
     assert server.request(LAMP, request, answers.append) is None
     address = peer.transport.get_extra_info("sockname")
     context = OscoreContext(os.urandom(16), b"", b"a", b"b")
@@ -109,9 +109,9 @@ async def test_a_thing_is_answered_at_once_in_a_flood_of_strangers() -> None:
     context = OscoreContext(os.urandom(16), b"", b"a", b"b")
     server.endpoint.conversations.add(Conversation(LAMP, context, address))
     for number in range(400):
-        flood.transport.sendto(wire.empty(wire.CON, number))
-    peer.transport.sendto(wire.empty(wire.CON, 7))
-    assert await peer.next() == wire.empty(wire.RST, 7)
+        flood.transport.sendto(messages.empty(messages.CON, number))
+    peer.transport.sendto(messages.empty(messages.CON, 7))
+    assert await peer.next() == messages.empty(messages.RST, 7)
     assert server.endpoint.counts.datagrams < 50
     server.close()
     for end in (peer, flood):
@@ -134,8 +134,8 @@ async def test_everywhere_is_ipv4_too() -> None:
     nobody, peer = Nobody(), Peer()
     server = Server(OWN, nobody, nobody, "::", 0)
     await peer.start(("127.0.0.1", server.address[1]))
-    peer.transport.sendto(wire.empty(wire.CON, 1))
-    assert await peer.next() == wire.empty(wire.RST, 1)
+    peer.transport.sendto(messages.empty(messages.CON, 1))
+    assert await peer.next() == messages.empty(messages.RST, 1)
     server.close()
     peer.transport.close()
 
@@ -145,9 +145,9 @@ async def test_a_peer_that_is_gone_ends_nothing() -> None:
     server = Server(OWN, nobody, nobody, "127.0.0.1", 0)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as gone:
         gone.bind(("127.0.0.1", 0))
-        gone.sendto(wire.empty(wire.CON, 1), server.address)
+        gone.sendto(messages.empty(messages.CON, 1), server.address)
     await peer.start(server.address)
-    peer.transport.sendto(wire.empty(wire.CON, 2))
-    assert await peer.next() == wire.empty(wire.RST, 2)
+    peer.transport.sendto(messages.empty(messages.CON, 2))
+    assert await peer.next() == messages.empty(messages.RST, 2)
     server.close()
     peer.transport.close()

@@ -1,6 +1,6 @@
 """What all identities of a border router share."""
 
-from rossec.border.shared import AT_A_TIME
+from rossec.border.constrained_node import AT_A_TIME
 from tests.rossec.border.test_thing_node import shared_by
 from tests.support.site import Site
 

@@ -8,8 +8,7 @@ import pytest
 
 from ca.certificates import Identity
 from rossec import clock
-from rossec.border.shared import SharedIdentity
-from rossec.border.thing_node import ThingNode
+from rossec.border.constrained_node import SharedIdentity, ThingNode
 from rossec.errors import ConfigurationError
 from rossec.node import Node
 from tests.support.border import LAMP
@@ -23,9 +22,13 @@ FLOAT = "std_msgs/Float32"
 def shared_by(node: Node) -> SharedIdentity:
     """What things share with the router's node."""
     return SharedIdentity(
-        node.access.standing, node.settings, node.push_arrived,
-        lambda: node.revocations.data, node.home.save_revocations, master=node.master_name,
-    )  # fmt: skip
+        node.access.standing,
+        node.settings,
+        node.push_arrived,
+        lambda: node.revocations.data,
+        node.home.save_revocations,
+        master=node.master_name,
+    )
 
 
 @contextlib.asynccontextmanager
@@ -73,9 +76,7 @@ async def test_it_registers_again_with_new_grants(site: Site) -> None:
         node.maintain(clock.now())
 
 
-async def test_a_master_that_is_out_of_reach_is_logged(
-    site: Site, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_master_that_is_out_of_reach_is_logged(site: Site, caplog: pytest.LogCaptureFixture) -> None:
     async with thing_node(site) as node:
         assert site.master is not None
         await site.master.close()

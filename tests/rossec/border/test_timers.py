@@ -1,6 +1,6 @@
 """What is due: in the order of its time, and not if it was cancelled."""
 
-from rossec.border.timers import Timers
+from rossec.border.messages import Timers
 
 
 def test_calls_are_made_when_they_are_due_and_in_order() -> None:

@@ -2,8 +2,7 @@
 
 import pytest
 
-from rossec.border.timers import Timers
-from rossec.border.transmissions import ACK_TIMEOUT, MAX_RETRANSMIT, Address, Transmissions
+from rossec.border.messages import ACK_TIMEOUT, MAX_RETRANSMIT, Address, Timers, Transmissions
 
 THING: Address = ("::1", 5683, 0, 0)
 

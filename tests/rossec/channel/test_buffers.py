@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.channel.buffers import OPEN, SMALL, ReceiveBuffer
+from rossec.channel.session import OPEN, SMALL, ReceiveBuffer
 
 
 def put(buffer: ReceiveBuffer, data: bytes) -> int:

@@ -2,9 +2,9 @@
 
 import pytest
 
+from rossec.channel.negotiation import Closed, ConnectionState
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes, ChannelLimits
-from rossec.channel.states import Closed, ConnectionState
 from rossec.errors import (
     ChannelClosed,
     ChannelError,
@@ -13,17 +13,8 @@ from rossec.errors import (
     LimitExceeded,
     RecordForged,
 )
-from rossec.progress import STEP, WINDOW
-from tests.support.wire import (
-    NOW,
-    End,
-    Wire,
-    alice,
-    bob,
-    joined,
-    peers,
-    wire,
-)
+from rossec.peer_limits import STEP, WINDOW
+from tests.support.wire import NOW, End, Wire, alice, bob, joined, peers, wire
 
 
 @pytest.mark.parametrize("step", [0, 1, 7])

@@ -4,21 +4,13 @@ import pytest
 
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.messages import encode_error
+from rossec.channel.negotiation import TABLE, ConnectionState
 from rossec.channel.records import Frame, frame
-from rossec.channel.states import TABLE, ConnectionState
-from rossec.errors import (
-    ProtocolViolation,
-)
-from tests.support.wire import (
-    End,
-    joined,
-    wire,
-)
+from rossec.errors import ProtocolViolation
+from tests.support.wire import End, joined, wire
 
 
-def test_a_state_that_is_not_in_the_table_ends_the_connection(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_state_that_is_not_in_the_table_ends_the_connection(monkeypatch: pytest.MonkeyPatch) -> None:
     w = joined()
     monkeypatch.setattr(Connection, "_on_data_end", lambda *_: ConnectionState.CLOSING)
     w.left.core.send_unit(b"x")
@@ -40,9 +32,7 @@ HANDSHAKE_STATES = (
     ("state", "kind"),
     [(state, kind) for state in HANDSHAKE_STATES for kind in Frame if (state, kind) not in TABLE],
 )
-def test_a_frame_that_is_not_in_the_table_ends_the_connection(
-    state: ConnectionState, kind: Frame
-) -> None:
+def test_a_frame_that_is_not_in_the_table_ends_the_connection(state: ConnectionState, kind: Frame) -> None:
     end = _in_state(state)
     end.give(frame(kind, b"\0" * 20))
     assert isinstance(end.error, ProtocolViolation)

@@ -2,19 +2,9 @@
 
 import pytest
 
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.errors import (
-    ChannelClosed,
-    OwnCredentialUnknown,
-    PeerCredentialUnknown,
-)
-from tests.support.wire import (
-    STRANGER,
-    alice,
-    bob,
-    peers,
-    wire,
-)
+from rossec.channel.edhoc.credentials import KnownCertificates
+from rossec.errors import ChannelClosed, OwnCredentialUnknown, PeerCredentialUnknown
+from tests.support.wire import STRANGER, alice, bob, peers, wire
 
 
 def met() -> tuple[KnownCertificates, KnownCertificates]:

@@ -75,13 +75,7 @@ def test_trace_2_byte_for_byte() -> None:
 def static(seed: str, kid: bytes) -> Static:
     key = scalar(dice(seed)(31))
     numbers = key.public_key().public_numbers()
-    cose_key: dict[int, Value] = {
-        1: 2,
-        2: kid,
-        -1: 1,
-        -2: numbers.x.to_bytes(32),
-        -3: numbers.y.to_bytes(32),
-    }
+    cose_key: dict[int, Value] = {1: 2, 2: kid, -1: 1, -2: numbers.x.to_bytes(32), -3: numbers.y.to_bytes(32)}
     cnf = b"\x08\xa1\x01\xa5" + b"".join(encode(k) + encode(v) for k, v in cose_key.items())
     return Static(key, kid, b"\xa2\x02" + encode(seed) + cnf)
 

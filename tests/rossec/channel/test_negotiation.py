@@ -5,28 +5,13 @@ import dataclasses
 import pytest
 
 from rossec.channel.connection import Connection
+from rossec.channel.edhoc.handshake import EdhocConfig
 from rossec.channel.edhoc.messages import encode_error
+from rossec.channel.negotiation import ConnectionState
 from rossec.channel.opening import REFUSAL, WireProtocol, tcpros_refusal
 from rossec.channel.records import Frame, frame
-from rossec.channel.states import ConnectionState
-from rossec.errors import (
-    HandshakeFailed,
-    IdentityRefused,
-    PeerRefused,
-    PlainPeer,
-    ProtocolViolation,
-)
-from tests.support.wire import (
-    ALICE,
-    NOW,
-    STRANGER,
-    FakeIdentity,
-    alice,
-    bob,
-    dice,
-    peers,
-    wire,
-)
+from rossec.errors import HandshakeFailed, IdentityRefused, PeerRefused, PlainPeer, ProtocolViolation
+from tests.support.wire import ALICE, NOW, STRANGER, FakeIdentity, alice, bob, dice, peers, wire
 
 
 def test_the_responder_refuses_an_unknown_peer_without_a_reason() -> None:
@@ -69,7 +54,7 @@ def test_a_bug_in_verify_ends_the_connection() -> None:
         raise ZeroDivisionError
 
     w = wire()
-    core = Connection[FakeIdentity].initiator(ALICE, broken, random=dice("x"), now=NOW)
+    core = Connection[FakeIdentity].initiator(EdhocConfig(ALICE, broken, dice("x")), now=NOW)
     w.right.give(bytes(core.data_to_send()))
     with pytest.raises(ZeroDivisionError):
         core.receive_data(w.right.take(), NOW)

@@ -2,22 +2,10 @@
 
 import pytest
 
+from rossec.channel.negotiation import ConnectionState
 from rossec.channel.records import ChannelLimits
-from rossec.channel.states import ConnectionState
-from rossec.errors import (
-    ChannelClosed,
-    ChannelError,
-    LimitExceeded,
-    ProtocolViolation,
-)
-from tests.support.wire import (
-    NOW,
-    SMALL,
-    alice,
-    bob,
-    joined,
-    wire,
-)
+from rossec.errors import ChannelClosed, ChannelError, LimitExceeded, ProtocolViolation
+from tests.support.wire import NOW, SMALL, alice, bob, joined, wire
 
 
 def test_a_unit_beyond_the_limit_is_refused_before_anything_happens() -> None:

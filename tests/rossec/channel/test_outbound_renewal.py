@@ -2,21 +2,10 @@
 
 import pytest
 
+from rossec.channel.negotiation import ConnectionState
 from rossec.channel.records import ChannelLimits
-from rossec.channel.states import ConnectionState
-from rossec.errors import (
-    HandshakeTimeout,
-    IdentityExpired,
-    LimitExceeded,
-)
-from tests.support.wire import (
-    NOT_AFTER,
-    NOW,
-    SMALL,
-    alice,
-    bob,
-    joined,
-)
+from rossec.errors import HandshakeTimeout, IdentityExpired, LimitExceeded
+from tests.support.wire import NOT_AFTER, NOW, SMALL, alice, bob, joined
 
 
 def test_the_handshake_has_one_deadline() -> None:

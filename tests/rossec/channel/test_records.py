@@ -2,8 +2,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rossec.channel.edhoc.keyschedule import EdhocExporter
-from rossec.channel.edhoc.suites import SUITES
+from rossec.channel.edhoc.suites import SUITES, EdhocExporter
 from rossec.channel.records import (
     MAX_PLAINTEXT,
     TAG,
@@ -90,9 +89,7 @@ def test_the_bytes_of_a_header() -> None:
         (Frame.CLOSE, TAG, TAG),
     ],
 )
-def test_lengths_are_checked_before_anything_is_buffered(
-    kind: Frame, shortest: int, longest: int
-) -> None:
+def test_lengths_are_checked_before_anything_is_buffered(kind: Frame, shortest: int, longest: int) -> None:
     check_header(header(kind, 17, shortest), 1)
     check_header(header(kind, 1, longest), 17)
     for length in (shortest - 1, longest + 1, 0xFFFFFF):

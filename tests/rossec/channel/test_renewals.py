@@ -5,12 +5,18 @@ import pytest
 from ca.encoding import encode
 from ca.errors import HintedError
 from rossec.channel.edhoc.messages import RENEWALS_EAD, says_renewals
+from rossec.channel.negotiation import (
+    MOST_AT_ONCE,
+    SECONDS_EACH,
+    ConnectionRenewals,
+    GrantsPresented,
+    IdentityRenewed,
+    PresentedRenewalRefused,
+)
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import MAX_GRANTS, ChannelLimits, Frame, header
-from rossec.channel.renewals import MOST_AT_ONCE, SECONDS_EACH, Renewals
-from rossec.channel.states import GrantsPresented, IdentityRenewed, RenewalRefused
 from rossec.errors import IdentityExpired, LimitExceeded, ProtocolViolation
-from rossec.participant.token_opening import MAX_PRESENTED
+from rossec.participant.access import MAX_PRESENTED
 from tests.support.wire import (
     ALICE,
     BOB,
@@ -38,7 +44,7 @@ def both(limits: ChannelLimits = LASTING) -> Wire:
 
 
 def renewals_of(end: End) -> list[object]:
-    kinds = (IdentityRenewed, RenewalRefused, GrantsPresented)
+    kinds = (IdentityRenewed, PresentedRenewalRefused, GrantsPresented)
     return [event for event in end.events if isinstance(event, kinds)]
 
 
@@ -69,7 +75,7 @@ def test_a_certificate_that_was_renewed_during_the_handshake_follows_it() -> Non
 
 
 def test_a_chain_of_two_is_presented_whole() -> None:
-    made = Renewals(trust, renews, ALICE.chain[0], NOW)
+    made = ConnectionRenewals(trust, renews, ALICE.chain[0], NOW)
     data = made.own((*renewed(ALICE), b"above"))
     assert data == encode({33: [*renewed(ALICE), b"above"]})
     assert made.identity(data, trust(ALICE.chain, NOW), NOW).not_after == NOT_AFTER + DAY
@@ -89,7 +95,7 @@ def test_any_other_certificate_is_refused_and_changes_nothing(chain: tuple[bytes
     w = both()
     w.left.core.present_identity(chain)
     w.pump()
-    assert [type(event) for event in renewals_of(w.right)] == [RenewalRefused]
+    assert [type(event) for event in renewals_of(w.right)] == [PresentedRenewalRefused]
     assert w.right.core.deadline() == NOT_AFTER
     with pytest.raises(IdentityExpired):
         w.right.core.tick(NOT_AFTER)
@@ -97,7 +103,7 @@ def test_any_other_certificate_is_refused_and_changes_nothing(chain: tuple[bytes
 
 @pytest.mark.parametrize("data", [b"\xff", encode([1]), encode({34: [-15, bytes(8)]}), b""])
 def test_malformed_certificates_are_refused(data: bytes) -> None:
-    made = Renewals(trust, renews, b"", NOW)
+    made = ConnectionRenewals(trust, renews, b"", NOW)
     with pytest.raises(HintedError):
         made.identity(data, trust(ALICE.chain, NOW), NOW)
 
@@ -150,7 +156,7 @@ def test_a_peer_that_presents_too_often_ends_the_connection() -> None:
 
 
 def test_who_presents_seldom_may_do_so_for_ever() -> None:
-    made = Renewals(trust, renews, b"", NOW)
+    made = ConnectionRenewals(trust, renews, b"", NOW)
     for count in range(1000):
         made.charge(NOW + count * SECONDS_EACH)
     made.charge(NOW)  # a clock that is set back gives nothing

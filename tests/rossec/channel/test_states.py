@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from rossec.channel.states import HANDSHAKING, TABLE, ConnectionState
+from rossec.channel.negotiation import HANDSHAKING, TABLE, ConnectionState
 
 _ROOT = Path(__file__).parents[3]
 _SPEC = (_ROOT / "docs" / "spec" / "channel.md").read_text()

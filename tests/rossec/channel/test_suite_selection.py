@@ -1,7 +1,7 @@
 import pytest
 
 from rossec.channel.edhoc.suites import POST_QUANTUM, PRODUCTION
-from rossec.channel.suite_selection import VARIABLE, post_quantum
+from rossec.channel.opening import VARIABLE, post_quantum
 from rossec.errors import ConfigurationError
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from rossec.channel.records import Direction, Frame, fragments, padded
-from rossec.channel.unit_assembly import UnitAssembly
+from rossec.channel.session import UnitAssembly
 from rossec.errors import LimitExceeded, ProtocolViolation, RecordForged
 from tests.rossec.channel.test_records import direction
 

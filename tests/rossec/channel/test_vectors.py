@@ -5,9 +5,8 @@ from typing import Any
 
 import pytest
 
-from rossec.channel.edhoc.handshake import Responder, WrongSuite
+from rossec.channel.edhoc.handshake import EdhocConfig, Responder, WrongSuite
 from rossec.channel.edhoc.messages import Message1, decode_message_1, encode_error, suites_item
-from rossec.channel.edhoc.peer import EdhocConfig
 from rossec.channel.opening import Accepted, classify_caller
 from rossec.channel.records import unpadded
 from rossec.errors import HandshakeFailed, ProtocolViolation

@@ -8,8 +8,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from rossec.channel.negotiation import ConnectionState
 from rossec.channel.records import ChannelLimits
-from rossec.channel.states import ConnectionState
 from rossec.errors import ChannelError
 from tests.support.wire import NOW, End, alice, bob, wire
 
@@ -61,11 +61,7 @@ class TwoConnections(RuleBasedStateMachine):
         for _ in range(len(self.flying[side]) + 1):
             self.carry(side, 0)
 
-    @rule(
-        side=SIDES,
-        what=st.sampled_from(["drop", "repeat", "swap", "cut", "flip"]),
-        at=st.floats(0, 0.999),
-    )
+    @rule(side=SIDES, what=st.sampled_from(["drop", "repeat", "swap", "cut", "flip"]), at=st.floats(0, 0.999))
     @precondition(lambda self: any(self.flying.values()))
     def lie(self, side: str, what: str, at: float) -> None:
         flying = self.flying[side]

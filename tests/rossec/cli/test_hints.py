@@ -16,13 +16,11 @@ import click
 import pytest
 
 from rossec.cli.main import rossec
-from rossec.cli.shared.lazy import LazyCommand
+from rossec.cli.shared.context import LazyCommand
 from tests.rossec.cli.tables import all_commands
 
 ROOT: Final = Path(__file__).parents[3]
-SOURCES: Final = sorted(
-    path for name in ("ca", "grants", "rossec") for path in (ROOT / name).rglob("*.py")
-)
+SOURCES: Final = sorted(path for name in ("ca", "grants", "rossec") for path in (ROOT / name).rglob("*.py"))
 VALUE: Final = "\ufffc"  # what an f-string puts in
 OTHERS: Final = frozenset(
     {
@@ -30,11 +28,34 @@ OTHERS: Final = frozenset(
         "gateway --from hospital /robot/pose",  # its own syntax: tests/rossec/cli/gateway
     }
 )
-PROSE: Final = frozenset({  # "rossec" as the subject of a sentence, and in names
-    "again", "an", "background", "before", "busy", "by", "code", "codes", "connection", "deposits",
-    "described", "end", "labels", "layout", "manual", "overlay", "parameters", "reads", "region",
-    "report", "routers", "runs", "send", "supports",
-})  # fmt: skip
+PROSE: Final = frozenset(
+    {  # "rossec" as the subject of a sentence, and in names
+        "again",
+        "an",
+        "background",
+        "before",
+        "busy",
+        "by",
+        "code",
+        "codes",
+        "connection",
+        "deposits",
+        "described",
+        "end",
+        "labels",
+        "layout",
+        "manual",
+        "overlay",
+        "parameters",
+        "reads",
+        "region",
+        "report",
+        "routers",
+        "runs",
+        "send",
+        "supports",
+    }
+)
 _NAMED: Final = re.compile(r"(`?)\brossec (?=[a-z])(?=([^\n`]*))")
 _ARGUMENT: Final = re.compile(rf"-|[A-Z]|{VALUE}|['/.0-9]|\S*[.:/=]\S")
 _END: Final = re.compile(r"[,;:)?!]+$|[.]$")
@@ -51,24 +72,14 @@ def texts(path: Path) -> Iterator[tuple[int, str]]:
         and isinstance(node.body[0], ast.Expr)
     }
     documents |= {
-        id(node.value)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.keyword) and node.arg == "help"
+        id(node.value) for node in ast.walk(tree) if isinstance(node, ast.keyword) and node.arg == "help"
     }  # `helps` has them
-    parts = {
-        id(part)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.JoinedStr)
-        for part in node.values
-    }
+    parts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
     for node in ast.walk(tree):
         if isinstance(node, ast.JoinedStr):
             yield (
                 node.lineno,
-                "".join(
-                    str(part.value) if isinstance(part, ast.Constant) else VALUE
-                    for part in node.values
-                ),
+                "".join(str(part.value) if isinstance(part, ast.Constant) else VALUE for part in node.values),
             )
         elif isinstance(node, ast.Constant) and id(node) not in documents | parts:
             yield node.lineno, str(node.value)
@@ -148,9 +159,10 @@ class Named:
             return f"too many arguments: {left}"
         present = str, list, tuple, int
         missing = [
-            each.name for each in self.command.params
+            each.name
+            for each in self.command.params
             if each.required and not isinstance(given.get(each.name or ""), present)
-        ]  # fmt: skip
+        ]
         return f"missing: {missing}" if missing and VALUE * 2 not in "".join(arguments) else ""
 
 

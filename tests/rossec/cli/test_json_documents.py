@@ -59,9 +59,7 @@ def test_documents_of_a_nodes_host(site: Shell) -> None:
     assert installed == {"file": signed["identity"], "name": "/robot", "domain": "home", "ok": True}
     assert document(site, "node", "code", "/robot")["code"].startswith("ROSSEC:")
     assert document(site, "node", "labels", "/l", "/m", "--out", "l.html")["names"] == ["/l", "/m"]
-    granted = document(
-        site, "grant", "sign", "/robot", "--publish", "/x", "--out", "x.grant", unlocked=True
-    )
+    granted = document(site, "grant", "sign", "/robot", "--publish", "/x", "--out", "x.grant", unlocked=True)
     assert granted["file"] == "x.grant"
     shown = document(site, "grant", "show", "x.grant")
     assert shown["id"] == granted["id"]
@@ -91,9 +89,7 @@ def test_documents_of_requests_for_grants(site: Shell) -> None:
     lift, other = ask("--call", "/lift"), "ffffffff"
     denied = document(site, "grant", "deny", lift[:8], other, code=1)
     assert [each["ok"] for each in denied["results"]] == [True, False]
-    assert denied["results"][0]["requests"] == [
-        {"node": "/heating", "right": "call", "name": "/lift"}
-    ]
+    assert denied["results"][0]["requests"] == [{"node": "/heating", "right": "call", "name": "/lift"}]
 
 
 def test_documents_of_the_authority(site: Shell, tmp_path: Path) -> None:
@@ -116,8 +112,12 @@ def test_documents_of_the_authority(site: Shell, tmp_path: Path) -> None:
 
 def test_documents_of_other_tools(site: Shell) -> None:
     site.enroll(MASTER)
-    assert document(site, "federation", "add", "http://10.0.0.2:11311", "--as", "attic",
-                    "--name", "/master/attic")["label"] == "attic"  # fmt: skip
+    assert (
+        document(
+            site, "federation", "add", "http://10.0.0.2:11311", "--as", "attic", "--name", "/master/attic"
+        )["label"]
+        == "attic"
+    )
     assert document(site, "federation", "param", "attic", "/robot/**")["mirrored"] is True
     gone = document(site, "federation", "remove", "attic", "cellar", code=1)
     assert [each["ok"] for each in gone["results"]] == [True, False]

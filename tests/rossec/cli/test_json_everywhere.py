@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from rossec.cli.shared import results
+from rossec.cli.shared import options as results
 from tests.rossec.cli.walk import commands, options
 
 ROOT: Final = Path(__file__).parents[3]
@@ -72,9 +72,7 @@ def recorded(path: Path) -> Iterator[str]:
             case ast.Call(func=ast.Name(id="add_entry"), args=[ast.Constant(value=key), facts]):
                 yield str(key)
                 if isinstance(facts, ast.Dict):
-                    yield from (
-                        str(each.value) for each in facts.keys if isinstance(each, ast.Constant)
-                    )
+                    yield from (str(each.value) for each in facts.keys if isinstance(each, ast.Constant))
             case _:
                 pass
 

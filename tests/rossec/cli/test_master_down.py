@@ -5,12 +5,27 @@ import pytest
 from tests.support.commands import Said, Shell
 
 ASKS = (
-    "topic list", "topic info /scan", "topic type /scan", "topic find std_msgs/String",
-    "topic hz /scan", "topic bw /scan", "topic echo /scan", "topic echo /scan std_msgs/String",
-    "topic pub /scan std_msgs/String data:", "node list", "node info /robot", "service list",
-    "service info /reset", "service type /reset", "service call /reset --type std_srvs/Trigger",
-    "param list", "param get /x", "param set /x 1", "param delete /x", "graph",
-)  # fmt: skip
+    "topic list",
+    "topic info /scan",
+    "topic type /scan",
+    "topic find std_msgs/String",
+    "topic hz /scan",
+    "topic bw /scan",
+    "topic echo /scan",
+    "topic echo /scan std_msgs/String",
+    "topic pub /scan std_msgs/String data:",
+    "node list",
+    "node info /robot",
+    "service list",
+    "service info /reset",
+    "service type /reset",
+    "service call /reset --type std_srvs/Trigger",
+    "param list",
+    "param get /x",
+    "param set /x 1",
+    "param delete /x",
+    "graph",
+)
 DELIVERS = ("ca publish", "ca refresh", "grant deliver")
 ADMINISTERS = ("master status", "master stop", "federation status")
 

@@ -49,10 +49,15 @@ async def master_in(home: Path) -> AsyncIterator[str]:
     uri = f"http://127.0.0.1:{port}/"
     base = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-I", "-m", "rossec", "master",
+        sys.executable,
+        "-I",
+        "-m",
+        "rossec",
+        "master",
         env={**base, "ROSSEC_HOME": str(home), "ROS_IP": "127.0.0.1", "ROS_MASTER_URI": uri},
-        stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL,
-    )  # fmt: skip
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.DEVNULL,
+    )
     try:
         await until(lambda: listens(port), within=60)
         yield uri
@@ -95,9 +100,7 @@ async def test_a_plain_roscore(shell: Shell, command: tuple[str, ...]) -> None:
     assert "start the other in its place: rossec master" in text or command[0] == "ca"
 
 
-async def test_a_master_without_a_list_is_given_it_with_the_first_grant(
-    shell: Shell, tmp_path: Path
-) -> None:
+async def test_a_master_without_a_list_is_given_it_with_the_first_grant(shell: Shell, tmp_path: Path) -> None:
     """Authority and master in homes of their own, as they should be."""
     robot = Shell(tmp_path / "robot", shell._capsys)
     await asyncio.to_thread(shell.enroll, "/master")

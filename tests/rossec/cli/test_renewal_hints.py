@@ -31,9 +31,13 @@ class Walk:
         """From now on it is a day after the end of every identity of 30 days."""
         at = int(time.time()) + LATE
         for module in (
-            "cli.ca.identities", "cli.ca.sign", "cli.shared.service", "cli.node.identity",
-            "cli.node.doctor", "cli.grant.sign",
-        ):  # fmt: skip
+            "cli.ca.identities",
+            "cli.ca.sign",
+            "cli.shared.service",
+            "cli.node.identity",
+            "cli.node.doctor",
+            "cli.grant.sign",
+        ):
             self._monkeypatch.setattr(f"rossec.{module}.now", lambda: at, raising=False)
         return at
 
@@ -77,9 +81,7 @@ def comes_back(walk: Walk, said: Said, at: int) -> None:
     ],
     ids=" ".join,
 )
-def test_commands_of_the_authority_lead_to_the_way_back(
-    walk: Walk, command: tuple[str, ...]
-) -> None:
+def test_commands_of_the_authority_lead_to_the_way_back(walk: Walk, command: tuple[str, ...]) -> None:
     words = [str(walk.shell.root / word) if "/node.csr" in word else word for word in command]
     at = walk.late()
     comes_back(walk, walk.shell.unlocked(*words), at)

@@ -30,14 +30,13 @@ def test_requests_are_signed_and_installed_together(
     said = shell("node", "request", "/a", "bad name", "/b/c")
     assert said.code == 1
     assert "rossec: error: bad name: " in said.err
-    assert said.err.splitlines()[-2:] == [
-        "rossec: error: 1 of 3 were refused", "rossec: hint: see above",
-    ]  # fmt: skip
+    assert said.err.splitlines()[-2:] == ["rossec: error: 1 of 3 were refused", "rossec: hint: see above"]
     requests = [str(shell.node(name) / "node.csr") for name in ("/a", "/b/c")]
     *lines, last = said.out.splitlines()
     assert [line for line in lines if line.startswith("request of")] == [
-        f"request of /a: {requests[0]}", f"request of /b/c: {requests[1]}",
-    ]  # fmt: skip
+        f"request of /a: {requests[0]}",
+        f"request of /b/c: {requests[1]}",
+    ]
     assert last == f"next, at the authority: rossec ca sign {' '.join(requests)}"
 
     again = shell("node", "request", "/a", "/d", "--json")
@@ -54,8 +53,9 @@ def test_requests_are_signed_and_installed_together(
     installed = shell("node", "install", *bundles, str(odd), "--yes")
     assert installed.code == 1
     assert [line for line in installed.out.splitlines() if "is enrolled" in line] == [
-        "/a is enrolled in home", "/b/c is enrolled in home",
-    ]  # fmt: skip
+        "/a is enrolled in home",
+        "/b/c is enrolled in home",
+    ]
     assert installed.out.count("fingerprint") == 1, "one authority, one question"
     assert f"error: {odd}: " in installed.err
 
@@ -81,10 +81,7 @@ def test_one_name_says_what_it_always_said(
     monkeypatch.chdir(tmp_path)
     shell.enroll("/robot")
     renewed = shell.unlocked("ca", "renew", "/robot").out.splitlines()
-    assert renewed == [
-        "renewed /robot: robot.pem",
-        f"installed in {shell.node('/robot')}",
-    ]
+    assert renewed == ["renewed /robot: robot.pem", f"installed in {shell.node('/robot')}"]
     refused(shell.unlocked("ca", "renew", "/nobody"), "/nobody")
     refused(shell.unlocked("ca", "renew", "/a", "/b", "--out", "x"), "--out is of one", code=2)
     refused(shell("node", "request"), "give NAME, or --meta FILE", code=2)
@@ -139,14 +136,14 @@ def test_requests_for_an_identity_are_answered_together(shell: Shell) -> None:
         assert shell("node", "request", name).code == 0
         csr = str(shell.node(name) / "node.csr")
         assert shell("ca", "enroll", "--csr", csr, "--later").code == 0
-    waiting = {
-        row["name"]: row["request"] for row in json.loads(shell("ca", "requests", "--json").out)
-    }
+    waiting = {row["name"]: row["request"] for row in json.loads(shell("ca", "requests", "--json").out)}
     said = shell.unlocked("ca", "approve", waiting["/a"][:8], "abcdef", waiting["/b"], "--json")
     assert said.code == 1
     assert [(entry.get("name"), entry["ok"]) for entry in entries(said)] == [
-        ("/a", True), (None, False), ("/b", True),
-    ]  # fmt: skip
+        ("/a", True),
+        (None, False),
+        ("/b", True),
+    ]
     said = shell("ca", "deny", waiting["/c"], "zz", "--reason", "a test")
     assert said.code == 1
     assert said.out == "denied /c\n"
@@ -163,9 +160,12 @@ def test_the_list_of_grants_is_sorted_and_says_state_and_end(shell: Shell) -> No
     shell.unlocked("grant", "revoke", rows[0]["id"], *NOBODY)
     lines = shell("grant", "list", *NOBODY).out.splitlines()
     assert [(line.split("  ")[1], line.rsplit("  ", 1)[1]) for line in lines] == [
-        ("/ape", "delivered"), ("/ape", "delivered"), ("/ape", "revoked"), ("/ape", "expired"),
+        ("/ape", "delivered"),
+        ("/ape", "delivered"),
+        ("/ape", "revoked"),
+        ("/ape", "expired"),
         ("/zebra", "delivered"),
-    ]  # fmt: skip
+    ]
     assert lines[2].startswith(rows[0]["id"])
     assert all(line[32:34] == "  " and " until " in line for line in lines), "README cuts the id"
     both = shell("grant", "list", "/zebra", "/ape", *NOBODY).out.splitlines()
@@ -180,9 +180,14 @@ def _expired(shell: Shell, name: str) -> None:
     key = json.loads(shell("ca", "show", name, "--json").out)["identities"][0]["key"]
     authority = home.unlock(PASSPHRASE)
     draft = Draft(
-        domain="home", subject=name, holder=bytes.fromhex(key), not_before=at - 60,
-        expires=at - 10, cap=at - 10, serial=b"s" * 16,
+        domain="home",
+        subject=name,
+        holder=bytes.fromhex(key),
+        not_before=at - 60,
+        expires=at - 10,
+        cap=at - 10,
+        serial=b"s" * 16,
         permissions=(Permission("/old", Right.PUBLISH, None),),
-    )  # fmt: skip
+    )
     authority.issue_grant(draft, at - 50)
     authority.store.close()

@@ -63,9 +63,7 @@ class Person:
 
 def at(shell: Shell, *words: str, **variables: str) -> Person:
     environ = {name: value for name, value in os.environ.items() if name != "NO_COLOR"}
-    return Person(
-        [*words], {**environ, **shell.environ, "NO_COLOR": "", "TERM": "xterm", **variables}
-    )
+    return Person([*words], {**environ, **shell.environ, "NO_COLOR": "", "TERM": "xterm", **variables})
 
 
 def test_an_error_is_red_and_says_so(empty: Shell) -> None:

@@ -9,7 +9,7 @@ import click
 import pytest
 
 from rossec.cli.main import rossec
-from rossec.cli.shared.lazy import LazyCommand
+from rossec.cli.shared.context import LazyCommand
 
 ROOT: Final = Path(__file__).parents[3]
 UNITS: Final = sorted((ROOT / "examples" / "systemd").glob("*.service"))

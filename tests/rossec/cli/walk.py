@@ -5,12 +5,10 @@ from collections.abc import Iterator
 import click
 
 from rossec.cli.main import rossec
-from rossec.cli.shared.lazy import LazyCommand
+from rossec.cli.shared.context import LazyCommand
 
 
-def commands(
-    root: click.Command = rossec, path: tuple[str, ...] = ()
-) -> Iterator[tuple[str, click.Command]]:
+def commands(root: click.Command = rossec, path: tuple[str, ...] = ()) -> Iterator[tuple[str, click.Command]]:
     """Each command that runs, with its words; a group only if it runs without a verb."""
     command = root.load() if isinstance(root, LazyCommand) else root
     if not isinstance(command, click.Group):

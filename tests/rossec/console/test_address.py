@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.console.address import NAME, only_console, read_address, write_address
+from rossec.console.listening import NAME, only_console, read_address, write_address
 from rossec.errors import ConfigurationError
 
 
@@ -22,10 +22,7 @@ def test_it_is_written_read_and_removed(tmp_path: Path) -> None:
 def test_a_second_console_leaves_the_address_of_the_first_alone(tmp_path: Path) -> None:
     with only_console(tmp_path):
         write_address(tmp_path, "http://localhost:7411")
-        with (
-            pytest.raises(ConfigurationError, match="another console") as caught,
-            only_console(tmp_path),
-        ):
+        with pytest.raises(ConfigurationError, match="another console") as caught, only_console(tmp_path):
             raise AssertionError
         assert "--read-only" in str(caught.value.hint)
         assert read_address(tmp_path) == "http://localhost:7411"

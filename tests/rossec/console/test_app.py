@@ -7,18 +7,14 @@ from starlette.testclient import TestClient
 
 from ca.errors import HintedError
 from rossec.console.app import create_app, show_error, status_of
-from rossec.console.routing import PUBLIC, Page
+from rossec.console.rendering import PUBLIC, Page
 from rossec.errors import AuthorityLocked, HttpRefused, KeyServiceFailed
 from tests.support.consolepages import ORIGIN, Browser
 
 
 @pytest.mark.parametrize(
     ("error", "status"),
-    [
-        (HttpRefused("a", status=404), 404),
-        (KeyServiceFailed("a"), 503),
-        (AuthorityLocked("a"), 422),
-    ],
+    [(HttpRefused("a", status=404), 404), (KeyServiceFailed("a"), 503), (AuthorityLocked("a"), 422)],
 )
 def test_a_refusal_has_a_status(error: HintedError, status: int) -> None:
     assert status_of(error) == status

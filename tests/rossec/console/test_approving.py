@@ -7,21 +7,17 @@ from typing import Any
 import pytest
 
 from ca.errors import EnrollmentOver, HintedError, NameRefused, PatternRefused
-from rossec.authority.console.messages import PREPARED
-from rossec.authority.console.views import GrantQuestion, IdentityRequestView, Outcome
-from rossec.console import approving
-from rossec.console.approving import DAY, Act, carried_out, certificate_request, read
-from rossec.console.enrollment import Enrollment
-from rossec.console.made_codes import MadeCodes
+from rossec.authority.console.messages import PREPARED, ApprovalOutcome, GrantQuestion, IdentityRequestView
+from rossec.console import approvals
+from rossec.console.approvals import DAY, MadeCodes, ProposedAct, carried_out, certificate_request, read
+from rossec.console.enrollments import Enrollment
 from rossec.errors import EnrollmentUnknown, FormRefused
 
 QUESTION = "q" * 22
 KITCHEN = "/master/kitchen"
 TYPED = {"name": "/master", "master": "/master"}
 QUESTION_ID = base64.urlsafe_b64decode(QUESTION + "==")
-WAITS = IdentityRequestView(
-    b"\1" * 32, "/arm", b"k", "invitation", 0, 9, "pending", False, False, b"csr"
-)
+WAITS = IdentityRequestView(b"\1" * 32, "/arm", b"k", "invitation", 0, 9, "pending", False, False, b"csr")
 KNOWN = WAITS._replace(id=b"\2" * 32, is_other_key=True)
 
 
@@ -56,7 +52,7 @@ class Sources:
 
     def __init__(self, **enrollments: Adding) -> None:
         self.known = enrollments
-        self.heard: list[tuple[str, Outcome]] = []
+        self.heard: list[tuple[str, ApprovalOutcome]] = []
         self.enrollments: Any = self
         self.service: Any = self
         self.made_codes = MadeCodes()
@@ -68,7 +64,7 @@ class Sources:
         found: Any = self.known[number]
         return found  # type: ignore[no-any-return]
 
-    def approved(self, number: str, outcome: Outcome) -> None:
+    def approved(self, number: str, outcome: ApprovalOutcome) -> None:
         self.heard.append((number, outcome))
 
     async def identity_requests(self) -> tuple[IdentityRequestView, ...]:
@@ -89,27 +85,35 @@ GIVEN: list[tuple[str, dict[str, str], list[object], str]] = [
     ("enroll", {"request": "AQEB" * 10 + "AQE"}, [*JOIN, False], "/approved/{id}"),
     ("enroll", {"request": "AgIC" * 10 + "AgI", "name": "/arm"}, [*JOIN, True], "/approved/{id}"),
     (
-        "grant", {"question": QUESTION, "coarse": "room", "duration": "week"},
-        [QUESTION_ID, "room", 7 * DAY], "/approved/{id}",
+        "grant",
+        {"question": QUESTION, "coarse": "room", "duration": "week"},
+        [QUESTION_ID, "room", 7 * DAY],
+        "/approved/{id}",
     ),
     (
-        "grant", {"question": QUESTION, "coarse": "", "duration": "open"},
-        [QUESTION_ID, "", 0], "/approved/{id}",
+        "grant",
+        {"question": QUESTION, "coarse": "", "duration": "open"},
+        [QUESTION_ID, "", 0],
+        "/approved/{id}",
     ),
     ("policy", {"digest": "A" * 43}, [bytes(32)], "/approved/{id}"),
     ("delegate", {"days": "90", "ticket": "eight-hours"}, [90 * DAY, 8 * 3600], "/approved/{id}"),
     (
-        "intermediate", {"csr": DIGITS, "may": "enroll", "days": "1"},
-        [b"request", True, DAY], "/approved/{id}",
+        "intermediate",
+        {"csr": DIGITS, "may": "enroll", "days": "1"},
+        [b"request", True, DAY],
+        "/approved/{id}",
     ),
     ("passkey", {"proposal": "Cg"}, [b"\n"], "/phones"),
     ("invitation", INVITATION, ["/cam/*", 3, 3600, False], "/invited/{id}"),
     ("invitation", INVITATION | {"anonymous": "on"}, ["/cam/*", 3, 3600, True], "/invited/{id}"),
     (
-        "revoke-master", {"reason": "lost", "name": KITCHEN, "master": KITCHEN}, ["lost", KITCHEN],
+        "revoke-master",
+        {"reason": "lost", "name": KITCHEN, "master": KITCHEN},
+        ["lost", KITCHEN],
         "/revoked/0/0?node=/master/kitchen",
     ),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("kind", "form", "arguments", "following"), GIVEN)
@@ -122,7 +126,7 @@ async def test_a_form_becomes_the_arguments_of_its_kind(
 
 
 def test_every_kind_of_the_service_has_a_form() -> None:
-    assert approving.READERS.keys() == PREPARED.keys()
+    assert approvals.READERS.keys() == PREPARED.keys()
     assert {kind for kind, *_ in GIVEN} == PREPARED.keys()
 
 
@@ -169,14 +173,11 @@ REFUSED: list[tuple[str, dict[str, str], type[HintedError], str]] = [
     ("invitation", INVITATION | {"uses": "\N{FULLWIDTH DIGIT ONE}"}, FormRefused, "a number"),
     ("invitation", INVITATION | {"lasts": "year"}, FormRefused, "lasts is one of"),
     ("invitation", INVITATION | {"anonymous": "yes"}, FormRefused, "not a tick"),
-    (
-        "invitation", INVITATION | {"pattern": "/master", "anonymous": "on"}, NameRefused,
-        "a single node",
-    ),
+    ("invitation", INVITATION | {"pattern": "/master", "anonymous": "on"}, NameRefused, "a single node"),
     ("revoke-master", {"reason": "a\nb"} | TYPED, FormRefused, "one line"),
     ("revoke-master", TYPED | {"reason": "", "name": KITCHEN}, FormRefused, "the name is /master"),
     ("revoke-master", {"reason": "", "name": "/a", "master": "/a"}, FormRefused, "no master"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("kind", "form", "error", "text"), REFUSED)
@@ -220,18 +221,18 @@ def test_a_request_is_read_as_pem_or_as_its_base64() -> None:
 
 
 def test_the_page_after_an_approval_is_the_one_of_its_kind() -> None:
-    sources, outcome = Sources(), Outcome(b"\xab" * 16, "done", "", b"")
-    act = Act("enroll", [], "/add/e1", subject="e1")
+    sources, outcome = Sources(), ApprovalOutcome(b"\xab" * 16, "done", "", b"")
+    act = ProposedAct("enroll", [], "/add/e1", subject="e1")
     assert carried_out(sources, act, outcome, b"session") == "/add/e1"
     assert sources.heard == [("e1", outcome)]
-    assert carried_out(sources, Act("policy", [], "/approved/{id}"), outcome, b"session") == (
+    assert carried_out(sources, ProposedAct("policy", [], "/approved/{id}"), outcome, b"session") == (
         "/approved/q6urq6urq6urq6urq6urqw"
     )
     assert len(sources.heard) == 1
 
 
 def test_a_join_code_is_for_the_session_that_made_it() -> None:
-    sources, outcome = Sources(), Outcome(b"\xab" * 16, "done", "", b"code")
-    carried_out(sources, Act("invitation", [], "/invited/{id}"), outcome, b"session")
+    sources, outcome = Sources(), ApprovalOutcome(b"\xab" * 16, "done", "", b"code")
+    carried_out(sources, ProposedAct("invitation", [], "/invited/{id}"), outcome, b"session")
     assert not sources.made_codes.take(outcome.id, b"another")
     assert sources.made_codes.take(outcome.id, b"session")

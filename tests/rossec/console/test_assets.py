@@ -2,8 +2,8 @@
 
 import pytest
 
-from rossec.console.assets import FOLDER, asset_path, assets
-from rossec.console.headers import IMMUTABLE
+from rossec.console.app import IMMUTABLE
+from rossec.console.rendering import STATIC_FOLDER, asset_path, assets
 from tests.support.consolepages import Browser
 
 
@@ -12,18 +12,20 @@ def _read_anew() -> None:
     assets.cache_clear()
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in FOLDER.iterdir()))
+@pytest.mark.parametrize("name", sorted(path.name for path in STATIC_FOLDER.iterdir()))
 def test_a_file_is_served_under_its_digest(name: str) -> None:
     answer = Browser().get(asset_path(name))
     assert answer.status_code == 200
-    assert answer.content == (FOLDER / name).read_bytes()
+    assert answer.content == (STATIC_FOLDER / name).read_bytes()
     assert answer.headers["cache-control"] == IMMUTABLE
     kind = answer.headers["content-type"].partition(";")[0]
     expected = {
-        ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml",
+        ".css": "text/css",
+        ".js": "text/javascript",
+        ".svg": "image/svg+xml",
         ".webmanifest": "application/manifest+json",
-    }  # fmt: skip
-    assert kind == expected[(FOLDER / name).suffix]
+    }
+    assert kind == expected[(STATIC_FOLDER / name).suffix]
 
 
 def test_another_digest_or_name_is_none() -> None:

@@ -3,19 +3,19 @@
 import pytest
 
 from rossec.console.context import ConsoleContext
-from rossec.console.settings import Settings
+from rossec.console.server.control import WebSettings
 from tests.support.consolepages import ORIGIN, Browser, MemoryClient
 from tests.support.consoleservice import FakeHome
 
 
 def test_a_console_begins_with_nobody_and_nothing() -> None:
-    context = ConsoleContext(MemoryClient(FakeHome()), Settings("home", (ORIGIN,)))
+    context = ConsoleContext(MemoryClient(FakeHome()), WebSettings("home", (ORIGIN,)))
     assert (len(context.sessions), context.news.streams, len(context.enrollments)) == (0, 0, 0)
     assert context.scanner is None
 
 
 def test_its_sessions_last_as_long_as_its_settings_say() -> None:
-    browser = Browser(settings=Settings("home", (ORIGIN,), lifetime=100, idle=50)).log_in()
+    browser = Browser(settings=WebSettings("home", (ORIGIN,), lifetime=100, idle=50)).log_in()
     browser.now += 49
     assert browser.get("/phones").status_code == 200
     browser.now += 49

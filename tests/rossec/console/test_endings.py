@@ -2,11 +2,11 @@
 
 import pytest
 
-from rossec.authority.console.views import ListStanding
-from rossec.console.endings import STALE, Endings, Heard
+from rossec.authority.console.messages import ListProgress
+from rossec.console.matrix import STALE, Endings, Heard
 
 ASKED = 1_800_000_000
-DONE = ListStanding(1, 4, True, True, 3, 3)
+DONE = ListProgress(1, 4, True, True, 3, 3)
 
 
 @pytest.mark.parametrize(
@@ -20,7 +20,7 @@ DONE = ListStanding(1, 4, True, True, 3, 3)
         (DONE._replace(nodes=0, nodes_with_list=0), Heard(0, ASKED - STALE)),
     ],
 )
-def test_only_the_third_tick_ends_it(standing: ListStanding, heard: Heard) -> None:
+def test_only_the_third_tick_ends_it(standing: ListProgress, heard: Heard) -> None:
     endings = Endings()
     endings.note(standing, ASKED)
     assert endings.heard == heard

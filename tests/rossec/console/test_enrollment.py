@@ -7,18 +7,10 @@ import pytest
 
 from ca.certificates import to_pem
 from ca.enrollment import qr
-from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
-from ca.enrollment.node import Pending
+from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, Pending
 from ca.errors import EnrollmentExpired, EnrollmentOver
-from rossec.authority.console.views import IdentityRequestView, NodeView, Outcome
-from rossec.console.enrollment import (
-    DIFFERED,
-    REJECTED,
-    Destination,
-    Enrollment,
-    Known,
-    Stage,
-)
+from rossec.authority.console.messages import ApprovalOutcome, IdentityRequestView, NodeView
+from rossec.console.enrollments import DIFFERED, REJECTED, Destination, Enrollment, RecordedName, Stage
 from rossec.errors import KeyServiceFailed
 from tests.support.enrolling import NAME, Robot, WaitingRobot, clock
 from tests.support.pki import Site
@@ -32,7 +24,7 @@ class Service:
     """The authority's service, as far as an enrollment asks it; it signs after some questions."""
 
     known: tuple[NodeView, ...] = ()
-    answers: list[Outcome | KeyServiceFailed] = field(default_factory=list)
+    answers: list[ApprovalOutcome | KeyServiceFailed] = field(default_factory=list)
     waiting: tuple[IdentityRequestView, ...] = ()
     denied: list[tuple[bytes, str]] = field(default_factory=list)
     revoked: list[tuple[str, str]] = field(default_factory=list)
@@ -53,7 +45,7 @@ class Service:
         self.revoked.append((name, reason))
         return 1, 2
 
-    async def outcome(self, statement: bytes) -> Outcome:
+    async def outcome(self, statement: bytes) -> ApprovalOutcome:
         assert statement == APPROVAL
         answer = self.answers.pop(0)
         if isinstance(answer, KeyServiceFailed):
@@ -77,24 +69,22 @@ class Adding:
     def changed(self) -> None:
         self.stages.append(self.found.stage)
 
-    def signed(self) -> Outcome:
+    def signed(self) -> ApprovalOutcome:
         return self.signed_for(self.found.core)
 
     @staticmethod
-    def signed_for(core: AuthorityEnrollment) -> Outcome:
+    def signed_for(core: AuthorityEnrollment) -> ApprovalOutcome:
         leaf = SITE.authority.issue(core.csr, now=clock(), serial=7, wildcard=core.request.wildcard)
-        return Outcome(APPROVAL, "done", "", to_pem(leaf, SITE.root))
+        return ApprovalOutcome(APPROVAL, "done", "", to_pem(leaf, SITE.root))
 
 
-def waiting() -> Outcome:
-    return Outcome(APPROVAL, "waiting", "", b"")
+def waiting() -> ApprovalOutcome:
+    return ApprovalOutcome(APPROVAL, "waiting", "", b"")
 
 
 def node(key: bytes, **changes: int) -> NodeView:
     times = {"not_before": 0, "not_after": clock() + 60, "revoked_at": 0} | changes
-    return NodeView(
-        NAME, key, times["not_before"], times["not_after"], False, times["revoked_at"], ""
-    )
+    return NodeView(NAME, key, times["not_before"], times["not_after"], False, times["revoked_at"], "")
 
 
 @pytest.mark.parametrize("label", [False, True])
@@ -106,9 +96,7 @@ async def test_a_node_is_enrolled_when_it_says_so_itself(label: bool) -> None:
         outcome = adding.signed()
         adding.found.approve(outcome)
         await adding.found.deliver(outcome)
-    assert adding.stages == [
-        Stage.COMPARED, Stage.DELIVERING, Stage.DELIVERING, Stage.DIGITS, Stage.ENROLLED,
-    ]  # fmt: skip
+    assert adding.stages == [Stage.COMPARED, Stage.DELIVERING, Stage.DELIVERING, Stage.DIGITS, Stage.ENROLLED]
     assert [pending.digits for pending in robot.trusted] == [adding.found.core.digits]
     assert adding.found.is_over
     assert adding.found.error is None
@@ -123,10 +111,8 @@ async def test_a_node_with_a_tail_of_anonymous_nodes_can_be_added() -> None:
     assert adding.found.stage is Stage.ENROLLED
 
 
-async def test_the_identity_is_delivered_when_the_key_is_unlocked(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("rossec.console.enrollment.POLL", 0.0)
+async def test_the_identity_is_delivered_when_the_key_is_unlocked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rossec.console.enrollments.POLL", 0.0)
     with WaitingRobot(Robot()) as robot:
         adding = Adding(robot, Service())
         await adding.found.fetch()
@@ -134,9 +120,7 @@ async def test_the_identity_is_delivered_when_the_key_is_unlocked(
         adding.service.answers = [waiting(), away, waiting(), adding.signed()]
         adding.found.approve(waiting())
         await adding.found.deliver(waiting())
-    assert adding.stages[1:] == [
-        Stage.WAITING, Stage.DELIVERING, Stage.DIGITS, Stage.ENROLLED,
-    ]  # fmt: skip
+    assert adding.stages[1:] == [Stage.WAITING, Stage.DELIVERING, Stage.DIGITS, Stage.ENROLLED]
 
 
 async def test_a_key_that_stays_locked_for_longer_than_the_node_waits() -> None:
@@ -155,7 +139,7 @@ async def test_what_was_not_signed_is_told_with_its_reason(state: str) -> None:
     with WaitingRobot(Robot()) as robot:
         adding = Adding(robot, Service())
         await adding.found.fetch()
-        await adding.found.deliver(Outcome(APPROVAL, state, "another key", b""))
+        await adding.found.deliver(ApprovalOutcome(APPROVAL, state, "another key", b""))
     assert adding.found.stage is Stage.FAILED
     assert str(adding.found.error) == "the authority did not sign it: another key"
     assert adding.found.error is not None
@@ -182,8 +166,8 @@ async def test_a_person_at_the_node_says_no() -> None:
     assert "the node has ended the enrollment" in str(adding.found.error)
 
 
-@pytest.mark.parametrize("known", list(Known))
-async def test_digits_that_differ_end_it_and_what_was_signed(known: Known) -> None:
+@pytest.mark.parametrize("known", list(RecordedName))
+async def test_digits_that_differ_end_it_and_what_was_signed(known: RecordedName) -> None:
     """The key may be another's; one that was known before got no more than it had."""
     with WaitingRobot(Robot()) as robot:
         adding = Adding(robot, Service())
@@ -195,7 +179,7 @@ async def test_digits_that_differ_end_it_and_what_was_signed(known: Known) -> No
     assert adding.found.stage is Stage.DIFFERED
     assert adding.found.is_over
     assert adding.found.core.state is AuthorityState.OVER
-    expected = [] if known is Known.SAME_KEY else [(NAME, DIFFERED)]
+    expected = [] if known is RecordedName.SAME_KEY else [(NAME, DIFFERED)]
     assert adding.service.revoked == expected
 
 
@@ -209,13 +193,11 @@ async def test_what_could_not_be_revoked_is_kept_as_the_reason() -> None:
     assert str(adding.found.error) == "the service does not run"
 
 
-async def test_a_node_that_never_answers_is_not_waited_for_forever(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_node_that_never_answers_is_not_waited_for_forever(monkeypatch: pytest.MonkeyPatch) -> None:
     async def never(*_: object) -> None:
         raise TimeoutError
 
-    monkeypatch.setattr("rossec.console.enrollment.deliver", never)
+    monkeypatch.setattr("rossec.console.enrollments.deliver", never)
     with WaitingRobot(Robot()) as robot:
         adding = Adding(robot, Service())
         await adding.found.fetch()
@@ -242,14 +224,14 @@ async def test_a_rejected_request_is_denied_in_the_record_too() -> None:
 @pytest.mark.parametrize(
     ("key", "changes", "known"),
     [
-        (b"another", {}, Known.OTHER_KEY),
-        (b"another", {"revoked_at": 5}, Known.NEW),
-        (b"another", {"not_after": 5}, Known.NEW),
-        (b"", {}, Known.SAME_KEY),
+        (b"another", {}, RecordedName.OTHER_KEY),
+        (b"another", {"revoked_at": 5}, RecordedName.NEW),
+        (b"another", {"not_after": 5}, RecordedName.NEW),
+        (b"", {}, RecordedName.SAME_KEY),
     ],
 )
 async def test_what_the_record_says_of_the_name(
-    key: bytes, changes: dict[str, int], known: Known
+    key: bytes, changes: dict[str, int], known: RecordedName
 ) -> None:
     robot = Robot()
     with WaitingRobot(robot) as there:
@@ -259,7 +241,7 @@ async def test_what_the_record_says_of_the_name(
         adding = Adding(there, Service((node(key or own, **changes),)))
         await adding.found.fetch()
     assert adding.found.known is known
-    assert adding.found.is_other_key is (known is Known.OTHER_KEY)
+    assert adding.found.is_other_key is (known is RecordedName.OTHER_KEY)
     assert adding.found.source.startswith("a screen at 127.0.0.1:")
 
 

@@ -7,20 +7,27 @@ import pytest
 
 from ca.enrollment import qr
 from ca.errors import CodeExpired, CodeRefused, EnrollmentOver
-from rossec.authority.console import owners
-from rossec.authority.console.views import Outcome
-from rossec.console.enrollment import WAITING, Enrollment, Known, Stage
-from rossec.console.enrollments import MAX_KEPT, MAX_RUNNING, Enrollments
+from rossec.authority.console import messages
+from rossec.authority.console.messages import ApprovalOutcome
+from rossec.console.enrollments import (
+    MAX_KEPT,
+    MAX_RUNNING,
+    WAITING,
+    Enrollment,
+    Enrollments,
+    RecordedName,
+    Stage,
+)
 from rossec.errors import ConfigurationError, EnrollmentUnknown, TooManyEnrollments
 from tests.rossec.console.test_enrollment import Service
 from tests.support.enrolling import NAME, Robot, WaitingRobot, clock
 
 
-def waiting() -> Outcome:
-    return Outcome(bytes(16), WAITING, "", b"")
+def waiting() -> ApprovalOutcome:
+    return ApprovalOutcome(bytes(16), WAITING, "", b"")
 
 
-SIGNED = Outcome(bytes(16), "failed", "the key is broken", b"")
+SIGNED = ApprovalOutcome(bytes(16), "failed", "the key is broken", b"")
 
 
 class Changes:
@@ -138,21 +145,19 @@ async def test_a_rejected_node_is_not_approved_afterwards(table: Table) -> None:
         await enrollments.reject("0" * 32)
 
 
-async def test_digits_that_differ_end_the_listening(
-    table: Table, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_digits_that_differ_end_the_listening(table: Table, monkeypatch: pytest.MonkeyPatch) -> None:
     enrollments, changes = table
 
     async def listens(*_: object) -> None:
         await asyncio.Event().wait()
 
-    monkeypatch.setattr("rossec.console.enrollment.fetch", listens)
+    monkeypatch.setattr("rossec.console.enrollments.fetch", listens)
     number = enrollments.begin(qr.label_code(b"x"), "127.0.0.1")
     found = enrollments.get(number)
     with pytest.raises(EnrollmentOver, match="no digits"):
         await enrollments.differ(number)
     assert len(enrollments._tasks) == 1, "nothing was ended"
-    found.known, found.stage = Known.SAME_KEY, Stage.DIGITS
+    found.known, found.stage = RecordedName.SAME_KEY, Stage.DIGITS
     await enrollments.differ(number)
     await asyncio.sleep(0)
     await asyncio.sleep(0)
@@ -170,7 +175,7 @@ async def test_a_step_that_crashes_ends_its_enrollment(
     async def broken(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("rossec.console.enrollment.fetch", broken)
+    monkeypatch.setattr("rossec.console.enrollments.fetch", broken)
     found = enrollments.get(enrollments.begin(qr.label_code(b"x"), "127.0.0.1"))
     await changes.until(found, Stage.FAILED)
     await asyncio.sleep(0)
@@ -183,9 +188,9 @@ async def test_lookers_make_room_for_a_phone_and_approved_ones_for_nobody(
     table: Table, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     enrollments, changes = table
-    monkeypatch.setattr("rossec.console.enrollment.POLL", 600.0)
-    lookers = [owners.of_looker(bytes([number])) for number in range(2)]
-    phone, label = owners.of_phone("mine"), qr.label_code(b"a request")
+    monkeypatch.setattr("rossec.console.enrollments.POLL", 600.0)
+    lookers = [messages.of_looker(bytes([number])) for number in range(2)]
+    phone, label = messages.of_phone("mine"), qr.label_code(b"a request")
     with WaitingRobot(Robot()) as robot:
         approved = enrollments.begin(robot.code, "", lookers[0])
         await changes.until(enrollments.get(approved), Stage.COMPARED)
@@ -194,7 +199,7 @@ async def test_lookers_make_room_for_a_phone_and_approved_ones_for_nobody(
         async def fetches(*_: object) -> None:
             await asyncio.Event().wait()
 
-        monkeypatch.setattr("rossec.console.enrollment.fetch", fetches)
+        monkeypatch.setattr("rossec.console.enrollments.fetch", fetches)
         theirs = [enrollments.begin(robot.code, "", lookers[0]) for _ in range(MAX_RUNNING - 1)]
         with pytest.raises(TooManyEnrollments):
             enrollments.begin(label, "127.0.0.1:9", lookers[0])

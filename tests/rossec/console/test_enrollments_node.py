@@ -14,10 +14,9 @@ import pytest
 
 from ca.certificates import TrustAnchor, from_pem
 from ca.enrollment import qr
-from rossec.console.enrollment import Known, Stage
-from rossec.console.enrollments import Enrollments
-from rossec.console.scanning.client import ScannerClient
-from rossec.console.scanning.supervisor import ScannerSupervisor
+from rossec.console.enrollments import Enrollments, RecordedName, Stage
+from rossec.console.server.supervisor import ScannerSupervisor
+from rossec.console.server.web import ScannerClient
 from tests.rossec.console.test_enrollment import SITE, Adding, Service, node, waiting
 from tests.rossec.console.test_enrollments import Changes
 from tests.support.enrolling import clock
@@ -35,9 +34,13 @@ class Node:
 
     def _start(self, *words: str) -> subprocess.Popen[str]:
         return subprocess.Popen(
-            [ROSSEC, *words], env=self.environ, text=True, stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        )  # fmt: skip
+            [ROSSEC, *words],
+            env=self.environ,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
 
     def code(self) -> str:
         """The text below the code on its terminal."""
@@ -83,7 +86,7 @@ async def test_a_node_is_added_from_the_picture_of_its_code(robot: Node) -> None
     number = enrollments.begin(text)
     found = enrollments.get(number)
     await changes.until(found, Stage.COMPARED)
-    assert (found.core.request.name, found.known) == ("/fridge", Known.NEW)
+    assert (found.core.request.name, found.known) == ("/fridge", RecordedName.NEW)
 
     service.answers = [waiting(), Adding.signed_for(found.core)]  # the key is unlocked meanwhile
     enrollments.approved(number, waiting())

@@ -1,6 +1,6 @@
 """Five failures a minute, by address."""
 
-from rossec.console.failures import MAX_ADDRESSES, MAX_FAILURES, FailureLimit
+from rossec.console.sessions import MAX_ADDRESSES, MAX_FAILURES, FailureLimit
 
 
 def failed(address: str, times: int = MAX_FAILURES, now: int = 100) -> FailureLimit:

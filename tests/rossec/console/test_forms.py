@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from starlette.requests import Request
 
-from rossec.console.forms import (
+from rossec.console.rendering import (
     bytes_field,
     from_base64url,
     read_form,
@@ -30,9 +30,7 @@ async def test_a_form_has_its_fields() -> None:
     assert await read_form(request(b"")) == {}
 
 
-@pytest.mark.parametrize(
-    "body", [b"a=1&a=2", b"a", b"a=%ff", b"a=\xff", b"&", "&".join("a=1" * 65).encode()]
-)
+@pytest.mark.parametrize("body", [b"a=1&a=2", b"a", b"a=%ff", b"a=\xff", b"&", "&".join("a=1" * 65).encode()])
 async def test_another_body_is_no_form(body: bytes) -> None:
     with pytest.raises(HttpRefused):
         await read_form(request(body))
@@ -82,9 +80,7 @@ def test_other_texts_are_no_bytes(text: str) -> None:
 
 @pytest.mark.attack("terminal-output")
 async def test_half_a_surrogate_pair_is_no_text() -> None:
-    fields = await read_json(
-        request(b'{"name": "a\\ud800", "whole": "\\ud83d\\ude00"}', "application/json")
-    )
+    fields = await read_json(request(b'{"name": "a\\ud800", "whole": "\\ud83d\\ude00"}', "application/json"))
     with pytest.raises(HttpRefused, match="not a text"):
         text_field(fields, "name")
     assert text_field(fields, "whole") == "\U0001f600"

@@ -1,6 +1,6 @@
 """The headers of every response."""
 
-from rossec.console.headers import HEADERS, HSTS, IMMUTABLE, security_headers
+from rossec.console.app import HEADERS, HSTS, IMMUTABLE, security_headers
 
 
 def named(headers: list[tuple[bytes, bytes]]) -> dict[str, str]:

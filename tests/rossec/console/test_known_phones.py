@@ -2,16 +2,15 @@
 
 import pytest
 
-from rossec.authority.console.views import PhoneView
-from rossec.console.known_phones import KEPT, KnownPhones
-from rossec.console.sessions import Session
+from rossec.authority.console.messages import PhoneView
+from rossec.console.sessions import KEPT, KnownPhones, LoginSession
 from rossec.errors import KeyServiceFailed
 
 ANN = PhoneView(b"1", "Ann's phone", 100, 0, "", "")
 
 
-def session() -> Session:
-    return Session(b"s", ANN.name, 100, 100)
+def session() -> LoginSession:
+    return LoginSession(b"s", ANN.name, 100, 100)
 
 
 class Service:
@@ -32,9 +31,7 @@ def service() -> Service:
     return Service()
 
 
-async def test_a_phone_that_is_there_counts_and_is_not_asked_for_all_the_time(
-    service: Service,
-) -> None:
+async def test_a_phone_that_is_there_counts_and_is_not_asked_for_all_the_time(service: Service) -> None:
     ann = session()
     for _ in range(3):
         assert await service.known.counts(ann)
@@ -60,17 +57,15 @@ async def test_another_one_of_its_name_does_not_bring_its_session_back(service: 
 async def test_one_that_was_set_up_just_now_counts(service: Service) -> None:
     assert await service.known.counts(session())
     service.phones.append(PhoneView(b"2", "Ben's phone", 101, 0, "", ""))
-    assert await service.known.counts(Session(b"t", "Ben's phone", 101, 101))
+    assert await service.known.counts(LoginSession(b"t", "Ben's phone", 101, 101))
 
 
 async def test_a_session_by_a_code_has_no_phone(service: Service) -> None:
-    assert await service.known.counts(Session(b"t", "", 100, 100))
+    assert await service.known.counts(LoginSession(b"t", "", 100, 100))
     assert service.asked == 0
 
 
-async def test_no_session_counts_while_the_service_does_not_answer(
-    service: Service,
-) -> None:
+async def test_no_session_counts_while_the_service_does_not_answer(service: Service) -> None:
     assert await service.known.counts(session())
     service.elapsed += KEPT
     service.is_there = False

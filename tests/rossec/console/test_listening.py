@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from rossec.console.listening import listen, listen_for_proxy, listen_tcp
-from rossec.console.options import Options, read_options
+from rossec.console.options import ConsoleOptions, read_options
 from rossec.errors import ConfigurationError
 from tests.support.ports import free_port
 
@@ -19,7 +19,7 @@ def close(sockets: list[socket.socket]) -> None:
 
 def test_it_listens_at_both_loopback_addresses() -> None:
     port = free_port()
-    found = listen(read_options(Options(port=port), "hall"))
+    found = listen(read_options(ConsoleOptions(port=port), "hall"))
     try:
         assert {sock.getsockname()[0] for sock in found} <= set(LOOPBACK)
         socket.create_connection(("127.0.0.1", port), 5).close()
@@ -51,14 +51,14 @@ def test_a_port_in_use_is_said_and_nothing_stays_open() -> None:
 
 def test_a_proxy_of_the_same_user_has_a_socket_of_that_user(tmp_path: Path) -> None:
     path = tmp_path / "console.sock"
-    found = listen(read_options(Options(unix_path=path, origin="https://a.example"), "hall"))
+    found = listen(read_options(ConsoleOptions(unix_path=path, origin="https://a.example"), "hall"))
     assert path.stat().st_mode & 0o777 == 0o600
     close(found)
 
 
 def test_a_proxy_of_another_user_can_connect_and_is_judged_then(tmp_path: Path) -> None:
     path = tmp_path / "console.sock"
-    options = Options(unix_path=path, origin="https://a.example", proxy_user="www-data")
+    options = ConsoleOptions(unix_path=path, origin="https://a.example", proxy_user="www-data")
     found = listen(read_options(options, "hall"))
     assert path.stat().st_mode & 0o777 == 0o666
     close(found)
@@ -73,10 +73,7 @@ def test_a_socket_that_nobody_listens_at_is_replaced(tmp_path: Path) -> None:
 
 def test_a_socket_in_use_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "console.sock"
-    with (
-        listen_for_proxy(path, shared=False),
-        pytest.raises(ConfigurationError, match="another program"),
-    ):
+    with listen_for_proxy(path, shared=False), pytest.raises(ConfigurationError, match="another program"):
         listen_for_proxy(path, shared=False)
 
 

@@ -1,6 +1,6 @@
 """Which session may still see the join code that it made."""
 
-from rossec.console.made_codes import MAX_CODES, MadeCodes
+from rossec.console.approvals import MAX_CODES, MadeCodes
 
 
 def test_a_code_is_for_the_session_that_made_it_and_once() -> None:

@@ -5,10 +5,10 @@ import re
 import pytest
 
 from grants.policy.privacy import ReceiverAccess
-from rossec.authority.console.views import GrantQuestion, PolicyName
-from rossec.console.names import NONE, Names
-from rossec.console.pages.privacy import write
-from rossec.console.report import topics
+from rossec.authority.console.messages import GrantQuestion, PolicyName
+from rossec.console.matrix import topics
+from rossec.console.pages.visibility import write
+from rossec.console.words import NONE, Names
 from rossec.errors import KeyServiceRefused
 from rossec.participant.host_types import layout_of
 from tests.support.consolehome import NOW, POSE, as_service, demo
@@ -47,14 +47,10 @@ def page(path: str) -> str:
     return str(made.log_in().get(path).text)
 
 
-@pytest.mark.parametrize(
-    "path", ["/", "/who", "/way", "/log", "/see/robot/pose", "/node/doctor", "/privacy"]
-)
+@pytest.mark.parametrize("path", ["/", "/who", "/way", "/log", "/see/robot/pose", "/node/doctor", "/privacy"])
 def test_every_page_shows_titles_with_the_name_beside_them(path: str) -> None:
     text = page(path)
-    titled = re.findall(
-        r'<b class="title"><bdi>([^<]*)</bdi></b> (<[^>]*>(?:<bdi>)?)([^<]*)<', text
-    )
+    titled = re.findall(r'<b class="title"><bdi>([^<]*)</bdi></b> (<[^>]*>(?:<bdi>)?)([^<]*)<', text)
     assert len(titled) == text.count('class="title"'), "a title without its name"
     assert DOCTOR in {title for title, *_ in titled}
     for title, tag, name in titled:

@@ -5,8 +5,8 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from rossec.authority.console.views import Status
-from rossec.console.news import ALIVE, MAX_STREAMS, SILENT, NewsFeed
+from rossec.authority.console.messages import Status
+from rossec.console.context import ALIVE, MAX_STREAMS, SILENT, NewsFeed
 from rossec.errors import HttpRefused, KeyServiceFailed
 
 PERIOD = 0.01
@@ -98,11 +98,9 @@ async def test_a_service_that_is_away_is_asked_again() -> None:
     await news.close()
 
 
-async def test_a_service_that_stops_answering_is_told_to_pages(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_service_that_stops_answering_is_told_to_pages(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also one that hangs: then no question comes back, and none fails."""
-    monkeypatch.setattr("rossec.console.news.BEAT", 3 * PERIOD)
+    monkeypatch.setattr("rossec.console.context.BEAT", 3 * PERIOD)
     service = Service()
     news = NewsFeed(service.status, PERIOD)
     stream = news.open(lambda: True, beat=PERIOD)

@@ -2,14 +2,21 @@ from pathlib import Path
 
 import pytest
 
-from rossec.console.options import Endpoint, Options, Tls, check_name, check_origin, read_options
+from rossec.console.options import (
+    ConsoleEndpoint,
+    ConsoleOptions,
+    Tls,
+    check_name,
+    check_origin,
+    read_options,
+)
 from rossec.errors import ConfigurationError
 
 CERTIFICATE, KEY, SOCKET = Path("/etc/tls.pem"), Path("/etc/tls.key"), Path("/run/c.sock")
 
 
-def read(**options: object) -> Endpoint:
-    return read_options(Options(**options), "Hall")  # type: ignore[arg-type]
+def read(**options: object) -> ConsoleEndpoint:
+    return read_options(ConsoleOptions(**options), "Hall")  # type: ignore[arg-type]
 
 
 def test_without_options_it_is_for_this_host() -> None:
@@ -27,12 +34,12 @@ def test_on_the_network_it_has_the_name_that_mdns_announces() -> None:
 
 
 def test_the_domain_of_the_host_is_not_part_of_that_name() -> None:
-    assert read_options(Options(lan=True), "hall.example.org").name == "hall.local"
+    assert read_options(ConsoleOptions(lan=True), "hall.example.org").name == "hall.local"
 
 
 def test_a_host_with_a_strange_name_is_asked_for_one() -> None:
     with pytest.raises(ConfigurationError, match="the name of this host") as caught:
-        read_options(Options(lan=True), "my_robot")
+        read_options(ConsoleOptions(lan=True), "my_robot")
     assert "--name" in caught.value.hint
 
 
@@ -64,9 +71,17 @@ def test_an_origin_is_written_as_browsers_write_it(given: str, found: str) -> No
 
 @pytest.mark.parametrize(
     "origin",
-    ["", "ca.example.org", "https://", "https://ca.example.org/console", "https://a@b.example",
-     "ftp://ca.example.org", "https://ca.example.org:x", "https://ca.example.org?x"],
-)  # fmt: skip
+    [
+        "",
+        "ca.example.org",
+        "https://",
+        "https://ca.example.org/console",
+        "https://a@b.example",
+        "ftp://ca.example.org",
+        "https://ca.example.org:x",
+        "https://ca.example.org?x",
+    ],
+)
 def test_what_is_no_origin_is_refused(origin: str) -> None:
     with pytest.raises(ConfigurationError, match=r"is not an? (origin|DNS name)"):
         read(unix_path=SOCKET, origin=origin)
@@ -91,9 +106,23 @@ def test_an_origin_with_an_address_is_refused_with_the_reason() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["", "local", "a..b", ".local", "rossec.local.", "-a.local", "a-.local", "ros_sec.local",
-     "a" * 64 + ".local", ".".join(["a" * 60] * 5), "rössec.local", "192.168.1", "a.b.1", "a b"],
-)  # fmt: skip
+    [
+        "",
+        "local",
+        "a..b",
+        ".local",
+        "rossec.local.",
+        "-a.local",
+        "a-.local",
+        "ros_sec.local",
+        "a" * 64 + ".local",
+        ".".join(["a" * 60] * 5),
+        "rössec.local",
+        "192.168.1",
+        "a.b.1",
+        "a b",
+    ],
+)
 def test_what_is_no_name_is_refused(name: str) -> None:
     with pytest.raises(ConfigurationError, match="is not a DNS name"):
         check_name(name)
@@ -143,6 +172,9 @@ def test_passkeys_of_another_origin_stop_the_start() -> None:
 
 
 def test_what_is_only_for_looking_stays_so() -> None:
-    assert [read(read_only=True).read_only, read(lan=True, read_only=True).read_only,
-            read(unix_path=SOCKET, origin="https://a.example", read_only=True).read_only,
-            read().read_only] == [True, True, True, False]  # fmt: skip
+    assert [
+        read(read_only=True).read_only,
+        read(lan=True, read_only=True).read_only,
+        read(unix_path=SOCKET, origin="https://a.example", read_only=True).read_only,
+        read().read_only,
+    ] == [True, True, True, False]

@@ -4,8 +4,9 @@ from typing import Any
 
 import pytest
 
-from rossec.authority.console.views import DenialView
-from rossec.console import made_up, overview
+from rossec.authority.console.messages import DenialView
+from rossec.console import samples
+from rossec.console.pages import visibility
 from rossec.console.samples import Recorded
 from rossec.errors import HttpRefused, KeyServiceRefused
 from tests.support.consolehome import NOW, POSE, as_service, crowd, demo, sees
@@ -19,7 +20,7 @@ def browser(**context: Any) -> Browser:
 
 
 async def test_it_has_the_matrix_of_the_grants_and_the_graph() -> None:
-    home = await overview.load(browser().context)
+    home = await visibility.load(browser().context)
     assert home.matrix == demo().matrix
     assert not home.without_master
     assert [node.name for node in home.named("/robot")] == ["/robot"]
@@ -30,10 +31,10 @@ async def test_without_a_master_there_are_the_grants() -> None:
     made = browser()
     made.home.refusals["graph"] = KeyServiceRefused("no master answers", "start it")
     made.home.refusals["denials"] = KeyServiceRefused("no master answers")
-    home = await overview.load(made.context)
+    home = await visibility.load(made.context)
     assert home.without_master
     assert home.matrix.receivers == ("/doctor", "/heating")
-    assert await overview.denials(made.context) == ()
+    assert await visibility.denials(made.context) == ()
 
 
 async def test_a_node_without_a_grant_is_ending_too_until_every_node_has_heard() -> None:
@@ -43,25 +44,25 @@ async def test_a_node_without_a_grant_is_ending_too_until_every_node_has_heard()
     made = Browser(as_service(home))
     made.now = NOW
     made.home.standing = made.home.standing._replace(nodes_with_list=0)
-    assert (await overview.load(made.context)).ending == {home.nodes[0].key.hex()}
+    assert (await visibility.load(made.context)).ending == {home.nodes[0].key.hex()}
     made.home.standing = made.home.standing._replace(nodes_with_list=3)
-    assert (await overview.load(made.context)).ending == frozenset()
+    assert (await visibility.load(made.context)).ending == frozenset()
     made.home.refusals["standing"] = KeyServiceRefused("busy")
     home.nodes[1] = home.nodes[1]._replace(revoked_at=NOW)
-    assert (await overview.load(made.context)).ending == {home.nodes[1].key.hex()}
+    assert (await visibility.load(made.context)).ending == {home.nodes[1].key.hex()}
 
 
 async def test_a_refusal_of_the_rest_is_not_hidden() -> None:
     made = browser()
     made.home.refusals["grants"] = KeyServiceRefused("busy")
     with pytest.raises(KeyServiceRefused, match="busy"):
-        await overview.load(made.context)
+        await visibility.load(made.context)
 
 
 def test_refused_names_are_those_of_the_last_nodes() -> None:
     found = tuple(DenialView(NOW - at, f"/node{at % 20}", 2, f"/topic{at % 3}") for at in range(60))
-    names = overview.refused_names(found)
-    assert list(names) == [f"/node{at}" for at in range(overview.MAX_REFUSED)]
+    names = visibility.refused_names(found)
+    assert list(names) == [f"/node{at}" for at in range(visibility.MAX_REFUSED)]
     assert names["/node0"] == ["/topic0", "/topic2", "/topic1"]
 
 
@@ -69,14 +70,14 @@ class _Preview:
     def recorded(self, topic: str) -> Recorded | None:
         if topic != "/robot/pose":
             return None
-        made = made_up.recorded(topic, POSE)
+        made = samples.recorded(topic, POSE)
         return None if made is None else made._replace(is_made_up=False)
 
 
 async def test_a_topic_is_compared_by_the_preview_or_made_up() -> None:
     made = browser(preview=_Preview())
-    home = await overview.load(made.context)
-    found = {row.topic: overview.comparison(made.context, row) for row in home.matrix.rows}
+    home = await visibility.load(made.context)
+    found = {row.topic: visibility.comparison(made.context, row) for row in home.matrix.rows}
     pose, scan = found["/robot/pose"], found["/robot/scan"]
     assert pose is not None
     assert scan is not None
@@ -92,24 +93,24 @@ def test_a_pattern_and_an_unknown_type_are_not_drawn() -> None:
     for topic in ("/robot/**", "/untyped"):
         row = home.matrix.row(topic)
         assert row is not None
-        assert overview.comparison(context, row) is None
+        assert visibility.comparison(context, row) is None
 
 
 def test_a_name_in_a_path_is_a_name_or_a_pattern() -> None:
-    assert overview.name_of("robot/pose") == "/robot/pose"
-    assert overview.name_of("robot/**") == "/robot/**"
+    assert visibility.name_of("robot/pose") == "/robot/pose"
+    assert visibility.name_of("robot/**") == "/robot/**"
     for wrong in ("", "a b", "../x", "a//b", "<script>", "\u202e"):
         with pytest.raises(HttpRefused) as refused:
-            overview.name_of(wrong)
+            visibility.name_of(wrong)
         assert refused.value.status == 404
 
 
 def test_a_position_is_a_number() -> None:
-    assert overview.position(None) == overview.position("") == 0
-    assert overview.position("24") == 24
+    assert visibility.position(None) == visibility.position("") == 0
+    assert visibility.position("24") == 24
     for wrong in ("-1", "x", "1" * 13, "٣"):
         with pytest.raises(HttpRefused):
-            overview.position(wrong)
+            visibility.position(wrong)
 
 
 def test_a_crowd_is_read() -> None:

@@ -6,25 +6,14 @@ from html import unescape
 import pytest
 
 from ca.encoding import encode
-from rossec.authority.console.views import AskedRight, DenialView, EventView, GrantQuestion
-from rossec.console.forms import to_base64url
-from tests.support.consolehome import (
-    HOSTILE,
-    NOW,
-    FakeHome,
-    as_service,
-    crowd,
-    demo,
-    key_of,
-    sees,
-)
+from rossec.authority.console.messages import AskedRight, DenialView, EventView, GrantQuestion
+from rossec.console.rendering import to_base64url
+from tests.support.consolehome import HOSTILE, NOW, FakeHome, as_service, crowd, demo, key_of, sees
 from tests.support.consolepages import Browser
 
 LIMIT = 100_000
 LONG = "/n" + "x" * 198
-PATHS = sorted(
-    ["/", "/who", "/way", "/log", "/privacy", "/see{topic}", "/node{node}", "/grant/{grant}"]
-)
+PATHS = sorted(["/", "/who", "/way", "/log", "/privacy", "/see{topic}", "/node{node}", "/grant/{grant}"])
 
 
 def get(home: FakeHome, path: str, **names: str) -> str:
@@ -71,9 +60,7 @@ def hostile() -> FakeHome:
         home.events.insert(0, EventView(len(home.events), NOW, what, HOSTILE, HOSTILE))
     asked = AskedRight(2, "/robot/pose", HOSTILE, HOSTILE, HOSTILE, encode([]))
     home.questions.append(
-        GrantQuestion(
-            b"q" * 16, LONG, key_of(LONG), HOSTILE, NOW, NOW + 60, 60, (HOSTILE,), (asked,)
-        )
+        GrantQuestion(b"q" * 16, LONG, key_of(LONG), HOSTILE, NOW, NOW + 60, 60, (HOSTILE,), (asked,))
     )
     return home
 

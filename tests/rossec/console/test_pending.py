@@ -2,11 +2,10 @@
 
 import pytest
 
-from rossec.console.approving import Act
-from rossec.console.pending import MAX_PENDING, PendingActs
+from rossec.console.approvals import MAX_PENDING, PendingActs, ProposedAct
 from rossec.errors import HttpRefused
 
-ACT = Act("passkey", [b"a"], "/phones")
+ACT = ProposedAct("passkey", [b"a"], "/phones")
 
 
 def test_an_act_is_found_in_its_session_until_it_is_done() -> None:

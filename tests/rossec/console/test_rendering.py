@@ -5,9 +5,9 @@ from jinja2 import UndefinedError
 from starlette.requests import Request
 
 from rossec.console import rendering
+from rossec.console.app import ROUTES
 from rossec.console.context import ConsoleContext
 from rossec.console.rendering import NAVIGATION, render
-from rossec.console.routes import ROUTES
 from tests.support.consolepages import Browser
 
 HOSTILE = '<script>alert("1")</script>\u202e\x00'

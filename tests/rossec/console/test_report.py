@@ -3,8 +3,7 @@
 from grants.filters.layout import Layout, parse
 from grants.model import Restriction, filter_rules
 from grants.policy.privacy import ReceiverAccess
-from rossec.console.endings import Heard
-from rossec.console.report import held_accesses, topics
+from rossec.console.matrix import Heard, held_accesses, topics
 from rossec.console.words import day
 from rossec.participant.message_types import message_type
 from tests.support.consolehome import COARSE, NOW, POSE, demo, sees
@@ -41,14 +40,9 @@ def test_the_report_of_the_demo() -> None:
 
 
 def test_who_is_treated_alike_stands_together() -> None:
-    accesses = [
-        ReceiverAccess("/t", POSE, name, "why", "7d", "rule", (COARSE,)) for name in ("/b", "/a")
-    ]
+    accesses = [ReceiverAccess("/t", POSE, name, "why", "7d", "rule", (COARSE,)) for name in ("/b", "/a")]
     (topic,) = topics([*accesses, ReceiverAccess("/t", POSE, "/c", "", "7d")], layout_of)
-    assert [[who.name for who in group.receivers] for group in topic.groups] == [
-        ["/a", "/b"],
-        ["/c"],
-    ]
+    assert [[who.name for who in group.receivers] for group in topic.groups] == [["/a", "/b"], ["/c"]]
 
 
 def test_conditions_and_rates_are_said() -> None:

@@ -5,8 +5,8 @@ import pkgutil
 from starlette.responses import Response
 
 from rossec.console import pages
-from rossec.console.routes import ROUTES
-from rossec.console.routing import MAX_BODY, SESSION, Page, PageTable, for_looking
+from rossec.console.app import ROUTES
+from rossec.console.rendering import MAX_BODY, SESSION, Page, PageTable, for_looking
 
 
 async def nothing(*_: object) -> Response:
@@ -21,9 +21,12 @@ FIXED = Page("/a/b", ("GET",), nothing)
 def test_a_page_is_found_by_its_path_and_method() -> None:
     table = PageTable((FIXED, GET, POST))
     for path, method, page in (
-        ("/a/c", "GET", GET), ("/a/c", "HEAD", GET), ("/a/c", "POST", POST), ("/a/b", "GET", FIXED),
+        ("/a/c", "GET", GET),
+        ("/a/c", "HEAD", GET),
+        ("/a/c", "POST", POST),
+        ("/a/b", "GET", FIXED),
         ("/a/c", "PUT", None),
-    ):  # fmt: skip
+    ):
         found = table.find(path, method)
         assert found is not None
         assert found.page is page

@@ -4,7 +4,7 @@ import pytest
 
 from grants.errors import RestrictionMismatch
 from grants.model import Restriction, filter_rules
-from rossec.console import made_up
+from rossec.console import samples
 from rossec.console.samples import Recorded, as_mapping, see, try_see
 from rossec.errors import MessageError
 from rossec.participant.message_types import message_type
@@ -12,7 +12,7 @@ from tests.support.consolehome import COARSE, POSE
 
 
 def recorded(kind: str = POSE) -> Recorded:
-    found = made_up.recorded("/robot/pose", kind)
+    found = samples.recorded("/robot/pose", kind)
     assert found is not None
     return found
 
@@ -38,9 +38,7 @@ def test_the_conditions_hold_for_real_messages_and_are_left_out_of_made_up_ones(
 
 
 def test_a_pseudonym_needs_no_key_of_the_publisher() -> None:
-    hashed = Restriction(
-        POSE, (), filter_rules({"header.frame_id": {"hash": {"key": "k", "length": 8}}})
-    )
+    hashed = Restriction(POSE, (), filter_rules({"header.frame_id": {"hash": {"key": "k", "length": 8}}}))
     shown = see(recorded(), "/a", [hashed]).samples[0].fields["header"]["frame_id"]
     assert len(shown) == 8
     assert shown != "map"

@@ -2,18 +2,18 @@
 
 import pytest
 
-from ca.approvals.statement import Kind
-from ca.store.lifecycle import RequestState
-from ca.store.schema import LOGGED_TABLES
+from ca.approvals.statement import StatementKind
+from ca.store.database import LOGGED_TABLES
+from ca.store.values import RequestState
 from grants.model import Right
-from rossec.authority.console.views import AskedRight, DenialView, EventView, GrantQuestion
-from rossec.console.endings import Heard
+from rossec.authority.console.messages import AskedRight, DenialView, EventView, GrantQuestion
+from rossec.console.matrix import Heard
 from rossec.console.sentences import (
     APPROVED,
     KINDS,
-    Known,
-    Part,
+    KnownIds,
     Sentence,
+    SentencePart,
     permission,
     refusals,
     story,
@@ -21,10 +21,10 @@ from rossec.console.sentences import (
 )
 from tests.support.consolehome import COARSE, HOSTILE, NOW, demo, sees
 
-NOTHING = Known.of()
+NOTHING = KnownIds.of()
 
 
-def told(what: str, subject: str = "/lamp", detail: str = "", known: Known = NOTHING) -> str:
+def told(what: str, subject: str = "/lamp", detail: str = "", known: KnownIds = NOTHING) -> str:
     found = story([EventView(3, NOW, what, subject, detail)], (), known)
     return found[0].text if found else ""
 
@@ -115,7 +115,7 @@ def test_ids_are_told_as_what_they_are() -> None:
     asked = AskedRight(int(Right.SUBSCRIBE), "/robot/pose", "", "", "", b"")
     question = GrantQuestion(b"q", "/lamp", b"k", "", 1, 2, 3, (), (asked,), b"r")
     other = question._replace(id=b"p", rights=(asked._replace(right=1, pattern="/cmd_vel"),))
-    known = Known.of(questions=[question, other])
+    known = KnownIds.of(questions=[question, other])
     assert told("grant request", detail=b"r".hex(), known=known) == (
         "Asked /lamp asked to see /robot/pose and send /cmd_vel"
     )
@@ -125,7 +125,7 @@ def test_what_is_ending_is_not_told_as_ended() -> None:
     home = demo()
     home.heard = Heard()  # nobody knows who has heard
     camera, key = home.grants[2].id.hex(), home.nodes[1].key.hex()
-    known = Known.of(home.held, home.nodes, ending=frozenset({camera, key}))
+    known = KnownIds.of(home.held, home.nodes, ending=frozenset({camera, key}))
     assert told("revocation", camera, "over", known) == (
         "Ending /doctor may still see /robot/camera, until every node has heard: over"
     )
@@ -135,7 +135,7 @@ def test_what_is_ending_is_not_told_as_ended() -> None:
 
 
 def test_a_name_is_never_glued() -> None:
-    parts = (Part("a"), Part(",", is_name=True), Part(", b"), Part("c"))
+    parts = (SentencePart("a"), SentencePart(",", is_name=True), SentencePart(", b"), SentencePart("c"))
     assert Sentence(0, "note", "Said", parts, 1, "").text == "Said a ,, b c"
 
 
@@ -155,8 +155,10 @@ def test_a_right_that_is_none_is_said_as_it_is() -> None:
 
 def test_a_permission_in_words() -> None:
     assert [part.text for part in permission(sees("/a/**", COARSE))] == [
-        "see", "everything below /a", "(coarse)",
-    ]  # fmt: skip
+        "see",
+        "everything below /a",
+        "(coarse)",
+    ]
 
 
 def test_a_hostile_text_is_one_bounded_line() -> None:
@@ -174,4 +176,4 @@ def test_many_permissions_are_bounded() -> None:
 
 def test_every_kind_of_entry_and_of_approval_has_words() -> None:
     assert LOGGED_TABLES.keys() | set(RequestState) <= KINDS
-    assert {kind.name.lower() for kind in Kind} == APPROVED.keys()
+    assert {kind.name.lower() for kind in StatementKind} == APPROVED.keys()

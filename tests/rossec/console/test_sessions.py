@@ -63,9 +63,7 @@ def test_a_cookie_that_begins_anew_is_another_session() -> None:
 
 def test_removing_a_phone_ends_its_sessions_alone() -> None:
     found = sessions()
-    one, two, other = (
-        found.begin(secrets.token_bytes(32), phone, 0) for phone in ("mine", "mine", "hers")
-    )
+    one, two, other = (found.begin(secrets.token_bytes(32), phone, 0) for phone in ("mine", "mine", "hers"))
     found.end_of_phone("mine")
     assert [found.find(cookie, 1) is None for cookie in (one, two, other)] == [True, True, False]
 

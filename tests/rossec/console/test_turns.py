@@ -2,13 +2,13 @@
 
 import pytest
 
-from rossec.console.turns import MAX_WAITING, Turns
+from rossec.console.sessions import MAX_WAITING, LoginTurns
 from rossec.errors import HttpRefused
 
 
 @pytest.mark.attack("login-flood")
 def test_a_source_has_few_that_wait() -> None:
-    turns = Turns()
+    turns = LoginTurns()
     begun = [turns.wait(f"2001:db8::{host}") for host in range(MAX_WAITING)]
     for each in begun:
         each.__enter__()
@@ -23,6 +23,6 @@ def test_a_source_has_few_that_wait() -> None:
 
 
 def test_behind_a_proxy_nobody_is_told_apart() -> None:
-    turns = Turns()
+    turns = LoginTurns()
     for each in [turns.wait("") for _ in range(MAX_WAITING + 1)]:
         each.__enter__()

@@ -30,9 +30,7 @@ def test_every_operator_of_words_is_one_of_filters_and_has_an_example() -> None:
 @pytest.mark.parametrize("operator", sorted(EXAMPLES))
 def test_a_filter_rule_in_words(operator: str) -> None:
     parameters, text = EXAMPLES[operator]
-    assert (
-        words.filter_rule(FilterRule("pose.position", operator, tuple(parameters.items()))) == text
-    )
+    assert words.filter_rule(FilterRule("pose.position", operator, tuple(parameters.items()))) == text
 
 
 def test_a_name_of_another_origin_is_shown_by_its_label() -> None:
@@ -47,9 +45,7 @@ def test_every_right_has_words() -> None:
 
 
 def test_a_restriction_says_the_most_important_first() -> None:
-    assert words.restrictions([COARSE]) == (
-        "position to 2 m, without direction, without the map's name"
-    )
+    assert words.restrictions([COARSE]) == ("position to 2 m, without direction, without the map's name")
     limited = Restriction(None, ("now < 5",), (), 0.2)
     assert words.restriction(limited) == ["at most one every 5 s", "only when now < 5"]
     assert words.restriction(Restriction(slot=60)) == ["one at the start of each 60 s"]
@@ -93,9 +89,7 @@ def test_degrees_are_said_in_metres_too() -> None:
 
 
 def test_a_region_and_a_picture_are_named() -> None:
-    rules = filter_rules(
-        {"data": {"pixelate": {"block": 8, "x": 0, "y": 0, "width": 9, "height": 9}}}
-    )
+    rules = filter_rules({"data": {"pixelate": {"block": 8, "x": 0, "y": 0, "width": 9, "height": 9}}})
     assert words.filters(rules, "sensor_msgs/Image") == [
         "picture in squares of 8 pixels, only in a part of it"
     ]
@@ -114,9 +108,14 @@ def test_a_field_name_is_the_longest_known_end_or_the_path() -> None:
 
 @pytest.mark.parametrize(
     ("seconds", "text"),
-    [(59, "less than a minute"), (60, "1 minute"), (7200, "2 hours"), (86400 * 40, "40 days"),
-     (86400 * 800, "2 years")],
-)  # fmt: skip
+    [
+        (59, "less than a minute"),
+        (60, "1 minute"),
+        (7200, "2 hours"),
+        (86400 * 40, "40 days"),
+        (86400 * 800, "2 years"),
+    ],
+)
 def test_a_duration_is_its_largest_unit(seconds: int, text: str) -> None:
     assert words.duration(seconds) == text
     assert words.left(seconds, 0) == f"{text} left"

@@ -2,8 +2,8 @@
 
 import pytest
 
-from rossec.demo.border_steps import check_coarse
 from rossec.demo.environment import DemoFailed
+from rossec.demo.steps import check_coarse_lamp
 from tests.support.commands import Shell
 
 
@@ -26,9 +26,9 @@ def test_the_whole_demo_of_a_border_router(empty: Shell) -> None:
 @pytest.mark.parametrize(("exact", "coarse"), [(21.3, 21.3), (21.3, 25.0), (20.0, 20.0)])
 def test_the_demo_checks_the_steps(exact: float, coarse: float) -> None:
     with pytest.raises(DemoFailed, match="the heating saw"):
-        check_coarse({"temperature": exact}, {"temperature": coarse})
+        check_coarse_lamp({"temperature": exact}, {"temperature": coarse})
 
 
 def test_the_demo_knows_the_steps() -> None:
-    check_coarse({"temperature": 21.3}, {"temperature": 20.0})
-    check_coarse({"temperature": 22.6}, {"temperature": 25.0})
+    check_coarse_lamp({"temperature": 21.3}, {"temperature": 20.0})
+    check_coarse_lamp({"temperature": 22.6}, {"temperature": 25.0})

@@ -48,9 +48,7 @@ async def test_a_failed_command_ends_the_demo(demo: DemoEnvironment) -> None:
 async def test_a_process_reports(demo: DemoEnvironment) -> None:
     script = demo.root / "site"
     script.mkdir()
-    process = await demo.start(
-        "json.tool", "--json-lines", "--no-indent", "/dev/null", name="quiet"
-    )
+    process = await demo.start("json.tool", "--json-lines", "--no-indent", "/dev/null", name="quiet")
     with pytest.raises(DemoFailed, match="quiet: a word did not happen; it logged: nothing"):
         await process.expect("a word", bool)
     assert process.ended

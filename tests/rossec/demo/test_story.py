@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from rossec.demo import steps, trying
+from rossec.demo import steps
+from rossec.demo import steps as trying
 from rossec.demo.environment import DemoEnvironment, DemoFailed, Report, StepPrinter
-from rossec.demo.story import begin_story
+from rossec.demo.steps import begin_story
 
 
 class Started:
@@ -47,9 +48,12 @@ async def begin(
         return Started(reports[name])
 
     for name, done in (
-        ("found_authority", step), ("enroll", step), ("sign_grants", sign), ("start", processes),
+        ("found_authority", step),
+        ("enroll", step),
+        ("sign_grants", sign),
+        ("start", processes),
         ("revoke", revoke),
-    ):  # fmt: skip
+    ):
         monkeypatch.setattr(steps, name, done)
 
     async def ask(_: DemoEnvironment) -> None:
@@ -79,8 +83,6 @@ async def test_the_service_is_unlocked_and_the_console_says_its_link(
     assert str(tmp_path / "passphrase") in arguments
 
 
-async def test_a_service_that_does_not_start_ends_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_service_that_does_not_start_ends_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(DemoFailed, match="starting did not happen"):
         await begin(tmp_path, monkeypatch, {**READY, "authority": {}})

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.things.credentials import read_ccs
+from ca.things.constrained_nodes import read_ccs
 from rossec.demo import thing
 from rossec.errors import ConfigurationError
 
@@ -21,8 +21,9 @@ def test_lines_become_reports() -> None:
     reporter.write("is on\nand\n")
     reporter.flush()
     assert [json.loads(line) for line in out.getvalue().splitlines()] == [
-        {"said": "the light is on"}, {"said": "and"},
-    ]  # fmt: skip
+        {"said": "the light is on"},
+        {"said": "and"},
+    ]
 
 
 def test_the_example_is_found_where_it_is(tmp_path: Path) -> None:

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from rossec.authority.policyfile import parse_policy
-from rossec.demo import trying
+from rossec.demo import steps
 from rossec.demo.environment import DemoEnvironment, DemoFailed, StepPrinter
-from rossec.demo.trying import POLICY, ask, show_code
+from rossec.demo.steps import POLICY, ask, show_code
 
 
 def demo_in(root: Path, commands: list[list[str]]) -> DemoEnvironment:
@@ -36,8 +36,11 @@ async def test_a_lamp_asks(tmp_path: Path) -> None:
     await ask(demo_in(tmp_path, commands))
     assert (tmp_path / "ca" / "policy.yaml").read_text() == POLICY
     assert [each[:2] for each in commands] == [
-        ["node", "request"], ["ca", "sign"], ["node", "install"], ["grant", "request"],
-    ]  # fmt: skip
+        ["node", "request"],
+        ["ca", "sign"],
+        ["node", "install"],
+        ["grant", "request"],
+    ]
     assert commands[-1][2:5] == ["/lamp", "--subscribe", "/robot/pose"]
 
 
@@ -48,7 +51,7 @@ async def test_a_fridge_shows_its_code(tmp_path: Path, monkeypatch: pytest.Monke
         assert waiting.environment.root == tmp_path / "fridge"
     finally:
         await waiting.environment.stop_all()
-    monkeypatch.setattr(trying, "FRIDGE", "no name")
+    monkeypatch.setattr(steps, "FRIDGE", "no name")
     (tmp_path / "other").mkdir()
     with pytest.raises(DemoFailed, match="fridge"):
         await show_code(demo_in(tmp_path / "other", []))

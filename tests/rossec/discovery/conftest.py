@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from rossec.channel.edhoc.credentials import Credentials
-from rossec.discovery import announcer, finder
+from rossec.discovery import local_links
 from rossec.discovery.announcement import Announcement, sign
 from tests.rossec.discovery import links
 from tests.support.site import Site
@@ -65,5 +65,5 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Site:
 def link(monkeypatch: pytest.MonkeyPatch) -> None:
     links.links.clear()
     links.said.clear()
-    for module in (finder, announcer):
+    for module in (local_links, local_links):
         monkeypatch.setattr(module, "MulticastSocket", links.Link)

@@ -3,12 +3,12 @@
 import socket
 from collections.abc import Iterator
 
-from rossec.discovery import multicast
-from rossec.discovery.candidates import DatagramSource
+from rossec.discovery import local_links
+from rossec.discovery.announcement import DatagramSource
 from tests.support.witness import until
 
 
-class Link(multicast.MulticastSocket):
+class Link(local_links.MulticastSocket):
     """A group of which this process is the only member."""
 
     takes = 1

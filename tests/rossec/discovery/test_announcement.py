@@ -10,8 +10,13 @@ from tests.support.site import Site
 
 NONE_REVOKED: frozenset[bytes] = frozenset()
 GOOD: dict[int | str, Value] = {
-    6: NOW, -70005: 15, -70011: "192.0.2.7", -70012: 11311, -70013: b"instance", -70014: 0,
-}  # fmt: skip
+    6: NOW,
+    -70005: 15,
+    -70011: "192.0.2.7",
+    -70012: 11311,
+    -70013: b"instance",
+    -70014: 0,
+}
 
 
 def open_announcement(
@@ -61,15 +66,33 @@ def test_announcements_of_another_time(make: Make, site: Site, later: int) -> No
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        (6, -1), (6, True), (-70005, 0), (-70005, 16), (-70012, 0), (-70012, 65536), (-70014, -1),
-        (-70013, b"short"), (-70011, ""), (-70011, "a b"), (-70011, "a/b"), (-70011, "a\x1bb"),
-        (-70011, "x" * 256), (-70011, 5), (33, []), (33, ["text"]), (33, [b"a"] * 3), (33, b"a"),
-        (99, 1), (6, None), (-70015, "1"), (-70015, -1), (-70015, 1 << 31), (-70015, True),
+        (6, -1),
+        (6, True),
+        (-70005, 0),
+        (-70005, 16),
+        (-70012, 0),
+        (-70012, 65536),
+        (-70014, -1),
+        (-70013, b"short"),
+        (-70011, ""),
+        (-70011, "a b"),
+        (-70011, "a/b"),
+        (-70011, "a\x1bb"),
+        (-70011, "x" * 256),
+        (-70011, 5),
+        (33, []),
+        (33, ["text"]),
+        (33, [b"a"] * 3),
+        (33, b"a"),
+        (99, 1),
+        (6, None),
+        (-70015, "1"),
+        (-70015, -1),
+        (-70015, 1 << 31),
+        (-70015, True),
     ],
-)  # fmt: skip
-def test_fields_that_cannot_be(
-    site: Site, credentials: Credentials, key: int, value: Value
-) -> None:
+)
+def test_fields_that_cannot_be(site: Site, credentials: Credentials, key: int, value: Value) -> None:
     payload: dict[int | str, Value] = {**GOOD, 33: [credentials.certificate], key: value}
     if value is None:
         del payload[key]
@@ -80,11 +103,7 @@ def test_fields_that_cannot_be(
 
 def test_one_datagram_is_the_limit(make: Make, site: Site, credentials: Credentials) -> None:
     with pytest.raises(AnnouncementRefused, match="does not fit a datagram"):
-        sign(
-            credentials.signer,
-            credentials.chain * 3,
-            Announcement("x" * 255, 1, b"instance", 0, NOW),
-        )
+        sign(credentials.signer, credentials.chain * 3, Announcement("x" * 255, 1, b"instance", 0, NOW))
     with pytest.raises(AnnouncementRefused):
         open_announcement(make() + bytes(MAX_SIZE), site.anchor, NONE_REVOKED, NOW)
 

@@ -3,9 +3,8 @@ import time
 
 import pytest
 
-from rossec.discovery import announcer
-from rossec.discovery.announcement import read_claim
-from rossec.discovery.candidates import Candidates, DatagramSource
+from rossec.discovery import local_links
+from rossec.discovery.announcement import Candidates, DatagramSource, read_claim
 from rossec.errors import AnnouncementRefused, ConfigurationError
 from tests.rossec.discovery.links import Link, said
 from tests.support.site import Site
@@ -20,9 +19,7 @@ async def test_announcements_are_counted_and_survive_links_that_go_down(
     monkeypatch.setattr(Link, "takes", 0)
     credentials = home.enroll("/master").credentials()
     uri = "http://192.0.2.7:11311/"
-    speaking = asyncio.ensure_future(
-        announcer.announce(credentials, uri, version=lambda: 7, period=0.01)
-    )
+    speaking = asyncio.ensure_future(local_links.announce(credentials, uri, version=lambda: 7, period=0.01))
     await until(lambda: said)
     Link.takes = 1
     await until(lambda: len(said) > 3)
@@ -44,7 +41,7 @@ async def test_announcements_are_counted_and_survive_links_that_go_down(
 async def test_other_masters_have_no_older_listeners(home: Site) -> None:
     credentials = home.enroll("/master/kitchen").credentials()
     speaking = asyncio.ensure_future(
-        announcer.announce(credentials, "http://h:1/", name="/master/kitchen", period=0.01)
+        local_links.announce(credentials, "http://h:1/", name="/master/kitchen", period=0.01)
     )
     await until(lambda: len(said) > 3)
     speaking.cancel()
@@ -59,5 +56,5 @@ async def test_other_masters_have_no_older_listeners(home: Site) -> None:
 async def test_a_master_that_only_this_host_reaches_is_not_announced(home: Site) -> None:
     credentials = home.enroll("/master").credentials()
     with pytest.raises(ConfigurationError, match="only this host reaches it") as caught:
-        await announcer.announce(credentials, "http://127.0.0.1:11311/")
+        await local_links.announce(credentials, "http://127.0.0.1:11311/")
     assert "ROS_IP" in caught.value.hint

@@ -1,12 +1,10 @@
 import pytest
 
-from rossec.discovery.budget import MAX_SOURCES, MAX_VERIFIED, Budget
+from rossec.discovery.announcement import MAX_SOURCES, MAX_VERIFIED, Budget
 from rossec.errors import AnnouncementRefused
 
 
-def spend(
-    budget: Budget, source: str, times: int, clock: float = 1.0, *, known: bool = False
-) -> int:
+def spend(budget: Budget, source: str, times: int, clock: float = 1.0, *, known: bool = False) -> int:
     """How often it was possible."""
     for count in range(times):
         try:

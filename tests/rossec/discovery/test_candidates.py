@@ -1,7 +1,13 @@
 import pytest
 
-from rossec.discovery.announcement import Announcement, sign
-from rossec.discovery.candidates import MAX_CANDIDATES, Candidate, Candidates, DatagramSource
+from rossec.discovery.announcement import (
+    MAX_CANDIDATES,
+    Announcement,
+    Candidate,
+    Candidates,
+    DatagramSource,
+    sign,
+)
 from rossec.errors import AnnouncementRefused
 from tests.rossec.discovery.conftest import NOW, Make
 from tests.support.site import Site
@@ -34,9 +40,7 @@ def test_the_shortest_way_is_best_once_it_is_reached(candidates: Candidates, mak
     assert candidates.ranked(NOW, 1.0) == [near, far]
 
 
-def test_a_link_that_loses_much_is_worse_than_a_slow_one(
-    candidates: Candidates, make: Make
-) -> None:
+def test_a_link_that_loses_much_is_worse_than_a_slow_one(candidates: Candidates, make: Make) -> None:
     near, far = heard(candidates, make(1)), heard(candidates, make(1), FAR)
     for seq in (2, 3, 4):
         heard(candidates, make(seq), FAR)
@@ -109,9 +113,7 @@ def addresses(count: int) -> list[DatagramSource]:
     return [DatagramSource(f"fe80::{number:x}%near", NEAR.link) for number in range(count)]
 
 
-def test_one_address_uses_its_own_bucket(
-    candidates: Candidates, make: Make, elsewhere: Site
-) -> None:
+def test_one_address_uses_its_own_bucket(candidates: Candidates, make: Make, elsewhere: Site) -> None:
     foreign = elsewhere.enroll("/master").credentials()
     rubbish = sign(foreign.signer, foreign.chain, Announcement("h", 1, b"instance", 9, NOW))
     assert flood(candidates, rubbish, *[FAR] * 100) > 0
@@ -126,9 +128,7 @@ def test_many_addresses_do_not_block_a_verified_one(candidates: Candidates, make
     heard(candidates, make(2))
 
 
-def test_new_chains_do_not_block_verified_ones(
-    candidates: Candidates, make: Make, elsewhere: Site
-) -> None:
+def test_new_chains_do_not_block_verified_ones(candidates: Candidates, make: Make, elsewhere: Site) -> None:
     heard(candidates, make(1))
     foreign = elsewhere.enroll("/master").credentials()
     rubbish = sign(foreign.signer, foreign.chain, Announcement("h", 1, b"instance", 9, NOW))

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from rossec.discovery import choose, finder
+from rossec.discovery import local_links
 from rossec.errors import MasterNotFound
 from tests.rossec.discovery.conftest import Make
 from tests.rossec.discovery.links import receive
@@ -73,7 +73,7 @@ def test_a_program_is_started_with_the_master_that_was_found(
     hosts: Hosts, home: Site, master: subprocess.Popen[str]
 ) -> None:
     code = (
-        "import asyncio, os; from rossec.discovery.choose import discover_master;"
+        "import asyncio, os; from rossec.discovery.local_links import discover_master;"
         "print(asyncio.run(discover_master(os.environ, '/robot'))['ROS_MASTER_URI'])"
     )
     env = {**os.environ, "ROSSEC_HOME": str(home.root), "ROS_MASTER_URI": "discover:"}
@@ -82,9 +82,7 @@ def test_a_program_is_started_with_the_master_that_was_found(
     assert done.stdout.startswith("http://10.99.0.1:")
 
 
-def test_commands_find_the_master(
-    hosts: Hosts, home: Site, master: subprocess.Popen[str]
-) -> None:  # fmt: skip
+def test_commands_find_the_master(hosts: Hosts, home: Site, master: subprocess.Popen[str]) -> None:
     discover = {"ROS_MASTER_URI": "discover:", "ROS_IP": hosts.far.ipv4}
     home.publish("/robot", "/x")
     checked = run(home, hosts.far, "doctor", "/robot", **discover)
@@ -119,11 +117,11 @@ async def test_a_master_that_answers_is_chosen(site: Site, make: Make) -> None:
     server = await asyncio.start_server(lambda _, writer: writer.close(), "127.0.0.1", 0)
     port = server.sockets[0].getsockname()[1]
     async with asyncio.TaskGroup() as group:
-        finding = group.create_task(finder.find(site.anchor, settle=0.2))
+        finding = group.create_task(local_links.find(site.anchor, settle=0.2))
         await receive(b"garbage")
         await receive(make(host="nowhere.invalid", port=port, issued=int(time.time())))
     (found,) = finding.result()
-    assert choose.uri_of(found) == f"http://127.0.0.1:{port}"
+    assert local_links.uri_of(found) == f"http://127.0.0.1:{port}"
     server.close()
     await server.wait_closed()
 
@@ -139,5 +137,5 @@ async def test_a_master_behind_a_firewall(site: Site, make: Make) -> None:
 
 async def _refused(site: Site) -> str:
     with pytest.raises(MasterNotFound) as caught:
-        await finder.find(site.anchor, patience=1.0)
+        await local_links.find(site.anchor, patience=1.0)
     return str(caught.value)

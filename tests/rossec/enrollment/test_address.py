@@ -2,8 +2,8 @@ import socket
 
 import pytest
 
-from rossec.enrollment import address
 from rossec.errors import ConfigurationError
+from rossec.host import addresses
 
 
 @pytest.mark.parametrize(
@@ -20,30 +20,47 @@ from rossec.errors import ConfigurationError
     ],
 )
 def test_what_people_type(text: str, host: str, port: int) -> None:
-    assert address.split(text) == (host, port)
-    assert address.split(address.join(host, port)) == (host, port)
+    assert addresses.split(text) == (host, port)
+    assert addresses.split(addresses.join(host, port)) == (host, port)
 
 
 @pytest.mark.parametrize(
     "text",
-    ["", ":9", "robot:", "robot:0", "robot:65536", "robot:9999999999", "robot:x", "robot:\u0661",
-     "[::1]9x", "[]:9", "robot:-1", "a..b", "a\x00b", "-x", "a b", "../x", "a" * 64,
-     "[::1%\x1b]:1"],
-)  # fmt: skip
+    [
+        "",
+        ":9",
+        "robot:",
+        "robot:0",
+        "robot:65536",
+        "robot:9999999999",
+        "robot:x",
+        "robot:\u0661",
+        "[::1]9x",
+        "[]:9",
+        "robot:-1",
+        "a..b",
+        "a\x00b",
+        "-x",
+        "a b",
+        "../x",
+        "a" * 64,
+        "[::1%\x1b]:1",
+    ],
+)
 def test_invalid_addresses_are_refused(text: str) -> None:
     with pytest.raises(ConfigurationError, match="is not an address of a node") as caught:
-        address.split(text)
+        addresses.split(text)
     assert "192.168.1.7:11317" in caught.value.hint
 
 
 def test_this_host_has_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
-    for found in address.own_addresses():
+    for found in addresses.own_addresses():
         family = socket.AF_INET6 if ":" in found else socket.AF_INET
         assert socket.inet_pton(family, found)
-    monkeypatch.setattr(address, "_towards", lambda family, where: "")
-    assert address.own_addresses() == ["127.0.0.1", "::1"]
-    monkeypatch.setattr(address, "_towards", lambda family, where: "192.168.1.7")
-    assert address.own_addresses()[0] == "192.168.1.7"
+    monkeypatch.setattr(addresses, "_towards", lambda family, where: "")
+    assert addresses.own_addresses() == ["127.0.0.1", "::1"]
+    monkeypatch.setattr(addresses, "_towards", lambda family, where: "192.168.1.7")
+    assert addresses.own_addresses()[0] == "192.168.1.7"
 
 
 def test_a_family_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -51,4 +68,4 @@ def test_a_family_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
         raise OSError("no such family")
 
     monkeypatch.setattr(socket, "socket", missing)
-    assert address.own_addresses() == ["127.0.0.1", "::1"]
+    assert addresses.own_addresses() == ["127.0.0.1", "::1"]

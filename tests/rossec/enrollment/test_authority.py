@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from ca.enrollment import qr
-from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
 from ca.enrollment.messages import Abort, Delivery, Reason, frame, write
+from ca.enrollment.sides import AuthorityEnrollment, AuthorityState
 from ca.errors import EnrollmentExpired, EnrollmentOver, RequestSwapped
-from rossec.enrollment import authority
+from rossec.enrollment import enroll
 from rossec.errors import NotDelivered, PeerUnreachable
 from tests.support.enrolling import Robot, WaitingRobot, clock, fresh
 from tests.support.pki import Site
@@ -20,8 +20,8 @@ SITE = Site.create(now=clock())
 
 async def enrolled(robot: WaitingRobot, core: AuthorityEnrollment) -> list[str]:
     shown: list[str] = []
-    await authority.fetch(core, robot._host, robot.port, clock)
-    await authority.deliver(core, offer(core), robot._host, robot.port, clock, shown.append)
+    await enroll.fetch(core, robot._host, robot.port, clock)
+    await enroll.deliver(core, offer(core), robot._host, robot.port, clock, shown.append)
     return shown
 
 
@@ -46,7 +46,7 @@ async def test_no_node_at_the_address() -> None:
         port = server.getsockname()[1]
     core = AuthorityEnrollment(qr.parse(Robot().enrollment().code("x")), "home")
     with pytest.raises(PeerUnreachable, match=f"no node waits to be enrolled at 127.0.0.1:{port}"):
-        await authority.fetch(core, "127.0.0.1", port, clock)
+        await enroll.fetch(core, "127.0.0.1", port, clock)
 
 
 Handler = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Coroutine[Any, Any, None]]
@@ -69,7 +69,7 @@ async def test_another_node_at_the_address() -> None:
     core = AuthorityEnrollment(qr.parse(robot.enrollment(now=clock()).code("x")), "home")
     async with server(impostor) as port:
         with pytest.raises(RequestSwapped):
-            await authority.fetch(core, "127.0.0.1", port, clock)
+            await enroll.fetch(core, "127.0.0.1", port, clock)
 
 
 async def test_the_person_walks_away() -> None:
@@ -81,7 +81,7 @@ async def test_the_person_walks_away() -> None:
 
 @pytest.fixture
 def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(authority, "RETRY_DELAY", 0.0)
+    monkeypatch.setattr(enroll, "RETRY_DELAY", 0.0)
 
 
 @pytest.mark.usefixtures("hurried")
@@ -106,7 +106,7 @@ async def test_a_broken_connection_is_made_again() -> None:
 
     shown: list[str] = []
     async with server(forgetful) as port:
-        await authority.deliver(core, made, "127.0.0.1", port, clock, shown.append)
+        await enroll.deliver(core, made, "127.0.0.1", port, clock, shown.append)
     assert heard == [frame(made)] * 5
     assert shown == [node.pending.digits]
 
@@ -126,13 +126,11 @@ async def test_a_node_that_does_not_come_back() -> None:
     made = offer(core)
     async with server(gone) as port:
         with pytest.raises(NotDelivered, match="closed the connection before") as caught:
-            await authority.deliver(core, made, "127.0.0.1", port, clock, lambda _: None)
+            await enroll.deliver(core, made, "127.0.0.1", port, clock, lambda _: None)
     assert calls == 5
     assert "rossec node show /robot1/camera" in caught.value.hint
     with pytest.raises(EnrollmentExpired):
-        await authority.deliver(
-            core, made, "127.0.0.1", port, lambda: clock() + 1000, lambda _: None
-        )
+        await enroll.deliver(core, made, "127.0.0.1", port, lambda: clock() + 1000, lambda _: None)
 
 
 CSR = Robot().csr
@@ -148,7 +146,7 @@ async def test_a_node_that_refuses() -> None:
     made = offer(core)
     async with server(refusing) as port:
         with pytest.raises(EnrollmentOver, match="refused the offer"):
-            await authority.deliver(core, made, "127.0.0.1", port, clock, lambda _: None)
+            await enroll.deliver(core, made, "127.0.0.1", port, clock, lambda _: None)
 
 
 async def test_a_connection_that_cannot_become_a_stream(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,4 +160,4 @@ async def test_a_connection_that_cannot_become_a_stream(monkeypatch: pytest.Monk
     async with server(silent) as port:
         monkeypatch.setattr(asyncio, "open_connection", broken)
         with pytest.raises(PeerUnreachable):
-            await authority.fetch(core, "127.0.0.1", port, clock)
+            await enroll.fetch(core, "127.0.0.1", port, clock)

@@ -1,29 +1,30 @@
 import asyncio
 import os
 import socket
+import struct
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
 
-from rossec.enrollment import control
-from rossec.enrollment.control import Answer
+from rossec.enrollment import enroll
+from rossec.enrollment.enroll import Answer
 from rossec.errors import ConfigurationError
 
 
 @asynccontextmanager
 async def serving(directory: Path, answer: Callable[[Answer], Answer]) -> AsyncIterator[None]:
-    server = await control.serve(directory, answer)
+    server = await enroll.serve(directory, answer)
     try:
         yield
     finally:
         server.close()
-        control.remove(directory)
+        enroll.remove(directory)
 
 
 async def ask(directory: Path, request: Answer) -> Answer:
-    return await asyncio.to_thread(control.ask, directory, request)
+    return await asyncio.to_thread(enroll.ask, directory, request)
 
 
 def deep(root: Path) -> Path:
@@ -44,7 +45,7 @@ async def test_a_request_is_answered(tmp_path: Path) -> None:
 def test_nobody_is_waiting(tmp_path: Path) -> None:
     for directory in (tmp_path, tmp_path / "missing"):
         with pytest.raises(ConfigurationError, match="no enrollment of this") as caught:
-            control.ask(directory, {})
+            enroll.ask(directory, {})
         assert "rossec node enroll" in caught.value.hint
 
 
@@ -61,12 +62,12 @@ async def test_a_refusal_arrives_with_its_hint(tmp_path: Path) -> None:
 async def test_only_one_waits(tmp_path: Path) -> None:
     async with serving(tmp_path, lambda _: {}):
         with pytest.raises(ConfigurationError, match="is waiting already"):
-            await control.serve(tmp_path, lambda _: {})
+            await enroll.serve(tmp_path, lambda _: {})
         assert await ask(tmp_path, {}) == {}
 
 
 async def test_a_stale_socket_is_replaced(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as left, control._socket_path(tmp_path) as path:
+    with socket.socket(socket.AF_UNIX) as left, enroll._socket_path(tmp_path) as path:
         left.bind(path)
     assert (tmp_path / "enrolling.sock").exists()
     async with serving(tmp_path, lambda _: {"new": "one"}):
@@ -74,7 +75,7 @@ async def test_a_stale_socket_is_replaced(tmp_path: Path) -> None:
 
 
 async def say(directory: Path, line: bytes) -> bytes:
-    with control._socket_path(directory) as path:
+    with enroll._socket_path(directory) as path:
         reader, writer = await asyncio.open_unix_connection(path)
     writer.write(line)
     try:
@@ -92,7 +93,7 @@ async def test_a_malformed_request_gets_no_answer(tmp_path: Path, line: bytes) -
 
 async def test_another_user_gets_no_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel says who calls; here it says that a stranger does."""
-    stranger = control._CREDENTIALS.pack(1, os.getuid() + 4711, 4711)
+    stranger = struct.pack("3i", 1, os.getuid() + 4711, 4711)
     monkeypatch.setattr("socket.socket.getsockopt", lambda *_: stranger)
     monkeypatch.setattr("asyncio.trsock.TransportSocket.getsockopt", lambda *_: stranger)
     async with serving(tmp_path, lambda _: {"secret": "digits"}):

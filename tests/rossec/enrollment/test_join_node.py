@@ -6,26 +6,24 @@ from pathlib import Path
 
 import pytest
 
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import (
+from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest
+from ca.enrollment.join import (
     JoinAnswer,
     NameAnswer,
     Named,
-    Refused,
+    RefusedMessage,
     RefuseReason,
-    Waiting,
+    WaitingMessage,
     WaitReason,
 )
-from ca.enrollment.join_request import JoinRequest
 from ca.errors import JoinBusy, JoinRefused, JoinWaiting, NotTheAuthority
-from rossec.enrollment import join_node
-from rossec.enrollment.join_server import JoinServer
+from rossec.enrollment import join
+from rossec.enrollment.join import JoinServer
 from rossec.errors import ConfigurationError, PeerUnreachable
 from tests.support.joining import JoinSite, asked
 from tests.support.pki import NOW
 
-BUSY = Refused(RefuseReason.BUSY)
+BUSY = RefusedMessage(RefuseReason.BUSY)
 
 
 def clock() -> int:
@@ -34,7 +32,7 @@ def clock() -> int:
 
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> JoinSite:
-    monkeypatch.setattr(join_node, "RETRY_DELAY", 0.001)
+    monkeypatch.setattr(join, "RETRY_DELAY", 0.001)
     return JoinSite(tmp_path / "site")
 
 
@@ -59,7 +57,7 @@ async def test_a_node_joins(home: JoinSite) -> None:
         return csr
 
     async with home.serving():
-        found = await join_node.join(home.invite(), request, clock)
+        found = await join.join(home.invite(), request, clock)
     assert found.anchor.verify(found.chain, NOW).name == "/fleet/a"
     assert found.root == home.root
     assert domains == ["home"]
@@ -68,7 +66,7 @@ async def test_a_node_joins(home: JoinSite) -> None:
 async def test_a_busy_authority_is_asked_again_with_the_same_request(home: JoinSite) -> None:
     csr, answers = asked("/fleet/a"), Answers(home, BUSY, BUSY)
     async with home.serving(JoinServer(home.identity, answers)):
-        await join_node.join(home.invite(), lambda _: csr, clock)
+        await join.join(home.invite(), lambda _: csr, clock)
     assert [request.csr for request in answers.requests] == [csr] * 3
     assert len({request.transcript for request in answers.requests}) == 3
 
@@ -77,16 +75,16 @@ async def test_an_authority_that_stays_busy(home: JoinSite) -> None:
     answers = Answers(home, *[BUSY] * 9)
     async with home.serving(JoinServer(home.identity, answers)):
         with pytest.raises(JoinBusy):
-            await join_node.join(home.invite(), lambda _: asked("/fleet/a"), clock)
+            await join.join(home.invite(), lambda _: asked("/fleet/a"), clock)
     assert len(answers.requests) == 5
 
 
 @pytest.mark.parametrize(
     ("answer", "error"),
     [
-        (Refused(RefuseReason.ENDED), JoinRefused),
-        (Waiting(WaitReason.LOCKED), JoinWaiting),
-        (Waiting(WaitReason.PERSON), JoinWaiting),
+        (RefusedMessage(RefuseReason.ENDED), JoinRefused),
+        (WaitingMessage(WaitReason.LOCKED), JoinWaiting),
+        (WaitingMessage(WaitReason.PERSON), JoinWaiting),
     ],
 )
 async def test_an_answer_is_not_asked_for_again(
@@ -95,7 +93,7 @@ async def test_an_answer_is_not_asked_for_again(
     answers = Answers(home, answer)
     async with home.serving(JoinServer(home.identity, answers)):
         with pytest.raises(error):
-            await join_node.join(home.invite(), lambda _: asked("/fleet/a"), clock)
+            await join.join(home.invite(), lambda _: asked("/fleet/a"), clock)
     assert len(answers.requests) == 1
 
 
@@ -127,14 +125,14 @@ async def closing(home: JoinSite, times: int) -> AsyncIterator[list[int]]:
 
 async def test_a_connection_that_breaks_is_made_again(home: JoinSite) -> None:
     async with closing(home, 2) as closed:
-        await join_node.join(home.invite(), lambda _: asked("/fleet/a"), clock)
+        await join.join(home.invite(), lambda _: asked("/fleet/a"), clock)
     assert len(closed) == 2
 
 
 async def test_a_peer_that_always_closes(home: JoinSite) -> None:
     async with closing(home, 99) as closed:
         with pytest.raises(PeerUnreachable, match="no authority answers"):
-            await join_node.join(home.invite(), lambda _: asked("/fleet/a"), clock)
+            await join.join(home.invite(), lambda _: asked("/fleet/a"), clock)
     assert len(closed) == 5
 
 
@@ -142,12 +140,12 @@ async def test_nobody_listens(home: JoinSite) -> None:
     async with home.serving():
         code = home.invite()
     with pytest.raises(PeerUnreachable) as caught:
-        await join_node.join(code, lambda _: asked("/fleet/a"), clock)
+        await join.join(code, lambda _: asked("/fleet/a"), clock)
     assert "rossec ca serve" in caught.value.hint
 
 
 async def test_a_silent_peer(home: JoinSite, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(join_node, "PATIENCE", 0.02)
+    monkeypatch.setattr(join, "CONNECT_PATIENCE", 0.02)
 
     left, tries = asyncio.Event(), []
 
@@ -163,7 +161,7 @@ async def test_a_silent_peer(home: JoinSite, monkeypatch: pytest.MonkeyPatch) ->
     async with server:
         home.address = f"127.0.0.1:{server.sockets[0].getsockname()[1]}"
         with pytest.raises(PeerUnreachable):
-            await join_node.join(home.invite(), lambda _: asked("/fleet/a"), clock)
+            await join.join(home.invite(), lambda _: asked("/fleet/a"), clock)
         async with asyncio.timeout(20):
             await left.wait()
 
@@ -173,7 +171,7 @@ async def test_another_authority_at_the_address(home: JoinSite, tmp_path: Path) 
     async with other.serving():
         home.address = other.address
         with pytest.raises(NotTheAuthority, match="another authority"):
-            await join_node.join(home.invite(), lambda _: asked("/fleet/a"), clock)
+            await join.join(home.invite(), lambda _: asked("/fleet/a"), clock)
 
 
 def with_address(code: InvitationCode, address: str) -> InvitationCode:
@@ -182,7 +180,7 @@ def with_address(code: InvitationCode, address: str) -> InvitationCode:
 
 async def test_an_address_that_is_none(home: JoinSite) -> None:
     with pytest.raises(ConfigurationError):
-        await join_node.join(with_address(home.invite(), "no:port:"), lambda _: b"", clock)
+        await join.join(with_address(home.invite(), "no:port:"), lambda _: b"", clock)
 
 
 async def test_a_name_is_asked_for_and_the_request_has_the_metadata(home: JoinSite) -> None:
@@ -194,8 +192,8 @@ async def test_a_name_is_asked_for_and_the_request_has_the_metadata(home: JoinSi
 
     async with home.serving(JoinServer(home.identity, answers, name=named)):
         code = home.invite()
-        assert await join_node.ask_name(code, metadata, clock) == "/fleet/a"
-        found = await join_node.join(code, lambda _: asked("/fleet/a"), clock, metadata)
+        assert await join.ask_name(code, metadata, clock) == "/fleet/a"
+        found = await join.join(code, lambda _: asked("/fleet/a"), clock, metadata)
     assert found.anchor.verify(found.chain, NOW).name == "/fleet/a"
     assert [claim.metadata for claim in claims] == [metadata, metadata]
     assert answers.requests[0].metadata == metadata
@@ -204,6 +202,6 @@ async def test_a_name_is_asked_for_and_the_request_has_the_metadata(home: JoinSi
 async def test_an_authority_that_gives_no_names(home: JoinSite) -> None:
     async with home.serving():
         with pytest.raises(JoinRefused, match="too old to give names"):
-            await join_node.ask_name(home.invite(), b"<node/>", clock)
+            await join.ask_name(home.invite(), b"<node/>", clock)
     with pytest.raises(PeerUnreachable):
-        await join_node.ask_name(home.invite(), b"<node/>", clock)
+        await join.ask_name(home.invite(), b"<node/>", clock)

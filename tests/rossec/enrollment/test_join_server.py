@@ -5,34 +5,32 @@ from pathlib import Path
 
 import pytest
 
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import (
+from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest
+from ca.enrollment.join import (
     Hello,
     Issued,
     JoinAnswer,
     JoinMessage,
     NameAnswer,
     Named,
-    Refused,
+    NodeJoin,
+    RefusedMessage,
     RefuseReason,
-    Waiting,
+    WaitingMessage,
     WaitReason,
     Welcome,
     read,
     write,
 )
-from ca.enrollment.join_node import NodeJoin
-from ca.enrollment.join_request import JoinRequest
 from ca.enrollment.messages import frame
 from ca.errors import RecordUnusable
-from rossec.enrollment import wire
-from rossec.enrollment.join_server import MAX_OF_INVITATION, Admit, JoinServer
-from rossec.net.halfopen import HalfOpen
+from rossec.enrollment import sessions
+from rossec.enrollment.join import MAX_OF_INVITATION, Admit, JoinServer
+from rossec.net.limits import HalfOpen
 from tests.support.joining import JoinSite, asked, fresh, issued
 from tests.support.pki import NOW
 
-LOCKED = Waiting(WaitReason.LOCKED)
+LOCKED = WaitingMessage(WaitReason.LOCKED)
 
 
 class Peer:
@@ -43,7 +41,7 @@ class Peer:
 
     async def next(self) -> JoinMessage:
         async with asyncio.timeout(20):
-            return read(await wire.receive(self.reader))
+            return read(await sessions.receive(self.reader))
 
     async def is_closed(self) -> bool:
         with suppress(ConnectionResetError):
@@ -52,14 +50,14 @@ class Peer:
         return True
 
     def says(self, message: bytes) -> None:
-        wire.send(self.writer, message)
+        sessions.send(self.writer, message)
 
     async def proves(self, code: InvitationCode, csr: bytes) -> None:
         """Up to the request, whose answer is not read."""
         core = NodeJoin(code, fresh())
         self.says(core.hello())
         async with asyncio.timeout(20):
-            core.receive(await wire.receive(self.reader), NOW)
+            core.receive(await sessions.receive(self.reader), NOW)
         self.says(core.join(csr))
 
 
@@ -101,7 +99,7 @@ async def test_a_broken_session_is_told_nothing_and_reported(home: JoinSite, dat
     server = JoinServer(home.identity, home.admit, reported.append)
     async with home.serving(server), connected(server) as peer:
         peer.writer.write(data)
-        assert await peer.next() == Refused(RefuseReason.REFUSED)
+        assert await peer.next() == RefusedMessage(RefuseReason.REFUSED)
         assert await peer.is_closed()
     [line] = reported
     assert line.startswith("127.0.0.1: ")
@@ -112,7 +110,7 @@ async def test_a_second_hello_ends_the_session(home: JoinSite) -> None:
         for _ in range(2):
             peer.says(write(Hello(bytes(32), fresh())))
         assert isinstance(await peer.next(), Welcome)
-        assert await peer.next() == Refused(RefuseReason.REFUSED)
+        assert await peer.next() == RefusedMessage(RefuseReason.REFUSED)
 
 
 async def test_a_peer_that_is_silent_is_closed(home: JoinSite) -> None:
@@ -144,7 +142,7 @@ async def test_the_open_sessions_of_an_address_are_bounded(home: JoinSite) -> No
         async with connected(server) as second:
             assert await second.is_closed()
         first.says(write(LOCKED))
-        assert await first.next() == Refused(RefuseReason.REFUSED)
+        assert await first.next() == RefusedMessage(RefuseReason.REFUSED)
 
 
 class Gate:
@@ -166,9 +164,7 @@ class Gate:
         return LOCKED
 
 
-async def test_the_decisions_of_one_invitation_are_bounded_and_the_others_wait(
-    home: JoinSite,
-) -> None:
+async def test_the_decisions_of_one_invitation_are_bounded_and_the_others_wait(home: JoinSite) -> None:
     gate, code = Gate(), home.invite(uses=99)
 
     async def ask(server: JoinServer, by: InvitationCode) -> JoinMessage:
@@ -190,14 +186,12 @@ async def test_the_decisions_of_one_invitation_are_bounded_and_the_others_wait(
     assert [task.result() for task in (*tasks, other)] == [LOCKED] * (len(tasks) + 1)
 
 
-async def test_a_decision_that_takes_too_long(
-    home: JoinSite, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("rossec.enrollment.join_server.DECISION", 0.05)
+async def test_a_decision_that_takes_too_long(home: JoinSite, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rossec.enrollment.join.DECISION", 0.05)
     server = JoinServer(home.identity, Gate().admit)
     async with home.serving(server), connected(server) as peer:
         await peer.proves(home.invite(), asked("/fleet/a"))
-        assert await peer.next() == Refused(RefuseReason.BUSY)
+        assert await peer.next() == RefusedMessage(RefuseReason.BUSY)
 
 
 async def failing(_: JoinRequest) -> JoinAnswer:
@@ -216,7 +210,7 @@ async def test_a_request_that_cannot_be_decided(
     async with home.serving(server), connected(server) as peer:
         await peer.proves(home.invite(), asked("/fleet/a"))
         if admit is failing:
-            assert await peer.next() == Refused(RefuseReason.BUSY)
+            assert await peer.next() == RefusedMessage(RefuseReason.BUSY)
         assert await peer.is_closed()
     assert [record.levelname for record in caplog.records] == ["ERROR"]
 
@@ -233,14 +227,14 @@ NODE = b"<node/>"
 
 
 async def named_a(claim: JoinClaim) -> NameAnswer:
-    return Named("/fleet/a") if claim.metadata == NODE else Refused(RefuseReason.METADATA)
+    return Named("/fleet/a") if claim.metadata == NODE else RefusedMessage(RefuseReason.METADATA)
 
 
 async def claimed(peer: Peer, code: InvitationCode, metadata: bytes = NODE) -> NodeJoin:
     core = NodeJoin(code, fresh())
     peer.says(core.hello())
     async with asyncio.timeout(20):
-        core.receive(await wire.receive(peer.reader), NOW)
+        core.receive(await sessions.receive(peer.reader), NOW)
     peer.says(core.claim(metadata))
     return core
 
@@ -261,14 +255,14 @@ async def test_a_refused_claim_ends_the_session(home: JoinSite) -> None:
     server = JoinServer(home.identity, home.admit, name=named_a)
     async with home.serving(server), connected(server) as peer:
         await claimed(peer, home.invite(), b"<other/>")
-        assert await peer.next() == Refused(RefuseReason.METADATA)
+        assert await peer.next() == RefusedMessage(RefuseReason.METADATA)
         assert await peer.is_closed()
 
 
 async def test_who_gives_no_names_answers_as_one_of_an_earlier_version(home: JoinSite) -> None:
     async with home.serving() as server, connected(server) as peer:
         await claimed(peer, home.invite())
-        assert await peer.next() == Refused(RefuseReason.REFUSED)
+        assert await peer.next() == RefusedMessage(RefuseReason.REFUSED)
 
 
 async def test_a_claim_that_cannot_be_decided(home: JoinSite) -> None:
@@ -278,4 +272,4 @@ async def test_a_claim_that_cannot_be_decided(home: JoinSite) -> None:
     server = JoinServer(home.identity, home.admit, name=broken)
     async with home.serving(server), connected(server) as peer:
         await claimed(peer, home.invite())
-        assert await peer.next() == Refused(RefuseReason.BUSY)
+        assert await peer.next() == RefusedMessage(RefuseReason.BUSY)

@@ -5,18 +5,11 @@ from contextlib import asynccontextmanager, suppress
 import pytest
 
 from ca.enrollment import qr
-from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
 from ca.enrollment.messages import Abort, Fetch, Message, Reason, frame, read, write
-from ca.enrollment.node import NodeEnrollment, NodeState, Pending
-from ca.errors import (
-    ConflictingOffer,
-    DigitsRefused,
-    EnrollmentExpired,
-    EnrollmentLocked,
-    EnrollmentOver,
-)
-from rossec.enrollment import wire
-from rossec.enrollment.node import WaitingNode
+from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeEnrollment, NodeState, Pending
+from ca.errors import ConflictingOffer, DigitsRefused, EnrollmentExpired, EnrollmentLocked, EnrollmentOver
+from rossec.enrollment import sessions
+from rossec.enrollment.enroll import WaitingNode
 from tests.support.enrolling import WINDOW, Robot, fresh
 from tests.support.pki import NOW, Site
 
@@ -40,7 +33,7 @@ class Caller:
 
     async def read_until(self) -> Message:
         async with asyncio.timeout(20):
-            return read(await wire.receive(self.reader))
+            return read(await sessions.receive(self.reader))
 
     async def is_left(self) -> bool:
         with suppress(ConnectionResetError):
@@ -49,11 +42,11 @@ class Caller:
         return True
 
     def says(self, message: bytes) -> None:
-        wire.send(self.writer, message)
+        sessions.send(self.writer, message)
 
     async def answers(self, core: AuthorityEnrollment) -> None:
         async with asyncio.timeout(20):
-            core.receive(await wire.receive(self.reader), NOW)
+            core.receive(await sessions.receive(self.reader), NOW)
 
 
 class Stage:
@@ -183,11 +176,7 @@ async def test_offers_without_the_secret_lock_the_code() -> None:
 
 async def test_garbage_ends_its_connection_only() -> None:
     async with waiting() as stage:
-        for garbage in (
-            b"GET / HTTP/1.1\r\n\r\n",
-            frame(b"\xff"),
-            frame(write(Abort(Reason.OVER))),
-        ):
+        for garbage in (b"GET / HTTP/1.1\r\n\r\n", frame(b"\xff"), frame(write(Abort(Reason.OVER)))):
             stranger = await stage.caller()
             stranger.writer.write(garbage)
             assert await stranger.read_until() == Abort(Reason.REFUSED)

@@ -61,9 +61,7 @@ def answer(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) 
     return json.loads(capsys.readouterr().out)
 
 
-def test_one_line_answers(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_line_answers(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     assert answer(monkeypatch, capsys) == {"texts": [TEXT]}
     monkeypatch.setattr(scanner, "MAX_PIXELS", 1)
     said = {"error": "the picture has too many pixels", "hint": "make it smaller"}

@@ -4,8 +4,8 @@ from contextlib import asynccontextmanager, suppress
 
 import pytest
 
-from rossec.enrollment.session_server import Serve, SessionServer
-from rossec.net.halfopen import HalfOpen
+from rossec.enrollment.sessions import Serve, SessionServer
+from rossec.net.limits import HalfOpen
 from tests.support.witness import until
 
 HOST = "127.0.0.1"

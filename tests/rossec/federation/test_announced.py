@@ -4,10 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from rossec.discovery.announcement import Announcement, sign
-from rossec.discovery.candidates import Candidates, DatagramSource
-from rossec.federation import announced
-from rossec.federation.announced import AnnouncedMasters
+from rossec.discovery.announcement import Announcement, Candidates, DatagramSource, sign
+from rossec.federation import mesh
+from rossec.federation.mesh import AnnouncedMasters
 from rossec.federation.settings import SiteSettings
 from tests.support.site import Site
 
@@ -28,18 +27,11 @@ def candidates(site: Site) -> Candidates:
 @pytest.fixture
 def hear(site: Site, candidates: Candidates) -> Hear:
     def heard(
-        name: str,
-        seq: int,
-        *,
-        port: int = 11311,
-        instance: bytes = b"instance",
-        reached: bool = True,
+        name: str, seq: int, *, port: int = 11311, instance: bytes = b"instance", reached: bool = True
     ) -> None:
         own = site.enroll(name).credentials()
         said = Announcement("10.0.0.7", port, instance, seq, site.now(), version=seq)
-        found = candidates.heard(
-            sign(own.signer, own.chain, said), LINK, site.now(), time.monotonic()
-        )
+        found = candidates.heard(sign(own.signer, own.chain, said), LINK, site.now(), time.monotonic())
         assert found is not None
         if reached:
             candidates.probed(found, ("10.0.0.7", port), 0.001)
@@ -62,9 +54,7 @@ def test_every_other_master_that_answers(site: Site, candidates: Candidates, hea
     assert masters.take_returned() == set()
 
 
-def test_one_that_was_restarted_is_dialled_at_once(
-    site: Site, candidates: Candidates, hear: Hear
-) -> None:
+def test_one_that_was_restarted_is_dialled_at_once(site: Site, candidates: Candidates, hear: Hear) -> None:
     masters = AnnouncedMasters(site.enroll("/master/hall"), candidates)
     hear("/master", 0)
     masters.sites()
@@ -80,7 +70,7 @@ def test_one_that_is_not_heard_any_more_goes(
     masters = AnnouncedMasters(site.enroll("/master/hall"), candidates)
     hear("/master", 0)
     assert masters.sites()
-    monkeypatch.setattr(announced, "SILENT", 0.0)
+    monkeypatch.setattr(mesh, "SILENT", 0.0)
     assert masters.sites(), "its facts may stay"
-    monkeypatch.setattr(announced, "LOST_FOR", 0.0)
+    monkeypatch.setattr(mesh, "LOST_FOR", 0.0)
     assert masters.sites() == ()

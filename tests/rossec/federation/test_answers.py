@@ -3,8 +3,8 @@ from typing import Any
 import pytest
 
 from rossec.errors import AnswerMalformed
-from rossec.federation import answers
-from rossec.federation.answers import MAX_PARTS, SiteCursor
+from rossec.federation import site_state
+from rossec.federation.site_state import MAX_PARTS, SiteCursor
 
 NODE = ["node", "/robot", "http://robot:1/"]
 PUBLISHER = ["publisher", "/pose", "/robot"]
@@ -13,9 +13,17 @@ TYPE = ["type", "/pose", "p/T"]
 
 def answer(**changed: Any) -> dict[str, Any]:
     return {
-        "instance": "a", "version": 1, "cursor": 1, "whole": False, "more": False,
-        "added": [], "removed": [], "revocations": bytes(32), "domains": b"", **changed,
-    }  # fmt: skip
+        "instance": "a",
+        "version": 1,
+        "cursor": 1,
+        "whole": False,
+        "more": False,
+        "added": [],
+        "removed": [],
+        "revocations": bytes(32),
+        "domains": b"",
+        **changed,
+    }
 
 
 def test_an_answer_is_taken_and_asked_for_again_from_there() -> None:
@@ -78,12 +86,21 @@ def test_a_master_without_a_list_says_so_with_nothing() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        None, [], {}, answer(version="1"), answer(cursor=None), answer(whole=1, more="no"),
-        answer(added=[["node", "/a"]]), answer(added=[["node", "/a", 1]]), answer(removed="x"),
-        answer(revocations=b"short"), answer(domains=5), answer(instance=b"a"),
+        None,
+        [],
+        {},
+        answer(version="1"),
+        answer(cursor=None),
+        answer(whole=1, more="no"),
+        answer(added=[["node", "/a"]]),
+        answer(added=[["node", "/a", 1]]),
+        answer(removed="x"),
+        answer(revocations=b"short"),
+        answer(domains=5),
+        answer(instance=b"a"),
     ],
     ids=lambda each: "answer",
-)  # fmt: skip
+)
 def test_anything_else_is_refused(wrong: object) -> None:
     with pytest.raises(AnswerMalformed):
         SiteCursor().take(wrong)
@@ -112,7 +129,7 @@ def test_an_answer_has_an_end() -> None:
 
 
 def test_the_facts_of_an_answer_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(answers, "MAX_GATHERED", 3)
+    monkeypatch.setattr(site_state, "MAX_GATHERED", 3)
     cursor = SiteCursor()
     assert cursor.take(answer(whole=True, more=True, added=[NODE, PUBLISHER])) is None
     with pytest.raises(AnswerMalformed, match="more than 3 facts"):
@@ -128,7 +145,7 @@ def test_parts_that_whole_makes_void_are_counted(monkeypatch: pytest.MonkeyPatch
         cursor.take(answer(whole=True, more=True, added=[NODE]))
     assert cursor.params == ("", 0)
     assert cursor.take(answer(whole=True, added=[NODE])) is not None
-    monkeypatch.setattr(answers, "MAX_GATHERED", 3)
+    monkeypatch.setattr(site_state, "MAX_GATHERED", 3)
     for _ in range(3):
         assert cursor.take(answer(whole=True, more=True, added=[NODE])) is None
     with pytest.raises(AnswerMalformed, match="more than 3 facts"):

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import CertificateRefused
-from rossec.federation.chains import MAX_CHAINS, Chains
+from rossec.federation.exchange import MAX_CHAINS, Chains
 from tests.support.site import Site
 
 

@@ -1,8 +1,7 @@
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.federation.config import FederationConfig, read_config
-from rossec.federation.settings import SiteSettings
+from rossec.federation.settings import FederationConfig, SiteSettings, read_config
 from rossec.master.operation.config import parse
 
 

@@ -3,16 +3,17 @@
 import pytest
 
 from rossec.errors import ImportRefused
-from rossec.federation.answers import SiteChange
-from rossec.federation.door_facts import DoorFacts
-from rossec.master.state.doors import NODE, SERVICE, Door, Target
+from rossec.federation.site_state import DoorFacts, SiteChange
+from rossec.master.state.forwarded_ports import NODE, SERVICE, Door, Target
 from rossec.master.state.imported_facts import FACTS_LIMIT, Fact
 
 ROBOT, CLOCK = Target("office", NODE, "/robot"), Target("office", SERVICE, "/clock")
 SAID = (
-    ("node", "/robot", "http://10.0.0.2:4711/"), ("provider", "/clock", "rosrpc://10.0.0.2:9"),
-    ("publisher", "/pose", "/robot"), ("type", "/pose", "std_msgs/String"),
-)  # fmt: skip
+    ("node", "/robot", "http://10.0.0.2:4711/"),
+    ("provider", "/clock", "rosrpc://10.0.0.2:9"),
+    ("publisher", "/pose", "/robot"),
+    ("type", "/pose", "std_msgs/String"),
+)
 PLAIN = set(SAID[2:])
 NOTHING = SiteChange(frozenset(), frozenset(), False, b"", b"")
 DOOR_FACTS = {
@@ -111,11 +112,13 @@ def test_after_a_drop_everything_is_shown_again(said: Said) -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        ("node", "robot", "http://10.0.0.2:1/"), ("node", "/remote/x/robot", "http://10.0.0.2:1/"),
-        ("node", "/robot", "10.0.0.2"), ("provider", "/clock", "http://10.0.0.2:1/"),
+        ("node", "robot", "http://10.0.0.2:1/"),
+        ("node", "/remote/x/robot", "http://10.0.0.2:1/"),
+        ("node", "/robot", "10.0.0.2"),
+        ("provider", "/clock", "http://10.0.0.2:1/"),
         ("door", "/robot", "http://10.0.0.2:1/"),
     ],
-)  # fmt: skip
+)
 def test_no_door_is_wanted_of_what_is_malformed(said: Said, wrong: Fact) -> None:
     said.take(*SAID[:1])
     with pytest.raises(ImportRefused):

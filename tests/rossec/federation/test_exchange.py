@@ -3,11 +3,11 @@ from pathlib import Path
 
 import pytest
 
-from ca.revocation.state import digest
+from ca.revocation.lists import digest
 from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.federation import exchange
-from rossec.federation.own import OwnMaster
-from rossec.net.rpc.client import RpcClient
+from rossec.federation.exchange import OwnMaster
+from rossec.net.rpc.calls import RpcClient
 from rossec.ros.xmlrpc import Fault
 from tests.support.masters import Master, domain_list, masters
 from tests.support.site import Site
@@ -113,9 +113,7 @@ class FixedAnswers(RpcClient):
 
 def own_of(master: Master) -> OwnMaster:
     server = master.server
-    return OwnMaster(
-        server.state, server.effects, server.context, server.mirror, server.drop_mirror
-    )
+    return OwnMaster(server.state, server.effects, server.context, server.mirror, server.drop_mirror)
 
 
 @pytest.mark.parametrize("answer", [7, [], [b"", ""], ["", b""], [b"", b"", b""]])
@@ -147,9 +145,7 @@ async def test_a_master_that_knows_no_lists_of_domains_gets_none(pair: list[Mast
         assert old.asked == ["rossec.domains"]
 
 
-async def test_the_entries_of_a_tree_are_bytes(
-    pair: list[Master], monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_the_entries_of_a_tree_are_bytes(pair: list[Master], monkeypatch: pytest.MonkeyPatch) -> None:
     own, peer = own_of(pair[0]), pair[1].site.identity("/master/kitchen")
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
     tree = pair[0].site.revoke(b"k" * 32)

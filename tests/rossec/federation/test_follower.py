@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from grants.model import Right
-from rossec.federation import states
-from rossec.federation.answers import SiteCursor
+from rossec.federation import site_state
 from rossec.federation.follower import PACE
+from rossec.federation.site_state import SiteCursor
 from rossec.master.server import answers as server_answers
 from tests.support.masters import Master, masters
 from tests.support.site import Site
@@ -63,10 +63,8 @@ async def test_a_restarted_master_is_followed_again(pair: list[Master]) -> None:
     assert hall.imported("/pose") == [], "what the new run does not know is gone"
 
 
-async def test_the_facts_of_a_lost_master_go(
-    pair: list[Master], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(states, "LOST_FOR", 1.5)
+async def test_the_facts_of_a_lost_master_go(pair: list[Master], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(site_state, "LOST_FOR", 1.5)
     hall, kitchen = pair
     await kitchen.register("/robot", "/pose", 4711)
     hall.follow(kitchen.as_site("kitchen"))
@@ -163,9 +161,7 @@ async def test_a_site_with_more_facts_than_the_limit_is_not_followed(pair: list[
     assert hall.state_of("kitchen")["facts"] == 0
 
 
-async def test_a_site_whose_parameters_are_mirrored_is_shown_the_own_grants(
-    pair: list[Master],
-) -> None:
+async def test_a_site_whose_parameters_are_mirrored_is_shown_the_own_grants(pair: list[Master]) -> None:
     hall, kitchen = pair
     hall.site.grant("/master", Right.PARAM_GET, "/robot/**")
     await kitchen.register("/robot", "/pose", 4711)
@@ -200,7 +196,7 @@ async def test_a_site_that_is_followed_no_longer_leaves_nothing(pair: list[Maste
 async def test_a_site_that_was_lost_is_dialled_when_it_is_woken(
     pair: list[Master], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(states, "LOST_FOR", 0.2)
+    monkeypatch.setattr(site_state, "LOST_FOR", 0.2)
     hall, kitchen = pair
     await kitchen.register("/robot", "/pose", 4711)
     mesh = hall.follow(kitchen.as_site("kitchen"))

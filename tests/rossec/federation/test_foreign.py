@@ -8,15 +8,14 @@ from typing import Any
 
 import pytest
 
-from ca.domains.lists import ForeignDomain, NameRights
+from ca.domains.trust import ForeignDomain, NameRights
 from grants.model import Right
 from rossec.errors import AnswerMalformed, SiteRefused
-from rossec.federation import foreign, mirroring
-from rossec.federation.foreign import APART
-from rossec.federation.own import OwnMaster
+from rossec.federation import exchange
+from rossec.federation.exchange import APART, OwnMaster
 from rossec.federation.settings import SiteSettings
 from rossec.master.server.effects import Effects
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from tests.support.masters import Master, domain_list, masters
 from tests.support.site import DAY, Site
 from tests.support.witness import until
@@ -26,9 +25,14 @@ def trusting(site: Site, label: str, *taken: NameRights) -> ForeignDomain:
     """What another domain says of `site`; without `taken` everything is."""
     end = int(time.time()) + DAY
     return ForeignDomain(
-        site.anchor.domain, label, site.anchor.certificate, ("/rounds/*", "/master"), 3600, end,
+        site.anchor.domain,
+        label,
+        site.anchor.certificate,
+        ("/rounds/*", "/master"),
+        3600,
+        end,
         imported=tuple((pattern, int(rights)) for pattern, rights in taken) or None,
-    )  # fmt: skip
+    )
 
 
 def take(pair: list[Master], seq: int, *taken: NameRights) -> None:
@@ -55,9 +59,7 @@ async def pair(tmp_path: Path) -> AsyncIterator[list[Master]]:
         here.take_domains(domain_list(home, "/master", foreign=[trusting(hospital, "h")], seq=2))
         there.take_domains(domain_list(hospital, "/master", foreign=[trusting(home, "h1")], seq=2))
         for pattern in ("/master", "/rounds/pose", "/rounds/map"):
-            data = hospital.grant(
-                "/robot", Right.GRAPH, pattern, holder=home.identity("/master").thumbprint
-            )
+            data = hospital.grant("/robot", Right.GRAPH, pattern, holder=home.identity("/master").thumbprint)
             here.home.add_grant(data[-16:], data)
         here.want()
         there.follow(here.as_site("h1", "h1"))  # without a grant: it hears what is revoked
@@ -75,9 +77,7 @@ async def test_what_a_foreign_master_shows_lies_below_remote(pair: list[Master])
     assert "h1 refuses" in there.state_of("h1")["error"]
 
 
-async def test_only_what_is_taken_from_it_comes_and_another_list_counts_at_once(
-    pair: list[Master],
-) -> None:
+async def test_only_what_is_taken_from_it_comes_and_another_list_counts_at_once(pair: list[Master]) -> None:
     here, there = pair
     pose, a_map = "/remote/h/rounds/pose", "/remote/h/rounds/map"
     await there.register("/rounds/robot3", "/rounds/pose", 4711)
@@ -97,7 +97,7 @@ async def test_only_what_is_taken_from_it_comes_and_another_list_counts_at_once(
 async def test_parameters_are_mirrored_as_far_as_they_are_taken(
     pair: list[Master], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mirroring, "EVERY", 0.1)
+    monkeypatch.setattr(exchange, "MIRRORED_EVERY", 0.1)
     here, there = pair
     key = here.site.identity("/master").thumbprint
     for name in ("/rounds/speed", "/rounds/key"):
@@ -171,7 +171,7 @@ async def test_a_domain_that_is_removed_is_followed_no_longer(pair: list[Master]
 async def test_a_master_that_shows_nothing_is_asked_once_and_heard(
     pair: list[Master], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(foreign, "LONGEST_FOREIGN", 0.2)
+    monkeypatch.setattr(exchange, "LONGEST_FOREIGN", 0.2)
     here, there = pair
     await here.register("/rounds/robot3", "/rounds/pose", 4711)
     there.want()
@@ -184,9 +184,7 @@ async def test_a_master_that_shows_nothing_is_asked_once_and_heard(
     assert there.state_of("h1")["state"] == "listening"
     for name in ("rossec.federation", "rossec.audit", "rossec.audit.denials"):
         assert [each.name for each in caplog.records].count(name) == 1, name
-    here.follow(
-        there.as_site("h", "h")
-    )  # before it knows what the hospital revokes no grant counts
+    here.follow(there.as_site("h", "h"))  # before it knows what the hospital revokes no grant counts
     await until(lambda: here.state_of("h")["state"] == "following")
     install_graph(there, here)
     await until(lambda: there.state_of("h1")["state"] == "following")
@@ -215,10 +213,8 @@ async def test_who_is_refused_without_a_reason_is_told_what_to_ask(pair: list[Ma
     assert "does h trust this domain?" in here.state_of("h")["hint"]
 
 
-async def test_proofs_of_its_tree_are_fetched(
-    pair: list[Master], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(foreign, "EVERY", 0.1)
+async def test_proofs_of_its_tree_are_fetched(pair: list[Master], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exchange, "FOREIGN_EVERY", 0.1)
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
     here, there = pair
     here.follow(there.as_site("h", "h"))
@@ -247,24 +243,20 @@ class OtherMaster(RpcClient):
 
 
 @pytest.mark.parametrize("answer", [7, [], [b"", ""], [b"", b"", b""]])
-async def test_an_answer_without_revocations_is_an_error(
-    pair: list[Master], answer: object
-) -> None:
+async def test_an_answer_without_revocations_is_an_error(pair: list[Master], answer: object) -> None:
     here, there = pair
-    peer, lists = there.site.identity("/master"), foreign.ForeignLists(own_of(here), "h")
+    peer, lists = there.site.identity("/master"), exchange.ForeignLists(own_of(here), "h")
     with pytest.raises(AnswerMalformed):
         await lists.greet(OtherMaster(answer), peer)
 
 
 async def test_nothing_is_asked_for_a_domain_that_is_not_listed(pair: list[Master]) -> None:
     here, there = pair
-    peer, lists = there.site.identity("/master"), foreign.ForeignLists(own_of(here), "clinic")
+    peer, lists = there.site.identity("/master"), exchange.ForeignLists(own_of(here), "clinic")
     with pytest.raises(SiteRefused, match="not a domain that is trusted"):
         await lists.keep_fresh(OtherMaster([b"", b""]), peer, b"")
 
 
 def own_of(master: Master) -> OwnMaster:
     server = master.server
-    return OwnMaster(
-        server.state, server.effects, server.context, server.mirror, server.drop_mirror
-    )
+    return OwnMaster(server.state, server.effects, server.context, server.mirror, server.drop_mirror)

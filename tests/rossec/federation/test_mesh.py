@@ -6,13 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from rossec.federation.announced import AnnouncedMasters
-from rossec.federation.config import FederationConfig
 from rossec.federation.follower import FollowedSite
-from rossec.federation.settings import SiteSettings
-from rossec.federation.site_file import FILE, SiteFile
-from rossec.federation.start import mesh_of
-from rossec.master.state.doors import SILENCE, Report, Way
+from rossec.federation.mesh import AnnouncedMasters, mesh_of
+from rossec.federation.settings import FILE, FederationConfig, SiteFile, SiteSettings
+from rossec.master.state.forwarded_ports import SILENCE, PeerWay, RelayReport
 from tests.support.masters import Master, masters
 from tests.support.site import Site
 from tests.support.witness import until
@@ -123,8 +120,9 @@ async def test_a_master_that_was_named_and_is_heard_too_is_no_contradiction(
     finally:
         running.cancel()
     assert [(s["label"], s["source"]) for s in mesh.status()["sites"]] == [
-        ("attic", "announced"), ("galley", "configuration"),
-    ]  # fmt: skip
+        ("attic", "announced"),
+        ("galley", "configuration"),
+    ]
     assert mesh.status()["problems"] == {}
 
 
@@ -142,8 +140,8 @@ async def test_a_relay_that_fell_silent_is_forgotten(
     caplog.set_level(logging.WARNING, "rossec.audit")
     hall, _ = pair
     doors, now = hall.server.state.doors, hall.server.state.now()
-    way = {"office": Way("up", 1.0, 0, "", 0)}
-    doors.hear("/relay", Report("one", 0, {}, way), now - SILENCE - 1)
+    way = {"office": PeerWay("up", 1.0, 0, "", 0)}
+    doors.hear("/relay", RelayReport("one", 0, {}, way), now - SILENCE - 1)
     hall.follow()
     await until(lambda: doors.way("office") is None)
     assert "relay /relay is silent" in caplog.text

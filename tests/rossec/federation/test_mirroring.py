@@ -3,12 +3,12 @@ from pathlib import Path
 
 import pytest
 
+from grants.decision import Reach
 from grants.model import Permission, Right
-from grants.reach import Reach
 from rossec.errors import AnswerMalformed, AnswerRefused
-from rossec.federation import mirroring
-from rossec.federation.own import OwnMaster
-from rossec.net.rpc.client import RpcClient
+from rossec.federation import exchange
+from rossec.federation.exchange import OwnMaster
+from rossec.net.rpc.calls import RpcClient
 from tests.support.masters import Master, masters
 from tests.support.site import Site
 from tests.support.witness import until
@@ -16,7 +16,7 @@ from tests.support.witness import until
 
 @pytest.fixture
 async def pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[list[Master]]:
-    monkeypatch.setattr(mirroring, "EVERY", 0.1)
+    monkeypatch.setattr(exchange, "MIRRORED_EVERY", 0.1)
     async with masters(Site(tmp_path / "site"), "/master", "/master/kitchen") as found:
         yield found
 
@@ -91,30 +91,21 @@ class OtherMaster(RpcClient):
 
 def own_of(master: Master) -> OwnMaster:
     server = master.server
-    return OwnMaster(
-        server.state, server.effects, server.context, server.mirror, server.drop_mirror
-    )
+    return OwnMaster(server.state, server.effects, server.context, server.mirror, server.drop_mirror)
 
 
 @pytest.mark.parametrize(
-    "answers",
-    [
-        (7,), (["/a"], 7), (["/a"], []), (["/a", "/a/b"], [[[1, "", 1]], [[1, "", 1]]]),
-    ],
-)  # fmt: skip
-async def test_a_malformed_answer_is_an_error(
-    pair: list[Master], answers: tuple[object, ...]
-) -> None:
-    reading = mirroring.Mirroring(own_of(pair[0]), pair[1].as_site("kitchen", "", "/**"))
+    "answers", [(7,), (["/a"], 7), (["/a"], []), (["/a", "/a/b"], [[[1, "", 1]], [[1, "", 1]]])]
+)
+async def test_a_malformed_answer_is_an_error(pair: list[Master], answers: tuple[object, ...]) -> None:
+    reading = exchange.Mirroring(own_of(pair[0]), pair[1].as_site("kitchen", "", "/**"))
     with pytest.raises(AnswerMalformed):
         await reading.keep(OtherMaster(*answers))
 
 
-async def test_too_many_parameters_are_refused(
-    pair: list[Master], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(mirroring, "MAX_NAMES", 1)
-    reading = mirroring.Mirroring(own_of(pair[0]), pair[1].as_site("kitchen", "", "/**"))
+async def test_too_many_parameters_are_refused(pair: list[Master], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exchange, "MAX_NAMES", 1)
+    reading = exchange.Mirroring(own_of(pair[0]), pair[1].as_site("kitchen", "", "/**"))
     with pytest.raises(AnswerRefused, match="has 2 parameters"):
         await reading.keep(OtherMaster(["/a", "/b"]))
 
@@ -126,7 +117,7 @@ async def test_another_list_of_domains_counts_at_once(
     own = own_of(pair[0])
     rules = {"h": Reach((Permission("/speed", Right.PARAM_GET),))}
     monkeypatch.setattr(own.state.trust.domains, "imported", rules.get)
-    reading = mirroring.Mirroring(own, pair[1].as_site("h", "h", "/**"))
+    reading = exchange.Mirroring(own, pair[1].as_site("h", "h", "/**"))
     await reading.keep(OtherMaster(["/speed", "/key"], [[[1, "", 2]]]))
     reading.judge()
     assert mirrored(pair[0], "/remote/h/speed") == 2

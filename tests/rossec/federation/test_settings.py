@@ -13,7 +13,7 @@ from rossec.federation.settings import (
     read_sites,
     write_sites,
 )
-from rossec.master.state.sites import Site
+from rossec.master.state.imported_facts import Site
 
 KITCHEN = SiteSettings("kitchen", "http://kitchen:11311/", "/master/kitchen")
 OFFICE = SiteSettings("office", "", "/master/office", via="ward")
@@ -37,15 +37,19 @@ def test_the_site_of_the_import_layer() -> None:
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"label": "a-b"}, "is not a label"), ({"domain": "/x"}, "is not a label"),
+        ({"label": "a-b"}, "is not a label"),
+        ({"domain": "/x"}, "is not a label"),
         ({"master": "/robot"}, "is not the name of a master"),
         ({"master": "/master/a/b"}, "is not the name of a master"),
-        ({"uri": "kitchen"}, "master's URI"), ({"uri": "http://kitchen"}, "master's URI"),
-        ({"via": "a b"}, "is not a label"), ({"via": "office"}, "a URI or a relay's peer, one of"),
+        ({"uri": "kitchen"}, "master's URI"),
+        ({"uri": "http://kitchen"}, "master's URI"),
+        ({"via": "a b"}, "is not a label"),
+        ({"via": "office"}, "a URI or a relay's peer, one of"),
         ({"uri": ""}, "a URI or a relay's peer, one of"),
-        ({"parameters": ("robot",)}, "robot"), ({"parameters": ("/a",) * 65}, "at most 64"),
+        ({"parameters": ("robot",)}, "robot"),
+        ({"parameters": ("/a",) * 65}, "at most 64"),
     ],
-)  # fmt: skip
+)
 def test_what_is_not_in_form_is_refused(changed: dict[str, Any], message: str) -> None:
     with pytest.raises(RossecError, match=message) as caught:
         replace(KITCHEN, **changed)
@@ -82,12 +86,20 @@ def test_the_number_of_sites_is_bounded() -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        b"", b"{", b"[]", b"null", b'{"rossec-federation": 2, "sites": []}',
-        b'{"rossec-federation": 1, "sites": [], "more": 1}', b'{"rossec-federation": 1}',
-        b'{"rossec-federation": 1, "sites": [1]}', b"[" * 100_000, b" " * (MAX_FILE + 1), b"\xff",
+        b"",
+        b"{",
+        b"[]",
+        b"null",
+        b'{"rossec-federation": 2, "sites": []}',
+        b'{"rossec-federation": 1, "sites": [], "more": 1}',
+        b'{"rossec-federation": 1}',
+        b'{"rossec-federation": 1, "sites": [1]}',
+        b"[" * 100_000,
+        b" " * (MAX_FILE + 1),
+        b"\xff",
     ],
     ids=lambda each: str(len(each)),
-)  # fmt: skip
+)
 def test_another_file_is_refused(data: bytes) -> None:
     with pytest.raises(ConfigurationError, match=r"federation\.json"):
         read_sites(data, "federation.json")
@@ -118,9 +130,7 @@ def test_a_site_behind_a_relay_has_doors_that_may_be_on_this_host() -> None:
 def test_sites_without_a_relay_are_written_as_they_were_before_there_were_relays() -> None:
     rows = json.loads(write_sites(checked_sites([KITCHEN, OFFICE])))["sites"]
     assert [row.get("via") for row in rows] == [None, "ward"]
-    assert [set(row) - {"via"} for row in rows] == [
-        {"label", "uri", "master", "domain", "parameters"}
-    ] * 2
+    assert [set(row) - {"via"} for row in rows] == [{"label", "uri", "master", "domain", "parameters"}] * 2
 
 
 @pytest.mark.parametrize("wrong", [{"via": 7}, {"via": "ward", "more": 1}])

@@ -7,12 +7,11 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import IdentityRefused, RelayRefused, RossecError, SiteRefused
-from rossec.federation import via
-from rossec.federation.own import OwnMaster
+from rossec.federation import follower
+from rossec.federation.exchange import OwnMaster
+from rossec.federation.follower import SiteConnections, SiteDoors
 from rossec.federation.settings import SiteSettings
-from rossec.federation.site_connection import SiteConnections
-from rossec.federation.via import SiteDoors
-from rossec.master.state.doors import Door, Report, Target, Way
+from rossec.master.state.forwarded_ports import Door, PeerWay, RelayReport, Target
 from tests.support.masters import Master, masters
 from tests.support.relaying import StraightRelay, relayed
 from tests.support.site import Site
@@ -24,9 +23,7 @@ class Dialled:
     def __init__(self, hall: Master, kitchen: Master) -> None:
         self.hall, self.kitchen = hall, kitchen
         server = hall.server
-        self.own = OwnMaster(
-            server.state, server.effects, server.context, server.mirror, server.drop_mirror
-        )
+        self.own = OwnMaster(server.state, server.effects, server.context, server.mirror, server.drop_mirror)
 
     def connections(self, settings: SiteSettings) -> SiteConnections:
         doors = None
@@ -78,9 +75,7 @@ async def test_a_revoked_one_is_refused(dialled: Dialled) -> None:
             pass
 
 
-async def test_a_site_is_reached_at_its_door(
-    dialled: Dialled, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_site_is_reached_at_its_door(dialled: Dialled, monkeypatch: pytest.MonkeyPatch) -> None:
     here, there = StraightRelay(dialled.hall), StraightRelay(dialled.kitchen, "/relay/kitchen")
     here.meet("kitchen", there)
     settings = SiteSettings("kitchen", "", "/master/kitchen", via="kitchen")
@@ -90,7 +85,7 @@ async def test_a_site_is_reached_at_its_door(
         with pytest.raises(RossecError):  # there is no such master
             async with dialled.connections(wrong).open():
                 pass
-    monkeypatch.setattr(via, "DOOR_WAIT", 0.05)
+    monkeypatch.setattr(follower, "DOOR_WAIT", 0.05)
     dialled.own.state.doors.expire(dialled.own.state.now() + 100)
     with pytest.raises(RelayRefused, match="no relay of this site knows"):
         async with dialled.connections(settings).open():
@@ -102,9 +97,9 @@ async def test_who_answers_at_a_door_is_checked(dialled: Dialled) -> None:
     target = Target("office", "master", "/master/office")
     connections, doors = dialled.connections(settings), dialled.own.state.doors
     doors.want("office", [target])
-    ways = {"office": Way("up", 0.0, 0, "", 0)}
+    ways = {"office": PeerWay("up", 0.0, 0, "", 0)}
     door = {target: Door("127.0.0.1", dialled.kitchen.server.port)}
-    doors.hear("/relay", Report("one", 0, door, ways), dialled.own.state.now())
+    doors.hear("/relay", RelayReport("one", 0, door, ways), dialled.own.state.now())
     with pytest.raises(SiteRefused, match="/master/kitchen answers via office, not /master/office"):
         async with connections.open():
             pass

@@ -3,8 +3,7 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.federation.settings import SiteSettings
-from rossec.federation.site_file import FILE, SiteFile
+from rossec.federation.settings import FILE, SiteFile, SiteSettings
 
 KITCHEN = SiteSettings("kitchen", "http://kitchen:11311/", "/master/kitchen")
 

@@ -1,9 +1,7 @@
 from pathlib import Path
 
-from rossec.federation.config import FederationConfig
-from rossec.federation.settings import SiteSettings
-from rossec.federation.site_file import SiteFile
-from rossec.federation.start import mesh_of
+from rossec.federation.mesh import mesh_of
+from rossec.federation.settings import FederationConfig, SiteFile, SiteSettings
 from tests.support.masters import Master, masters
 from tests.support.site import Site
 from tests.support.witness import until

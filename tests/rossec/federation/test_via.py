@@ -9,14 +9,22 @@ from typing import Any
 
 import pytest
 
-from ca.domains.lists import ForeignDomain
+from ca.domains.trust import ForeignDomain
 from rossec.errors import RelayRefused
-from rossec.federation import via
-from rossec.federation.answers import SiteChange
+from rossec.federation import follower
+from rossec.federation.follower import SiteDoors
 from rossec.federation.settings import SiteSettings
-from rossec.federation.via import SiteDoors
-from rossec.master.state.doors import MASTER, NODE, Door, Doors, Report, Target, Way
-from rossec.ros.settings import is_door
+from rossec.federation.site_state import SiteChange
+from rossec.master.state.forwarded_ports import (
+    MASTER,
+    NODE,
+    Door,
+    ForwardedPorts,
+    PeerWay,
+    RelayReport,
+    Target,
+)
+from rossec.ros.names import is_door
 from tests.support.masters import Master, domain_list, masters
 from tests.support.relaying import StraightRelay, relayed
 from tests.support.site import DAY, Site
@@ -26,10 +34,8 @@ OFFICE = SiteSettings("office", "", "/master/office", via="office")
 AT = Door("127.0.0.1", 7001)
 MASTER_THERE = Target("office", MASTER, "/master/office")
 ROBOT = Target("office", NODE, "/robot")
-WAY = Way("up", 1.5, 2, "tls/r:7447", 3)
-FACTS = frozenset({
-    ("node", "/robot", "http://10.0.0.2:4711/"), ("publisher", "/pose", "/robot"),
-})  # fmt: skip
+WAY = PeerWay("up", 1.5, 2, "tls/r:7447", 3)
+FACTS = frozenset({("node", "/robot", "http://10.0.0.2:4711/"), ("publisher", "/pose", "/robot")})
 
 
 class Pair:
@@ -93,7 +99,7 @@ async def test_a_relay_that_is_started_again_opens_other_doors(pair: Pair) -> No
 async def test_without_a_relay_it_is_said_what_is_missing(
     pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(via, "DOOR_WAIT", 0.2)
+    monkeypatch.setattr(follower, "DOOR_WAIT", 0.2)
     pair.hall.follow(OFFICE)
     await until(lambda: pair.state["error"])
     assert pair.state["error"] == "no relay of this site knows a peer office"
@@ -170,7 +176,7 @@ class Doorless:
     """The doors of a site, with a relay that polls when it is told to."""
 
     def __init__(self, limit: int = 100) -> None:
-        self.doors = Doors(limit)
+        self.doors = ForwardedPorts(limit)
         self.woken = 0
         self.site = SiteDoors(self.doors, OFFICE, self._wake)
 
@@ -180,7 +186,7 @@ class Doorless:
     def report(self, instance: str = "one", **ports: int) -> None:
         known = {"master": MASTER_THERE, "robot": ROBOT}
         doors = {known[name]: Door("127.0.0.1", port) for name, port in ports.items()}
-        self.doors.hear("/relay", Report(instance, 0, doors, {"office": WAY}), 0)
+        self.doors.hear("/relay", RelayReport(instance, 0, doors, {"office": WAY}), 0)
 
 
 async def test_the_masters_door_is_waited_for() -> None:
@@ -199,17 +205,15 @@ async def test_the_masters_door_is_waited_for() -> None:
 
 
 async def test_a_relay_that_opens_no_door_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(via, "DOOR_WAIT", 0.01)
+    monkeypatch.setattr(follower, "DOOR_WAIT", 0.01)
     doorless = Doorless()
     doorless.report()
     with pytest.raises(RelayRefused, match="opens no door for /master/office of office"):
         await doorless.site.address()
 
 
-async def test_facts_are_shown_without_doors_that_do_not_come(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(via, "NODES_WAIT", 0.01)
+async def test_facts_are_shown_without_doors_that_do_not_come(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(follower, "NODES_WAIT", 0.01)
     doorless = Doorless()
     doorless.report()
     shown = await doorless.site.take(SiteChange(FACTS, frozenset(), True, b"", b""))
@@ -224,7 +228,7 @@ async def test_facts_are_shown_without_doors_that_do_not_come(
 async def test_more_than_there_are_doors_is_said_once(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(via, "NODES_WAIT", 0.01)
+    monkeypatch.setattr(follower, "NODES_WAIT", 0.01)
     doorless = Doorless(limit=1)
     for _ in range(2):
         await doorless.site.take(SiteChange(FACTS, frozenset(), True, b"", b""))

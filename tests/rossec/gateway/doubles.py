@@ -5,22 +5,20 @@ from types import SimpleNamespace
 from typing import Any
 
 from rossec.errors import AnswerRefused
-from rossec.gateway.rules import TopicRule
-from rossec.gateway.selection import Candidate
-from rossec.node.publisher import Publisher
-from rossec.node.raw_publisher import RawPublisher
-from rossec.node.raw_subscriber import RawReceiver, RawSource
+from rossec.gateway.rules import SourceCandidate, TopicRule
+from rossec.node.publisher import Publisher, RawPublisher
+from rossec.node.subscriber import RawReceiver, RawSource
 from rossec.participant.definitions import Definition
-from rossec.participant.wishes import NO_WISHES, Wishes
+from rossec.participant.delivery import NO_WISHES, Wishes
 
 STRING = Definition("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1", "string data\n")
 INT8 = Definition("std_msgs/Int8", "27ffa0c9c4b8fb8492252bcad9e5c57b", "int8 data\n")
 
 
-def candidate(name: str = "/pose", wishes: Wishes = NO_WISHES, label: str = "ada") -> Candidate:
+def candidate(name: str = "/pose", wishes: Wishes = NO_WISHES, label: str = "ada") -> SourceCandidate:
     """A topic of another domain, as a rule covers it."""
     alias, served = f"/remote/{label}{name}", f"/gateway/{label}{name}"
-    return Candidate(alias, served, TopicRule(label, "/**", wishes), STRING.name)
+    return SourceCandidate(alias, served, TopicRule(label, "/**", wishes), STRING.name)
 
 
 def source(kind: Definition = STRING, *, latching: bool = False) -> RawSource:
@@ -118,9 +116,7 @@ class Topics:
         publisher.cut("no longer published")
         del self.publishers[publisher.topic]
 
-    async def subscribe_raw(
-        self, topic: str, receiver: RawReceiver, *, wishes: Wishes
-    ) -> OriginSubscription:
+    async def subscribe_raw(self, topic: str, receiver: RawReceiver, *, wishes: Wishes) -> OriginSubscription:
         await asyncio.sleep(0)
         if topic in self.refuses:
             raise AnswerRefused(f"no right to subscribe {topic}")

@@ -12,12 +12,10 @@ from grants.model import Right
 from rossec.errors import AnswerRefused
 from rossec.gateway import gateway as module
 from rossec.gateway.gateway import Gateway, Obstacle, status
-from rossec.gateway.rules import rule
-from rossec.gateway.sources import TypeChanged
-from rossec.participant.graph_view import METHOD
-from rossec.participant.retry import Retry
-from rossec.participant.wire_names import possible_names
-from rossec.participant.wishes import Wishes
+from rossec.gateway.rules import TypeChanged, rule
+from rossec.participant.access import possible_names
+from rossec.participant.delivery import Wishes
+from rossec.participant.registrations import WATCH_GRAPH, Retry
 from tests.rossec.gateway.doubles import INT8, Topics, source
 from tests.support.witness import until
 
@@ -82,7 +80,7 @@ class Master:
     async def ask(self, method: str, _caller: str, *_: object) -> object:
         await asyncio.sleep(0)
         node = self.node
-        if method != METHOD:
+        if method != WATCH_GRAPH:
             return 0
         with contextlib.suppress(AssertionError):
             await until(lambda: self.told != node.version or node.out_of_reach, within=0.2)
@@ -90,9 +88,14 @@ class Master:
             raise AnswerRefused("out of reach")
         self.told = node.version
         return {
-            "instance": "i", "version": node.version, "cursor": 0, "whole": True, "more": False,
-            "added": node.facts, "removed": [],
-        }  # fmt: skip
+            "instance": "i",
+            "version": node.version,
+            "cursor": 0,
+            "whole": True,
+            "more": False,
+            "added": node.facts,
+            "removed": [],
+        }
 
     async def close(self) -> None:
         pass
@@ -105,9 +108,7 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @contextlib.asynccontextmanager
-async def serving(
-    node: Node, monkeypatch: pytest.MonkeyPatch, most: int = 1024
-) -> AsyncIterator[Gateway]:
+async def serving(node: Node, monkeypatch: pytest.MonkeyPatch, most: int = 1024) -> AsyncIterator[Gateway]:
     monkeypatch.setattr(module, "RpcClient", lambda _stream, **_: Master(node))
     given: Any = node
     made = Gateway(given, RULES, most)
@@ -130,9 +131,7 @@ async def test_what_is_granted_and_published_is_served(monkeypatch: pytest.Monke
     async with serving(node, monkeypatch) as gateway:
         await until(lambda: SERVED in node.topics.publishers)
         told = status(gateway, "/gateway")
-        assert [(row["topic"], row["state"]) for row in told["topics"]] == [
-            ("ada:/robot/pose", "idle")
-        ]
+        assert [(row["topic"], row["state"]) for row in told["topics"]] == [("ada:/robot/pose", "idle")]
         assert [(row["topic"], row["why"]) for row in told["skipped"]] == [
             ("ada:/robot/secret", "ada has not granted /gateway to subscribe it"),
             ("ben:/x", "/gateway has no grant to publish /gateway/ben/x"),
@@ -140,8 +139,12 @@ async def test_what_is_granted_and_published_is_served(monkeypatch: pytest.Monke
         assert "--subscribe /robot/secret" in told["skipped"][0]["hint"]
         assert "--publish '/gateway/ben/**'" in told["skipped"][1]["hint"]
         assert told["rules"][1] == {
-            "from": "ben", "pattern": "/**", "rate": 2, "newest": True, "compress": False,
-        }  # fmt: skip
+            "from": "ben",
+            "pattern": "/**",
+            "rate": 2,
+            "newest": True,
+            "compress": False,
+        }
         assert (told["problem"], told["skipped_count"]) == ("", 2)
 
 
@@ -164,9 +167,7 @@ async def test_a_grant_that_arrives_and_one_that_goes(monkeypatch: pytest.Monkey
         assert publisher.sent == []
 
 
-async def test_an_own_grant_on_what_it_serves_is_none_of_the_origin(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_an_own_grant_on_what_it_serves_is_none_of_the_origin(monkeypatch: pytest.MonkeyPatch) -> None:
     """As `--subscribe '/**'` gives one: it would replace the origin's publishers, with nothing."""
     node = Node()
     node.access.rights.remove((Right.SUBSCRIBE, POSE))
@@ -219,8 +220,9 @@ async def test_a_refused_registration_is_tried_again_and_disturbs_no_other(
     for name in ("/robot/a", "/robot/b"):
         node.publish(f"/remote/ada{name}")
         node.access.rights |= {
-            (Right.SUBSCRIBE, f"/remote/ada{name}"), (Right.PUBLISH, f"/gateway/ada{name}"),
-        }  # fmt: skip
+            (Right.SUBSCRIBE, f"/remote/ada{name}"),
+            (Right.PUBLISH, f"/gateway/ada{name}"),
+        }
     node.topics.refuses.add("/gateway/ada/robot/a")
     async with serving(node, monkeypatch) as gateway:
         await until(lambda: "no right" in gateway.skipped.get("/remote/ada/robot/a", NONE).why)
@@ -248,9 +250,7 @@ async def test_a_crash_of_one_topic_ends_neither_the_gateway_nor_others(
         assert gateway.topics[POSE] is not topic
 
 
-async def test_the_gateway_that_was_registered_first_serves(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_the_gateway_that_was_registered_first_serves(monkeypatch: pytest.MonkeyPatch) -> None:
     node = Node()
     node.publish(POSE)
     node.publish(SERVED, "/gateway/attic")
@@ -264,24 +264,21 @@ async def test_the_gateway_that_was_registered_first_serves(
         assert SERVED in node.topics.publishers
 
 
-async def test_more_topics_than_there_is_room_for_are_named(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_more_topics_than_there_is_room_for_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     node = Node()
     for number in range(3):
         name = f"/robot/t{number}"
         node.publish(f"/remote/ada{name}")
         node.access.rights |= {
-            (Right.SUBSCRIBE, f"/remote/ada{name}"), (Right.PUBLISH, f"/gateway/ada{name}"),
-        }  # fmt: skip
+            (Right.SUBSCRIBE, f"/remote/ada{name}"),
+            (Right.PUBLISH, f"/gateway/ada{name}"),
+        }
     async with serving(node, monkeypatch, most=2) as gateway:
         await until(lambda: len(node.topics.publishers) == 2)
         assert gateway.skipped == {"/remote/ada/robot/t2": Obstacle("only 2 topics are served")}
 
 
-async def test_an_origin_with_many_topics_holds_nobody_up(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_an_origin_with_many_topics_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """It may change its graph again and again, while messages of others are to be forwarded."""
     monkeypatch.setattr(module, "BATCH", 2)
     node, judged, turns = Node(), list[int](), 0
@@ -297,9 +294,7 @@ async def test_an_origin_with_many_topics_holds_nobody_up(
     assert len(set(judged)) == 10, "two at a time"
 
 
-async def test_registrations_that_the_master_ended_are_made_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_registrations_that_the_master_ended_are_made_again(monkeypatch: pytest.MonkeyPatch) -> None:
     node = Node()
     node.publish(POSE)
     async with serving(node, monkeypatch):
@@ -311,9 +306,7 @@ async def test_registrations_that_the_master_ended_are_made_again(
         await until(lambda: node.topics.restored == 1)
 
 
-async def test_what_is_known_stays_while_the_master_is_out_of_reach(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_what_is_known_stays_while_the_master_is_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
     node = Node()
     node.publish(POSE)
     async with serving(node, monkeypatch) as gateway:
@@ -325,9 +318,7 @@ async def test_what_is_known_stays_while_the_master_is_out_of_reach(
         await until(lambda: not gateway.problem)
 
 
-async def test_a_gateway_that_may_not_see_the_graph_says_what_to_do(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_gateway_that_may_not_see_the_graph_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     node = Node()
     node.access.rights.remove((Right.GRAPH, "/master"))
     node.out_of_reach = True
@@ -340,9 +331,7 @@ async def test_a_gateway_that_may_not_see_the_graph_says_what_to_do(
         assert gateway.problem == "no"
 
 
-async def test_who_answers_at_the_masters_address_must_be_the_master(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_who_answers_at_the_masters_address_must_be_the_master(monkeypatch: pytest.MonkeyPatch) -> None:
     node = Node()
     node.peer = "/eve"
     async with serving(node, monkeypatch) as gateway:

@@ -2,7 +2,7 @@ import pytest
 
 from rossec.errors import ConfigurationError
 from rossec.gateway.rules import TopicRule, covering, rule
-from rossec.participant.wishes import Wishes
+from rossec.participant.delivery import Wishes
 
 SLOW = Wishes(rate=2)
 

@@ -4,10 +4,9 @@ from collections.abc import Iterable, Iterator
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.gateway.rules import TopicRule, rule
-from rossec.gateway.selection import BATCH, Candidate, Observed, chosen, observing
-from rossec.participant.graph_view import Fact
-from rossec.participant.wishes import Wishes
+from rossec.gateway.rules import BATCH, Observed, SourceCandidate, TopicRule, chosen, observing, rule
+from rossec.participant.delivery import Wishes
+from rossec.participant.registrations import Fact
 
 RULES = (rule("ada", "/robot/**", Wishes()), rule("ben", "/**", Wishes(rate=1)))
 
@@ -31,16 +30,20 @@ def published(label: str, name: str, kind: str = "std_msgs/String") -> Iterator[
 
 def test_a_topic_of_its_origin_that_a_rule_covers_is_a_candidate() -> None:
     facts = [
-        *published("ada", "/robot/pose"), *published("ada", "/kitchen"), *published("ben", "/x"),
-        *published("eve", "/robot/pose"), ("subscriber", "/remote/ada/robot/no", "/viewer"),
-        ("publisher", "/robot/own", "/robot"), ("service", "/remote/ada/robot/s", "/remote/ada/n"),
-    ]  # fmt: skip
+        *published("ada", "/robot/pose"),
+        *published("ada", "/kitchen"),
+        *published("ben", "/x"),
+        *published("eve", "/robot/pose"),
+        ("subscriber", "/remote/ada/robot/no", "/viewer"),
+        ("publisher", "/robot/own", "/robot"),
+        ("service", "/remote/ada/robot/s", "/remote/ada/n"),
+    ]
     found = observed(facts, RULES).candidates
     assert found == {
-        "/remote/ada/robot/pose": Candidate(
+        "/remote/ada/robot/pose": SourceCandidate(
             "/remote/ada/robot/pose", "/gateway/ada/robot/pose", RULES[0], "std_msgs/String"
         ),
-        "/remote/ben/x": Candidate("/remote/ben/x", "/gateway/ben/x", RULES[1], "std_msgs/String"),
+        "/remote/ben/x": SourceCandidate("/remote/ben/x", "/gateway/ben/x", RULES[1], "std_msgs/String"),
     }
 
 
@@ -68,10 +71,10 @@ def test_a_topic_whose_served_name_would_be_too_long_is_left_out() -> None:
     assert observed([("publisher", name, "/remote/ben/n")], RULES).candidates == {}
 
 
-def some(label: str, count: int) -> list[Candidate]:
+def some(label: str, count: int) -> list[SourceCandidate]:
     given = TopicRule(label, "/**")
     return [
-        Candidate(f"/remote/{label}/t{n:04}", f"/gateway/{label}/t{n:04}", given, "*")
+        SourceCandidate(f"/remote/{label}/t{n:04}", f"/gateway/{label}/t{n:04}", given, "*")
         for n in range(count)
     ]
 
@@ -92,9 +95,7 @@ def test_a_new_topic_replaces_none_that_is_served() -> None:
 
 @given(st.lists(st.integers(0, 40), max_size=6), st.integers(0, 60))
 def test_the_room_is_used_and_shared(counts: list[int], most: int) -> None:
-    found = chosen(
-        [each for n, count in enumerate(counts) for each in some(f"d{n}", count)], (), most
-    )
+    found = chosen([each for n, count in enumerate(counts) for each in some(f"d{n}", count)], (), most)
     got = Counter(each.rule.label for each in found)
     assert len(found) == min(most, sum(counts))
     for number, count in enumerate(counts):

@@ -1,8 +1,8 @@
 import pytest
 
 from rossec.errors import ConnectionHeaderRefused
-from rossec.gateway.sources import Sources, TypeChanged, same_type
-from rossec.node.raw_subscriber import RawSource
+from rossec.gateway.rules import TopicSources, TypeChanged, same_type
+from rossec.node.subscriber import RawSource
 from rossec.participant.definitions import Definition
 
 MD5 = "992ce8a1687cec8c8bd883ec73ca41d1"
@@ -15,7 +15,7 @@ def source(kind: Definition = STRING, *, latching: bool = False) -> RawSource:
 
 
 def test_the_first_source_says_the_type() -> None:
-    sources, one, two = Sources(), source(), source()
+    sources, one, two = TopicSources(), source(), source()
     assert sources.connect(one)
     assert not sources.connect(two)
     assert sources.type == STRING
@@ -23,7 +23,7 @@ def test_the_first_source_says_the_type() -> None:
 
 
 def test_a_topic_latches_while_there_is_one_source_that_does() -> None:
-    sources, one, two = Sources(), source(latching=True), source(latching=True)
+    sources, one, two = TopicSources(), source(latching=True), source(latching=True)
     told = [sources.latching]
     for each in (one, two):
         sources.connect(each)
@@ -36,7 +36,7 @@ def test_a_topic_latches_while_there_is_one_source_that_does() -> None:
 
 
 def test_a_source_of_another_type_is_refused_while_one_of_the_type_is_there() -> None:
-    sources, one = Sources(), source()
+    sources, one = TopicSources(), source()
     sources.connect(one)
     with pytest.raises(ConnectionHeaderRefused, match="std_msgs/Int8") as caught:
         sources.connect(source(OTHER))
@@ -64,6 +64,4 @@ def test_types_of_one_checksum_and_other_arrays_are_not_the_same() -> None:
 
     md5 = layout.parse("a/T", one.definition).md5
     assert md5 == layout.parse("a/T", two.definition).md5
-    assert not same_type(
-        Definition("a/T", md5, one.definition), Definition("a/T", md5, two.definition)
-    )
+    assert not same_type(Definition("a/T", md5, one.definition), Definition("a/T", md5, two.definition))

@@ -1,14 +1,14 @@
 import pytest
 
 from rossec.errors import GatewayError
-from rossec.gateway.states import (
+from rossec.gateway.rules import (
     FIRST_PAUSE,
     LINGER,
     LONGEST_PAUSE,
     TABLE,
     Action,
-    Event,
-    Phase,
+    GatewayEvent,
+    GatewayPhase,
     TopicState,
 )
 
@@ -19,13 +19,13 @@ def test_the_origin_is_subscribed_while_somebody_is_and_a_little_longer() -> Non
     assert state.step(1, wanted=True) is Action.SUBSCRIBE
     assert state.step(1, wanted=True) is Action.NOTHING
     assert state.step(10, wanted=False) is Action.NOTHING
-    assert (state.phase, state.due) == (Phase.LINGERING, 10 + LINGER)
+    assert (state.phase, state.due) == (GatewayPhase.LINGERING, 10 + LINGER)
     assert state.step(12, wanted=True) is Action.NOTHING
-    assert (state.phase, state.due) == (Phase.SUBSCRIBED, None)
+    assert (state.phase, state.due) == (GatewayPhase.SUBSCRIBED, None)
     state.step(20, wanted=False)
     assert state.step(20 + LINGER - 0.1, wanted=False) is Action.NOTHING
     assert state.step(20 + LINGER, wanted=False) is Action.LEAVE
-    assert (state.phase, state.due) == (Phase.IDLE, None)
+    assert (state.phase, state.due) == (GatewayPhase.IDLE, None)
 
 
 def test_what_failed_is_left_and_tried_again_less_and_less_often() -> None:
@@ -49,16 +49,16 @@ def test_what_nobody_wants_any_more_is_not_tried_again() -> None:
     state.step(0, wanted=True)
     state.failed(0)
     assert state.step(0.1, wanted=False) is Action.NOTHING
-    assert (state.phase, state.due) == (Phase.IDLE, None)
+    assert (state.phase, state.due) == (GatewayPhase.IDLE, None)
     state.step(1, wanted=True)
     state.step(1, wanted=False)
     assert state.failed(2) is Action.LEAVE
-    assert state.phase is Phase.IDLE
+    assert state.phase is GatewayPhase.IDLE
 
 
 def test_every_other_event_is_an_error() -> None:
-    for phase in Phase:
-        for event in Event:
+    for phase in GatewayPhase:
+        for event in GatewayEvent:
             if (phase, event) in TABLE:
                 continue
             state = TopicState()

@@ -3,7 +3,7 @@ import itertools
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.gateway.thinning import Thinning
+from rossec.gateway.rules import Thinning
 
 
 def test_the_last_message_goes_when_the_rate_admits_it() -> None:

@@ -7,13 +7,11 @@ from collections.abc import AsyncIterator
 import pytest
 
 from rossec.errors import AnswerRefused, ConnectionHeaderRefused, NodeShutdown
-from rossec.gateway import states
-from rossec.gateway.selection import Candidate
-from rossec.gateway.sources import TypeChanged
-from rossec.gateway.states import Phase
-from rossec.gateway.topic import ServedTopic
-from rossec.node.raw_subscriber import RawSource
-from rossec.participant.wishes import Wishes
+from rossec.gateway import rules
+from rossec.gateway.gateway import ServedTopic
+from rossec.gateway.rules import GatewayPhase, SourceCandidate, TypeChanged
+from rossec.node.subscriber import RawSource
+from rossec.participant.delivery import Wishes
 from tests.rossec.gateway.doubles import (
     INT8,
     STRING,
@@ -29,7 +27,7 @@ from tests.support.witness import until
 class Served:
     """A topic that is served, and its ends."""
 
-    def __init__(self, given: Candidate) -> None:
+    def __init__(self, given: SourceCandidate) -> None:
         self.topics = Topics()
         self.topic = ServedTopic(given, self.topics)
         self.task = asyncio.ensure_future(self.topic.run())
@@ -51,7 +49,7 @@ class Served:
 
 
 @contextlib.asynccontextmanager
-async def served(given: Candidate | None = None) -> AsyncIterator[Served]:
+async def served(given: SourceCandidate | None = None) -> AsyncIterator[Served]:
     made = Served(given or candidate())
     try:
         await made.begun()
@@ -63,8 +61,8 @@ async def served(given: Candidate | None = None) -> AsyncIterator[Served]:
 
 @pytest.fixture(autouse=True)
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(states, "LINGER", 0.2)
-    monkeypatch.setattr(states, "FIRST_PAUSE", 0.05)
+    monkeypatch.setattr(rules, "LINGER", 0.2)
+    monkeypatch.setattr(rules, "FIRST_PAUSE", 0.05)
 
 
 async def test_many_subscribers_here_are_one_at_the_origin() -> None:
@@ -78,10 +76,10 @@ async def test_many_subscribers_here_are_one_at_the_origin() -> None:
         assert (it.topic.subscribers, it.topic.sources) == (2, 1)
         it.publisher.leave(first)
         it.publisher.leave(second)
-        await until(lambda: it.topic.phase is Phase.LINGERING)
+        await until(lambda: it.topic.phase is GatewayPhase.LINGERING)
         assert origin.is_open
         await until(lambda: not origin.is_open)
-        assert (it.topic.phase, it.topic.sources) == (Phase.IDLE, 0)
+        assert (it.topic.phase, it.topic.sources) == (GatewayPhase.IDLE, 0)
         it.publisher.subscribe()
         assert (await it.subscribed()) is not origin
         assert len(it.topics.subscriptions) == 2
@@ -169,7 +167,7 @@ async def test_a_master_that_refuses_the_subscription_is_asked_again() -> None:
     async with served() as it:
         it.topics.refuses.add(it.topic.candidate.alias)
         it.publisher.subscribe()
-        await until(lambda: it.topic.phase is Phase.PAUSED)
+        await until(lambda: it.topic.phase is GatewayPhase.PAUSED)
         assert it.topic.problem == it.publisher.problem
         assert "no right to subscribe" in it.topic.problem
         assert it.topics.subscriptions == []

@@ -3,9 +3,8 @@
 import socket
 
 from rossec.errors import ChannelError
-from rossec.inprocess.allow_plain import PlainPeers
-from rossec.inprocess.connector import Connector
-from rossec.inprocess.identity import LocalIdentity
+from rossec.inprocess.identity import Connector, LocalIdentity
+from rossec.inprocess.options import PlainPeers
 from rossec.inprocess.sockets import RosSocket
 from tests.support.secure_sockets import background
 

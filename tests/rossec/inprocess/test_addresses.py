@@ -3,7 +3,7 @@ import socket
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.inprocess.addresses import bracketed, for_family, parse_rosrpc
+from rossec.inprocess.sockets import bracketed, for_family, parse_rosrpc
 
 
 @pytest.mark.parametrize(
@@ -33,9 +33,7 @@ def test_the_uri_of_a_service_is_parsed(uri: str, address: tuple[str, int]) -> N
     assert parse_rosrpc(uri) == address
 
 
-@pytest.mark.parametrize(
-    "uri", ["", "http://robot:80", "rosrpc://robot", "rosrpc://:80", "rosrpc://a:x"]
-)
+@pytest.mark.parametrize("uri", ["", "http://robot:80", "rosrpc://robot", "rosrpc://:80", "rosrpc://a:x"])
 def test_an_invalid_uri_of_a_service_is_refused(uri: str) -> None:
     with pytest.raises(ConfigurationError, match="not the URI of a service") as caught:
         parse_rosrpc(uri)

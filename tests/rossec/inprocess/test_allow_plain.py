@@ -9,13 +9,12 @@ import pytest
 from grants.model import Right
 from rossec.channel.opening import REFUSAL
 from rossec.errors import ConfigurationError
-from rossec.inprocess.allow_plain import PlainPeers
-from rossec.inprocess.background import PEER_CONNECTIONS
-from rossec.net.halfopen import HalfOpen
-from rossec.net.host.relayed import source_for
-from rossec.ros import header
-from rossec.ros.names import MASTER
-from rossec.ros.settings import parse_uri
+from rossec.host.addresses import source_for
+from rossec.inprocess.options import PlainPeers
+from rossec.inprocess.process import PEER_CONNECTIONS
+from rossec.net.limits import HalfOpen
+from rossec.ros import tcpros
+from rossec.ros.names import MASTER, parse_uri
 from tests.support import stock
 from tests.support.attacker import call, credentials
 from tests.support.doors import Door, door
@@ -131,7 +130,7 @@ async def exhaust(api: str, port: int) -> None:
     for number in range(PEER_CONNECTIONS + 1):
         caller = socket.create_connection((HERE, port))
         caller.settimeout(20)
-        caller.sendall(header.encode({**fields, "callerid": f"/caller{number}"}))
+        caller.sendall(tcpros.encode({**fields, "callerid": f"/caller{number}"}))
         callers.append((caller, await asyncio.to_thread(caller.recv, 1 << 16)))
     for caller, _ in callers:
         caller.close()
@@ -143,12 +142,15 @@ async def exhaust(api: str, port: int) -> None:
 async def test_named_entries_stay_plain_with_a_warning(tmp_path: Path) -> None:
     async with Site(tmp_path / "site").running() as site, stock.rosmaster(tmp_path) as uri:
         entitle(
-            site, "/robot",
+            site,
+            "/robot",
             {
-                Right.PUBLISH: ("/robot/open", "/robot/closed"), Right.PROVIDE: ("/robot/ask",),
-                Right.SUBSCRIBE: ("/plain/*",), Right.CALL: ("/plain/work",),
+                Right.PUBLISH: ("/robot/open", "/robot/closed"),
+                Right.PROVIDE: ("/robot/ask",),
+                Right.SUBSCRIBE: ("/plain/*",),
+                Right.CALL: ("/plain/work",),
             },
-        )  # fmt: skip
+        )
         async with (
             program(stock.environment(uri, tmp_path), STOCK) as plain,
             program(environment(site, tmp_path), SECURED) as robot,

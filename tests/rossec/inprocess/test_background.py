@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from grants.model import Right
-from rossec.master.rights import list_in_force
+from rossec.master.rights import revocation_lists
 from rossec.master.state.registry import Kind
 from tests.rossec.participant.test_identity_renewal import BEGIN, LIFE, below
 from tests.support.blocked import BlockedNodes
@@ -63,14 +63,10 @@ async def test_expired_grants_and_ageing_identities_are_renewed(tmp_path: Path) 
             [link] = publisher.links
             assert len(link.decision.grant_ids) == 3  # the grant, the delegation, the delegate
             await until(lambda: site.identity("/listener").not_after > before.not_after, within=30)
-            assert site.identity("/listener").issuers == (
-                site.intermediate.authority.issuer.thumbprint,
-            )
+            assert site.identity("/listener").issuers == (site.intermediate.authority.issuer.thumbprint,)
             for old in tuple(publisher.links):
                 old.stream.abort("a test")
-            await until(
-                lambda: any(link.stream.peer.issuers for link in publisher.links), within=30
-            )
+            await until(lambda: any(link.stream.peer.issuers for link in publisher.links), within=30)
             await listener.read_until("HEARD hello")
     assert "Traceback" not in listener.said
 
@@ -86,7 +82,7 @@ async def test_connections_end_when_the_list_is_not_confirmed(
         publisher.publish(publisher.create(data="hello"))
         async with program(environment(site, tmp_path), HASTY) as listener:
             await listener.read_until("HEARD hello")
-            monkeypatch.setattr(list_in_force, "MAX_AGE", 1)  # of what the master says from now on
+            monkeypatch.setattr(revocation_lists, "MAX_AGE", 1)  # of what the master says from now on
             await robot._membership.session.call("rossec.updateRevocations", site.revoke(bytes(32)))
             await listener.read_until("UPDATED")
             assert site.master is not None

@@ -3,7 +3,7 @@
 from collections import deque
 from io import BytesIO
 
-from rossec.inprocess.buffer_pool import BufferPool
+from rossec.inprocess.publishing import BufferPool
 
 
 def handed_out(content: bytes) -> tuple[BytesIO, bytes]:

@@ -13,11 +13,10 @@ from ca.encoding import encode
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ChannelError, RossecError
 from rossec.net.aio import connect
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from rossec.participant.access import FIELD
-from rossec.ros import header
-from rossec.ros.names import MASTER, PORTS
-from rossec.ros.settings import parse_uri
+from rossec.ros import tcpros
+from rossec.ros.names import MASTER, PORTS, parse_uri
 from rossec.ros.xmlrpc import Fault
 from tests.support.attacker import HOST, call, credentials, dial, fields_for, send_header
 from tests.support.contexts import unlimited
@@ -56,9 +55,7 @@ async def test_an_unknown_name_or_another_type_is_refused(victim: Victim) -> Non
     assert await refusal(victim, service="/robot/none", md5sum="*") == (
         "rossec: /robot does not provide /robot/none"
     )
-    assert "types do not match" in await refusal(
-        victim, topic=STATE, md5sum="0" * 32, type="std_msgs/Int32"
-    )
+    assert "types do not match" in await refusal(victim, topic=STATE, md5sum="0" * 32, type="std_msgs/Int32")
     assert "md5sums do not match" in await refusal(victim, service=SERVICE, md5sum="0" * 32)
     assert "has no 'topic'" in await refusal(victim, **any_type)
 
@@ -69,12 +66,7 @@ async def test_a_restriction_for_another_type_is_refused(victim: Victim) -> None
     answer = await send_header(victim.port, own, fields_for("/misfit", STATE, [grant]))
     assert "restricted for messages of type geometry_msgs/PoseStamped" in answer.error
     grant = victim.site.grant("/misfit", Right.CALL, SERVICE, restriction=coarse())
-    fields: Fields = {
-        "callerid": "/misfit",
-        "service": SERVICE,
-        "md5sum": "*",
-        FIELD: encode([grant]),
-    }
+    fields: Fields = {"callerid": "/misfit", "service": SERVICE, "md5sum": "*", FIELD: encode([grant])}
     answer = await send_header(victim.port, own, fields)
     assert "restricted for messages of type geometry_msgs/PoseStamped" in answer.error
 
@@ -83,7 +75,7 @@ async def test_callers_that_disconnect_or_send_garbage_are_dropped(victim: Victi
     with socket.create_connection((HOST, victim.port)):
         pass
     own = credentials(victim.site, GUEST)
-    for data in (b"\xff\xff\xff\x7f", header.frame(b"\x05\0\0\0nope!"), b"\x01"):
+    for data in (b"\xff\xff\xff\x7f", tcpros.frame(b"\x05\0\0\0nope!"), b"\x01"):
         stream = await connect(HOST, victim.port, unlimited(own, victim.site.anchor.verify))
         await stream.send(data)
         await stream.close()
@@ -98,14 +90,12 @@ async def test_a_service_is_probed_and_called_on_a_persistent_connection(victim:
     answer = await send_header(victim.port, own, {**fields, "probe": "1"})
     assert answer.fields["callerid"] == b"/robot"
     stream = await connect(HOST, victim.port, unlimited(own, victim.site.anchor.verify))
-    await stream.send(header.encode({**fields, "persistent": "1"}))
+    await stream.send(tcpros.encode({**fields, "persistent": "1"}))
     await stream.receive()
     for request in (b"", bytes(30_000)):  # rospy ignores bytes after a request
-        await stream.send(header.frame(request))
+        await stream.send(tcpros.frame(request))
         assert (await stream.receive())[0] == 1
-    await stream.send(
-        header.frame(bytes(300_000))
-    )  # rossec does not, where all requests have one size
+    await stream.send(tcpros.frame(bytes(300_000)))  # rossec does not, where all requests have one size
     with pytest.raises(ChannelError):
         await stream.receive()
     victim.program.said = victim.said.replace("RESET", "")
@@ -118,11 +108,11 @@ async def test_a_large_request_passes_if_its_type_allows_it(victim: Victim) -> N
     service = "/robot/set_logger_level"
     fields: Fields = {"callerid": GUEST, "service": service, "md5sum": "*", FIELD: grants}
     stream = await connect(HOST, victim.port, unlimited(own, victim.site.anchor.verify))
-    await stream.send(header.encode(fields))
+    await stream.send(tcpros.encode(fields))
     await stream.receive()
     logger, level = b"rosout." + b"x" * 300_000, b"info"
     parts = (len(logger).to_bytes(4, "little"), logger, len(level).to_bytes(4, "little"), level)
-    await stream.send(header.frame(b"".join(parts)))
+    await stream.send(tcpros.frame(b"".join(parts)))
     assert (await stream.receive())[0] == 1
     await stream.close()
 

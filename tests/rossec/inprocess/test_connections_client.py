@@ -14,7 +14,7 @@ import pytest_asyncio
 from grants.model import Right
 from rossec.channel.opening import REFUSAL
 from rossec.participant.access import FIELD
-from rossec.ros import header
+from rossec.ros import tcpros
 from tests.support.attacker import HOST, call, credentials
 from tests.support.fleet import Program, entitle, environment, program
 from tests.support.lamp import BOOL, only, switch
@@ -64,15 +64,15 @@ class PlainService:
         caller.settimeout(10)
         length = caller.recv(4, socket.MSG_WAITALL)
         size = int.from_bytes(length, "little")
-        if size > header.HEADER_LIMIT:
-            caller.sendall(header.error_header("a plain node"))
+        if size > tcpros.HEADER_LIMIT:
+            caller.sendall(tcpros.error_header("a plain node"))
             return
         if not length:
             return
         self.headers.append(caller.recv(size, socket.MSG_WAITALL))
-        caller.sendall(header.encode({"callerid": "/plain", "md5sum": "*", "type": BOOL}))
+        caller.sendall(tcpros.encode({"callerid": "/plain", "md5sum": "*", "type": BOOL}))
         caller.recv(5, socket.MSG_WAITALL)
-        caller.sendall(b"\1" + header.frame(b"\1" + header.frame(b"in clear")))
+        caller.sendall(b"\1" + tcpros.frame(b"\1" + tcpros.frame(b"in clear")))
 
     def close(self) -> None:
         self.server.shutdown(socket.SHUT_RDWR)
@@ -102,16 +102,12 @@ async def register(site: Site, service: PlainService) -> None:
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def porter(
-    tmp_path_factory: pytest.TempPathFactory, plain: PlainService
-) -> AsyncIterator[Program]:
+async def porter(tmp_path_factory: pytest.TempPathFactory, plain: PlainService) -> AsyncIterator[Program]:
     directory: Path = tmp_path_factory.mktemp("porter")
     async with Site(directory / "site").running() as site:
         entitle(site, NAME, {Right.PUBLISH: ("/porter/*",), Right.CALL: ("/plain/*", "/lamp/on")})
         site.grant(NAME, Right.CALL, "/lamp/odd", restriction=coarse())
-        site.grant(
-            "/lamp", Right.PROVIDE, "/lamp/*", restriction=only("SetBoolRequest", "!msg.data")
-        )
+        site.grant("/lamp", Right.PROVIDE, "/lamp/*", restriction=only("SetBoolRequest", "!msg.data"))
         await register(site, plain)
         env = environment(site, directory)
         async with site.node("/lamp") as lamp, program(env, PORTER, told=True) as running:
@@ -141,9 +137,7 @@ async def test_the_refusal_of_a_provider_is_reported(porter: Program) -> None:
     assert "restricted for messages of type" in await said(porter, "/lamp/odd")
 
 
-async def test_only_a_named_service_is_called_in_plain(
-    porter: Program, plain: PlainService
-) -> None:
+async def test_only_a_named_service_is_called_in_plain(porter: Program, plain: PlainService) -> None:
     assert await said(porter, OPEN) == "ANSWER in clear"
     assert FIELD.encode() not in b"".join(plain.headers), "grants are secret"
     plain.headers.clear()
@@ -157,14 +151,15 @@ def answer_to_plain(porter: Program, topic: str) -> bytes:
     fields = {"topic": topic, "md5sum": "*", "type": "*", "callerid": "/x"}
     with socket.create_connection((HOST, port)) as caller:
         caller.settimeout(20)
-        caller.sendall(header.encode(fields))
+        caller.sendall(tcpros.encode(fields))
         return caller.recv(1 << 16)
 
 
 async def test_only_a_named_topic_is_served_in_plain(porter: Program) -> None:
     await said(porter, "/lamp/on")
     for topic, expected in (
-        (OPEN_TOPIC, b"message_definition"), ("/porter/none", b"no such topic"),
+        (OPEN_TOPIC, b"message_definition"),
+        ("/porter/none", b"no such topic"),
         ("/porter/closed", REFUSAL.encode()),
-    ):  # fmt: skip
+    ):
         assert expected in await asyncio.to_thread(answer_to_plain, porter, topic)

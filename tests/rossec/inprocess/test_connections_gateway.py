@@ -11,9 +11,7 @@ from tests.support.witness import until
 pytestmark = pytest.mark.ros
 
 
-async def test_a_gateway_is_asked_for_what_it_serves_and_the_program_sees_the_alias(
-    tmp_path: Path,
-) -> None:
+async def test_a_gateway_is_asked_for_what_it_serves_and_the_program_sees_the_alias(tmp_path: Path) -> None:
     """The form checks the topic in the connection header that the program reads."""
     async with two_sites(tmp_path) as sites, sites.home.node("/gateway") as gateway:
         publisher = await gateway.publisher(SERVED, STRING, latch=True)

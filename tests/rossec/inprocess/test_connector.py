@@ -9,10 +9,9 @@ import pytest
 
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ChannelError, IdentityRefused
-from rossec.inprocess.connector import Connector
-from rossec.inprocess.identity import LocalIdentity
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
-from rossec.participant.own_addresses import OwnAddresses
+from rossec.inprocess.identity import Connector, LocalIdentity
+from rossec.net.limits import HalfOpen, HalfOpenCount
+from rossec.participant.connections import OwnAddresses
 from tests.support.secure_sockets import background
 from tests.support.site import Site
 
@@ -76,8 +75,5 @@ def test_a_node_does_not_reach_itself_at_another_address(robot: LocalIdentity) -
 
 def refuse(listener: socket.socket, connector: Connector) -> None:
     """Serve one caller that ends the handshake."""
-    with (
-        connector.respond(listener.accept()[0], WireProtocol.TCPROS) as stream,
-        pytest.raises(ChannelError),
-    ):
+    with connector.respond(listener.accept()[0], WireProtocol.TCPROS) as stream, pytest.raises(ChannelError):
         stream.do_handshake()

@@ -54,12 +54,15 @@ async def site(tmp_path: Path) -> AsyncIterator[Site]:
     async with Site(tmp_path / "site").running() as site:
         entitle(site, "/helper", {Right.PROVIDE: ("/helper/*",)})
         entitle(
-            site, "/ns/robot",
+            site,
+            "/ns/robot",
             {
-                Right.CALL: ("/helper/go", "/ns/robot/own"), Right.PROVIDE: ("/ns/robot/*",),
-                Right.PARAM_GET: ("/**",), Right.PARAM_SET: ("/ns/*",),
+                Right.CALL: ("/helper/go", "/ns/robot/own"),
+                Right.PROVIDE: ("/ns/robot/*",),
+                Right.PARAM_GET: ("/**",),
+                Right.PARAM_SET: ("/ns/*",),
             },
-        )  # fmt: skip
+        )
         yield site
 
 
@@ -72,9 +75,16 @@ async def test_a_node_works_before_it_is_initialized(site: Site, tmp_path: Path,
         env = environment(site, tmp_path / "r", **more)
         async with program(env, source, *arguments) as robot:
             await says(
-                robot, "SET 7 True", "FOUND /ns/speed", "LIST ['/ns/speed']", "MASTER rosrpc://",
-                "SAID helped", "TYPE std_srvs/Trigger", "NAMED /ns/robot 7", "OWN me",
-            )  # fmt: skip
+                robot,
+                "SET 7 True",
+                "FOUND /ns/speed",
+                "LIST ['/ns/speed']",
+                "MASTER rosrpc://",
+                "SAID helped",
+                "TYPE std_srvs/Trigger",
+                "NAMED /ns/robot 7",
+                "OWN me",
+            )
 
 
 async def says(running: Program, *lines: str) -> None:
@@ -160,22 +170,33 @@ for odd in ("https://127.0.0.1:1/", "http://127.0.0.1/"):
 async def test_proxies_that_a_program_makes_itself(site: Site, tmp_path: Path) -> None:
     """As rostest does; the library's class is the same wherever it was imported."""
     entitle(
-        site, "/operator",
+        site,
+        "/operator",
         {
-            Right.SUBSCRIBE: ("/word",), Right.GRAPH: ("/helper", "/operator"),
-            Right.PARAM_GET: ("/**",), Right.PARAM_SET: ("/**",),
+            Right.SUBSCRIBE: ("/word",),
+            Right.GRAPH: ("/helper", "/operator"),
+            Right.PARAM_GET: ("/**",),
+            Right.PARAM_SET: ("/**",),
         },
-    )  # fmt: skip
-    source = PROXIES.replace("master =", 'rospy.set_param("/speed", 1)\n'
-        'rospy.set_param("/deep/speed", 2)\nmaster =')  # fmt: skip
+    )
+    source = PROXIES.replace(
+        "master =", 'rospy.set_param("/speed", 1)\nrospy.set_param("/deep/speed", 2)\nmaster ='
+    )
     async with program(environment(site, tmp_path / "h"), HELPER) as helper:
         await helper.read_until("READY")
         async with program(environment(site, tmp_path / "o"), source) as operator:
             await says(
-                operator, "STATE True", "FOUND /deep/speed", "MET [1, 'Parameter [/deep/speed]'",
+                operator,
+                "STATE True",
+                "FOUND /deep/speed",
+                "MET [1, 'Parameter [/deep/speed]'",
                 "NOBODY [-1, 'missing required caller_id parameter', -1]",
-                "MANY [2, 1]", "ASKED 1", "ITSELF 1", "ELSEWHERE True", "ELSEWHERE True",
-            )  # fmt: skip
+                "MANY [2, 1]",
+                "ASKED 1",
+                "ITSELF 1",
+                "ELSEWHERE True",
+                "ELSEWHERE True",
+            )
 
 
 ABROAD = """

@@ -5,15 +5,10 @@ from geometry_msgs.msg import Twist
 from rospy import AnyMsg
 from std_msgs.msg import String
 
-from rossec.inprocess.genpy_types import (
-    definition_of,
-    installed_definition,
-    max_message_size,
-    max_unit_size,
-)
-from rossec.net.bounds import BATCH_LIMIT
+from rossec.inprocess.connections import definition_of, installed_definition, max_message_size, max_unit_size
+from rossec.net.limits import BATCH_LIMIT
 from rossec.participant.message_types import message_type
-from rossec.ros.header import HEADER_LIMIT, MESSAGE_LIMIT
+from rossec.ros.tcpros import HEADER_LIMIT, MESSAGE_LIMIT
 
 pytestmark = pytest.mark.ros
 

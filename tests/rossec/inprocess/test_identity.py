@@ -9,7 +9,7 @@ import pytest
 
 from ca.certificates import Identity
 from ca.errors import CAError, Revoked
-from ca.revocation.state import Timestamp, digest, open_list, sign_timestamp
+from ca.revocation.lists import Timestamp, digest, open_list, sign_timestamp
 from grants.errors import GrantMissing
 from grants.model import Right
 from rossec.errors import ConfigurationError

@@ -1,6 +1,6 @@
 import socket
 
-from rossec.inprocess.module_proxy import ModuleProxy
+from rossec.inprocess.hooks import ModuleProxy
 
 
 def test_a_module_proxy_replaces_some_names() -> None:

@@ -9,16 +9,15 @@ from typing import Any
 import pytest
 
 from ca.certificates import Identity
-from ca.revocation.state import Timestamp, digest, open_list, sign_timestamp
+from ca.revocation.lists import Timestamp, digest, open_list, sign_timestamp
 from grants.decision import Decision
 from grants.model import Right
 from rossec.errors import ChannelClosed, ConfigurationError, PlainPeer
-from rossec.inprocess.allow_plain import PlainPeers
 from rossec.inprocess.identity import LocalIdentity
-from rossec.inprocess.process import RosConnection, SecuredProcess
-from rossec.inprocess.reporting import Reporter
+from rossec.inprocess.options import PlainPeers
+from rossec.inprocess.process import CallReporter, RosConnection, SecuredProcess
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.ros.settings import parse_uri
+from rossec.ros.names import parse_uri
 from tests.support.ports import free_port
 from tests.support.site import Site
 from tests.support.witness import until
@@ -29,7 +28,7 @@ class Lines:
 
     def __init__(self) -> None:
         self.said: list[str] = []
-        self.reporter = Reporter(self.said.append)
+        self.reporter = CallReporter(self.said.append)
 
     async def until(self, words: str) -> None:
         """Lines are written by a thread."""
@@ -55,8 +54,13 @@ def process(nameless: SecuredProcess, local_identity: LocalIdentity) -> Iterator
 
 
 NEEDS_A_NAME = (
-    "local_identity", "connector", "registrations", "background_loop", "membership", "connections",
-)  # fmt: skip
+    "local_identity",
+    "connector",
+    "registrations",
+    "background_loop",
+    "membership",
+    "connections",
+)
 
 
 @pytest.mark.parametrize("name", NEEDS_A_NAME)
@@ -85,9 +89,7 @@ def test_it_begins_early_if_the_name_is_known(
     nameless.background_loop.stop()
 
 
-def test_what_has_begun_uses_one_identity(
-    process: SecuredProcess, local_identity: LocalIdentity
-) -> None:
+def test_what_has_begun_uses_one_identity(process: SecuredProcess, local_identity: LocalIdentity) -> None:
     assert process.has_begun
     assert process.local_identity is local_identity
     assert process.membership is process.background_loop.membership
@@ -148,9 +150,7 @@ def confirmed(site: Site, local_identity: LocalIdentity) -> None:
 
 
 @pytest.mark.usefixtures("confirmed")
-def test_an_admitted_connection_is_kept_until_it_is_closed(
-    process: SecuredProcess, site: Site
-) -> None:
+def test_an_admitted_connection_is_kept_until_it_is_closed(process: SecuredProcess, site: Site) -> None:
     sock: Any = Socket(site.identity("/viewer"))
     process.connections.accept(sock, sock.peer, sock.abort)
     connection = admitted(sock)
@@ -182,9 +182,7 @@ async def test_what_is_left_plain_is_warned_of(nameless: SecuredProcess, lines: 
     assert not any("/closed" in line for line in lines.said)
 
 
-async def test_rospy_tries_again_unless_the_peer_is_plain(
-    nameless: SecuredProcess, lines: Lines
-) -> None:
+async def test_rospy_tries_again_unless_the_peer_is_plain(nameless: SecuredProcess, lines: Lines) -> None:
     address = ("10.0.0.7", 5000)
     again = nameless.connect_error(address, ChannelClosed("it hung up"))
     assert isinstance(again, ConnectionAbortedError)

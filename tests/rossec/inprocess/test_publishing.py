@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from grants.errors import GrantError
-from rossec.participant.latch import Sample
+from rossec.participant.delivery import Sample
 from tests.rossec.net.test_forks import in_child
 from tests.support.rosconnection import transport
 
@@ -87,9 +87,7 @@ def test_a_guard_that_is_replaced_meanwhile_filters_for_nobody_else() -> None:
             pass
 
     first = guarded(Replaced("coarse", b"a"), sent)
-    assert not publishing._send(
-        topic(), Sample(b"\1\0\0\0m"), [first, guarded(Guard("coarse", b"a"), sent)]
-    )
+    assert not publishing._send(topic(), Sample(b"\1\0\0\0m"), [first, guarded(Guard("coarse", b"a"), sent)])
     assert sent == [b"\1\0\0\0a"] * 2
 
 
@@ -103,9 +101,7 @@ def test_each_filter_is_applied_once() -> None:
     assert coarse.seen == large.seen == [b"m"], "without its length"
 
 
-def test_a_message_without_content_or_with_an_error_is_withheld(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_message_without_content_or_with_an_error_is_withheld(caplog: pytest.LogCaptureFixture) -> None:
     sent: list[Any] = []
     nothing, failing = Guard("nothing"), Guard("failing", error=GrantError("a NaN"))
     connections = [guarded(guard, sent) for guard in (nothing, failing)]
@@ -148,9 +144,16 @@ class Buffer:
 
 def topic(**changes: Any) -> Any:
     made: Any = SimpleNamespace(
-        closed=False, is_latch=True, latch=None, connections=[], buff=Buffer(), seq=0,
-        message_data_sent=0, resolved_name="/x", has_connections=lambda: bool(made.connections),
-    )  # fmt: skip
+        closed=False,
+        is_latch=True,
+        latch=None,
+        connections=[],
+        buff=Buffer(),
+        seq=0,
+        message_data_sent=0,
+        resolved_name="/x",
+        has_connections=lambda: bool(made.connections),
+    )
     for name, value in changes.items():
         setattr(made, name, value)
     return made

@@ -2,8 +2,8 @@ import time
 
 import pytest
 
-from rossec.inprocess.registrations import Registrations
-from rossec.participant.publisher_grace import GRACE
+from rossec.inprocess.process import Registrations
+from rossec.participant.registrations import GRACE
 
 ME = "/robot"
 SUBSCRIBE = ("registerSubscriber", (ME, "/t", "std_msgs/String", "http://me/"))
@@ -69,9 +69,7 @@ def test_a_publisher_counts_while_it_may_be_named_again() -> None:
     registrations.record(*SUBSCRIBE, [1, "", ["http://a/", 7, "http://b/"]])
     registrations.publishers.session_opened()
     registrations.record(*SUBSCRIBE, [1, "", ["http://b/"]])
-    assert [registrations.is_publisher("/t", f"http://{name}/") for name in "abc"] == [
-        True, True, False,
-    ]  # fmt: skip
+    assert [registrations.is_publisher("/t", f"http://{name}/") for name in "abc"] == [True, True, False]
     registrations.set_publishers("/t", [])
     assert not registrations.is_publisher("/t", "http://b/"), "it was removed"
     now += GRACE

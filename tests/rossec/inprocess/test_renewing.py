@@ -2,16 +2,13 @@
 
 from typing import Any
 
-from rossec.channel.states import GrantsPresented
-from rossec.inprocess.identity import LocalIdentity
-from rossec.inprocess.renewing import Renewing
+from rossec.channel.negotiation import GrantsPresented
+from rossec.inprocess.identity import LocalIdentity, Renewing
 from rossec.inprocess.sockets import RosSocket
 from tests.rossec.inprocess.socket_pair import connected
 
 
-def test_grants_are_presented_and_heard(
-    local_identity: LocalIdentity, listening: RosSocket
-) -> None:
+def test_grants_are_presented_and_heard(local_identity: LocalIdentity, listening: RosSocket) -> None:
     left, right = connected(local_identity, listening)
     heard: list[Any] = []
     right.on_renewal(heard.append)

@@ -4,13 +4,13 @@ import threading
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.inprocess.reporting import LogBridge, Reporter
+from rossec.inprocess.process import CallReporter, LogBridge
 from tests.rossec.net.test_forks import in_child
 
 
 def test_each_cause_is_logged_once_with_its_hint() -> None:
     written: list[str] = []
-    reporter = Reporter(written.append)
+    reporter = CallReporter(written.append)
     for _ in range(3):
         reporter.warn("cannot publish /x", ConfigurationError("no\ngrant", "ask"))
         reporter.warn("plainly")
@@ -20,7 +20,7 @@ def test_each_cause_is_logged_once_with_its_hint() -> None:
 
 def test_a_failure_after_a_success_is_logged_again() -> None:
     written: list[str] = []
-    reporter = Reporter(written.append)
+    reporter = CallReporter(written.append)
     reporter.warn("cannot call /x", OSError("gone"))
     reporter.forget("cannot call /x")
     reporter.warn("cannot call /x", OSError("gone"))
@@ -29,9 +29,9 @@ def test_a_failure_after_a_success_is_logged_again() -> None:
 
 
 def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rossec.inprocess.reporting.REMEMBERED", 2)
+    monkeypatch.setattr("rossec.inprocess.process.REMEMBERED", 2)
     written: list[str] = []
-    reporter = Reporter(written.append)
+    reporter = CallReporter(written.append)
     for text in ("a", "b", "c", "a"):
         reporter.warn(text)
     reporter.close()
@@ -40,7 +40,7 @@ def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_warnings_of_our_loggers_are_written() -> None:
     written: list[str] = []
-    reporter = Reporter(written.append)
+    reporter = CallReporter(written.append)
     log = logging.getLogger("rossec.test_report")
     log.propagate = False
     log.addHandler(LogBridge(reporter))
@@ -52,7 +52,7 @@ def test_warnings_of_our_loggers_are_written() -> None:
 
 def test_unauthenticated_peers_cannot_flood_the_log() -> None:
     written: list[str] = []
-    reporter = Reporter(written.append)
+    reporter = CallReporter(written.append)
     for number in range(100):
         reporter.warn(f"refused /eve: {number}")
         reporter.warn(f"refused /mallory: {number}")
@@ -64,14 +64,12 @@ def test_unauthenticated_peers_cannot_flood_the_log() -> None:
     reporter.close()
     assert len(written) == 61
     assert written.count("rossec: too many different warnings; some are suppressed") == 1
-    assert [sum(name in line for line in written) for name in ("/eve", "/mallory", "/robot")] == [
-        10, 10, 1,
-    ]  # fmt: skip
+    assert [sum(name in line for line in written) for name in ("/eve", "/mallory", "/robot")] == [10, 10, 1]
 
 
 def test_threads_may_warn_and_forget_at_once() -> None:
     written: list[str] = []
-    reporter = Reporter(written.append)
+    reporter = CallReporter(written.append)
     going = threading.Event()
 
     def warn() -> None:
@@ -100,7 +98,7 @@ def test_a_line_that_cannot_be_written_does_not_suppress_others() -> None:
             raise ValueError(line)
         written.append(line)
 
-    reporter = Reporter(write)
+    reporter = CallReporter(write)
     for text in ("one", "bad", "two"):
         reporter.warn(text)
     reporter.close()
@@ -110,7 +108,7 @@ def test_a_line_that_cannot_be_written_does_not_suppress_others() -> None:
 
 def test_a_forked_process_has_its_own_thread() -> None:
     written: list[str] = []
-    reporter = Reporter(written.append)
+    reporter = CallReporter(written.append)
     reporter.warn("from the parent")
 
     def work() -> list[str]:

@@ -116,9 +116,7 @@ def test_rights_on_names_of_other_domains_are_not_requested_here() -> None:
         request.ask("subscribe", "/remote/hospital/pose", why="to look")
     assert "rossec grant sign LABEL:/" in no.value.hint
     assert "--subscribe /pose --certificate FILE" in no.value.hint
-    assert no.value.hint.endswith(
-        "; or ask for /gateway/hospital/pose, if a gateway here serves it"
-    )
+    assert no.value.hint.endswith("; or ask for /gateway/hospital/pose, if a gateway here serves it")
     with pytest.raises(ConfigurationError) as no:
         request.ask("call", "/remote/hospital/lamp", why="to switch it")
     assert "gateway" not in no.value.hint, "services go by none"

@@ -11,7 +11,7 @@ from tests.support.witness import until
 
 pytestmark = pytest.mark.ros
 
-send_queue = pytest.importorskip("rossec.inprocess.send_queue")
+send_queue = pytest.importorskip("rossec.inprocess.publishing")
 exceptions = pytest.importorskip("rospy.exceptions")
 
 
@@ -21,9 +21,7 @@ def test_a_whole_message_a_filtered_one_and_many() -> None:
     send_queue.write(made, [b"\1\0\0\0a", b"\1\0\0\0b"])
     send_queue.write_data(made, (b"\2\0\0\0", memoryview(b"xy")))
     send_queue.write(made, [b"\1\0\0\0a", (b"\1\0\0\0", b"c")])
-    assert made.socket.units == [
-        b"\4\0\0\0abcd", b"\1\0\0\0a\1\0\0\0b", b"\2\0\0\0xy", b"\1\0\0\0a\1\0\0\0c",
-    ]  # fmt: skip
+    assert made.socket.units == [b"\4\0\0\0abcd", b"\1\0\0\0a\1\0\0\0b", b"\2\0\0\0xy", b"\1\0\0\0a\1\0\0\0c"]
     assert (made.stat_num_msg, made.stat_bytes) == (6, 34)
 
 
@@ -92,9 +90,7 @@ async def test_queued_messages_are_sent_as_one_unit() -> None:
     assert not queue._thread.is_alive()
 
 
-async def test_a_message_after_a_pause_does_not_wait_for_the_sender(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_message_after_a_pause_does_not_wait_for_the_sender(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(send_queue, "PAUSE", 0.0)
     made = transport()
     made.socket.at_once = True

@@ -7,11 +7,10 @@ from grants.decision import Decision
 from grants.errors import MessageRefused
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ChannelClosed, FrameRefused, ServiceRefused
-from rossec.inprocess.service_filter import ClientFilter, ServerFilter
-from rossec.participant.service_guard import ServiceGuard
-from rossec.participant.service_types import service_type
-from rossec.ros import service as wire
-from rossec.ros.header import frame
+from rossec.inprocess.sockets import ClientFilter, ServerFilter
+from rossec.participant.service_types import ServiceGuard, service_type
+from rossec.ros import tcpros as wire
+from rossec.ros.tcpros import frame
 from tests.support.memory_scopes import HOLDER, fresh
 
 NOW = 1_000_000

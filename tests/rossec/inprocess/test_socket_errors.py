@@ -3,7 +3,7 @@ import errno
 import pytest
 
 from rossec.errors import ChannelClosed
-from rossec.inprocess.socket_errors import resets, tried_again
+from rossec.inprocess.sockets import resets, tried_again
 
 
 @pytest.mark.parametrize("number", [errno.ECONNRESET, errno.EPIPE, errno.ENOTCONN])

@@ -11,22 +11,18 @@ from typing import Any
 import pytest
 
 from rossec.errors import ChannelClosed, LimitExceeded
-from rossec.inprocess import plain_stream, sockets
-from rossec.inprocess.allow_plain import PlainPeers
-from rossec.inprocess.connector import Connector
-from rossec.inprocess.identity import LocalIdentity
+from rossec.inprocess import identity, sockets
+from rossec.inprocess.identity import Connector, LocalIdentity
+from rossec.inprocess.options import PlainPeers
 from rossec.inprocess.sockets import RosSocket
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
-from rossec.ros.framing import Framing
-from rossec.ros.header import FrameReader
+from rossec.net.limits import HalfOpen, HalfOpenCount
+from rossec.ros.tcpros import FrameReader, Framing
 from tests.rossec.inprocess.socket_pair import connected, owner
 from tests.support.secure_sockets import background
 from tests.support.site import Site
 
 
-def test_a_socket_connects_sends_and_receives(
-    local_identity: LocalIdentity, listening: RosSocket
-) -> None:
+def test_a_socket_connects_sends_and_receives(local_identity: LocalIdentity, listening: RosSocket) -> None:
     left, right = connected(local_identity, listening)
     assert (left.peer.name, right.peer.name, left.is_plain) == ("/viewer", "/robot", False)
     assert left.fileno() > 0
@@ -68,15 +64,13 @@ def test_a_message_that_has_begun_must_make_progress(
     local_identity: LocalIdentity, listening: RosSocket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sockets, "PATIENCE", 0.05)
-    monkeypatch.setattr("rossec.progress.WINDOW", 1)
+    monkeypatch.setattr("rossec.peer_limits.WINDOW", 1)
     left, right = connected(local_identity, listening)
     framing = Framing(FrameReader())
     right.sendall(b"\x09\0\0\0half")
     assert framing.feed(left.receive_before_deadline(framing, lambda: left.recv(100)), 0) == []
     right.sendall(b", and")
-    assert framing.feed(left.receive_before_deadline(framing, lambda: left.recv(100)), 0) == [
-        b"half, and"
-    ]
+    assert framing.feed(left.receive_before_deadline(framing, lambda: left.recv(100)), 0) == [b"half, and"]
     right.sendall(b"\x09\0\0\0half")
     framing.feed(left.receive_before_deadline(framing, lambda: left.recv(100)), 0)
     with pytest.raises(LimitExceeded):
@@ -142,9 +136,7 @@ def test_a_host_without_descriptors_pauses_accepting(
     local_identity: LocalIdentity, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sockets, "ACCEPT_PAUSE", 0.0)
-    answers: list[Any] = [
-        OSError(errno.EMFILE, "too many"), OSError(errno.EBADF, "closed"),
-    ]  # fmt: skip
+    answers: list[Any] = [OSError(errno.EMFILE, "too many"), OSError(errno.EBADF, "closed")]
 
     def accept() -> None:
         raise answers.pop(0)
@@ -187,9 +179,7 @@ def test_a_plain_peer_is_refused(local_identity: LocalIdentity, stock: tuple[str
     sock.close()
 
 
-def test_a_plain_peer_that_is_allowed(
-    local_identity: LocalIdentity, stock: tuple[str, int]
-) -> None:
+def test_a_plain_peer_that_is_allowed(local_identity: LocalIdentity, stock: tuple[str, int]) -> None:
     sock = RosSocket(owner(local_identity, PlainPeers(["/x"])), socket.socket())
     sock.connect(stock)
     assert sock.is_plain
@@ -216,12 +206,12 @@ def test_the_first_bytes_of_a_plain_caller_are_not_consumed(local_identity: Loca
             sock, _ = server.accept()
             caller.sendall(sent)
             caller.shutdown(socket.SHUT_WR)
-            assert plain_stream.peek(sock) == seen
+            assert identity.peek(sock) == seen
             caller.close()
             sock.close()
-    assert plain_stream.plain_fields(b"\x06\0\0\0\x02\0\0\0a=") == {"a": b""}
-    assert plain_stream.plain_fields(b"abc") == {}
-    assert plain_stream.plain_fields(b"\x01\0\0\0a") == {}
+    assert identity.plain_fields(b"\x06\0\0\0\x02\0\0\0a=") == {"a": b""}
+    assert identity.plain_fields(b"abc") == {}
+    assert identity.plain_fields(b"\x01\0\0\0a") == {}
 
 
 def test_a_caller_that_is_gone_does_not_end_accept(
@@ -249,20 +239,18 @@ def test_a_caller_that_is_gone_does_not_end_accept(
 
 
 def test_peek_does_not_wait_for_a_silent_caller(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plain_stream, "DEADLINE", 0.05)
+    monkeypatch.setattr(identity, "DEADLINE", 0.05)
     with socket.create_server(("127.0.0.1", 0)) as server:
         for sent in (b"", b"PO", b"\x06\0\0\0\x02\0"):
             with socket.create_connection(server.getsockname()) as caller:
                 sock, _ = server.accept()
                 caller.sendall(sent)
-                assert plain_stream.peek(sock) in (b"", sent)
+                assert identity.peek(sock) in (b"", sent)
                 assert sock.gettimeout() is None
                 sock.close()
 
 
-def test_an_aborted_socket_receives_nothing_more(
-    local_identity: LocalIdentity, listening: RosSocket
-) -> None:
+def test_an_aborted_socket_receives_nothing_more(local_identity: LocalIdentity, listening: RosSocket) -> None:
     left, right = connected(local_identity, listening)
     right.sendall(b"before")
     left.abort()

@@ -5,8 +5,7 @@ import contextlib
 from rossec.errors import ChannelError
 from rossec.inprocess.identity import LocalIdentity
 from rossec.inprocess.sockets import RosSocket
-from rossec.ros.framing import Framing
-from rossec.ros.header import FrameReader
+from rossec.ros.tcpros import FrameReader, Framing
 from tests.rossec.inprocess.socket_pair import connected
 from tests.support.secure_sockets import background
 
@@ -71,9 +70,7 @@ def test_calls_pass_the_filter_before_the_program_reads_them(
         sock.close()
 
 
-def test_a_refused_call_is_answered_and_not_read(
-    local_identity: LocalIdentity, listening: RosSocket
-) -> None:
+def test_a_refused_call_is_answered_and_not_read(local_identity: LocalIdentity, listening: RosSocket) -> None:
     left, right = connected(local_identity, listening)
     calls = Calls()
     right.service_filter, calls.refused = calls, True

@@ -6,17 +6,16 @@ from typing import Any
 
 import pytest
 
-from rossec.net.bounds import UNSENT
-from rossec.participant import deflating
-from rossec.participant.deflating import LARGE, deflated
-from rossec.participant.wishes import NO_WISHES, Wishes
+from rossec.channel.tuning import UNSENT
+from rossec.participant import delivery
+from rossec.participant.delivery import LARGE, NO_WISHES, Wishes, deflated
 from tests.support.rosconnection import transport
 from tests.support.witness import until
 
 pytestmark = pytest.mark.ros
 
-send_queue = pytest.importorskip("rossec.inprocess.send_queue")
-wish_queue = pytest.importorskip("rossec.inprocess.wish_queue")
+send_queue = pytest.importorskip("rossec.inprocess.publishing")
+wish_queue = pytest.importorskip("rossec.inprocess.publishing")
 
 
 def connection(wishes: Wishes) -> Any:
@@ -36,10 +35,7 @@ def sent(made: Any) -> bytes:
 
 
 def test_only_a_subscriber_with_wishes_has_such_a_queue() -> None:
-    for wishes, kind in (
-        (NO_WISHES, send_queue.SendQueue),
-        (Wishes(5), wish_queue.WishQueue),
-    ):
+    for wishes, kind in ((NO_WISHES, send_queue.SendQueue), (Wishes(5), wish_queue.WishQueue)):
         made = connection(wishes)
         queue = wish_queue.queue_for(made, 3)
         made.close()
@@ -83,16 +79,14 @@ async def test_of_what_waits_only_the_newest_is_sent(newest: bool) -> None:
 
 
 @pytest.mark.parametrize("size", [0, 10, 1000, LARGE - 2])
-async def test_a_message_is_deflated_once_for_all(
-    size: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_message_is_deflated_once_for_all(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 
     def count(pieces: Any) -> bytes:
         calls.append(pieces)
         return deflated(pieces)
 
-    monkeypatch.setattr(deflating, "deflated", count)
+    monkeypatch.setattr(delivery, "deflated", count)
     many = [connection(Wishes(deflate=True)) for _ in range(3)]
     queues = [wish_queue.queue_for(made, 10) for made in many]
     for made in many:

@@ -6,15 +6,14 @@ from typing import Any
 import pytest
 
 from rossec.errors import XmlRpcRefused
-from rossec.ros.callclient import CallClient
-from rossec.ros.callserver import CallServer
-from rossec.ros.httpread import Oversized
+from rossec.ros.calls import CallClient, CallServer
+from rossec.ros.http import Oversized
 from rossec.ros.xmlrpc import Encoded, Fault
 
 pytestmark = pytest.mark.ros
 
-module = pytest.importorskip("rossec.inprocess.xmlrpc_client")
-server = pytest.importorskip("rossec.inprocess.xmlrpc_server")
+module = pytest.importorskip("rossec.inprocess.xmlrpc_calls")
+server = pytest.importorskip("rossec.inprocess.xmlrpc_calls")
 MANY = [1, "", [1] * 30_000]
 
 

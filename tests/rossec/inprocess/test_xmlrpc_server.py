@@ -6,11 +6,10 @@ from threading import Lock, Thread
 import pytest
 
 from rossec.errors import XmlRpcRefused
-from rossec.inprocess.xmlrpc_server import _load, in_steps
-from rossec.net.bounds import UNSHOWN_BODY
-from rossec.ros.callclient import CallClient
-from rossec.ros.callserver import CallServer
-from rossec.ros.httpread import Oversized
+from rossec.inprocess.xmlrpc_calls import _load, in_steps
+from rossec.net.limits import UNSHOWN_BODY
+from rossec.ros.calls import CallClient, CallServer
+from rossec.ros.http import Oversized
 
 
 def steps(seen: list[str], name: str) -> Generator[None, None, str]:
@@ -25,8 +24,7 @@ def test_of_those_with_one_turn_one_is_parsed_at_a_time() -> None:
     done: list[str] = []
     turn = Lock()
     threads = [
-        Thread(target=lambda each=each: done.append(in_steps(steps(seen, each), turn)))
-        for each in "abc"
+        Thread(target=lambda each=each: done.append(in_steps(steps(seen, each), turn))) for each in "abc"
     ]
     for thread in threads:
         thread.start()

@@ -4,25 +4,21 @@ from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
+from grants.decision import Reach
 from grants.errors import GrantError, GrantMissing
 from grants.model import Permission, Right
-from grants.reach import Reach
-from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.methods import MasterEvent
-from rossec.master.api.multicall import MULTICALL, Multicall
-from rossec.master.api.turns import CallOutcome, TurnExpired, Work, advance
-from rossec.master.rights.caller import Caller, Peer
-from rossec.master.rights.held_lists import HeldLists, ListStanding
-from rossec.master.rights.identity_renewals import RenewalAnswer
-from rossec.master.rights.presented_grants import Presented, Renewed
+from rossec.master.api.dispatch import MULTICALL, MasterApi, Multicall
+from rossec.master.api.methods import CallOutcome, MasterEvent, TurnExpired, Work, advance
+from rossec.master.rights.caller import Caller, CertifiedPeer
+from rossec.master.rights.held_grants import Renewed, VerifiedGrants
+from rossec.master.rights.renewals import RenewalAnswer
+from rossec.master.rights.revocation_lists import HeldLists, ListStanding
 from rossec.master.rights.statements import TrustState
 
 ALL = Right(255)
 
 
-def caller(
-    name: str, rights: Mapping[str, Right] | None = None, *, wildcard: bool = False
-) -> Caller:
+def caller(name: str, rights: Mapping[str, Right] | None = None, *, wildcard: bool = False) -> Caller:
     """A caller with rights on exact names and below `/ns/**`."""
     held = Reach(Permission(pattern, right) for pattern, right in (rights or {}).items())
     return Caller(name, name.encode(), held, refuse, wildcard)
@@ -59,13 +55,7 @@ def run_to_end(work: Work) -> CallOutcome:
 
 
 def call_api(
-    api: MasterApi,
-    method: str,
-    params: Sequence[object],
-    who: Caller,
-    now: int,
-    *,
-    is_local: bool = True,
+    api: MasterApi, method: str, params: Sequence[object], who: Caller, now: int, *, is_local: bool = True
 ) -> CallOutcome:
     """Answer one call to its end, as the server does in turns."""
     if method != MULTICALL:
@@ -99,14 +89,14 @@ class FakeStatements(TrustState):
     presented: list[bytes] = field(default_factory=list)
     held_lists: HeldLists = field(default_factory=HeldLists)
 
-    def caller_of(self, peer: Peer, now: int) -> Caller | None:
+    def caller_of(self, peer: CertifiedPeer, now: int) -> Caller | None:
         known = self.callers.get(peer.name)
         return known if known is not None and known.thumbprint == peer.thumbprint else None
 
-    def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
+    def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> VerifiedGrants:
         good = [token for token in tokens if token != b"forged"]
         self.presented += good
-        return Presented(len(self.presented), ("forged",) * (len(tokens) - len(good)))
+        return VerifiedGrants(len(self.presented), ("forged",) * (len(tokens) - len(good)))
 
     def has_presented(self, holder: bytes, grant_id: bytes) -> bool:
         return grant_id in self.presented
@@ -114,9 +104,7 @@ class FakeStatements(TrustState):
     def revoked(self) -> frozenset[bytes]:
         return frozenset({b"one", b"two"})
 
-    def pertaining(
-        self, caller: Caller, names: Iterable[str]
-    ) -> Generator[None, None, frozenset[bytes]]:
+    def pertaining(self, caller: Caller, names: Iterable[str]) -> Generator[None, None, frozenset[bytes]]:
         yield
         return frozenset({b"one"}) if "/t" in names else frozenset()
 
@@ -153,10 +141,10 @@ class FakeStatements(TrustState):
     def list_number(self) -> tuple[int, int]:
         return 1, len(self.lists)
 
-    def standing(self, connected: Iterable[Peer], now: int) -> ListStanding:
+    def standing(self, connected: Iterable[CertifiedPeer], now: int) -> ListStanding:
         return self.held_lists.standing(connected, self.lists[-1], now)
 
-    def revocations_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
+    def revocations_for(self, peer: CertifiedPeer, now: int) -> tuple[bytes, bytes]:
         data, stamp = self.current(now)
         return (b"" if self.held_lists.holds(peer, data) else data), stamp
 

@@ -3,15 +3,13 @@
 from typing import Any
 
 from grants.model import Right
-from rossec.master.state.sites import Site
+from rossec.master.state.imported_facts import Site
 from tests.rossec.master.visiting import VisitWorld
 from tests.rossec.master.world import SlaveNode, T, until
 
 ALIAS, SERVED = "/remote/hospital/pose", "/gateway/hospital/pose"
 ORIGIN = "http://10.0.0.2:1/"
-POSE = [
-    ("node", "/robot", ORIGIN), ("publisher", "/pose", "/robot"), ("type", "/pose", T)
-]  # fmt: skip
+POSE = [("node", "/robot", ORIGIN), ("publisher", "/pose", "/robot"), ("type", "/pose", T)]
 SERVES = {"/gateway/hospital/**": Right.PUBLISH}
 MAY_BE_SERVED = {SERVED: Right.SUBSCRIBE}
 NOTHING = {"/nothing": Right.SUBSCRIBE}

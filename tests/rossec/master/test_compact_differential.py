@@ -21,10 +21,8 @@ from rossec.master.api.methods import MasterEvent
 from rossec.master.rights.access_rules import RULES
 from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import Registry
-from rossec.net.rpc.client import RpcClient
-from rossec.ros.callclient import CallClient, value_in
-from rossec.ros.callserver import CallServer
-from rossec.ros.methodnumbers import METHODS
+from rossec.net.rpc.calls import RpcClient
+from rossec.ros.calls import METHODS, CallClient, CallServer, value_in
 from rossec.ros.names import SETTLE_RENEWALS, WATCH_RENEWALS
 from rossec.ros.xmlrpc import Fault
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
@@ -80,9 +78,8 @@ class Side:
 
     def __init__(self, *, compact: bool) -> None:
         self.api = MasterApi(
-            Registry(), FakeStatements(), name="/master", uri="http://master:11311/", pid=7,
-            instance="run",
-        )  # fmt: skip
+            Registry(), FakeStatements(), name="/master", uri="http://master:11311/", pid=7, instance="run"
+        )
         self.client, self.server = CallClient("x", compact=compact), CallServer()
         self.events: list[MasterEvent] = []
         self.ask(("getPid", "/a"), everything("/a"))  # after it, units
@@ -148,11 +145,7 @@ def test_every_method_of_the_table() -> None:
 
 
 def test_multicalls_and_unknown_methods() -> None:
-    calls = [
-        {"methodName": method, "params": list(params)}
-        for method, *params in ALL
-        if "." not in method
-    ]
+    calls = [{"methodName": method, "params": list(params)} for method, *params in ALL if "." not in method]
     multicalls: list[Call] = [
         ("system.multicall", calls),
         ("system.multicall", [*calls, calls[0], {}, {"methodName": "nonsense", "params": []}]),
@@ -173,9 +166,7 @@ def test_the_numbers_are_of_methods_that_there_are() -> None:
 
 @given(VALUES, st.sampled_from(["/p", "/a/b", "p"]))
 @settings(deadline=None)
-def test_a_parameter_is_the_same_in_whatever_forms_it_is_set_and_read(
-    value: object, key: str
-) -> None:
+def test_a_parameter_is_the_same_in_whatever_forms_it_is_set_and_read(value: object, key: str) -> None:
     """Of several flaws in one tree, the order of its members decides which is named."""
     first, second = pair()
     who = everything("/a")
@@ -269,11 +260,7 @@ def said(caplog: pytest.LogCaptureFixture) -> list[object]:
 
 @pytest.mark.parametrize(
     "rights",
-    [
-        {"/nothing": Right.PUBLISH},
-        {"/**": Right(255)},
-        {"/t": Right.PUBLISH, "/p": Right.PARAM_GET},
-    ],
+    [{"/nothing": Right.PUBLISH}, {"/**": Right(255)}, {"/t": Right.PUBLISH, "/p": Right.PARAM_GET}],
     ids=["none", "all", "some"],
 )
 async def test_the_same_answers_and_audit_over_connections(

@@ -79,26 +79,59 @@ TABLES: dict[str, list[Call]] = {
     "arity and types": [
         (method, *arguments)
         for method in (
-            "registerPublisher", "registerSubscriber", "registerService", "unregisterPublisher",
-            "unregisterSubscriber", "unregisterService", "lookupNode", "lookupService",
-            "getSystemState", "getTopicTypes", "getPublishedTopics", "getPid", "getUri", "shutdown",
-            "getParam", "setParam", "hasParam", "deleteParam", "searchParam", "getParamNames",
-            "subscribeParam", "unsubscribeParam",
+            "registerPublisher",
+            "registerSubscriber",
+            "registerService",
+            "unregisterPublisher",
+            "unregisterSubscriber",
+            "unregisterService",
+            "lookupNode",
+            "lookupService",
+            "getSystemState",
+            "getTopicTypes",
+            "getPublishedTopics",
+            "getPid",
+            "getUri",
+            "shutdown",
+            "getParam",
+            "setParam",
+            "hasParam",
+            "deleteParam",
+            "searchParam",
+            "getParamNames",
+            "subscribeParam",
+            "unsubscribeParam",
         )
         for arguments in ((), ("/a", 1, 2, 3, 4, 5), (1,), (1, 2), (1, 2, 3), (1, 2, 3, 4))
     ],
     "wrong arguments": [
         (method, "/a", *arguments)
         for method, count in (
-            ("registerPublisher", 3), ("registerSubscriber", 3), ("registerService", 3),
-            ("unregisterPublisher", 2), ("unregisterService", 2), ("lookupNode", 1),
-            ("lookupService", 1), ("getPublishedTopics", 1), ("getParam", 1), ("hasParam", 1),
-            ("setParam", 2), ("deleteParam", 1), ("searchParam", 1), ("subscribeParam", 2),
+            ("registerPublisher", 3),
+            ("registerSubscriber", 3),
+            ("registerService", 3),
+            ("unregisterPublisher", 2),
+            ("unregisterService", 2),
+            ("lookupNode", 1),
+            ("lookupService", 1),
+            ("getPublishedTopics", 1),
+            ("getParam", 1),
+            ("hasParam", 1),
+            ("setParam", 2),
+            ("deleteParam", 1),
+            ("searchParam", 1),
+            ("subscribeParam", 2),
         )
         for arguments in (
-            (5, T, A)[:count], ("", T, A)[:count], ("has space", T, A)[:count],
-            (A, T, A)[:count], ("/", T, A)[:count], ("/t", "", "")[:count], ("/t", 7, 7)[:count],
-            ("/t", "nonsense", "nonsense")[:count], ("/t", T, "nonsense")[:count],
+            (5, T, A)[:count],
+            ("", T, A)[:count],
+            ("has space", T, A)[:count],
+            (A, T, A)[:count],
+            ("/", T, A)[:count],
+            ("/t", "", "")[:count],
+            ("/t", 7, 7)[:count],
+            ("/t", "nonsense", "nonsense")[:count],
+            ("/t", T, "nonsense")[:count],
         )
         if not (method == "getPublishedTopics" and arguments in ((A,), ("has space",)))
     ],
@@ -139,65 +172,69 @@ TABLES: dict[str, list[Call]] = {
         ("setParam", "/a", "/", {"only": 1}),
         ("getParamNames", "/a"),
     ],
-}  # fmt: skip
+}
 
 
 # Where ours differs on purpose, by the name under which docs/spec/master.md explains it.
 BY_NAME: dict[str, list[tuple[Call, list[Any]]]] = {
     # Stock fails in its own tree walk; the parameter does not exist.
     "delete-below-value": [
-        (("deleteParam", "/a", "/tree/a/b/c"), [-1, "parameter [/tree/a/b/c] is not set", 0]),
+        (("deleteParam", "/a", "/tree/a/b/c"), [-1, "parameter [/tree/a/b/c] is not set", 0])
     ],
     # Rights are matched on names, so names must be names.
     "topic-names": [
-        (("registerSubscriber", "/a", "/my-topic", "*", A), [
-            -1, "ERROR: parameter [topic] contains illegal chars", [],
-        ]),
-        (("registerService", "/a", "/1s", S1, A), [
-            -1, "ERROR: parameter [service] contains illegal chars", 0,
-        ]),
+        (
+            ("registerSubscriber", "/a", "/my-topic", "*", A),
+            [-1, "ERROR: parameter [topic] contains illegal chars", []],
+        ),
+        (
+            ("registerService", "/a", "/1s", S1, A),
+            [-1, "ERROR: parameter [service] contains illegal chars", 0],
+        ),
     ],
     "parameter-names": [
-        ((method, "/a", *before, key, *after), [
-            -1, "ERROR: parameter [key] contains illegal chars", default,
-        ])
+        ((method, "/a", *before, key, *after), [-1, "ERROR: parameter [key] contains illegal chars", default])
         for method, before, after, default in (
-            ("getParam", (), (), 0), ("hasParam", (), (), False), ("setParam", (), (T,), 0),
-            ("deleteParam", (), (), 0), ("subscribeParam", (A,), (), 0),
+            ("getParam", (), (), 0),
+            ("hasParam", (), (), False),
+            ("setParam", (), (T,), 0),
+            ("deleteParam", (), (), 0),
+            ("subscribeParam", (A,), (), 0),
         )
         for key in ("/my-param", "/a\nb", "has space", A)
     ],
     # Stock finds the tree /http: that setParam made of the URI above.
     "search-odd-names": [
-        (("searchParam", "/a", A), [-1, f"Cannot find parameter [{A}] in an upwards search", ""]),
+        (("searchParam", "/a", A), [-1, f"Cannot find parameter [{A}] in an upwards search", ""])
     ],
     # The master dials slave APIs: without a port, or at a service's URI, it cannot.
     "undialable-api": [
-        (("registerPublisher", "/a", "/t", T, uri), [
-            -1, "ERROR: parameter [caller_api] is not an RPC URI", [],
-        ])
+        (
+            ("registerPublisher", "/a", "/t", T, uri),
+            [-1, "ERROR: parameter [caller_api] is not an RPC URI", []],
+        )
         for uri in ("http://h/", S1)
     ],
     # Stock stores such a name where no getParam finds it.
     "tree-names": [
-        (("setParam", "/a", "/y", {"b/c": 1}), [
-            -1, "Error: invalid arguments: 'b/c' cannot be the name of a parameter in a tree", 0,
-        ]),
+        (
+            ("setParam", "/a", "/y", {"b/c": 1}),
+            [-1, "Error: invalid arguments: 'b/c' cannot be the name of a parameter in a tree", 0],
+        )
     ],
     # Stock stores it, and then no tree that holds it can be read any more.
     "unreadable-values": [
-        (("setParam", "/a", "/big", 1 << 31), [
-            -1, f"Error: invalid arguments: {CANNOT} the number 2147483648 {IN_ANSWER}", 0,
-        ]),
-        (("setParam", "/a", "/nil", [None]), [
-            -1, f"Error: invalid arguments: {CANNOT} nil {IN_ANSWER}", 0,
-        ]),
+        (
+            ("setParam", "/a", "/big", 1 << 31),
+            [-1, f"Error: invalid arguments: {CANNOT} the number 2147483648 {IN_ANSWER}", 0],
+        ),
+        (("setParam", "/a", "/nil", [None]), [-1, f"Error: invalid arguments: {CANNOT} nil {IN_ANSWER}", 0]),
     ],
     # Stock keeps the type of a topic without publishers and subscribers.
     "types-of-the-gone": [(("getTopicTypes", "/gone"), [1, "current system state", []])],
     # After a service was replaced, stock keeps the old node registered.
     "replaced-provider": [(("lookupNode", "/b", "/old"), [-1, "unknown node [/old]", ""])],
-}  # fmt: skip
+}
 DIFFERENCES = [difference for group in BY_NAME.values() for difference in group]
 TABLES["differences"] = [
     ("registerService", "/old", "/s", S1, A2),
@@ -205,11 +242,7 @@ TABLES["differences"] = [
     ("registerPublisher", "/gone", "/gone/t", T, "http://h:77/"),
     ("unregisterPublisher", "/gone", "/gone/t", "http://h:77/"),
     ("getTopicTypes", "/gone"),
-    *[
-        call
-        for call, _ in DIFFERENCES
-        if call not in (DIFFERENCES[0][0], ("getTopicTypes", "/gone"))
-    ],
+    *[call for call, _ in DIFFERENCES if call not in (DIFFERENCES[0][0], ("getTopicTypes", "/gone"))],
 ]
 
 
@@ -303,6 +336,4 @@ def test_multicall_is_the_same(stock: Any, ours: MasterApi) -> None:
         {"methodName": "getParam", "params": []},
     ]
     expected = plain(server.system_multicall(calls))
-    assert (
-        plain(call_api(ours, "system.multicall", [calls], everything("/a"), 0).answer) == expected
-    )
+    assert plain(call_api(ours, "system.multicall", [calls], everything("/a"), 0).answer) == expected

@@ -19,11 +19,10 @@ from grants.model import Right
 from grants.token import unpack
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.rights.caller import VISIBILITY_RIGHTS
-from rossec.master.rights.delegation import Delegate
-from rossec.master.rights.enforce import enforce, steps
-from rossec.master.rights.statements import TrustState
+from rossec.master.rights.renewals import TicketSigner
+from rossec.master.rights.statements import TrustState, enforce, enforcement_steps
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
-from rossec.participant.graph_view import GraphView
+from rossec.participant.registrations import GraphView
 from tests.rossec.master.fakes import call_api
 from tests.support.authority import EnrolledNode, Site
 
@@ -32,9 +31,13 @@ TOPICS: Final = ("/t", "/ns/u")
 PARAMETERS: Final = ("/p", "/p/q", "/ns/r")
 MAX_PATTERN_MATCHES: Final = ("/**", "/t", "/ns/**", "/p")
 RIGHTS: Final = (
-    Right.PUBLISH, Right.SUBSCRIBE | Right.PROVIDE, Right.PARAM_GET | Right.PARAM_SET,
-    Right.CALL | Right.GRAPH, Right(127), Right(255),
-)  # fmt: skip
+    Right.PUBLISH,
+    Right.SUBSCRIBE | Right.PROVIDE,
+    Right.PARAM_GET | Right.PARAM_SET,
+    Right.CALL | Right.GRAPH,
+    Right(127),
+    Right(255),
+)
 HOUR: Final = 3600
 
 NEEDED: Final = {
@@ -55,16 +58,12 @@ class Master(RuleBasedStateMachine):
         super().__init__()
         self.site = Site(now=1_800_000_000)
         self.now = self.site.now
-        self.registered_nodes: dict[str, EnrolledNode] = {
-            name: self.site.enroll(name) for name in NODES
-        }
+        self.registered_nodes: dict[str, EnrolledNode] = {name: self.site.enroll(name) for name in NODES}
         self.master = self.site.enroll("/master")
         signer = self.master.credentials.signer
-        delegate = Delegate(self.site.anchor, signer)
+        delegate = TicketSigner(self.site.anchor, signer)
         delegate.take(self.site.delegation(self.master, lifetime=1000 * HOUR))
-        self.trust = TrustState(
-            self.site.anchor, signer, self.site.revocations(), lambda _: None, delegate
-        )
+        self.trust = TrustState(self.site.anchor, signer, self.site.revocations(), lambda _: None, delegate)
         self.registry = Registry()
         self.api = MasterApi(
             self.registry, self.trust, name="/master", uri="http://m:1/", pid=1, instance="x"
@@ -122,16 +121,18 @@ class Master(RuleBasedStateMachine):
         self.register("/b", "/t", "registerSubscriber")
         self.register("/b", "/ns/u", "registerService")
 
-    @rule(name=names, pattern=st.sampled_from(MAX_PATTERN_MATCHES), rights=st.sampled_from(RIGHTS),
-          lifetime=st.sampled_from([HOUR // 2, 10 * HOUR]))  # fmt: skip
+    @rule(
+        name=names,
+        pattern=st.sampled_from(MAX_PATTERN_MATCHES),
+        rights=st.sampled_from(RIGHTS),
+        lifetime=st.sampled_from([HOUR // 2, 10 * HOUR]),
+    )
     def sign(self, name: str, pattern: str, rights: Right, lifetime: int) -> None:
         self.site.now = self.now
         rights_of = {pattern: rights}
         if name == "/watcher":
             rights_of["/master"] = Right.GRAPH
-        token = self.site.grant(
-            self.registered_nodes[name], rights_of, lifetime=lifetime, cap=20 * HOUR
-        )
+        token = self.site.grant(self.registered_nodes[name], rights_of, lifetime=lifetime, cap=20 * HOUR)
         self.signed.append((name, token))
         self.present(len(self.signed) - 1, None)
 
@@ -155,9 +156,7 @@ class Master(RuleBasedStateMachine):
         if renewed:
             assert token not in self.revoked
             ends = min(self.now - 5 + HOUR, peek(token).cap)
-            self.presented[name][token] = max(
-                self.presented[name].get(token, b""), ends.to_bytes(8)
-            )
+            self.presented[name][token] = max(self.presented[name].get(token, b""), ends.to_bytes(8))
 
     @rule(name=names, topic=topics, method=st.sampled_from(sorted(NEEDED)))
     def register(self, name: str, topic: str, method: str) -> None:
@@ -174,9 +173,10 @@ class Master(RuleBasedStateMachine):
             return
         uri = self.uri(victim)
         for method, *params in (
-            ("registerPublisher", topic, "*", uri), ("unregisterPublisher", topic, uri),
+            ("registerPublisher", topic, "*", uri),
+            ("unregisterPublisher", topic, uri),
             ("setParam", "/p", 1),
-        ):  # fmt: skip
+        ):
             answer: Any = call_api(self.api, method, [victim, *params], caller, self.now).answer
             # An administrator may unregister a node's entries, and act as it in no other call.
             cleans_up = method == "unregisterPublisher" and self.may(name, Right.ADMIN, victim)
@@ -211,9 +211,7 @@ class Master(RuleBasedStateMachine):
         except HintedError:
             return
         answers: Any = call_api(self.api, "system.multicall", [calls], caller, self.now).answer
-        rights = (
-            (Right.PUBLISH, topic), (Right.PARAM_GET, "/p"), (Right.ADMIN, "/master"),
-        )  # fmt: skip
+        rights = ((Right.PUBLISH, topic), (Right.PARAM_GET, "/p"), (Right.ADMIN, "/master"))
         for [answer], (right, key) in zip(answers, rights, strict=True):
             assert not answer[1].startswith("rossec: ") or answer[0] == -1
             if answer[0] == 1:
@@ -263,7 +261,7 @@ class Master(RuleBasedStateMachine):
         """A list arrives and is enforced, as the server does at once and every ten seconds."""
         self.site.now = self.now
         self.trust.update(self.site.revoke(*self.revoked, lifetime=1000 * HOUR), self.now)
-        for step in steps(self.registry):
+        for step in enforcement_steps(self.registry):
             for event in enforce(self.registry, self.trust, step, self.now):
                 assert isinstance(event, PublishersChanged)
                 assert not self.who(event.subscribers) & self.dead

@@ -4,11 +4,11 @@ from contextlib import AsyncExitStack
 from itertools import count
 from typing import Any, Final
 
-from ca.domains.lists import DomainList, ForeignDomain, sign_domains
-from ca.keys.publickey import to_coordinates
-from ca.revocation.state import Timestamp, digest, open_list, sign_timestamp
+from ca.domains.trust import DomainList, ForeignDomain, sign_domains
+from ca.keys.signing import to_coordinates
+from ca.revocation.lists import Timestamp, digest, open_list, sign_timestamp
 from grants.model import Right
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from tests.rossec.master.world import SlaveNode, World
 from tests.support.authority import DAY, EnrolledNode, Site
 
@@ -26,13 +26,14 @@ class Hospital:
     def entry(self, label: str = LABEL, **changes: Any) -> ForeignDomain:
         """An entry of a list for all of its nodes, fresh for an hour, for a day."""
         fields: dict[str, Any] = {
-            "admitted": ("/**",), "fresh": 3600, "until": self.site.now + DAY, **changes,
-        }  # fmt: skip
+            "admitted": ("/**",),
+            "fresh": 3600,
+            "until": self.site.now + DAY,
+            **changes,
+        }
         return ForeignDomain(self.site.domain, label, self.site.anchor.certificate, **fields)
 
-    def word(
-        self, *revoked: bytes | EnrolledNode, age: int = 0
-    ) -> tuple[bytes, bytes, tuple[bytes, ...]]:
+    def word(self, *revoked: bytes | EnrolledNode, age: int = 0) -> tuple[bytes, bytes, tuple[bytes, ...]]:
         """Its next list, a timestamp of it, and the chain of its master."""
         data = self.site.revoke(*revoked)
         seq = open_list(data, self.site.anchor.public_key).seq
@@ -68,9 +69,7 @@ class VisitWorld(World):
         self.trust.domains.take(HOSPITAL, *self.hospital.word(), self.site.now)
         self.robot = self.hospital.site.enroll("/rounds/robot3")
 
-    async def visitor(
-        self, rights: dict[str, Right], member: EnrolledNode | None = None
-    ) -> SlaveNode:
+    async def visitor(self, rights: dict[str, Right], member: EnrolledNode | None = None) -> SlaveNode:
         """A node of the hospital with grants of the home."""
         node = SlaveNode(self, member or self.robot)
         await node.start(rights)
@@ -84,4 +83,4 @@ class VisitWorld(World):
 
     def take(self, *revoked: bytes | EnrolledNode, age: int = 0) -> None:
         """The hospital's next list and its master's word on it."""
-        self.server._effects.take_foreign(HOSPITAL, *self.hospital.word(*revoked, age=age))
+        self.server.effects.take_foreign(HOSPITAL, *self.hospital.word(*revoked, age=age))

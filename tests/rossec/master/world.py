@@ -10,12 +10,12 @@ import pytest
 from ca.certificates import Identity
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.master.api.turns import Turns
+from rossec.master.api.methods import TurnClock
 from rossec.master.rights.statements import TrustState
 from rossec.master.server.server import MasterServer
 from rossec.net.aio import SecureStream, WireProtocol, connect, serve
-from rossec.net.rpc.client import RpcClient, serve_calls
-from rossec.ros.settings import parse_uri
+from rossec.net.rpc.calls import RpcClient, serve_calls
+from rossec.ros.names import parse_uri
 from tests.support.authority import EnrolledNode, Site
 from tests.support.contexts import unlimited
 
@@ -66,14 +66,11 @@ class World:
         self.site = Site()
         self.master = self.site.enroll("/master")
         self.trust = TrustState(
-            self.site.anchor,
-            self.master.credentials.signer,
-            self.site.revocations(),
-            lambda _: None,
+            self.site.anchor, self.master.credentials.signer, self.site.revocations(), lambda _: None
         )
         self.trust.update(self.site.revoke(), self.site.now)
 
-    async def start(self, turns: Turns | None = None) -> None:
+    async def start(self, turns: TurnClock | None = None) -> None:
         self.server = MasterServer(
             self.master.credentials,
             self.trust.domains.anchors.verify,
@@ -94,10 +91,7 @@ class World:
     async def call_as(self, member: EnrolledNode) -> RpcClient:
         host, port = parse_uri(self.server.uri)
         stream = await connect(
-            host,
-            port,
-            unlimited(member.credentials, self.site.anchor.verify),
-            WireProtocol.HTTP,
+            host, port, unlimited(member.credentials, self.site.anchor.verify), WireProtocol.HTTP
         )
         client = RpcClient(stream)
         self.exit.push_async_callback(client.close)

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree
 
-from rossec.namespace.launch_edit import NamedNode, NameOf, apply, edits, named
-from rossec.namespace.launch_scan import scan
-from rossec.naming.metadata import Kind
+from rossec.namespace.launch_file import NamedNode, NameOf, apply, edits, named, scan
+from rossec.naming.requests import NameKind
 
 FIGURES: Final = Path(__file__).parent / "launch"
 NS: Final = 'xmlns:ns="urn:schemas-tum-de:vmi:ns"'
@@ -37,8 +36,8 @@ def transform(data: bytes, name_of: NameOf) -> tuple[bytes, list[NamedNode]]:
     return apply(data, edits(data, found, nodes)), nodes
 
 
-def simple(metadata: bytes, queries: Sequence[tuple[Kind, str]]) -> list[str]:
+def simple(metadata: bytes, queries: Sequence[tuple[NameKind, str]]) -> list[str]:
     """`/GROUP/NAME` and `/GROUP/NAME/ENTRY`."""
     root = ElementTree.fromstring(metadata)
     own = f"/{root.findtext('group') or 'nowhere'}/{root.findtext('name')}"
-    return [own if kind is Kind.NODE else f"{own}/{which}" for kind, which in queries]
+    return [own if kind is NameKind.NODE else f"{own}/{which}" for kind, which in queries]

@@ -3,9 +3,9 @@ from pathlib import Path
 import pytest
 
 from rossec import files
+from rossec.cli.namespace import names
+from rossec.cli.namespace.names import MAX_FILES, read
 from rossec.errors import ConfigurationError, MetadataRefused, NotWritten
-from rossec.namespace import launch_files
-from rossec.namespace.launch_files import MAX_FILES, read
 from tests.rossec.namespace.launch_texts import launch, node, simple, topic
 
 
@@ -67,9 +67,16 @@ def test_nothing_is_written_where_one_of_the_files_is_there_already(source: Path
 
 
 @pytest.mark.parametrize(
-    "file", ["$(find robot)/a.launch", "/etc/a.launch", "a.launch", "$(dirname)/../a.launch",
-             "$(dirname)/missing.launch", "$(dirname)/$(arg a).launch"],
-)  # fmt: skip
+    "file",
+    [
+        "$(find robot)/a.launch",
+        "/etc/a.launch",
+        "a.launch",
+        "$(dirname)/../a.launch",
+        "$(dirname)/missing.launch",
+        "$(dirname)/$(arg a).launch",
+    ],
+)
 def test_what_is_not_followed_is_said(source: Path, file: str) -> None:
     source.write_bytes(launch(node("<ns:group>g</ns:group>"), include(file)))
     found = read(source, source.with_name("out.launch"), simple)
@@ -110,9 +117,7 @@ def test_one_topic_of_two_nodes_is_worth_a_word(source: Path) -> None:
     assert "2 nodes get the name /light" in note
 
 
-def test_where_one_cannot_be_written_none_is_left(
-    source: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_one_cannot_be_written_none_is_left(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """So that the same command can be given again once there is space."""
     source.write_bytes(launch(include("$(dirname)/a.launch")))
     source.with_name("a.launch").write_bytes(launch())
@@ -151,6 +156,6 @@ def test_not_too_many_files(source: Path) -> None:
 
 
 def test_the_limit_is_that_of_metadata(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(launch_files, "MAX_INPUT", 10)
+    monkeypatch.setattr(names, "MAX_INPUT", 10)
     with pytest.raises(ConfigurationError, match="10"):
         read(source, source.with_name("out.launch"), simple)

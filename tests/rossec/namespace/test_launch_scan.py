@@ -1,8 +1,8 @@
 import pytest
 
 from rossec.errors import MetadataRefused
-from rossec.namespace.launch_scan import MAX_DEPTH, scan
-from rossec.naming.metadata import Kind
+from rossec.namespace.launch_file import MAX_DEPTH, scan
+from rossec.naming.requests import NameKind
 from tests.rossec.namespace.launch_texts import FIGURES, NS, launch, node, topic
 
 FIGURE = (FIGURES / "phones.launch").read_bytes()
@@ -12,8 +12,8 @@ def test_the_nodes_of_the_figure() -> None:
     first, second = scan(FIGURE).nodes
     assert (first.name, first.line, second.name) == ("htc_desire", 3, "htc_desire2")
     assert [(kind, name, source) for _, kind, name, source in first.entries()] == [
-        (Kind.TOPIC, "accelerometer", "~accelerometer"),
-        (Kind.TOPIC, "wallwasher", "~output2"),
+        (NameKind.TOPIC, "accelerometer", "~accelerometer"),
+        (NameKind.TOPIC, "wallwasher", "~output2"),
     ]
     assert second.metadata() == (
         b"<node><name>htc_desire2</name><owner>schneider</owner><group>smartphones</group>"
@@ -51,9 +51,7 @@ def test_what_is_empty_and_what_is_nested() -> None:
     (found,) = scan(data).nodes
     first, second = (data[e.whole.start : e.whole.end].decode() for e in found.elements)
     assert first + second == text
-    assert found.metadata() == (
-        b"<node><name>lamp</name><group></group><x><y>1 &amp; 2</y></x></node>"
-    )
+    assert found.metadata() == (b"<node><name>lamp</name><group></group><x><y>1 &amp; 2</y></x></node>")
 
 
 def test_what_is_no_launch_file_is_refused() -> None:

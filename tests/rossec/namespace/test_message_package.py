@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.namespace.message_package import PACKAGE, TYPE, service_type, write
+from rossec.namespace.topic_names import PACKAGE, TYPE, service_type, write
 from tests.support.messagepackage import generated
 
 

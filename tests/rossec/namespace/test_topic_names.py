@@ -7,17 +7,18 @@ from types import SimpleNamespace
 
 import pytest
 
-from ca.certificates import Identity, build_request
+from ca.certificates import Identity
+from ca.svid import build_request
 from rossec.errors import AnswerRefused, ServiceFailed
 from rossec.namespace.topic_names import CHILDREN, WAITING, TopicNames
-from rossec.naming import shipped
-from rossec.naming.runner import RuleRunner
+from rossec.naming import rule_runner
+from rossec.naming.rule_runner import RuleRunner
 from tests.rossec.naming.stylesheets import sheet
 from tests.support.pki import NOW, Site, new_signer
 
 SITE = Site.create()
 
-PHONE = shipped.example("phone.xml").decode()
+PHONE = rule_runner.shipped_example("phone.xml").decode()
 MOBILE = "/smartphones/schneider/htc_desire/sensors/accelerometer"
 SLOW = sheet(
     """<xsl:choose><xsl:when test="//slow"><xsl:for-each select="//x"><xsl:for-each select="//x">
@@ -56,7 +57,7 @@ def parameters() -> Parameters:
 
 @pytest.fixture
 async def names(parameters: Parameters) -> AsyncIterator[TopicNames]:
-    async with RuleRunner(shipped.rules(), children=2) as runner:
+    async with RuleRunner(rule_runner.shipped_rules(), children=2) as runner:
         yield TopicNames(runner, parameters.get)
 
 
@@ -121,10 +122,7 @@ async def test_slow_metadata_of_one_caller_delay_no_other(parameters: Parameters
     mallory, others = caller("/mallory"), [caller(f"/robot{number}") for number in range(3)]
     async with RuleRunner(SLOW, children=CHILDREN, seconds=30) as runner:
         names = TopicNames(runner, parameters.get)
-        asked = [
-            asyncio.ensure_future(names.answer(asks("a", BOMB), mallory))
-            for _ in range(WAITING + 4)
-        ]
+        asked = [asyncio.ensure_future(names.answer(asks("a", BOMB), mallory)) for _ in range(WAITING + 4)]
         await asyncio.sleep(0)
         for other in others:
             assert await names.answer(asks("a", "<node/>"), other) == {"topicname": "/fast"}

@@ -3,7 +3,7 @@ import asyncio
 import pytest
 
 from rossec.errors import ServiceFailed
-from rossec.namespace.turns import CallerTurns
+from rossec.namespace.topic_names import CallerTurns
 
 A, B, C = b"a", b"b", b"c"
 

@@ -1,12 +1,11 @@
 """Rules for tests."""
 
-from rossec.naming import shipped
-from rossec.naming.frames import NameRequest
-from rossec.naming.metadata import Kind
+from rossec.naming import rule_runner
+from rossec.naming.requests import NameKind, NameRequest
 
-RULES = shipped.rules()
-PHONE = shipped.example("phone.xml")
-NODE = (Kind.NODE, "")
+RULES = rule_runner.shipped_rules()
+PHONE = rule_runner.shipped_example("phone.xml")
+NODE = (NameKind.NODE, "")
 
 
 def sheet(body: str, *, attributes: str = "", top: str = "") -> bytes:

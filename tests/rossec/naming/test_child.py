@@ -10,47 +10,52 @@ from collections.abc import Callable
 import pytest
 
 from rossec.errors import NameUndefined, RossecError, RulesExceeded, RulesNotConfined
-from rossec.naming import child, frames
-from rossec.naming.frames import NameRequest
-from rossec.naming.metadata import Kind
+from rossec.host import sandbox
+from rossec.naming import child, requests
+from rossec.naming.requests import NameKind, NameRequest
 from rossec.naming.xslt import answer
-from rossec.operation import landlock, seccomp
 from tests.rossec.naming.stylesheets import NODE, PHONE, RULES, request
 
-BODY = frames.write_request(request(RULES))
+BODY = requests.write_request(request(RULES))
 NAME = "/smartphones/schneider/htc_desire"
 
 
 def test_it_says_that_it_is_ready_and_answers_until_there_are_no_more_requests() -> None:
     done = subprocess.run(
         [sys.executable, "-I", "-m", "rossec.naming.child"],
-        input=2 * frames.frame(BODY), capture_output=True, check=True, timeout=60, env={},
-    )  # fmt: skip
-    answer = frames.frame(frames.write_names([NAME]))
-    assert done.stdout == frames.frame(frames.READY) + 2 * answer
+        input=2 * requests.frame(BODY),
+        capture_output=True,
+        check=True,
+        timeout=60,
+        env={},
+    )
+    answer = requests.frame(requests.write_names([NAME]))
+    assert done.stdout == requests.frame(requests.READY) + 2 * answer
     assert done.stderr == b""
 
 
 def test_a_frame_that_is_too_long_ends_it() -> None:
     done = subprocess.run(
         [sys.executable, "-I", "-m", "rossec.naming.child"],
-        input=b"\xff\xff\xff\xff" + b"a" * 99, capture_output=True, check=False, timeout=60, env={},
-    )  # fmt: skip
+        input=b"\xff\xff\xff\xff" + b"a" * 99,
+        capture_output=True,
+        check=False,
+        timeout=60,
+        env={},
+    )
     assert (done.returncode, done.stderr) == (1, b"")
 
 
 def test_a_request_is_answered_by_a_process_of_its_own() -> None:
-    assert frames.read_names(bytes(child.ask(bytearray(BODY))), 1) == [NAME]
+    assert requests.read_names(bytes(child.ask(bytearray(BODY))), 1) == [NAME]
 
 
 def test_a_request_that_is_malformed_is_an_error() -> None:
     with pytest.raises(RulesExceeded, match="a request of another form"):
-        frames.read_names(bytes(child.ask(bytearray(b"\0"))), 1)
+        requests.read_names(bytes(child.ask(bytearray(b"\0"))), 1)
 
 
-def keeping(
-    kept: list[bytearray], ask: Callable[[bytearray], bytearray]
-) -> Callable[[bytearray], bytearray]:
+def keeping(kept: list[bytearray], ask: Callable[[bytearray], bytearray]) -> Callable[[bytearray], bytearray]:
     def asked(body: bytearray) -> bytearray:
         kept.extend((body, ask(body)))
         return kept[-1]
@@ -63,12 +68,12 @@ def test_nothing_is_left_of_a_request(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(child, "ask", keeping(kept, child.ask))
     source, sink = os.pipe()
     own, answers = os.pipe()
-    os.write(sink, frames.frame(BODY))
+    os.write(sink, requests.frame(BODY))
     os.close(sink)
     child.serve(source, answers)
     os.close(answers)
-    head = os.read(own, frames.HEAD)
-    assert frames.read_names(os.read(own, frames.size(head, 4096)), 1) == [NAME]
+    head = os.read(own, requests.HEAD)
+    assert requests.read_names(os.read(own, requests.size(head, 4096)), 1) == [NAME]
     os.close(own)
     os.close(source)
     assert kept
@@ -86,13 +91,13 @@ def test_a_process_that_dies_or_says_nothing_is_told(monkeypatch: pytest.MonkeyP
         return b""
 
     def talks(_: bytes) -> bytes:
-        return b"a" * (frames.MAX_ANSWER + 100_000)
+        return b"a" * (requests.MAX_ANSWER + 100_000)
 
     monkeypatch.setattr(child, "restrict", lambda *_: None)
     for answered in (dies, silent, talks):
         monkeypatch.setattr(child, "_answered", answered)
         with pytest.raises(RulesExceeded, match="more time or memory than allowed") as caught:
-            frames.read_names(bytes(child.ask(bytearray(BODY))), 1)
+            requests.read_names(bytes(child.ask(bytearray(BODY))), 1)
         assert caught.value.hint == "2 s and 256 MB are allowed for one request"
 
 
@@ -105,8 +110,8 @@ def test_no_memory_for_an_answer_is_told(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_a_name_that_is_not_there_is_an_error() -> None:
-    asked = NameRequest(RULES, PHONE, (NODE, (Kind.TOPIC, "none")))
-    found = frames.read_names(bytes(child.ask(bytearray(frames.write_request(asked)))), 2)
+    asked = NameRequest(RULES, PHONE, (NODE, (NameKind.TOPIC, "none")))
+    found = requests.read_names(bytes(child.ask(bytearray(requests.write_request(asked)))), 2)
     assert found[0] == NAME
     assert isinstance(found[1], NameUndefined)
 
@@ -155,7 +160,7 @@ def test_its_time_ends(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(child, "CPU", 1)
     with pytest.raises(RulesExceeded):
-        frames.read_names(forked(monkeypatch, forever).encode("latin-1"), 1)
+        requests.read_names(forked(monkeypatch, forever).encode("latin-1"), 1)
 
 
 def test_what_it_is_restricted_to(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,23 +170,25 @@ def test_what_it_is_restricted_to(monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[str] = []
     monkeypatch.setattr(resource, "setrlimit", limits.__setitem__)
     monkeypatch.setattr(os, "closerange", lambda *between: closed.append(between))
-    monkeypatch.setattr(seccomp, "allow_only", calls.extend)
-    monkeypatch.setattr(landlock, "read_only", lambda paths: None)
-    monkeypatch.setattr(landlock, "LIBC", NoDeath())
+    monkeypatch.setattr(sandbox, "allow_only", calls.extend)
+    monkeypatch.setattr(sandbox, "read_only", lambda paths: None)
+    monkeypatch.setattr(sandbox, "LIBC", NoDeath())
     monkeypatch.setattr(os, "nice", lambda _: 0)
     child.restrict(7, os.getppid())
     assert closed == [(0, 7), (8, child.FILES)]
     assert limits == {
-        resource.RLIMIT_CPU: (2, 2), resource.RLIMIT_NPROC: (0, 0), resource.RLIMIT_NOFILE: (0, 0),
-    }  # fmt: skip
-    assert seccomp.FORK not in calls
+        resource.RLIMIT_CPU: (2, 2),
+        resource.RLIMIT_NPROC: (0, 0),
+        resource.RLIMIT_NOFILE: (0, 0),
+    }
+    assert sandbox.FORK not in calls
     assert not {"kill", "prctl", "prlimit64", "readv", "wait4"} & set(calls)
     calls.clear()
     child.confine()
     assert limits[resource.RLIMIT_AS] == (child.MEMORY, child.MEMORY)
     assert limits[resource.RLIMIT_FSIZE] == (0, 0)
     assert closed[-1] == (3, child.FILES)
-    assert seccomp.FORK in calls
+    assert sandbox.FORK in calls
 
 
 class NoDeath:
@@ -195,7 +202,7 @@ class NoDeath:
 
 def test_a_process_that_nobody_waits_for_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     libc = NoDeath()
-    monkeypatch.setattr(landlock, "LIBC", libc)
+    monkeypatch.setattr(sandbox, "LIBC", libc)
     with pytest.raises(OSError, match="nobody waits"):
         child.restrict(7, os.getpid())
     libc.code = -1
@@ -212,9 +219,7 @@ def said(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
     return written
 
 
-def test_it_says_why_it_cannot_be_confined(
-    monkeypatch: pytest.MonkeyPatch, said: list[bytes]
-) -> None:
+def test_it_says_why_it_cannot_be_confined(monkeypatch: pytest.MonkeyPatch, said: list[bytes]) -> None:
     def confine() -> None:
         raise OSError("no filter of system calls is known for armv7l")
 
@@ -222,20 +227,18 @@ def test_it_says_why_it_cannot_be_confined(
     child.main()
     (first,) = said
     with pytest.raises(RulesNotConfined, match="is known for armv7l") as caught:
-        frames.read_names(first[frames.HEAD :], 0)
+        requests.read_names(first[requests.HEAD :], 0)
     assert "x86_64 or aarch64" in caught.value.hint
 
 
-def test_it_is_ready_once_it_is_confined(
-    monkeypatch: pytest.MonkeyPatch, said: list[bytes]
-) -> None:
+def test_it_is_ready_once_it_is_confined(monkeypatch: pytest.MonkeyPatch, said: list[bytes]) -> None:
     done: list[str] = []
     monkeypatch.setattr(child, "confine", lambda: done.append("confined"))
     child.main()
-    assert (done, said) == (["confined"], [frames.frame(frames.READY)])
+    assert (done, said) == (["confined"], [requests.frame(requests.READY)])
 
 
 def test_the_first_answer_is_for_all_that_is_loaded_later() -> None:
-    first, second = frames.read_names(answer(child._WARM_UP), 2)
+    first, second = requests.read_names(answer(child._WARM_UP), 2)
     assert first == "c"
     assert isinstance(second, RossecError)

@@ -11,19 +11,19 @@ import pytest
 
 from ca.encoding import encode
 from rossec.errors import RulesExceeded, RulesNotConfined
-from rossec.naming import child_process, frames
-from rossec.naming.child_process import RuleProcess
+from rossec.naming import requests, rule_runner
+from rossec.naming.rule_runner import RuleProcess
 from tests.rossec.naming.stylesheets import RULES, request, sheet
 from tests.support.witness import until
 
-BODY = frames.write_request(request(RULES))
+BODY = requests.write_request(request(RULES))
 NAME = "/smartphones/schneider/htc_desire"
 READY = "import os, sys, time\nos.write(1, b'\\0\\0\\0\\1\\0')\n"
 
 
 def program(text: str) -> RuleProcess:
     """A process of this program instead."""
-    return RuleProcess.start([sys.executable, "-I", "-c", text])
+    return RuleProcess([sys.executable, "-I", "-c", text])
 
 
 def is_alive(process: RuleProcess) -> bool:
@@ -35,10 +35,10 @@ def is_alive(process: RuleProcess) -> bool:
 
 
 async def test_it_answers_one_request_after_the_other() -> None:
-    process = RuleProcess.start()
+    process = RuleProcess()
     try:
         for _ in range(2):
-            assert frames.read_names(await process.ask(BODY, 60), 1) == [NAME]
+            assert requests.read_names(await process.ask(BODY, 60), 1) == [NAME]
     finally:
         process.close()
     assert not is_alive(process)
@@ -83,7 +83,7 @@ async def test_one_that_is_not_confined_is_asked_nothing(text: str, message: str
 
 
 async def test_it_says_itself_why_it_is_not_confined() -> None:
-    first = frames.frame(encode([5, "no seccomp", "another kernel"]))
+    first = requests.frame(encode([5, "no seccomp", "another kernel"]))
     process = program(f"import os; os.write(1, {first!r})")
     try:
         with pytest.raises(RulesNotConfined, match="no seccomp") as caught:
@@ -94,7 +94,7 @@ async def test_it_says_itself_why_it_is_not_confined() -> None:
 
 
 async def test_one_that_does_not_start_in_time_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(child_process, "START", 0.05)
+    monkeypatch.setattr(rule_runner, "START", 0.05)
     process = program("import time; time.sleep(60)")
     try:
         with pytest.raises(RulesNotConfined, match="does not start"):
@@ -105,7 +105,7 @@ async def test_one_that_does_not_start_in_time_is_told(monkeypatch: pytest.Monke
 
 def test_a_program_that_is_missing_is_told() -> None:
     with pytest.raises(RulesNotConfined, match=r"does not start: .*No such file"):
-        RuleProcess.start(["/none/python"])
+        RuleProcess(["/none/python"])
 
 
 async def test_it_has_no_descriptor_and_no_environment_of_this_process() -> None:
@@ -135,8 +135,8 @@ def children(pid: int) -> list[int]:
 async def test_what_works_for_a_request_ends_with_it() -> None:
     loops = '<xsl:for-each select="//a">' * 4 + "</xsl:for-each>" * 4
     endless = request(sheet(loops), b"<r>" + b"<a/>" * 500 + b"</r>")
-    process = RuleProcess.start()
-    asked = asyncio.ensure_future(process.ask(frames.write_request(endless), 60))
+    process = RuleProcess()
+    asked = asyncio.ensure_future(process.ask(requests.write_request(endless), 60))
     try:
         await until(lambda: bool(children(process.pid)))
         (worker,) = children(process.pid)
@@ -152,7 +152,7 @@ async def test_nothing_is_left_of_one_that_is_cancelled_at_any_moment() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for steps in range(6):
-            process = RuleProcess.start()
+            process = RuleProcess()
             task = asyncio.ensure_future(process.ask(BODY, 60))
             for _ in range(steps):
                 await asyncio.sleep(0.02)

@@ -3,7 +3,7 @@
 import pytest
 
 from rossec.errors import MetadataRefused, RulesRefused
-from rossec.naming import documents
+from rossec.naming import requests
 
 
 @pytest.mark.parametrize(
@@ -19,8 +19,8 @@ from rossec.naming import documents
     ],
 )
 def test_documents_pass(data: bytes) -> None:
-    assert documents.check_document(data) == data
-    assert documents.check_rules(data) == data
+    assert requests.check_document(data) == data
+    assert requests.check_rules(data) == data
 
 
 @pytest.mark.parametrize(
@@ -34,12 +34,12 @@ def test_documents_pass(data: bytes) -> None:
 )
 def test_a_document_type_is_refused_wherever_it_stands(data: bytes) -> None:
     with pytest.raises(MetadataRefused, match="document type or entities"):
-        documents.check_document(data)
+        requests.check_document(data)
 
 
 def test_the_line_of_a_document_type_is_named() -> None:
     with pytest.raises(RulesRefused, match=r"^line 3: rules with a document type"):
-        documents.check_rules(b"\n\n<!DOCTYPE x>")
+        requests.check_rules(b"\n\n<!DOCTYPE x>")
 
 
 @pytest.mark.parametrize(
@@ -57,25 +57,22 @@ def test_the_line_of_a_document_type_is_named() -> None:
 )
 def test_an_encoding_that_could_hide_something_is_refused(data: bytes, encoding: str) -> None:
     with pytest.raises(MetadataRefused, match=rf"in the encoding '{encoding}'|document type"):
-        documents.check_document(data)
+        requests.check_document(data)
 
 
 @pytest.mark.parametrize("encoding", ["cp037", "cp500"])
 def test_an_encoding_that_parsers_guess_is_refused(encoding: str) -> None:
     """EBCDIC without a NUL or a mark: libxml2 knows it by its first four bytes."""
     text = '<?xml version="1.0" encoding="EBCDIC-CP-US"?><!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>'
-    for refusal, check in (
-        (MetadataRefused, documents.check_document),
-        (RulesRefused, documents.check_rules),
-    ):
+    for refusal, check in ((MetadataRefused, requests.check_document), (RulesRefused, requests.check_rules)):
         with pytest.raises(refusal, match="that begin with no element"):
             check(text.encode(encoding))
 
 
 def test_the_size_is_limited() -> None:
-    documents.check_document(b"<a>" + b"x" * (documents.MAX_INPUT - 3))
+    requests.check_document(b"<a>" + b"x" * (requests.MAX_INPUT - 3))
     with pytest.raises(MetadataRefused, match="where at most 262144 are allowed") as caught:
-        documents.check_document(b"x" * (documents.MAX_INPUT + 1), "a launch file")
+        requests.check_document(b"x" * (requests.MAX_INPUT + 1), "a launch file")
     assert "of a launch file" in str(caught.value)
     assert "lines" in caught.value.hint
 
@@ -83,4 +80,4 @@ def test_the_size_is_limited() -> None:
 @pytest.mark.parametrize("data", [b"", b" \n"])
 def test_nothing_is_no_document(data: bytes) -> None:
     with pytest.raises(MetadataRefused, match=r"^empty metadata$"):
-        documents.check_document(data)
+        requests.check_document(data)

@@ -5,11 +5,10 @@ import sys
 import pytest
 
 from rossec.errors import RulesNotConfined
-from rossec.naming import frames
-from rossec.naming.child_process import RuleProcess
-from rossec.naming.examine import Covered, Finding, Report, examine
-from rossec.naming.metadata import Kind
-from rossec.naming.runner import RuleRunner
+from rossec.naming import requests
+from rossec.naming.examine import Covered, MetadataFinding, MetadataReport, examine
+from rossec.naming.requests import NameKind
+from rossec.naming.rule_runner import RuleProcess, RuleRunner
 from tests.rossec.naming.stylesheets import PHONE, RULES, gives, sheet
 
 LAMP = b"""<node>
@@ -23,7 +22,7 @@ LAMP = b"""<node>
 
 async def examined(
     rules: bytes, *documents: bytes, covered: Covered | None = None
-) -> tuple[Report, list[tuple[str, int, str]]]:
+) -> tuple[MetadataReport, list[tuple[str, int, str]]]:
     async with RuleRunner(rules) as runner:
         named = [(f"{n}.xml", document) for n, document in enumerate(documents)]
         report = await examine(runner, named, covered)
@@ -42,9 +41,7 @@ async def test_the_shipped_rules_and_metadata_have_no_findings() -> None:
 
 async def test_collisions_and_illegal_names_are_found_with_their_lines() -> None:
     report, found = await examined(RULES, PHONE, LAMP)
-    assert found == [
-        ("1.xml", 3, "collision"), ("1.xml", 5, "illegal"), ("1.xml", 6, "illegal"),
-    ]  # fmt: skip
+    assert found == [("1.xml", 3, "collision"), ("1.xml", 5, "illegal"), ("1.xml", 6, "illegal")]
     assert str(report.findings[0]) == (
         "1.xml:3: the topic temperature: /building1/room3/sensors/temperature is also the topic"
         " temperature in 0.xml:13"
@@ -73,8 +70,8 @@ async def test_where_no_rules_can_be_applied_nothing_is_reported() -> None:
 
 
 def unconfined() -> RuleProcess:
-    said = frames.frame(frames.write_error(RulesNotConfined("no seccomp")))
-    return RuleProcess.start([sys.executable, "-I", "-c", f"import os; os.write(1, {said!r})"])
+    said = requests.frame(requests.write_error(RulesNotConfined("no seccomp")))
+    return RuleProcess([sys.executable, "-I", "-c", f"import os; os.write(1, {said!r})"])
 
 
 async def test_rules_that_fail_for_some_are_told() -> None:
@@ -105,21 +102,20 @@ async def test_an_order_in_which_there_is_no_name_is_found() -> None:
 
 
 async def test_names_that_nothing_covers_are_found() -> None:
-    asked: list[tuple[str, Kind, str]] = []
+    asked: list[tuple[str, NameKind, str]] = []
 
-    def covered(node: str, kind: Kind, name: str) -> bool:
+    def covered(node: str, kind: NameKind, name: str) -> bool:
         asked.append((node, kind, name))
-        return kind is not Kind.TOPIC or name.startswith("/smartphones")
+        return kind is not NameKind.TOPIC or name.startswith("/smartphones")
 
     report, found = await examined(RULES, PHONE, covered=covered)
     assert found == [("0.xml", 13, "uncovered")]
     assert str(report.findings[0]).endswith(
-        "no grant or rule covers /building1/room3/sensors/temperature for"
-        " /smartphones/schneider/htc_desire"
+        "no grant or rule covers /building1/room3/sensors/temperature for /smartphones/schneider/htc_desire"
     )
     assert {node for node, _, _ in asked} == {"/smartphones/schneider/htc_desire"}
 
 
 def test_findings_are_sorted_by_file_and_line() -> None:
-    one, two = Finding("a", 2, "order", "x"), Finding("a", 10, "illegal", "x")
+    one, two = MetadataFinding("a", 2, "order", "x"), MetadataFinding("a", 10, "illegal", "x")
     assert sorted([two, one]) == [one, two]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.naming.expressions import ALLOWED, calls, calls_in_template
+from rossec.naming.xslt import ALLOWED, calls, calls_in_template
 
 
 @pytest.mark.parametrize(

@@ -3,18 +3,20 @@
 import pytest
 
 from rossec.errors import MetadataRefused
-from rossec.naming import shipped
-from rossec.naming.metadata import MAX_ENTRIES, Entry, Kind, Metadata, check_query, read
+from rossec.naming import rule_runner
+from rossec.naming.requests import MAX_ENTRIES, Entry, Metadata, NameKind, check_query, read
 
 
 def test_the_metadata_of_the_thesis_are_read() -> None:
-    assert read(shipped.example("phone.xml")) == Metadata(
-        "schneider", "htc_desire", "smartphones",
+    assert read(rule_runner.shipped_example("phone.xml")) == Metadata(
+        "schneider",
+        "htc_desire",
+        "smartphones",
         (
-            Entry(Kind.TOPIC, "accelerometer", "sensor", None, mobile=True),
-            Entry(Kind.TOPIC, "temperature", "sensor", "building1/room3"),
+            Entry(NameKind.TOPIC, "accelerometer", "sensor", None, mobile=True),
+            Entry(NameKind.TOPIC, "temperature", "sensor", "building1/room3"),
         ),
-    )  # fmt: skip
+    )
 
 
 def test_the_lines_of_topics_and_services_are_known() -> None:
@@ -24,16 +26,16 @@ def test_the_lines_of_topics_and_services_are_known() -> None:
 
 def test_everything_may_be_missing_and_others_may_stand_beside() -> None:
     assert read(b"<node/>") == Metadata()
-    text = (
-        b"<node><room>3</room><name> a </name><owner/><service><name>b</name><x/></service></node>"
-    )
-    assert read(text) == Metadata(None, "a", None, (Entry(Kind.SERVICE, "b"),))
+    text = b"<node><room>3</room><name> a </name><owner/><service><name>b</name><x/></service></node>"
+    assert read(text) == Metadata(None, "a", None, (Entry(NameKind.SERVICE, "b"),))
 
 
 def test_a_name_can_be_asked_for_the_node_and_everything_it_has() -> None:
-    assert list(read(shipped.example("phone.xml")).queries()) == [
-        (Kind.NODE, ""), (Kind.TOPIC, "accelerometer"), (Kind.TOPIC, "temperature"),
-    ]  # fmt: skip
+    assert list(read(rule_runner.shipped_example("phone.xml")).queries()) == [
+        (NameKind.NODE, ""),
+        (NameKind.TOPIC, "accelerometer"),
+        (NameKind.TOPIC, "temperature"),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -54,10 +56,7 @@ def test_a_name_can_be_asked_for_the_node_and_everything_it_has() -> None:
             "<node><topic><name>a</name><mobile>>true</mobile></topic></node>",
             "line 1: <mobile> is true or false, not '>true'",
         ),
-        (
-            "<node>" + 2 * "<topic><name>a</name></topic>" + "</node>",
-            "two topics with the name 'a'",
-        ),
+        ("<node>" + 2 * "<topic><name>a</name></topic>" + "</node>", "two topics with the name 'a'"),
     ],
 )
 def test_what_is_not_metadata_is_refused(text: str, message: str) -> None:
@@ -68,7 +67,7 @@ def test_what_is_not_metadata_is_refused(text: str, message: str) -> None:
 
 def test_a_topic_and_a_service_may_have_the_same_name() -> None:
     text = b"<node><topic><name>a</name></topic><service><name>a</name></service></node>"
-    assert [entry.kind for entry in read(text).entries] == [Kind.TOPIC, Kind.SERVICE]
+    assert [entry.kind for entry in read(text).entries] == [NameKind.TOPIC, NameKind.SERVICE]
 
 
 def test_the_number_of_entries_is_limited() -> None:
@@ -83,8 +82,8 @@ def test_latin_letters_are_read_by_their_encoding() -> None:
 
 
 def test_a_node_is_asked_for_without_a_name_and_others_with_one() -> None:
-    assert check_query(Kind.NODE, "") == (Kind.NODE, "")
-    assert check_query(Kind.TOPIC, "a b") == (Kind.TOPIC, "a b")
-    for kind, which in ((Kind.NODE, "a"), (Kind.TOPIC, ""), (Kind.SERVICE, "")):
+    assert check_query(NameKind.NODE, "") == (NameKind.NODE, "")
+    assert check_query(NameKind.TOPIC, "a b") == (NameKind.TOPIC, "a b")
+    for kind, which in ((NameKind.NODE, "a"), (NameKind.TOPIC, ""), (NameKind.SERVICE, "")):
         with pytest.raises(MetadataRefused, match="asked for by its name"):
             check_query(kind, which)

@@ -7,8 +7,8 @@ from xml.etree import ElementTree
 import pytest
 
 from rossec.errors import MetadataRefused
-from rossec.naming import metadata, shipped
-from rossec.naming.orders import orders
+from rossec.naming import requests, rule_runner
+from rossec.naming.examine import orders
 
 
 def tags(document: bytes) -> tuple[str, ...]:
@@ -49,8 +49,8 @@ def test_without_elements_to_turn_there_is_no_other_order(document: bytes) -> No
 
 
 def test_each_order_says_the_same() -> None:
-    given = metadata.read(shipped.example("phone.xml"))
-    others = [metadata.read(each) for each in orders(shipped.example("phone.xml"))]
+    given = requests.read(rule_runner.shipped_example("phone.xml"))
+    others = [requests.read(each) for each in orders(rule_runner.shipped_example("phone.xml"))]
     assert len(others) == 9
     for other in others:
         assert (other.owner, other.name, other.group) == (given.owner, given.name, given.group)

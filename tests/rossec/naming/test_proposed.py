@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from ca import names
 from rossec.errors import ProposedNameRefused
-from rossec.naming.proposed import RESERVED, check_proposed
+from rossec.naming.requests import RESERVED, check_proposed
 
 
 def test_names_pass() -> None:

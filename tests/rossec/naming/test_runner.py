@@ -18,11 +18,9 @@ from rossec.errors import (
     RulesNotConfined,
     RulesRefused,
 )
-from rossec.naming import frames, runner
-from rossec.naming.child_process import RuleProcess
-from rossec.naming.documents import MAX_INPUT
-from rossec.naming.metadata import Kind
-from rossec.naming.runner import RuleRunner, require_extra
+from rossec.naming import requests, rule_runner
+from rossec.naming.requests import MAX_INPUT, NameKind
+from rossec.naming.rule_runner import RuleProcess, RuleRunner, require_extra
 from tests.rossec.naming.stylesheets import NODE, PHONE, RULES, gives, sheet
 from tests.support.witness import until
 
@@ -41,7 +39,7 @@ class Started:
         self.processes: list[RuleProcess] = []
 
     def __call__(self) -> RuleProcess:
-        self.processes.append(RuleProcess.start())
+        self.processes.append(RuleProcess())
         return self.processes[-1]
 
     @property
@@ -57,16 +55,16 @@ class Started:
 
 
 def program(text: str) -> RuleProcess:
-    return RuleProcess.start([sys.executable, "-I", "-c", text])
+    return RuleProcess([sys.executable, "-I", "-c", text])
 
 
 async def test_the_names_of_the_thesis() -> None:
     async with RuleRunner(RULES) as rules:
         assert await rules.name(PHONE) == NAME
-        assert await rules.name(PHONE, Kind.TOPIC, "accelerometer") == (
+        assert await rules.name(PHONE, NameKind.TOPIC, "accelerometer") == (
             "/smartphones/schneider/htc_desire/sensors/accelerometer"
         )
-        assert await rules.name(PHONE, Kind.TOPIC, "temperature") == (
+        assert await rules.name(PHONE, NameKind.TOPIC, "temperature") == (
             "/building1/room3/sensors/temperature"
         )
 
@@ -89,14 +87,14 @@ async def test_as_many_processes_as_allowed_answer_at_the_same_time() -> None:
 
 async def test_several_names_are_answered_in_order_each_with_its_error() -> None:
     async with RuleRunner(RULES) as rules:
-        asked = [(Kind.TOPIC, "none"), NODE, (Kind.SERVICE, "accelerometer")]
+        asked = [(NameKind.TOPIC, "none"), NODE, (NameKind.SERVICE, "accelerometer")]
         first, second, third = await rules.names(PHONE, asked)
         assert second == NAME
         assert isinstance(first, NameUndefined)
         assert isinstance(third, NameUndefined)
         assert await rules.names(PHONE, []) == []
         with pytest.raises(NameUndefined, match="no name for the topic 'none'"):
-            await rules.name(PHONE, Kind.TOPIC, "none")
+            await rules.name(PHONE, NameKind.TOPIC, "none")
 
 
 async def test_what_is_no_name_or_reserved_does_not_leave() -> None:
@@ -139,7 +137,7 @@ async def test_what_is_asked_is_checked_before() -> None:
             with pytest.raises(MetadataRefused):
                 await rules.name(document)
         with pytest.raises(MetadataRefused):
-            await rules.name(PHONE, Kind.TOPIC, "a\0b")
+            await rules.name(PHONE, NameKind.TOPIC, "a\0b")
 
 
 async def test_a_process_that_failed_is_replaced() -> None:
@@ -209,7 +207,7 @@ async def test_a_request_that_ends_after_the_runner_ends_its_process() -> None:
 
 
 async def test_a_process_that_is_not_confined_gives_no_names() -> None:
-    text = f"import os; os.write(1, {frames.frame(encode([5, 'no seccomp', '']))!r})"
+    text = f"import os; os.write(1, {requests.frame(encode([5, 'no seccomp', '']))!r})"
     with pytest.raises(RulesNotConfined, match="no seccomp"):
         async with RuleRunner(RULES, start=lambda: program(text)):
             pass
@@ -217,7 +215,7 @@ async def test_a_process_that_is_not_confined_gives_no_names() -> None:
 
 async def test_a_process_that_was_taken_over_gives_no_other_names_than_rules() -> None:
     """It may lie about a name; it cannot make one that is none, or a reserved one."""
-    said = [frames.READY, encode([0, []]), encode([0, [[0, "/master"]]])]
+    said = [requests.READY, encode([0, []]), encode([0, [[0, "/master"]]])]
     text = (
         "import os\n"
         f"for said in {said!r}:\n"
@@ -234,4 +232,4 @@ def test_without_the_library_it_says_what_to_install() -> None:
     with pytest.raises(NamesExtraMissing, match="need lxml2, which is not") as caught:
         require_extra("lxml2")
     assert caught.value.hint == "install the extra: pip install 'rossec[names]'"
-    assert runner.LIBRARY == "lxml"
+    assert rule_runner.LIBRARY == "lxml"

@@ -7,17 +7,14 @@ from hypothesis import strategies as st
 
 from ca.names import check_name
 from rossec.errors import RossecError
-from rossec.naming import frames
-from rossec.naming.metadata import Kind
-from rossec.naming.proposed import RESERVED
-from rossec.naming.runner import RuleRunner
+from rossec.naming import requests
+from rossec.naming.requests import RESERVED, NameKind
+from rossec.naming.rule_runner import RuleRunner
 from tests.rossec.naming.stylesheets import NODE, RULES
 
 TEXT = st.text(st.characters(codec="utf-8"), max_size=20)
 WORD = st.sampled_from(["a", "robot1", "/remote", "..", "a/b", "master", "-", "é", "a" * 300, ""])
-FIELDS = st.lists(
-    st.tuples(st.sampled_from(["owner", "name", "group", "x"]), WORD | TEXT), max_size=4
-)
+FIELDS = st.lists(st.tuples(st.sampled_from(["owner", "name", "group", "x"]), WORD | TEXT), max_size=4)
 TOPICS = st.lists(st.tuples(WORD | TEXT, WORD | TEXT, WORD), max_size=3)
 
 
@@ -30,9 +27,9 @@ def written(fields: list[tuple[str, str]], topics: list[tuple[str, str, str]]) -
     return f"<node>{text}</node>".encode()
 
 
-async def results(rules: RuleRunner, document: bytes, names: list[str]) -> list[frames.Result]:
+async def results(rules: RuleRunner, document: bytes, names: list[str]) -> list[requests.Result]:
     try:
-        return await rules.names(document, [NODE, *((Kind.TOPIC, name) for name in names)])
+        return await rules.names(document, [NODE, *((NameKind.TOPIC, name) for name in names)])
     except RossecError as error:
         return [error]
 

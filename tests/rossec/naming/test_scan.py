@@ -4,15 +4,15 @@ import pytest
 from lxml import etree
 
 from rossec.errors import RulesRefused
-from rossec.naming import shipped
-from rossec.naming.scan import scan
+from rossec.naming import rule_runner
+from rossec.naming.xslt import scan
 from tests.rossec.naming.stylesheets import gives, sheet
 
 EXSLT = 'xmlns:x="http://exslt.org/{}"'
 
 
 def test_the_shipped_rules_pass() -> None:
-    scan(etree.fromstring(shipped.rules()))
+    scan(etree.fromstring(rule_runner.shipped_rules()))
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_harmless_rules_pass(rules: bytes) -> None:
         (sheet("", top="<xsl:key name='k' match='a' use='document(b)'/>"), "the function document"),
         (sheet("", attributes='extension-element-prefixes="xsl"'), "the attribute extension"),
     ],
-)  # fmt: skip
+)
 def test_what_rules_may_not_use_is_refused(rules: bytes, what: str) -> None:
     with pytest.raises(RulesRefused, match=r"^line \d: rules may not use ") as caught:
         scan(etree.fromstring(rules))

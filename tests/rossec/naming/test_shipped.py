@@ -2,14 +2,14 @@
 
 import pytest
 
-from rossec.naming import metadata, shipped
-from rossec.naming.documents import check_rules
+from rossec.naming import requests, rule_runner
+from rossec.naming.requests import check_rules
 
 
 def test_the_rules_are_there() -> None:
-    assert b"<parameter name=" in check_rules(shipped.rules())
+    assert b"<parameter name=" in check_rules(rule_runner.shipped_rules())
 
 
 @pytest.mark.parametrize("name", ["phone.xml"])
 def test_the_examples_are_metadata(name: str) -> None:
-    assert metadata.read(shipped.example(name)).entries
+    assert requests.read(rule_runner.shipped_example(name)).entries

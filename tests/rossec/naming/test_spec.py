@@ -5,18 +5,8 @@ from pathlib import Path
 
 from lxml import etree
 
-from rossec.naming import (
-    child,
-    documents,
-    expressions,
-    frames,
-    metadata,
-    proposed,
-    runner,
-    scan,
-    shipped,
-)
-from rossec.naming.sugar import XSLT, expand
+from rossec.naming import child, requests, rule_runner, xslt
+from rossec.naming.xslt import XSLT, expand
 from tests.rossec.naming.stylesheets import sheet
 
 SPEC = (Path(__file__).parents[3] / "docs" / "spec" / "namespace.md").read_text()
@@ -29,38 +19,36 @@ def between(start: str, end: str) -> set[str]:
 
 
 def test_the_reserved_names() -> None:
-    assert between("MUST NOT be one of", ": identities") == proposed.RESERVED
+    assert between("MUST NOT be one of", ": identities") == requests.RESERVED
 
 
 def test_the_functions() -> None:
-    assert between("; of EXSLT", "of strings.") == expressions.STRING_FUNCTIONS
-    assert between("functions of XPath 1.0 and", "; of EXSLT") <= expressions.ALLOWED
+    assert between("; of EXSLT", "of strings.") == xslt.STRING_FUNCTIONS
+    assert between("functions of XPath 1.0 and", "; of EXSLT") <= xslt.ALLOWED
     refused = between("of strings. So not", "In an attribute value template")
     assert len(refused) == 6
-    assert not refused & expressions.ALLOWED
+    assert not refused & xslt.ALLOWED
 
 
 def test_the_elements() -> None:
     refused = between("elements of XSLT 1.0 but for", "; elements without")
     assert len(refused) == 4
-    assert not refused & scan._ELEMENTS
-    assert f"`{scan.STRINGS}`" in FLAT
+    assert not refused & xslt._ELEMENTS
+    assert f"`{xslt.STRINGS}`" in FLAT
 
 
 def test_the_limits() -> None:
     assert f"| processor time | {child.CPU} s |" in SPEC
-    assert f"| wall clock | {runner.SECONDS:g} s, or less" in SPEC
+    assert f"| wall clock | {rule_runner.SECONDS:g} s, or less" in SPEC
     assert f"| memory | {child.MEMORY >> 20} MB of addresses |" in SPEC
-    assert f"| metadata, rules, launch file | {documents.MAX_INPUT >> 10} KiB each |" in SPEC
-    assert f"| answer | {frames.MAX_ANSWER >> 20} MiB; a name 255 characters |" in SPEC
-    assert f"At most {metadata.MAX_ENTRIES} topics and services" in SPEC
+    assert f"| metadata, rules, launch file | {requests.MAX_INPUT >> 10} KiB each |" in SPEC
+    assert f"| answer | {requests.MAX_ANSWER >> 20} MiB; a name 255 characters |" in SPEC
+    assert f"At most {requests.MAX_ENTRIES} topics and services" in SPEC
 
 
 def test_the_short_form_is_what_the_text_shows() -> None:
     shown = SPEC.partition("```xml\n<xsl:variable")[2].partition("```")[0]
-    by_text = etree.fromstring(
-        sheet(f"<xsl:variable{shown}"), etree.XMLParser(remove_blank_text=True)
-    )
+    by_text = etree.fromstring(sheet(f"<xsl:variable{shown}"), etree.XMLParser(remove_blank_text=True))
     root = etree.fromstring(sheet('<parameter name="N" path="P" default="D"/>'))
     expand(root)
     made, written = (next(each.iter(f"{{{XSLT}}}variable")) for each in (root, by_text))
@@ -69,8 +57,5 @@ def test_the_short_form_is_what_the_text_shows() -> None:
 
 def test_the_example_is_metadata() -> None:
     text = SPEC.partition("```xml\n")[2].partition("```")[0]
-    assert [entry.name for entry in metadata.read(text.encode()).entries] == [
-        "accelerometer",
-        "reset",
-    ]
-    assert metadata.read(shipped.example("phone.xml")).owner == metadata.read(text.encode()).owner
+    assert [entry.name for entry in requests.read(text.encode()).entries] == ["accelerometer", "reset"]
+    assert requests.read(rule_runner.shipped_example("phone.xml")).owner == requests.read(text.encode()).owner

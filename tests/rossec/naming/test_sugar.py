@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from lxml import etree
 
 from rossec.errors import RulesRefused
-from rossec.naming.sugar import XSLT, expand
+from rossec.naming.xslt import XSLT, expand
 from tests.rossec.naming.stylesheets import sheet
 
 
@@ -35,8 +35,7 @@ def test_the_path_is_the_child_with_its_name_and_the_default_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("default", "text"),
-    [("unknown-group", "unknown_group"), ("a b.c/d_1", "a_b_c/d_1"), ("é", "_")],
+    ("default", "text"), [("unknown-group", "unknown_group"), ("a b.c/d_1", "a_b_c/d_1"), ("é", "_")]
 )
 def test_a_default_has_only_characters_of_names(default: str, text: str) -> None:
     variable = expanded(f'<parameter name="a" default="{default}"/>')[0][0]

@@ -4,33 +4,26 @@ from pathlib import Path
 
 import pytest
 
-from rossec.errors import (
-    MetadataRefused,
-    NameUndefined,
-    RossecError,
-    RulesExceeded,
-    RulesRefused,
-)
-from rossec.naming import frames, shipped, xslt
-from rossec.naming.frames import NameRequest
-from rossec.naming.metadata import Kind
+from rossec.errors import MetadataRefused, NameUndefined, RossecError, RulesExceeded, RulesRefused
+from rossec.naming import requests, rule_runner, xslt
+from rossec.naming.requests import NameKind, NameRequest
 from tests.rossec.naming.stylesheets import NODE, PHONE, RULES, gives, request, sheet
 
 
-def only(asked: NameRequest) -> frames.Result:
+def only(asked: NameRequest) -> requests.Result:
     """The one result of a request; what refuses all of it is raised."""
-    (result,) = frames.read_names(xslt.answer(asked), 1)
+    (result,) = requests.read_names(xslt.answer(asked), 1)
     return result
 
 
-def names(document: bytes, *queries: tuple[Kind, str], rules: bytes = RULES) -> list[frames.Result]:
+def names(document: bytes, *queries: tuple[NameKind, str], rules: bytes = RULES) -> list[requests.Result]:
     body = xslt.answer(NameRequest(rules, document, queries))
-    return frames.read_names(body, len(queries))
+    return requests.read_names(body, len(queries))
 
 
 def test_the_names_of_the_thesis() -> None:
     """Figures 4.1, A.1 and A.3, and the node's name of section A.2.1."""
-    topics = ((Kind.TOPIC, "accelerometer"), (Kind.TOPIC, "temperature"))
+    topics = ((NameKind.TOPIC, "accelerometer"), (NameKind.TOPIC, "temperature"))
     assert names(PHONE, NODE, *topics) == [
         "/smartphones/schneider/htc_desire",
         "/smartphones/schneider/htc_desire/sensors/accelerometer",
@@ -44,20 +37,20 @@ def test_the_names_of_the_thesis() -> None:
         ("", NODE, "/unknown_group/unknown_node"),
         ("<group>g</group><name>n</name>", NODE, "/g/n"),
         ("<owner> </owner><group>g</group><name>n</name>", NODE, "/g/n"),
-        ("<topic><name>t</name></topic>", (Kind.TOPIC, "t"), "/unknown_location/t"),
+        ("<topic><name>t</name></topic>", (NameKind.TOPIC, "t"), "/unknown_location/t"),
         (
             "<topic><name>t</name><mobile>true</mobile><function>lamp</function></topic>",
-            (Kind.TOPIC, "t"),
+            (NameKind.TOPIC, "t"),
             "/unknown_group/unknown_node/lamps/t",
         ),
         (
             "<topic><name>t</name></topic><service><name>t</name><location>r</location></service>",
-            (Kind.SERVICE, "t"),
+            (NameKind.SERVICE, "t"),
             "/r/t",
         ),
     ],
 )
-def test_what_is_not_said_has_a_default(text: str, query: tuple[Kind, str], name: str) -> None:
+def test_what_is_not_said_has_a_default(text: str, query: tuple[NameKind, str], name: str) -> None:
     assert names(f"<node>{text}</node>".encode(), query) == [name]
 
 
@@ -74,9 +67,9 @@ def test_the_defaults_of_the_thesis_are_kept_where_they_are_asked_for() -> None:
 
 def test_a_value_is_text_and_never_an_expression() -> None:
     which = "' or '1'='1"
-    assert isinstance(names(PHONE, (Kind.TOPIC, which))[0], NameUndefined)
+    assert isinstance(names(PHONE, (NameKind.TOPIC, which))[0], NameUndefined)
     quoted = f'<node><topic><name>{which}"</name></topic></node>'.encode()
-    assert names(quoted, (Kind.TOPIC, which + '"')) == [f'/unknown_location/{which}"']
+    assert names(quoted, (NameKind.TOPIC, which + '"')) == [f'/unknown_location/{which}"']
 
 
 @pytest.mark.parametrize(
@@ -88,13 +81,16 @@ def test_a_value_is_text_and_never_an_expression() -> None:
         (sheet("<nom>/a</nom>"), RulesRefused, "give <nom> for the node, not one <name>"),
         (sheet("<name><a/></name>"), RulesRefused, "give <name> for the node, not one <name>"),
         (gives("concat(a, 1, 2)", top=""), str, "12"),
-        (gives("string(str:padding(2000, 'a'))", attributes='xmlns:str="http://exslt.org/strings"'),
-         RulesExceeded, "a name of 2000 characters"),
+        (
+            gives("string(str:padding(2000, 'a'))", attributes='xmlns:str="http://exslt.org/strings"'),
+            RulesExceeded,
+            "a name of 2000 characters",
+        ),
         (gives("$missing"), RulesRefused, "the rules failed"),
         (sheet('<xsl:call-template name="nobody"/>'), RulesRefused, "the rules failed"),
         (sheet('<xsl:message terminate="yes">no group</xsl:message>'), RulesRefused, "no group"),
     ],
-)  # fmt: skip
+)
 def test_what_the_rules_give(rules: bytes, error: type[object], message: str) -> None:
     found = only(request(rules))
     assert isinstance(found, error)
@@ -128,9 +124,9 @@ def test_metadata_that_are_none_are_refused(document: bytes) -> None:
 
 
 def test_rules_alone_are_compiled() -> None:
-    assert frames.read_names(xslt.answer(NameRequest(RULES, b"")), 0) == []
+    assert requests.read_names(xslt.answer(NameRequest(RULES, b"")), 0) == []
     with pytest.raises(RulesRefused):
-        frames.read_names(xslt.answer(NameRequest(b"<a/>", b"")), 0)
+        requests.read_names(xslt.answer(NameRequest(b"<a/>", b"")), 0)
 
 
 def test_no_memory_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -169,4 +165,4 @@ def test_nothing_is_opened_even_by_rules_that_were_not_scanned(
 
 
 def test_the_shipped_example_is_the_print() -> None:
-    assert shipped.example("phone.xml").startswith(b'<?xml version="1.0" encoding="ISO-8859-1"?>')
+    assert rule_runner.shipped_example("phone.xml").startswith(b'<?xml version="1.0" encoding="ISO-8859-1"?>')

@@ -1,7 +1,7 @@
 """How long messages and units may be, by the type of the messages."""
 
-from rossec.net.bounds import BATCH_LIMIT, message_limit, unit_limit
-from rossec.ros.header import HEADER_LIMIT
+from rossec.net.limits import BATCH_LIMIT, message_limit, unit_limit
+from rossec.ros.tcpros import HEADER_LIMIT
 
 
 def test_a_type_of_one_size_needs_no_more() -> None:

@@ -8,14 +8,13 @@ from collections.abc import Sequence
 import pytest
 
 from rossec import clock
-from rossec.channel.edhoc.credentials import LiveCredentials
-from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.credentials import KnownCertificates, LiveCredentials
 from rossec.channel.edhoc.suites import POST_QUANTUM
+from rossec.channel.negotiation import Authenticated
 from rossec.channel.opening import WireProtocol
-from rossec.channel.states import Authenticated
 from rossec.errors import HandshakeFailed, IdentityRefused, LimitExceeded, PlainPeer
-from rossec.net.bounds import ACCEPTED, DIALLED, PREAUTH_LIMIT
 from rossec.net.context import SecureContext
+from rossec.net.limits import ACCEPTED, DIALLED, PREAUTH_LIMIT
 from tests.support.wire import ALICE, BOB, NOW, FakeIdentity, Wire, node, peers, trust, wire
 
 Context = SecureContext[FakeIdentity]

@@ -9,7 +9,7 @@ import pytest
 
 from rossec.errors import ChannelClosed
 from rossec.net.aio import connect, serve
-from rossec.net.forks import forget_in_children
+from rossec.net.context import forget_in_children
 from tests.support.contexts import context
 from tests.support.listener import SecureListener
 from tests.support.secure_sockets import dial, make_listener, pair
@@ -40,9 +40,7 @@ def in_child(work: Callable[[], object]) -> str:
     return said
 
 
-def test_a_child_cannot_use_its_parents_connection(
-    listener: SecureListener[FakeIdentity],
-) -> None:
+def test_a_child_cannot_use_its_parents_connection(listener: SecureListener[FakeIdentity]) -> None:
     left, right = pair(listener)
     with left, right:
         assert left.try_send(b"0")  # however long the children take now
@@ -80,9 +78,7 @@ def test_a_lock_held_at_the_fork_stops_no_child(listener: SecureListener[FakeIde
         assert right.recv(1) == b"x"
 
 
-def test_a_count_locked_at_the_fork_stops_no_child(
-    listener: SecureListener[FakeIdentity],
-) -> None:
+def test_a_count_locked_at_the_fork_stops_no_child(listener: SecureListener[FakeIdentity]) -> None:
     """The parent counts half-open connections; a thread may hold that lock at the fork."""
     with socket.create_connection(listener.getsockname()):
         stranger, _ = listener.accept()

@@ -3,7 +3,7 @@
 import gc
 import socket
 
-from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
+from rossec.net.limits import HalfOpen, HalfOpenCount, HalfOpenSlot
 
 
 def taken(count: HalfOpenCount, *addresses: str) -> tuple[list[HalfOpenSlot], list[str]]:

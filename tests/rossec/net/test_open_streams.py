@@ -4,7 +4,7 @@ import gc
 from collections.abc import Sequence
 
 from rossec.channel.edhoc.credentials import Credentials, LiveCredentials
-from rossec.net.open_streams import OpenStreams
+from rossec.net.context import OpenConnections
 from tests.support.contexts import context
 from tests.support.wire import ALICE, renewed, renews
 
@@ -18,7 +18,7 @@ class Stream:
 
 
 def test_open_connections_are_told_and_later_ones_too() -> None:
-    streams, before, after = OpenStreams(), Stream(), Stream()
+    streams, before, after = OpenConnections(), Stream(), Stream()
     streams.add(before)
     assert before.told == []
     streams.present((b"new",))
@@ -27,7 +27,7 @@ def test_open_connections_are_told_and_later_ones_too() -> None:
 
 
 def test_connections_that_ended_are_forgotten() -> None:
-    streams = OpenStreams()
+    streams = OpenConnections()
     streams.add(Stream())
     gc.collect()
     streams.present((b"new",))
@@ -40,4 +40,4 @@ def test_credentials_that_are_replaced_tell_the_connections_of_their_context() -
     made.open_streams.add(stream)
     own.current = Credentials(ALICE.signer, renewed(ALICE))
     assert stream.told == [renewed(ALICE)]
-    assert own.certificate == renewed(ALICE)[0]
+    assert own.current.certificate == renewed(ALICE)[0]

@@ -6,7 +6,7 @@ import threading
 import pytest
 
 from rossec.errors import FrameRefused, MessageError
-from rossec.net import withheld_log
+from rossec.participant import delivery
 
 LOG = logging.getLogger("rossec.node")
 
@@ -27,12 +27,10 @@ def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 def warn(cause: object, peer: str = "/eve", where: str = "/order") -> None:
-    withheld_log.warn(LOG, withheld_log.RECEIVED, where, peer, cause)
+    delivery.warn(LOG, delivery.RECEIVED, where, peer, cause)
 
 
-def test_a_cause_is_logged_once_in_a_minute(
-    now: list[float], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_cause_is_logged_once_in_a_minute(now: list[float], caplog: pytest.LogCaptureFixture) -> None:
     for number in range(1000):
         warn(MessageError(f"a text of its choice: {number}"))
     assert caplog.messages == ["/order: withheld a message of /eve: a text of its choice: 0"]
@@ -45,26 +43,20 @@ def test_a_cause_is_logged_once_in_a_minute(
     assert {record.name for record in caplog.records} == {"rossec.node"}
 
 
-def test_other_causes_peers_and_places_are_logged(
-    now: list[float], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_other_causes_peers_and_places_are_logged(now: list[float], caplog: pytest.LogCaptureFixture) -> None:
     for _ in range(3):
         warn(MessageError("one"))
         warn(FrameRefused("two"))
         warn(MessageError("three"), peer="/viewer")
         warn(MessageError("four"), where="/map")
         warn("five")
-    assert [text.rpartition(": ")[2] for text in caplog.messages] == [
-        "one", "two", "three", "four", "five",
-    ]  # fmt: skip
+    assert [text.rpartition(": ")[2] for text in caplog.messages] == ["one", "two", "three", "four", "five"]
 
 
 def test_a_line_about_what_is_not_reached_has_the_hint(caplog: pytest.LogCaptureFixture) -> None:
     for peer, cause in (("a", MessageError("no", "100 % sure?")), ("b", MessageError("no"))):
-        withheld_log.warn(LOG, withheld_log.UNREACHED, "/map", peer, cause)
-    assert caplog.messages == [
-        "/map: not connected to a: no (100 % sure?)", "/map: not connected to b: no",
-    ]  # fmt: skip
+        delivery.warn(LOG, delivery.UNREACHED, "/map", peer, cause)
+    assert caplog.messages == ["/map: not connected to a: no (100 % sure?)", "/map: not connected to b: no"]
 
 
 def test_threads(now: list[float], caplog: pytest.LogCaptureFixture) -> None:
@@ -76,9 +68,7 @@ def test_threads(now: list[float], caplog: pytest.LogCaptureFixture) -> None:
     assert len(caplog.messages) == 1
 
 
-def test_nothing_is_counted_below_the_log_level(
-    now: list[float], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_nothing_is_counted_below_the_log_level(now: list[float], caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.ERROR, "rossec.node"):
         warn("one")
     warn("one")

@@ -66,11 +66,7 @@ async def test_closing_a_node_does_not_affect_another_of_its_identity(site: Site
 
 async def test_revoking_an_identity_ends_all_its_nodes(site: Site) -> None:
     site.publish("/robot", TOPIC)
-    async with (
-        site.node("/robot") as robot,
-        site.node("/rviz_1") as one,
-        site.node("/rviz_2") as two,
-    ):
+    async with site.node("/robot") as robot, site.node("/rviz_1") as one, site.node("/rviz_2") as two:
         publisher = await robot.publisher(TOPIC, POSE)
         for node in (one, two):
             await node.subscriber(TOPIC, POSE)

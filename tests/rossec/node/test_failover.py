@@ -51,7 +51,7 @@ async def test_a_publisher_that_unregisters_is_dropped_at_once(
             await site.restart_master()
             await until(lambda: registered(site, Kind.PUBLISHER) == ["/robot"])
             await until(lambda: registered(site, Kind.SUBSCRIBER) == ["/viewer"])
-            await until(lambda: not viewer._topics._grace._missing)
+            await until(lambda: not viewer.topics._grace._missing)
             uri = robot.uri
             await robot._membership.session.call("unregisterPublisher", TOPIC, uri)
             await until(lambda: not sight.links)

@@ -12,12 +12,12 @@ from ca.encoding import encode
 from grants.model import Right
 from rossec.errors import ChannelError, PlainPeer
 from rossec.net.aio import SecureStream, WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
-from rossec.node import Node, listener
+from rossec.net.rpc.calls import RpcClient
+from rossec.node import Node, node
 from rossec.participant import connections, slave_api
-from rossec.participant.slave_rights import SLAVE_CALLS
-from rossec.ros import header
-from rossec.ros.settings import parse_uri
+from rossec.participant.slave_api import SLAVE_CALLS
+from rossec.ros import tcpros
+from rossec.ros.names import parse_uri
 from tests.support.attacker import fields_for
 from tests.support.contexts import unlimited
 from tests.support.site import Site
@@ -46,11 +46,11 @@ async def request(site: Site, robot: Node, *pieces: bytes) -> dict[str, bytes]:
     stream = await connect("127.0.0.1", port, unlimited(credentials, site.anchor.verify))
     for piece in pieces:
         await stream.send(piece)
-    reader = header.FrameReader()
+    reader = tcpros.FrameReader()
     while not (frames := reader.feed(await stream.receive())):
         pass
     await ended(stream)
-    return header.decode(frames[0])
+    return tcpros.decode(frames[0])
 
 
 async def ended(stream: SecureStream[Identity]) -> None:
@@ -61,7 +61,7 @@ async def ended(stream: SecureStream[Identity]) -> None:
 
 
 def subscriber_header(**fields: str) -> bytes:
-    return header.encode(
+    return tcpros.encode(
         {"callerid": "/viewer", "topic": "/robot/pose", "md5sum": "*", "type": "*", **fields}
     )
 
@@ -89,9 +89,7 @@ async def test_an_authorized_subscriber_is_told_that_a_topic_is_not_published(
     (grant,) = site.enroll("/viewer").grants()
     fields = {"rossec_grants": (b"\x81\x59" + len(grant).to_bytes(2) + grant)}
     answer = await request(
-        site,
-        robot,
-        header.encode({**header.decode(subscriber_header(topic="/robot/none")[4:]), **fields}),
+        site, robot, tcpros.encode({**tcpros.decode(subscriber_header(topic="/robot/none")[4:]), **fields})
     )
     assert answer["error"] == b"rossec: /robot does not publish /robot/none"
 
@@ -123,7 +121,7 @@ async def test_a_header_may_arrive_in_several_units(site: Site, robot: Node) -> 
 async def test_a_peer_that_sends_no_header_is_disconnected(
     site: Site, robot: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(listener, "HEADER_DEADLINE", 0.1)
+    monkeypatch.setattr(node, "HEADER_DEADLINE", 0.1)
     credentials = site.enroll("/viewer").credentials()
     _, port = robot.topic_endpoint()
     stream = await connect("127.0.0.1", port, unlimited(credentials, site.anchor.verify))
@@ -186,9 +184,7 @@ async def test_a_caller_that_stays_is_disconnected(
     await ended(await connect("127.0.0.1", port, unlimited(*dial), WireProtocol.HTTP))
 
 
-async def test_the_graph_right_allows_queries_and_the_admin_right_shutdown(
-    site: Site, robot: Node
-) -> None:
+async def test_the_graph_right_allows_queries_and_the_admin_right_shutdown(site: Site, robot: Node) -> None:
     """`rosnode ping`, `info` and `kill`; no grant allows to control the node."""
     sees = site.grant("/operator", Right.GRAPH, "/robot")
     ends = site.grant("/operator", Right.ADMIN, "/robot")
@@ -196,9 +192,7 @@ async def test_the_graph_right_allows_queries_and_the_admin_right_shutdown(
     stolen = site.grant("/viewer", Right.GRAPH | Right.ADMIN, "/robot")
     credentials = site.enroll("/operator").credentials()
     host, port = parse_uri(robot.uri)
-    stream = await connect(
-        host, port, unlimited(credentials, site.anchor.verify), WireProtocol.HTTP
-    )
+    stream = await connect(host, port, unlimited(credentials, site.anchor.verify), WireProtocol.HTTP)
     client = RpcClient(stream)
 
     async def ask(method: str, *params: object) -> object:
@@ -227,14 +221,12 @@ async def test_a_subscriber_with_a_grant_is_answered(site: Site, robot: Node) ->
     grant = site.subscribe("/viewer", "/robot/*")
     fields = fields_for("/viewer", "/robot/pose", [grant])
     credentials = site.enroll("/viewer").credentials()
-    stream = await connect(
-        "127.0.0.1", robot.topic_endpoint()[1], unlimited(credentials, site.anchor.verify)
-    )
-    await stream.send(header.encode(fields))
-    (answer,) = header.FrameReader().feed(await stream.receive())
-    assert header.decode(answer)["type"] == POSE.encode()
+    stream = await connect("127.0.0.1", robot.topic_endpoint()[1], unlimited(credentials, site.anchor.verify))
+    await stream.send(tcpros.encode(fields))
+    (answer,) = tcpros.FrameReader().feed(await stream.receive())
+    assert tcpros.decode(answer)["type"] == POSE.encode()
     stream.abort("heard enough")
-    none = await request(site, robot, header.encode(fields | {"topic": "/robot/none"}))
+    none = await request(site, robot, tcpros.encode(fields | {"topic": "/robot/none"}))
     assert none == {"error": b"rossec: /robot does not publish /robot/none"}
-    both = await request(site, robot, header.encode(fields | {"service": "/robot/go"}))
+    both = await request(site, robot, tcpros.encode(fields | {"service": "/robot/go"}))
     assert b"for a topic and for a service" in both["error"]

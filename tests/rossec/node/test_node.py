@@ -11,13 +11,9 @@ import pytest
 from ca.errors import CAError, CertificateExpired, RollbackRefused
 from grants.model import Right
 from grants.renewal import open_delegation
-from rossec.errors import (
-    ConfigurationError,
-    NodeShutdown,
-    RossecError,
-)
+from rossec.errors import ConfigurationError, NodeShutdown, RossecError
 from rossec.node import Node
-from rossec.participant.master_session import MasterSession
+from rossec.participant.membership import MasterSession
 from tests.support.poses import POSE, first, pose, tell_master
 from tests.support.site import DAY, HOUR, Site
 from tests.support.witness import until
@@ -157,9 +153,7 @@ async def until_registered(viewer: Node) -> None:
                 return
 
 
-async def test_a_node_ends_when_its_watchdog_fails(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_node_ends_when_its_watchdog_fails(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     site.publish("/robot", "/robot/pose")
     site.subscribe("/viewer", "/robot/pose")
     async with site.node("/robot") as robot, site.node("/viewer") as viewer:
@@ -205,9 +199,7 @@ async def test_an_invalid_grant_file_is_logged_and_ignored(
         assert caplog.text.count("is not a valid grant") == 1
 
 
-async def test_a_revoked_publisher_is_not_called(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_revoked_publisher_is_not_called(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     site.publish("/robot", "/robot/pose")
     site.subscribe("/viewer", "/robot/pose")
     async with site.node("/robot") as robot, site.node("/viewer") as viewer:
@@ -261,8 +253,7 @@ async def test_a_node_that_was_off_for_long_has_its_grants_renewed(tmp_path: Pat
 
 
 async def test_without_a_delegation_an_expired_grant_stays_expired(site: Site) -> None:
-    site.grant("/robot", Right.PUBLISH, "/robot/pose", begin=site.now() - HOUR, lifetime=-60,
-               cap=DAY)  # fmt: skip
+    site.grant("/robot", Right.PUBLISH, "/robot/pose", begin=site.now() - HOUR, lifetime=-60, cap=DAY)
     async with site.node("/robot") as robot:
         with pytest.raises(RossecError, match="publish"):
             await robot.publisher("/robot/pose", POSE)

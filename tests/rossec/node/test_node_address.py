@@ -21,9 +21,7 @@ async def test_an_address_of_another_host_is_said_at_the_start(
     assert "unset ROS_IP" in line
 
 
-async def test_an_address_of_this_host_is_not(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_an_address_of_this_host_is_not(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     async with Site(tmp_path / "site").running() as site:
         site.enroll("/robot")
         async with Node("/robot", environ={**site.environ, "ROS_IP": "127.0.0.1"}):

@@ -168,9 +168,7 @@ async def test_a_subscription_continues_after_a_restart_of_the_master(
     await until(lambda: subscription.value == 3)
 
 
-async def test_a_malformed_list_of_names_is_refused(
-    robot: Node, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_malformed_list_of_names_is_refused(robot: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     async def answer(*_: object) -> object:
         return ["/a", 1]
 

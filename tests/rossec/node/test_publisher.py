@@ -9,12 +9,11 @@ import pytest
 from grants.errors import MessageRefused
 from grants.filters import layout
 from rossec.errors import ChannelClosed, ConfigurationError, NodeShutdown
-from rossec.node.publisher import Publisher
-from rossec.node.wish_queue import WishQueue
-from rossec.participant.limit_memory import memory_scope
+from rossec.node.publisher import DeliveryQueue, Publisher
+from rossec.participant.authorized import memory_scope
+from rossec.participant.delivery import Wishes
+from rossec.participant.handshakes import TopicEndpoint
 from rossec.participant.message_types import message_type
-from rossec.participant.topic_handshake import TopicEndpoint
-from rossec.participant.wishes import Wishes
 
 STRING = message_type("std_msgs/String")
 
@@ -72,9 +71,7 @@ def decision(seconds: int = 99) -> Any:
 
 
 async def serve(topic: Publisher, stream: Any, guard: Any, seconds: int = 99) -> asyncio.Task[None]:
-    task = asyncio.get_running_loop().create_task(
-        topic.serve(stream, decision(seconds), guard, b"")
-    )
+    task = asyncio.get_running_loop().create_task(topic.serve(stream, decision(seconds), guard, b""))
     await asyncio.sleep(0)
     return task
 
@@ -133,9 +130,7 @@ async def test_subscribers_with_equal_filters_share_the_filtered_message() -> No
     await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def test_a_message_that_cannot_be_evaluated_is_withheld(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_message_that_cannot_be_evaluated_is_withheld(caplog: pytest.LogCaptureFixture) -> None:
     def refuse(_: object) -> None:
         raise MessageRefused("not its layout")
 
@@ -244,7 +239,7 @@ async def test_a_subscriber_with_wishes_gets_them_after_its_guard() -> None:
     await settle()
     assert b"".join(plain.sent[1:]) == framed("one", "two", "three")
     assert b"".join(wishing.sent[1:]) == framed("one", "two")
-    (queue,) = (queue for queue in topic.links.values() if isinstance(queue, WishQueue))
+    (queue,) = (queue for queue in topic.links.values() if isinstance(queue, DeliveryQueue))
     assert (queue.withheld, queue.thinned) == (3, 1)
     for task in tasks:
         task.cancel()

@@ -9,8 +9,9 @@ from grants.errors import DefinitionRefused
 from grants.model import Restriction, Right, filter_rules
 from grants.token import peek
 from rossec.errors import ConfigurationError, NodeShutdown
-from rossec.node import Node, Subscriber, raw_publisher
-from rossec.node.raw_publisher import RawPublisher
+from rossec.node import Node, Subscriber
+from rossec.node import publisher as publisher_module
+from rossec.node.publisher import RawPublisher
 from rossec.participant.definitions import Definition, from_header
 from rossec.participant.message_types import message_type
 from tests.support.site import Site
@@ -27,9 +28,7 @@ def text(data: str) -> bytes:
 async def forwarded(node: Node, topic: str = "/said") -> tuple[RawPublisher, list[int]]:
     """A raw publisher, and its demand each time it changed."""
     demand: list[int] = []
-    made = await node.topics.publish_raw(
-        topic, TYPE, lambda: demand.append(made.demand), queue_size=10
-    )
+    made = await node.topics.publish_raw(topic, TYPE, lambda: demand.append(made.demand), queue_size=10)
     return made, demand
 
 
@@ -68,10 +67,11 @@ async def test_a_definition_with_comments_in_another_encoding_is_passed_on(site:
     site.subscribe("/viewer", "/said")
     latin = from_header(
         {
-            "type": TYPE.encode(), "md5sum": STRING.md5sum.encode(),
+            "type": TYPE.encode(),
+            "md5sum": STRING.md5sum.encode(),
             "message_definition": b"string data  # 20 \xb0C\n",
         }
-    )  # fmt: skip
+    )
     async with site.node("/box") as box, site.node("/viewer") as viewer:
         publisher, _ = await forwarded(box)
         publisher.describe(latin)
@@ -97,10 +97,8 @@ async def test_a_right_that_ends_while_a_handshake_waits_is_worth_nothing(site: 
         assert subscriber.received == 0
 
 
-async def test_a_handshake_does_not_wait_for_ever(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(raw_publisher, "PATIENCE", 0.05)
+async def test_a_handshake_does_not_wait_for_ever(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(publisher_module, "PATIENCE", 0.05)
     site.publish("/box", "/said")
     site.subscribe("/viewer", "/said")
     async with site.node("/box") as box, site.node("/viewer") as viewer:
@@ -139,9 +137,7 @@ async def test_a_subscribers_restrictions_hold_by_the_senders_definition(tmp_pat
         assert await texts(await viewer.subscriber("/said", TYPE), 1) == ["hell"]
 
 
-async def test_a_definition_that_cannot_be_checked_admits_no_restricted_subscriber(
-    tmp_path: Path,
-) -> None:
+async def test_a_definition_that_cannot_be_checked_admits_no_restricted_subscriber(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
     rules = filter_rules({"data": {"truncate": {"length": 4}}})
     site.publish("/box", "/said")

@@ -7,7 +7,7 @@ import pytest
 
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ConnectionHeaderRefused
-from rossec.node.raw_subscriber import RawSource, claimed
+from rossec.node.subscriber import RawSource, claimed
 from rossec.participant.definitions import Definition
 from rossec.participant.message_types import message_type
 from tests.support.site import Site
@@ -74,9 +74,7 @@ async def test_a_source_that_is_refused_is_gone_without_a_message(site: Site) ->
     assert (receiver.sources, receiver.gone, receiver.messages) == ([], [], [])
 
 
-async def test_the_restrictions_of_a_publisher_hold_by_the_definition_of_this_host(
-    tmp_path: Path,
-) -> None:
+async def test_the_restrictions_of_a_publisher_hold_by_the_definition_of_this_host(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
     rules = filter_rules({"data": {"truncate": {"length": 4}}})
     site.grant("/boss", Right.PUBLISH, "/order", restriction=Restriction(TYPE, (), rules))
@@ -100,9 +98,7 @@ async def test_the_restrictions_of_a_publisher_hold_by_the_definition_of_this_ho
         ({"message_definition": b"x" * 262_145}, "262145 characters"),
     ],
 )
-def test_a_publisher_that_does_not_say_its_type_is_refused(
-    changes: dict[str, bytes], reason: str
-) -> None:
+def test_a_publisher_that_does_not_say_its_type_is_refused(changes: dict[str, bytes], reason: str) -> None:
     fields = {"type": TYPE.encode(), "md5sum": MD5.encode(), "message_definition": b"string data"}
     assert claimed(fields).name == TYPE
     with pytest.raises(ConnectionHeaderRefused, match=reason):

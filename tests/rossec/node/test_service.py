@@ -115,9 +115,7 @@ async def test_conditions_and_filters_of_the_caller_are_applied(site: Site, lamp
     async with site.node("/off") as off:
         client = off.client(LAMP, BOOL, persistent=True)
         assert await called(client, data=False) == "on is False"
-        with pytest.raises(
-            ServiceFailed, match=r"rossec: the grant .* does not allow this request"
-        ):
+        with pytest.raises(ServiceFailed, match=r"rossec: the grant .* does not allow this request"):
             await client(data=True)
         assert await called(client, data=False) == "on is False"
         with pytest.raises(ServiceFailed, match="rossec: "):  # malformed
@@ -132,9 +130,7 @@ async def test_conditions_and_filters_of_the_caller_are_applied(site: Site, lamp
         with pytest.raises(ServiceFailed, match="does not allow this response"):
             await shy.client(LAMP, BOOL)(data=True)
     async with site.node("/pose") as pose:
-        with pytest.raises(
-            ConnectionHeaderRefused, match="restricted for messages of type std_srvs/Other"
-        ):
+        with pytest.raises(ConnectionHeaderRefused, match="restricted for messages of type std_srvs/Other"):
             await pose.client(LAMP, BOOL)(data=True)
     async with site.node("/rare") as rare:
         client = rare.client(LAMP, BOOL, persistent=True)

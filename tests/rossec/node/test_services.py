@@ -6,13 +6,7 @@ import pytest
 
 from grants.errors import GrantError
 from grants.model import Right
-from rossec.errors import (
-    AnswerMalformed,
-    AnswerRefused,
-    ConfigurationError,
-    RossecError,
-    ServiceUnavailable,
-)
+from rossec.errors import AnswerMalformed, AnswerRefused, ConfigurationError, RossecError, ServiceUnavailable
 from rossec.node import Node
 from tests.support.lamp import BOOL, LAMP, called, switch
 from tests.support.site import Site
@@ -91,9 +85,7 @@ async def test_the_connection_of_a_revoked_caller_is_closed(site: Site, lamp: No
         assert len(service.links) == 1
         await tell(site, lamp, right)
         await until(lambda: not service.links and not client.links)
-        await (
-            hall._membership.session._heartbeat()
-        )  # without registrations it learns of it by its heartbeat
+        await hall._membership.session._heartbeat()  # without registrations it learns of it by its heartbeat
         with pytest.raises((RossecError, GrantError)):
             await called(client, data=True)
 

@@ -4,7 +4,7 @@ import asyncio
 from typing import Any
 
 from rossec.errors import ChannelClosed
-from rossec.node.subscriber_queue import SubscriberQueue
+from rossec.node.publisher import SubscriberQueue
 from tests.support.witness import until
 
 

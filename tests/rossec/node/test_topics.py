@@ -10,13 +10,8 @@ import pytest
 from ca.encoding import Value
 from ca.errors import NameRefused
 from grants.model import Restriction, filter_rules
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.errors import (
-    ConfigurationError,
-    HandshakeFailed,
-    MessageError,
-    RossecError,
-)
+from rossec.channel.edhoc.credentials import KnownCertificates
+from rossec.errors import ConfigurationError, HandshakeFailed, MessageError, RossecError
 from tests.support.poses import POSE, first, pose
 from tests.support.site import Site, coarse
 from tests.support.witness import until

@@ -7,7 +7,7 @@ import pytest
 
 from rossec.errors import AnswerRefused, ConfigurationError
 from rossec.node import message_type
-from rossec.node.raw_subscriber import RawSource
+from rossec.node.subscriber import RawSource
 from tests.support.site import Site
 from tests.support.witness import until
 

@@ -7,11 +7,11 @@ import pytest
 
 from grants.model import Restriction, filter_rules
 from rossec.errors import ConfigurationError, ConnectionHeaderRefused
-from rossec.node import Node, Publisher, listener
+from rossec.node import Node, Publisher, node
 from rossec.node import subscriber as subscribing
-from rossec.node.wish_queue import WishQueue
-from rossec.participant import topic_handshake
-from rossec.participant.wishes import NO_WISHES, Wishes
+from rossec.node.publisher import DeliveryQueue
+from rossec.participant import handshakes
+from rossec.participant.delivery import NO_WISHES, Wishes
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -54,7 +54,7 @@ async def test_deflated_messages_arrive_as_they_were_sent(site: Site) -> None:
         say(publisher, *WORDS)
         assert await heard(subscriber, 5) == WORDS
         (queue,) = publisher.links.values()
-        assert isinstance(queue, WishQueue)
+        assert isinstance(queue, DeliveryQueue)
 
 
 async def test_what_is_filtered_is_not_deflated(site: Site) -> None:
@@ -66,7 +66,7 @@ async def test_what_is_filtered_is_not_deflated(site: Site) -> None:
         subscriber = await viewer.subscriber(TOPIC, TYPE, deflate=True, newest=True)
         await publisher.wait_for_subscribers()
         (queue,) = publisher.links.values()
-        assert isinstance(queue, WishQueue)
+        assert isinstance(queue, DeliveryQueue)
         assert queue._wishes == Wishes(newest=True)
         say(publisher, WORDS[3])
         assert await heard(subscriber, 1) == ["3"]
@@ -81,12 +81,12 @@ async def test_a_rate_is_kept_by_the_publisher(site: Site) -> None:
         say(publisher, "one", "two", *WORDS)
         assert await heard(subscriber, 2) == ["one", "two"]
         (queue,) = publisher.links.values()
-        assert isinstance(queue, WishQueue)
+        assert isinstance(queue, DeliveryQueue)
         assert queue.thinned == 5
 
 
 async def test_an_older_publisher_ignores_them(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(listener, "requested_wishes", lambda _: NO_WISHES)
+    monkeypatch.setattr(node, "requested_wishes", lambda _: NO_WISHES)
     robot, viewer = prepare(site)
     async with robot, viewer:
         publisher = await publishing(robot)
@@ -95,13 +95,13 @@ async def test_an_older_publisher_ignores_them(site: Site, monkeypatch: pytest.M
         say(publisher, "one", "two", *WORDS)
         assert await heard(subscriber, 2) == ["one", "two"]
         (queue,) = publisher.links.values()
-        assert not isinstance(queue, WishQueue)
+        assert not isinstance(queue, DeliveryQueue)
 
 
 async def test_a_publisher_that_does_what_was_not_asked_is_refused(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(listener, "requested_wishes", lambda _: Wishes(deflate=True))
+    monkeypatch.setattr(node, "requested_wishes", lambda _: Wishes(deflate=True))
     robot, viewer = prepare(site)
     async with robot, viewer:
         await publishing(robot)
@@ -112,7 +112,7 @@ async def test_a_publisher_that_does_what_was_not_asked_is_refused(
 
 
 async def test_a_malformed_wish_is_refused(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
-    written = topic_handshake.subscriber_header
+    written = handshakes.subscriber_header
 
     def forged(*arguments: Any) -> dict[str, bytes]:
         return {**written(*arguments), "rossec_rate": b"1e9"}

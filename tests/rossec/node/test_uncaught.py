@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.node import uncaught
+from rossec.node import node
 
 PROGRAM = """
 import asyncio
@@ -49,17 +49,17 @@ def test_developers_get_the_traceback(tmp_path: Path) -> None:
 def test_any_other_exception_keeps_its_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     refusal = ConfigurationError("no", "do so")
     for error in (ValueError("x"), ExceptionGroup("two", [refusal, ValueError("x")])):
-        uncaught.show(type(error), error, None)
+        node.show(type(error), error, None)
         assert "ValueError: x" in capsys.readouterr().err
     group = ExceptionGroup("two", [refusal, ExceptionGroup("more", [refusal])])
-    uncaught.show(type(group), group, None)
+    node.show(type(group), group, None)
     assert capsys.readouterr().err == "rossec: error: no\nrossec: hint: do so\n" * 2
 
 
 def test_a_program_keeps_a_hook_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "excepthook", print)
-    uncaught.install()
+    node.install()
     assert sys.excepthook is print
     monkeypatch.setattr(sys, "excepthook", sys.__excepthook__)
-    uncaught.install()
-    assert sys.excepthook is uncaught.show
+    node.install()
+    assert sys.excepthook is node.show

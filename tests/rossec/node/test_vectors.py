@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 
 from ca.encoding import decode
-from ca.revocation.state import Revocations, Timestamp, digest
+from ca.revocation.lists import Timestamp, digest
+from ca.revocation.trust_status import Revocations
 from grants.errors import GrantError
 from grants.model import Right
 from rossec.participant.access import FIELD, Access
-from rossec.ros import header
+from rossec.ros import tcpros
 from rossec.ros.xmlrpc import load_call
 from tests.support.domains import alone
 from tests.support.site import Site
@@ -61,10 +62,10 @@ def test_the_connection_headers_of_the_vectors(site: Site, vector: dict[str, Any
 
 def test_the_first_units_of_the_vectors() -> None:
     subscriber, without, call = (bytes.fromhex(vector["data"]) for vector in load("units"))
-    fields = header.decode(subscriber[4:])
+    fields = tcpros.decode(subscriber[4:])
     assert fields["topic"] == TOPIC.encode()
     assert decode(fields[FIELD], limit=1 << 16) == [make_grants.GOOD] * 2
-    assert header.decode(without[4:])[FIELD] == b"\x80"
+    assert tcpros.decode(without[4:])[FIELD] == b"\x80"
     method, (caller, shown) = load_call(call)
     assert (method, caller) == ("rossec.presentGrants", "/heating")
     assert shown == fields[FIELD]

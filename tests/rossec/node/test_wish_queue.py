@@ -10,12 +10,10 @@ from typing import Any
 import pytest
 
 from rossec.errors import ChannelClosed
-from rossec.node import wish_queue
-from rossec.node.subscriber_queue import Pieces
-from rossec.node.wish_queue import WishQueue
-from rossec.participant import deflating
-from rossec.participant.deflating import LARGE, SharedDeflation, deflated
-from rossec.participant.wishes import Wishes
+from rossec.node import publisher
+from rossec.node.publisher import DeliveryQueue, Pieces
+from rossec.participant import delivery
+from rossec.participant.delivery import LARGE, SharedDeflation, Wishes, deflated
 from tests.support.witness import until
 
 
@@ -44,8 +42,8 @@ class Stream:
 
 
 @contextlib.asynccontextmanager
-async def running(stream: Any, wishes: Wishes, size: int = 10) -> AsyncIterator[WishQueue]:
-    queue = WishQueue(stream, size, wishes, SharedDeflation())
+async def running(stream: Any, wishes: Wishes, size: int = 10) -> AsyncIterator[DeliveryQueue]:
+    queue = DeliveryQueue(stream, size, wishes, SharedDeflation())
     task = asyncio.ensure_future(queue.run())
     try:
         yield queue
@@ -62,7 +60,7 @@ def framed(content: bytes) -> bytes:
 
 async def test_the_rate_takes_messages_away(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 0.0
-    monkeypatch.setattr(wish_queue, "monotonic", lambda: now)
+    monkeypatch.setattr(publisher, "monotonic", lambda: now)
     stream = Stream()
     async with running(stream, Wishes(1.0), size=100) as queue:
         for number in range(100):
@@ -107,16 +105,14 @@ async def test_messages_are_deflated(size: int) -> None:
     assert stream.sent == [framed(deflated([bytes(size)]))]
 
 
-async def test_a_message_that_is_replaced_is_never_deflated(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_message_that_is_replaced_is_never_deflated(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
 
     def count(pieces: Any) -> bytes:
         seen.append(b"".join(pieces))
         return deflated(pieces)
 
-    monkeypatch.setattr(deflating, "deflated", count)
+    monkeypatch.setattr(delivery, "deflated", count)
     stream = Stream()
     stream.line.clear()
     async with running(stream, Wishes(newest=True, deflate=True)) as queue:

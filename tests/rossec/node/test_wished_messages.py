@@ -7,10 +7,9 @@ import zlib
 import pytest
 
 from rossec.errors import ConnectionHeaderRefused, FrameRefused
-from rossec.node import wished_messages as module
-from rossec.node.wished_messages import WishedMessages, wished_messages
-from rossec.participant.deflating import LARGE, deflated
-from rossec.participant.wishes import NO_WISHES, Wishes
+from rossec.node import subscriber as module
+from rossec.node.subscriber import WishedMessages, wished_messages
+from rossec.participant.delivery import LARGE, NO_WISHES, Wishes, deflated
 
 LIMIT = 1 << 20
 ALL = Wishes(5, newest=True, deflate=True)

@@ -10,15 +10,16 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.operation.audit import (
+from rossec.host.audit import (
+    FIRST,
     LEFT_OUT,
     AuditFile,
     Entry,
+    check_beginning,
     read_entries,
     verify,
     with_hash,
 )
-from rossec.operation.audit_mark import FIRST, check_beginning
 from tests.support.pki import new_signer
 
 
@@ -77,7 +78,13 @@ def test_every_change_is_detected(book: Book) -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        "", "x", "[]", "{}", '{"hash": 1}', "{" + " " * 9000 + "}", "[" * 8000,
+        "",
+        "x",
+        "[]",
+        "{}",
+        '{"hash": 1}',
+        "{" + " " * 9000 + "}",
+        "[" * 8000,
         '{"hash": "x", "level": "info", "text": "t"}',
         '{"hash": "x", "level": "info", "text": "t", "at": "now"}',
         '{"hash": "x", "level": "info", "text": "t", "at": 1e400}',
@@ -86,7 +93,7 @@ def test_every_change_is_detected(book: Book) -> None:
         '{"hash": "x", "level": "info", "text": 5, "at": 1}',
         '{"hash": "x", "level": 5, "text": "t", "at": 1}',
     ],
-)  # fmt: skip
+)
 def test_a_malformed_line_is_damaged_and_hides_no_other(book: Book, line: str) -> None:
     book.write("one")
     book.write("two")
@@ -166,17 +173,13 @@ def test_a_full_disk_leaves_no_half_line(
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", lambda file, data: write(file, data[:20]))
         book.write("two")
-    assert caplog.messages == [
-        "the audit cannot be written: the disk is full; the lines before are intact"
-    ]
+    assert caplog.messages == ["the audit cannot be written: the disk is full; the lines before are intact"]
     book.write("three")
     assert [entry["text"] for entry in book.entries()] == ["one", "three"]
     verify(book.entries(), FIRST)
 
 
-def test_a_removed_directory_leaks_no_descriptor(
-    book: Book, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_removed_directory_leaks_no_descriptor(book: Book, caplog: pytest.LogCaptureFixture) -> None:
     """The number of a closed descriptor may be that of a new connection."""
     book.write("one")
     away = book.path.parent.with_name("away")
@@ -205,12 +208,12 @@ def test_each_file_begins_with_a_line_of_the_master(tmp_path: Path) -> None:
     again.emit(note)
     again.close()
     parts = [
-        read_entries((tmp_path / name).read_text().splitlines())[0]
-        for name in ("audit.log.1", "audit.log")
+        read_entries((tmp_path / name).read_text().splitlines())[0] for name in ("audit.log.1", "audit.log")
     ]
     assert [[entry["text"] for entry in part] for part in parts] == [
-        ["the audit begins", "one", "two"], ["the audit goes on in a new file", "one", "one"],
-    ]  # fmt: skip
+        ["the audit begins", "one", "two"],
+        ["the audit goes on in a new file", "one", "one"],
+    ]
     assert verify([*parts[0], *parts[1]], FIRST) == parts[1][-1]["hash"]
     assert check_beginning(parts[1][0], after=parts[0][-1]["hash"])  # the key is not known here
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from rossec.operation.audit_log import AUDIT, audit_written
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from rossec.host.audit import AUDIT, audit_written
 
 
 @pytest.fixture

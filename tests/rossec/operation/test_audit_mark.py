@@ -2,10 +2,9 @@
 
 import pytest
 
-from ca.keys.publickey import thumbprint
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner, thumbprint
 from rossec.errors import ConfigurationError
-from rossec.operation.audit_mark import FIRST, Entry, check_beginning, mark
+from rossec.host.audit import FIRST, Entry, check_beginning, mark
 from tests.support.pki import new_signer
 
 BEFORE = "ab" * 32
@@ -55,10 +54,17 @@ def test_a_line_of_another_key(signer: KeySigner) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"before": "cd" * 32}, {"at": 2.0}, {"text": "the audit begins"}, {"key": "zz"}, {"key": 5},
-        {"key": "04" + "00" * 64}, {"signature": "00" * 64}, {"signature": ""}, {"signature": None},
+        {"before": "cd" * 32},
+        {"at": 2.0},
+        {"text": "the audit begins"},
+        {"key": "zz"},
+        {"key": 5},
+        {"key": "04" + "00" * 64},
+        {"signature": "00" * 64},
+        {"signature": ""},
+        {"signature": None},
     ],
-)  # fmt: skip
+)
 def test_a_forged_line(signer: KeySigner, change: Entry) -> None:
     assert "is forged" in str(refusal({**mark(signer, BEFORE, 1.0), **change}))
 

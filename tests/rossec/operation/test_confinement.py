@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from rossec.operation import landlock
-from rossec.operation.confinement import confine_files, confine_processes
+from rossec.host import sandbox
+from rossec.host.confinement import confine_files, confine_processes
 
 # A confined process can write no file, so it records no coverage.
 UNMEASURED = {key: value for key, value in os.environ.items() if not key.startswith("COVERAGE")}
 
 CONFINED = """
 import os, sys, threading
-from rossec.operation.confinement import confine_processes
+from rossec.host.confinement import confine_processes
 if os.getuid() == 0:
     os.setuid(65534)
 executor = confine_processes()
@@ -33,9 +33,8 @@ for start in (os.fork, threading.Thread(target=print).start):
 
 def test_it_can_start_no_process() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", CONFINED],
-        env=UNMEASURED, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [sys.executable, "-c", CONFINED], env=UNMEASURED, capture_output=True, text=True, check=False
+    )
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -60,7 +59,7 @@ def test_a_kernel_that_cannot_confine_files_is_reported(
     def refuse(_: object) -> None:
         raise OSError("no Landlock")
 
-    monkeypatch.setattr(landlock, "read_only", refuse)
+    monkeypatch.setattr(sandbox, "read_only", refuse)
     confine_files([tmp_path])
     assert "can read the files of its user: no Landlock" in caplog.text
 
@@ -68,7 +67,7 @@ def test_a_kernel_that_cannot_confine_files_is_reported(
 FILES = """
 import sys
 from pathlib import Path
-from rossec.operation.confinement import confine_files
+from rossec.host.confinement import confine_files
 own = Path(sys.argv[1])
 confine_files([own])
 assert (own / "node.key").read_bytes()
@@ -87,8 +86,11 @@ def test_it_reads_no_file_beside_its_own(tmp_path: Path) -> None:
         (tmp_path / name).write_text("something")
     done = subprocess.run(
         [sys.executable, "-c", FILES, str(tmp_path / "own")],
-        env=UNMEASURED, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        env=UNMEASURED,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if "can read the files of its user" in done.stderr:
         pytest.skip("NOT RUN: this kernel has no Landlock")
     assert (done.returncode, done.stderr) == (0, "")

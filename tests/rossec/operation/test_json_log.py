@@ -3,7 +3,7 @@ import logging
 
 import pytest
 
-from rossec.operation.json_log import JsonFormatter, log_as_json
+from rossec.host.runner import JsonFormatter, log_as_json
 
 
 def test_a_line_of_the_log_is_json() -> None:

@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from rossec.operation import landlock
+from rossec.host import sandbox
 
 # A confined process can write no file with what was measured in it.
 UNMEASURED = {key: value for key, value in os.environ.items() if not key.startswith("COVERAGE")}
 PROGRAM = """
 import sys, threading
 from pathlib import Path
-from rossec.operation.landlock import read_only
+from rossec.host.sandbox import read_only
 allowed, denied = map(Path, sys.argv[1:])
 opened = denied.open()
 read_only([allowed, allowed / "missing"])
@@ -47,8 +47,11 @@ def test_it_reads_what_is_allowed_and_nothing_else(tmp_path: Path) -> None:
     arguments = [str(tmp_path / "allowed"), str(tmp_path / "secret")]
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, *arguments],
-        capture_output=True, text=True, check=False, env=UNMEASURED,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        env=UNMEASURED,
+    )
     if "Landlock: Function not implemented" in done.stderr or "not supported" in done.stderr:
         pytest.skip("NOT RUN: this kernel has no Landlock")
     assert (done.returncode, done.stderr) == (0, "")
@@ -82,8 +85,8 @@ def test_files_and_directories_are_allowed_for_reading_and_all_else_is_handled(
 ) -> None:
     file, kernel = tmp_path / "file", PlayedKernel()
     file.touch()
-    monkeypatch.setattr(landlock, "LIBC", kernel)
-    landlock.read_only([tmp_path, file, tmp_path / "missing"])
+    monkeypatch.setattr(sandbox, "LIBC", kernel)
+    sandbox.read_only([tmp_path, file, tmp_path / "missing"])
     assert kernel.calls == [
         (444, 0x1FFF),
         (445, kernel.ruleset, 0b1100),
@@ -99,9 +102,9 @@ def test_a_process_that_may_gain_privileges_is_not_confined(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kernel = PlayedKernel(prctl=-1)
-    monkeypatch.setattr(landlock, "LIBC", kernel)
+    monkeypatch.setattr(sandbox, "LIBC", kernel)
     with pytest.raises(OSError, match="prctl"):
-        landlock.read_only([tmp_path])
+        sandbox.read_only([tmp_path])
     assert kernel.calls[-1] == (38, 1)
 
 
@@ -111,6 +114,6 @@ def test_a_kernel_without_it_is_an_error(tmp_path: Path, monkeypatch: pytest.Mon
             ctypes.set_errno(38)
             return -1
 
-    monkeypatch.setattr(landlock, "LIBC", Without())
+    monkeypatch.setattr(sandbox, "LIBC", Without())
     with pytest.raises(OSError, match="Landlock: Function not implemented"):
-        landlock.read_only([tmp_path])
+        sandbox.read_only([tmp_path])

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.operation.process_lock import process_lock
+from rossec.host.local_sockets import process_lock
 
 
 def test_a_second_process_is_refused_until_the_first_ends(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 PROGRAM = """
 import ctypes, os, resource, subprocess, sys
-from rossec.operation.process_memory import is_protected, protect_memory
+from rossec.host.sandbox import is_protected, protect_memory
 assert not is_protected()
 protect_memory()
 assert is_protected()
@@ -23,10 +23,7 @@ PTRACE_SEIZE = 0x4206
 def test_a_protected_process_is_not_read_by_its_user() -> None:
     other_user = 65534 if os.getuid() == 0 else None
     with subprocess.Popen(
-        [sys.executable, "-c", PROGRAM],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        user=other_user,
+        [sys.executable, "-c", PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE, user=other_user
     ) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"ready\n"
@@ -44,7 +41,7 @@ def test_protection_is_for_the_whole_process() -> None:
 
 
 def test_a_kernel_that_refuses_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    from rossec.operation import process_memory
+    from rossec.host import sandbox as process_memory
 
     class Refusing:
         def prctl(self, *_: int) -> int:

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from rossec.operation.reaping import reap
+from rossec.host.runner import reap
 
 
 def sleeping(seconds: float) -> "subprocess.Popen[bytes]":

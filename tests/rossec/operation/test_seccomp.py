@@ -8,15 +8,27 @@ import sys
 
 import pytest
 
-from rossec.operation import seccomp
+from rossec.host import sandbox
 
 KILL, ALLOW, REFUSE = 0x80000000, 0x7FFF0000, 0x00050001
 X86_64, AARCH64 = 0xC000003E, 0xC00000B7
 FORK = 0x01200011
 NEEDED = (
-    "brk", "close", "exit_group", "fstat", "futex", "getrandom", "lseek", "madvise", "mmap",
-    "munmap", "read", "rt_sigaction", "rt_sigprocmask", "write",
-)  # fmt: skip
+    "brk",
+    "close",
+    "exit_group",
+    "fstat",
+    "futex",
+    "getrandom",
+    "lseek",
+    "madvise",
+    "mmap",
+    "munmap",
+    "read",
+    "rt_sigaction",
+    "rt_sigprocmask",
+    "write",
+)
 
 
 def judged(code: bytes, architecture: int, number: int, first: int = 0) -> int:
@@ -37,23 +49,21 @@ def judged(code: bytes, architecture: int, number: int, first: int = 0) -> int:
 
 
 def test_calls_on_the_list_pass_and_others_fail() -> None:
-    code = seccomp.program(["read", "write"], "x86_64")
+    code = sandbox.program(["read", "write"], "x86_64")
     assert [judged(code, X86_64, number) for number in (0, 1)] == [ALLOW, ALLOW]
     for number in (2, 41, 56, 57, 58, 59, 101, 257, 322, 435, 0x40000001):
         assert judged(code, X86_64, number) == REFUSE
 
 
 def test_another_architecture_ends_the_process() -> None:
-    code = seccomp.program(["read"], "x86_64")
+    code = sandbox.program(["read"], "x86_64")
     for architecture in (AARCH64, 0x40000003, 0):
         assert judged(code, architecture, 0) == KILL
 
 
 def test_arm_has_its_own_numbers() -> None:
-    code = seccomp.program(["read", "write", seccomp.FORK], "aarch64")
-    assert [judged(code, AARCH64, number) for number in (63, 64, 0, 1)] == [
-        ALLOW, ALLOW, REFUSE, REFUSE,
-    ]  # fmt: skip
+    code = sandbox.program(["read", "write", sandbox.FORK], "aarch64")
+    assert [judged(code, AARCH64, number) for number in (63, 64, 0, 1)] == [ALLOW, ALLOW, REFUSE, REFUSE]
     assert judged(code, AARCH64, 220, FORK) == ALLOW
     assert judged(code, AARCH64, 221) == REFUSE
 
@@ -62,7 +72,7 @@ def test_arm_has_its_own_numbers() -> None:
     "flags", [0, 17, 0x10000000 | FORK, 0x00010F00, 1 << 32 | FORK, FORK | 0x100, 0x40000000]
 )
 def test_only_a_plain_fork_is_one(flags: int) -> None:
-    code = seccomp.program([seccomp.FORK], "x86_64")
+    code = sandbox.program([sandbox.FORK], "x86_64")
     assert judged(code, X86_64, 56, FORK) == ALLOW
     assert judged(code, X86_64, 56, flags) == REFUSE
     assert judged(code, X86_64, 435) == REFUSE  # clone3: its flags are in memory
@@ -71,19 +81,19 @@ def test_only_a_plain_fork_is_one(flags: int) -> None:
 @pytest.mark.parametrize("machine", ["armv7l", "riscv64", "i686", ""])
 def test_nothing_is_done_on_unknown_machines(machine: str) -> None:
     with pytest.raises(OSError, match="no filter of system calls is known"):
-        seccomp.program(["read"], machine)
+        sandbox.program(["read"], machine)
 
 
 def test_the_numbers_are_those_of_this_kernel() -> None:
     """Each call that glibc makes on its own is one that the table means."""
     assert platform.machine() in ("x86_64", "aarch64")
     column = 0 if platform.machine() == "x86_64" else 1
-    assert len({row[column] for row in seccomp._NUMBERS.values()}) == len(seccomp._NUMBERS)
+    assert len({row[column] for row in sandbox._NUMBERS.values()}) == len(sandbox._NUMBERS)
 
 
 PROGRAM = """
 import ctypes, os, socket, sys, threading
-from rossec.operation import seccomp
+from rossec.host import sandbox
 libc = ctypes.CDLL(None, use_errno=True)
 def tried(what):
     try:
@@ -101,7 +111,7 @@ actions = [
     lambda: os.posix_spawn("/bin/true", ["true"], {}), threading.Thread(target=print).start,
     lambda: os.unlink("/tmp/none"), os.listdir, lambda: os.memfd_create("a"), os.pipe,
 ]
-seccomp.allow_only(sys.argv[1:])
+sandbox.allow_only(sys.argv[1:])
 os.write(1, repr([tried(action) for action in actions]).encode())
 os._exit(0)
 """
@@ -110,11 +120,7 @@ os._exit(0)
 def test_the_kernel_refuses_root_too() -> None:
     """Opening, sockets, processes, threads, signals: everything but what computes."""
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *NEEDED],
-        capture_output=True,
-        check=False,
-        timeout=60,
-        env={},
+        [sys.executable, "-c", PROGRAM, *NEEDED], capture_output=True, check=False, timeout=60, env={}
     )
     assert done.stderr == b""
     first, *others = eval(done.stdout)
@@ -131,8 +137,8 @@ def test_without_filters_in_the_kernel_it_fails(monkeypatch: pytest.MonkeyPatch)
             return -1 if option == self._fails else 0
 
     for option, message in ((38, "prctl"), (22, "seccomp")):
-        monkeypatch.setattr(seccomp, "LIBC", NoKernel(option))
+        monkeypatch.setattr(sandbox, "LIBC", NoKernel(option))
         with pytest.raises(OSError, match=message):
-            seccomp.allow_only(["read"])
-    monkeypatch.setattr(seccomp, "LIBC", NoKernel(0))
-    seccomp.allow_only(["read"])
+            sandbox.allow_only(["read"])
+    monkeypatch.setattr(sandbox, "LIBC", NoKernel(0))
+    sandbox.allow_only(["read"])

@@ -4,7 +4,7 @@ import signal
 
 import pytest
 
-from rossec.operation.shutdown import stop_on_signals, until_first_ends
+from rossec.host.runner import stop_on_signals, until_first_ends
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.operation.systemd import READY, notify
+from rossec.host.runner import READY, notify
 
 
 @pytest.mark.parametrize("abstract", [False, True])

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import ConfigurationError, PeerUserRefused
-from rossec.operation.unix_socket import MAX_PATH, listen_at, raw_socket
+from rossec.host.local_sockets import MAX_PATH, listen_at, raw_socket
 
 
 def test_only_its_owner_may_connect(tmp_path: Path) -> None:

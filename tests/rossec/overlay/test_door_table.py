@@ -6,16 +6,15 @@ import socket
 import pytest
 
 from rossec.errors import RelayRefused
-from rossec.master.state.doors import Target, Way
-from rossec.overlay import doors
-from rossec.overlay.door_table import DoorTable
-from rossec.overlay.doors import OpenDoors
+from rossec.master.state.forwarded_ports import PeerWay, Target
+from rossec.overlay import forwarded_ports
+from rossec.overlay.forwarded_ports import DoorTable, OpenDoors
 
 ROBOT = Target("office", "node", "/robot")
-WAYS = {"office": Way("idle", 0, 0, "", 0)}
+WAYS = {"office": PeerWay("idle", 0, 0, "", 0)}
 
 
-async def carry(door: doors.Door, sock: socket.socket) -> None:
+async def carry(door: forwarded_ports.PeerTarget, sock: socket.socket) -> None:
     """Say what the door stands for."""
     sock.setblocking(True)
     sock.sendall(f"{door.peer} {door.target}".encode())

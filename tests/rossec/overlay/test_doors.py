@@ -9,25 +9,25 @@ from collections.abc import AsyncIterator
 import pytest
 
 from rossec.errors import ConfigurationError, LinkCrowded, StreamRefused
-from rossec.net.aio.dial import dial
-from rossec.overlay import doors as module
-from rossec.overlay.doors import Door, Doors, OpenDoors
-from rossec.overlay.mux_units import NODE, SERVICE, Target
+from rossec.net.aio.client import dial
+from rossec.overlay import forwarded_ports as module
+from rossec.overlay.forwarded_ports import OpenDoors, PeerTarget, RelayPorts
+from rossec.overlay.mux import NODE, SERVICE, StreamTarget
 from rossec.sidecar.callers import Callers
 
-ROBOT = Door("hospital", Target(NODE, "/robot"))
-CLOCK = Door("hospital", Target(SERVICE, "/clock"))
-OTHER = Door("office", Target(NODE, "/robot"))
+ROBOT = PeerTarget("hospital", StreamTarget(NODE, "/robot"))
+CLOCK = PeerTarget("hospital", StreamTarget(SERVICE, "/clock"))
+OTHER = PeerTarget("office", StreamTarget(NODE, "/robot"))
 
 
 class Carrier:
     """Holds connections until the program ends them."""
 
     def __init__(self) -> None:
-        self.doors: list[Door] = []
+        self.doors: list[PeerTarget] = []
         self.error: StreamRefused | None = None
 
-    async def carry(self, door: Door, sock: socket.socket) -> None:
+    async def carry(self, door: PeerTarget, sock: socket.socket) -> None:
         self.doors.append(door)
         sock.setblocking(False)
         with sock:
@@ -41,9 +41,9 @@ class Carrier:
 @contextlib.asynccontextmanager
 async def doors(
     carrier: Carrier, callers: Callers | OpenDoors | None = None, limit: int = 8
-) -> AsyncIterator[tuple[Doors, list[Door]]]:
-    given_up: list[Door] = []
-    found = Doors(callers or Callers({os.getuid()}), carrier.carry, given_up.append, limit)
+) -> AsyncIterator[tuple[RelayPorts, list[PeerTarget]]]:
+    given_up: list[PeerTarget] = []
+    found = RelayPorts(callers or Callers({os.getuid()}), carrier.carry, given_up.append, limit)
     try:
         yield found, given_up
     finally:
@@ -142,9 +142,7 @@ async def test_the_idle_door_asked_for_least_recently_makes_room() -> None:
         second.close()
 
 
-async def test_a_connection_that_cannot_be_carried_is_logged(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_connection_that_cannot_be_carried_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     carrier = Carrier()
     carrier.error = StreamRefused("no link to it", "rossec relay status")
     async with doors(carrier) as (found, _):
@@ -156,9 +154,7 @@ async def test_a_connection_that_cannot_be_carried_is_logged(
     ]
 
 
-async def test_all_that_find_no_room_are_one_line_of_the_log(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_all_that_find_no_room_are_one_line_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
     carrier = Carrier()
     async with doors(carrier) as (found, _):
         for door in (ROBOT, CLOCK, ROBOT):
@@ -170,6 +166,6 @@ async def test_all_that_find_no_room_are_one_line_of_the_log(
 
 
 def test_the_pool_is_as_large_as_the_master_allows() -> None:
-    from rossec.master.state.doors import MAX_DOORS
+    from rossec.master.state.forwarded_ports import MAX_DOORS
 
     assert module.LIMIT == MAX_DOORS

@@ -9,28 +9,21 @@ from typing import Any
 import pytest
 
 from rossec.channel.records import ChannelLimits
-from rossec.errors import (
-    ChannelClosed,
-    ConnectionTruncated,
-    HandshakeTimeout,
-    IdentityRefused,
-    PeerRefused,
-)
+from rossec.errors import ChannelClosed, ConnectionTruncated, HandshakeTimeout, IdentityRefused, PeerRefused
 from rossec.net.aio import serve
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
+from rossec.net.limits import HalfOpen, HalfOpenCount
 from rossec.overlay import endpoint as endpoint_module
-from rossec.overlay.endpoint import OPENS_PER_SECOND, LinkListener, dial_link
+from rossec.overlay.endpoint import OPENS_PER_SECOND, LinkListener, dial_link, idle_round_trip, stats_of
 from rossec.overlay.link_frames import (
     HEAD,
     OPEN_SIZE,
-    Kind,
+    LinkFrameKind,
     head,
+    is_mailbox,
     kind_of,
     return_address,
     split_return_address,
 )
-from rossec.overlay.link_transport import idle_round_trip, stats_of
-from rossec.overlay.mailboxes import is_mailbox
 from tests.support.contexts import context
 from tests.support.frame_carriers import MemoryCarrier
 from tests.support.overlay import carrier, router, until
@@ -46,7 +39,7 @@ Listener = LinkListener[FakeIdentity]
 def opening(number: int, body: bytes = b"\x0c") -> bytes:
     """An OPEN as a stranger makes it, with answers to the victim."""
     address = return_address(VICTIM, OPEN_SIZE - HEAD - len(body))
-    return head(Kind.OPEN, number.to_bytes(16), 0, 0, 1 << 16) + address + body
+    return head(LinkFrameKind.OPEN, number.to_bytes(16), 0, 0, 1 << 16) + address + body
 
 
 @asynccontextmanager
@@ -90,7 +83,7 @@ async def test_answers_arrive_in_a_mailbox_of_the_own_seat() -> None:
 async def test_frames_of_other_links_in_the_mailbox_for_answers_are_nothing() -> None:
     async with listening() as (memory, _), await dial(memory) as stream:
         (answers,) = memory.readers.keys() - {KEY}
-        memory.put(answers, head(Kind.RESET, bytes(16), 0, 0, 0))
+        memory.put(answers, head(LinkFrameKind.RESET, bytes(16), 0, 0, 0))
         memory.put(answers, b"")
         await stream.send(b"still")
         assert await stream.receive() == b"still"
@@ -163,9 +156,7 @@ async def test_closing_the_listener_ends_its_links_at_once() -> None:
         await stream.receive()
 
 
-async def test_so_many_frames_of_strangers_are_looked_at_a_second(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_so_many_frames_of_strangers_are_looked_at_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     async with listening() as (memory, listener):
         now = asyncio.get_running_loop().time()
         monkeypatch.setattr(endpoint_module, "_now", lambda: now)
@@ -182,9 +173,7 @@ async def test_so_many_frames_of_strangers_are_looked_at_a_second(
             assert await stream.receive() == b"x"
 
 
-async def test_unfinished_handshakes_of_a_mailbox_are_limited(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_unfinished_handshakes_of_a_mailbox_are_limited(caplog: pytest.LogCaptureFixture) -> None:
     caps = HalfOpenCount(HalfOpen(per_address=3))
     async with listening(half_open=caps) as (memory, listener):
         good = await dial(memory)
@@ -204,7 +193,7 @@ async def test_a_forged_answer_address_does_not_amplify() -> None:
     async with listening(limits=IMPATIENT) as (memory, listener):
         first = await dial(memory)
         await first.close()
-        ((_, real),) = memory.sent(Kind.OPEN)
+        ((_, real),) = memory.sent(LinkFrameKind.OPEN)
         _, message_1 = split_return_address(memoryview(real)[HEAD:])
         memory.frames.clear()
         frame = opening(7, bytes(message_1))
@@ -220,7 +209,7 @@ async def test_a_forged_answer_address_does_not_amplify() -> None:
 async def test_what_is_no_link_has_no_effect(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     async with listening() as (memory, listener):
-        for kind in (Kind.DATA, Kind.ACK, Kind.RESET, Kind.END):
+        for kind in (LinkFrameKind.DATA, LinkFrameKind.ACK, LinkFrameKind.RESET, LinkFrameKind.END):
             memory.put(KEY, head(kind, bytes(16), 0, 0, 0) + b"x")
         memory.put(KEY, b"\x01")
         memory.put(KEY, b"")
@@ -234,15 +223,15 @@ async def test_what_is_no_link_has_no_effect(caplog: pytest.LogCaptureFixture) -
 
 async def test_who_asks_for_a_link_that_is_unknown_is_told() -> None:
     async with listening() as (memory, _):
-        probe = head(Kind.PROBE, bytes(16), 0, 0, 0) + return_address(VICTIM, OPEN_SIZE - HEAD)
+        probe = head(LinkFrameKind.PROBE, bytes(16), 0, 0, 0) + return_address(VICTIM, OPEN_SIZE - HEAD)
         memory.put(KEY, probe)
-        await until(lambda: memory.sent(Kind.RESET))
-        ((key, answer),) = memory.sent(Kind.RESET)
+        await until(lambda: memory.sent(LinkFrameKind.RESET))
+        ((key, answer),) = memory.sent(LinkFrameKind.RESET)
         assert key == VICTIM
         assert len(answer) < len(probe)
-        memory.put(KEY, head(Kind.PROBE, bytes(16), 0, 0, 0))  # says nothing of where to answer
+        memory.put(KEY, head(LinkFrameKind.PROBE, bytes(16), 0, 0, 0))  # says nothing of where to answer
         await asyncio.sleep(0.01)
-        assert len(memory.sent(Kind.RESET)) == 1
+        assert len(memory.sent(LinkFrameKind.RESET)) == 1
 
 
 async def test_frames_that_are_lost_twice_or_late_change_nothing() -> None:
@@ -251,7 +240,7 @@ async def test_frames_that_are_lost_twice_or_late_change_nothing() -> None:
     def fate(_key: str, frame: bytes) -> int:
         nonlocal count
         count += 1
-        return 0 if count % 5 == 0 else 1 + (kind_of(frame) == Kind.DATA)
+        return 0 if count % 5 == 0 else 1 + (kind_of(frame) == LinkFrameKind.DATA)
 
     async with listening() as (memory, _):
         memory.fate = fate
@@ -281,9 +270,10 @@ async def test_a_slow_receiver_leaves_other_links_at_their_pace() -> None:
 
     with router() as locator:
         async with (
-            carrier(locator) as mine, carrier(locator) as theirs,
+            carrier(locator) as mine,
+            carrier(locator) as theirs,
             LinkListener(theirs, KEY, context(BOB), slow_or_echo),
-        ):  # fmt: skip
+        ):
             slow, quick = [await dial_link(mine, KEY, "open", context(ALICE)) for _ in range(2)]
             await slow.send(b"slow")
             flooding = asyncio.get_running_loop().create_task(flood(slow))

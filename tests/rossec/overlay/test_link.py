@@ -3,10 +3,9 @@
 import pytest
 
 from rossec.errors import LinkEnded
-from rossec.overlay.link import Link
-from rossec.overlay.link_frames import HEAD, OPEN_SIZE, Kind
-from rossec.overlay.link_states import LinkState
-from rossec.overlay.link_timing import KEEPALIVE, SILENCE
+from rossec.overlay.link import Link, LinkState
+from rossec.overlay.link_frames import HEAD, OPEN_SIZE, LinkFrameKind
+from rossec.overlay.link_halves import KEEPALIVE, SILENCE
 from tests.support.linknet import ID, REPLY, LinkNetwork, opened
 
 
@@ -79,15 +78,15 @@ def test_small_messages_are_acknowledged_by_the_answer() -> None:
             network.write(end, b"ping")
             network.run(network.agreed)
     kinds = [kind for end in network.ends for kind in end.kinds]
-    assert kinds.count(Kind.DATA) == 40
-    assert kinds.count(Kind.ACK) == 0
+    assert kinds.count(LinkFrameKind.DATA) == 40
+    assert kinds.count(LinkFrameKind.ACK) == 0
 
 
 def test_what_is_not_answered_is_acknowledged_soon() -> None:
     network = opened()
     network.write(network.caller, b"alone")
     network.pass_time(0.05)
-    assert network.called.kinds[-1] is Kind.ACK
+    assert network.called.kinds[-1] is LinkFrameKind.ACK
 
 
 def test_a_loss_is_noticed_by_what_follows_and_only_it_is_sent_again() -> None:
@@ -109,7 +108,7 @@ def test_a_lost_tail_is_asked_for() -> None:
     network.cut = False
     assert network.run(network.agreed) < 0.3
     assert network.caller.at().stats.retransmissions == 3
-    assert Kind.PROBE in network.caller.kinds
+    assert LinkFrameKind.PROBE in network.caller.kinds
 
 
 @pytest.mark.parametrize("seconds", [0.3, 1.0, 3.0, 10.0, 25.0])
@@ -135,7 +134,7 @@ def test_a_link_without_progress_is_over() -> None:
     assert network.caller.at().deadline() is None
     network.caller.at().tick(network.now)
     (last,) = network.caller.at().frames_to_send(network.now)
-    assert last[0] == Kind.RESET
+    assert last[0] == LinkFrameKind.RESET
 
 
 def test_an_idle_link_lives_and_asks_now_and_then() -> None:
@@ -144,7 +143,7 @@ def test_an_idle_link_lives_and_asks_now_and_then() -> None:
         end.kinds.clear()
     network.pass_time(600)
     kinds = [kind for end in network.ends for kind in end.kinds]
-    assert set(kinds) == {Kind.PROBE, Kind.ACK}
+    assert set(kinds) == {LinkFrameKind.PROBE, LinkFrameKind.ACK}
     assert len(kinds) <= 4 * 600 / KEEPALIVE
     network.write(network.called, b"still there")
     network.run(network.agreed)

@@ -4,10 +4,9 @@ import pytest
 
 from rossec.errors import LinkEnded
 from rossec.overlay import link_frames
-from rossec.overlay.link import Link
-from rossec.overlay.link_frames import Kind
-from rossec.overlay.link_states import LinkState
-from rossec.overlay.link_timing import LINGER, SILENCE
+from rossec.overlay.link import Link, LinkState
+from rossec.overlay.link_frames import LinkFrameKind
+from rossec.overlay.link_halves import LINGER, SILENCE
 from tests.support.linknet import ID, REPLY, frame, opened
 
 
@@ -27,7 +26,7 @@ def test_both_sides_end() -> None:
     assert network.caller.at().peer_ended
     network.caller.at().write(b"too late", network.now)
     assert network.caller.at().frames_to_send(network.now) == []
-    assert network.caller.at().receive(frame(Kind.DATA, body=b"late"), network.now) == []
+    assert network.caller.at().receive(frame(LinkFrameKind.DATA, body=b"late"), network.now) == []
 
 
 def test_a_side_that_ended_does_not_wait_for_ever_for_the_other() -> None:
@@ -67,7 +66,7 @@ def test_an_open_that_nobody_answered_ends_at_once() -> None:
     link.frames_to_send(0.0)
     link.finish(0.1)
     assert link.state is LinkState.RESET
-    assert [sent[0] for sent in link.frames_to_send(0.1)] == [Kind.RESET]
+    assert [sent[0] for sent in link.frames_to_send(0.1)] == [LinkFrameKind.RESET]
 
 
 def test_a_reset_ends_both_sides_and_is_not_answered() -> None:
@@ -88,11 +87,11 @@ def test_a_reset_ends_both_sides_and_is_not_answered() -> None:
     ("forged", "reason"),
     [
         (b"", "forbidden length"),
-        (frame(Kind.DATA, body=b"x", link=bytes(16)), "another link"),
-        (frame(Kind.DATA, offset=1 << 40, body=b"x"), "more than it was allowed"),
-        (frame(Kind.ACK, received=1 << 40), "not sent"),
-        (frame(Kind.END, offset=2), "before its end"),
-        (frame(Kind.OPEN, body=link_frames.return_address(REPLY[:-1] + "b", 600)), "another OPEN"),
+        (frame(LinkFrameKind.DATA, body=b"x", link=bytes(16)), "another link"),
+        (frame(LinkFrameKind.DATA, offset=1 << 40, body=b"x"), "more than it was allowed"),
+        (frame(LinkFrameKind.ACK, received=1 << 40), "not sent"),
+        (frame(LinkFrameKind.END, offset=2), "before its end"),
+        (frame(LinkFrameKind.OPEN, body=link_frames.return_address(REPLY[:-1] + "b", 600)), "another OPEN"),
     ],
     ids=["empty", "link", "limit", "acknowledgement", "end", "open"],
 )
@@ -101,20 +100,24 @@ def test_what_no_peer_sends_ends_the_link_and_says_so(forged: bytes, reason: str
     with pytest.raises(LinkEnded, match=reason):
         called.receive(forged, 1.0)
     assert called.state is LinkState.RESET
-    assert [sent[0] for sent in called.frames_to_send(1.0)] == [Kind.RESET]
+    assert [sent[0] for sent in called.frames_to_send(1.0)] == [LinkFrameKind.RESET]
 
 
 def test_an_answer_to_a_link_that_was_not_opened_is_refused() -> None:
     link = Link.open(ID, REPLY, 0.0)
     with pytest.raises(LinkEnded, match="not opened"):
-        link.receive(frame(Kind.ACK), 0.0)
+        link.receive(frame(LinkFrameKind.ACK), 0.0)
 
 
-@pytest.mark.parametrize("first", [
-    frame(Kind.DATA, body=b"x"),
-    frame(Kind.OPEN, offset=1, body=link_frames.return_address(REPLY, 600)),
-    frame(Kind.OPEN, body=link_frames.return_address("rossec/1/open/*", 600)),
-], ids=["data", "offset", "wildcard"])  # fmt: skip
+@pytest.mark.parametrize(
+    "first",
+    [
+        frame(LinkFrameKind.DATA, body=b"x"),
+        frame(LinkFrameKind.OPEN, offset=1, body=link_frames.return_address(REPLY, 600)),
+        frame(LinkFrameKind.OPEN, body=link_frames.return_address("rossec/1/open/*", 600)),
+    ],
+    ids=["data", "offset", "wildcard"],
+)
 def test_a_link_begins_with_an_open_in_form(first: bytes) -> None:
     with pytest.raises(LinkEnded):
         Link.accept(first, 0.0)

@@ -7,40 +7,38 @@ import pytest
 
 from rossec.errors import LinkEnded
 from rossec.overlay import link_frames as frames
-from rossec.overlay.link_frames import HEAD, MAX_BODY, MAX_FRAME, MAX_RANGES, OPEN_SIZE, Kind
+from rossec.overlay.link_frames import HEAD, MAX_BODY, MAX_FRAME, MAX_RANGES, OPEN_SIZE, LinkFrameKind
 from tests.support.linknet import ID, REPLY
 
 BODIES = {
-    Kind.OPEN: frames.return_address(REPLY, OPEN_SIZE - HEAD) + b"first bytes",
-    Kind.DATA: b"bytes",
-    Kind.ACK: frames.pack_ranges([(20, 30), (40, 50)]),
-    Kind.RESET: b"",
-    Kind.END: b"",
-    Kind.PROBE: frames.return_address(REPLY, 0),
+    LinkFrameKind.OPEN: frames.return_address(REPLY, OPEN_SIZE - HEAD) + b"first bytes",
+    LinkFrameKind.DATA: b"bytes",
+    LinkFrameKind.ACK: frames.pack_ranges([(20, 30), (40, 50)]),
+    LinkFrameKind.RESET: b"",
+    LinkFrameKind.END: b"",
+    LinkFrameKind.PROBE: frames.return_address(REPLY, 0),
 }
 KINDS = sorted(BODIES)
 
 
 def written(kind: int, body: bytes | None = None, offset: int = 50) -> bytes:
-    return frames.head(Kind(kind), ID, offset, 10, 99) + (
-        BODIES[Kind(kind)] if body is None else body
+    return frames.head(LinkFrameKind(kind), ID, offset, 10, 99) + (
+        BODIES[LinkFrameKind(kind)] if body is None else body
     )
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-def test_a_frame_is_read_as_it_was_written(kind: Kind) -> None:
+def test_a_frame_is_read_as_it_was_written(kind: LinkFrameKind) -> None:
     data = written(kind)
     frame = frames.read(data)
-    assert (frame.kind, frame.link, frame.offset, frame.received, frame.limit) == (
-        kind, ID, 50, 10, 99,
-    )  # fmt: skip
+    assert (frame.kind, frame.link, frame.offset, frame.received, frame.limit) == (kind, ID, 50, 10, 99)
     assert frame.body == BODIES[kind]
     assert frames.link_of(data) == ID
     assert frames.kind_of(data) == kind
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-def test_half_a_head_is_no_frame(kind: Kind) -> None:
+def test_half_a_head_is_no_frame(kind: LinkFrameKind) -> None:
     data = written(kind)
     for length in range(HEAD):
         with pytest.raises(LinkEnded, match="length"):
@@ -49,7 +47,7 @@ def test_half_a_head_is_no_frame(kind: Kind) -> None:
 
 
 def test_what_is_too_long_is_no_frame() -> None:
-    longest = written(Kind.DATA, bytes(MAX_BODY))
+    longest = written(LinkFrameKind.DATA, bytes(MAX_BODY))
     assert len(longest) == MAX_FRAME
     assert len(frames.read(longest).body) == MAX_BODY
     with pytest.raises(LinkEnded, match="length"):
@@ -60,12 +58,16 @@ def test_what_is_too_long_is_no_frame() -> None:
 @pytest.mark.parametrize(
     ("kind", "size"),
     [
-        (Kind.OPEN, OPEN_SIZE - HEAD - 1), (Kind.DATA, 0), (Kind.ACK, 16 * MAX_RANGES + 16),
-        (Kind.RESET, 1), (Kind.END, 1), (Kind.PROBE, OPEN_SIZE + 1),
+        (LinkFrameKind.OPEN, OPEN_SIZE - HEAD - 1),
+        (LinkFrameKind.DATA, 0),
+        (LinkFrameKind.ACK, 16 * MAX_RANGES + 16),
+        (LinkFrameKind.RESET, 1),
+        (LinkFrameKind.END, 1),
+        (LinkFrameKind.PROBE, OPEN_SIZE + 1),
     ],
     ids=["OPEN", "DATA", "ACK", "RESET", "END", "PROBE"],
-)  # fmt: skip
-def test_a_body_has_a_length_of_its_kind(kind: Kind, size: int) -> None:
+)
+def test_a_body_has_a_length_of_its_kind(kind: LinkFrameKind, size: int) -> None:
     with pytest.raises(LinkEnded, match="length that its kind cannot have"):
         frames.read(written(kind, bytes(size)))
 
@@ -73,12 +75,12 @@ def test_a_body_has_a_length_of_its_kind(kind: Kind, size: int) -> None:
 @pytest.mark.parametrize("kind", [0, 7, 255])
 def test_another_kind_is_refused(kind: int) -> None:
     with pytest.raises(LinkEnded, match="unknown kind"):
-        frames.read(bytes((kind,)) + written(Kind.DATA)[1:])
+        frames.read(bytes((kind,)) + written(LinkFrameKind.DATA)[1:])
 
 
 @pytest.mark.parametrize("place", [17, 25, 33], ids=["offset", "received", "limit"])
 def test_an_offset_that_no_link_reaches_is_refused(place: int) -> None:
-    data = bytearray(written(Kind.DATA))
+    data = bytearray(written(LinkFrameKind.DATA))
     data[place] = 0x80
     with pytest.raises(LinkEnded, match="no link reaches"):
         frames.read(bytes(data))
@@ -123,10 +125,10 @@ def test_padding_carries_nothing() -> None:
 
 
 def test_ranges_are_read_as_they_were_written() -> None:
-    assert frames.read_ranges(frames.read(written(Kind.ACK))) == [(20, 30), (40, 50)]
+    assert frames.read_ranges(frames.read(written(LinkFrameKind.ACK))) == [(20, 30), (40, 50)]
     many = [(100 * at, 100 * at + 1) for at in range(1, 2 * MAX_RANGES)]
     body = frames.pack_ranges(many)
-    assert frames.read_ranges(frames.read(written(Kind.ACK, body, 10**6))) == many[:MAX_RANGES]
+    assert frames.read_ranges(frames.read(written(LinkFrameKind.ACK, body, 10**6))) == many[:MAX_RANGES]
 
 
 @pytest.mark.parametrize(
@@ -136,19 +138,16 @@ def test_ranges_are_read_as_they_were_written() -> None:
 )
 def test_ranges_out_of_order_are_refused(ranges: list[tuple[int, int]]) -> None:
     with pytest.raises(LinkEnded, match="out of order"):
-        frames.read_ranges(frames.read(written(Kind.ACK, frames.pack_ranges(ranges))))
+        frames.read_ranges(frames.read(written(LinkFrameKind.ACK, frames.pack_ranges(ranges))))
 
 
 def test_half_a_range_is_refused() -> None:
     with pytest.raises(LinkEnded, match="half a range"):
-        frames.read_ranges(frames.read(written(Kind.ACK, bytes(24))))
+        frames.read_ranges(frames.read(written(LinkFrameKind.ACK, bytes(24))))
 
 
 def test_a_frame_is_joined_of_pieces() -> None:
-    assert (
-        frames.joined(b"head", [b"one", bytearray(b"two"), memoryview(b"three")])
-        == b"headonetwothree"
-    )
+    assert frames.joined(b"head", [b"one", bytearray(b"two"), memoryview(b"three")]) == b"headonetwothree"
 
 
 SPECIFICATION = Path(__file__).parents[3] / "docs" / "spec" / "overlay.md"
@@ -157,10 +156,10 @@ ROW = re.compile(r"^\| (\d) \| ([A-Z]+) \|.*\| (\d+)(?: \.\. (\d+))?[^|]*\|$", r
 
 def test_the_specification_has_these_kinds_and_lengths() -> None:
     found = ROW.findall(SPECIFICATION.read_text())
-    assert {name: int(number) for number, name, _, _ in found} == dict(Kind.__members__)
+    assert {name: int(number) for number, name, _, _ in found} == dict(LinkFrameKind.__members__)
     for _, name, shortest, longest in found:
         for size in {int(shortest), int(longest or shortest)}:
-            assert len(frames.read(written(Kind[name], bytes(size))).body) == size
+            assert len(frames.read(written(LinkFrameKind[name], bytes(size))).body) == size
         for size in {int(shortest) - 1, int(longest or shortest) + 1} - {-1}:
             with pytest.raises(LinkEnded):
-                frames.read(written(Kind[name], bytes(size)))
+                frames.read(written(LinkFrameKind[name], bytes(size)))

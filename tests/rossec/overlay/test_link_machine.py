@@ -8,8 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from rossec.overlay.link import AMPLIFICATION
-from rossec.overlay.link_states import LinkState
+from rossec.overlay.link import AMPLIFICATION, LinkState
 from tests.support.linknet import End, LinkNetwork
 
 SIDES = st.sampled_from(["caller", "called"])

@@ -3,8 +3,7 @@
 import pytest
 
 from rossec.errors import LinkEnded
-from rossec.overlay.link_receiver import ACK_DELAY, Receiver
-from rossec.overlay.link_timing import FIRST_WINDOW, MOST_WINDOW
+from rossec.overlay.link_halves import ACK_DELAY, FIRST_WINDOW, MOST_WINDOW, Receiver
 
 STREAM = bytes(range(256)) * 16
 

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from rossec.overlay.link_states import ENDED, NEXT, OPEN, LinkState
+from rossec.overlay.link import ENDED, NEXT, OPEN, LinkState
 
 
 def test_every_state_is_reached_and_only_ends_are_final() -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.overlay.link_timing import (
+from rossec.overlay.link_halves import (
     FIRST_WINDOW,
     LEAST_WAIT,
     LEAST_WINDOW,
@@ -37,9 +37,7 @@ def test_an_answer_may_take_four_round_trips(srtt: float, wait: float) -> None:
     ("srtt", "silence", "pause"),
     [(0.0, 0.0, LEAST_WAIT), (0.0, 4.0, 0.5), (0.5, 0.0, 1.0), (0.0, 29.0, MOST_WAIT)],
 )
-def test_who_is_silent_is_asked_more_and_more_seldom(
-    srtt: float, silence: float, pause: float
-) -> None:
+def test_who_is_silent_is_asked_more_and_more_seldom(srtt: float, silence: float, pause: float) -> None:
     trip = RoundTrip()
     trip.srtt_s = srtt
     assert trip.again(silence) == pytest.approx(pause)

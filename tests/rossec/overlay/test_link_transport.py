@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from rossec.overlay import link_transport as link_transport_module
+from rossec.overlay import endpoint as link_transport_module
+from rossec.overlay.endpoint import LinkTransport
 from rossec.overlay.link import Link
-from rossec.overlay.link_frames import Kind, kind_of
-from rossec.overlay.link_transport import LinkTransport
+from rossec.overlay.link_frames import LinkFrameKind, kind_of
 from tests.support.frame_carriers import MemoryCarrier
 from tests.support.overlay import until
 
@@ -117,7 +117,7 @@ async def test_a_reader_that_pauses_closes_the_window(pair: Pair) -> None:
     await asyncio.sleep(0.05)
     assert pair.bob.got == b""
     assert not pair.a.writable
-    sent = sum(len(frame) for _, frame in pair.carrier.sent(Kind.DATA))
+    sent = sum(len(frame) for _, frame in pair.carrier.sent(LinkFrameKind.DATA))
     assert sent < 6 << 20
     pair.b.resume_reading()
     await until(lambda: len(pair.bob.got) == 20 << 20)
@@ -134,7 +134,7 @@ async def test_one_side_ends_while_the_other_goes_on(pair: Pair) -> None:
     await until(lambda: "lost" in pair.alice.events)
     assert pair.a.closed
     assert pair.b.closed
-    assert pair.carrier.sent(Kind.RESET) == []
+    assert pair.carrier.sent(LinkFrameKind.RESET) == []
 
 
 async def test_an_end_is_seen_only_after_what_was_before_it(pair: Pair) -> None:
@@ -177,7 +177,7 @@ async def test_an_abort_is_told(pair: Pair) -> None:
     assert "reset" in str(pair.b.reason)
     assert pair.b.reason is not None
     assert pair.b.reason.__traceback__ is None
-    assert len(pair.carrier.sent(Kind.RESET)) == 1
+    assert len(pair.carrier.sent(LinkFrameKind.RESET)) == 1
     for late in (pair.a, pair.b):
         late.write(b"late")
         late.write_eof()
@@ -219,7 +219,7 @@ async def test_what_is_lost_is_sent_again(pair: Pair) -> None:
 
     def fate(_key: str, frame: bytes) -> int:
         nonlocal lost
-        first = kind_of(frame) == Kind.DATA and not lost
+        first = kind_of(frame) == LinkFrameKind.DATA and not lost
         lost += first
         return 0 if first else 2
 
@@ -232,12 +232,12 @@ async def test_what_is_lost_is_sent_again(pair: Pair) -> None:
 
 async def test_many_frames_of_a_turn_are_acknowledged_together(pair: Pair) -> None:
     await asyncio.sleep(0.05)
-    before = len(pair.carrier.sent(Kind.ACK))
+    before = len(pair.carrier.sent(LinkFrameKind.ACK))
     for _ in range(30):
         pair.a.write(bytes(2000))
     await until(lambda: len(pair.bob.got) == 60_000)
     await asyncio.sleep(0.05)
-    assert len(pair.carrier.sent(Kind.ACK)) - before <= 3
+    assert len(pair.carrier.sent(LinkFrameKind.ACK)) - before <= 3
 
 
 async def test_a_caller_that_is_not_validated_is_sent_three_times_as_much() -> None:
@@ -277,9 +277,7 @@ async def test_a_session_in_which_others_are_heard_is_kept(
     assert pair.carrier.reopened == 0
 
 
-async def test_a_link_without_progress_is_given_up(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_link_without_progress_is_given_up(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     pair.carrier.fate = lambda _key, _frame: 0
     pair.a.write(b"x")
     loop = asyncio.get_running_loop()
@@ -292,9 +290,7 @@ async def test_a_link_without_progress_is_given_up(
     await until(lambda: "lost" in pair.alice.events)
 
 
-async def test_a_crash_of_the_link_passes_nothing_more(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_crash_of_the_link_passes_nothing_more(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     def crash(*_: object) -> None:
         raise ValueError("a bug")
 

@@ -7,14 +7,14 @@ import pytest
 from rossec.errors import LinkEnded
 from rossec.overlay import link_frames
 from rossec.overlay.link import AMPLIFICATION, Link
-from rossec.overlay.link_frames import HEAD, OPEN_SIZE, Kind, refusal
-from rossec.overlay.link_timing import KEEPALIVE, SILENCE
+from rossec.overlay.link_frames import HEAD, OPEN_SIZE, LinkFrameKind, refusal
+from rossec.overlay.link_halves import KEEPALIVE, SILENCE
 from tests.support.linknet import REPLY, LinkNetwork, frame, opened
 
 
 def test_an_open_with_a_forged_reply_key_is_not_amplified() -> None:
     """The called side answers as much as it likes; the mailbox it is sent to is silent."""
-    first = frame(Kind.OPEN, body=link_frames.return_address(REPLY, OPEN_SIZE - HEAD))
+    first = frame(LinkFrameKind.OPEN, body=link_frames.return_address(REPLY, OPEN_SIZE - HEAD))
     link = Link.accept(first, 0.0)
     link.receive(first, 0.0)
     link.write(bytes(100_000), 0.0)
@@ -75,9 +75,16 @@ def test_a_probe_of_an_unknown_link_is_refused_where_it_says() -> None:
         link.receive(reset, moment)
 
 
-@pytest.mark.parametrize("unknown", [
-    frame(Kind.DATA, body=b"x"), frame(Kind.ACK), frame(Kind.RESET), frame(Kind.PROBE),
-    frame(Kind.PROBE, body=link_frames.return_address("rossec/**", 0)),
-], ids=["data", "ack", "reset", "probe", "wildcard"])  # fmt: skip
+@pytest.mark.parametrize(
+    "unknown",
+    [
+        frame(LinkFrameKind.DATA, body=b"x"),
+        frame(LinkFrameKind.ACK),
+        frame(LinkFrameKind.RESET),
+        frame(LinkFrameKind.PROBE),
+        frame(LinkFrameKind.PROBE, body=link_frames.return_address("rossec/**", 0)),
+    ],
+    ids=["data", "ack", "reset", "probe", "wildcard"],
+)
 def test_nothing_else_of_an_unknown_link_is_answered(unknown: bytes) -> None:
     assert refusal(unknown) is None

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.overlay.mailboxes import is_mailbox, is_seat, mailbox
+from rossec.overlay.link_frames import is_mailbox, is_seat, mailbox
 
 BOX = bytes(range(16))
 KEY = "rossec/1/home/000102030405060708090a0b0c0d0e0f"
@@ -15,9 +15,18 @@ def test_a_mailbox_has_a_seat_and_a_random_box() -> None:
 
 @pytest.mark.parametrize(
     "key",
-    ["", KEY + "0", KEY[:-1], KEY.upper(), f"{KEY}\n", KEY.replace("home", "ho me"), f"x{KEY}",
-     KEY.replace("home", "**"), KEY.replace("home", "a" * 33)],
-)  # fmt: skip
+    [
+        "",
+        KEY + "0",
+        KEY[:-1],
+        KEY.upper(),
+        f"{KEY}\n",
+        KEY.replace("home", "ho me"),
+        f"x{KEY}",
+        KEY.replace("home", "**"),
+        KEY.replace("home", "a" * 33),
+    ],
+)
 def test_nothing_else_is_a_mailbox(key: str) -> None:
     assert not is_mailbox(key)
 

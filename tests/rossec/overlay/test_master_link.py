@@ -8,13 +8,13 @@ import pytest
 
 from ca.certificates import Identity
 from rossec.errors import RelayRefused, StreamRefused
-from rossec.master.state.doors import Door, Target, Way
+from rossec.host.runner import TaskSet
+from rossec.master.state.forwarded_ports import Door, PeerWay, Target
 from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureStream, WireProtocol, connect
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.rpc import client as rpc_client
-from rossec.overlay import master_link
-from rossec.overlay.master_link import MasterLink
+from rossec.net.rpc import calls as rpc_client
+from rossec.overlay import masters
+from rossec.overlay.masters import MasterLink
 from rossec.ros.xmlrpc import Fault
 from tests.rossec.master.world import World, until
 from tests.support.contexts import unlimited
@@ -44,8 +44,8 @@ class Table:
         dropped, self.dropped = self.dropped, set()
         return dropped
 
-    def ways(self) -> Mapping[str, Way]:
-        return {"office": Way("up", 12.5, 3, "tls/r:7447", 2)}
+    def ways(self) -> Mapping[str, PeerWay]:
+        return {"office": PeerWay("up", 12.5, 3, "tls/r:7447", 2)}
 
 
 class Relay:
@@ -102,7 +102,7 @@ async def test_doors_are_opened_told_and_released(relay: Relay, tasks: TaskSet) 
     doors.want("office", [ROBOT, CLOCK])
     await until(lambda: doors.door(CLOCK) is not None)
     assert relay.table.open_for == {ROBOT: "/master", CLOCK: "/master"}
-    assert doors.way("office") == ("/relay", Way("up", 12.5, 3, "tls/r:7447", 2))
+    assert doors.way("office") == ("/relay", PeerWay("up", 12.5, 3, "tls/r:7447", 2))
     assert relay.masters == {"/master/kitchen": "http://kitchen:11311/"}
     doors.want("office", [CLOCK])
     await until(lambda: relay.table.open_for == {CLOCK: "/master"})
@@ -137,9 +137,7 @@ async def test_a_door_of_a_peer_that_was_removed_and_is_back_is_opened_again(
     await until(lambda: doors.door(ROBOT) == Door("127.0.0.1", 8006))
 
 
-async def test_the_connection_is_made_again_and_doors_are_told_anew(
-    relay: Relay, tasks: TaskSet
-) -> None:
+async def test_the_connection_is_made_again_and_doors_are_told_anew(relay: Relay, tasks: TaskSet) -> None:
     doors = relay.world.server.state.doors
     tasks.spawn(relay.link.run(), "link")
     doors.want("office", [ROBOT])
@@ -173,9 +171,7 @@ async def test_targets_are_asked_for(relay: Relay) -> None:
     assert relay.dialled == 1
 
 
-async def test_targets_are_asked_for_on_a_new_connection_when_the_old_one_has_ended(
-    relay: Relay,
-) -> None:
+async def test_targets_are_asked_for_on_a_new_connection_when_the_old_one_has_ended(relay: Relay) -> None:
     found = await relay.link.target("", "master", "/master")
     await next(iter(relay.world.server.state.streams)).close()
     assert await relay.link.target("", "master", "/master") == found
@@ -188,7 +184,7 @@ async def test_a_master_that_knows_no_relays_is_reported(
         raise Fault(1, f'method "{method}" is not supported')
 
     monkeypatch.setattr(rpc_client.RpcClient, "ask", unknown)
-    monkeypatch.setattr(master_link, "OLD_MASTER", 0.01)
+    monkeypatch.setattr(masters, "OLD_MASTER", 0.01)
     tasks.spawn(relay.link.run(), "link")
     await until(lambda: "it is older than this relay, update it" in relay.link.error)
     await until(lambda: relay.dialled > 1)

@@ -6,21 +6,19 @@ from pathlib import Path
 import pytest
 
 from ca.errors import HintedError
-from rossec.master.state.doors import Target, Way
-from rossec.overlay import doors
-from rossec.overlay.door_table import DoorTable
-from rossec.overlay.doors import OpenDoors
-from rossec.overlay.masters import OwnMasters
-from rossec.overlay.member import RelayMember
+from rossec.master.state.forwarded_ports import PeerWay, Target
+from rossec.overlay import forwarded_ports
+from rossec.overlay.forwarded_ports import DoorTable, OpenDoors
+from rossec.overlay.masters import OwnMasters, RelayMember
 from tests.support.masters import Master, masters
 from tests.support.site import Site
 from tests.support.witness import until
 
 KITCHEN = "/master/kitchen"
-WAYS = {"office": Way("idle", 0, 0, "", 0)}
+WAYS = {"office": PeerWay("idle", 0, 0, "", 0)}
 
 
-async def carry(_: doors.Door, sock: object) -> None:
+async def carry(_: forwarded_ports.PeerTarget, sock: object) -> None:
     raise AssertionError("no door is used here")
 
 
@@ -42,9 +40,9 @@ async def mesh(tmp_path: Path) -> AsyncIterator[Mesh]:
     site = Site(tmp_path)
     site.enroll("/relay")
     async with masters(site, "/master", KITCHEN) as (hall, kitchen):
-        member = RelayMember("/relay", {
-            "ROSSEC_HOME": str(tmp_path), "ROS_MASTER_URI": hall.server.uri, "ROS_IP": "127.0.0.1",
-        })  # fmt: skip
+        member = RelayMember(
+            "/relay", {"ROSSEC_HOME": str(tmp_path), "ROS_MASTER_URI": hall.server.uri, "ROS_IP": "127.0.0.1"}
+        )
         member.start()
         await until(lambda: member.is_connected)
         table = DoorTable(OpenDoors("127.0.0.1"), carry, lambda: WAYS)
@@ -116,7 +114,7 @@ async def test_lists_are_asked_for_as_soon_as_the_master_has_them(
     mesh: Mesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rossec.master.server.answers.WATCH_WAIT", 600.0)
-    monkeypatch.setattr("rossec.participant.master_session.HEARTBEAT", 600.0)
+    monkeypatch.setattr("rossec.participant.membership.HEARTBEAT", 600.0)
     await until(lambda: mesh.masters.status().get("/master") == "")
     mesh.hall.take_list(mesh.hall.site.revoke(bytes(32)))
     await until(lambda: bytes(32) in mesh.member.standing.own.entries, within=8)

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import Identity
-from ca.domains.anchors import Anchors
+from ca.domains.trust import Anchors
 from ca.errors import CAError, NotAdmitted, RevocationsStale, Revoked
 from rossec.errors import ChannelClosed, ConfigurationError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
-from rossec.overlay.member import RelayMember
+from rossec.overlay.masters import RelayMember
 from tests.support.relayedsites import RelayedSite, Wires, tell
 from tests.support.witness import until
 
@@ -23,9 +23,7 @@ class World:
 
     def __init__(self, root: Path) -> None:
         wires = Wires()
-        self.home, self.office = (
-            RelayedSite(root / each, each, wires) for each in ("home", "office")
-        )
+        self.home, self.office = (RelayedSite(root / each, each, wires) for each in ("home", "office"))
         self.member: RelayMember
         self.links: list[SecureStream[Identity]] = []
         self.errors: list[BaseException] = []
@@ -34,10 +32,14 @@ class World:
         for one, other in ((self.home, self.office), (self.office, self.home)):
             one.trust(other)
             await one.master.start()
-        self.member = RelayMember("/relay", {
-            "ROSSEC_HOME": str(self.home.site.root), "ROS_IP": "127.0.0.1",
-            "ROS_MASTER_URI": self.home.master.server.uri,
-        })  # fmt: skip
+        self.member = RelayMember(
+            "/relay",
+            {
+                "ROSSEC_HOME": str(self.home.site.root),
+                "ROS_IP": "127.0.0.1",
+                "ROS_MASTER_URI": self.home.master.server.uri,
+            },
+        )
 
     async def admit(self, stream: SecureStream[Identity]) -> None:
         try:
@@ -61,9 +63,7 @@ class World:
             anchors = Anchors(site.site.anchor)
             anchors.update(site.master.domains)
         context = SecureContext(home.credentials(), anchors.verify)
-        async with serve(
-            self.admit, "127.0.0.1", 0, self.member.link_context, WireProtocol.HTTP
-        ) as server:
+        async with serve(self.admit, "127.0.0.1", 0, self.member.link_context, WireProtocol.HTTP) as server:
             stream = await connect("127.0.0.1", server.port, context, WireProtocol.HTTP)
             yield stream
             stream.abort("done")
@@ -96,9 +96,7 @@ async def test_it_has_the_lists_of_its_master(world: World) -> None:
     await world.home.master.start()
 
 
-async def test_a_link_with_a_relay_of_another_domain_is_cut_when_its_domain_goes(
-    world: World,
-) -> None:
+async def test_a_link_with_a_relay_of_another_domain_is_cut_when_its_domain_goes(world: World) -> None:
     tell(world.home, world.office)
     await world.member.refresh()
     async with world.link():
@@ -128,9 +126,7 @@ async def test_what_is_stale_leads_to_masters_only(world: World) -> None:
 async def test_a_relay_that_is_revoked_here_is_refused_and_cut(world: World) -> None:
     async with world.link():
         await until(lambda: world.links)
-        world.home.master.take_list(
-            world.home.site.revoke(world.office.site.identity("/relay").thumbprint)
-        )
+        world.home.master.take_list(world.home.site.revoke(world.office.site.identity("/relay").thumbprint))
         await world.member.refresh()
         assert world.links[0].error is not None
     async with world.link():
@@ -138,9 +134,7 @@ async def test_a_relay_that_is_revoked_here_is_refused_and_cut(world: World) -> 
         assert isinstance(world.errors[0], Revoked)
 
 
-async def test_a_relay_of_the_own_domain_comes_only_while_the_own_list_is_fresh(
-    world: World,
-) -> None:
+async def test_a_relay_of_the_own_domain_comes_only_while_the_own_list_is_fresh(world: World) -> None:
     async with world.link("home"):
         await until(lambda: world.links)
         world.member.check_target(world.links[0].peer, "node")

@@ -3,36 +3,34 @@
 import pytest
 
 from rossec.errors import StreamRefused
+from rossec.overlay.mux import FIRST as WINDOW
 from rossec.overlay.mux import (
     FOR_ONE_NAME,
     LAST_STREAM,
+    MAX_DATA,
+    MOST,
+    NODE,
+    SERVICE,
     STREAMS,
     YOUNG,
     YOUNG_SECONDS,
-    Mux,
-    Opened,
-    Refused,
-    Role,
-)
-from rossec.overlay.mux_units import (
-    MAX_DATA,
-    NODE,
-    SERVICE,
     Credit,
     Data,
     End,
+    Mux,
+    OpeningRefused,
     Reset,
-    Target,
+    Role,
+    StreamOpened,
+    StreamTarget,
     credit_unit,
     data_head,
     end_unit,
     open_unit,
     reset_unit,
 )
-from rossec.overlay.stream_window import FIRST as WINDOW
-from rossec.overlay.stream_window import MOST
 
-ROBOT = Target(NODE, "/robot")
+ROBOT = StreamTarget(NODE, "/robot")
 
 
 def pair() -> tuple[Mux, Mux]:
@@ -44,7 +42,7 @@ def opened(now: float = 0.0) -> tuple[Mux, Mux]:
     caller, called = pair()
     number, unit = caller.open(ROBOT, now)
     assert number == 0
-    assert called.receive(unit, now) == [Opened(0, ROBOT)]
+    assert called.receive(unit, now) == [StreamOpened(0, ROBOT)]
     return caller, called
 
 
@@ -57,7 +55,7 @@ def fill(called: Mux, count: int, now: float = 0.0, first: int = 0) -> list[obje
     return [
         event
         for number in range(first, first + count)
-        for event in called.receive(open_unit(number, Target(NODE, f"/n{number}")), now)
+        for event in called.receive(open_unit(number, StreamTarget(NODE, f"/n{number}")), now)
     ]
 
 
@@ -132,10 +130,16 @@ def test_a_peer_may_give_more_credit_up_to_a_link() -> None:
         end_unit(0) + data_head(0, 1) + b"x",
     ],
     ids=[
-        "a number again", "a number left out", "data before the opening", "credit", "end", "reset",
-        "two ends", "data after the end",
+        "a number again",
+        "a number left out",
+        "data before the opening",
+        "credit",
+        "end",
+        "reset",
+        "two ends",
+        "data after the end",
     ],
-)  # fmt: skip
+)
 def test_the_caller_may_not(unit: bytes) -> None:
     _, called = opened()
     with pytest.raises(StreamRefused):
@@ -150,9 +154,7 @@ def test_the_caller_may_not_send_beyond_its_credit() -> None:
         called.receive(data_head(0, MAX_DATA) + bytes(MAX_DATA), 0)
 
 
-@pytest.mark.parametrize(
-    "unit", [open_unit(1, ROBOT), data_head(1, 1) + b"x"], ids=["open", "data"]
-)
+@pytest.mark.parametrize("unit", [open_unit(1, ROBOT), data_head(1, 1) + b"x"], ids=["open", "data"])
 def test_the_called_side_may_not(unit: bytes) -> None:
     caller, _ = opened()
     with pytest.raises(StreamRefused):
@@ -166,30 +168,30 @@ def test_only_the_caller_opens() -> None:
 
 def test_new_streams_are_few_until_they_grow_old_or_end() -> None:
     called = Mux(Role.CALLED)
-    assert all(isinstance(event, Opened) for event in fill(called, YOUNG))
-    refused = Target(NODE, f"/n{YOUNG}")
-    assert fill(called, 1, first=YOUNG) == [Refused(YOUNG, refused, reset_unit(YOUNG))]
+    assert all(isinstance(event, StreamOpened) for event in fill(called, YOUNG))
+    refused = StreamTarget(NODE, f"/n{YOUNG}")
+    assert fill(called, 1, first=YOUNG) == [OpeningRefused(YOUNG, refused, reset_unit(YOUNG))]
     assert YOUNG not in called
     called.connected(3)
     called.receive(reset_unit(3), 0)
     (event,) = fill(called, 1, first=YOUNG + 1)
-    assert isinstance(event, Opened)
+    assert isinstance(event, StreamOpened)
     (event,) = fill(called, 1, now=YOUNG_SECONDS + 0.1, first=YOUNG + 2)
-    assert isinstance(event, Opened)
+    assert isinstance(event, StreamOpened)
 
 
 def test_a_stream_that_is_over_counts_until_its_target_is_looked_for_no_more() -> None:
     called = Mux(Role.CALLED)
     for number in range(YOUNG):
         (event,) = fill(called, 1, first=number)
-        assert isinstance(event, Opened)
+        assert isinstance(event, StreamOpened)
         called.receive(reset_unit(number), 0)
     assert len(called) == 0
     (event,) = fill(called, 1, now=2 * YOUNG_SECONDS, first=YOUNG)
-    assert isinstance(event, Refused)
+    assert isinstance(event, OpeningRefused)
     called.connected(7)
     (event,) = fill(called, 1, first=YOUNG + 1)
-    assert isinstance(event, Opened)
+    assert isinstance(event, StreamOpened)
 
 
 def test_a_stream_whose_target_answered_twice_is_not_new() -> None:
@@ -200,17 +202,17 @@ def test_a_stream_whose_target_answered_twice_is_not_new() -> None:
     data(called, 0, b"2")
     data(called, 0, b"more of it")
     (event,) = fill(called, 1, first=YOUNG)
-    assert isinstance(event, Refused)
+    assert isinstance(event, OpeningRefused)
     called.receive(data(caller, 0, b"3"), 0)
     data(called, 0, b"4")
     (event,) = fill(called, 1, first=YOUNG + 1)
-    assert isinstance(event, Opened)
+    assert isinstance(event, StreamOpened)
 
 
 def test_the_caller_waits_longer_than_the_other_side_counts() -> None:
     caller, _ = pair()
     for number in range(YOUNG):
-        caller.open(Target(NODE, f"/n{number}"), 0)
+        caller.open(StreamTarget(NODE, f"/n{number}"), 0)
     assert caller.crowded(ROBOT, YOUNG_SECONDS + 0.1) == "32 streams are new"
     with pytest.raises(StreamRefused, match=f"{YOUNG} streams are new"):
         caller.open(ROBOT, YOUNG_SECONDS + 0.1)
@@ -227,10 +229,10 @@ def test_streams_are_bounded_and_those_to_one_name() -> None:
     with pytest.raises(StreamRefused, match=f"{FOR_ONE_NAME} streams to it"):
         caller.open(ROBOT, now)
     for number in range(STREAMS - FOR_ONE_NAME):
-        caller.open(Target(SERVICE, f"/s{number}"), now)
+        caller.open(StreamTarget(SERVICE, f"/s{number}"), now)
         now += 1
     with pytest.raises(StreamRefused, match=f"{STREAMS} streams are open"):
-        caller.open(Target(SERVICE, "/other"), now)
+        caller.open(StreamTarget(SERVICE, "/other"), now)
     caller.reset(0)
     assert caller.crowded(ROBOT, now + 100) == ""
 
@@ -240,7 +242,7 @@ def test_numbers_are_never_used_again() -> None:
     called.receive(caller.reset(0), 0)
     number, unit = caller.open(ROBOT, 0)
     assert number == 1
-    assert called.receive(unit, 0) == [Opened(1, ROBOT)]
+    assert called.receive(unit, 0) == [StreamOpened(1, ROBOT)]
     assert not caller.used_up
     last = Mux(Role.CALLER, first=LAST_STREAM)
     assert last.open(ROBOT, 0)[0] == LAST_STREAM

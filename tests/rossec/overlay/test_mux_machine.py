@@ -10,11 +10,19 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from rossec.overlay.mux import Mux, Opened, Refused, Role
-from rossec.overlay.mux_units import MAX_DATA, NODE, Data, Target
-from rossec.overlay.stream_window import MOST
+from rossec.overlay.mux import (
+    MAX_DATA,
+    MOST,
+    NODE,
+    Data,
+    Mux,
+    OpeningRefused,
+    Role,
+    StreamOpened,
+    StreamTarget,
+)
 
-ROBOT = Target(NODE, "/robot")
+ROBOT = StreamTarget(NODE, "/robot")
 
 
 class BothSides(RuleBasedStateMachine):
@@ -42,9 +50,9 @@ class BothSides(RuleBasedStateMachine):
                     self.got.setdefault((other, stream), bytearray()).extend(payload)
                     key = side, stream
                     self.not_taken[key] = self.not_taken.get(key, 0) + len(payload)
-                case Opened(stream, _):
+                case StreamOpened(stream, _):
                     self.sides[side].connected(stream)
-                case Refused():
+                case OpeningRefused():
                     pytest.fail("a caller that keeps the limits is refused")
                 case _:
                     pass
@@ -57,11 +65,7 @@ class BothSides(RuleBasedStateMachine):
         self.opened += 1
 
     @precondition(lambda self: self.opened)
-    @rule(
-        side=st.sampled_from(["called", "caller"]),
-        pick=st.integers(0),
-        size=st.integers(1, MAX_DATA),
-    )
+    @rule(side=st.sampled_from(["called", "caller"]), pick=st.integers(0), size=st.integers(1, MAX_DATA))
     def send(self, side: str, pick: int, size: int) -> None:
         stream = pick % self.opened
         mux = self.sides[side]

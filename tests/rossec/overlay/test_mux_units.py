@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from ca.encoding import encode
 from rossec.errors import StreamRefused
-from rossec.overlay.mux_units import (
+from rossec.overlay.mux import (
     HEADROOM,
     KINDS,
     MASTER,
@@ -19,7 +19,7 @@ from rossec.overlay.mux_units import (
     End,
     Open,
     Reset,
-    Target,
+    StreamTarget,
     credit_unit,
     data_head,
     end_unit,
@@ -30,11 +30,11 @@ from rossec.overlay.mux_units import (
 
 STREAMS = st.integers(0, (1 << 32) - 1)
 NAMES = st.from_regex(r"(/[A-Za-z][A-Za-z0-9_]{0,9}){1,4}", fullmatch=True)
-TARGETS = st.builds(Target, st.sampled_from(KINDS), NAMES)
+TARGETS = st.builds(StreamTarget, st.sampled_from(KINDS), NAMES)
 
 
 @given(STREAMS, TARGETS)
-def test_the_opening_of_a_stream(stream: int, target: Target) -> None:
+def test_the_opening_of_a_stream(stream: int, target: StreamTarget) -> None:
     unit = open_unit(stream, target)
     assert unit == encode([stream, 0, KINDS.index(target.kind), target.name])
     assert read_units(unit) == [Open(stream, target)]
@@ -68,7 +68,7 @@ def test_a_sequence_may_be_empty() -> None:
 @pytest.mark.parametrize(
     "unit",
     [
-        open_unit(70000, Target(NODE, "/robot")),
+        open_unit(70000, StreamTarget(NODE, "/robot")),
         data_head(7, 300) + bytes(300),
         credit_unit(1, 65536),
         end_unit(24),
@@ -162,4 +162,4 @@ def test_what_is_read_is_the_only_form_of_it(data: bytes) -> None:
 
 
 def test_a_target_is_shown_with_its_kind() -> None:
-    assert str(Target(MASTER, "/master/ward")) == "master /master/ward"
+    assert str(StreamTarget(MASTER, "/master/ward")) == "master /master/ward"

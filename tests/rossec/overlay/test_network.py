@@ -5,9 +5,8 @@ from pathlib import Path
 
 from ca.certificates import Identity
 from rossec.net.aio import SecureContext, SecureStream
-from rossec.overlay.link_transport import LinkTransport
-from rossec.overlay.mailboxes import mailbox
-from rossec.overlay.network import RouterNetwork
+from rossec.overlay.endpoint import LinkTransport, RouterNetwork
+from rossec.overlay.link_frames import mailbox
 from rossec.overlay.relay import measured
 from tests.support.overlay import carrier, router
 from tests.support.site import Site

@@ -11,10 +11,9 @@ import pytest
 from ca.certificates import Identity
 from rossec.errors import ChannelError, HandshakeTimeout, PeerUnreachable, RelayRefused
 from rossec.net.aio import SecureStream, WireProtocol, connect, serve
-from rossec.overlay.mux import Role
-from rossec.overlay.mux_units import NODE, Target
-from rossec.overlay.peer_link import IDLE_FOR, LinkState, PeerLink
-from rossec.overlay.peers import Peer
+from rossec.overlay.documents import Peer
+from rossec.overlay.mux import NODE, Role, StreamTarget
+from rossec.overlay.relay import IDLE_FOR, PeerLink, PeerLinkState
 from rossec.overlay.streams import Streams
 from tests.support.contexts import context
 from tests.support.relays import echo, program, to_port
@@ -22,7 +21,7 @@ from tests.support.wire import ALICE, BOB
 from tests.support.witness import until
 
 PEER = Peer("office", "0" * 32, "office", "/relay", "rossec/1/office/" + "a" * 32)
-ROBOT = Target(NODE, "/robot")
+ROBOT = StreamTarget(NODE, "/robot")
 
 
 class FarRelay:
@@ -46,9 +45,7 @@ class FarRelay:
 
 
 @contextlib.asynccontextmanager
-async def linked(
-    clock: Callable[[], float] | None = None,
-) -> AsyncIterator[tuple[PeerLink, FarRelay]]:
+async def linked(clock: Callable[[], float] | None = None) -> AsyncIterator[tuple[PeerLink, FarRelay]]:
     stack = contextlib.AsyncExitStack()
     far = FarRelay(await stack.enter_async_context(program(echo)))
     server = serve(far.serve, "127.0.0.1", 0, context(BOB), WireProtocol.HTTP)
@@ -74,9 +71,7 @@ async def linked(
         await asyncio.sleep(0)
 
 
-async def used(
-    link: PeerLink, far: FarRelay
-) -> tuple[asyncio.StreamReader, asyncio.StreamWriter, Any]:
+async def used(link: PeerLink, far: FarRelay) -> tuple[asyncio.StreamReader, asyncio.StreamWriter, Any]:
     """A connection that the link carries."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         program_end = socket.create_connection(listener.getsockname())
@@ -89,12 +84,12 @@ async def used(
 
 async def test_it_is_dialled_with_the_first_connection_and_carries_the_others() -> None:
     async with linked() as (link, far):
-        assert (link.state, link.stream, link.carried, far.dialled) == (LinkState.IDLE, None, 0, 0)
+        assert (link.state, link.stream, link.carried, far.dialled) == (PeerLinkState.IDLE, None, 0, 0)
         ends = [await used(link, far) for _ in range(3)]
         for reader, writer, _ in ends:
             writer.write(b"ping")
             assert await reader.readexactly(4) == b"ping"
-        assert (link.state, link.carried, far.dialled) == (LinkState.LINKED, 3, 1)
+        assert (link.state, link.carried, far.dialled) == (PeerLinkState.LINKED, 3, 1)
         assert link.stream is not None
         for _, writer, carrying in ends:
             writer.close()
@@ -112,9 +107,7 @@ async def test_it_is_dialled_with_the_first_connection_and_carries_the_others() 
     ],
     ids=["silent", "network", "mailbox", "refused"],
 )
-async def test_a_failure_is_told_to_all_and_not_tried_again_at_once(
-    failure: Exception, error: str
-) -> None:
+async def test_a_failure_is_told_to_all_and_not_tried_again_at_once(failure: Exception, error: str) -> None:
     now = [0.0]
     async with linked(lambda: now[0]) as (link, far):
         far.failure = failure
@@ -123,7 +116,7 @@ async def test_a_failure_is_told_to_all_and_not_tried_again_at_once(
             for each in waiting:
                 with pytest.raises(RelayRefused, match=error):
                     await each
-        assert (far.dialled, link.state) == (1, LinkState.FAILED)
+        assert (far.dialled, link.state) == (1, PeerLinkState.FAILED)
         assert link.error == error
         assert link.hint
         now[0] += 0.5
@@ -135,7 +128,7 @@ async def test_a_failure_is_told_to_all_and_not_tried_again_at_once(
         reader, writer, _ = await used(link, far)
         writer.write(b"x")
         assert await reader.readexactly(1) == b"x"
-        assert (link.state, link.error, link.hint) == (LinkState.LINKED, "", "")
+        assert (link.state, link.error, link.hint) == (PeerLinkState.LINKED, "", "")
 
 
 async def test_the_connection_is_closed_when_there_is_no_link() -> None:
@@ -154,7 +147,7 @@ async def test_a_link_that_breaks_is_made_anew_for_the_next_connection() -> None
         await reader.readexactly(1)
         far.links[0].abort("broken")
         await carrying
-        await until(lambda: link.state is LinkState.FAILED)
+        await until(lambda: link.state is PeerLinkState.FAILED)
         assert link.stream is None
         reader, writer, _ = await used(link, far)
         writer.write(b"y")
@@ -175,7 +168,7 @@ async def test_a_peer_that_refuses_after_the_handshake_is_not_dialled_at_once_ag
             writer.close()
             with contextlib.suppress(RelayRefused):
                 await carrying
-            await until(lambda: link.state is LinkState.FAILED)
+            await until(lambda: link.state is PeerLinkState.FAILED)
             with pytest.raises(RelayRefused):
                 await (await used(link, far))[2]
             assert far.dialled == attempt
@@ -197,11 +190,11 @@ async def test_a_link_that_is_not_used_is_closed_after_a_while() -> None:
         now[0] += asyncio.get_running_loop().time() + 2 * IDLE_FOR
         link.tick()
         await asyncio.sleep(0.05)
-        assert link.state is LinkState.LINKED  # it carries one
+        assert link.state is PeerLinkState.LINKED  # it carries one
         writer.close()
         await carrying
         now[0] += asyncio.get_running_loop().time() + 2 * IDLE_FOR
         link.tick()
-        await until(lambda: link.state is LinkState.IDLE)
+        await until(lambda: link.state is PeerLinkState.IDLE)
         assert link.error == ""
         link.tick()

@@ -8,7 +8,7 @@ import pytest
 
 from ca.certificates import Identity
 from rossec.errors import ConfigurationError, RelayRefused
-from rossec.overlay.peers import MAX_FILE, MAX_PEERS, Peer, checked_peers, read_peers, write_peers
+from rossec.overlay.documents import MAX_PEERS, MAX_PEERS_FILE, Peer, checked_peers, read_peers, write_peers
 from tests.support.domains import Pair, SomeNode
 
 KEY = "rossec/1/office/" + "a" * 32
@@ -32,11 +32,20 @@ def test_a_part_of_the_file_is_refused(length: int) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"label": 1}, {"label": "a b"}, {"box": "0"}, {"box": "A" * 32}, {"domain": 7},
-        {"domain": "a b"}, {"relay": "/robot"}, {"mailbox": "rossec/1/office/**"}, {"more": 1},
-        {"domain": None}, {"relay": "", "mailbox": KEY}, {"mailbox": ""},
+        {"label": 1},
+        {"label": "a b"},
+        {"box": "0"},
+        {"box": "A" * 32},
+        {"domain": 7},
+        {"domain": "a b"},
+        {"relay": "/robot"},
+        {"mailbox": "rossec/1/office/**"},
+        {"more": 1},
+        {"domain": None},
+        {"relay": "", "mailbox": KEY},
+        {"mailbox": ""},
     ],
-)  # fmt: skip
+)
 def test_a_peer_in_another_form_is_refused(changes: dict[str, Any]) -> None:
     found = json.loads(write_peers({"office": OFFICE}))
     found["peers"][0] |= changes
@@ -49,7 +58,7 @@ def test_another_file_is_refused(data: bytes) -> None:
     with pytest.raises(ConfigurationError, match=r"^overlay\.json: th"):
         read_peers(data, "overlay.json")
     with pytest.raises(ConfigurationError, match="at most 65536 bytes"):
-        read_peers(b" " * (MAX_FILE + 1), "overlay.json")
+        read_peers(b" " * (MAX_PEERS_FILE + 1), "overlay.json")
     with pytest.raises(ConfigurationError, match="not a list of peers"):
         read_peers(b'{"rossec-overlay": 1, "peers": {}}', "overlay.json")
     with pytest.raises(ConfigurationError, match="not JSON"):
@@ -92,8 +101,12 @@ def test_only_the_peer_itself_is_admitted_to_its_mailbox() -> None:
     found: Identity = pair.peer(relay)
     hospital = replace(OFFICE, domain="hospital")
     hospital.check(found)
-    for wrong in (replace(hospital, domain="office"), replace(hospital, domain=""), NEW,
-                  replace(hospital, relay="/relay/attic")):  # fmt: skip
+    for wrong in (
+        replace(hospital, domain="office"),
+        replace(hospital, domain=""),
+        NEW,
+        replace(hospital, relay="/relay/attic"),
+    ):
         with pytest.raises(RelayRefused, match="hospital:/relay is at the mailbox of"):
             wrong.check(found)
     own = SomeNode(pair.home, "/relay").identity

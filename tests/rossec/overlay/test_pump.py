@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from rossec.errors import StreamRefused
-from rossec.overlay.pump import Pump
+from rossec.overlay.streams import Pump
 from tests.support.relays import tcp_pair
 
 
@@ -133,9 +133,7 @@ async def test_bytes_before_there_is_a_socket_are_kept() -> None:
 
 async def test_the_first_bytes_decide() -> None:
     pump = Pump(7, FakeEnd())
-    decided = asyncio.ensure_future(
-        pump.first_bytes(lambda first: len(first) if len(first) > 2 else None)
-    )
+    decided = asyncio.ensure_future(pump.first_bytes(lambda first: len(first) if len(first) > 2 else None))
     for part in (b"a", b"b", b"c"):
         await asyncio.sleep(0)
         assert not decided.done()

@@ -11,7 +11,7 @@ from grants.model import Right
 from rossec.errors import ChannelError
 from rossec.federation.settings import SiteSettings
 from rossec.net.aio import SecureStream, WireProtocol
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from tests.support.relayedsites import RelayedSite, tell, two_sites
 from tests.support.trust import accept, share
 from tests.support.witness import until
@@ -84,8 +84,12 @@ async def test_only_what_the_master_shows_is_reached(sites: Sites) -> None:
     office.site.publish("/robot", "/robot/pose")
     async with office.master.node("/robot") as robot:
         await robot.publisher("/robot/pose", "std_msgs/String")
-        for kind, name in (("node", "/robot"), ("node", "/nobody"), ("service", "/robot/stop"),
-                           ("master", "/master/attic")):  # fmt: skip
+        for kind, name in (
+            ("node", "/robot"),
+            ("node", "/nobody"),
+            ("service", "/robot/stop"),
+            ("master", "/master/attic"),
+        ):
             with pytest.raises(ChannelError):
                 await home.through(await home.door("office", kind, name))
 
@@ -145,10 +149,12 @@ async def test_another_relay_of_that_domain_has_no_use_of_the_mailbox(
 ) -> None:
     home, office = sites
     office.files.change(
-        lambda peers: peers.update(home=peers["home"].__class__(
-            "home", peers["home"].box, "home", "/relay/attic", peers["home"].mailbox
-        ))
-    )  # fmt: skip
+        lambda peers: peers.update(
+            home=peers["home"].__class__(
+                "home", peers["home"].box, "home", "/relay/attic", peers["home"].mailbox
+            )
+        )
+    )
     await asyncio.sleep(1.5)
     with pytest.raises(ChannelError):
         await home.through(await home.door("office", "master", "/master"))
@@ -226,9 +232,7 @@ async def test_the_file_of_peers_may_be_damaged_for_a_while(
     assert caplog.text.count("this is no rossec-overlay file") == 1
 
 
-async def test_a_router_that_is_gone_is_told_once(
-    sites: Sites, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_router_that_is_gone_is_told_once(sites: Sites, caplog: pytest.LogCaptureFixture) -> None:
     home, _ = sites
     home.network.router = ""
     await until(lambda: f"no router takes the seat {home.network.seat}" in caplog.text)

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from rossec.errors import RelayRefused
-from rossec.overlay.relay_cards import MAX_CARD, RelayCard
+from rossec.overlay.documents import MAX_CARD, RelayCard
 
 KEY = "rossec/1/office/" + "a" * 32
 CARD = RelayCard("office.example", "/relay", KEY)
@@ -31,10 +31,16 @@ def test_a_part_of_a_card_is_none() -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"rossec-relay-card": 2}, {"more": 1}, {"domain": "Office"}, {"domain": 3},
-        {"relay": "/robot"}, {"relay": None}, {"mailbox": "rossec/**"}, {"mailbox": []},
+        {"rossec-relay-card": 2},
+        {"more": 1},
+        {"domain": "Office"},
+        {"domain": 3},
+        {"relay": "/robot"},
+        {"relay": None},
+        {"mailbox": "rossec/**"},
+        {"mailbox": []},
     ],
-)  # fmt: skip
+)
 def test_a_card_in_another_form_is_refused(changes: dict[str, Any]) -> None:
     found = json.loads(CARD.write()) | changes
     with pytest.raises(RelayRefused, match="card"):

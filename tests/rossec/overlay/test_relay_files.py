@@ -7,9 +7,8 @@ import pytest
 from ca.errors import PathRefused
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.overlay.peers import Peer
-from rossec.overlay.relay_files import PEERS, SEAT, RelayFiles
-from rossec.overlay.routers import Routers
+from rossec.overlay.documents import Peer, Routers
+from rossec.overlay.homes import RELAY_PEERS, RELAY_SEAT, RelayFiles
 
 OFFICE = Peer("office", "0" * 32)
 ROUTERS = Routers(("tcp/127.0.0.1:7447",), "home", "p" * 22)
@@ -30,7 +29,7 @@ def test_a_change_of_the_peers_is_seen_by_who_reads_them(store: RelayFiles) -> N
     assert other.peers() is other.peers()
     store.change(dict.clear)
     assert other.peers() == {}
-    assert (store.home.path / PEERS).stat().st_mode & 0o777 == 0o600
+    assert (store.home.path / RELAY_PEERS).stat().st_mode & 0o777 == 0o600
 
 
 def test_a_change_that_is_refused_changes_nothing(store: RelayFiles) -> None:
@@ -47,7 +46,7 @@ def test_the_seat_is_kept_for_the_user_alone(store: RelayFiles) -> None:
     assert "rossec relay seat FILE" in caught.value.hint
     assert store.keep_seat(ROUTERS.write()) == ROUTERS
     assert store.routers() == ROUTERS
-    assert (store.home.path / SEAT).stat().st_mode & 0o777 == 0o600
+    assert (store.home.path / RELAY_SEAT).stat().st_mode & 0o777 == 0o600
     with pytest.raises(ConfigurationError):
         store.keep_seat(b"{}")
     assert store.routers() == ROUTERS
@@ -56,7 +55,7 @@ def test_the_seat_is_kept_for_the_user_alone(store: RelayFiles) -> None:
 def test_files_that_others_could_write_are_refused(store: RelayFiles) -> None:
     store.change(lambda peers: peers.update(office=OFFICE))
     store.keep_seat(ROUTERS.write())
-    for name in (PEERS, SEAT):
+    for name in (RELAY_PEERS, RELAY_SEAT):
         (store.home.path / name).chmod(0o666)
     with pytest.raises(PathRefused):
         RelayFiles(store.home).peers()

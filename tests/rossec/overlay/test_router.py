@@ -13,10 +13,10 @@ import pytest
 
 from rossec.errors import ConfigurationError, OverlayUnavailable
 from rossec.overlay import router as router_module
+from rossec.overlay.documents import Routers
 from rossec.overlay.endpoint import LinkListener, dial_link
+from rossec.overlay.homes import RouterHome
 from rossec.overlay.router import Router, seats_of
-from rossec.overlay.router_home import RouterHome
-from rossec.overlay.routers import Routers
 from rossec.overlay.zenoh_carrier import Carrier
 from tests.support.contexts import context
 from tests.support.overlay import until

@@ -6,7 +6,7 @@ from cryptography import x509
 
 from ca.errors import HintedError
 from rossec.errors import ConfigurationError
-from rossec.overlay.router_home import RouterHome, new_password
+from rossec.overlay.homes import RouterHome, new_password
 from tests.support.routerprocess import PASSWORD, home_with
 
 

@@ -7,11 +7,11 @@ from rossec.errors import ConfigurationError
 from rossec.overlay.router_settings import (
     RouterFiles,
     RouterSettings,
+    Seats,
     is_wildcard,
     nested,
     zenoh_settings,
 )
-from rossec.overlay.seats import Seats
 
 FILES = RouterFiles(Path("/r/users"), Path("/r/a.pem"), Path("/r/key"), Path("/r/cert"))
 SEATS = Seats("r" * 43).add("home", "h" * 43)
@@ -24,12 +24,24 @@ def test_settings_are_read_as_they_were_written() -> None:
     assert RouterSettings().listen == ("tls/[::]:7447",)
 
 
-@pytest.mark.parametrize("change", [
-    {"listen": []}, {"listen": ["tls/a:1"] * 17}, {"listen": ["a:1"]}, {"listen": "tls/a:1"},
-    {"join": ["tls/[::]:1"]}, {"join": ["tls/0.0.0.0:1"]}, {"join": ["tls/a:1?x"]}, {"join": [1]},
-    {"hosts": ["a:b.example.org"]}, {"hosts": ["a/b"]}, {"hosts": ["a"] * 17}, {"hosts": [""]},
-    {"more": []},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"listen": []},
+        {"listen": ["tls/a:1"] * 17},
+        {"listen": ["a:1"]},
+        {"listen": "tls/a:1"},
+        {"join": ["tls/[::]:1"]},
+        {"join": ["tls/0.0.0.0:1"]},
+        {"join": ["tls/a:1?x"]},
+        {"join": [1]},
+        {"hosts": ["a:b.example.org"]},
+        {"hosts": ["a/b"]},
+        {"hosts": ["a"] * 17},
+        {"hosts": [""]},
+        {"more": []},
+    ],
+)
 def test_a_file_with_anything_else_is_refused(change: dict[str, object]) -> None:
     with pytest.raises(ConfigurationError):
         RouterSettings.read(json.dumps(json.loads(RouterSettings().write()) | change).encode())
@@ -38,9 +50,7 @@ def test_a_file_with_anything_else_is_refused(change: dict[str, object]) -> None
 def test_where_relays_find_a_router() -> None:
     hosts = ("a.example.org", "2001:db8::1")
     made = RouterSettings(hosts, ("tls/[::]:443", "quic/192.0.2.1:7447"), JOIN)
-    assert made.own_locators == (
-        "tls/a.example.org:443", "tls/[2001:db8::1]:443", "quic/192.0.2.1:7447",
-    )  # fmt: skip
+    assert made.own_locators == ("tls/a.example.org:443", "tls/[2001:db8::1]:443", "quic/192.0.2.1:7447")
     assert made.locators == (*made.own_locators, *JOIN)
 
 
@@ -73,10 +83,7 @@ def test_a_router_with_seats_knows_them_by_password() -> None:
 
 def test_customers_are_in_no_region_of_the_routers() -> None:
     found = zenoh_settings(RouterSettings(), SEATS, FILES)
-    clients, others = (
-        {"modes": ["client", "peer"]},
-        {"region_names": [SEATS.region], "negated": True},
-    )
+    clients, others = ({"modes": ["client", "peer"]}, {"region_names": [SEATS.region], "negated": True})
     assert found["region_name"] == SEATS.region == SEATS.add("clinic", "c" * 43).region
     assert found["gateway"] == {"south": [{"filters": [clients]}, {"filters": [others]}]}
     assert Seats("s" * 43).region != SEATS.region
@@ -100,9 +107,7 @@ def test_a_router_with_seats_joins_none_that_it_cannot_verify() -> None:
 
 
 def test_settings_as_a_tree() -> None:
-    assert nested({"a/b": 1, "a/c/d": [2], "e": None}) == {
-        "a": {"b": 1, "c": {"d": [2]}}, "e": None,
-    }  # fmt: skip
+    assert nested({"a/b": 1, "a/c/d": [2], "e": None}) == {"a": {"b": 1, "c": {"d": [2]}}, "e": None}
 
 
 def test_every_address() -> None:

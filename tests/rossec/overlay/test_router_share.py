@@ -4,9 +4,8 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from rossec.errors import ConfigurationError
-from rossec.overlay.router_share import Share
-from rossec.overlay.router_tls import RouterAuthority, key_pem
-from rossec.overlay.seats import Seats
+from rossec.overlay.router_settings import Seats
+from rossec.overlay.router_tls import RouterAuthority, Share, key_pem
 from tests.support.pki import NOW
 
 
@@ -30,11 +29,22 @@ def test_no_secret_is_shown(share: Share) -> None:
     assert "PRIVATE" not in repr(share)
 
 
-@pytest.mark.parametrize("change", [
-    {"authority": ""}, {"authority_key": 1}, {"authority_key": "damaged"}, {"seats": {}},
-    {"seats": "{}"}, {"join": []}, {"join": "tls/a:1"}, {"join": ["a"]}, {"join": ["tls/a:1"] * 17},
-    {"more": 1}, {"authority_key": key_pem(_authority().key).decode()},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"authority": ""},
+        {"authority_key": 1},
+        {"authority_key": "damaged"},
+        {"seats": {}},
+        {"seats": "{}"},
+        {"join": []},
+        {"join": "tls/a:1"},
+        {"join": ["a"]},
+        {"join": ["tls/a:1"] * 17},
+        {"more": 1},
+        {"authority_key": key_pem(_authority().key).decode()},
+    ],
+)
 def test_a_file_with_anything_else_is_refused(share: Share, change: dict[str, object]) -> None:
     with pytest.raises(ConfigurationError):
         Share.read(json.dumps(json.loads(share.write()) | change).encode())

@@ -22,9 +22,7 @@ def authority() -> RouterAuthority:
     return RouterAuthority.create(new_key(), now=NOW, serial=1)
 
 
-def _issued(
-    authority: RouterAuthority, *, now: int = NOW
-) -> tuple[ec.EllipticCurvePrivateKey, bytes]:
+def _issued(authority: RouterAuthority, *, now: int = NOW) -> tuple[ec.EllipticCurvePrivateKey, bytes]:
     key = new_key()
     return key, authority.issue(key.public_key(), HOSTS, now=now, serial=2)
 
@@ -52,9 +50,7 @@ def test_other_tls_libraries_verify_it(authority: RouterAuthority) -> None:
     store = x509.verification.Store([authority.certificate])
     builder = x509.verification.PolicyBuilder().store(store)
     at = x509.load_pem_x509_certificate(pem).not_valid_before_utc
-    verifier = builder.time(at.replace(tzinfo=None)).build_server_verifier(
-        x509.DNSName("router.example.org")
-    )
+    verifier = builder.time(at.replace(tzinfo=None)).build_server_verifier(x509.DNSName("router.example.org"))
     assert len(verifier.verify(x509.load_pem_x509_certificate(pem), [])) == 2
 
 

@@ -4,14 +4,8 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from rossec.errors import ConfigurationError
+from rossec.overlay.documents import Routers, check_locator, check_password, check_seat, is_encrypted
 from rossec.overlay.router_tls import RouterAuthority
-from rossec.overlay.routers import (
-    Routers,
-    check_locator,
-    check_password,
-    check_seat,
-    is_encrypted,
-)
 from tests.support.pki import NOW
 
 PASSWORD = "A" * 43
@@ -40,12 +34,26 @@ def test_a_password_is_shown_nowhere(root: str) -> None:
     assert PASSWORD not in f"{caught.value} {caught.value.hint}"
 
 
-@pytest.mark.parametrize("change", [
-    {"locators": []}, {"locators": ["tls/a:1"] * 17}, {"locators": "tls/a:1"}, {"locators": [1]},
-    {"locators": ["tls/a"]}, {"seat": "Home"}, {"seat": 1}, {"password": ""}, {"password": "short"},
-    {"password": None}, {"root_certificate": ""}, {"root_certificate": "-----BEGIN"},
-    {"root_certificate": 0}, {"more": 1}, {"rossec-seat": 2},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"locators": []},
+        {"locators": ["tls/a:1"] * 17},
+        {"locators": "tls/a:1"},
+        {"locators": [1]},
+        {"locators": ["tls/a"]},
+        {"seat": "Home"},
+        {"seat": 1},
+        {"password": ""},
+        {"password": "short"},
+        {"password": None},
+        {"root_certificate": ""},
+        {"root_certificate": "-----BEGIN"},
+        {"root_certificate": 0},
+        {"more": 1},
+        {"rossec-seat": 2},
+    ],
+)
 def test_a_seat_file_with_anything_else_is_refused(root: str, change: dict[str, object]) -> None:
     made = json.loads(Routers(("tls/a:1",), "home", PASSWORD, root).write())
     with pytest.raises(ConfigurationError):
@@ -70,11 +78,26 @@ def test_what_a_locator_says() -> None:
     assert not is_encrypted("tcp/a:1")
 
 
-@pytest.mark.parametrize("locator", [
-    "", "tls/a:0", "tls/a:65536", "tls/:1", "udp/a:1", "tls/a", "a:1", "tls/a:1?x=1", "tls/a:1 ",
-    "tls/a:1#root_ca_certificate=/tmp/evil.pem", "TLS/a:1", "tls//a:1", "tls/a:1\n", "tls/ä:1",
-    "unixsock-stream//tmp/a",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "locator",
+    [
+        "",
+        "tls/a:0",
+        "tls/a:65536",
+        "tls/:1",
+        "udp/a:1",
+        "tls/a",
+        "a:1",
+        "tls/a:1?x=1",
+        "tls/a:1 ",
+        "tls/a:1#root_ca_certificate=/tmp/evil.pem",
+        "TLS/a:1",
+        "tls//a:1",
+        "tls/a:1\n",
+        "tls/ä:1",
+        "unixsock-stream//tmp/a",
+    ],
+)
 def test_a_locator_that_says_more_is_refused(locator: str) -> None:
     with pytest.raises(ConfigurationError, match="is not the address of a router"):
         check_locator(locator)

@@ -3,7 +3,7 @@ import json
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.overlay.seats import MAX_SEATS, ROUTER_USER, Seats, open_access_control
+from rossec.overlay.router_settings import MAX_SEATS, ROUTER_USER, Seats, open_access_control
 
 ROUTER = "r" * 43
 HOME = "h" * 43
@@ -49,11 +49,19 @@ def test_no_password_is_shown(seats: Seats) -> None:
     assert not {word for word in (ROUTER, HOME, CLINIC) if word in repr(seats)}
 
 
-@pytest.mark.parametrize("change", [
-    {"router": 1}, {"router": "short"}, {"seats": []}, {"seats": {"home": 1}},
-    {"seats": {"home": "short"}}, {"seats": {"open": HOME}}, {"seats": {"home:x\nevil": HOME}},
-    {"more": 1},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"router": 1},
+        {"router": "short"},
+        {"seats": []},
+        {"seats": {"home": 1}},
+        {"seats": {"home": "short"}},
+        {"seats": {"open": HOME}},
+        {"seats": {"home:x\nevil": HOME}},
+        {"more": 1},
+    ],
+)
 def test_a_file_with_anything_else_is_refused(seats: Seats, change: dict[str, object]) -> None:
     with pytest.raises(ConfigurationError):
         Seats.read(json.dumps(json.loads(seats.write()) | change).encode())
@@ -61,8 +69,10 @@ def test_a_file_with_anything_else_is_refused(seats: Seats, change: dict[str, ob
 
 def test_the_users_of_zenoh(seats: Seats) -> None:
     assert seats.dictionary().decode().splitlines() == [
-        f"_router:{ROUTER}", f"clinic:{CLINIC}", f"home:{HOME}",
-    ]  # fmt: skip
+        f"_router:{ROUTER}",
+        f"clinic:{CLINIC}",
+        f"home:{HOME}",
+    ]
 
 
 def test_a_seat_sends_to_all_and_reads_its_own(seats: Seats) -> None:
@@ -80,9 +90,7 @@ def test_a_seat_sends_to_all_and_reads_its_own(seats: Seats) -> None:
 
 def test_routers_are_known_by_their_user_or_by_their_certificate(seats: Seats) -> None:
     control = seats.access_control()
-    forwarding = [
-        policy["subjects"][0] for policy in control["policies"] if "forward" in policy["rules"]
-    ]
+    forwarding = [policy["subjects"][0] for policy in control["policies"] if "forward" in policy["rules"]]
     subjects = {each["id"]: each for each in control["subjects"]}
     assert [{**subjects[each], "id": ""} for each in forwarding] == [
         {"id": "", "usernames": [ROUTER_USER]},

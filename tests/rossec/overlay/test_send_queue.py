@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from rossec.overlay import send_queue as send_queue_module
-from rossec.overlay.send_queue import MOST_WAITING, SendQueue
+from rossec.overlay import zenoh_carrier as send_queue_module
+from rossec.overlay.zenoh_carrier import MOST_WAITING, CarrierQueue
 
 
 class Uplink:
@@ -36,7 +36,7 @@ class Uplink:
 
 def test_a_quick_message_is_sent_by_the_caller() -> None:
     uplink = Uplink()
-    send_queue = SendQueue(uplink.send)
+    send_queue = CarrierQueue(uplink.send)
     for each in (b"1", b"2"):
         send_queue.put("key", each)
     assert uplink.sent == [b"1", b"2"]
@@ -46,7 +46,7 @@ def test_a_quick_message_is_sent_by_the_caller() -> None:
 
 def test_after_a_slow_message_a_thread_sends_in_order() -> None:
     uplink = Uplink()
-    send_queue = SendQueue(uplink.send)
+    send_queue = CarrierQueue(uplink.send)
     uplink.slow = True
     send_queue.put("key", b"0")
     uplink.slow = False
@@ -63,7 +63,7 @@ def test_after_a_slow_message_a_thread_sends_in_order() -> None:
 def test_once_it_is_quick_again_the_caller_sends(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(send_queue_module, "CALM", 0.05)
     uplink = Uplink()
-    send_queue = SendQueue(uplink.send)
+    send_queue = CarrierQueue(uplink.send)
     uplink.slow = True
     send_queue.put("key", b"slow")
     uplink.slow = False
@@ -82,7 +82,7 @@ def test_once_it_is_quick_again_the_caller_sends(monkeypatch: pytest.MonkeyPatch
 
 def test_what_waits_is_bounded() -> None:
     uplink = Uplink()
-    send_queue = SendQueue(uplink.send)
+    send_queue = CarrierQueue(uplink.send)
     uplink.slow = True
     send_queue.put("key", b"")
     uplink.slow = False
@@ -99,7 +99,7 @@ def test_what_waits_is_bounded() -> None:
 
 def test_nothing_is_sent_after_the_close() -> None:
     uplink = Uplink()
-    send_queue = SendQueue(uplink.send)
+    send_queue = CarrierQueue(uplink.send)
     uplink.slow = True
     send_queue.put("key", b"first")
     send_queue.close()

@@ -7,9 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.overlay.mux import Mux, Role
-from rossec.overlay.mux_units import MAX_DATA, NODE, Target
-from rossec.overlay.stream_window import FIRST, FUND, MOST, SHORTEST_ROUND, Fund, ReceiveWindow
+from rossec.overlay.mux import (
+    FIRST,
+    FUND,
+    MAX_DATA,
+    MOST,
+    NODE,
+    SHORTEST_ROUND,
+    Fund,
+    Mux,
+    ReceiveWindow,
+    Role,
+    StreamTarget,
+)
 
 ROUND_TRIP = 0.1
 TICK = 0.001
@@ -138,7 +148,7 @@ def test_a_stream_that_is_over_returns_what_its_window_had() -> None:
     """As many streams as the fund has large windows for, one after the other, and one more."""
     caller, called = Mux(Role.CALLER), Mux(Role.CALLED)
     for number in range(FUND // (MOST - FIRST) + 2):
-        called.receive(caller.open(Target(NODE, "/robot"), number)[1], number)
+        called.receive(caller.open(StreamTarget(NODE, "/robot"), number)[1], number)
         for unit in range(300):
             called.receive(caller.data(number, MAX_DATA) + bytes(MAX_DATA), number)
             credit = called.took(number, MAX_DATA, number + unit / 500, 0.1)

@@ -10,28 +10,10 @@ import pytest
 
 from rossec.errors import ChannelError, LinkCrowded, StreamRefused
 from rossec.overlay import streams as module
-from rossec.overlay.mux import YOUNG, Role
-from rossec.overlay.mux_units import (
-    SERVICE,
-    Target,
-    data_head,
-    end_unit,
-    open_unit,
-)
-from rossec.overlay.pump import Pump
-from rossec.overlay.stream_window import FIRST as WINDOW
-from rossec.overlay.streams import Streams
-from tests.support.relays import (
-    ROBOT,
-    Ends,
-    carried,
-    echo,
-    linked,
-    program,
-    secure_pair,
-    tcp_pair,
-    to_port,
-)
+from rossec.overlay.mux import FIRST as WINDOW
+from rossec.overlay.mux import SERVICE, YOUNG, Role, StreamTarget, data_head, end_unit, open_unit
+from rossec.overlay.streams import Pump, Streams
+from tests.support.relays import ROBOT, Ends, carried, echo, linked, program, secure_pair, tcp_pair, to_port
 
 
 async def ask(ends: Ends, data: bytes) -> bytes:
@@ -70,11 +52,7 @@ async def test_a_reset_is_passed_on_as_a_reset() -> None:
         except Exception as error:  # noqa: BLE001 - the test looks at it
             seen.set_result(error)
 
-    async with (
-        program(wait) as port,
-        linked(to_port(port)) as link,
-        carried(link.caller) as (_, writer),
-    ):
+    async with program(wait) as port, linked(to_port(port)) as link, carried(link.caller) as (_, writer):
         writer.write(b"x")
         await asyncio.sleep(0.05)
         sock = writer.get_extra_info("socket")
@@ -87,7 +65,7 @@ async def test_a_reset_is_passed_on_as_a_reset() -> None:
 async def test_a_target_that_cannot_be_reached_resets_the_connection(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    async def refuse(target: Target, _: Pump) -> socket.socket:
+    async def refuse(target: StreamTarget, _: Pump) -> socket.socket:
         raise ConnectionRefusedError(f"nobody is at {target}")
 
     async with linked(refuse) as link, carried(link.caller) as (reader, writer):
@@ -98,19 +76,17 @@ async def test_a_target_that_cannot_be_reached_resets_the_connection(
     assert "node /robot: refused home: nobody is at node /robot" in caplog.text
 
 
-async def test_a_crash_of_the_called_side_ends_its_stream_alone(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_crash_of_the_called_side_ends_its_stream_alone(caplog: pytest.LogCaptureFixture) -> None:
     async with program(echo) as port:
         reach = to_port(port)
 
-        async def dial(target: Target, pump: Pump) -> socket.socket:
+        async def dial(target: StreamTarget, pump: Pump) -> socket.socket:
             if target.kind == SERVICE:
                 raise ZeroDivisionError
             return await reach(target, pump)
 
         async with linked(dial) as link, carried(link.caller) as one:
-            async with carried(link.caller, Target(SERVICE, "/sum")) as (reader, _):
+            async with carried(link.caller, StreamTarget(SERVICE, "/sum")) as (reader, _):
                 with pytest.raises(ConnectionResetError):
                     await reader.read()
             assert await ask(one, b"still here") == b"still here"
@@ -122,7 +98,7 @@ async def test_what_comes_before_the_target_is_connected_is_kept() -> None:
     async with program(echo) as port:
         reach = to_port(port)
 
-        async def slowly(target: Target, pump: Pump) -> socket.socket:
+        async def slowly(target: StreamTarget, pump: Pump) -> socket.socket:
             assert await pump.first_bytes(lambda first: first[:5] if len(first) > 4 else None)
             await go.wait()
             return await reach(target, pump)
@@ -181,14 +157,9 @@ async def test_a_link_that_lags_is_shared_in_turns() -> None:
             ends[1].write(bytes(1 << 16))
             await ends[1].drain()
 
-    async with (
-        program(swallow) as port,
-        linked(to_port(port)) as link,
-        contextlib.AsyncExitStack() as stack,
-    ):
+    async with program(swallow) as port, linked(to_port(port)) as link, contextlib.AsyncExitStack() as stack:
         pouring = [
-            asyncio.ensure_future(pour(await stack.enter_async_context(carried(link.caller)), n))
-            for n in got
+            asyncio.ensure_future(pour(await stack.enter_async_context(carried(link.caller)), n)) for n in got
         ]
         async with asyncio.timeout(30):
             await enough.wait()
@@ -215,18 +186,11 @@ async def test_the_end_of_the_link_resets_every_connection() -> None:
 
 async def test_connections_wait_for_room_and_give_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CONNECT_SECONDS", 0.2)
-    async with (
-        program(echo) as port,
-        linked(to_port(port)) as link,
-        contextlib.AsyncExitStack() as stack,
-    ):
+    async with program(echo) as port, linked(to_port(port)) as link, contextlib.AsyncExitStack() as stack:
         many = [await stack.enter_async_context(carried(link.caller)) for _ in range(YOUNG)]
         await ask(many[-1], b"x")  # all are open, and none has answered twice
         mine, theirs = await tcp_pair()
-        with (
-            mine,
-            pytest.raises(LinkCrowded, match=f"no room.*: {YOUNG} streams are new") as caught,
-        ):
+        with mine, pytest.raises(LinkCrowded, match=f"no room.*: {YOUNG} streams are new") as caught:
             await link.caller.carry(ROBOT, theirs)
         assert "256 connections" in caught.value.hint
         for each in many[:2]:

@@ -10,9 +10,7 @@ import pytest
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelError, ConnectionTruncated
 from rossec.overlay import streams as module
-from rossec.overlay.mux import Role
-from rossec.overlay.mux_units import MAX_DATA, Credit, Data, Unit, data_head, read_units
-from rossec.overlay.stream_window import FIRST, MOST
+from rossec.overlay.mux import FIRST, MAX_DATA, MOST, Credit, Data, Role, Unit, data_head, read_units
 from rossec.overlay.streams import Streams
 from tests.support.relays import ROBOT, tcp_pair
 
@@ -154,9 +152,7 @@ async def test_a_link_that_ends_when_it_is_written_to() -> None:
             await asyncio.get_running_loop().sock_recv(near, 1)
 
 
-async def test_small_units_that_nobody_reads_end_the_link(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_small_units_that_nobody_reads_end_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MOST_UNSENT", 100)
     """The peer sends, and reads none of the credit that it gets for it."""
     link = SlowLink(3)

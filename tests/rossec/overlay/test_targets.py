@@ -9,13 +9,13 @@ import pytest
 from ca.errors import HintedError
 from rossec.channel.opening import WireProtocol, first_bytes
 from rossec.errors import ProtocolViolation, RelayRefused, StreamRefused
-from rossec.net.host.relayed import is_near, is_relayed, source_for
+from rossec.host.addresses import is_near, is_relayed, source_for
 from rossec.overlay import targets as module
-from rossec.overlay.mux_units import MASTER, NODE, SERVICE, Target
-from rossec.overlay.targets import Peer, Targets, dial_from
+from rossec.overlay.mux import MASTER, NODE, SERVICE, StreamTarget
+from rossec.overlay.targets import LinkPeer, Targets, dial_from
 from tests.support.relays import carried, linked
 
-PEER = Peer("hospital", "clinic", "/remote/clinic/relay")
+PEER = LinkPeer("clinic", "/remote/clinic/relay")
 SOURCE = source_for(PEER.name)
 HTTP, TCPROS = WireProtocol.HTTP, WireProtocol.TCPROS
 
@@ -55,7 +55,7 @@ class SiteOfTargets:
     def forget(self, name: str, host: str, port: int) -> None:
         self.forgotten.append(name)
 
-    async def reach(self, target: Target, opening: bytes) -> tuple[bytes, str]:
+    async def reach(self, target: StreamTarget, opening: bytes) -> tuple[bytes, str]:
         """What the program behind the target gets first, and from which address."""
         targets = Targets(self.resolve, self)
         listeners = [each for each in (self.api, self.topics) if each.fileno() >= 0]
@@ -88,15 +88,15 @@ def site() -> Iterator[SiteOfTargets]:
 @pytest.mark.parametrize(
     ("target", "protocol", "api"),
     [
-        (Target(MASTER, "/master"), HTTP, True),
-        (Target(NODE, "/robot"), HTTP, True),
-        (Target(NODE, "/robot"), TCPROS, False),
-        (Target(SERVICE, "/clock"), TCPROS, True),
+        (StreamTarget(MASTER, "/master"), HTTP, True),
+        (StreamTarget(NODE, "/robot"), HTTP, True),
+        (StreamTarget(NODE, "/robot"), TCPROS, False),
+        (StreamTarget(SERVICE, "/clock"), TCPROS, True),
     ],
     ids=["master", "slave API", "topics", "service"],
 )
 async def test_the_first_bytes_say_which_port(
-    site: SiteOfTargets, target: Target, protocol: WireProtocol, api: bool
+    site: SiteOfTargets, target: StreamTarget, protocol: WireProtocol, api: bool
 ) -> None:
     opening = first_bytes(protocol)
     got, source = await site.reach(target, opening)
@@ -110,25 +110,29 @@ async def test_the_first_bytes_say_which_port(
 @pytest.mark.parametrize(
     ("target", "opening"),
     [
-        (Target(MASTER, "/master"), first_bytes(TCPROS)),
-        (Target(SERVICE, "/clock"), first_bytes(HTTP)),
-        (Target(NODE, "/robot"), b"POST / HTTP/1.1\r\nContent-length: 0\r\n\r\n"),
-        (Target(NODE, "/robot"), b"\x30\0\0\0\x2c\0\0\0message_definition=string data"),
-        (Target(NODE, "/robot"), b"\xff\xff\xff\xffSSH-2.0"),
-        (Target(NODE, "/hidden"), first_bytes(HTTP)),
-        (Target(NODE, "/impostor"), first_bytes(HTTP)),
-        (Target(NODE, "/impostor"), first_bytes(TCPROS)),
-        (Target(SERVICE, "/database"), first_bytes(TCPROS)),
+        (StreamTarget(MASTER, "/master"), first_bytes(TCPROS)),
+        (StreamTarget(SERVICE, "/clock"), first_bytes(HTTP)),
+        (StreamTarget(NODE, "/robot"), b"POST / HTTP/1.1\r\nContent-length: 0\r\n\r\n"),
+        (StreamTarget(NODE, "/robot"), b"\x30\0\0\0\x2c\0\0\0message_definition=string data"),
+        (StreamTarget(NODE, "/robot"), b"\xff\xff\xff\xffSSH-2.0"),
+        (StreamTarget(NODE, "/hidden"), first_bytes(HTTP)),
+        (StreamTarget(NODE, "/impostor"), first_bytes(HTTP)),
+        (StreamTarget(NODE, "/impostor"), first_bytes(TCPROS)),
+        (StreamTarget(SERVICE, "/database"), first_bytes(TCPROS)),
     ],
     ids=[
-        "master by TCPROS", "service by HTTP", "plain XML-RPC", "plain TCPROS", "another protocol",
-        "what the master refuses", "another node at the address", "its topics",
+        "master by TCPROS",
+        "service by HTTP",
+        "plain XML-RPC",
+        "plain TCPROS",
+        "another protocol",
+        "what the master refuses",
+        "another node at the address",
+        "its topics",
         "a service where no node is",
     ],
-)  # fmt: skip
-async def test_nothing_is_connected_for(
-    site: SiteOfTargets, target: Target, opening: bytes
-) -> None:
+)
+async def test_nothing_is_connected_for(site: SiteOfTargets, target: StreamTarget, opening: bytes) -> None:
     with pytest.raises(ConnectionResetError):
         await site.reach(target, opening)
     assert site.forgotten == []
@@ -136,12 +140,15 @@ async def test_nothing_is_connected_for(
 
 @pytest.mark.parametrize(
     ("target", "protocol"),
-    [(Target(NODE, "/robot"), HTTP), (Target(NODE, "/robot"), TCPROS),
-     (Target(SERVICE, "/clock"), TCPROS)],
+    [
+        (StreamTarget(NODE, "/robot"), HTTP),
+        (StreamTarget(NODE, "/robot"), TCPROS),
+        (StreamTarget(SERVICE, "/clock"), TCPROS),
+    ],
     ids=["slave API", "topics", "service"],
-)  # fmt: skip
+)
 async def test_a_host_is_resolved_once_and_then_it_is_connected_where_the_node_was(
-    site: SiteOfTargets, target: Target, protocol: WireProtocol
+    site: SiteOfTargets, target: StreamTarget, protocol: WireProtocol
 ) -> None:
     site.host = "rebound.invalid"  # resolved anew, it would be somewhere else
     got, _ = await site.reach(target, first_bytes(protocol))
@@ -151,7 +158,7 @@ async def test_a_host_is_resolved_once_and_then_it_is_connected_where_the_node_w
 async def test_a_node_that_is_gone_is_asked_again_next_time(site: SiteOfTargets) -> None:
     site.topics.close()
     with pytest.raises(ConnectionResetError):
-        await site.reach(Target(NODE, "/robot"), first_bytes(TCPROS))
+        await site.reach(StreamTarget(NODE, "/robot"), first_bytes(TCPROS))
     assert site.forgotten == ["/robot"]
 
 
@@ -168,9 +175,7 @@ async def test_a_target_on_this_host_sees_by_whom_it_is_reached(listen: str, hos
     assert is_relayed(where[0])
 
 
-async def test_an_address_that_turns_out_to_be_this_host_is_dropped(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_an_address_that_turns_out_to_be_this_host_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     """For example a name that is resolved to another address the second time."""
 
     async def dial(_host: str, port: int, _within: float) -> socket.socket:

@@ -10,9 +10,9 @@ from ca.certificates import Identity
 from ca.errors import Revoked
 from rossec.errors import RelayRefused, RossecError
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
-from rossec.net.rpc.client import serve_calls
-from rossec.overlay import topic_ports as module
-from rossec.overlay.topic_ports import TopicPorts
+from rossec.net.rpc.calls import serve_calls
+from rossec.overlay import targets as module
+from rossec.overlay.targets import TopicPorts
 from rossec.ros.names import PORTS
 from rossec.ros.xmlrpc import Fault
 from tests.support.site import Site
@@ -26,9 +26,7 @@ class Robot:
         self.answer: object = [1, "", [4711]]
         self.calls: list[tuple[object, ...]] = []
         context = SecureContext(home.credentials(), site.anchor.verify)
-        self.api: SecureServer[Identity] = serve(
-            self._serve, "127.0.0.1", 0, context, WireProtocol.HTTP
-        )
+        self.api: SecureServer[Identity] = serve(self._serve, "127.0.0.1", 0, context, WireProtocol.HTTP)
 
     async def _serve(self, stream: SecureStream[Identity]) -> None:
         await serve_calls(stream, self._dispatch)

@@ -5,21 +5,23 @@ from typing import Any
 import pytest
 
 from rossec.errors import AnswerMalformed
-from rossec.master.state.doors import MAX_DOORS, Door, Target
-from rossec.overlay.wanted_doors import REPORTED_AT_ONCE, Orders, WantedDoors
+from rossec.master.state.forwarded_ports import MAX_DOORS, Door, Target
+from rossec.overlay.wanted_ports import REPORTED_AT_ONCE, Orders, WantedDoors
 
 ROBOT, ARM = Target("office", "node", "/robot"), Target("office", "node", "/arm")
 AT = Door("127.0.0.1", 7001)
 
 
 def answer(
-    version: int, wanted: list[Target] | None = None, unwanted: list[Target] | None = None,
-    **changes: Any,
-) -> dict[str, object]:  # fmt: skip
+    version: int, wanted: list[Target] | None = None, unwanted: list[Target] | None = None, **changes: Any
+) -> dict[str, object]:
     return {
-        "version": version, "wanted": [[*each] for each in wanted or []],
-        "unwanted": [[*each] for each in unwanted or []], "masters": {}, **changes,
-    }  # fmt: skip
+        "version": version,
+        "wanted": [[*each] for each in wanted or []],
+        "unwanted": [[*each] for each in unwanted or []],
+        "masters": {},
+        **changes,
+    }
 
 
 def test_a_door_is_opened_and_told_once() -> None:
@@ -98,15 +100,21 @@ def test_masters_to_poll_too() -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"version": "1"}, {"more": 1}, {"wanted": [["office", "node"]]},
-        {"wanted": [["of fice", "node", "/a"]]}, {"wanted": [["office", "topic", "/a"]]},
-        {"unwanted": [["office", "node", "a"]]}, {"masters": {"/robot": "http://r:1/"}},
-        {"masters": {"/master": "ftp://r:1/"}}, {"masters": {"/master": 7}}, {"masters": []},
+        {"version": "1"},
+        {"more": 1},
+        {"wanted": [["office", "node"]]},
+        {"wanted": [["of fice", "node", "/a"]]},
+        {"wanted": [["office", "topic", "/a"]]},
+        {"unwanted": [["office", "node", "a"]]},
+        {"masters": {"/robot": "http://r:1/"}},
+        {"masters": {"/master": "ftp://r:1/"}},
+        {"masters": {"/master": 7}},
+        {"masters": []},
         {"masters": {f"/master/m{number}": "http://m:1/" for number in range(65)}},
         {"wanted": [["office", "node", f"/n{number}"] for number in range(MAX_DOORS + 1)]},
     ],
     ids=lambda change: str(change)[:60],
-)  # fmt: skip
+)
 def test_a_malformed_answer_changes_nothing(change: dict[str, object]) -> None:
     doors = WantedDoors()
     doors.opened(ROBOT, AT)

@@ -20,9 +20,7 @@ KEY = "rossec/1/open/00112233445566778899aabbccddeeff"
 OTHER = "rossec/1/open/ffeeddccbbaa99887766554433221100"
 
 
-async def put_until(
-    sender: Carrier, key: str, data: bytes, condition: Callable[[], object]
-) -> None:
+async def put_until(sender: Carrier, key: str, data: bytes, condition: Callable[[], object]) -> None:
     """Put the message again until it shows: nobody says when a mailbox is known everywhere."""
 
     def put() -> object:
@@ -89,14 +87,14 @@ async def test_many_messages_wake_the_loop_a_few_times() -> None:
     with router() as locator:
         async with carrier(locator) as alice, carrier(locator) as bob:
             turns = 0
-            take = bob._take
+            take = bob._deliver
 
             def counted() -> Any:
                 nonlocal turns
                 turns += 1
                 return take()
 
-            bob._take = counted  # type: ignore[method-assign]
+            bob._deliver = counted  # type: ignore[method-assign]
             got: list[bytes] = []
             bob.subscribe(KEY, got.append)
             await put_until(alice, KEY, b"", lambda: got)
@@ -109,9 +107,7 @@ async def test_many_messages_wake_the_loop_a_few_times() -> None:
             assert turns < 100
 
 
-async def test_a_callback_that_crashes_does_not_stop_the_others(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_callback_that_crashes_does_not_stop_the_others(caplog: pytest.LogCaptureFixture) -> None:
     def crash(_data: bytes) -> None:
         raise ValueError("a bug")
 
@@ -208,9 +204,7 @@ async def test_a_failure_to_replace_the_session_is_logged(
 
 async def test_without_a_router() -> None:
     where = f"tcp/127.0.0.1:{free_port()}"
-    with pytest.raises(
-        OverlayUnavailable, match=f"no router takes the seat open: {where}"
-    ) as caught:
+    with pytest.raises(OverlayUnavailable, match=f"no router takes the seat open: {where}") as caught:
         await Carrier.open(routers_at(where))
     assert "seat file" in caught.value.hint
 

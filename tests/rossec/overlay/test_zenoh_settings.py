@@ -7,9 +7,9 @@ import pytest
 import zenoh
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from rossec.overlay.documents import Routers
+from rossec.overlay.router_settings import COMMON, client_settings
 from rossec.overlay.router_tls import RouterAuthority
-from rossec.overlay.routers import Routers
-from rossec.overlay.zenoh_settings import COMMON, client_settings
 from tests.support.pki import NOW
 
 PASSWORD = "x" * 22

@@ -6,17 +6,11 @@ import pytest
 
 from ca.encoding import Value, encode
 from ca.errors import CAError, RevocationsStale, Revoked
-from ca.revocation.state import Revocations, Timestamp, digest, sign_timestamp
-from grants.errors import (
-    GrantExpired,
-    GrantForged,
-    GrantMalformed,
-    GrantMissing,
-    GrantNotHeld,
-    GrantRevoked,
-)
+from ca.revocation.lists import Timestamp, digest, sign_timestamp
+from ca.revocation.trust_status import Revocations
+from grants.errors import GrantExpired, GrantForged, GrantMalformed, GrantMissing, GrantNotHeld, GrantRevoked
 from grants.model import Right
-from rossec.participant import token_opening
+from rossec.participant import access
 from rossec.participant.access import Access
 from tests.support.domains import alone
 from tests.support.site import Site
@@ -125,7 +119,7 @@ def test_every_peer_is_refused_while_revocations_are_stale(site: Site) -> None:
         (encode({1: b"x"}), "expected a list"),
         (encode([b"x"] * 17), "expected a list of at most 16"),
         (encode([b"x", "y"]), "an item that is not bytes"),
-        (encode([b"x" * (token_opening.MAX_PRESENTED + 1)]), "unreadable list"),
+        (encode([b"x" * (access.MAX_PRESENTED + 1)]), "unreadable list"),
     ],
 )
 def test_a_malformed_list_of_grants_is_refused(site: Site, presented: bytes, said: str) -> None:
@@ -160,7 +154,7 @@ def test_expired_grants_are_not_presented_and_their_number_is_bounded(site: Site
     later = [site.subscribe("/viewer", TOPIC, lifetime=100 + n) for n in range(20)]
     own = Access(alone(site.anchor, revocations(site)), [ended, revoked, *later])
     shown = own.present(Right.SUBSCRIBE, TOPIC, NOW)
-    assert shown == field(*reversed(later[-token_opening.MAX_GRANTS :]))
+    assert shown == field(*reversed(later[-access.MAX_GRANTS :]))
     authorize(site, shown)
     assert own.current(NOW) == later[::-1]
 
@@ -186,9 +180,7 @@ def test_a_list_without_a_timestamp_makes_revocations_stale(site: Site) -> None:
     held.check_fresh(NOW)
     signed = site.revoke(bytes(32))
     for data in (signed, signed):  # also when the list is not new
-        with pytest.raises(
-            RevocationsStale, match="the revocation list without a timestamp"
-        ) as stale:
+        with pytest.raises(RevocationsStale, match="the revocation list without a timestamp") as stale:
             own.update_revocations(data, b"", master, NOW, saved.append)
         assert "enroll the node anew" in stale.value.hint
         assert (held.data, held.fresh_until) == (signed, 0)
@@ -206,8 +198,7 @@ def test_stale_revocations_do_not_hide_a_revoked_intermediate(site: Site) -> Non
     with pytest.raises(Revoked):
         own.check_peer(master, NOW)
     timestamp = sign_timestamp(
-        site.enroll("/master").credentials().signer,
-        Timestamp(held.floor[1], digest(held.data), NOW, 30),
+        site.enroll("/master").credentials().signer, Timestamp(held.floor[1], digest(held.data), NOW, 30)
     )
     with pytest.raises(Revoked):
         own.update_revocations(b"", timestamp, master, NOW, list[bytes]().append)

@@ -2,11 +2,11 @@
 
 import pytest
 
-from ca.domains.anchors import Anchors
-from ca.domains.standing import Standing
+from ca.domains.trust import Anchors
 from ca.encoding import Value, encode
 from ca.errors import NameRefused, NotAdmitted, RevocationsStale, Revoked
-from ca.keys.publickey import thumbprint
+from ca.keys.signing import thumbprint
+from ca.revocation.trust_status import Standing
 from grants.decision import Decision
 from grants.errors import GrantError, GrantForged, GrantMissing, GrantNotHeld, GrantRevoked
 from grants.model import Right
@@ -68,17 +68,13 @@ def test_a_name_there_is_proved_by_a_grant_of_that_domain(pair: Pair, access: Ac
 
 @pytest.mark.parametrize("pattern", ["/**", "/ward/pose", "/remote/hospital/ward/pose"])
 @pytest.mark.parametrize("domain", ["", DOMAIN])
-def test_the_own_authority_gives_nothing_there(
-    pair: Pair, access: Access, pattern: str, domain: str
-) -> None:
+def test_the_own_authority_gives_nothing_there(pair: Pair, access: Access, pattern: str, domain: str) -> None:
     token = to_robot(pair, pair.home, PUBLISH, pattern, domain)
     with pytest.raises(GrantError):
         decide(pair, access, token, PUBLISH, ALIAS)
 
 
-def test_an_own_node_that_visits_there_is_known_by_a_grant_of_that_domain(
-    pair: Pair, access: Access
-) -> None:
+def test_an_own_node_that_visits_there_is_known_by_a_grant_of_that_domain(pair: Pair, access: Access) -> None:
     guest = SomeNode(pair.home, "/guest")
     token = grant(pair.hospital, guest.identity.thumbprint, PUBLISH, THERE)
     assert access.authorize(guest.identity, shown(token), PUBLISH, ALIAS, NOW).name == ALIAS
@@ -136,9 +132,7 @@ def test_a_grant_ends_by_the_list_of_the_domain_it_is_of(pair: Pair, access: Acc
     assert ours.held_grants() == []
 
 
-def test_a_grant_of_the_home_ends_by_its_list_or_that_of_its_holder(
-    pair: Pair, access: Access
-) -> None:
+def test_a_grant_of_the_home_ends_by_its_list_or_that_of_its_holder(pair: Pair, access: Access) -> None:
     token = to_robot(pair, pair.home, SUBSCRIBE, HERE)
     grant_id = decide(pair, access, token, SUBSCRIBE, HERE).grants[0].id
     pair.confirm_foreign(grant_id, seq=2)
@@ -178,14 +172,10 @@ def test_a_revoked_or_removed_foreigner_is_refused(pair: Pair, access: Access) -
         access.authorize(peer, shown(token), SUBSCRIBE, HERE, NOW)
 
 
-def test_a_foreigner_without_a_grant_is_told_the_command_of_the_home(
-    pair: Pair, access: Access
-) -> None:
+def test_a_foreigner_without_a_grant_is_told_the_command_of_the_home(pair: Pair, access: Access) -> None:
     with pytest.raises(GrantMissing, match=r"^hospital:/rounds/robot3 shows no grant") as caught:
         access.authorize(pair.peer(), None, SUBSCRIBE, HERE, NOW)
-    assert "rossec grant sign hospital:/rounds/robot3 --subscribe /robot/pose" in (
-        caught.value.hint
-    )
+    assert "rossec grant sign hospital:/rounds/robot3 --subscribe /robot/pose" in (caught.value.hint)
 
 
 def test_the_label_decides_which_key_opens_a_grant(pair: Pair, access: Access) -> None:

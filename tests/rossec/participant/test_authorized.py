@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from ca.domains.standing import Standing
-from ca.revocation.state import Revocations, Timestamp, digest
+from ca.revocation.lists import Timestamp, digest
+from ca.revocation.trust_status import Revocations, Standing
 from rossec.clock import Clock
 from rossec.participant.authorized import STALE_GRACE, AuthorizedConnection
 from tests.support.domains import alone
@@ -47,9 +47,7 @@ def decision(
 
 
 def connection(made: Any, **options: Any) -> AuthorizedConnection[Any, str]:
-    peer = SimpleNamespace(
-        name="/viewer", keys=(KEY,), not_after=NOW + 50, domain="home", is_foreign=False
-    )
+    peer = SimpleNamespace(name="/viewer", keys=(KEY,), not_after=NOW + 50, domain="home", is_foreign=False)
     padded: list[int] = []
     stream = SimpleNamespace(peer=peer, padded=padded, pad_units=padded.append)
     return AuthorizedConnection(stream, made, "first", **options)

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from rossec.master.state.parameters import Parameters, search_candidates
-from rossec.participant.caller_names import (
+from rossec.participant.registrations import (
     not_found,
     resolve_params,
     search_places,
@@ -77,9 +77,9 @@ def test_the_names_searched_are_those_the_master_searches(caller: str, key: str)
     for name in SET:
         tree = Parameters()
         tree.set(name, 1)
-        there = [found for place, found in search_places(caller, key) if tree.has(place)]
+        there = [found for place, found in search_places(caller, key) if tree.item(place)[1] is not None]
         looked_at = search_candidates(caller, key)
-        assert there == [found for place, found in looked_at if tree.has(place)]
+        assert there == [found for place, found in looked_at if tree.item(place)[1] is not None]
 
 
 def test_the_names_searched_for_a_long_caller_are_bounded() -> None:

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from ca.domains.standing import Standing
-from ca.revocation.state import Revocations, Timestamp, digest
+from ca.revocation.lists import Timestamp, digest
+from ca.revocation.trust_status import Revocations, Standing
 from rossec.clock import Clock
 from rossec.errors import ChannelClosed, LimitExceeded
 from rossec.participant.authorized import STALE_GRACE, AuthorizedConnection
@@ -96,9 +96,7 @@ def test_a_connection_outlives_stale_revocations_for_the_grace_period(site: Site
     held = standing(site)
     last = held.own.fresh_until + STALE_GRACE
     assert make_connection().termination_reason(held, last - 1) is None
-    assert "the last confirmation expired" in (
-        make_connection().termination_reason(held, last) or ""
-    )
+    assert "the last confirmation expired" in (make_connection().termination_reason(held, last) or "")
 
 
 def test_a_connection_is_closed_without_a_revocation_list(site: Site) -> None:
@@ -111,23 +109,18 @@ def test_a_connection_with_on_stale_keep_ends_by_revocation_or_expiry_only(site:
     held = standing(site)
     long_after = held.own.fresh_until + 10 * STALE_GRACE
     assert make_connection(keep=True).termination_reason(never, NOW) is None
-    assert (
-        make_connection(ends=long_after + 1, keep=True).termination_reason(held, long_after) is None
-    )
+    assert make_connection(ends=long_after + 1, keep=True).termination_reason(held, long_after) is None
     assert make_connection(keep=True).termination_reason(held, NOW + 1000) is not None
     site.authority.revoke(GRANT, "", NOW)
-    assert make_connection(ends=long_after + 1, keep=True).termination_reason(
-        standing(site), long_after
-    ) == (f"{GRANT.hex()} is revoked")
+    assert make_connection(ends=long_after + 1, keep=True).termination_reason(standing(site), long_after) == (
+        f"{GRANT.hex()} is revoked"
+    )
 
 
 def test_a_revoked_grant_closes_the_connection_during_the_grace_period(site: Site) -> None:
     site.authority.revoke(GRANT, "", NOW)
     held = standing(site)
-    assert (
-        make_connection().termination_reason(held, held.own.fresh_until + 1)
-        == f"{GRANT.hex()} is revoked"
-    )
+    assert make_connection().termination_reason(held, held.own.fresh_until + 1) == f"{GRANT.hex()} is revoked"
 
 
 def table(held: Standing, lock: Any = None, most: int = 2) -> ConnectionTable[FakeStream]:

@@ -102,9 +102,7 @@ def test_the_end_of_trust_ends_connections_to_the_second(pair: Pair, connect: An
 
 @pytest.mark.parametrize("connect", [visiting, visited])
 @pytest.mark.parametrize("changes", [{"label": "clinic"}, {"admitted": ("/nobody",)}])
-def test_other_terms_of_trust_end_connections(
-    pair: Pair, connect: Any, changes: dict[str, Any]
-) -> None:
+def test_other_terms_of_trust_end_connections(pair: Pair, connect: Any, changes: dict[str, Any]) -> None:
     connections, stream = connect(pair)
     pair.anchors.update(domains(pair.home, foreign(pair.hospital, **changes), seq=2))
     assert "is not admitted here any more" in ends(connections, stream)
@@ -147,13 +145,9 @@ def test_a_foreign_connection_outlives_stale_foreign_lists_for_the_grace_period(
     assert "of domain hospital: the last confirmation expired" in ends(connections, stream, last)
 
 
-def test_a_foreign_connection_that_is_kept_when_stale_ends_with_trust_all_the_same(
-    pair: Pair,
-) -> None:
+def test_a_foreign_connection_that_is_kept_when_stale_ends_with_trust_all_the_same(pair: Pair) -> None:
     kept = Permission("/stop", Right.SUBSCRIBE, Restriction(keep_when_stale=True))
-    token = grant(
-        pair.home, pair.robot.identity.thumbprint, Right.SUBSCRIBE, "/stop", permissions=(kept,)
-    )
+    token = grant(pair.home, pair.robot.identity.thumbprint, Right.SUBSCRIBE, "/stop", permissions=(kept,))
     connections, stream = admitted(pair, pair.peer(), token, Right.SUBSCRIBE, "/stop")
     assert ends(connections, stream, NOW + 3600 + 10 * STALE_GRACE) == ""
     pair.anchors.update(domains(pair.home, seq=2))

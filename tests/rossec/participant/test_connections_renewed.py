@@ -8,14 +8,7 @@ import pytest
 
 from rossec.errors import ChannelClosed
 from tests.rossec.participant import test_connections
-from tests.rossec.participant.test_connections import (
-    KEY,
-    NOW,
-    Connection,
-    make_connection,
-    standing,
-    table,
-)
+from tests.rossec.participant.test_connections import KEY, NOW, Connection, make_connection, standing, table
 from tests.support.site import Site
 
 _clock, site = test_connections._clock, test_connections.site  # fixtures
@@ -30,11 +23,7 @@ def test_what_the_peer_presented_since_may_carry_a_connection_on(site: Site, goe
         connection.ends = NOW + 5 if goes_on else NOW
         return goes_on
 
-    renewed: Any = SimpleNamespace(
-        continues=continues,
-        retry=lambda *_: None,
-        opened=lambda *_: None,
-    )
+    renewed: Any = SimpleNamespace(continues=continues, retry=lambda *_: None, opened=lambda *_: None)
     connections.renewed = renewed
     for ask in (connections.check, lambda _: connections.cut_ended(NOW)):
         made = make_connection()

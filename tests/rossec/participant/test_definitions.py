@@ -47,9 +47,7 @@ def unasked(name: str) -> Definition:
 
 
 def host(name: str) -> Definition | None:
-    return {PATH.name: Definition(PATH.name, PATH.md5sum, PATH.definition), WORD.name: WORD}.get(
-        name
-    )
+    return {PATH.name: Definition(PATH.name, PATH.md5sum, PATH.definition), WORD.name: WORD}.get(name)
 
 
 def test_a_forged_definition_has_the_same_md5sum() -> None:
@@ -89,9 +87,7 @@ def test_a_definition_of_the_publisher_is_used_if_the_md5sum_of_the_receiver_pro
     forged = replace(WORD, definition="string[] data")
     assert receiver_definition(undefined(WORD), forged, wanted, host) == WORD
     for own, said in ((undefined(WORD), forged), (ANY, WORD), (replace(ANY, name=WORD.name), WORD)):
-        with pytest.raises(
-            ConnectionHeaderRefused, match="how this subscriber reads a std_msgs/String"
-        ):
+        with pytest.raises(ConnectionHeaderRefused, match="how this subscriber reads a std_msgs/String"):
             receiver_definition(own, said, wanted, nothing)
 
 

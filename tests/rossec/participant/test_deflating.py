@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rossec.errors import FrameRefused
-from rossec.participant import deflating
-from rossec.participant.deflating import (
+from rossec.participant import delivery
+from rossec.participant.delivery import (
     LARGE,
     OVERHEAD,
     Deflatable,
@@ -81,7 +81,7 @@ def test_a_size_above_the_limit_is_refused_before_anything_is_inflated(
         (b"\1" + struct.pack("<I", 400) + b"\xff" * 99, "cannot be inflated"),
         (b"\1" + struct.pack("<I", len(TEXT)) + zlib.compress(TEXT), "cannot be inflated"),
     ],
-)  # fmt: skip
+)
 def test_what_is_not_what_it_says_is_refused(packed: bytes, said: str) -> None:
     with pytest.raises(FrameRefused, match=said):
         inflated(packed, LIMIT)
@@ -113,7 +113,7 @@ def test_it_is_deflated_once_for_all_receivers(monkeypatch: pytest.MonkeyPatch) 
         calls.append(pieces)
         return deflated(pieces)
 
-    monkeypatch.setattr(deflating, "deflated", count)
+    monkeypatch.setattr(delivery, "deflated", count)
     shared, source, other = SharedDeflation(), object(), object()
     first = shared.of([TEXT], source)
     assert shared.of([TEXT], source) is first

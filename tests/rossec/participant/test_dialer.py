@@ -7,17 +7,11 @@ import pytest
 
 from ca.certificates import Identity
 from ca.errors import Revoked
-from rossec.errors import (
-    AnswerRefused,
-    ConfigurationError,
-    ConnectionHeaderRefused,
-    IdentityRefused,
-)
+from rossec.errors import AnswerRefused, ConfigurationError, ConnectionHeaderRefused, IdentityRefused
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
-from rossec.net.aio.accepted import Handler
-from rossec.net.rpc.client import RpcClient, serve_calls
-from rossec.participant.dialer import Dialer
-from rossec.participant.own_addresses import OwnAddresses
+from rossec.net.aio.server import Handler
+from rossec.net.rpc.calls import RpcClient, serve_calls
+from rossec.participant.connections import Dialer, OwnAddresses
 from rossec.ros.xmlrpc import Fault
 from tests.support.doors import door
 from tests.support.site import Site
@@ -122,14 +116,9 @@ async def test_the_caller_of_an_api_checks_the_peer_itself(
     await stream.close()
 
 
-async def test_nothing_is_sent_to_a_revoked_peer(
-    talker: Talker, dialer: Dialer, checked: Checked
-) -> None:
+async def test_nothing_is_sent_to_a_revoked_peer(talker: Talker, dialer: Dialer, checked: Checked) -> None:
     checked.revoked.add("/talker")
-    for attempt in (
-        dialer.topic(talker.uri, TOPIC),
-        dialer.service(f"rosrpc://{HOST}:{talker.topics.port}"),
-    ):
+    for attempt in (dialer.topic(talker.uri, TOPIC), dialer.service(f"rosrpc://{HOST}:{talker.topics.port}")):
         with pytest.raises(Revoked):
             await attempt
     assert talker.calls == []
@@ -137,9 +126,17 @@ async def test_nothing_is_sent_to_a_revoked_peer(
 
 @pytest.mark.parametrize(
     "answer",
-    [[], 0, ["UDPROS", HOST, 1], ["TCPROS", HOST], ["TCPROS", 5, 1], ["TCPROS", HOST, 0],
-     ["TCPROS", HOST, 65536], ["TCPROS", HOST, "80"]],
-)  # fmt: skip
+    [
+        [],
+        0,
+        ["UDPROS", HOST, 1],
+        ["TCPROS", HOST],
+        ["TCPROS", 5, 1],
+        ["TCPROS", HOST, 0],
+        ["TCPROS", HOST, 65536],
+        ["TCPROS", HOST, "80"],
+    ],
+)
 async def test_an_answer_without_a_connection_is_refused(
     talker: Talker, dialer: Dialer, answer: object
 ) -> None:

@@ -5,16 +5,16 @@ from typing import Any
 
 import pytest
 
-from ca.domains.standing import Standing
 from ca.errors import DomainsRefused, NotAdmitted, RevocationsStale, Revoked, RollbackRefused
-from ca.revocation.state import digest
+from ca.revocation.lists import digest
+from ca.revocation.trust_status import Standing
 from rossec.clock import Clock
 from rossec.errors import AnswerMalformed, AnswerRefused, RossecError
 from rossec.home import NodeHome
-from rossec.participant.domain_updates import DomainUpdates
+from rossec.participant.master_updates import DomainUpdates
 from rossec.ros.names import DOMAINS, FOREIGN_PROOFS, FOREIGN_REVOCATIONS, UPDATE_DOMAINS
 from rossec.ros.xmlrpc import Fault
-from rossec.saved_domains import DomainFiles
+from rossec.saved_statements import DomainFiles
 from tests.support.domains import Pair, SomeNode, domains, foreign, revoked, revoked_tree
 from tests.support.pki import NOW
 
@@ -226,9 +226,7 @@ async def test_a_master_out_of_reach_ends_the_call(robot: Robot) -> None:
         await robot.updates.heartbeat(call)
 
 
-@pytest.mark.parametrize(
-    "answer", [5, [], [b"", b""], [b"", b"", b""], [b"", b"", [b"", b"", b""]]]
-)
+@pytest.mark.parametrize("answer", [5, [], [b"", b""], [b"", b"", b""], [b"", b"", [b"", b"", b""]]])
 async def test_a_malformed_foreign_word_is_not_taken(
     robot: Robot, answer: object, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -314,9 +312,7 @@ async def test_invalid_proofs_prove_nothing(robot: Robot, answer: object) -> Non
 
 async def test_the_word_of_another_node_than_a_master_counts_for_nothing(robot: Robot) -> None:
     liar = SomeNode(robot.pair.hospital, "/rounds/robot3")
-    robot.answers[FOREIGN_REVOCATIONS] = lambda *_: [
-        robot.data, liar.stamp(robot.data), [liar.leaf]
-    ]  # fmt: skip
+    robot.answers[FOREIGN_REVOCATIONS] = lambda *_: [robot.data, liar.stamp(robot.data), [liar.leaf]]
     await robot.updates.session_opened(robot.call)
     with pytest.raises(RevocationsStale):
         robot.standing.check(DOMAIN, KEY, NOW)
@@ -331,9 +327,7 @@ async def test_a_domain_whose_trust_has_ended_is_asked_no_more(robot: Robot) -> 
     assert robot.methods() == [DOMAINS]
 
 
-def test_a_disk_that_fails_leaves_the_list_as_it_was(
-    robot: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_fails_leaves_the_list_as_it_was(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(_: bytes) -> None:
         raise OSError("disk full")
 

@@ -1,6 +1,6 @@
 from typing import Any
 
-from rossec.participant.followed_publishers import FollowedPublishers
+from rossec.participant.connections import FollowedPublishers
 
 ALIAS, OWN = "/remote/hospital/pose", "/pose"
 

@@ -4,9 +4,8 @@ import importlib
 
 import pytest
 
-from grants.vocabulary.types import TYPES
-from rossec.participant.further_types import FURTHER_TYPES
-from rossec.participant.message_types import message_type, type_names
+from grants.vocabulary.contents import TYPES
+from rossec.participant.message_types import FURTHER_TYPES, message_type, type_names
 
 SUMS = {
     "tf2_msgs/TFMessage": "94810edda583a504dfda3829e70d7eec",

@@ -14,18 +14,18 @@ from grants import document
 from grants.model import Draft, Permission, Right
 from rossec.errors import AnswerMalformed, AnswerRefused, RossecError
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, connect, serve
-from rossec.net.rpc.client import serve_calls
-from rossec.participant import grant_delivery as module
+from rossec.net.rpc.calls import serve_calls
+from rossec.participant import master_updates as module
 from rossec.participant.access import Access
-from rossec.participant.grant_delivery import (
+from rossec.participant.master_updates import (
     FETCH,
     MAX_ANSWERS,
     MAX_KNOWN,
     WATCH,
     GrantDelivery,
+    GrantDirectory,
     GrantWatch,
 )
-from rossec.participant.grant_directory import GrantDirectory
 from rossec.participant.membership import LoadedIdentity
 from rossec.ros.names import MASTER
 from rossec.ros.xmlrpc import Fault
@@ -57,12 +57,15 @@ class Robot:
     def grant(self, begin: int = -60, lifetime: int = DAY, **changes: Any) -> bytes:
         now = self.site.now()
         draft = Draft(
-            domain=changes.get("domain", "home"), subject="/robot",
+            domain=changes.get("domain", "home"),
+            subject="/robot",
             holder=changes.get("holder", self.loaded.identity.thumbprint),
-            not_before=now + begin, expires=now + begin + lifetime,
+            not_before=now + begin,
+            expires=now + begin + lifetime,
             cap=now + begin + lifetime + changes.get("more", 0),
-            serial=secrets.token_bytes(16), permissions=(Permission("/p", Right.PUBLISH),),
-        )  # fmt: skip
+            serial=secrets.token_bytes(16),
+            permissions=(Permission("/p", Right.PUBLISH),),
+        )
         return document.sign(changes.get("signer", self.site.authority.signer), draft)
 
     async def call(self, method: str, *params: object) -> object:

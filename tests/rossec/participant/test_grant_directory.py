@@ -8,7 +8,7 @@ from grants import document
 from grants.model import Right
 from rossec.errors import NotWritten
 from rossec.participant.access import Access
-from rossec.participant.grant_directory import KEPT, GrantDirectory
+from rossec.participant.master_updates import KEPT, GrantDirectory
 from rossec.participant.membership import LoadedIdentity
 from tests.support.site import DAY, Site
 

@@ -8,29 +8,16 @@ from typing import Any
 import pytest
 
 from ca.errors import RevocationRefused, RevocationsStale, Revoked
-from ca.keys.signer import KeySigner
-from ca.revocation.state import (
-    RevocationList,
-    Revocations,
-    Timestamp,
-    digest,
-    sign_list,
-    sign_timestamp,
-)
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import RevocationList, Timestamp, digest, sign_list, sign_timestamp
+from ca.revocation.trust_status import Revocations
 from grants.errors import GrantError, GrantMissing
 from grants.model import Right
 from grants.renewal import MIN_TICKET, Delegation, sign_delegation
 from rossec.errors import AnswerMalformed
-from rossec.master.rights.delegation import Delegate
+from rossec.master.rights.renewals import TicketSigner
 from rossec.participant.access import Access
-from rossec.participant.grant_renewal import (
-    MAX_PER_CALL,
-    RETRY,
-    MasterCall,
-    Renewals,
-    due_at,
-    renew,
-)
+from rossec.participant.renewals import GRANT_RETRY, MAX_GRANTS_PER_CALL, MasterCall, Renewals, due_at, renew
 from tests.support.authority import DAY, EnrolledNode, Site
 from tests.support.domains import alone
 
@@ -51,7 +38,7 @@ class World:
         self.list = b""
         self.at(0, self.site.revoke())
         self.calls: list[tuple[str, Any]] = []
-        self.delegate = Delegate(self.site.anchor, self.master.credentials.signer)
+        self.delegate = TicketSigner(self.site.anchor, self.master.credentials.signer)
         self.delegate.take(self.site.delegation(self.master))
         self.later = 0
 
@@ -68,9 +55,7 @@ class World:
         self.access.update_revocations(data, stamp, master.identity, now, lambda _: None)
         return now
 
-    def hold(
-        self, lifetime: int = HOUR, cap: int = DAY, holder: EnrolledNode | None = None
-    ) -> bytes:
+    def hold(self, lifetime: int = HOUR, cap: int = DAY, holder: EnrolledNode | None = None) -> bytes:
         data = self.site.grant(holder or self.node, P, lifetime=lifetime, cap=cap)
         self.access.hold(data)
         return data
@@ -108,8 +93,8 @@ def test_a_grant_is_due_at_about_two_thirds_of_its_lifetime(world: World) -> Non
     assert 0.55 * HOUR <= due_at(held) - world.now <= 0.77 * HOUR
     assert world.renewals.due(due_at(held) - 1) == []
     assert world.renewals.due(due_at(held)) == [held]
-    assert world.renewals.due(due_at(held) + RETRY - 1) == []
-    assert world.renewals.due(due_at(held) + RETRY) == [held]
+    assert world.renewals.due(due_at(held) + GRANT_RETRY - 1) == []
+    assert world.renewals.due(due_at(held) + GRANT_RETRY) == [held]
 
 
 def test_a_refused_grant_is_requested_again_before_it_expires(world: World) -> None:
@@ -121,8 +106,8 @@ def test_a_refused_grant_is_requested_again_before_it_expires(world: World) -> N
     assert len(asked) >= 4
     assert max(late - early for early, late in pairwise(asked)) <= 7
     assert world.renewals.due(world.now + 60) == [held]  # expired: the longest pause
-    assert world.renewals.due(world.now + 60 + RETRY - 1) == []
-    assert world.renewals.due(world.now + 60 + RETRY) == [held]
+    assert world.renewals.due(world.now + 60 + GRANT_RETRY - 1) == []
+    assert world.renewals.due(world.now + 60 + GRANT_RETRY) == [held]
 
 
 async def test_with_tickets_of_a_minute_a_node_always_holds_a_valid_one(world: World) -> None:
@@ -130,7 +115,7 @@ async def test_with_tickets_of_a_minute_a_node_always_holds_a_valid_one(world: W
     delegation = Delegation(
         "home", world.master.thumbprint, world.now - 1, world.now + DAY, MIN_TICKET, bytes(16)
     )
-    world.delegate = Delegate(world.site.anchor, world.master.credentials.signer)
+    world.delegate = TicketSigner(world.site.anchor, world.master.credentials.signer)
     world.delegate.take(sign_delegation(world.site.signer, delegation))
     world.hold(lifetime=50)
     least = 60
@@ -162,16 +147,14 @@ async def test_a_new_epoch_makes_all_renewed_grants_due(world: World) -> None:
     world.revocations.update(data, world.now + HOUR)
     world.revocations.confirm(stamp, world.now + HOUR)
     assert await renew(world.answer, world.renewals, world.now + HOUR + 2) == 1
-    assert world.renewals.due(world.now + HOUR + 3 * RETRY) == []
+    assert world.renewals.due(world.now + HOUR + 3 * GRANT_RETRY) == []
 
 
 def test_a_call_renews_a_limited_number_of_grants_the_first_to_expire_first(world: World) -> None:
-    for n in range(MAX_PER_CALL + 1):
+    for n in range(MAX_GRANTS_PER_CALL + 1):
         world.hold(lifetime=HOUR + n)
     due = world.renewals.due(world.now + 2 * HOUR)
-    assert [held.grant.expires - world.now for held in due] == [
-        HOUR + n for n in range(MAX_PER_CALL)
-    ]
+    assert [held.grant.expires - world.now for held in due] == [HOUR + n for n in range(MAX_GRANTS_PER_CALL)]
     assert len(world.renewals.due(world.now + 2 * HOUR)) == 1
 
 
@@ -185,13 +168,9 @@ async def test_an_expired_grant_is_renewed(world: World) -> None:
     assert token != data
     [held] = world.access.held_grants()
     assert (held.original, held.since) == (data, now)
-    assert await renew(world.answer, world.renewals, now + RETRY) == 0
+    assert await renew(world.answer, world.renewals, now + GRANT_RETRY) == 0
     decision = world.access.authorize(
-        world.node.identity,
-        world.access.present(Right.PUBLISH, "/t", now),
-        Right.PUBLISH,
-        "/t",
-        now,
+        world.node.identity, world.access.present(Right.PUBLISH, "/t", now), Right.PUBLISH, "/t", now
     )
     assert decision.expires == held.grant.expires
 
@@ -234,9 +213,7 @@ def test_tokens_of_a_revoked_delegation_are_refused(world: World) -> None:
     with pytest.raises(GrantError, match="delegation"):
         world.access.hold_renewed(token, world.now)
     with pytest.raises(RevocationRefused):
-        world.access.update_revocations(
-            b"", b"no stamp", world.master.identity, world.now, lambda _: None
-        )
+        world.access.update_revocations(b"", b"no stamp", world.master.identity, world.now, lambda _: None)
 
 
 def test_a_timestamp_of_a_revoked_master_is_refused(world: World) -> None:

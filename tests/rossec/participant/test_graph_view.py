@@ -5,16 +5,21 @@ from typing import Any
 import pytest
 
 from rossec.errors import AnswerMalformed
-from rossec.participant.graph_view import GraphView
+from rossec.participant.registrations import GraphView
 
 A, B = ["publisher", "/t", "/a"], ["publisher", "/t", "/b"]
 
 
 def answer(**changes: Any) -> dict[str, Any]:
     said = {
-        "instance": "x", "version": 5, "cursor": 1, "whole": True, "more": False,
-        "added": [A], "removed": [],
-    }  # fmt: skip
+        "instance": "x",
+        "version": 5,
+        "cursor": 1,
+        "whole": True,
+        "more": False,
+        "added": [A],
+        "removed": [],
+    }
     return {**said, **changes}
 
 
@@ -40,11 +45,20 @@ def test_a_restart_of_the_master_reports_differences_only() -> None:
 @pytest.mark.parametrize(
     "broken",
     [
-        5, {}, answer(instance=1), answer(version="1"), answer(cursor=None), answer(whole=1),
-        answer(more=0), answer(added={}), answer(removed=[5]), answer(added=[["one", "two"]]),
-        answer(added=[[*A, "four"]]), answer(added=[[1, "two", "three"]]),
+        5,
+        {},
+        answer(instance=1),
+        answer(version="1"),
+        answer(cursor=None),
+        answer(whole=1),
+        answer(more=0),
+        answer(added={}),
+        answer(removed=[5]),
+        answer(added=[["one", "two"]]),
+        answer(added=[[*A, "four"]]),
+        answer(added=[[1, "two", "three"]]),
     ],
-)  # fmt: skip
+)
 def test_a_malformed_answer_changes_nothing(broken: object) -> None:
     view = GraphView()
     view.take(answer())

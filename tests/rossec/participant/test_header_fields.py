@@ -2,9 +2,9 @@ from dataclasses import replace
 
 import pytest
 
-from ca.certificates import build_request
+from ca.svid import build_request
 from rossec.errors import CallerMismatch, ConnectionHeaderRefused
-from rossec.participant.header_fields import check_caller, refuse_on_wire, text
+from rossec.participant.handshakes import check_caller, refuse_on_wire, text
 from tests.support.pki import NOW, Site, new_signer
 
 SITE = Site.create()

@@ -31,14 +31,10 @@ def test_other_types_are_unknown(name: str, monkeypatch: pytest.MonkeyPatch) -> 
     assert known_type(name) is None
 
 
-def test_packages_are_found_along_ros_package_path(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_packages_are_found_along_ros_package_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In a directory of packages, or given itself; nested types may be standard types."""
     package(tmp_path / "ws" / "my_robot", Drive="my_parts/Axle[2] axles\nHeader header\n")
-    own = package(
-        tmp_path / "else" / "my_parts", Axle="Wheel left  # \xe9\nWheel right", Wheel="float32 r"
-    )
+    own = package(tmp_path / "else" / "my_parts", Axle="Wheel left  # \xe9\nWheel right", Wheel="float32 r")
     monkeypatch.setenv("ROS_PACKAGE_PATH", f":{tmp_path / 'ws'}:{own}")
     found = known_type("my_robot/Drive")
     assert found is not None
@@ -52,9 +48,11 @@ def test_types_with_missing_or_invalid_parts_are_unknown(
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
     package(
         tmp_path / "my_robot",
-        Drive="my_parts/Axle axle", Odd="what is this", Loop="Loop inner",
+        Drive="my_parts/Axle axle",
+        Odd="what is this",
+        Loop="Loop inner",
         Long="#" * (MAX_TEXT + 1),
-    )  # fmt: skip
+    )
     for name in ("Drive", "Odd", "Loop", "Long"):
         assert known_type(f"my_robot/{name}") is None
 
@@ -69,9 +67,7 @@ def test_a_type_with_too_many_dependencies_is_unknown(
     assert known_type("my_robot/A") is None
 
 
-def test_a_workspace_of_several_repositories(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_workspace_of_several_repositories(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As rospack finds them: not below a package, not behind a link, not too far down."""
     own = package(tmp_path / "src" / "repository" / "deep" / "far_msgs", Far="int8 a")
     (own / "package.xml").write_text("<package/>")
@@ -86,9 +82,7 @@ def test_a_workspace_of_several_repositories(
         assert known_type(name) is None
 
 
-def test_a_workspace_is_not_searched_for_ever(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_workspace_is_not_searched_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for number in range(9):
         (tmp_path / f"a{number}" / "b").mkdir(parents=True)
     package(tmp_path / "z" / "far_msgs", Far="int8 a")
@@ -101,9 +95,7 @@ def test_a_workspace_is_not_searched_for_ever(
     host_types._below.cache_clear()
 
 
-def test_what_is_installed_is_found_without_a_path(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_installed_is_found_without_a_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     package(tmp_path / "door_msgs", Door="bool open")
     monkeypatch.setattr(host_types, "INSTALLED", (str(tmp_path),))
     monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
@@ -111,9 +103,7 @@ def test_what_is_installed_is_found_without_a_path(
     assert places({"ROS_PACKAGE_PATH": "/a::/b:/a"}) == ["/a", "/b", str(tmp_path)]
 
 
-def test_a_type_of_a_package_is_one_for_messages_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_type_of_a_package_is_one_for_messages_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where types come from is one thing: `topic echo`, a built-in node, `explain` ask here too."""
     package(tmp_path / "shed_msgs", Shed="Header header\nDoor[] doors\n", Door="bool open")
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))

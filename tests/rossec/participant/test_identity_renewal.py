@@ -7,11 +7,9 @@ from typing import Any
 import pytest
 
 from ca.authority import Authority
-from ca.certificates import from_pem
-from ca.intermediates import build_intermediate_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.renewal import open_renewal
+from ca.certificates import build_intermediate_request, from_pem, open_renewal
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
 from ca.store.record import Store
 from rossec import clock
 from rossec.authority.renewals import renew, renew_by_name, sign_intermediate
@@ -19,11 +17,11 @@ from rossec.authority.signing import SigningAuthority
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.home import NodeHome
-from rossec.participant.grant_renewal import MasterCall
-from rossec.participant.identity_renewal import (
-    METHOD,
-    RETRY,
+from rossec.participant.renewals import (
+    IDENTITY_METHOD,
+    IDENTITY_RETRY,
     IdentityRenewal,
+    MasterCall,
     renew_identity,
 )
 from tests.support.poses import POSE, first, pose
@@ -59,8 +57,8 @@ def test_an_identity_is_due_after_two_thirds_of_its_lifetime(site: Site) -> None
     due = BEGIN + LIFE * 2 // 3
     assert asks.request(due - 1) is None
     assert asks.request(NOW) is not None
-    assert asks.request(NOW + RETRY - 1) is None
-    assert asks.request(NOW + RETRY) is not None
+    assert asks.request(NOW + IDENTITY_RETRY - 1) is None
+    assert asks.request(NOW + IDENTITY_RETRY) is not None
 
 
 def test_an_identity_with_a_short_lifetime_is_requested_more_often(site: Site) -> None:
@@ -73,53 +71,53 @@ def test_an_identity_with_a_short_lifetime_is_requested_more_often(site: Site) -
 
 async def test_a_new_identity_is_on_the_disk_and_in_use(site: Site) -> None:
     home, credentials, asks = renewal(site)
-    before = credentials.certificate
+    before = credentials.current.certificate
 
     async def call(method: str, *params: Any) -> object:
-        assert method == METHOD
+        assert method == IDENTITY_METHOD
         return renew(site.authority, params[0], NOW)
 
     assert await renew_identity(call, asks, NOW)
-    assert credentials.certificate != before
+    assert credentials.current.certificate != before
     assert home.credentials().chain == credentials.current.chain
     assert home.identity(NOW).not_after > NOW + 10 * DAY
     assert home.identity(NOW).thumbprint == asks._identity.thumbprint
     assert not await renew_identity(call, asks, NOW)
-    assert not credentials.shared
-    assert len(credentials.sign(b"x")) == 64
-    assert credentials.id_cred == home.credentials().id_cred
+    assert not credentials.current.shared
+    assert len(credentials.current.signer.sign(b"x")) == 64
+    assert credentials.current.id_cred == home.credentials().id_cred
 
 
 async def test_a_request_with_a_lost_answer_is_repeated(site: Site) -> None:
     _, credentials, asks = renewal(site)
-    answers = [renew(site.authority, asks.request(at) or b"", at) for at in (NOW, NOW + RETRY)]
+    answers = [renew(site.authority, asks.request(at) or b"", at) for at in (NOW, NOW + IDENTITY_RETRY)]
     assert answers[0] == answers[1]
-    assert await renew_identity(answering(answers[1]), asks, NOW + 2 * RETRY)
+    assert await renew_identity(answering(answers[1]), asks, NOW + 2 * IDENTITY_RETRY)
     assert credentials.current.chain[0] == from_pem(answers[0])[0]
 
 
 def test_an_identity_installed_by_an_operator_is_used(site: Site) -> None:
     home, credentials, asks = renewal(site)
-    before = credentials.certificate
+    before = credentials.current.certificate
     site._clock = lambda: NOW
     site.renew("/robot", LIFE)
     assert asks.request(NOW) is None
-    assert credentials.certificate == home.credentials().certificate != before
+    assert credentials.current.certificate == home.credentials().certificate != before
     assert asks.request(NOW + 13 * DAY) is None
     assert asks.request(NOW + 14 * DAY) is not None
 
 
 def test_an_identity_that_expires_earlier_is_not_used(site: Site) -> None:
     home, credentials, asks = renewal(site)
-    before = credentials.certificate
+    before = credentials.current.certificate
     site.renew("/robot", DAY)  # shorter, and expired by now
     assert asks.request(NOW) is not None
     site._clock = lambda: NOW
     site.renew("/robot", DAY)
-    assert asks.request(NOW + RETRY) is not None
+    assert asks.request(NOW + IDENTITY_RETRY) is not None
     (home.path / "node.pem").unlink()
-    assert asks.request(NOW + 2 * RETRY) is not None
-    assert credentials.certificate == before
+    assert asks.request(NOW + 2 * IDENTITY_RETRY) is not None
+    assert credentials.current.certificate == before
 
 
 @pytest.mark.parametrize("bundle", [b"garbage", b""])
@@ -127,19 +125,17 @@ async def test_a_malformed_identity_changes_nothing(
     site: Site, bundle: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     home, credentials, asks = renewal(site)
-    before = (home.path / "node.pem").read_bytes(), credentials.certificate
+    before = (home.path / "node.pem").read_bytes(), credentials.current.certificate
 
     assert not await renew_identity(answering(bundle), asks, NOW)
-    assert not await renew_identity(answering(bundle), asks, NOW + RETRY)
-    assert ((home.path / "node.pem").read_bytes(), credentials.certificate) == before
+    assert not await renew_identity(answering(bundle), asks, NOW + IDENTITY_RETRY)
+    assert ((home.path / "node.pem").read_bytes(), credentials.current.certificate) == before
     assert "the identity is not renewed" in caplog.text
     with pytest.raises(AnswerMalformed):
         asks.take(5, NOW)
 
 
-async def test_a_refusal_of_the_master_is_logged(
-    site: Site, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_refusal_of_the_master_is_logged(site: Site, caplog: pytest.LogCaptureFixture) -> None:
     async def call(method: str, *params: object) -> object:
         raise AnswerRefused("rossec: this master renews no identities")
 
@@ -171,8 +167,7 @@ async def test_what_is_not_there_yet_is_asked_for_again_soon(
     warned = [record for record in caplog.records if record.levelname == "WARNING"]
     assert len(warned) == 1, "an hour has not passed"
     assert warned[0].getMessage() == (
-        "/robot: the identity ends in 4d 23h and is not renewed yet:"
-        " rossec: the authority's key is locked"
+        "/robot: the identity ends in 4d 23h and is not renewed yet: rossec: the authority's key is locked"
     )
     await renew_identity(call, asks, NOW + 3700)
     assert sum(record.levelname == "WARNING" for record in caplog.records) == 2
@@ -249,6 +244,4 @@ async def test_nodes_work_with_identities_signed_by_the_master(site: Site) -> No
             subscriber = await viewer.subscriber("/robot/pose", POSE)
             await first(subscriber, within=20)
             [connection] = subscriber.links
-            assert connection.stream.peer.issuers == (
-                site.intermediate.authority.issuer.thumbprint,
-            )
+            assert connection.stream.peer.issuers == (site.intermediate.authority.issuer.thumbprint,)

@@ -3,10 +3,9 @@
 import struct
 
 from grants.decision import Decision
-from grants.guard import Guard
-from grants.memory import Memory
+from grants.guard import Guard, Memory
 from grants.model import Restriction, Right
-from rossec.participant.latch import Latch, Sample
+from rossec.participant.delivery import Latch, Sample
 
 NOW = 1_800_000_000
 

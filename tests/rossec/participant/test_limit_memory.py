@@ -2,7 +2,7 @@
 
 from grants.decision import Decision
 from grants.model import Right
-from rossec.participant.limit_memory import memory_scope
+from rossec.participant.authorized import memory_scope
 from tests.support.memory_scopes import HOLDER
 
 

@@ -9,13 +9,12 @@ import pytest
 
 from ca.certificates import Identity
 from ca.errors import RevocationRefused
-from ca.revocation.tree import RevocationTree, sign_tree
+from ca.revocation.lists import RevocationTree, sign_tree
 from rossec.errors import ConfigurationError, RossecError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
-from rossec.participant.grant_renewal import MasterCall
-from rossec.participant.master_session import MasterSession
-from rossec.ros.names import MASTER
-from rossec.ros.settings import parse_uri
+from rossec.participant.membership import MasterSession
+from rossec.participant.renewals import MasterCall
+from rossec.ros.names import MASTER, parse_uri
 from tests.support.site import DAY, Site
 from tests.support.witness import until
 
@@ -121,7 +120,7 @@ async def test_a_cause_that_lasts_is_logged_once_a_minute(
     async def no_proofs(call: MasterCall) -> int:
         return 0
 
-    monkeypatch.setattr("rossec.participant.retry.FIRST", 0.02)
+    monkeypatch.setattr("rossec.participant.registrations.FIRST", 0.02)
     session = MasterSession("/robot", dial, lambda *_: None, nothing, bytes, no_proofs)
     running = asyncio.ensure_future(session.run())
     try:
@@ -130,7 +129,7 @@ async def test_a_cause_that_lasts_is_logged_once_a_minute(
             "/robot: no answer from the master: refused",
             "/robot: no answer from the master: unreachable",
         ]
-        monkeypatch.setattr("rossec.participant.master_session._SAID_AGAIN", 0.0)
+        monkeypatch.setattr("rossec.participant.membership._SAID_AGAIN", 0.0)
         await until(lambda: len(caplog.messages) > 3, within=10)
     finally:
         running.cancel()

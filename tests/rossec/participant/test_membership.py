@@ -11,7 +11,7 @@ import pytest
 
 from ca.certificates import Identity
 from ca.errors import CAError, RevocationsStale
-from ca.revocation.state import Timestamp, digest, open_list, sign_timestamp
+from ca.revocation.lists import Timestamp, digest, open_list, sign_timestamp
 from grants.model import Right
 from rossec import clock
 from rossec.errors import AnswerRefused, ConfigurationError, RossecError
@@ -19,11 +19,10 @@ from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
 from rossec.net.context import SecureContext
 from rossec.participant.access import Access
-from rossec.participant.dialer import Dialer
+from rossec.participant.connections import Dialer
 from rossec.participant.membership import LoadedIdentity, Membership
-from rossec.participant.publisher_grace import PublisherGrace
-from rossec.ros.names import MASTER
-from rossec.ros.settings import parse_uri
+from rossec.participant.registrations import PublisherGrace
+from rossec.ros.names import MASTER, parse_uri
 from rossec.ros.xmlrpc import Fault
 from tests.rossec.participant.test_identity_renewal import BEGIN, LIFE, below
 from tests.support.site import DAY, HOUR, Site
@@ -143,17 +142,13 @@ async def test_grants_are_presented_before_registrations_on_each_connection(site
 
 async def test_a_grant_that_expired_while_the_node_was_off_is_renewed_first(site: Site) -> None:
     site.delegate()
-    site.grant(
-        "/robot", Right.PUBLISH, TOPIC, begin=site.now() - HOUR, lifetime=-60, cap=DAY
-    )  # fmt: skip
+    site.grant("/robot", Right.PUBLISH, TOPIC, begin=site.now() - HOUR, lifetime=-60, cap=DAY)
     async with site.running(), Form(site).running() as form:
         assert "refused" not in form.calls
 
 
 async def test_a_master_that_renews_nothing_has_a_session_all_the_same(site: Site) -> None:
-    site.grant(
-        "/robot", Right.PUBLISH, TOPIC, begin=site.now() - HOUR, lifetime=-60, cap=DAY
-    )  # fmt: skip
+    site.grant("/robot", Right.PUBLISH, TOPIC, begin=site.now() - HOUR, lifetime=-60, cap=DAY)
     async with site.running(), Form(site).running() as form:
         assert form.calls == ["close", "restore", "refused"]
 

@@ -47,7 +47,7 @@ async def test_lists_of_domains_and_of_what_they_revoke_are_taken_from_the_maste
         before = form.membership.rights_version
         await form.membership.session.call("rossec.updateDomains", accept(site, other))
         assert site.master is not None
-        site.master._effects.take_foreign("hospital", *word_of(other))
+        site.master.effects.take_foreign("hospital", *word_of(other))
         await until(lambda: visited in form.access.current(site.now()))
         standing = form.loaded.standing
         await until(lambda: standing.status_valid_until("hospital", bytes(16)) > site.now())
@@ -75,9 +75,12 @@ async def test_the_master_pushes_what_is_signed(site: Site, tmp_path: Path) -> N
     take(names.REVOCATION_UPDATE, (data, timestamp(site, data)), master)
     assert form.loaded.revocations.data == data
     for method, params in (
-        ("shutdown", ("now",)), (names.DOMAINS_UPDATE, ()), (names.DOMAINS_UPDATE, ("text",)),
-        (names.FOREIGN_UPDATE, word), (names.REVOCATION_UPDATE, (data,)),
-    ):  # fmt: skip
+        ("shutdown", ("now",)),
+        (names.DOMAINS_UPDATE, ()),
+        (names.DOMAINS_UPDATE, ("text",)),
+        (names.FOREIGN_UPDATE, word),
+        (names.REVOCATION_UPDATE, (data,)),
+    ):
         with pytest.raises(CallRefused):
             take(method, params, master)
 

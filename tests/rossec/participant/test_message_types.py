@@ -145,9 +145,7 @@ def test_known_types_are_listed_by_their_names_in_ros() -> None:
     assert not any("/msg/" in name for name in names)
 
 
-def test_a_type_of_a_package_on_this_host_is_known(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_type_of_a_package_on_this_host_is_known(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     package = tmp_path / "kitchen_msgs"
     (package / "msg").mkdir(parents=True)
     (package / "package.xml").write_text("<package><name>kitchen_msgs</name></package>")

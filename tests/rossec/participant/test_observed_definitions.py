@@ -14,11 +14,11 @@ from rossec.participant.definitions import (
     Definition,
     definition_fields,
     forwarded_definition,
+    guard_for,
     receiver_definition,
     sender_definition,
 )
 from rossec.participant.message_types import message_type
-from rossec.participant.topic_guard import guard_for
 
 OBSERVED: Final = Path(__file__).parents[2] / "vectors" / "observed"
 STAMPED: Final = message_type("geometry_msgs/PoseStamped")
@@ -31,9 +31,7 @@ def observed(name: str) -> str:
 
 
 def restricted(kind: str, *filters: FilterRule) -> Decision:
-    return Decision(
-        Right.SUBSCRIBE, "/x", (), 2_000_000_000, (Restriction(kind, (), filters, rate=1.0),)
-    )
+    return Decision(Right.SUBSCRIBE, "/x", (), 2_000_000_000, (Restriction(kind, (), filters, rate=1.0),))
 
 
 def unrestricted() -> Decision:
@@ -49,9 +47,7 @@ def nothing(_: str) -> None:
     return None
 
 
-ROSNODEJS: Final = Definition(
-    STAMPED.name, STAMPED.md5sum, observed("rosnodejs_indented_no_dependencies")
-)
+ROSNODEJS: Final = Definition(STAMPED.name, STAMPED.md5sum, observed("rosnodejs_indented_no_dependencies"))
 
 
 def test_without_its_nested_types_the_definition_of_the_host_counts() -> None:
@@ -95,9 +91,7 @@ def test_lines_that_end_as_in_windows_are_named_as_the_cause() -> None:
         sender_definition(said, restricted("own_msgs/Blob"), nothing)
     assert "dos2unix" in caught.value.hint
     assert sender_definition(said, unrestricted(), nothing) is said
-    assert layout.parse("std_msgs/String", "string data\r\n").md5 == (
-        "992ce8a1687cec8c8bd883ec73ca41d1"
-    )
+    assert layout.parse("std_msgs/String", "string data\r\n").md5 == ("992ce8a1687cec8c8bd883ec73ca41d1")
 
 
 def test_a_backslash_and_an_n_are_named_as_the_cause() -> None:

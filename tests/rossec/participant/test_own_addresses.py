@@ -3,7 +3,7 @@
 import pytest
 
 from rossec.errors import ConnectionHeaderRefused
-from rossec.participant.own_addresses import OwnAddresses
+from rossec.participant.connections import OwnAddresses
 
 
 @pytest.fixture

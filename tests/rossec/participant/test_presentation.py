@@ -1,8 +1,7 @@
 """Tokens that are shown at once: in number and bytes what the other side reads."""
 
 from ca.encoding import Value, encode
-from rossec.participant.presentation import MAX_CALL, MAX_CALL_BYTES, batches, fitting
-from rossec.participant.token_opening import MAX_GRANTS, MAX_PRESENTED
+from rossec.participant.access import MAX_CALL, MAX_CALL_BYTES, MAX_GRANTS, MAX_PRESENTED, batches, fitting
 
 
 def test_a_header_field_holds_what_its_reader_accepts() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from rossec import clock
 from rossec.clock import Clock
-from rossec.participant.publisher_grace import GRACE, PublisherGrace
+from rossec.participant.registrations import GRACE, PublisherGrace
 from tests.support.site import Site
 
 A, B, C = "http://a/", "http://b/", "http://c/"
@@ -107,7 +107,7 @@ async def test_the_grace_period_does_not_depend_on_the_corrected_clock(
     ahead = [3600.0]
     monkeypatch.setattr(clock, "HOST", Clock(lambda: time.time() + ahead[0]))
     async with Site(tmp_path / "site").running() as site, site.node("/viewer") as viewer:
-        now = viewer._topics._grace._now
+        now = viewer.topics._grace._now
         before = now()
         ahead[0] = 0.0
         assert clock.correct(int(time.time()))

@@ -43,9 +43,7 @@ def test_another_address_keeps_its_registration() -> None:
     """A new program may have the name of one that unregisters late."""
     table = recorded(*ALL)
     for method, params in UNDO:
-        table.record(
-            method, tuple(f"{value}/other" if "//" in str(value) else value for value in params)
-        )
+        table.record(method, tuple(f"{value}/other" if "//" in str(value) else value for value in params))
     assert list(table) == ALL
 
 

@@ -5,7 +5,7 @@ import pytest
 from ca.certificates import Identity
 from ca.errors import NameRefused
 from rossec.errors import ConfigurationError, ConnectionHeaderRefused
-from rossec.participant import remote_names
+from rossec.participant import handshakes
 from tests.support.pki import NOW, Site
 
 POSE, ALIAS = "/robot/pose", "/remote/hospital/robot/pose"
@@ -25,67 +25,65 @@ def foreigner(own: Identity) -> Identity:
 
 
 def test_nothing_is_offered_below_remote() -> None:
-    assert remote_names.refuse_offer(POSE, "published") == POSE
+    assert handshakes.refuse_offer(POSE, "published") == POSE
     with pytest.raises(ConfigurationError, match=f"^{ALIAS} cannot be published here") as caught:
-        remote_names.refuse_offer(ALIAS, "published")
+        handshakes.refuse_offer(ALIAS, "published")
     assert "the others see it below /remote/LABEL" in caught.value.hint
 
 
-@pytest.mark.parametrize("method", sorted(remote_names.OFFERS))
+@pytest.mark.parametrize("method", sorted(handshakes.OFFERS))
 def test_a_programs_call_that_offers_below_remote_is_answered_with_the_reason(method: str) -> None:
     for name in (ALIAS, "/remote"):
-        refusal = remote_names.offer_refusal(method, ("/robot", name, "more"))
+        refusal = handshakes.offer_refusal(method, ("/robot", name, "more"))
         assert refusal is not None
         code, status, _ = refusal
         assert code == -1
-        assert str(status).startswith(f"rossec: {name} cannot be {remote_names.OFFERS[method]}")
+        assert str(status).startswith(f"rossec: {name} cannot be {handshakes.OFFERS[method]}")
         assert "take a name outside /remote" in str(status)
     for params in ((), ("/robot",), ("/robot", 7), ("/robot", POSE), ("/robot", "/remotely/a")):
-        assert remote_names.offer_refusal(method, params) is None
+        assert handshakes.offer_refusal(method, params) is None
 
 
 @pytest.mark.parametrize("method", ["registerSubscriber", "getParam", "unregisterPublisher"])
 def test_what_is_only_read_may_be_below_remote(method: str) -> None:
-    assert remote_names.offer_refusal(method, ("/robot", ALIAS)) is None
+    assert handshakes.offer_refusal(method, ("/robot", ALIAS)) is None
 
 
 def test_a_header_on_the_wire_has_the_origins_name() -> None:
     fields = {"callerid": b"/viewer", "topic": ALIAS.encode(), "md5sum": b"*"}
-    assert remote_names.fields_on_wire(fields) == fields | {"topic": POSE.encode()}
+    assert handshakes.fields_on_wire(fields) == fields | {"topic": POSE.encode()}
     service = {"service": b"/remote/hospital/lamp"}
-    assert remote_names.fields_on_wire(service) == {"service": b"/lamp"}
+    assert handshakes.fields_on_wire(service) == {"service": b"/lamp"}
     own = {"topic": POSE.encode(), "service": b"/lamp"}
-    assert remote_names.fields_on_wire(own) == own
+    assert handshakes.fields_on_wire(own) == own
     with pytest.raises(NameRefused):
-        remote_names.fields_on_wire({"topic": b"/remote/hospital"})
+        handshakes.fields_on_wire({"topic": b"/remote/hospital"})
     with pytest.raises(ConnectionHeaderRefused):
-        remote_names.fields_on_wire({"topic": b"\xff"})
+        handshakes.fields_on_wire({"topic": b"\xff"})
 
 
 def test_a_header_for_a_program_has_local_names(own: Identity, foreigner: Identity) -> None:
     fields = {"callerid": b"/robot", "topic": POSE.encode(), "md5sum": b"*"}
     local = {"callerid": foreigner.name.encode(), "topic": ALIAS.encode()}
-    assert remote_names.fields_here(fields, foreigner, ALIAS) == fields | local
-    assert remote_names.fields_here(fields, own, POSE) == fields
-    assert remote_names.fields_here(fields, own) == fields
-    assert remote_names.fields_here({"md5sum": b"*"}, foreigner, ALIAS) == {"md5sum": b"*"}
+    assert handshakes.fields_here(fields, foreigner, ALIAS) == fields | local
+    assert handshakes.fields_here(fields, own, POSE) == fields
+    assert handshakes.fields_here(fields, own) == fields
+    assert handshakes.fields_here({"md5sum": b"*"}, foreigner, ALIAS) == {"md5sum": b"*"}
 
 
 def test_a_program_knows_a_foreign_caller_by_its_alias(own: Identity, foreigner: Identity) -> None:
-    assert remote_names.caller_here(foreigner, "/robot") == "/remote/hospital/robot"
-    assert remote_names.caller_here(own, "/robot_17") == "/robot_17"
+    assert handshakes.caller_here(foreigner, "/robot") == "/remote/hospital/robot"
+    assert handshakes.caller_here(own, "/robot_17") == "/robot_17"
 
 
-def test_a_foreigner_gets_the_certified_name_without_a_tail(
-    own: Identity, foreigner: Identity
-) -> None:
-    assert remote_names.caller_for(own, "/rviz_1", "/rviz") == "/rviz_1"
-    assert remote_names.caller_for(foreigner, "/rviz_1", "/rviz") == "/rviz"
+def test_a_foreigner_gets_the_certified_name_without_a_tail(own: Identity, foreigner: Identity) -> None:
+    assert handshakes.caller_for(own, "/rviz_1", "/rviz") == "/rviz_1"
+    assert handshakes.caller_for(foreigner, "/rviz_1", "/rviz") == "/rviz"
 
 
 def test_what_a_foreign_node_says_of_itself_is_read_in_local_names(foreigner: Identity) -> None:
     def here(method: str, value: object) -> object:
-        return remote_names.answer_here(foreigner, "home", method, value)
+        return handshakes.answer_here(foreigner, "home", method, value)
 
     assert here("getName", "/robot") == "/remote/hospital/robot"
     assert here("getPublications", [[POSE, "p/T"], ["/remote/home/x", "p/T"], ["a b", "p/T"]]) == [
@@ -110,28 +108,27 @@ def test_what_a_foreign_node_says_of_itself_is_read_in_local_names(foreigner: Id
     ]
 
 
-def test_a_foreign_node_is_told_no_names_of_third_domains(
-    own: Identity, foreigner: Identity
-) -> None:
+def test_a_foreign_node_is_told_no_names_of_third_domains(own: Identity, foreigner: Identity) -> None:
     rows = [[POSE, "p/T"], [ALIAS, "p/T"], ["/remote/clinic/x", "p/T"], ["malformed"]]
-    assert remote_names.answer_for(foreigner, "getSubscriptions", rows) == [
-        [POSE, "p/T"], [f"hospital:{POSE}", "p/T"],
-    ]  # fmt: skip
-    assert remote_names.answer_for(own, "getSubscriptions", rows) == rows
+    assert handshakes.answer_for(foreigner, "getSubscriptions", rows) == [
+        [POSE, "p/T"],
+        [f"hospital:{POSE}", "p/T"],
+    ]
+    assert handshakes.answer_for(own, "getSubscriptions", rows) == rows
     stats = [[[ALIAS, 7, []]], [], []]
-    assert remote_names.answer_for(foreigner, "getBusStats", stats) == [[], [], []]
-    assert remote_names.answer_for(own, "getBusStats", stats) == [[], [], []]
+    assert handshakes.answer_for(foreigner, "getBusStats", stats) == [[], [], []]
+    assert handshakes.answer_for(own, "getBusStats", stats) == [[], [], []]
     connections = [
         [1, "/viewer", "o", "TCPROS", POSE, True],
         [2, "/remote/clinic/robot", "o", "TCPROS", POSE, True],
     ]
-    assert remote_names.answer_for(foreigner, "getBusInfo", connections) == connections[:1]
+    assert handshakes.answer_for(foreigner, "getBusInfo", connections) == connections[:1]
 
 
 @pytest.mark.parametrize(("method", "value"), sorted(INFORMATION.items()))
 def test_other_answers_are_as_they_are(own: Identity, method: str, value: object) -> None:
-    assert remote_names.answer_here(own, "home", method, value) == value
-    assert remote_names.answer_for(own, method, value) == value
+    assert handshakes.answer_here(own, "home", method, value) == value
+    assert handshakes.answer_for(own, method, value) == value
 
 
 @pytest.mark.parametrize(
@@ -142,6 +139,6 @@ def test_a_malformed_answer_of_a_foreign_node_is_empty(
     foreigner: Identity, method: str, empty: object
 ) -> None:
     for value in (7, {"a": 1}, None):
-        assert remote_names.answer_here(foreigner, "home", method, value) == empty
-    assert remote_names.answer_here(foreigner, "home", "getName", "/remote/home/x") == ""
-    assert remote_names.answer_here(foreigner, "home", "getPid", 7) == 7
+        assert handshakes.answer_here(foreigner, "home", method, value) == empty
+    assert handshakes.answer_here(foreigner, "home", "getName", "/remote/home/x") == ""
+    assert handshakes.answer_here(foreigner, "home", "getPid", 7) == 7

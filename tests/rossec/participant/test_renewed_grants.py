@@ -11,12 +11,11 @@ from ca.encoding import encode
 from grants.errors import GrantMissing
 from grants.model import Right
 from rossec import clock
-from rossec.channel.states import GrantsPresented, IdentityRenewed, RenewalRefused
+from rossec.channel.negotiation import GrantsPresented, IdentityRenewed, PresentedRenewalRefused
 from rossec.clock import Clock
 from rossec.errors import ConnectionHeaderRefused, IdentityRefused
-from rossec.participant import renewed_grants
-from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.renewed_grants import PACE, RenewedGrants
+from rossec.participant import authorized
+from rossec.participant.authorized import PACE, AuthorizedConnection, RenewedGrants
 
 NOW = 1_800_000_000
 
@@ -125,9 +124,7 @@ def test_what_is_refused_leaves_the_decision_and_is_judged_again(
     assert made.guard == "guard of new"
 
 
-def test_it_is_judged_once_more_when_the_connection_would_end(
-    grants: RenewedGrants, access: Access
-) -> None:
+def test_it_is_judged_once_more_when_the_connection_would_end(grants: RenewedGrants, access: Access) -> None:
     made, never = opened(grants), opened(grants)
     made.stream.tell(GrantsPresented(b"later"))
     assert not grants.continues(made, NOW + 10)
@@ -209,7 +206,7 @@ def test_one_key_is_not_judged_for_ever(grants: RenewedGrants, access: Access) -
 def test_budgets_that_are_full_again_are_forgotten(
     grants: RenewedGrants, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(renewed_grants, "_PEERS", 4)
+    monkeypatch.setattr(authorized, "_PEERS", 4)
     now = [NOW]
     monkeypatch.setattr(clock, "now", lambda: now[0])
     for number in range(20):
@@ -228,11 +225,9 @@ def test_a_renewed_identity_moves_the_end(grants: RenewedGrants) -> None:
     assert (made.ends, made.stream.reasons) == (NOW + 3000, ["identity"])
 
 
-def test_a_refused_certificate_is_logged(
-    grants: RenewedGrants, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_refused_certificate_is_logged(grants: RenewedGrants, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    opened(grants).stream.tell(RenewalRefused(IdentityRefused("of another node")))
+    opened(grants).stream.tell(PresentedRenewalRefused(IdentityRefused("of another node")))
     assert "/viewer (/word) presents a certificate that is refused: of another node" in caplog.text
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.participant.retry import FAST_PERIOD, FIRST, Retry
+from rossec.participant.registrations import FAST_PERIOD, FIRST, Retry
 
 
 @pytest.mark.parametrize("rand", [0.0, 0.5, 0.999])

@@ -8,13 +8,12 @@ from typing import Any
 import pytest
 
 from ca.errors import RevocationsStale, Revoked
-from ca.revocation.state import Revocations, Timestamp, digest
-from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
+from ca.revocation.lists import RevocationTree, Timestamp, TreeEntries, digest, sign_tree
+from ca.revocation.trust_status import Revocations
 from grants.model import Right
 from rossec.errors import AnswerMalformed
 from rossec.participant.authorized import STALE_GRACE
-from rossec.participant.grant_renewal import MasterCall
-from rossec.participant.revocation_proofs import MAX_PER_CALL, METHOD, prove
+from rossec.participant.renewals import MAX_PROOFS_PER_CALL, REVOCATION_PROOFS, MasterCall, prove
 from tests.rossec.participant.test_connections import make_connection
 from tests.support.authority import Site as Authority
 from tests.support.domains import alone
@@ -47,7 +46,7 @@ def held(authority: Authority) -> Revocations:
 
 async def answer(method: str, *params: Any) -> list[bytes]:
     [wanted] = params
-    assert method == METHOD
+    assert method == REVOCATION_PROOFS
     return [LISTING.prove(entry) for entry in wanted]
 
 
@@ -68,10 +67,10 @@ async def test_a_wanted_proof_is_requested_once(held: Revocations) -> None:
 
 
 async def test_a_call_requests_a_limited_number_of_proofs(held: Revocations) -> None:
-    for n in range(100, 100 + MAX_PER_CALL):
+    for n in range(100, 100 + MAX_PROOFS_PER_CALL):
         with pytest.raises(RevocationsStale):
             held.check(n.to_bytes(16), int(time.time()))
-    assert await prove(answer, held) == MAX_PER_CALL
+    assert await prove(answer, held) == MAX_PROOFS_PER_CALL
     assert await prove(answer, held) == 2
 
 
@@ -82,9 +81,7 @@ async def test_a_malformed_answer_is_refused(held: Revocations, said: object) ->
 
 
 @pytest.mark.parametrize("said", [[], [b"", 5], [b"x", b"y"]])
-async def test_an_entry_without_a_valid_proof_stays_unknown(
-    held: Revocations, said: object
-) -> None:
+async def test_an_entry_without_a_valid_proof_stays_unknown(held: Revocations, said: object) -> None:
     assert await prove(answering(said), held) == 0
     with pytest.raises(RevocationsStale):
         held.check(ABSENT, int(time.time()))

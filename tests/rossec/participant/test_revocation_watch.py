@@ -6,10 +6,11 @@ from typing import Any
 import pytest
 
 from ca.errors import RevocationsStale
-from ca.revocation.state import Revocations, Timestamp, digest
+from ca.revocation.lists import Timestamp, digest
+from ca.revocation.trust_status import Revocations
 from rossec import clock
 from rossec.clock import Clock
-from rossec.participant.revocation_watch import ConnectionWatchdog
+from rossec.participant.connections import ConnectionWatchdog
 from tests.support.site import Site
 from tests.support.witness import until
 

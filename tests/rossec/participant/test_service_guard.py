@@ -9,8 +9,7 @@ from grants.decision import Decision
 from grants.errors import FilterRefused, GrantExpired, MessageRefused, RestrictionMismatch
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ConfigurationError, ServiceRefused
-from rossec.participant.service_guard import ServiceGuard
-from rossec.participant.service_types import service_type
+from rossec.participant.service_types import ServiceGuard, service_type
 from tests.support.memory_scopes import HOLDER, fresh
 
 KIND = service_type("std_srvs/SetBool")

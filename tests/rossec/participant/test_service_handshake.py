@@ -4,13 +4,14 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import Identity
-from ca.revocation.state import Revocations, Timestamp, digest
+from ca.revocation.lists import Timestamp, digest
+from ca.revocation.trust_status import Revocations
 from grants.errors import GrantMissing
 from grants.model import Right
 from rossec.errors import CallerMismatch, ConnectionHeaderRefused
-from rossec.participant import service_handshake
+from rossec.participant import handshakes
 from rossec.participant.access import Access
-from rossec.participant.header_fields import Fields
+from rossec.participant.handshakes import Fields
 from tests.support.domains import alone
 from tests.support.openaccess import OpenAccess
 from tests.support.site import Site
@@ -27,10 +28,7 @@ class Pair:
         site.grant("/door", Right.PROVIDE, SERVICE)
         site.grant("/hall", Right.CALL, SERVICE)
         self.door, self.hall = site.identity("/door"), site.identity("/hall")
-        self.door_access, self.hall_access = (
-            self._access(site, "/door"),
-            self._access(site, "/hall"),
-        )
+        self.door_access, self.hall_access = (self._access(site, "/door"), self._access(site, "/hall"))
 
     def _access(self, site: Site, name: str) -> Access:
         held = Revocations(site.anchor.public_key)
@@ -41,20 +39,17 @@ class Pair:
         return Access(alone(site.anchor, held), site.enroll(name).grants())
 
     def request(self) -> Fields:
-        proof = service_handshake.caller_proof(SERVICE, self.hall_access, NOW)
+        proof = handshakes.caller_proof(SERVICE, self.hall_access, NOW)
         return {"callerid": b"/hall", "service": SERVICE.encode(), **proof}
 
     def answer(self) -> Fields:
-        return {
-            "callerid": b"/door",
-            **service_handshake.provider_proof(SERVICE, self.door_access, NOW),
-        }
+        return {"callerid": b"/door", **handshakes.provider_proof(SERVICE, self.door_access, NOW)}
 
     def admit_hall(self, fields: Fields, peer: Identity | None = None) -> None:
-        service_handshake.admit_caller(fields, peer or self.hall, self.door_access, NOW)
+        handshakes.admit_caller(fields, peer or self.hall, self.door_access, NOW)
 
     def admit_door(self, fields: Fields) -> None:
-        service_handshake.admit_provider(fields, self.door, SERVICE, self.hall_access, NOW)
+        handshakes.admit_provider(fields, self.door, SERVICE, self.hall_access, NOW)
 
 
 @pytest.fixture
@@ -65,7 +60,7 @@ def pair(tmp_path: Path) -> Pair:
 def test_the_two_headers_admit_each_other(pair: Pair) -> None:
     pair.admit_hall(pair.request())
     pair.admit_door(pair.answer())
-    assert service_handshake.requested_service(pair.request()) == SERVICE
+    assert handshakes.requested_service(pair.request()) == SERVICE
 
 
 def test_a_client_needs_the_right_to_call(pair: Pair) -> None:
@@ -103,47 +98,40 @@ def test_a_header_without_a_service_is_refused(pair: Pair) -> None:
 
 
 def test_headers_of_client_and_server(pair: Pair) -> None:
-    kind = service_handshake.ExpectedService("std_srvs/SetBool", "09fb03525b03e7ea1fd3992bafd87e16")
-    asked = service_handshake.client_header(
-        "/hall", SERVICE, kind, pair.hall_access, NOW, persistent=True
-    )
+    kind = handshakes.ExpectedService("std_srvs/SetBool", "09fb03525b03e7ea1fd3992bafd87e16")
+    asked = handshakes.client_header("/hall", SERVICE, kind, pair.hall_access, NOW, persistent=True)
     pair.admit_hall(asked)
-    assert service_handshake.is_set(asked, "persistent")
-    assert not service_handshake.is_set(asked, "probe")
-    answer = service_handshake.server_header("/door", SERVICE, kind, pair.door_access, NOW)
-    service_handshake.admit_provider(answer, pair.door, SERVICE, pair.hall_access, NOW)
+    assert handshakes.is_set(asked, "persistent")
+    assert not handshakes.is_set(asked, "probe")
+    answer = handshakes.server_header("/door", SERVICE, kind, pair.door_access, NOW)
+    handshakes.admit_provider(answer, pair.door, SERVICE, pair.hall_access, NOW)
     for fields in (asked, answer):
-        service_handshake.check_md5(fields, SERVICE, kind.md5sum)
+        handshakes.check_md5(fields, SERVICE, kind.md5sum)
         assert fields["type"] == b"std_srvs/SetBool"
     assert answer["request_type"] == b"std_srvs/SetBoolRequest"
 
 
 def test_a_probe_matches_any_type(pair: Pair) -> None:
-    asked = service_handshake.client_header(
-        "/hall", SERVICE, service_handshake.ANY, pair.hall_access, NOW, probe=True
-    )
-    assert service_handshake.is_set(asked, "probe")
+    asked = handshakes.client_header("/hall", SERVICE, handshakes.ANY, pair.hall_access, NOW, probe=True)
+    assert handshakes.is_set(asked, "probe")
     assert asked["md5sum"] == b"*"
-    service_handshake.check_md5(asked, SERVICE, "0" * 32)
+    handshakes.check_md5(asked, SERVICE, "0" * 32)
 
 
 @pytest.mark.parametrize(
-    ("value", "means"),
-    [(b"1", True), (b"true", True), (b"True", True), (b"0", False), (b"", False)],
+    ("value", "means"), [(b"1", True), (b"true", True), (b"True", True), (b"0", False), (b"", False)]
 )
 def test_flags_are_read_as_stock_clients_write_them(value: bytes, means: bool) -> None:
-    assert service_handshake.is_set({"probe": value}, "probe") is means
-    assert not service_handshake.is_set({}, "probe")
+    assert handshakes.is_set({"probe": value}, "probe") is means
+    assert not handshakes.is_set({}, "probe")
 
 
 def test_md5sums_must_agree() -> None:
-    service_handshake.check_md5({"md5sum": b"a"}, SERVICE, "*")
-    with pytest.raises(
-        ConnectionHeaderRefused, match="/door/open has the md5sum b here, a at the peer"
-    ):
-        service_handshake.check_md5({"md5sum": b"a"}, SERVICE, "b")
+    handshakes.check_md5({"md5sum": b"a"}, SERVICE, "*")
+    with pytest.raises(ConnectionHeaderRefused, match="/door/open has the md5sum b here, a at the peer"):
+        handshakes.check_md5({"md5sum": b"a"}, SERVICE, "b")
     with pytest.raises(ConnectionHeaderRefused, match="has no 'md5sum'"):
-        service_handshake.check_md5({}, SERVICE, "b")
+        handshakes.check_md5({}, SERVICE, "b")
 
 
 ALIAS = "/remote/hospital/door/open"
@@ -151,10 +139,10 @@ ALIAS = "/remote/hospital/door/open"
 
 def test_the_header_for_an_alias_has_the_origins_name_and_access_the_alias(pair: Pair) -> None:
     access = OpenAccess()
-    fields = service_handshake.client_header("/hall", ALIAS, service_handshake.ANY, access, NOW)
+    fields = handshakes.client_header("/hall", ALIAS, handshakes.ANY, access, NOW)
     assert fields["service"] == b"/door/open"
     assert access.presented == [("call", ALIAS)]
-    service_handshake.admit_provider(pair.answer(), pair.door, ALIAS, access, NOW)
+    handshakes.admit_provider(pair.answer(), pair.door, ALIAS, access, NOW)
     assert access.authorized == [("/door", "provide", ALIAS)]
 
 
@@ -162,5 +150,5 @@ def test_a_client_that_asks_for_an_alias_is_refused(pair: Pair) -> None:
     access = OpenAccess()
     fields = pair.request() | {"service": ALIAS.encode()}
     with pytest.raises(ConnectionHeaderRefused, match="no name on the wire"):
-        service_handshake.admit_caller(fields, pair.hall, access, NOW)
+        handshakes.admit_caller(fields, pair.hall, access, NOW)
     assert access.authorized == []

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.participant.silent_answers import nothing_shown, shows_nothing, unheard_refusal
+from rossec.participant.registrations import nothing_shown, shows_nothing, unheard_refusal
 
 ILLEGAL = [-1, "ERROR: parameter [key] contains illegal chars", 0]
 
@@ -45,6 +45,4 @@ def test_an_empty_graph_is_noticed(method: str, answer: object, is_nothing: bool
 
 
 def test_the_command_that_shows_it_is_said() -> None:
-    assert nothing_shown("/r") == (
-        "nothing that /r may see; all of it needs: rossec grant sign /r --graph"
-    )
+    assert nothing_shown("/r") == ("nothing that /r may see; all of it needs: rossec grant sign /r --graph")

@@ -41,9 +41,16 @@ class Node:
         return "robot.local", 40000
 
     def describe(self) -> Mapping[str, object]:
-        return {"getName": "/n", "getUri": "http://n:1/", "getPid": 7,
-                "getMasterUri": "http://m:1", "getBusStats": [], "getBusInfo": [],
-                "getSubscriptions": [["/t", "p/T"]], "getPublications": []}  # fmt: skip
+        return {
+            "getName": "/n",
+            "getUri": "http://n:1/",
+            "getPid": 7,
+            "getMasterUri": "http://m:1",
+            "getBusStats": [],
+            "getBusInfo": [],
+            "getSubscriptions": [["/t", "p/T"]],
+            "getPublications": [],
+        }
 
 
 @pytest.fixture(scope="module")
@@ -87,9 +94,7 @@ async def test_the_master_may_control_the_node(node: Node, identity: Identity, g
 
 
 @pytest.mark.parametrize("given", MASTER_CALLS)
-async def test_no_other_peer_may_control_the_node(
-    node: Node, identity: Identity, given: Call
-) -> None:
+async def test_no_other_peer_may_control_the_node(node: Node, identity: Identity, given: Call) -> None:
     for claimed in ("/viewer", "/master"):
         answer = await call(node, identity, str(given[0]), claimed, *given[1:])
         assert isinstance(answer, list)
@@ -124,16 +129,15 @@ async def test_the_master_is_who_the_node_calls_so(node: Node, identity: Identit
     given = ("shutdown", ("/master/kitchen", "x"))
     assert await SlaveApi(node, "/master/kitchen")(*given, kitchen) == [1, "shutdown", 0]
     for master, peer, caller in (
-        ("/master", kitchen, "/master/kitchen"), ("/master/kitchen", identity, "/viewer"),
+        ("/master", kitchen, "/master/kitchen"),
+        ("/master/kitchen", identity, "/viewer"),
         ("/master", foreign, "/master"),
-    ):  # fmt: skip
+    ):
         answer = await SlaveApi(node, master)("shutdown", (caller, "x"), peer)
         assert answer == [-1, "rossec: shutdown is for the master alone", 0]
 
 
-async def test_a_relay_of_the_own_domain_learns_the_tcpros_port(
-    node: Node, identity: Identity
-) -> None:
+async def test_a_relay_of_the_own_domain_learns_the_tcpros_port(node: Node, identity: Identity) -> None:
     for name in ("/relay", "/relay/kitchen"):
         relay = replace(identity, name=name)
         assert await call(node, relay, "rossec.ports", name) == [1, "", [40000]]
@@ -166,15 +170,11 @@ async def test_a_relay_asks_in_its_own_name_alone(
 
 async def test_any_node_may_call_request_topic(node: Node, identity: Identity) -> None:
     asked = "requestTopic", "/viewer", "/whatever"
-    assert await call(node, identity, *asked, [["TCPROS"]]) == [
-        1, "ready", ["TCPROS", "robot.local", 40000],
-    ]  # fmt: skip
+    assert await call(node, identity, *asked, [["TCPROS"]]) == [1, "ready", ["TCPROS", "robot.local", 40000]]
 
 
 @pytest.mark.parametrize("protocols", [[], [["UDPROS", b"", "h", 1, 1500]], ["TCPROS"]])
-async def test_only_tcpros_is_offered(
-    node: Node, identity: Identity, protocols: list[object]
-) -> None:
+async def test_only_tcpros_is_offered(node: Node, identity: Identity, protocols: list[object]) -> None:
     answer = await call(node, identity, "requestTopic", "/viewer", "/t", protocols)
     assert answer == [-1, NO_TRANSPORT, []]
 
@@ -190,9 +190,7 @@ async def test_only_tcpros_is_offered(
         (("format", "/viewer"), "no such method"),
     ],
 )
-async def test_malformed_calls_are_refused(
-    node: Node, identity: Identity, given: Call, said: str
-) -> None:
+async def test_malformed_calls_are_refused(node: Node, identity: Identity, given: Call, said: str) -> None:
     answer = await call(node, identity, str(given[0]), *given[1:])
     assert isinstance(answer, list)
     assert (answer[0], said in str(answer[1])) == (-1, True)
@@ -204,9 +202,7 @@ async def test_a_refused_list_is_reported_in_the_answer(node: Node, identity: Id
     assert answer == [-1, "rossec: older than one seen", 0]
 
 
-async def test_an_anonymous_node_may_use_names_its_certificate_covers(
-    node: Node, identity: Identity
-) -> None:
+async def test_an_anonymous_node_may_use_names_its_certificate_covers(node: Node, identity: Identity) -> None:
     rviz = replace(identity, wildcard=True)
     for name, code in (("/viewer_17", 1), ("/viewer", 1), ("/robot", -1), ("/master", -1)):
         answer = await call(node, rviz, "requestTopic", name, "/t", [["TCPROS"]])
@@ -222,14 +218,10 @@ async def test_a_peer_that_asks_for_an_alias_is_refused(node: Node, identity: Id
         assert answer == [-1, f"rossec: {ALIAS_ASKED}", []]
 
 
-async def test_a_foreign_tool_gets_no_names_of_other_domains(
-    node: Node, identity: Identity
-) -> None:
+async def test_a_foreign_tool_gets_no_names_of_other_domains(node: Node, identity: Identity) -> None:
     foreigner = replace(identity, name="/remote/hospital/viewer", certified="/viewer")
     rows = [["/t", "p/T"], ["/remote/clinic/t", "p/T"]]
     node.describe = lambda: {"getSubscriptions": rows}  # type: ignore[method-assign]
     api = SlaveApi(node)
-    assert await api("getSubscriptions", ("/viewer",), foreigner, authorized=True) == [
-        1, "", [["/t", "p/T"]],
-    ]  # fmt: skip
+    assert await api("getSubscriptions", ("/viewer",), foreigner, authorized=True) == [1, "", [["/t", "p/T"]]]
     assert await api("getSubscriptions", ("/viewer",), identity, authorized=True) == [1, "", rows]

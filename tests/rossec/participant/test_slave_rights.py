@@ -10,12 +10,7 @@ from grants.errors import GrantMissing
 from grants.model import Right
 from rossec.errors import CallRefused
 from rossec.participant.access import Access
-from rossec.participant.slave_rights import (
-    MASTER_ONLY,
-    SLAVE_CALLS,
-    check_slave_call,
-    is_relay,
-)
+from rossec.participant.slave_api import MASTER_ONLY, SLAVE_CALLS, check_slave_call, is_relay
 from rossec.ros.names import MASTER, PORTS
 from tests.rossec.sidecar.agent_setup import AgentSetup
 from tests.support.site import Site

@@ -6,10 +6,10 @@ from typing import Any, cast
 
 import pytest
 
-from rossec.net.bounds import UNSHOWN_BODY
-from rossec.net.rpc.client import RpcClient
+from rossec.net.limits import UNSHOWN_BODY
+from rossec.net.rpc.calls import RpcClient
 from rossec.participant import slave_api
-from rossec.participant.slave_serving import serve_peer
+from rossec.participant.connections import serve_peer
 from rossec.ros.xmlrpc import Fault
 from tests.support.streams import stream_pair
 

@@ -7,8 +7,7 @@ import pytest
 
 from ca.encoding import encode
 from ca.errors import Revoked
-from ca.keys.publickey import thumbprint, to_coordinates
-from ca.keys.signer import KeySigner
+from ca.keys.signing import KeySigner, thumbprint, to_coordinates
 from grants.document import grant_id
 from grants.errors import (
     GrantError,
@@ -21,8 +20,8 @@ from grants.errors import (
 from grants.model import Grant, Right
 from grants.renewal import Delegation, Ticket, sign_delegation, sign_ticket
 from grants.token import pack
-from rossec.participant import token_opening
-from rossec.participant.token_opening import TokenOpener
+from rossec.participant import access
+from rossec.participant.access import TokenOpener
 from tests.support.domains import Pair, SomeNode, domains, foreign, grant
 from tests.support.pki import DAY, NOW, Site
 
@@ -54,9 +53,7 @@ def renewed(site: Site, master: SomeNode) -> bytes:
 
 def test_a_token_is_of_the_domain_that_is_asked_for(pair: Pair) -> None:
     opener = TokenOpener(pair.standing)
-    ours, theirs = (
-        grant(site, HOLDER, Right.SUBSCRIBE, "/x") for site in (pair.home, pair.hospital)
-    )
+    ours, theirs = (grant(site, HOLDER, Right.SUBSCRIBE, "/x") for site in (pair.home, pair.hospital))
     assert opener.open(ours, "home", NOW).domain == "home"
     assert opener.open(theirs, DOMAIN, NOW).domain == DOMAIN
     for token, domain in ((ours, DOMAIN), (theirs, "home")):
@@ -118,10 +115,8 @@ def test_an_entry_is_checked_on_each_list_that_counts(pair: Pair) -> None:
             opener.check_of(DOMAIN)(entry, NOW)
 
 
-def test_a_token_is_verified_once_and_few_are_remembered(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(token_opening, "CACHE_SIZE", 2)
+def test_a_token_is_verified_once_and_few_are_remembered(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(access, "CACHE_SIZE", 2)
     opener, peer = TokenOpener(pair.standing), pair.own_master.identity
     opened: list[bytes] = []
     verify = opener.open
@@ -146,9 +141,7 @@ def test_a_tail_pattern_opens_for_the_tail_alone_also_when_it_was_opened_before(
         found, refused = opener.open_all(encode([token]), "home", who, NOW)
         assert [len(found), len(refused)] == ([1, 0] if opens else [0, 1])
         assert all(isinstance(error, GrantNotHeld) for error in refused)
-    theirs = grant(
-        pair.hospital, HOLDER, Right.PROVIDE, "/rounds/robot3~/a", subject="/rounds/robot3"
-    )
+    theirs = grant(pair.hospital, HOLDER, Right.PROVIDE, "/rounds/robot3~/a", subject="/rounds/robot3")
     found, (error,) = opener.open_all(encode([theirs]), DOMAIN, pair.peer(), NOW)
     assert found == []
     assert isinstance(error, GrantNotHeld)

@@ -8,9 +8,8 @@ import pytest
 from grants.errors import RestrictionMismatch
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ConnectionHeaderRefused
-from rossec.participant.definitions import Definition
-from rossec.participant.limit_memory import memory_scope
-from rossec.participant.topic_guard import guard_for
+from rossec.participant.authorized import memory_scope
+from rossec.participant.definitions import Definition, guard_for
 from tests.rossec.sidecar.agent_setup import AgentSetup
 from tests.support.site import Site
 
@@ -60,10 +59,7 @@ def test_a_definition_of_another_type_or_md5sum_is_refused(setup: AgentSetup) ->
     restricted = decision(setup, Restriction("std_msgs/String", ("true",)))
     with pytest.raises(ConnectionHeaderRefused, match="does not have the md5sum"):
         guard_for(
-            Definition(WORD.name, WORD.md5sum, "int32 data"),
-            restricted,
-            keyed,
-            memory_scope("/viewer"),
+            Definition(WORD.name, WORD.md5sum, "int32 data"), restricted, keyed, memory_scope("/viewer")
         )
     text = Definition("std_msgs/Text", WORD.md5sum, WORD.definition)
     with pytest.raises(RestrictionMismatch, match="these are std_msgs/Text"):

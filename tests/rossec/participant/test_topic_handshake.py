@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import Identity
-from ca.revocation.state import Revocations, Timestamp, digest
+from ca.revocation.lists import Timestamp, digest
+from ca.revocation.trust_status import Revocations
 from grants.errors import GrantMissing
 from rossec.errors import CallerMismatch, ConnectionHeaderRefused
-from rossec.participant import topic_handshake
+from rossec.participant import handshakes
 from rossec.participant.access import Access
-from rossec.participant.header_fields import Fields
+from rossec.participant.handshakes import Fields, TopicEndpoint
 from rossec.participant.message_types import message_type
-from rossec.participant.topic_handshake import TopicEndpoint
 from tests.support.domains import alone
 from tests.support.openaccess import OpenAccess
 from tests.support.site import Site
@@ -41,20 +41,16 @@ class Pair:
         return Access(alone(site.anchor, held), site.enroll(name).grants())
 
     def request(self) -> Fields:
-        return topic_handshake.subscriber_header("/viewer", ENDPOINT, self.viewer_access, NOW)
+        return handshakes.subscriber_header("/viewer", ENDPOINT, self.viewer_access, NOW)
 
     def answer(self) -> Fields:
-        return topic_handshake.publisher_header(
-            "/robot", ENDPOINT, self.robot_access, NOW, latching=False
-        )
+        return handshakes.publisher_header("/robot", ENDPOINT, self.robot_access, NOW, latching=False)
 
     def admit_viewer(self, fields: Fields, peer: Identity | None = None) -> None:
-        topic_handshake.admit_subscriber(fields, peer or self.viewer, self.robot_access, NOW)
+        handshakes.admit_subscriber(fields, peer or self.viewer, self.robot_access, NOW)
 
     def admit_robot(self, fields: Fields) -> None:
-        topic_handshake.admit_publisher(
-            fields, self.robot, ENDPOINT.expected, self.viewer_access, NOW
-        )
+        handshakes.admit_publisher(fields, self.robot, ENDPOINT.expected, self.viewer_access, NOW)
 
 
 @pytest.fixture
@@ -65,8 +61,8 @@ def pair(tmp_path: Path) -> Pair:
 def test_the_two_headers_admit_each_other(pair: Pair) -> None:
     pair.admit_viewer(pair.request())
     pair.admit_robot(pair.answer())
-    topic_handshake.check_type(pair.request(), ENDPOINT.expected)
-    assert topic_handshake.requested_topic(pair.request()) == ENDPOINT.topic
+    handshakes.check_type(pair.request(), ENDPOINT.expected)
+    assert handshakes.requested_topic(pair.request()) == ENDPOINT.topic
 
 
 def test_headers_hold_what_ros_expects(pair: Pair) -> None:
@@ -80,9 +76,7 @@ def test_headers_hold_what_ros_expects(pair: Pair) -> None:
         "rossec_grants": b"",
     }
     assert pair.answer()["latching"] == b"0"
-    latched = topic_handshake.publisher_header(
-        "/robot", ENDPOINT, pair.robot_access, NOW, latching=True
-    )
+    latched = handshakes.publisher_header("/robot", ENDPOINT, pair.robot_access, NOW, latching=True)
     assert latched["latching"] == b"1"
 
 
@@ -95,12 +89,9 @@ def test_a_callerid_must_match_the_certificate_of_the_peer(pair: Pair) -> None:
 
 @pytest.mark.parametrize("key", ["callerid", "topic"])
 @pytest.mark.parametrize(
-    ("value", "said"),
-    [(None, "has no"), (b"\xff\xfe", "is not text"), (b"/a\n/b", "control characters")],
+    ("value", "said"), [(None, "has no"), (b"\xff\xfe", "is not text"), (b"/a\n/b", "control characters")]
 )
-def test_a_malformed_header_is_refused(
-    pair: Pair, key: str, value: bytes | None, said: str
-) -> None:
+def test_a_malformed_header_is_refused(pair: Pair, key: str, value: bytes | None, said: str) -> None:
     fields = pair.request()
     del fields[key]
     if value is not None:
@@ -146,10 +137,10 @@ def test_an_error_of_the_publisher_is_quoted_on_one_line(pair: Pair) -> None:
 def test_types_are_compared_as_in_ros(pair: Pair, change: Fields, fits: bool) -> None:
     fields = pair.request() | change
     if fits:
-        topic_handshake.check_type(fields, ENDPOINT.expected)
+        handshakes.check_type(fields, ENDPOINT.expected)
         return
     with pytest.raises(ConnectionHeaderRefused, match="the peer expects") as caught:
-        topic_handshake.check_type(fields, ENDPOINT.expected)
+        handshakes.check_type(fields, ENDPOINT.expected)
     other = "name the type that the topic carries" if "type" in change else "same version"
     assert other in caught.value.hint
 
@@ -169,11 +160,11 @@ ALIAS = TopicEndpoint("/remote/hospital/robot/pose", ENDPOINT.type)
 
 def test_the_header_for_an_alias_has_the_origins_name_and_access_the_alias(pair: Pair) -> None:
     access = OpenAccess()
-    fields = topic_handshake.subscriber_header("/viewer", ALIAS, access, NOW)
+    fields = handshakes.subscriber_header("/viewer", ALIAS, access, NOW)
     assert fields["topic"] == b"/robot/pose"
     assert access.presented == [("subscribe", ALIAS.topic)]
     hospital_robot = replace(pair.robot, name="/remote/hospital/robot", certified="/robot")
-    topic_handshake.admit_publisher(pair.answer(), hospital_robot, ALIAS.expected, access, NOW)
+    handshakes.admit_publisher(pair.answer(), hospital_robot, ALIAS.expected, access, NOW)
     assert access.authorized == [("/remote/hospital/robot", "publish", ALIAS.topic)]
 
 
@@ -181,12 +172,12 @@ def test_the_header_for_an_alias_has_the_origins_name_and_access_the_alias(pair:
 def test_a_publisher_answers_with_the_origins_name(pair: Pair, topic: str) -> None:
     answer = pair.answer() | {"topic": topic.encode()}
     with pytest.raises(ConnectionHeaderRefused, match="another topic than hospital:/robot/pose"):
-        topic_handshake.admit_publisher(answer, pair.robot, ALIAS.expected, OpenAccess(), NOW)
+        handshakes.admit_publisher(answer, pair.robot, ALIAS.expected, OpenAccess(), NOW)
 
 
 def test_a_subscriber_that_asks_for_an_alias_is_refused(pair: Pair) -> None:
     access = OpenAccess()
     fields = pair.request() | {"topic": ALIAS.topic.encode()}
     with pytest.raises(ConnectionHeaderRefused, match="no name on the wire"):
-        topic_handshake.admit_subscriber(fields, pair.viewer, access, NOW)
+        handshakes.admit_subscriber(fields, pair.viewer, access, NOW)
     assert access.authorized == []

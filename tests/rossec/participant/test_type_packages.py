@@ -4,7 +4,7 @@ import pytest
 
 from rossec.errors import MessageError
 from rossec.node import message_type, service_type
-from rossec.participant.type_packages import unknown_type, what_to_install
+from rossec.participant.definitions import unknown_type, what_to_install
 
 KNOWN = ["geometry_msgs/Pose", "geometry_msgs/PoseStamped", "sensor_msgs/LaserScan"]
 
@@ -47,6 +47,4 @@ def test_who_names_an_unknown_type_is_told_so() -> None:
     assert caught.value.hint.endswith("apt install ros-map-msgs")
     with pytest.raises(MessageError) as caught:
         service_type("topic_tools/MuxSelect")
-    assert "apt install ros-topic-tools-srvs; then add it with register_service_type()" in (
-        caught.value.hint
-    )
+    assert "apt install ros-topic-tools-srvs; then add it with register_service_type()" in (caught.value.hint)

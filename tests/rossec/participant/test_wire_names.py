@@ -5,12 +5,7 @@ import pytest
 from ca.certificates import Identity
 from ca.errors import NameRefused
 from ca.names import MAX_NAME
-from rossec.participant.wire_names import (
-    granted_name,
-    is_own_gateway,
-    possible_names,
-    wire_name,
-)
+from rossec.participant.access import granted_name, is_own_gateway, possible_names, wire_name
 from tests.support.pki import NOW, Site
 
 ALIAS, ORIGIN, SERVED = "/remote/hospital/ward/pose", "/ward/pose", "/gateway/hospital/ward/pose"
@@ -39,8 +34,7 @@ def test_a_gateway_is_asked_for_what_it_serves(robot: Identity, name: str) -> No
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["/robot", "/gatewayx", "/gateway/a/b", "/gateway_1", "/Gateway", "/my/gateway", "/master"],
+    "name", ["/robot", "/gatewayx", "/gateway/a/b", "/gateway_1", "/Gateway", "/my/gateway", "/master"]
 )
 def test_every_other_node_is_asked_by_the_origins_name(robot: Identity, name: str) -> None:
     peer = replace(robot, name=name)

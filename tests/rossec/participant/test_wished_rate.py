@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.participant.wished_rate import WishedRate
+from rossec.participant.delivery import WishedRate
 
 
 def admitted(rate: float, every: float, seconds: float) -> int:

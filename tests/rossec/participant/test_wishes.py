@@ -8,7 +8,7 @@ import pytest
 
 from grants.model import Restriction, filter_rules
 from rossec.errors import ConfigurationError, ConnectionHeaderRefused
-from rossec.participant.wishes import (
+from rossec.participant.delivery import (
     NO_WISHES,
     Wishes,
     carried_out,
@@ -16,7 +16,7 @@ from rossec.participant.wishes import (
     taken_wishes,
     without_wishes,
 )
-from rossec.ros import header
+from rossec.ros import tcpros
 
 ALL = Wishes(2.5, newest=True, deflate=True)
 FIELDS = {"rossec_rate": b"2.500", "rossec_newest": b"1", "rossec_deflate": b"1"}
@@ -24,7 +24,7 @@ FIELDS = {"rossec_rate": b"2.500", "rossec_newest": b"1", "rossec_deflate": b"1"
 
 def test_a_header_says_them_and_is_read_back() -> None:
     assert ALL.fields == FIELDS
-    assert requested_wishes(header.decode(header.encode(ALL.fields)[4:])) == ALL
+    assert requested_wishes(tcpros.decode(tcpros.encode(ALL.fields)[4:])) == ALL
     for wishes in (Wishes(0.001), Wishes(10_000), Wishes(newest=True), Wishes(deflate=True)):
         assert requested_wishes({"topic": b"/t", **wishes.fields}) == wishes
         assert bool(wishes)
@@ -52,12 +52,32 @@ def test_an_absurd_rate_cannot_be_wished(rate: float) -> None:
 @pytest.mark.parametrize(
     "value",
     [
-        b"", b"0", b"0.000", b"-1", b"+1", b"1e3", b"nan", b"inf", b"1_0", b" 1", b"1 ", b"1\n",
-        b"1,5", b".5", b"1.", b"0.0001", b"10000.001", b"99999", b"9" * 48_000, b"1\0", b"0x1",
-        "\uff11".encode(), b"\xff",
+        b"",
+        b"0",
+        b"0.000",
+        b"-1",
+        b"+1",
+        b"1e3",
+        b"nan",
+        b"inf",
+        b"1_0",
+        b" 1",
+        b"1 ",
+        b"1\n",
+        b"1,5",
+        b".5",
+        b"1.",
+        b"0.0001",
+        b"10000.001",
+        b"99999",
+        b"9" * 48_000,
+        b"1\0",
+        b"0x1",
+        "\uff11".encode(),
+        b"\xff",
     ],
     ids=repr,
-)  # fmt: skip
+)
 def test_a_rate_that_is_none_is_refused(value: bytes) -> None:
     with pytest.raises(ConnectionHeaderRefused, match="'rossec_rate' is no rate"):
         requested_wishes({"rossec_rate": value})
@@ -87,9 +107,7 @@ def test_a_publisher_may_take_some_of_them() -> None:
         (Restriction("std_msgs/String", (), filter_rules({"data": {"clear": True}})), False),
     ],
 )
-def test_what_is_filtered_or_withheld_is_not_deflated(
-    restriction: Restriction, deflates: bool
-) -> None:
+def test_what_is_filtered_or_withheld_is_not_deflated(restriction: Restriction, deflates: bool) -> None:
     decision: Any = SimpleNamespace(restrictions=(Restriction(rate=2.0), restriction))
     assert carried_out(ALL, decision) == Wishes(2.5, newest=True, deflate=deflates)
     assert carried_out(ALL, SimpleNamespace(restrictions=())) == ALL  # type: ignore[arg-type]

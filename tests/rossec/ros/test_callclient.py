@@ -3,13 +3,11 @@
 import pytest
 
 from rossec.errors import CompactRefused, HttpRefused, XmlRpcRefused
-from rossec.ros import compact, xmlrpc
-from rossec.ros.callclient import CallClient, body_of, value_in
+from rossec.ros import calls, xmlrpc
+from rossec.ros.calls import CallClient, body_of, value_in
 from rossec.ros.xmlrpc import Encoded, Fault
 
-SWITCH = (
-    b"HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: rossec-cbor/1\r\n\r\n"
-)
+SWITCH = b"HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: rossec-cbor/1\r\n\r\n"
 
 
 def response(value: object) -> bytes:
@@ -22,7 +20,7 @@ def switched() -> CallClient:
     """A client after its first answer."""
     client = CallClient("x")
     client.request("getPid", ("/a",))
-    assert client.take(SWITCH + compact.dump_answer(0, [1, "", 7])) == [1, "", 7]
+    assert client.take(SWITCH + calls.dump_compact_answer(0, [1, "", 7])) == [1, "", 7]
     assert client.is_compact
     assert not client.closing
     return client
@@ -50,7 +48,7 @@ def test_a_switch_that_nobody_offered_is_refused() -> None:
         client = CallClient("x", compact=answer != SWITCH)
         client.request("getPid", ("/a",))
         with pytest.raises(HttpRefused, match="not offered"):
-            client.take(answer + compact.dump_answer(0, 1))
+            client.take(answer + calls.dump_compact_answer(0, 1))
         assert client.closing
 
 
@@ -60,7 +58,7 @@ def test_a_switch_after_the_first_answer_is_refused() -> None:
     client.take(response(1))
     client.request("getPid", ())
     with pytest.raises(HttpRefused, match="not offered"):
-        client.take(SWITCH + compact.dump_answer(0, 1))
+        client.take(SWITCH + calls.dump_compact_answer(0, 1))
 
 
 def test_a_switch_brings_its_answer_with_it() -> None:
@@ -73,9 +71,9 @@ def test_a_switch_brings_its_answer_with_it() -> None:
 @pytest.mark.parametrize(
     "unit",
     [
-        compact.dump_answer(0, [1, "", 7]),
-        compact.dump_answer(2, [1, "", 7]),
-        compact.dump_answer(1, [1, "", 7]) * 2,
+        calls.dump_compact_answer(0, [1, "", 7]),
+        calls.dump_compact_answer(2, [1, "", 7]),
+        calls.dump_compact_answer(1, [1, "", 7]) * 2,
         response([1, "", 7]),
         b"",
     ],
@@ -91,7 +89,7 @@ def test_another_answer_is_refused_and_nothing_follows(unit: bytes) -> None:
 
 def test_an_answer_to_no_call_is_refused() -> None:
     with pytest.raises(CompactRefused, match="no call"):
-        switched().take(compact.dump_answer(1, [1, "", 7]))
+        switched().take(calls.dump_compact_answer(1, [1, "", 7]))
 
 
 def test_a_call_that_cannot_be_made_changes_nothing() -> None:

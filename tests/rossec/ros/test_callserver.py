@@ -3,10 +3,9 @@
 import pytest
 
 from rossec.errors import CompactRefused, HttpRefused, XmlRpcRefused
-from rossec.ros import compact, xmlrpc
-from rossec.ros.callclient import CallClient, value_in
-from rossec.ros.callserver import CallServer
-from rossec.ros.httpread import Oversized
+from rossec.ros import calls, xmlrpc
+from rossec.ros.calls import CallClient, CallServer, value_in
+from rossec.ros.http import Oversized
 from rossec.ros.xmlrpc import Encoded, Fault
 
 
@@ -36,7 +35,7 @@ def test_the_first_answer_is_the_first_unit() -> None:
         b"Connection: Upgrade",
         b"Upgrade: rossec-cbor/1",
     ]
-    assert unit == compact.dump_answer(0, [1, "one", [1]])
+    assert unit == calls.dump_compact_answer(0, [1, "one", [1]])
     assert server.is_compact
     assert value_in(client.take(answer)) == [1, "one", [1]]
 
@@ -132,7 +131,7 @@ def test_http_after_units_is_refused() -> None:
 @pytest.mark.parametrize("turn", [0, 2, 23])
 def test_a_unit_out_of_its_turn_is_refused(turn: int) -> None:
     _, server = first()
-    request = server.take(compact.dump_call(turn, "getPid", ()))
+    request = server.take(calls.dump_compact_call(turn, "getPid", ()))
     assert request is not None
     with pytest.raises(CompactRefused, match="out of its turn"):
         server.load(request)
@@ -141,9 +140,7 @@ def test_a_unit_out_of_its_turn_is_refused(turn: int) -> None:
 def test_what_cannot_be_sent_leaves_the_call_to_be_answered() -> None:
     for server in (CallServer(limit=1000), first()[1]):
         client = CallClient("x") if not server.is_compact else None
-        request = (
-            compact.dump_call(1, "getPid", ()) if client is None else client.request("getPid", ())
-        )
+        request = calls.dump_compact_call(1, "getPid", ()) if client is None else client.request("getPid", ())
         served(server, request)
         with pytest.raises(XmlRpcRefused):
             server.respond(None)
@@ -165,9 +162,7 @@ def test_both_forms_of_malformed() -> None:
     assert server.closing
 
 
-def stepped(
-    server: CallServer, request: bytes | Oversized, bound: int | None = None
-) -> tuple[object, int]:
+def stepped(server: CallServer, request: bytes | Oversized, bound: int | None = None) -> tuple[object, int]:
     steps, count = server.load_steps(request, bound), 0
     while True:
         try:
@@ -192,12 +187,9 @@ def test_a_call_is_loaded_in_steps_as_at_once(compact: bool) -> None:
 
 @pytest.mark.parametrize("compact", [True, False])
 @pytest.mark.parametrize(
-    ("method", "taken"),
-    [("setParam", False), ("rossec.presentGrants", True), ("rossec.unknown", True)],
+    ("method", "taken"), [("setParam", False), ("rossec.presentGrants", True), ("rossec.unknown", True)]
 )
-def test_long_calls_without_a_grant_are_for_statements(
-    compact: bool, method: str, taken: bool
-) -> None:
+def test_long_calls_without_a_grant_are_for_statements(compact: bool, method: str, taken: bool) -> None:
     client, server = first(compact=compact) if compact else (CallClient("x", compact=False), None)
     server = server or CallServer(compact=False)
     request = server.take(client.request(method, ("/x", b"y" * 2000)))

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from rossec.errors import CompactRefused
-from rossec.ros import compact, xmlrpc
+from rossec.ros import calls, xmlrpc
 from rossec.ros.xmlrpc import Fault
 from tests.rossec.ros.values import shape
 from tests.vectors import make_calls
@@ -20,20 +20,18 @@ def test_the_program_writes_this_file() -> None:
     assert len(VECTORS) > 60
 
 
-@pytest.mark.parametrize(
-    "vector", VECTORS, ids=lambda vector: f"{vector['kind']}: {vector['name']}"
-)
+@pytest.mark.parametrize("vector", VECTORS, ids=lambda vector: f"{vector['kind']}: {vector['name']}")
 def test_a_vector(vector: dict[str, Any]) -> None:
     unit = bytes.fromhex(vector["data"])
     if "xml" not in vector:
         with pytest.raises(CompactRefused):
-            compact.load_call(unit, TURN)
+            calls.load_compact_call(unit, TURN)
     elif vector["kind"] == "call":
-        call, same = compact.load_call(unit, TURN), xmlrpc.load_call(vector["xml"].encode())
+        call, same = calls.load_compact_call(unit, TURN), xmlrpc.load_call(vector["xml"].encode())
         assert call.method == same.method
         assert shape(list(call.params)) == shape(list(same.params))
     else:
-        answer = compact.load_answer(unit, TURN, "getParam")
+        answer = calls.load_compact_answer(unit, TURN, "getParam")
         assert shape(answer_of(answer)) == shape(said_by(vector["xml"].encode()))
 
 

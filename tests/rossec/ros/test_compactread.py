@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rossec.errors import CompactRefused
-from rossec.ros.compactread import MALFORMED, Reader
-from rossec.ros.compactwrite import ARRAY, encoded
+from rossec.ros.compact_values import ARRAY, MALFORMED, CompactReader, encoded
 from rossec.ros.xmlrpc import dump_call, load_call, run_out
 from tests.rossec.ros.test_compactwrite import ENCODINGS
 from tests.rossec.ros.values import VALUES, shape
@@ -20,7 +19,7 @@ LIMIT = 1 << 20
 
 def read(data: bytes, limit: int = LIMIT) -> object:
     """What is read at once; in steps the same is read, or refused."""
-    reader, other = Reader(data, limit), Reader(data, limit)
+    reader, other = CompactReader(data, limit), CompactReader(data, limit)
     try:
         (value,) = reader.items(1)
     except (CompactRefused, *MALFORMED) as error:
@@ -45,7 +44,7 @@ def test_what_is_written_is_read(value: object) -> None:
 
 
 def at_once(data: bytes) -> object:
-    return Reader(data, LIMIT).items(1)
+    return CompactReader(data, LIMIT).items(1)
 
 
 REFUSED = {
@@ -102,7 +101,7 @@ REFUSED = {
     "an array cut off": "8201",
     "a map cut off": "a16161",
     "two values": "0101",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("written", REFUSED.values(), ids=REFUSED)
@@ -145,9 +144,7 @@ def test_times_delay_the_reader_no_longer_than_in_xml() -> None:
     unit = b"\x99" + (50_000).to_bytes(2) + encoded(when) * 50_000
     body = dump_call("setParam", [[when] * 14_000])
     assert len(body) < LIMIT
-    assert min(seconds(at_once, unit) for _ in range(3)) < min(
-        seconds(load_call, body) for _ in range(3)
-    )
+    assert min(seconds(at_once, unit) for _ in range(3)) < min(seconds(load_call, body) for _ in range(3))
 
 
 def seconds(load: Callable[[bytes], object], data: bytes) -> float:
@@ -157,7 +154,7 @@ def seconds(load: Callable[[bytes], object], data: bytes) -> float:
 
 
 def test_a_head_and_a_byte() -> None:
-    reader = Reader(b"\x82\xf6\x01", LIMIT)
+    reader = CompactReader(b"\x82\xf6\x01", LIMIT)
     assert reader.head(ARRAY) == 2
     assert reader.skip(b"\xf6")
     assert not reader.skip(b"\xf6")
@@ -176,7 +173,7 @@ def test_whatever_is_read_would_be_written_so(data: bytes) -> None:
 
 def test_a_large_value_is_read_in_steps_that_are_short() -> None:
     value = [{f"{number}": [number, "x"]} for number in range(20_000)]
-    steps, count = Reader(encoded(value), 4 << 20).steps(1), 0
+    steps, count = CompactReader(encoded(value), 4 << 20).steps(1), 0
     longest, began = 0.0, time.thread_time()
     for _ in steps:
         longest = max(longest, time.thread_time() - began)

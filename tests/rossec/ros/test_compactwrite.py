@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 
 from rossec.ros import xmlrpc as calls
-from rossec.ros.compactwrite import Pieces, encode_ahead, encoded, number, put, text
-from rossec.ros.xmlwrite import EncodedList
+from rossec.ros.compact_values import Pieces, encode_ahead, encoded, encoded_number, encoded_text, put
+from rossec.ros.xmlrpc import EncodedList
 from tests.rossec.ros.values import VALUES
 
 TIME = "a10071" + b"20261123T09:08:07".hex()
@@ -45,7 +45,7 @@ ENCODINGS: list[tuple[Any, str]] = [
     ({"bb": 1, "a": 2, "b": 3}, "a3616102616203626262" + "01"),
     (datetime.fromisoformat("2026-11-23T09:08:07.000005"), TIME),
     (xmlrpc.client.DateTime("20261123T09:08:07"), TIME),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("value", "written"), ENCODINGS)
@@ -62,9 +62,22 @@ class Note:
 
 @pytest.mark.parametrize(
     "value",
-    [None, 2**31, -(2**31) - 1, "\x00", "\x1f", "￾", "\ud800", {1: 2}, {"\x07": 1}, object, 1j,
-     Note("\x00"), xmlrpc.client.DateTime("\x00")],
-)  # fmt: skip
+    [
+        None,
+        2**31,
+        -(2**31) - 1,
+        "\x00",
+        "\x1f",
+        "￾",
+        "\ud800",
+        {1: 2},
+        {"\x07": 1},
+        object,
+        1j,
+        Note("\x00"),
+        xmlrpc.client.DateTime("\x00"),
+    ],
+)
 def test_what_xml_rpc_cannot_carry_is_refused(value: object) -> None:
     for whole in (value, [value], {"a": value}):
         with pytest.raises(calls.NOT_ENCODABLE):
@@ -107,10 +120,10 @@ def test_a_list_is_encoded_ahead_and_counted() -> None:
 
 
 def test_numbers_and_texts_alone() -> None:
-    assert number(-25) == b"\x38\x18"
-    assert text("a") == b"aa"
+    assert encoded_number(-25) == b"\x38\x18"
+    assert encoded_text("a") == b"aa"
     with pytest.raises(OverflowError):
-        number(2**31)
+        encoded_number(2**31)
 
 
 @given(VALUES)
@@ -127,6 +140,4 @@ def test_the_form_is_that_of_the_general_encoder(value: object) -> None:
 def _has_float(value: object) -> bool:
     if isinstance(value, dict):
         return any(map(_has_float, value.values()))
-    return isinstance(value, float | datetime) or (
-        isinstance(value, list) and any(map(_has_float, value))
-    )
+    return isinstance(value, float | datetime) or (isinstance(value, list) and any(map(_has_float, value)))

@@ -3,9 +3,8 @@
 import pytest
 
 from rossec.errors import FrameRefused, LimitExceeded
-from rossec.progress import STEP, WINDOW
-from rossec.ros.framing import Framing
-from rossec.ros.header import FrameReader, frame
+from rossec.peer_limits import STEP, WINDOW
+from rossec.ros.tcpros import FrameReader, Framing, frame
 
 NOW = 1_000_000
 

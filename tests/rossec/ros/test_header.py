@@ -7,14 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rossec.errors import FrameRefused, HeaderRefused
-from rossec.ros import header
+from rossec.ros import tcpros
 
-FIELDS = {
-    "callerid": b"/robot1/camera",
-    "topic": b"/image",
-    "md5sum": b"*",
-    "note": b"a=b=\x00\xff",
-}
+FIELDS = {"callerid": b"/robot1/camera", "topic": b"/image", "md5sum": b"*", "note": b"a=b=\x00\xff"}
 
 
 def field(raw: bytes) -> bytes:
@@ -22,34 +17,34 @@ def field(raw: bytes) -> bytes:
 
 
 def body(fields: dict[str, bytes]) -> bytes:
-    return header.encode(fields)[4:]
+    return tcpros.encode(fields)[4:]
 
 
 def test_round_trip() -> None:
-    encoded = header.encode(FIELDS)
+    encoded = tcpros.encode(FIELDS)
     assert struct.unpack_from("<I", encoded)[0] == len(encoded) - 4
-    assert header.decode(encoded[4:]) == FIELDS
+    assert tcpros.decode(encoded[4:]) == FIELDS
 
 
 def test_text_values_are_utf8() -> None:
-    fields = header.decode(body({"a": "\u00e9".encode()}))
-    assert header.text(fields, "a") == "\u00e9"
-    assert header.text(fields, "b", "other") == "other"
+    fields = tcpros.decode(body({"a": "\u00e9".encode()}))
+    assert tcpros.text(fields, "a") == "\u00e9"
+    assert tcpros.text(fields, "b", "other") == "other"
 
 
 def test_empty_header() -> None:
-    assert header.decode(b"") == {}
+    assert tcpros.decode(b"") == {}
 
 
 @given(st.dictionaries(st.text("abc_", min_size=1), st.binary(max_size=50)))
 def test_decode_undoes_encode(fields: dict[str, bytes]) -> None:
-    assert header.decode(header.encode(fields)[4:]) == fields
+    assert tcpros.decode(tcpros.encode(fields)[4:]) == fields
 
 
 @given(st.binary(max_size=60))
 def test_decodes_or_refuses_and_is_not_malleable(data: bytes) -> None:
     try:
-        fields = header.decode(data)
+        fields = tcpros.decode(data)
     except HeaderRefused:
         return
     assert body(fields) == data
@@ -65,106 +60,103 @@ def test_decodes_or_refuses_and_is_not_malleable(data: bytes) -> None:
         (field(b"a=1") + b"\x01\x00", "inside a length"),
         (struct.pack("<I", 9) + b"a=1", "beyond its header"),
         (struct.pack("<I", 0x7FFFFFFF) + b"a=1", "at most"),
-        (b"x" * (header.HEADER_LIMIT + 1), "at most"),
+        (b"x" * (tcpros.HEADER_LIMIT + 1), "at most"),
     ],
 )
 def test_refuses(data: bytes, message: str) -> None:
     with pytest.raises(HeaderRefused, match=message):
-        header.decode(data)
+        tcpros.decode(data)
 
 
 @pytest.mark.parametrize("key", ["", "a=b", "\u00e9"])
 def test_refuses_to_write_odd_keys(key: str) -> None:
     with pytest.raises(HeaderRefused, match="cannot be the key"):
-        header.encode({key: "x"})
+        tcpros.encode({key: "x"})
 
 
 def test_refuses_to_write_too_much() -> None:
     with pytest.raises(HeaderRefused, match="at most 10"):
-        header.encode({"key": "x" * 20}, limit=10)
+        tcpros.encode({"key": "x" * 20}, limit=10)
 
 
 def test_missing_and_undecodable_text() -> None:
     with pytest.raises(HeaderRefused, match="missing"):
-        header.text({}, "topic")
+        tcpros.text({}, "topic")
     with pytest.raises(HeaderRefused, match="not UTF-8"):
-        header.text({"topic": b"\xff"}, "topic")
+        tcpros.text({"topic": b"\xff"}, "topic")
 
 
 def test_error_header_is_bounded_and_valid() -> None:
-    fields = header.decode(header.error_header("\u00e9" * 5000)[4:])
-    assert header.text(fields, "error") == "\u00e9" * 512
+    fields = tcpros.decode(tcpros.error_header("\u00e9" * 5000)[4:])
+    assert tcpros.text(fields, "error") == "\u00e9" * 512
 
 
 FRAMES = [b"one", b"", b"x" * 300]
-STREAM = b"".join(map(header.frame, FRAMES))
+STREAM = b"".join(map(tcpros.frame, FRAMES))
 
 
 def test_frames_whole() -> None:
-    assert header.FrameReader().feed(STREAM) == FRAMES
+    assert tcpros.FrameReader().feed(STREAM) == FRAMES
 
 
 def test_frames_byte_by_byte() -> None:
-    reader = header.FrameReader()
+    reader = tcpros.FrameReader()
     frames = [frame for byte in STREAM for frame in reader.feed(bytes([byte]))]
     assert frames == FRAMES
     assert reader.pending == 0
 
 
 def test_frames_with_a_tail() -> None:
-    reader = header.FrameReader()
+    reader = tcpros.FrameReader()
     assert reader.feed(STREAM + b"\x05\x00") == FRAMES
     assert reader.pending == 2
 
 
 def test_length_is_refused_before_its_content_comes_and_for_ever() -> None:
-    reader = header.FrameReader(10)
+    reader = tcpros.FrameReader(10)
     reader.feed(b"\xff\xff\xff")
-    for data in (b"\x7f", header.frame(b"ok")):
+    for data in (b"\x7f", tcpros.frame(b"ok")):
         with pytest.raises(FrameRefused, match="at most 10"):
             reader.feed(data)
 
 
 def test_header_and_messages_in_one_unit_have_their_own_limits() -> None:
-    reader = header.FrameReader(1000, first=20)
-    assert reader.feed(header.frame(b"h" * 20) + header.frame(b"m" * 1000)) == [
-        b"h" * 20,
-        b"m" * 1000,
-    ]
+    reader = tcpros.FrameReader(1000, first=20)
+    assert reader.feed(tcpros.frame(b"h" * 20) + tcpros.frame(b"m" * 1000)) == [b"h" * 20, b"m" * 1000]
     with pytest.raises(FrameRefused):
-        header.FrameReader(1000, first=20).feed(header.frame(b"h" * 21))
+        tcpros.FrameReader(1000, first=20).feed(tcpros.frame(b"h" * 21))
 
 
 def test_service_replies_keep_their_ok_byte() -> None:
-    reader = header.FrameReader(10, first=20, lead=1)
-    stream = header.frame(b"head") + b"\x01" + header.frame(b"yes") + b"\x00" + header.frame(b"no")
+    reader = tcpros.FrameReader(10, first=20, lead=1)
+    stream = tcpros.frame(b"head") + b"\x01" + tcpros.frame(b"yes") + b"\x00" + tcpros.frame(b"no")
     frames = [frame for byte in stream for frame in reader.feed(bytes([byte]))]
     assert frames == [b"head", b"\x01yes", b"\x00no"]
 
 
 def test_frames_are_cut_in_place_where_they_lie_whole() -> None:
     one, two = b"a" * 10, b"b" * 300
-    reader = header.FrameReader()
-    assert reader.feed(memoryview(header.frame(one) + header.frame(two))) == [one, two]
-    stream = header.frame(one) + header.frame(two) + header.frame(one)
+    reader = tcpros.FrameReader()
+    assert reader.feed(memoryview(tcpros.frame(one) + tcpros.frame(two))) == [one, two]
+    stream = tcpros.frame(one) + tcpros.frame(two) + tcpros.frame(one)
     for cut in range(len(stream) + 1):
-        reader = header.FrameReader()
+        reader = tcpros.FrameReader()
         assert reader.feed(stream[:cut]) + reader.feed(stream[cut:]) == [one, two, one]
         assert reader.pending == 0
 
 
 def test_a_frame_that_arrives_after_its_length_is_not_copied() -> None:
     body = b"x" * 1000
-    reader = header.FrameReader()
+    reader = tcpros.FrameReader()
     assert reader.feed(len(body).to_bytes(4, "little")) == []
     (found,) = reader.feed(body)
     assert found is body
-    assert reader.feed(header.frame(b"next")) == [b"next"]
+    assert reader.feed(tcpros.frame(b"next")) == [b"next"]
 
 
-@pytest.mark.parametrize("data", [header.frame(bytes(11)), (11).to_bytes(4, "little")])
+@pytest.mark.parametrize("data", [tcpros.frame(bytes(11)), (11).to_bytes(4, "little")])
 def test_a_length_beyond_the_limit_is_refused_in_place_too(data: bytes) -> None:
-    reader = header.FrameReader(10)
+    reader = tcpros.FrameReader(10)
     with pytest.raises(FrameRefused):
         reader.feed(data)
     with pytest.raises(FrameRefused):
@@ -173,10 +165,10 @@ def test_a_length_beyond_the_limit_is_refused_in_place_too(data: bytes) -> None:
 
 
 def test_one_frame_at_a_time() -> None:
-    reader = header.FrameReader()
-    arrived = [reader.feed_one(bytes([byte])) for byte in header.frame(b"abc")]
+    reader = tcpros.FrameReader()
+    arrived = [reader.feed_one(bytes([byte])) for byte in tcpros.frame(b"abc")]
     assert arrived == [None] * 6 + [b"abc"]
-    assert reader.feed_one(header.frame(b"")) == b""
+    assert reader.feed_one(tcpros.frame(b"")) == b""
     for _ in range(2):  # and what was refused once stays refused
         with pytest.raises(FrameRefused, match="bytes after a frame, before its answer"):
-            reader.feed_one(header.frame(b"abc") + b"x")
+            reader.feed_one(tcpros.frame(b"abc") + b"x")

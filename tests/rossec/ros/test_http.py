@@ -103,10 +103,7 @@ def test_continue_is_skipped() -> None:
         (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 67108865\r\n\r\n", 413),
         (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: " + b"9" * 18 + b"\r\n\r\n", 413),
         (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: -1\r\n\r\n", 400),
-        (
-            b"POST / HTTP/1.1\r\nHost: x\r\nA: " + b"a" * 9000 + b"\r\nContent-Length: 0\r\n\r\n",
-            431,
-        ),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nA: " + b"a" * 9000 + b"\r\nContent-Length: 0\r\n\r\n", 431),
         (b"POST / HTTP/1.1\r\nHost: x\r\nA: " + b"a" * 9000, 431),
         (b"POST / HTTP/1.1\r\nContent-Length: 0\r\n\r\n", 400),
         (b"POST / HTTP/1.1\r\nHost: x\r\nHost: y\r\nContent-Length: 0\r\n\r\n", 400),
@@ -139,10 +136,26 @@ def test_server_refuses(request_bytes: bytes, status: int) -> None:
 
 
 PIECES = [
-    b"POST", b"GET", b" ", b"/", b"HTTP/1.1", b"HTTP/1.0", b"\r\n", b"\n", b"\r", b"\r\n\r\n",
-    b"Host: x", b"Content-Length: 2", b"content-length:\t3 ", b"Connection: a, close",
-    b"Transfer-Encoding: chunked", b"X:", b"\xff", b"\0", b"body",
-]  # fmt: skip
+    b"POST",
+    b"GET",
+    b" ",
+    b"/",
+    b"HTTP/1.1",
+    b"HTTP/1.0",
+    b"\r\n",
+    b"\n",
+    b"\r",
+    b"\r\n\r\n",
+    b"Host: x",
+    b"Content-Length: 2",
+    b"content-length:\t3 ",
+    b"Connection: a, close",
+    b"Transfer-Encoding: chunked",
+    b"X:",
+    b"\xff",
+    b"\0",
+    b"body",
+]
 LINES = [piece + b"\r\n" for piece in PIECES]
 
 
@@ -205,9 +218,7 @@ def test_what_is_accepted_is_what_a_general_library_reads(tail: bytes) -> None:
         assert isinstance(event, h11.EndOfMessage)
         assert read == body
         server.respond(b"")
-        assert server.closing == (
-            oracle.our_state is h11.MUST_CLOSE or oracle.their_state is h11.MUST_CLOSE
-        )
+        assert server.closing == (oracle.our_state is h11.MUST_CLOSE or oracle.their_state is h11.MUST_CLOSE)
 
 
 def test_bytes_after_the_end_are_refused() -> None:

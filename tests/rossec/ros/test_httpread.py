@@ -3,17 +3,17 @@
 import pytest
 
 from rossec.errors import HttpRefused
-from rossec.ros.httpread import DROP_LIMIT, HEADERS_LIMIT, Oversized, Reader
+from rossec.ros.http import DROP_LIMIT, HEADERS_LIMIT, HttpReader, Oversized
 
 HEAD = b"POST / HTTP/1.1\r\nContent-Length: 5"
 
 
-def in_body(reader: Reader) -> bool:
+def in_body(reader: HttpReader) -> bool:
     return reader.in_body
 
 
-def begun(limit: int = 10) -> Reader:
-    reader = Reader(limit)
+def begun(limit: int = 10) -> HttpReader:
+    reader = HttpReader(limit)
     reader.feed(HEAD + b"\r\n\r\n")
     assert reader.head() == HEAD
     return reader
@@ -59,11 +59,9 @@ def test_a_body_is_not_read_for_ever_to_be_refused() -> None:
     assert refused.value.status == 413
 
 
-@pytest.mark.parametrize(
-    ("data", "status"), [(b"\x16\x03", 400), (b"P" * (HEADERS_LIMIT + 1), 431)]
-)
+@pytest.mark.parametrize(("data", "status"), [(b"\x16\x03", 400), (b"P" * (HEADERS_LIMIT + 1), 431)])
 def test_a_head_is_one_and_short(data: bytes, status: int) -> None:
-    reader = Reader(10)
+    reader = HttpReader(10)
     reader.feed(data)
     with pytest.raises(HttpRefused) as refused:
         reader.head()

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from rossec.ros.methodnumbers import METHODS, NUMBERS
+from rossec.ros.calls import METHODS, NUMBERS
 
 SPEC = Path(__file__).parents[3] / "docs" / "spec" / "compact.md"
 

@@ -3,7 +3,7 @@ import struct
 import pytest
 
 from rossec.errors import FrameRefused, ServiceFailed
-from rossec.ros import service as wire
+from rossec.ros import tcpros as wire
 
 
 def joined(pieces: list[bytes | bytearray | memoryview]) -> bytes:

@@ -3,7 +3,7 @@
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.ros.settings import Settings, build_uri, is_loopback, parse_uri, read
+from rossec.ros.names import Settings, build_uri, is_loopback, parse_uri, read
 
 
 def settings(*argv: str, **environ: str) -> Settings:
@@ -40,20 +40,14 @@ def test_everything_set() -> None:
 
 @pytest.mark.parametrize(
     ("argv", "expected"),
-    [
-        ((), "host1"),
-        (("__ip:=10.0.0.1",), "10.0.0.1"),
-        (("__ip:=10.0.0.1", "__hostname:=host2"), "host2"),
-    ],
+    [((), "host1"), (("__ip:=10.0.0.1",), "10.0.0.1"), (("__ip:=10.0.0.1", "__hostname:=host2"), "host2")],
 )
 def test_order_of_addresses(argv: tuple[str, ...], expected: str) -> None:
     assert settings(*argv, ROS_HOSTNAME="host1", ROS_IP="10.9.9.9").address == expected
 
 
 def test_arguments_beat_the_environment() -> None:
-    found = settings(
-        "__ns:=/a/b", "__master:=http://m:1", ROS_NAMESPACE="c", ROS_MASTER_URI="http://n:2"
-    )
+    found = settings("__ns:=/a/b", "__master:=http://m:1", ROS_NAMESPACE="c", ROS_MASTER_URI="http://n:2")
     assert found.name == "/a/b/talker"
     assert found.master_uri == "http://m:1"
 
@@ -94,9 +88,7 @@ def test_a_name_with_a_namespace_brings_its_own() -> None:
         (("in:=a b",), {}, "not a ROS name", "segments begin with a letter"),
     ],
 )
-def test_refusals_have_hints(
-    argv: tuple[str, ...], environ: dict[str, str], message: str, hint: str
-) -> None:
+def test_refusals_have_hints(argv: tuple[str, ...], environ: dict[str, str], message: str, hint: str) -> None:
     with pytest.raises(ConfigurationError, match=message) as refused:
         settings(*argv, **environ)
     assert hint in refused.value.hint
@@ -109,11 +101,21 @@ def test_parse_uri_names_what_it_read() -> None:
 
 @pytest.mark.parametrize(
     ("address", "alone"),
-    [("127.0.0.1", True), ("127.1.2.3", True), ("::1", True), ("localhost", True),
-     ("192.168.1.5", False), ("robot.local", False), ("::", False), ("0.0.0.0", False),
-     ("127.evil.example", False), ("127.0.0.1.evil.example", False), ("LOCALHOST", True),
-     ("", False)],
-)  # fmt: skip
+    [
+        ("127.0.0.1", True),
+        ("127.1.2.3", True),
+        ("::1", True),
+        ("localhost", True),
+        ("192.168.1.5", False),
+        ("robot.local", False),
+        ("::", False),
+        ("0.0.0.0", False),
+        ("127.evil.example", False),
+        ("127.0.0.1.evil.example", False),
+        ("LOCALHOST", True),
+        ("", False),
+    ],
+)
 def test_what_only_this_host_can_reach(address: str, alone: bool) -> None:
     assert is_loopback(address) is alone
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.ros.text import TEXT_LIMIT, printable
+from rossec.peer_limits import TEXT_LIMIT, printable
 
 
 @pytest.mark.parametrize(

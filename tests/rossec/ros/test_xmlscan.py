@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from rossec.errors import XmlRpcRefused
 from rossec.ros import xmlrpc
-from rossec.ros.xmlscan import scan
+from rossec.ros.xmlrpc import scan
 
 values = st.recursive(
     st.booleans()
@@ -22,26 +22,28 @@ values = st.recursive(
 PIECES = [
     f"<{end}{tag}>"
     for tag in (
-        "methodCall", "methodResponse", "methodName", "params", "param", "value", "array", "data",
-        "struct", "member", "name", "int", "i4", "string", "boolean", "double", "base64", "nil",
+        "methodCall",
+        "methodResponse",
+        "methodName",
+        "params",
+        "param",
+        "value",
+        "array",
+        "data",
+        "struct",
+        "member",
+        "name",
+        "int",
+        "i4",
+        "string",
+        "boolean",
+        "double",
+        "base64",
+        "nil",
     )
     for end in ("", "/")
-]  # fmt: skip
-TEXTS = [
-    "",
-    " ",
-    "\r\n",
-    "1",
-    "-7",
-    "x",
-    "1_0",
-    "AA==",
-    "]]>",
-    "&lt;",
-    "<!-- -->",
-    "<int/>",
-    "\x01",
 ]
+TEXTS = ["", " ", "\r\n", "1", "-7", "x", "1_0", "AA==", "]]>", "&lt;", "<!-- -->", "<int/>", "\x01"]
 HEAD = "<methodCall><methodName>m</methodName><params>"
 TAIL = "</params></methodCall>"
 
@@ -62,11 +64,7 @@ def test_what_stock_sends_is_read_alike(params: tuple[object, ...]) -> None:
 
 @given(st.lists(st.sampled_from(PIECES + TEXTS)).map("".join))
 def test_nothing_is_read_that_the_parser_refuses(middle: str) -> None:
-    for text in (
-        middle,
-        HEAD + middle + TAIL,
-        f"{HEAD}<param><value>{middle}</value></param>{TAIL}",
-    ):
+    for text in (middle, HEAD + middle + TAIL, f"{HEAD}<param><value>{middle}</value></param>{TAIL}"):
         agree(text.encode())
 
 

@@ -5,14 +5,12 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from ca.certificates import Identity
-from ca.revocation.state import Revocations, Timestamp, digest
+from ca.revocation.lists import Timestamp, digest
+from ca.revocation.trust_status import Revocations
 from rossec.participant.access import Access
 from rossec.participant.host_types import known_type
-from rossec.participant.publisher_grace import PublisherGrace
-from rossec.sidecar.core.commands import Command
-from rossec.sidecar.core.endpoints import EndpointMap
-from rossec.sidecar.core.events import Event
-from rossec.sidecar.core.layers import AgentState
+from rossec.participant.registrations import PublisherGrace
+from rossec.sidecar.core.layers import AgentState, Command, EndpointMap, Event
 from tests.support.domains import alone
 from tests.support.site import Site
 

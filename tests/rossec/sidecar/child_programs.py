@@ -27,9 +27,7 @@ class Programs:
         self.server = socket.create_server(("127.0.0.1", 0), backlog=256)
         command = (sys.executable, "-S", "-c", PROGRAM, str(self.server.getsockname()[1]))
         self.running = [
-            subprocess.Popen(
-                (*command, str(files)), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-            )
+            subprocess.Popen((*command, str(files)), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
             for _ in range(count)
         ]
 

@@ -8,15 +8,14 @@ from collections.abc import AsyncIterator, Collection
 from typing import Self
 
 from rossec.channel.opening import WireProtocol
-from rossec.net.aio.dial import dial
-from rossec.net.rpc.client import RpcClient, serve_calls
-from rossec.participant.header_fields import Fields
-from rossec.ros import header
-from rossec.ros.settings import parse_uri, read
+from rossec.net.aio.client import dial
+from rossec.net.rpc.calls import RpcClient, serve_calls
+from rossec.participant.handshakes import Fields
+from rossec.ros import tcpros
+from rossec.ros.names import parse_uri, read
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.core.endpoints import Endpoint, parse_endpoint
-from rossec.sidecar.loopback_port import LoopbackPort
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.sidecar.core.layers import ListeningAddress, parse_endpoint
+from rossec.sidecar.loopback_port import LoopbackPort, PlainStream
 from rossec.sidecar.pump import split_header
 from rossec.sidecar.server import Sidecar
 from tests.support.site import Site
@@ -42,9 +41,7 @@ class Program:
     definition = b"string data\n"
     latching = False
 
-    def __init__(
-        self, name: str, sidecar: Sidecar, published: Collection[str] | None = None
-    ) -> None:
+    def __init__(self, name: str, sidecar: Sidecar, published: Collection[str] | None = None) -> None:
         self.published = published
         self.name = name
         self.master_uri = sidecar.uri
@@ -76,10 +73,10 @@ class Program:
         assert answer[0] == 1, answer
         return answer[2]
 
-    async def connect(self, endpoint: Endpoint, fields: Fields) -> tuple[PlainStream, Fields]:
+    async def connect(self, endpoint: ListeningAddress, fields: Fields) -> tuple[PlainStream, Fields]:
         """Connect for TCPROS; the stream and the header of the answer."""
         stream = PlainStream(await dial(endpoint.host, endpoint.port, 10))
-        await stream.send(header.encode(fields | {"callerid": self.name.encode()}))
+        await stream.send(tcpros.encode(fields | {"callerid": self.name.encode()}))
         answer, _ = await split_header(stream)
         return stream, answer
 
@@ -89,7 +86,7 @@ class Program:
         assert isinstance(answer, list)
         assert answer[0] == 1, answer
         _, host, port = answer[2]
-        endpoint = Endpoint(WireProtocol.TCPROS, host, port)
+        endpoint = ListeningAddress(WireProtocol.TCPROS, host, port)
         return await self.connect(endpoint, {"topic": topic.encode(), "type": b"*", "md5sum": b"*"})
 
     async def call(self, uri: object, service: str) -> tuple[PlainStream, Fields]:
@@ -117,10 +114,13 @@ class Program:
         fields, _ = await split_header(stream)
         self.headers.append(fields)
         answer = {
-            "type": self.kind, "md5sum": self.md5sum, "message_definition": self.definition,
-            "callerid": self.name.encode(), **({"latching": b"1"} if self.latching else {}),
-        }  # fmt: skip
-        await stream.send(header.encode(answer))
+            "type": self.kind,
+            "md5sum": self.md5sum,
+            "message_definition": self.definition,
+            "callerid": self.name.encode(),
+            **({"latching": b"1"} if self.latching else {}),
+        }
+        await stream.send(tcpros.encode(answer))
         self.connections.append(stream)
         self.connected.set()
         with contextlib.suppress(Exception):
@@ -135,9 +135,7 @@ class Program:
 
 
 @contextlib.asynccontextmanager
-async def sidecar(
-    site: Site, *, each: bool = True, identity: str | None = None
-) -> AsyncIterator[Sidecar]:
+async def sidecar(site: Site, *, each: bool = True, identity: str | None = None) -> AsyncIterator[Sidecar]:
     """A sidecar of `site` in this process."""
     settings = read((), site.environ, default_name="/sidecar")
     running = Sidecar(site.root, settings, ANY_CALLER, each=each, identity=identity)

@@ -5,7 +5,7 @@ import contextlib
 from dataclasses import dataclass
 
 from rossec.errors import RossecError
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.sidecar.loopback_port import PlainStream
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program
 from tests.support.site import Site

@@ -10,7 +10,7 @@ from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.clock import Clock
 from rossec.errors import HangUp, RossecError
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
+from rossec.sidecar.core.layers import ListeningAddress, local_endpoint
 from tests.rossec.sidecar.program import Program, sidecar, string_message
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
 from tests.support.site import Site
@@ -37,9 +37,7 @@ async def test_an_expired_grant_closes_the_connection(
     stream, source = await connect(pair)
     monkeypatch.setattr("rossec.clock.HOST", Clock(lambda: time.time() + 60))
     await wait_closed(stream)
-    assert (
-        "closed the connection with /listener (/word): its grant or its certificate" in caplog.text
-    )
+    assert "closed the connection with /listener (/word): its grant or its certificate" in caplog.text
     await wait_closed(source)
 
 
@@ -77,20 +75,14 @@ async def test_an_agent_whose_task_crashes_closes_everything(
 async def test_old_ports_are_evicted(pair: SidecarPair, monkeypatch: pytest.MonkeyPatch) -> None:
     stream, source = await connect(pair)
     for name in ("/talker", "/listener"):
-        agent = (pair.talker_sidecar if name == "/talker" else pair.listener_sidecar)._agent_for(
-            name
-        )
+        agent = (pair.talker_sidecar if name == "/talker" else pair.listener_sidecar)._agent_for(name)
         for pool in (agent._ingress.ports, agent._egress.ports):
             monkeypatch.setattr(pool, "_limit", 4)
-        remotes = [Endpoint(WireProtocol.TCPROS, "127.0.0.9", port) for port in range(1, 9)]
+        remotes = [ListeningAddress(WireProtocol.TCPROS, "127.0.0.9", port) for port in range(1, 9)]
         ports = [
-            agent.state.endpoints.add_egress(remote, agent.open_egress(remote)).port
-            for remote in remotes
+            agent.state.endpoints.add_egress(remote, agent.open_egress(remote)).port for remote in remotes
         ]
-        assert (
-            agent.state.endpoints.peer_at(local_endpoint(WireProtocol.TCPROS, ports[-1]))
-            == remotes[-1]
-        )
+        assert agent.state.endpoints.peer_at(local_endpoint(WireProtocol.TCPROS, ports[-1])) == remotes[-1]
         assert agent.state.endpoints.peer_at(local_endpoint(WireProtocol.TCPROS, ports[0])) is None
         for port in range(1, 9):
             agent.open_ingress(local_endpoint(WireProtocol.HTTP, port))
@@ -130,9 +122,7 @@ async def test_a_revoked_master_is_not_called(pair: SidecarPair) -> None:
         await agent.dial_master()
 
 
-async def test_a_failed_start_keeps_no_connection(
-    pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_failed_start_keeps_no_connection(pair: SidecarPair, monkeypatch: pytest.MonkeyPatch) -> None:
     """A later call must not use the connection to an invalid master."""
     agent = pair.talker_sidecar._agent_for("/talker")
     session = agent._membership.session
@@ -166,16 +156,12 @@ async def test_a_dead_program_does_not_replace_a_new_one_of_its_name(
             assert stream is not None
             stream.abort("a cable is pulled")
         await until(lambda: "/talker: connected to the master again" in caplog.text, within=30)
-        endpoint = Endpoint(
+        endpoint = ListeningAddress(
             WireProtocol.HTTP,
             "127.0.0.1",
             agent.open_ingress(local_endpoint(WireProtocol.HTTP, successor.slave.port)),
         )
-        assert await agent.call_master("lookupNode", ("/talker", "/talker")) == [
-            1,
-            "node api",
-            endpoint.uri,
-        ]
+        assert await agent.call_master("lookupNode", ("/talker", "/talker")) == [1, "node api", endpoint.uri]
         await pair.listener.register("registerSubscriber", "/word", "std_msgs/String")
         assert [method for method, _ in successor.calls if method == "shutdown"] == []
 

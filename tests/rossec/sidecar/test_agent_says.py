@@ -28,12 +28,13 @@ async def test_what_programs_keep_to_themselves_is_said_once(
                 answer = await program.ask(program.master_uri, "setParam", "/t\u00fcr", 1)
                 assert answer == [-1, "ERROR: parameter [key] contains illegal chars", 0]
                 assert await program.ask(program.master_uri, "getSystemState") == [
-                    1, "current system state", [[], [], []],
-                ]  # fmt: skip
+                    1,
+                    "current system state",
+                    [[], [], []],
+                ]
                 answer = await anonymous.ask(
-                    anonymous.master_uri, "registerSubscriber", "/word", "std_msgs/String",
-                    anonymous.uri,
-                )  # fmt: skip
+                    anonymous.master_uri, "registerSubscriber", "/word", "std_msgs/String", anonymous.uri
+                )
                 assert isinstance(answer, list)
                 assert answer[0] == -1
     said = [each.getMessage() for each in caplog.records if each.levelno >= logging.WARNING]

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from rossec.errors import PeerUserRefused
-from rossec.net.host import peeruid
+from rossec.host import local_sockets
 from rossec.sidecar.callers import Callers
 from tests.rossec.sidecar.child_programs import programs
 
@@ -21,10 +21,7 @@ def connecting(port: int) -> "subprocess.Popen[bytes]":
 
 
 async def test_a_child_is_allowed_and_other_processes_are_refused() -> None:
-    with (
-        socket.create_server(("127.0.0.1", 0)) as server,
-        connecting(server.getsockname()[1]) as child,
-    ):
+    with socket.create_server(("127.0.0.1", 0)) as server, connecting(server.getsockname()[1]) as child:
         accepted, _ = server.accept()
         with accepted:
             await Callers({os.getuid()}).check(accepted)
@@ -79,11 +76,8 @@ async def test_only_the_listener_of_the_same_address_is_checked() -> None:
 
 async def test_users_of_another_user_namespace_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """They all appear as one user, even if that is the allowed one."""
-    monkeypatch.setattr(peeruid, "is_known", lambda user: user != os.getuid())
-    with (
-        socket.create_server(("127.0.0.1", 0)) as server,
-        pytest.raises(PeerUserRefused),
-    ):
+    monkeypatch.setattr(local_sockets, "is_known", lambda user: user != os.getuid())
+    with socket.create_server(("127.0.0.1", 0)) as server, pytest.raises(PeerUserRefused):
         await Callers({os.getuid()}).check_listener(server.getsockname()[1])
 
 

@@ -16,7 +16,7 @@ import pytest
 from rossec.errors import ConfigurationError
 from rossec.sidecar import child
 from rossec.sidecar.child import OUTSIDE, NoSuchProgram, outer_environment, program_environment
-from rossec.sidecar.core.endpoints import Loopback
+from rossec.sidecar.core.layers import Loopback
 
 ENVIRON = {"ROS_MASTER_URI": "http://far:11311", "ROS_HOSTNAME": "near", "HOME": "/home/me"}
 LOOPBACK_URI = "http://127.0.0.1:4000/"
@@ -33,9 +33,7 @@ def test_a_nested_run_finds_what_the_outer_one_replaced() -> None:
     assert {key: outer_environment(once).get(key) for key in ENVIRON} == ENVIRON
     assert "ROS_IP" not in outer_environment(once)
     twice = program_environment(once, outer_environment(once), "http://127.0.0.1:5000/")
-    assert json.loads(twice[OUTSIDE]) == {
-        key: ENVIRON[key] for key in ("ROS_MASTER_URI", "ROS_HOSTNAME")
-    }
+    assert json.loads(twice[OUTSIDE]) == {key: ENVIRON[key] for key in ("ROS_MASTER_URI", "ROS_HOSTNAME")}
 
 
 def test_a_nested_run_finds_the_discovered_master() -> None:
@@ -51,8 +49,7 @@ def test_a_damaged_variable_is_an_error(damaged: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "expected"),
-    [("import sys; sys.exit(7)", 7), ("import os; os.kill(os.getpid(), 9)", 128 + 9)],
+    ("code", "expected"), [("import sys; sys.exit(7)", 7), ("import os; os.kill(os.getpid(), 9)", 128 + 9)]
 )
 async def test_the_exit_code_of_the_program_is_returned(code: str, expected: int) -> None:
     assert await child.run([sys.executable, "-c", code], os.environ) == expected
@@ -153,9 +150,7 @@ def test_signals_of_a_process_are_forwarded_in_the_foreground_too() -> None:
 def test_a_program_ends_with_its_sidecar(tmp_path: Path) -> None:
     code = "import asyncio, os; from rossec.sidecar import child; asyncio.run(child.run("
     code += "['sh', '-c', 'echo $$; exec sleep 100'], os.environ))"
-    with subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True
-    ) as sidecar:
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as sidecar:
         assert sidecar.stdout is not None
         program = int(sidecar.stdout.readline())
         sidecar.kill()

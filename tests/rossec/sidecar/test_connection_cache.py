@@ -6,12 +6,12 @@ from typing import Any
 import pytest
 
 from rossec.channel.opening import WireProtocol
-from rossec.sidecar import connection_cache
-from rossec.sidecar.connection_cache import ConnectionCache
-from rossec.sidecar.core.endpoints import Endpoint
+from rossec.sidecar import server
+from rossec.sidecar.core.layers import ListeningAddress
+from rossec.sidecar.server import ConnectionCache
 from tests.support.witness import until
 
-ENDPOINT = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
+ENDPOINT = ListeningAddress(WireProtocol.HTTP, "10.0.0.7", 6000)
 
 
 class FakeClient:
@@ -44,10 +44,8 @@ async def test_an_older_connection_is_closed() -> None:
     await cache.close()
 
 
-async def test_a_cached_connection_is_closed_after_its_lifetime(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(connection_cache, "LIFETIME", 0.0)
+async def test_a_cached_connection_is_closed_after_its_lifetime(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "LIFETIME", 0.0)
     cache, one, other = ConnectionCache(), FakeClient(), FakeClient()
     cache.put(ENDPOINT, _as(one))
     await until(lambda: one.closed)

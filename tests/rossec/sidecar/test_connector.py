@@ -10,7 +10,7 @@ from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.net.aio import SecureStream
 from rossec.sidecar import loopback_port
-from rossec.sidecar.core.endpoints import Endpoint
+from rossec.sidecar.core.layers import ListeningAddress
 from rossec.sidecar.loopback_port import free_port
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
@@ -39,13 +39,13 @@ async def start_agent(running: Sidecar, name: str) -> None:
 async def test_a_revoked_peer_is_refused_before_anything_is_sent(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rossec.participant.master_session.HEARTBEAT", 0.5)
+    monkeypatch.setattr("rossec.participant.membership.HEARTBEAT", 0.5)
     async with site.running(), sidecar(site) as running:
         robot, viewer = running._agent_for("/robot"), running._agent_for("/viewer")
         await start_agent(running, "/robot")
         await start_agent(running, "/viewer")
         server = robot._connector.listen(ignore, "127.0.0.1", WireProtocol.HTTP)
-        endpoint = Endpoint(WireProtocol.HTTP, "127.0.0.1", server.port)
+        endpoint = ListeningAddress(WireProtocol.HTTP, "127.0.0.1", server.port)
         stream = await viewer.dial(endpoint)
         assert stream.peer.name == "/robot"
         stream.abort("enough")
@@ -58,15 +58,11 @@ async def test_a_revoked_peer_is_refused_before_anything_is_sent(
         await server.close()
 
 
-async def test_another_port_is_bound_if_one_is_taken(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_another_port_is_bound_if_one_is_taken(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     """Another port is tried; if none is free, the error is raised."""
     with socket.create_server(("127.0.0.1", 0)) as taken:
         ports = [taken.getsockname()[1]]
-        monkeypatch.setattr(
-            loopback_port, "free_port", lambda: ports.pop() if ports else free_port()
-        )
+        monkeypatch.setattr(loopback_port, "free_port", lambda: ports.pop() if ports else free_port())
         async with sidecar(site) as running:
             robot = running._agent_for("/robot")._connector
             server = robot.listen(ignore, "127.0.0.1", WireProtocol.HTTP)

@@ -4,7 +4,7 @@ import resource
 
 import pytest
 
-from rossec.sidecar import descriptors
+from rossec.sidecar import child
 
 WHICH = resource.RLIMIT_NOFILE
 
@@ -26,9 +26,9 @@ def test_the_soft_limit_is_raised_as_far_as_allowed(
     made: list[tuple[int, int]] = []
     monkeypatch.setattr(resource, "getrlimit", lambda _: before)
     monkeypatch.setattr(resource, "setrlimit", lambda _, limits: made.append(limits))
-    assert descriptors.raise_limit() == before
+    assert child.raise_limit() == before
     assert made == raised
-    descriptors.restore_limit(before)
+    child.restore_limit(before)
     assert made == [*raised, before]
 
 
@@ -38,4 +38,4 @@ def test_a_limit_that_cannot_be_raised_stays(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(resource, "getrlimit", lambda _: (1024, 4096))
     monkeypatch.setattr(resource, "setrlimit", forbidden)
-    assert descriptors.raise_limit() == (1024, 4096)
+    assert child.raise_limit() == (1024, 4096)

@@ -8,12 +8,12 @@ import pytest
 from grants.model import Restriction, Right, filter_rules
 from rossec.channel.opening import WireProtocol
 from rossec.errors import RossecError
-from rossec.net.aio.dial import dial
-from rossec.ros import header
-from rossec.ros.settings import parse_uri
+from rossec.net.aio.client import dial
+from rossec.ros import tcpros
+from rossec.ros.names import parse_uri
 from rossec.sidecar import egress as module
-from rossec.sidecar.core.endpoints import Endpoint, parse_endpoint
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.sidecar.core.layers import ListeningAddress, parse_endpoint
+from rossec.sidecar.loopback_port import PlainStream
 from tests.rossec.sidecar.program import string_message
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
 from tests.support.aliasforms import behind_a_sidecar
@@ -21,7 +21,7 @@ from tests.support.gateways import SERVED, STRING, two_sites
 from tests.support.witness import until
 
 
-async def provide(pair: SidecarPair) -> Endpoint:
+async def provide(pair: SidecarPair) -> ListeningAddress:
     """The talker provides /say; the listener's loopback port for it."""
     uri = f"rosrpc://127.0.0.1:{pair.talker.topics.port}"
     await pair.talker.register("registerService", "/say", uri)
@@ -32,9 +32,7 @@ async def provide(pair: SidecarPair) -> Endpoint:
     return endpoint
 
 
-async def test_messages_of_a_restricted_publisher_are_filtered_on_receipt(
-    pair: SidecarPair,
-) -> None:
+async def test_messages_of_a_restricted_publisher_are_filtered_on_receipt(pair: SidecarPair) -> None:
     """Its own sidecar sends everything; the subscriber's sidecar applies the restriction."""
     for file in pair.site.enroll("/talker").path.glob("grants/*"):
         file.unlink()
@@ -87,19 +85,17 @@ async def test_a_program_without_a_header_in_time_is_disconnected(
     endpoint = await provide(pair)
     monkeypatch.setattr(module, "HEADER_DEADLINE", 0.05)
     stream = PlainStream(await dial(endpoint.host, endpoint.port, 10))
-    await stream.send(header.encode({"service": b"/say"})[:6])
+    await stream.send(tcpros.encode({"service": b"/say"})[:6])
     await wait_closed(stream)
     assert "a connection to " in caplog.text
 
 
-async def test_a_peer_that_is_gone_hangs_up(
-    pair: SidecarPair, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_peer_that_is_gone_hangs_up(pair: SidecarPair, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     endpoint = await provide(pair)
     await pair.talker_sidecar.close()
     stream = PlainStream(await dial(endpoint.host, endpoint.port, 10))
-    await stream.send(header.encode({"service": b"/say", "md5sum": b"*", "callerid": b"/listener"}))
+    await stream.send(tcpros.encode({"service": b"/say", "md5sum": b"*", "callerid": b"/listener"}))
     await wait_closed(stream)
     await until(lambda: "no connection to " in caplog.text)
 
@@ -112,7 +108,7 @@ async def test_a_topic_that_could_not_be_connected_is_subscribed_again(pair: Sid
     answer = await pair.listener.ask(uris[0], "requestTopic", "/word", [["TCPROS"]])
     assert isinstance(answer, list)
     await pair.talker.topics.close()
-    topics = Endpoint(WireProtocol.TCPROS, *answer[2][1:])
+    topics = ListeningAddress(WireProtocol.TCPROS, *answer[2][1:])
     with pytest.raises(RossecError):
         await pair.listener.connect(topics, {"topic": b"/word", "type": b"*", "md5sum": b"*"})
 

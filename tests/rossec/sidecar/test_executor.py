@@ -12,34 +12,33 @@ from ca.certificates import Identity
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import PeerUnreachable
+from rossec.host.local_sockets import Holder
 from rossec.net.aio import SecureStream, connect, serve
-from rossec.net.host.peeruid import Holder
-from rossec.net.rpc.client import serve_calls
-from rossec.ros import header
+from rossec.net.rpc.calls import serve_calls
+from rossec.ros import tcpros
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar import executor as executor_module
-from rossec.sidecar.core.commands import (
+from rossec.sidecar.core.layers import (
+    Answered,
     AuthenticatePeer,
     CallMaster,
     CallPeer,
     CallProgram,
+    CommandDone,
     ConnectPeer,
     ConnectProgram,
-    OpenEgress,
-    Probe,
-)
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
-from rossec.sidecar.core.events import (
-    Answered,
-    CommandDone,
     Event,
     HeaderArrived,
+    Layer,
+    ListeningAddress,
     NoAnswer,
-    Opened,
+    OpenEgress,
     PeerAuthenticated,
+    PortOpened,
+    Probe,
     RawResponse,
+    local_endpoint,
 )
-from rossec.sidecar.core.layers import Layer
 from rossec.sidecar.executor import CommandExecutor, SlaveApiClient, run_layer
 from rossec.sidecar.pump import split_header
 from tests.rossec.sidecar.program import ANY_CALLER, STRING, Program
@@ -49,7 +48,7 @@ from tests.support.secure_streams import Stream
 from tests.support.wire import ALICE, BOB
 from tests.support.witness import until
 
-PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
+PEER = ListeningAddress(WireProtocol.HTTP, "10.0.0.7", 6000)
 
 
 class FakeServices:
@@ -59,37 +58,37 @@ class FakeServices:
     callers = ANY_CALLER
 
     def __init__(self) -> None:
-        self.closed: list[Endpoint] = []
+        self.closed: list[ListeningAddress] = []
         self.answer: Any = None
         self.taken_over: set[int] = set()
-        self.unreachable: list[tuple[Endpoint, str]] = []
+        self.unreachable: list[tuple[ListeningAddress, str]] = []
 
-    def leads_to(self, local: Endpoint, listeners: list[Holder]) -> bool:
+    def leads_to(self, local: ListeningAddress, listeners: list[Holder]) -> bool:
         return local.port not in self.taken_over
 
-    def open_ingress(self, local: Endpoint) -> int:
+    def open_ingress(self, local: ListeningAddress) -> int:
         return local.port
 
-    def suspend_ingress(self, local: Endpoint) -> None:
+    def suspend_ingress(self, local: ListeningAddress) -> None:
         self.closed.append(local)
 
-    def open_egress(self, remote: Endpoint) -> int:
+    def open_egress(self, remote: ListeningAddress) -> int:
         return remote.port
 
-    def refuse_egress(self, remote: Endpoint) -> int:
+    def refuse_egress(self, remote: ListeningAddress) -> int:
         self.closed.append(remote)
         return 1
 
-    def cache_client(self, remote: Endpoint, client: SlaveApiClient) -> None:
+    def cache_client(self, remote: ListeningAddress, client: SlaveApiClient) -> None:
         raise AssertionError(remote)
 
-    def cached_client(self, remote: Endpoint) -> SlaveApiClient | None:
+    def cached_client(self, remote: ListeningAddress) -> SlaveApiClient | None:
         return None
 
-    async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
+    async def dial(self, remote: ListeningAddress) -> SecureStream[Identity]:
         raise PeerUnreachable(f"no peer at {remote.uri}")
 
-    def note_unreachable(self, remote: Endpoint, error: PeerUnreachable) -> None:
+    def note_unreachable(self, remote: ListeningAddress, error: PeerUnreachable) -> None:
         self.unreachable.append((remote, str(error)))
 
     def check_peer(self, peer: Identity) -> None:
@@ -139,8 +138,8 @@ async def test_the_egress_port_of_an_unreachable_peer_refuses_callers() -> None:
     assert isinstance(event, NoAnswer)
     assert not event.dead
     assert services.closed == [PEER]
-    assert await outcome(services, OpenEgress(PEER, probe=True)) == Opened(1)
-    assert await outcome(services, OpenEgress(PEER)) == Opened(PEER.port)
+    assert await outcome(services, OpenEgress(PEER, probe=True)) == PortOpened(1)
+    assert await outcome(services, OpenEgress(PEER)) == PortOpened(PEER.port)
 
 
 async def test_the_egress_port_of_a_peer_behind_a_door_hangs_up_instead() -> None:
@@ -149,7 +148,7 @@ async def test_the_egress_port_of_a_peer_behind_a_door_hangs_up_instead() -> Non
     event = await outcome(services, CallPeer(door, "getPid", ("/robot",), Right.GRAPH))
     assert isinstance(event, NoAnswer)
     assert not event.dead
-    assert await outcome(services, OpenEgress(door, probe=True)) == Opened(PEER.port)
+    assert await outcome(services, OpenEgress(door, probe=True)) == PortOpened(PEER.port)
     assert services.closed == []
 
 
@@ -159,9 +158,7 @@ async def test_a_program_that_does_not_listen_is_dead() -> None:
     assert event.dead
 
 
-async def test_a_master_that_does_not_answer_in_time_is_no_answer(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_master_that_does_not_answer_in_time_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(executor_module, "DEADLINE", 0.01)
     services = FakeServices()
     services.answer = asyncio.Event().wait
@@ -217,9 +214,7 @@ async def test_a_program_that_changed_while_connecting_is_not_used(
         raise ConnectionRefusedError("another program listens there now")
 
     monkeypatch.setattr(type(ANY_CALLER), "check_unchanged", changed)
-    event = await outcome(
-        FakeServices(), Probe(local_endpoint(WireProtocol.HTTP, program.slave.port))
-    )
+    event = await outcome(FakeServices(), Probe(local_endpoint(WireProtocol.HTTP, program.slave.port)))
     assert event == NoAnswer("another program listens there now", dead=True)
 
 
@@ -244,17 +239,17 @@ class PeerNode(FakeServices):
 
     async def serve_topic(self, stream: Stream) -> None:
         fields, _ = await split_header(stream)  # type: ignore[arg-type]
-        await stream.send(header.encode({**fields, "type": b"x"}) + b"more")
+        await stream.send(tcpros.encode({**fields, "type": b"x"}) + b"more")
         await stream.receive()
 
-    async def dial(self, remote: Endpoint) -> Any:
+    async def dial(self, remote: ListeningAddress) -> Any:
         self.dialed += 1
         return await connect("127.0.0.1", self.port, context(ALICE), remote.protocol)
 
-    def cache_client(self, remote: Endpoint, client: SlaveApiClient) -> None:
+    def cache_client(self, remote: ListeningAddress, client: SlaveApiClient) -> None:
         self.cached = client
 
-    def cached_client(self, remote: Endpoint) -> SlaveApiClient | None:
+    def cached_client(self, remote: ListeningAddress) -> SlaveApiClient | None:
         client, self.cached = self.cached, None
         return client
 
@@ -298,7 +293,7 @@ async def test_grants_are_presented_to_a_peer_once(peer: PeerNode) -> None:
 
 
 async def test_a_peer_that_answers_a_probe_is_cached_for_the_next_caller(peer: PeerNode) -> None:
-    assert await outcome(peer, OpenEgress(PEER, probe=True)) == Opened(PEER.port)
+    assert await outcome(peer, OpenEgress(PEER, probe=True)) == PortOpened(PEER.port)
     assert peer.asked == ["rossec.presentGrants"]
     assert peer.closed == []
     await outcome(peer, CallPeer(PEER, "getPid", ("/robot",), Right.GRAPH))
@@ -328,7 +323,7 @@ async def test_headers_are_exchanged_with_a_peer() -> None:
     async with serve(node.serve_topic, "127.0.0.1", 0, context(BOB)) as server:
         node.port = server.port
         executor = CommandExecutor(node)
-        remote = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6000)
+        remote = ListeningAddress(WireProtocol.TCPROS, "10.0.0.7", 6000)
         known = await executor.run(one_command(AuthenticatePeer(remote)))
         assert isinstance(known, PeerAuthenticated)
         event = await executor.run(one_command(ConnectPeer(remote, {"topic": b"/word"})))

@@ -8,23 +8,21 @@ import pytest
 from rossec.channel.opening import WireProtocol
 from rossec.errors import PeerUnreachable
 from rossec.net.aio import serve
-from rossec.sidecar.core.commands import (
+from rossec.sidecar.core.layers import (
     AuthenticatePeer,
     CallPeer,
+    CommandDone,
     ConnectPeer,
+    Event,
+    Layer,
+    NoAnswer,
     OpenIngress,
+    PeerAuthenticated,
+    PortOpened,
     Suspend,
 )
-from rossec.sidecar.core.events import CommandDone, Event, NoAnswer, Opened, PeerAuthenticated
-from rossec.sidecar.core.layers import Layer
 from rossec.sidecar.executor import run_layer
-from tests.rossec.sidecar.test_executor import (
-    PEER,
-    FakeServices,
-    PeerNode,
-    check_answered,
-    outcome,
-)
+from tests.rossec.sidecar.test_executor import PEER, FakeServices, PeerNode, check_answered, outcome
 from tests.support.contexts import context
 from tests.support.wire import BOB
 
@@ -52,9 +50,7 @@ async def test_a_peer_is_authenticated_on_the_connection_of_the_call(peer: PeerN
 async def test_a_peer_that_cannot_be_authenticated_is_no_answer(peer: PeerNode) -> None:
     peer.refused = PeerUnreachable("its identity has expired")
     assert await outcome(peer, AuthenticatePeer(PEER)) == NoAnswer("its identity has expired")
-    event = await outcome(
-        FakeServices(), AuthenticatePeer(replace(PEER, protocol=WireProtocol.TCPROS))
-    )
+    event = await outcome(FakeServices(), AuthenticatePeer(replace(PEER, protocol=WireProtocol.TCPROS)))
     assert isinstance(event, NoAnswer)
 
 
@@ -68,7 +64,7 @@ async def test_a_peer_out_of_reach_is_said_for_calls_and_topics() -> None:
 
 async def test_ingress_ports_are_opened_and_suspended() -> None:
     services = FakeServices()
-    assert await outcome(services, OpenIngress(PEER)) == Opened(PEER.port)
+    assert await outcome(services, OpenIngress(PEER)) == PortOpened(PEER.port)
     assert services.closed == []
     assert await outcome(services, Suspend(PEER)) == CommandDone()
     assert services.closed == [PEER]

@@ -8,17 +8,16 @@ import pytest
 from grants.model import Restriction, Right, filter_rules
 from rossec.channel.opening import WireProtocol
 from rossec.errors import RossecError
-from rossec.net.aio.dial import dial
-from rossec.net.rpc.client import RpcClient
+from rossec.net.aio.client import dial
+from rossec.net.rpc.calls import RpcClient
 from rossec.participant.access import FIELD
-from rossec.participant.deflating import inflated
-from rossec.participant.wishes import Wishes
-from rossec.ros import header
-from rossec.ros.settings import parse_uri
-from rossec.sidecar.agent import Agent
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
+from rossec.participant.delivery import Wishes, inflated
+from rossec.ros import tcpros
+from rossec.ros.names import parse_uri
+from rossec.sidecar.core.layers import ListeningAddress, local_endpoint
 from rossec.sidecar.loopback_port import LoopbackPort
 from rossec.sidecar.pump import split_header
+from rossec.sidecar.server import Agent
 from tests.rossec.sidecar.program import ANY_CALLER, Program, sidecar, string_message
 from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
 from tests.support.witness import until
@@ -103,14 +102,12 @@ async def test_the_port_of_a_dead_program_refuses_callers(pair: SidecarPair) -> 
         await dial(*parse_uri(again[2]), 10)
 
 
-async def ingress_endpoint(pair: SidecarPair, protocol: WireProtocol) -> tuple[Agent, Endpoint]:
+async def ingress_endpoint(pair: SidecarPair, protocol: WireProtocol) -> tuple[Agent, ListeningAddress]:
     """The listener's agent, and the endpoint at which peers reach the talker."""
     await connect(pair)
     ports = pair.talker_sidecar._agent_for("/talker")._ingress.ports
-    (port,) = (
-        server.port for endpoint, server in ports._ports.items() if endpoint.protocol is protocol
-    )
-    return pair.listener_sidecar._agent_for("/listener"), Endpoint(protocol, "127.0.0.1", port)
+    (port,) = (server.port for endpoint, server in ports._ports.items() if endpoint.protocol is protocol)
+    return pair.listener_sidecar._agent_for("/listener"), ListeningAddress(protocol, "127.0.0.1", port)
 
 
 async def test_a_subscriber_that_sends_data_is_disconnected(pair: SidecarPair) -> None:
@@ -119,7 +116,7 @@ async def test_a_subscriber_that_sends_data_is_disconnected(pair: SidecarPair) -
     proof = {FIELD: agent.proof(Right.SUBSCRIBE, "/word")}
     for fields, more in ((request | proof, b"more"), (request, b"")):
         stream = await agent.dial(endpoint)
-        await stream.send(header.encode(fields) + more)
+        await stream.send(tcpros.encode(fields) + more)
         answer, _ = await split_header(stream)
         assert ("error" in answer) is (fields == request)
         with pytest.raises(RossecError):
@@ -146,14 +143,14 @@ async def test_a_peer_with_wishes_gets_its_messages_as_it_wishes(pair: SidecarPa
     proof = {FIELD: agent.proof(Right.SUBSCRIBE, "/word")}
     before = len(pair.talker.connections)
     stream = await agent.dial(endpoint)
-    await stream.send(header.encode(fields | proof | wishes.fields))
+    await stream.send(tcpros.encode(fields | proof | wishes.fields))
     answer, rest = await split_header(stream)
     assert wishes.fields.items() <= answer.items()
     await until(lambda: len(pair.talker.connections) > before)
     assert b"rossec_" not in str(pair.talker.headers).encode()
     message = string_message("again " * 1000)
     await pair.talker.connections[-1].send(message)
-    frames = header.FrameReader()
+    frames = tcpros.FrameReader()
     contents = frames.feed(rest)
     while not contents:
         contents = frames.feed(await stream.receive())
@@ -190,9 +187,7 @@ async def test_a_port_that_another_program_has_now_leads_nowhere(pair: SidecarPa
         await second.close()
 
 
-async def test_a_reused_port_of_the_same_identity_gets_another_network_port(
-    pair: SidecarPair,
-) -> None:
+async def test_a_reused_port_of_the_same_identity_gets_another_network_port(pair: SidecarPair) -> None:
     pair.site.enroll("/crew", wildcard=True)
     pair.site.publish("/crew", "/a")
     async with sidecar(pair.site, each=False, identity="/crew") as running:
@@ -216,7 +211,7 @@ async def test_a_reused_port_of_the_same_identity_gets_another_network_port(
             assert is_closed(old)
 
 
-def is_closed(endpoint: Endpoint) -> bool:
+def is_closed(endpoint: ListeningAddress) -> bool:
     """Whether the port refuses callers, as that of a dead node."""
     try:
         socket.create_connection((endpoint.host, endpoint.port), 5).close()

@@ -7,12 +7,11 @@ import socket
 import pytest
 
 from rossec.errors import ChannelClosed, ConfigurationError
-from rossec.net.aio.dial import dial
+from rossec.net.aio.client import dial
 from rossec.sidecar import loopback_port
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
-from rossec.sidecar.loopback_port import LoopbackPort, bind_loopback
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.sidecar.core.layers import LOOPBACK, Loopback
+from rossec.sidecar.loopback_port import LoopbackPort, PlainStream, bind_loopback
 
 ANY_CALLER = Callers({os.getuid()})
 
@@ -112,9 +111,7 @@ async def test_accepting_pauses_without_descriptors(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The socket stays readable: retrying at once would be a busy loop."""
-    monkeypatch.setattr(
-        loopback_port, "bind_loopback", lambda *_: Exhausted(fileno=bind_loopback().detach())
-    )
+    monkeypatch.setattr(loopback_port, "bind_loopback", lambda *_: Exhausted(fileno=bind_loopback().detach()))
     monkeypatch.setattr(loopback_port, "PAUSE", 0.05)
     listener = LoopbackPort(ANY_CALLER, echo)
     listener.open()
@@ -180,9 +177,7 @@ async def test_an_error_in_the_check_refuses_the_caller(monkeypatch: pytest.Monk
     await listener.close()
 
 
-async def test_binding_fails_when_every_free_port_is_taken(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_binding_fails_when_every_free_port_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         monkeypatch.setattr(loopback_port, "free_port", lambda: port)
@@ -209,10 +204,7 @@ def test_loopback_is_ipv4_if_possible(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_without_ipv4_loopback_is_a_name_that_resolves_to_ipv6_alone(
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    names: dict[str, set[str]],
-    name: str,
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, names: dict[str, set[str]], name: str
 ) -> None:
     resolving(monkeypatch, {"::1"}, names)
     assert loopback_port.find_loopback() == ("::1", name)

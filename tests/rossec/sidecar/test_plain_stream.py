@@ -7,7 +7,7 @@ import pytest
 
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.sidecar.loopback_port import PlainStream
 from tests.support.witness import until
 
 

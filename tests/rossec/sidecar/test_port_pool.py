@@ -4,8 +4,8 @@ import pytest
 
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConfigurationError
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
-from rossec.sidecar.port_pool import PortPool
+from rossec.sidecar.core.layers import ListeningAddress, local_endpoint
+from rossec.sidecar.loopback_port import PortPool
 
 
 @dataclass
@@ -17,8 +17,8 @@ ENDPOINTS = [local_endpoint(WireProtocol.HTTP, port) for port in range(1, 6)]
 
 
 def test_the_least_recently_requested_idle_port_is_evicted() -> None:
-    closed: list[Endpoint] = []
-    pool = PortPool[Endpoint, FakePort](lambda endpoint, _: closed.append(endpoint), limit=3)
+    closed: list[ListeningAddress] = []
+    pool = PortPool[ListeningAddress, FakePort](lambda endpoint, _: closed.append(endpoint), limit=3)
     first, second, _ = (pool.get_or_open(endpoint, FakePort) for endpoint in ENDPOINTS[:3])
     assert pool.get_or_open(ENDPOINTS[0], FakePort) is first
     second.connections = 1
@@ -30,9 +30,9 @@ def test_the_least_recently_requested_idle_port_is_evicted() -> None:
 
 def test_only_ports_that_may_be_evicted_are_evicted() -> None:
     """An idle live program keeps its port: the master has its address."""
-    closed: list[Endpoint] = []
+    closed: list[ListeningAddress] = []
     dead = {ENDPOINTS[1]}
-    pool = PortPool[Endpoint, FakePort](
+    pool = PortPool[ListeningAddress, FakePort](
         lambda endpoint, _: closed.append(endpoint), dead.__contains__, limit=3
     )
     for endpoint in ENDPOINTS[:4]:
@@ -43,7 +43,7 @@ def test_only_ports_that_may_be_evicted_are_evicted() -> None:
 
 
 def test_ports_in_use_are_not_evicted() -> None:
-    pool = PortPool[Endpoint, FakePort](lambda *_: pytest.fail("closed one in use"), limit=2)
+    pool = PortPool[ListeningAddress, FakePort](lambda *_: pytest.fail("closed one in use"), limit=2)
     for endpoint in ENDPOINTS[:2]:
         pool.get_or_open(endpoint, lambda: FakePort(1))
     with pytest.raises(ConfigurationError, match="more than 2 addresses") as caught:

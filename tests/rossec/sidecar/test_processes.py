@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from rossec.sidecar import processes
-from rossec.sidecar.processes import descendants, descends, descriptors, parents, process, socket_at
+from rossec.sidecar import callers
+from rossec.sidecar.callers import descendants, descends, descriptors, parents, process, socket_at
 
 NO_PID = 1 << 30
 
@@ -33,7 +33,7 @@ def test_descends_is_false_for_itself_and_for_dead_processes() -> None:
 @pytest.fixture
 def fake_proc(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A fake /proc: 9 is a child of 5, 5 of 3; with a program name that is hard to parse."""
-    monkeypatch.setattr(processes, "PROC", tmp_path)
+    monkeypatch.setattr(callers, "PROC", tmp_path)
     for pid, parent, started in ((3, 2, 100), (5, 3, 200), (9, 5, 300)):
         (tmp_path / str(pid)).mkdir()
         write(tmp_path, pid, parent, started)

@@ -13,23 +13,14 @@ import pytest
 
 from grants.decision import Decision
 from grants.errors import GrantExpired, RestrictionMismatch
-from grants.guard import Guard
-from grants.memory import Memory
+from grants.guard import Guard, Memory
 from grants.model import Restriction, Right
 from rossec.errors import ChannelClosed, HeaderRefused, RossecError
 from rossec.net.aio import connect, serve
-from rossec.ros import header
-from rossec.sidecar.core.copies import CopyTracker
-from rossec.sidecar.plain_stream import PlainStream
-from rossec.sidecar.pump import (
-    exchange,
-    log_end,
-    outgoing,
-    publish,
-    send_filtered,
-    split_header,
-    subscribe,
-)
+from rossec.ros import tcpros
+from rossec.sidecar.core.guards import CopyTracker
+from rossec.sidecar.loopback_port import PlainStream
+from rossec.sidecar.pump import exchange, log_end, outgoing, publish, send_filtered, split_header, subscribe
 from tests.rossec.sidecar.test_plain_stream import pair
 from tests.support.contexts import context
 from tests.support.secure_streams import Stream
@@ -39,7 +30,7 @@ from tests.support.witness import until
 
 async def test_a_header_is_split_from_the_bytes_that_follow() -> None:
     left, right = pair()
-    data = header.encode({"topic": b"/word"})
+    data = tcpros.encode({"topic": b"/word"})
     sending = asyncio.ensure_future(in_pieces(left, data[:2], data[2:9], data[9:] + b"more"))
     assert await split_header(right) == ({"topic": b"/word"}, b"more")
     await sending
@@ -55,7 +46,7 @@ async def in_pieces(end: PlainStream, *pieces: bytes) -> None:
 
 async def test_a_header_length_is_checked_before_buffering() -> None:
     left, right = pair()
-    await left.send(struct.pack("<I", header.HEADER_LIMIT + 1))
+    await left.send(struct.pack("<I", tcpros.HEADER_LIMIT + 1))
     with pytest.raises(HeaderRefused, match="a connection header of"):
         await split_header(right)
     for end in (left, right):
@@ -93,11 +84,11 @@ async def received_by_peer(guard: FakeGuard, *messages: bytes) -> bytes:
     """What a peer receives of the messages of a program that then closes."""
     left, right = pair()
     peer = Peer()
-    await left.send(b"".join(map(header.frame, messages[1:])))
+    await left.send(b"".join(map(tcpros.frame, messages[1:])))
     closing = asyncio.ensure_future(left.close())
     sending: Any = send_filtered
     try:
-        await sending(right, peer, guard, header.frame(messages[0]))
+        await sending(right, peer, guard, tcpros.frame(messages[0]))
     except ChannelClosed:
         return peer.received
     finally:
@@ -107,11 +98,9 @@ async def received_by_peer(guard: FakeGuard, *messages: bytes) -> bytes:
     raise AssertionError
 
 
-async def test_messages_that_cannot_be_checked_are_withheld(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_messages_that_cannot_be_checked_are_withheld(caplog: pytest.LogCaptureFixture) -> None:
     received = await received_by_peer(FakeGuard(), b"one", *[b"x-rated"] * 9, b"-silent", b"two")
-    assert received == header.frame(b"one") + header.frame(b"two")
+    assert received == tcpros.frame(b"one") + tcpros.frame(b"two")
     assert caplog.text.count("/viewer: withheld a message: it cannot be checked") == 1
 
 
@@ -142,19 +131,19 @@ async def test_a_lagging_peer_misses_messages() -> None:
     peer: Any = LaggingPeer()
     guard = Guard(None, decision, None, lambda _: Memory())
     with CopyTracker().share(guard, 0, latching=False) as (shared, _):
-        forwarding = asyncio.ensure_future(outgoing(right, peer, shared, header.frame(b"one")))
+        forwarding = asyncio.ensure_future(outgoing(right, peer, shared, tcpros.frame(b"one")))
         await until(lambda: bool(peer.received))
-        await left.send(header.frame(b"missed") * 20)
+        await left.send(tcpros.frame(b"missed") * 20)
         for _ in range(100):  # iterations of the loop
             await asyncio.sleep(0)
         peer.lags = False
-        await left.send(header.frame(b"two"))
+        await left.send(tcpros.frame(b"two"))
         closing = asyncio.ensure_future(left.close())
         with pytest.raises(ChannelClosed):
             await forwarding
         right.abort()
         await closing
-    assert peer.received == [header.frame(b"one"), header.frame(b"two")]
+    assert peer.received == [tcpros.frame(b"one"), tcpros.frame(b"two")]
 
 
 async def test_an_error_ends_only_the_block(caplog: pytest.LogCaptureFixture) -> None:
@@ -245,7 +234,7 @@ async def test_a_publisher_without_restrictions_is_forwarded_unchanged(ends: End
 
 async def test_a_guard_filters_what_a_program_receives(ends: Ends) -> None:
     guard: Any = FakeGuard()
-    one, withheld, two = map(header.frame, (b"one", b"x-rated", b"two"))
+    one, withheld, two = map(tcpros.frame, (b"one", b"x-rated", b"two"))
     running = asyncio.ensure_future(subscribe(ends.inner, ends.outer, guard, one[:3]))
     await ends.peer.send(one[3:] + withheld + two)
     assert await ends.hear(ends.program, 14) == one + two
@@ -256,8 +245,8 @@ async def test_a_guard_filters_what_a_program_receives(ends: Ends) -> None:
 async def test_a_guard_filters_what_a_program_publishes(ends: Ends) -> None:
     guard: Any = FakeGuard()
     running = asyncio.ensure_future(publish(ends.inner, ends.outer, guard, b""))
-    await ends.program.send(header.frame(b"x-rated") + header.frame(b"two"))
-    assert await ends.hear(ends.peer, 7) == header.frame(b"two")
+    await ends.program.send(tcpros.frame(b"x-rated") + tcpros.frame(b"two"))
+    assert await ends.hear(ends.peer, 7) == tcpros.frame(b"two")
     await ends.program.close()
     await running
 
@@ -274,7 +263,7 @@ async def test_a_message_above_the_limit_ends_both_connections(
     ends: Ends, caplog: pytest.LogCaptureFixture
 ) -> None:
     guard: Any = FakeGuard()
-    await ends.peer.send(header.frame(bytes(11)))
+    await ends.peer.send(tcpros.frame(bytes(11)))
     with refused("the connection with /viewer ended: ", caplog):
         await subscribe(ends.inner, ends.outer, guard, b"", 10)
     await ends.ended(ends.program, ends.peer)

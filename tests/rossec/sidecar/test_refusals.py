@@ -5,10 +5,10 @@ import socket
 
 import pytest
 
-from grants.missing_rights import MissingRight, missing_right
 from grants.model import Right
+from grants.request import MissingRight, missing_right
 from rossec.errors import PeerUnreachable
-from rossec.sidecar.refusals import SAID_FOR, MissingRights, RefusalLog, Said
+from rossec.sidecar.egress import SAID_FOR, MissingRights, RefusalLog, Said
 from tests.support.witness import until
 
 NO_GOAL = (
@@ -30,9 +30,7 @@ def missing(right: Right, name: str, asker: str = "/rviz_17") -> MissingRight:
     return MissingRight("/rviz", asker, right, name)
 
 
-async def test_other_refusals_are_logged_at_once_on_one_line(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_other_refusals_are_logged_at_once_on_one_line(caplog: pytest.LogCaptureFixture) -> None:
     RefusalLog().log("the master", "getParam", [-1, "rossec: too many\nof them", 0])
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
     assert "the master refuses getParam: too many" in caplog.text
@@ -44,18 +42,14 @@ async def test_other_refusals_are_logged_at_once_on_one_line(
     [[1, "rossec: fine", 0], [-1, "not known", 0], [0, 7, 0], [], None, b"<xml/>"],
     ids=["success", "of-the-program", "no-text", "empty", "none", "not-parsed"],
 )
-async def test_refusals_of_others_are_not_logged(
-    caplog: pytest.LogCaptureFixture, answer: object
-) -> None:
+async def test_refusals_of_others_are_not_logged(caplog: pytest.LogCaptureFixture, answer: object) -> None:
     log = RefusalLog()
     log.log("the master", "getParam", answer)
     log.flush()
     assert caplog.messages == []
 
 
-async def test_missing_rights_are_logged_together_and_once(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_missing_rights_are_logged_together_and_once(caplog: pytest.LogCaptureFixture) -> None:
     log = RefusalLog()
     for status in (NO_GOAL, NO_GOAL.replace("/goal", "/pose"), NO_GOAL):
         log.log("the master", "registerPublisher", [-1, status, 0])
@@ -119,9 +113,7 @@ def cannot_connect(cause: OSError) -> PeerUnreachable:
     return error
 
 
-async def test_a_peer_whose_name_is_not_known_is_said_once(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_peer_whose_name_is_not_known_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
     """The program sees a closed connection, and tries again in silence."""
     log = RefusalLog()
     error = cannot_connect(socket.gaierror(-2, "Name or service not known"))
@@ -151,9 +143,7 @@ async def test_what_a_program_does_not_hear_of_is_said(caplog: pytest.LogCapture
     assert "for example /tur: " in line
 
 
-async def test_what_the_sidecar_itself_refuses_is_said_once(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_what_the_sidecar_itself_refuses_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
     log = RefusalLog()
     own = [-1, "rossec: a program with the identity of /record calls itself /record_17", 0]
     for _ in range(2):
@@ -167,9 +157,7 @@ async def test_what_the_sidecar_itself_refuses_is_said_once(
     assert len(caplog.messages) == 2, "what is missing is said otherwise"
 
 
-async def test_a_graph_of_which_nothing_is_shown_is_said_once(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_graph_of_which_nothing_is_shown_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
     log = RefusalLog()
     log.log_own("/robot", "getSystemState", [1, "", [[["/a", ["/n"]]], [], []]])
     assert caplog.messages == []
@@ -177,6 +165,4 @@ async def test_a_graph_of_which_nothing_is_shown_is_said_once(
         log.log_own("/robot", "getSystemState", [1, "", [[], [], []]])
         log.log_own("/robot", "getTopicTypes", [1, "", []])
     [line] = caplog.messages
-    assert line.endswith(
-        "nothing that /robot may see; all of it needs: rossec grant sign /robot --graph"
-    )
+    assert line.endswith("nothing that /robot may see; all of it needs: rossec grant sign /robot --graph")

@@ -41,7 +41,7 @@ async def test_a_publisher_not_yet_registered_again_is_kept_for_a_grace_period(
     assert [len(uris) for _, _, uris in updates() if isinstance(uris, list)][-1] == 1
     await source.send(string_message("still"))
     assert await receive_bytes(stream, len(string_message("still"))) == string_message("still")
-    monkeypatch.setattr("rossec.participant.publisher_grace.GRACE", 0.0)
+    monkeypatch.setattr("rossec.participant.registrations.GRACE", 0.0)
     named = pair.listener_sidecar._agent_for("/listener").state.publisher_grace
     monkeypatch.setattr(named, "_until", 0.0)
     await until(lambda: updates()[-1][2] == [], within=30)

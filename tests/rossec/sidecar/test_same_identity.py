@@ -6,7 +6,7 @@ import pytest
 
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
-from rossec.sidecar.core.endpoints import parse_endpoint
+from rossec.sidecar.core.layers import parse_endpoint
 from tests.rossec.sidecar.program import Program, sidecar, string_message
 from tests.support.site import Site
 
@@ -28,9 +28,12 @@ def grant_everything(site: Site, name: str, *, wildcard: bool = False) -> None:
 
 async def provide(program: Program) -> None:
     answer = await program.ask(
-        program.master_uri, "registerService", SERVICE,
-        f"rosrpc://127.0.0.1:{program.topics.port}", program.uri,
-    )  # fmt: skip
+        program.master_uri,
+        "registerService",
+        SERVICE,
+        f"rosrpc://127.0.0.1:{program.topics.port}",
+        program.uri,
+    )
     assert isinstance(answer, list)
     assert answer[0] == 1, answer
 
@@ -41,9 +44,7 @@ async def call(program: Program) -> bytes:
     assert isinstance(found, list)
     endpoint = parse_endpoint(found[2], WireProtocol.TCPROS)
     assert endpoint is not None
-    assert endpoint.port != program.topics.port, (
-        "around the channel, and around what its grants say"
-    )
+    assert endpoint.port != program.topics.port, "around the channel, and around what its grants say"
     stream, answer = await program.call(found[2], SERVICE)
     assert "error" not in answer, answer
     await stream.send(b"\4\0\0\0echo")

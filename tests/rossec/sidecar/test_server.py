@@ -11,15 +11,15 @@ import pytest
 from grants.model import Right
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.net.aio.dial import dial
-from rossec.net.rpc.client import RpcClient
+from rossec.net.aio.client import dial
+from rossec.net.rpc.calls import RpcClient
 from rossec.ros import xmlrpc
-from rossec.ros.settings import parse_uri, read
+from rossec.ros.names import parse_uri, read
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar import server
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.core.endpoints import Loopback
-from rossec.sidecar.plain_stream import PlainStream
+from rossec.sidecar.core.layers import Loopback
+from rossec.sidecar.loopback_port import PlainStream
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.rossec.sidecar.sidecar_pair import SidecarPair
@@ -51,14 +51,10 @@ async def test_a_refused_program_gets_the_reason(pair: SidecarPair) -> None:
 async def test_an_anonymous_program_gets_a_hint_to_enroll(pair: SidecarPair) -> None:
     async with Program("/rosparam-4711", pair.listener_sidecar) as tool:
         answer = await tool.ask(tool.master_uri, "getPid")
-        assert "for a new node: rossec node request /rosparam --anonymous; or use --as" in str(
-            answer
-        )
+        assert "for a new node: rossec node request /rosparam --anonymous; or use --as" in str(answer)
 
 
-async def test_unreadable_files_are_reported(
-    pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_unreadable_files_are_reported(pair: SidecarPair, monkeypatch: pytest.MonkeyPatch) -> None:
     pair.site.enroll("/odd")
 
     def unreadable(home: NodeHome) -> bytes:
@@ -77,9 +73,7 @@ async def test_requests_of_web_pages_are_refused(pair: SidecarPair) -> None:
     reader, writer = await asyncio.open_connection(*parse_uri(pair.talker_sidecar.uri))
     call = xmlrpc.dump_call("setParam", ("/talker", "/x", 1))
     head = b"POST / HTTP/1.1\r\nHost: localhost\r\nOrigin: https://evil.example\r\n"
-    writer.write(
-        head + b"Content-Type: text/plain\r\nContent-Length: %d\r\n\r\n" % len(call) + call
-    )
+    writer.write(head + b"Content-Type: text/plain\r\nContent-Length: %d\r\n\r\n" % len(call) + call)
     assert (await reader.read()).startswith(b"HTTP/1.1 403 ")
     writer.close()
     await writer.wait_closed()
@@ -111,9 +105,7 @@ async def test_one_identity_for_all_and_empty_multicalls(pair: SidecarPair) -> N
 
 @pytest.mark.parametrize("asker", ["", "x", "/a b", "/ü", "//", "/rosparam-17", "/" + "x" * 300])
 @pytest.mark.parametrize("each", [True, False])
-async def test_one_identity_serves_callers_of_any_name(
-    pair: SidecarPair, asker: str, each: bool
-) -> None:
+async def test_one_identity_serves_callers_of_any_name(pair: SidecarPair, asker: str, each: bool) -> None:
     async with sidecar(pair.site, each=each, identity="/listener") as running:
         program = Program(asker, running)
         assert await program.ask(running.uri, "getUri") == [1, "", running.uri]
@@ -140,9 +132,14 @@ async def test_calls_without_caller_id_are_answered_as_by_stock_ros(
     async with sidecar(pair.site, identity=identity) as running:
         client = await bare_client(running)
         for method, default in (
-            ("getUri", ""), ("getPid", -1), ("getSystemState", [[], [], []]), ("hasParam", False),
-            ("getParam", 0), ("registerPublisher", []), ("unregisterService", 0),
-        ):  # fmt: skip
+            ("getUri", ""),
+            ("getPid", -1),
+            ("getSystemState", [[], [], []]),
+            ("hasParam", False),
+            ("getParam", 0),
+            ("registerPublisher", []),
+            ("unregisterService", 0),
+        ):
             answer = await client.call(method)
             assert answer == [-1, "missing required caller_id parameter", default], method
             assert await client.call(method, 7) == [-1, "caller_id must be a string", default]
@@ -157,11 +154,7 @@ async def test_a_parameter_search_starts_in_the_callers_namespace(pair: SidecarP
     async with sidecar(pair.site, identity="/listener") as running:
         tool = Program("/ns/tool", running)
         for key in ("/speed", "/ns/speed"):
-            assert (await tool.ask(running.uri, "setParam", key, 1)) == [
-                1,
-                f"parameter {key} set",
-                0,
-            ]
+            assert (await tool.ask(running.uri, "setParam", key, 1)) == [1, f"parameter {key} set", 0]
         found = await tool.ask(running.uri, "searchParam", "speed")
         assert found == [1, "Found [/ns/speed]", "/ns/speed"]
         await tool.close()
@@ -181,12 +174,8 @@ async def test_a_namespace_that_searches_is_the_program_in_it(pair: SidecarPair)
         Program("/", running) as root,
     ):
         await arm.register("registerPublisher", "/arm/driver/state", "std_msgs/String")
-        assert (await arm.ask(running.uri, "setParam", "/arm/speed", 1)) == [
-            1, "parameter /arm/speed set", 0,
-        ]  # fmt: skip
-        assert (await arm.ask(running.uri, "setParam", "/robot/arm", 1)) == [
-            1, "parameter /robot/arm set", 0,
-        ]  # fmt: skip
+        assert (await arm.ask(running.uri, "setParam", "/arm/speed", 1)) == [1, "parameter /arm/speed set", 0]
+        assert (await arm.ask(running.uri, "setParam", "/robot/arm", 1)) == [1, "parameter /robot/arm set", 0]
         assert (await space.ask(running.uri, "searchParam", "speed"))[2:] == ["/arm/speed"]  # type: ignore[index]
         found = await root.ask(running.uri, "searchParam", "robot/arm")
         assert found == [1, "Found [/robot/arm]", "/robot/arm"]
@@ -220,9 +209,7 @@ async def test_of_several_nodes_in_a_namespace_the_calling_process_searches(
             return port == listener.slave.port
 
         monkeypatch.setattr(Callers, "is_program_at", is_listener)
-        assert await root.ask(running.uri, "searchParam", "speed") == [
-            1, "Found [/speed]", "/speed",
-        ]  # fmt: skip
+        assert await root.ask(running.uri, "searchParam", "speed") == [1, "Found [/speed]", "/speed"]
 
         async def is_talker(_callers: Callers, _sock: socket.socket, port: int) -> bool:
             return port == talker.slave.port
@@ -243,8 +230,9 @@ async def test_a_taken_port_is_reported_with_a_hint(tmp_path: Path) -> None:
 
 async def test_the_master_uri_has_a_host_name_without_ipv4(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
-    settings = read((), {**site.environ, "ROS_MASTER_URI": "http://[2001:db8::1]:11311"},
-                   default_name="/sidecar")  # fmt: skip
+    settings = read(
+        (), {**site.environ, "ROS_MASTER_URI": "http://[2001:db8::1]:11311"}, default_name="/sidecar"
+    )
     callers = Callers({os.getuid()}, None, Loopback("::1", "localhost"))
     running = Sidecar(site.root, settings, callers, each=True)
     running.start()
@@ -287,9 +275,7 @@ async def asked(pair: SidecarPair, body: bytes) -> object:
 @pytest.mark.parametrize(
     "value", ["<i8>5000000000</i8>", "<nil/>", "<array><data><value><nil/></value></data></array>"]
 )
-async def test_what_cannot_be_carried_is_answered_with_a_fault(
-    pair: SidecarPair, value: str
-) -> None:
+async def test_what_cannot_be_carried_is_answered_with_a_fault(pair: SidecarPair, value: str) -> None:
     """Without an answer roscpp calls again for ever."""
     pair.site.grant("/talker", Right.PARAM_SET, "/talker/**")
     values = "".join(
@@ -302,9 +288,7 @@ async def test_what_cannot_be_carried_is_answered_with_a_fault(
 
 
 async def test_an_i8_of_32_bits_is_an_integer(pair: SidecarPair) -> None:
-    body = xmlrpc.dump_call("hasParam", ("/talker", "/x")).replace(
-        b"<string>/x</string>", b"<i8>7</i8>"
-    )
+    body = xmlrpc.dump_call("hasParam", ("/talker", "/x")).replace(b"<string>/x</string>", b"<i8>7</i8>")
     answer = await asked(pair, body)
     assert isinstance(answer, list)
     assert answer[0] == -1

@@ -11,18 +11,15 @@ import pytest
 
 from grants.decision import Decision
 from grants.errors import GrantExpired
-from grants.guard import Guard
-from grants.memory import Memory
+from grants.guard import Guard, Memory
 from grants.model import Restriction, Right
 from rossec.errors import ChannelClosed, FrameRefused
-from rossec.participant.deflating import LARGE, inflated
-from rossec.participant.wishes import Wishes
-from rossec.ros import header
-from rossec.sidecar import wish_pump
-from rossec.sidecar.core.copies import CopyTracker, MessageGuard
-from rossec.sidecar.plain_stream import PlainStream
-from rossec.sidecar.pump import log_end
-from rossec.sidecar.wish_pump import WishSender, forward, publish
+from rossec.participant.delivery import LARGE, Wishes, inflated
+from rossec.ros import tcpros
+from rossec.sidecar import pump
+from rossec.sidecar.core.guards import CopyTracker, MessageGuard
+from rossec.sidecar.loopback_port import PlainStream
+from rossec.sidecar.pump import WishSender, forward_as_wished, log_end, publish_as_wished
 from tests.rossec.sidecar.test_plain_stream import pair
 from tests.rossec.sidecar.test_pump import FakeGuard
 from tests.support.witness import until
@@ -62,20 +59,18 @@ class Peer:
         self.line.set()
 
 
-async def everything(
-    peer: Any, wishes: Wishes, *messages: bytes, guard: MessageGuard | None = None
-) -> None:
+async def everything(peer: Any, wishes: Wishes, *messages: bytes, guard: MessageGuard | None = None) -> None:
     """Forward what a program sends that then closes."""
     left, right = pair()
 
     async def speak() -> None:
-        await left.send(b"".join(map(header.frame, messages[1:])))
+        await left.send(b"".join(map(tcpros.frame, messages[1:])))
         await left.close()
 
     closing = asyncio.ensure_future(speak())
     sender = WishSender(peer, wishes)
     try:
-        await publish(right, peer, guard, header.frame(messages[0]), sender)
+        await publish_as_wished(right, peer, guard, tcpros.frame(messages[0]), sender)
     finally:
         right.abort()
         with contextlib.suppress(ChannelClosed):
@@ -119,9 +114,9 @@ async def test_of_what_waits_only_the_newest_is_sent() -> None:
     left, right = pair()
     stream: Any = peer
     sender = WishSender(stream, Wishes(newest=True))
-    running = asyncio.ensure_future(publish(right, stream, None, b"", sender))
+    running = asyncio.ensure_future(publish_as_wished(right, stream, None, b"", sender))
     for message in messages:
-        await left.send(header.frame(message))
+        await left.send(tcpros.frame(message))
     closing = asyncio.ensure_future(left.close())
     await until(lambda: sender._waiting and sender._waiting[0] == [messages[-1]])
     assert peer.received == []
@@ -142,7 +137,7 @@ async def forwarding(
 ) -> AsyncIterator[tuple[PlainStream, WishSender]]:
     left, right = pair()
     sender = WishSender(peer, wishes)
-    work = asyncio.gather(sender.run(), forward(right, "/viewer", guard, b"", sender))
+    work = asyncio.gather(sender.run(), forward_as_wished(right, "/viewer", guard, b"", sender))
     try:
         yield left, sender
     finally:
@@ -158,15 +153,15 @@ async def test_a_peer_that_lags_misses_what_a_guard_with_state_would_check() -> 
     peer: Any = Peer()
     with CopyTracker().share(limited(2.0), 0, latching=False) as (shared, _):
         async with forwarding(peer, Wishes(deflate=True), shared) as (left, sender):
-            await left.send(header.frame(b"one"))
+            await left.send(tcpros.frame(b"one"))
             await until(lambda: peer.received)
             peer.lags = True
             assert sender.lags
-            await left.send(header.frame(b"missed") * 20)
+            await left.send(tcpros.frame(b"missed") * 20)
             for _ in range(100):
                 await asyncio.sleep(0)
             peer.lags = False
-            await left.send(header.frame(b"two"))
+            await left.send(tcpros.frame(b"two"))
             await until(lambda: len(peer.received) == 2)
     assert [inflated(content, 99) for content in peer.received] == [b"one", b"two"]
 
@@ -178,7 +173,7 @@ async def test_the_newest_only_is_no_way_around_a_rate_of_the_grant() -> None:
     with CopyTracker().share(limited(2.0), 0, latching=False) as (shared, _):
         async with forwarding(peer, Wishes(newest=True), shared) as (left, sender):
             for number in range(40):
-                await left.send(header.frame(b"%d" % number))
+                await left.send(tcpros.frame(b"%d" % number))
             await until(lambda: sender._waiting)
             for _ in range(100):
                 await asyncio.sleep(0)
@@ -204,16 +199,14 @@ async def test_the_end_of_a_grant_ends_it(caplog: pytest.LogCaptureFixture) -> N
     guard: Any = FakeGuard(expired=True)
     with log_end("/viewer"):
         await everything(peer, Wishes(newest=True), b"one", guard=guard)
-    assert f"the connection with /viewer ended: {GrantExpired('the grant has expired')}" in (
-        caplog.messages
-    )
+    assert f"the connection with /viewer ended: {GrantExpired('the grant has expired')}" in (caplog.messages)
     assert peer.received == []
 
 
 async def test_a_message_above_the_limit_ends_both_connections(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(wish_pump, "FrameReader", lambda: header.FrameReader(10))
+    monkeypatch.setattr(pump, "FrameReader", lambda: tcpros.FrameReader(10))
     caplog.set_level(logging.INFO)
     with log_end("/viewer"):
         await everything(Peer(), Wishes(deflate=True), bytes(11))

@@ -16,9 +16,8 @@ from ca.errors import (
     PasskeyUnknown,
     StoreError,
 )
-from rossec.authority.console.access import Access
-from rossec.authority.console.records import from_value, many
-from rossec.authority.console.views import LoginChallenge, PhoneView, Proposal
+from rossec.authority.console.access import ConsoleAccess
+from rossec.authority.console.messages import LoginChallenge, PhoneView, Proposal, from_value, many
 from rossec.errors import KeyServiceRefused, PhoneCodeRefused
 from tests.support.consolework import ConsoleWork, ask
 from tests.support.passkeys import ORIGIN, RP_ID, Assertion, Passkey
@@ -30,32 +29,28 @@ def site(tmp_path: Path) -> ConsoleWork:
 
 
 @pytest.fixture
-def access(site: ConsoleWork) -> Access:
-    return Access(site.work, site.audit.append, site.elapsed)
+def access(site: ConsoleWork) -> ConsoleAccess:
+    return ConsoleAccess(site.work, site.audit.append, site.elapsed)
 
 
-def challenge(access: Access, operation: str, *arguments: Value) -> LoginChallenge:
+def challenge(access: ConsoleAccess, operation: str, *arguments: Value) -> LoginChallenge:
     return from_value(LoginChallenge, ask(access, operation, *arguments))
 
 
 def add(
-    access: Access,
-    phone: Passkey,
-    name: str,
-    code: str | None = None,
-    operation: str = "add-passkey",
+    access: ConsoleAccess, phone: Passkey, name: str, code: str | None = None, operation: str = "add-passkey"
 ) -> Value:
     asked = challenge(access, "new-passkey", phone.origin, phone.rp_id)
     given = access.phone_code("a test") if code is None else code
     return ask(access, operation, asked.id, given, name, *phone.register(asked.challenge))
 
 
-def login(access: Access, phone: Passkey, origin: str = ORIGIN) -> Value:
+def login(access: ConsoleAccess, phone: Passkey, origin: str = ORIGIN) -> Value:
     asked = challenge(access, "login-challenge", ORIGIN)
     return ask(access, "login", asked.id, *phone.sign(asked.challenge, origin=origin))
 
 
-def test_a_code_lets_somebody_look_once(site: ConsoleWork, access: Access) -> None:
+def test_a_code_lets_somebody_look_once(site: ConsoleWork, access: ConsoleAccess) -> None:
     code = access.phone_code("user 7, process 8: rossec console phone")
     assert ask(access, "redeem", code) is None
     with pytest.raises(PhoneCodeRefused):
@@ -66,7 +61,7 @@ def test_a_code_lets_somebody_look_once(site: ConsoleWork, access: Access) -> No
     ]
 
 
-def test_a_code_adds_a_passkey_and_is_used_by_that(site: ConsoleWork, access: Access) -> None:
+def test_a_code_adds_a_passkey_and_is_used_by_that(site: ConsoleWork, access: ConsoleAccess) -> None:
     phone, code = Passkey(), access.phone_code("a test")
     view = from_value(PhoneView, add(access, phone, "Ann's phone", code))
     assert (view.id, view.name, view.added_by, view.ended) == (phone.id, "Ann's phone", "", "")
@@ -79,7 +74,7 @@ def test_a_code_adds_a_passkey_and_is_used_by_that(site: ConsoleWork, access: Ac
 
 
 @pytest.mark.parametrize("wrong", ["code", "challenge", "origin", "name"])
-def test_nothing_else_adds_a_passkey(site: ConsoleWork, access: Access, wrong: str) -> None:
+def test_nothing_else_adds_a_passkey(site: ConsoleWork, access: ConsoleAccess, wrong: str) -> None:
     phone, code = Passkey(), access.phone_code("a test")
     asked = challenge(access, "new-passkey", ORIGIN, RP_ID)
     signed = bytes(32) if wrong == "challenge" else asked.challenge
@@ -91,7 +86,7 @@ def test_nothing_else_adds_a_passkey(site: ConsoleWork, access: Access, wrong: s
     assert add(access, phone, "Ann's phone", code), "the code is as good as before"
 
 
-def test_a_challenge_is_answered_once(access: Access) -> None:
+def test_a_challenge_is_answered_once(access: ConsoleAccess) -> None:
     phone = Passkey()
     asked = challenge(access, "new-passkey", ORIGIN, RP_ID)
     answer = phone.register(asked.challenge)
@@ -107,7 +102,7 @@ def test_where_the_audit_cannot_be_written_nothing_is_added(
         if "adds the phone" in text:
             raise KeyServiceRefused("the audit cannot be written")
 
-    access = Access(site.work, full, site.elapsed)
+    access = ConsoleAccess(site.work, full, site.elapsed)
     code = access.phone_code("a test")
     with pytest.raises(KeyServiceRefused):
         add(access, Passkey(), "Ann's phone", code)
@@ -115,7 +110,7 @@ def test_where_the_audit_cannot_be_written_nothing_is_added(
     ask(access, "redeem", code)
 
 
-def test_a_second_phone_of_one_name_is_refused_and_the_code_stays(access: Access) -> None:
+def test_a_second_phone_of_one_name_is_refused_and_the_code_stays(access: ConsoleAccess) -> None:
     add(access, Passkey(), "Ann's phone")
     code = access.phone_code("a test")
     with pytest.raises(StoreError, match="there is a passkey called"):
@@ -123,7 +118,7 @@ def test_a_second_phone_of_one_name_is_refused_and_the_code_stays(access: Access
     assert add(access, Passkey(), "Ben's phone", code)
 
 
-def test_a_phone_logs_in(site: ConsoleWork, access: Access) -> None:
+def test_a_phone_logs_in(site: ConsoleWork, access: ConsoleAccess) -> None:
     with pytest.raises(PasskeyUnknown, match="no phone was registered at"):
         ask(access, "login-challenge", ORIGIN)
     phone = Passkey()
@@ -135,7 +130,7 @@ def test_a_phone_logs_in(site: ConsoleWork, access: Access) -> None:
     assert site.audit[-1] == 'the phone "Ann\'s phone" logged in at the console'
 
 
-def test_a_login_is_for_its_challenge_and_page(access: Access) -> None:
+def test_a_login_is_for_its_challenge_and_page(access: ConsoleAccess) -> None:
     phone = Passkey()
     add(access, phone, "Ann's phone")
     asked = challenge(access, "login-challenge", ORIGIN)
@@ -152,7 +147,7 @@ def test_a_login_is_for_its_challenge_and_page(access: Access) -> None:
         ask(access, "login-challenge", "http://localhost:1")
 
 
-def test_a_removed_phone_or_another_key_does_not_log_in(site: ConsoleWork, access: Access) -> None:
+def test_a_removed_phone_or_another_key_does_not_log_in(site: ConsoleWork, access: ConsoleAccess) -> None:
     phone, kept = Passkey(), Passkey()
     add(access, phone, "Ann's phone")
     add(access, kept, "Ben's phone")
@@ -165,7 +160,7 @@ def test_a_removed_phone_or_another_key_does_not_log_in(site: ConsoleWork, acces
         login(access, phone)
 
 
-def test_a_copy_of_a_phone_is_noticed_at_its_login(access: Access) -> None:
+def test_a_copy_of_a_phone_is_noticed_at_its_login(access: ConsoleAccess) -> None:
     phone = Passkey()
     add(access, phone, "Ann's phone")
     copy = phone.clone()
@@ -175,7 +170,7 @@ def test_a_copy_of_a_phone_is_noticed_at_its_login(access: Access) -> None:
         login(access, copy)
 
 
-def test_phones_are_of_one_page_until_all_are_removed(site: ConsoleWork, access: Access) -> None:
+def test_phones_are_of_one_page_until_all_are_removed(site: ConsoleWork, access: ConsoleAccess) -> None:
     phone = Passkey()
     add(access, phone, "Ann's phone")
     other = Passkey("ca.example.org", "https://ca.example.org")
@@ -187,7 +182,7 @@ def test_phones_are_of_one_page_until_all_are_removed(site: ConsoleWork, access:
     assert add(access, other, "Ben's phone")
 
 
-def test_two_first_phones_of_two_pages_do_not_both_come_in(access: Access) -> None:
+def test_two_first_phones_of_two_pages_do_not_both_come_in(access: ConsoleAccess) -> None:
     one, other = Passkey(), Passkey("ca.example.org", "https://ca.example.org")
     asked = [challenge(access, "new-passkey", each.origin, each.rp_id) for each in (one, other)]
     codes = [access.phone_code("a test") for _ in asked]
@@ -197,19 +192,19 @@ def test_two_first_phones_of_two_pages_do_not_both_come_in(access: Access) -> No
         ask(access, "add-passkey", asked[1].id, codes[1], "other", *answer)
 
 
-def test_a_proposal_whose_digits_differ_is_refused(access: Access) -> None:
+def test_a_proposal_whose_digits_differ_is_refused(access: ConsoleAccess) -> None:
     link = ask(access, "phone-link")
     assert isinstance(link, str)
     proposal = from_value(Proposal, add(access, Passkey(), "Ben's", link, "propose-passkey"))
     ask(access, "end-proposal", proposal.id)
     assert ask(access, "proposals") == []
     with pytest.raises(PasskeyUnknown):
-        access.proposals.get(proposal.id)
+        access.proposed.get(proposal.id)
     with pytest.raises(PasskeyUnknown):
         ask(access, "end-proposal", proposal.id)
 
 
-def test_a_phone_there_is_proposes_and_adds_nothing(site: ConsoleWork, access: Access) -> None:
+def test_a_phone_there_is_proposes_and_adds_nothing(site: ConsoleWork, access: ConsoleAccess) -> None:
     link = ask(access, "phone-link")
     assert isinstance(link, str)
     phone = Passkey()
@@ -219,7 +214,7 @@ def test_a_phone_there_is_proposes_and_adds_nothing(site: ConsoleWork, access: A
         ask(access, "redeem", link)
     proposal = from_value(Proposal, add(access, phone, "Ben's phone", link, "propose-passkey"))
     assert many(Proposal, ask(access, "proposals")) == (proposal,)
-    assert access.proposals.get(proposal.id).id == phone.id
+    assert access.proposed.get(proposal.id).id == phone.id
     assert site.home.store().passkeys.all() == [], "until another phone approves it"
     with pytest.raises(PhoneCodeRefused):
         add(access, phone, "Ben's phone", link, "propose-passkey")
@@ -227,7 +222,7 @@ def test_a_phone_there_is_proposes_and_adds_nothing(site: ConsoleWork, access: A
 
 
 def test_without_the_extra_looking_works_and_adding_is_refused(
-    access: Access, monkeypatch: pytest.MonkeyPatch
+    access: ConsoleAccess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     phone = Passkey()
     add(access, phone, "Ann's phone")

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from rossec.authority.console.acts import Approved, Immediate, tried
+from rossec.authority.console.approved_acts import RevokeMasterAct
+from rossec.authority.console.approving import Approved, tried
 from tests.support.consoleacts import Acts
 
 
@@ -30,6 +31,6 @@ def test_an_approval_is_named_by_the_beginning_of_its_id(tmp_path: Path) -> None
     assert approved.id == outcome.id
     assert approved.reason == f"approval {outcome.id.hex()[:8]}"
     with acts.work.service("a test") as service:
-        assert Immediate().made(service, approved) == b""
+        assert RevokeMasterAct().made(service, approved) == b""
         with pytest.raises(AssertionError):
-            Immediate().carry_out(service, approved, lambda *_: None, acts.now)
+            RevokeMasterAct().carry_out(service, approved, lambda *_: None, acts.now)

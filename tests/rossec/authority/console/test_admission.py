@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from rossec.authority.console.admission import ConsolePeers
+from rossec.authority.console.serving import ConsolePeers
 from rossec.errors import PeerUserRefused
-from rossec.net.host.peeruid import UnixPeer
+from rossec.host.local_sockets import UnixPeer
 
 CONFINED = "import resource, sys\nresource.setrlimit(resource.RLIMIT_NPROC, (0, 0))\n"
 WAIT = "print(flush=True)\nsys.stdin.read()\n"

@@ -10,9 +10,8 @@ import pytest
 
 @pytest.mark.timeout(300)  # some hundred processes
 @pytest.mark.parametrize(
-    "kinds", [["enroll"], ["grant"], ["policy"], ["delegate"], ["invitation", "revoke-master"]],
-    ids=" ".join,
-)  # fmt: skip
+    "kinds", [["enroll"], ["grant"], ["policy"], ["delegate"], ["invitation", "revoke-master"]], ids=" ".join
+)
 def test_no_crash_loses_or_doubles_what_was_approved(tmp_path: Path, kinds: list[str]) -> None:
     command = [sys.executable, "-m", "tests.support.approval_crashes", str(tmp_path), *kinds]
     done = subprocess.run(command, capture_output=True, check=False, text=True, timeout=280)

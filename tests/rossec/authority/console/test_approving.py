@@ -4,14 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from ca.approvals.statement import Kind, Statement
-from ca.errors import (
-    ApprovalOutdated,
-    ApprovalOver,
-    NotVerified,
-    PasskeyUnknown,
-    RequestClosed,
-)
+from ca.approvals.statement import Statement, StatementKind
+from ca.errors import ApprovalOutdated, ApprovalOver, NotVerified, PasskeyUnknown, RequestClosed
 from rossec.authority.console.approving import KINDS, WAITS
 from rossec.authority.console.messages import PREPARED
 from rossec.errors import KeyServiceRefused
@@ -32,7 +26,7 @@ def test_a_statement_says_what_would_be_done(acts: Acts) -> None:
     prepared = acts.asks(csr=csr)
     statement = Statement.from_bytes(prepared.statement)
     assert (prepared.id, prepared.challenge) == (statement.id, statement.challenge)
-    assert (statement.kind, statement.domain) == (Kind.ENROLL, "home")
+    assert (statement.kind, statement.domain) == (StatementKind.ENROLL, "home")
     assert (statement.made, prepared.until) == (NOW, NOW + 300)
     assert prepared.payload == csr
     assert (prepared.rp_id, prepared.credentials) == ("localhost", (acts.phone.id,))
@@ -157,9 +151,7 @@ def test_what_is_refused_when_it_is_carried_out_has_failed_with_the_reason(acts:
     acts.unlock()
     acts.approving.carry_out_waiting()
     ended = acts.outcome(outcome.id)
-    assert (ended.state, ended.result) == (
-        "failed", "the request of /lamp was denied: not mine",
-    )  # fmt: skip
+    assert (ended.state, ended.result) == ("failed", "the request of /lamp was denied: not mine")
 
 
 def test_what_is_refused_at_once_is_not_recorded(acts: Acts) -> None:
@@ -182,9 +174,7 @@ def test_an_unknown_approval_has_no_outcome(acts: Acts) -> None:
         acts.outcome(prepared.id)
 
 
-def test_a_crash_of_what_follows_leaves_it_done(
-    acts: Acts, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_crash_of_what_follows_leaves_it_done(acts: Acts, caplog: pytest.LogCaptureFixture) -> None:
     (acts.home.path / "policy.yaml").write_text("rossec: [")
     outcome = acts.enroll("/fleet/x")
     assert outcome.state == "done"

@@ -5,8 +5,8 @@ import hashlib
 
 import pytest
 
-from rossec.authority.console.codes import (
-    LIFETIME,
+from rossec.authority.console.phone_codes import (
+    CODE_LIFETIME,
     MAX_CODES,
     MAX_FAILURES,
     PERIOD,
@@ -69,7 +69,7 @@ def test_a_code_is_for_one_purpose(codes: Codes) -> None:
 
 def test_a_code_ends(codes: Codes, time: Time) -> None:
     first = codes.make(TERMINAL)
-    time.now += LIFETIME - 1
+    time.now += CODE_LIFETIME - 1
     codes.check(first, TERMINAL)
     time.now += 1
     with pytest.raises(PhoneCodeRefused):

@@ -5,17 +5,16 @@ from pathlib import Path
 
 import pytest
 
-from ca.approvals.statement import Kind
+from ca.approvals.statement import StatementKind
 from ca.encoding import Value, decode, encode
 from ca.errors import StoreError
-from grants import claims, document
+from grants import document
+from grants import document as claims
 from grants.document import GRANT
 from grants.model import ID_SIZE
-from rossec.authority.console.grant_acts import Answer
-from rossec.authority.console.questions import Questions
-from rossec.authority.console.reading import Reading
-from rossec.authority.console.records import many
-from rossec.authority.console.views import ApprovalView, GrantQuestion
+from rossec.authority.console.grant_requests import GrantAnswer, Questions
+from rossec.authority.console.messages import ApprovalView, GrantQuestion, many
+from rossec.authority.console.queries import RecordQueries
 from rossec.authority.requests import GrantRequestStore
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from tests.support.consoleacts import DAY, POLICY, Acts
@@ -41,12 +40,13 @@ def signed(acts: Acts) -> list[bytes]:
 def test_grants_are_signed_as_they_were_shown(acts: Acts) -> None:
     question = acts.ask("/map")
     prepared = acts.prepare("grant", question, "", 3600)
-    shown = Answer.from_bytes(prepared.payload)
+    shown = GrantAnswer.from_bytes(prepared.payload)
     acts.pass_time(200)
     outcome = acts.touch(prepared)
     assert (outcome.state, outcome.result) == (
-        "done", "/map may subscribe /pose, until 2027-01-15 09:00:00 UTC",
-    )  # fmt: skip
+        "done",
+        "/map may subscribe /pose, until 2027-01-15 09:00:00 UTC",
+    )
     (data,) = signed(acts)
     assert GRANT.peek_body(data) == shown.grants[0][0]
     grant = document.peek(data)
@@ -63,8 +63,8 @@ def test_a_coarser_answer_restricts_the_grant(acts: Acts) -> None:
     (permission,) = document.peek(data).permissions
     assert permission.restriction is not None
     assert permission.restriction.filters
-    views = many(ApprovalView, Reading(acts.work, acts.access.last_used).approvals(9))
-    (view,) = [each for each in views if each.kind == Kind.GRANT]
+    views = many(ApprovalView, RecordQueries(acts.work, acts.access.last_used).approvals(9))
+    (view,) = [each for each in views if each.kind == StatementKind.GRANT]
     for said in (view.sentence, view.result):
         assert said.startswith("/map may subscribe /pose (not all of it), until 20")
 
@@ -73,7 +73,7 @@ def test_what_was_given_is_told_by_its_claims(acts: Acts) -> None:
     outcome = acts.approve("grant", acts.ask("/map"), "coarse-position", 3600)
     match decode(outcome.data):
         case [bytes(body)]:
-            found = claims.read(body, bytes(ID_SIZE))
+            found = claims.read_claims(body, bytes(ID_SIZE))
         case _:
             raise AssertionError(outcome.data)
     assert (found.subject, found.expires) == ("/map", acts.now + 3600)
@@ -103,8 +103,10 @@ def test_each_right_of_a_request_is_approved_by_itself(acts: Acts) -> None:
     (data,) = signed(acts)
     assert [each.pattern for each in document.peek(data).permissions] == ["/pose"]
     with acts.store() as store:
-        told = {(each.stored.requested.pattern, each.answer)
-                for each in GrantRequestStore(store.database).answers()}  # fmt: skip
+        told = {
+            (each.stored.requested.pattern, each.answer)
+            for each in GrantRequestStore(store.database).answers()
+        }
     assert told == {("/pose", "granted"), ("/odom", "denied")}
 
 
@@ -204,15 +206,20 @@ def test_an_intermediate_and_wrong_arguments_are_refused(acts: Acts) -> None:
 @pytest.mark.parametrize(
     "value",
     [
-        5, [], [SHA, []], [SHA, [["a", 1]], []], [SHA, [[1, "/a"]], [[1, ""]]], [SHA, [], [[b"x"]]],
+        5,
+        [],
+        [SHA, []],
+        [SHA, [["a", 1]], []],
+        [SHA, [[1, "/a"]], [[1, ""]]],
+        [SHA, [], [[b"x"]]],
         ["x", [], []],
     ],
-)  # fmt: skip
+)
 def test_a_payload_of_another_form_is_refused(value: Value) -> None:
     with pytest.raises(ConfigurationError, match="malformed"):
-        Answer.from_bytes(encode(value))
+        GrantAnswer.from_bytes(encode(value))
 
 
 def test_a_payload_comes_back() -> None:
-    answer = Answer(sha256(b"p").digest(), ((2, "/pose"),), ((b"claims", "a"), (b"more", "")))
-    assert Answer.from_bytes(answer.to_bytes()) == answer
+    answer = GrantAnswer(sha256(b"p").digest(), ((2, "/pose"),), ((b"claims", "a"), (b"more", "")))
+    assert GrantAnswer.from_bytes(answer.to_bytes()) == answer

@@ -5,10 +5,9 @@ from pathlib import Path
 import pytest
 
 from ca.authority import MAX_LIFETIME
-from ca.certificates import from_pem
+from ca.certificates import build_intermediate_request, from_pem
 from ca.errors import HintedError, KeyChanged, RequestClosed, RequestRefused
-from ca.intermediates import build_intermediate_request
-from ca.requests import build_request
+from ca.svid import build_request
 from rossec.errors import KeyServiceRefused
 from tests.support.consoleacts import DAY, Acts
 from tests.support.pki import new_signer

@@ -5,16 +5,16 @@ from pathlib import Path
 
 import pytest
 
-from ca.requests import build_request, check_request
-from rossec.authority.console import lookers, owners
-from rossec.authority.console.lookers import LookersRequests
+from ca.svid import build_request, check_request
+from rossec.authority.console import approving, messages
+from rossec.authority.console.approving import LookersRequests
 from rossec.authority.home import AuthorityHome
 from rossec.errors import KeyServiceRefused
 from tests.support.commands import PASSPHRASE
 from tests.support.pki import new_signer
 
 NOW = 1_800_000_000
-LOOKER, PHONE = owners.of_looker(b"1"), owners.of_phone("Anna's")
+LOOKER, PHONE = messages.of_looker(b"1"), messages.of_phone("Anna's")
 
 
 def csr(name: str) -> bytes:
@@ -22,10 +22,8 @@ def csr(name: str) -> bytes:
 
 
 @pytest.mark.attack("looker-floods")
-def test_whoever_only_looks_fills_no_record(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(lookers, "MAX_REQUESTS", 2)
+def test_whoever_only_looks_fills_no_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(approving, "MAX_REQUESTS", 2)
     home = AuthorityHome.create(tmp_path / "home", "home", PASSPHRASE, NOW)
     requests = LookersRequests()
     made = [csr(f"/n{number}") for number in range(3)]

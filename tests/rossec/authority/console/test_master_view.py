@@ -8,13 +8,12 @@ from typing import Any
 
 import pytest
 
-from rossec.authority.console import master_view as module
-from rossec.authority.console.master_view import DENIALS, FRESH, PERIOD, STANDING, MasterView
-from rossec.authority.console.records import from_value, many
-from rossec.authority.console.views import DenialView, FactView, ListStanding
-from rossec.authority.master_call import MasterCall
+from rossec.authority.console import queries as module
+from rossec.authority.console.messages import DenialView, FactView, ListProgress, from_value, many
+from rossec.authority.console.queries import DENIALS, FRESH, PERIOD, STANDING, MasterView
+from rossec.authority.session import StatementCall
 from rossec.errors import NotDelivered
-from rossec.participant.graph_view import METHOD as WATCH
+from rossec.participant.registrations import WATCH_GRAPH as WATCH
 from tests.support.consoleacts import Acts
 
 POSE = ["publisher", "/pose", "/robot"]
@@ -24,14 +23,14 @@ class Master:
     """Answers as a master does, or not at all."""
 
     def __init__(self) -> None:
-        self.calls: list[MasterCall] = []
+        self.calls: list[StatementCall] = []
         self.reachable = True
         self.facts: list[list[Any]] = [POSE]
         self.parts: list[list[Any]] = []
         self.denials: Any = [[5, "/heating", 2, "/scan"]]
         self.standing: Any = {"list": "1.1", "nodes": 3, "holding": 2, "lacking": ["/map"]}
 
-    def __call__(self, call: MasterCall) -> object:
+    def __call__(self, call: StatementCall) -> object:
         self.calls.append(call)
         if not self.reachable:
             raise NotDelivered("no master", call.hint)
@@ -47,9 +46,14 @@ class Master:
 
     def _answer(self, added: list[Any], *, whole: bool, more: bool = False) -> object:
         return {
-            "instance": "i", "version": 1, "cursor": len(self.calls), "whole": whole,
-            "more": more, "added": added, "removed": [],
-        }  # fmt: skip
+            "instance": "i",
+            "version": 1,
+            "cursor": len(self.calls),
+            "whole": whole,
+            "more": more,
+            "added": added,
+            "removed": [],
+        }
 
     def asked(self, method: str) -> int:
         return sum(call.method == method for call in self.calls)
@@ -180,12 +184,12 @@ def test_how_far_a_list_has_come(looking: Looking) -> None:
     acts.enroll("/lamp")
     epoch, seq = number(acts.removals.revoke_node("/lamp", "lost"))
     before = ask(looking, epoch, seq)
-    assert before == ListStanding(epoch, seq, True, False, 3, 0)
+    assert before == ListProgress(epoch, seq, True, False, 3, 0)
     looking.master.standing = {"list": f"{epoch}.{seq}", "nodes": 3, "holding": 2, "lacking": []}
-    assert ask(looking, epoch, seq) == ListStanding(epoch, seq, True, True, 3, 2)
+    assert ask(looking, epoch, seq) == ListProgress(epoch, seq, True, True, 3, 2)
     looking.master.standing["list"] = f"{epoch}.{seq + 7}"
     assert ask(looking, epoch, seq).is_at_master, "a newer one has it all"
-    assert ask(looking, epoch, seq + 8) == ListStanding(epoch, seq + 8, False, False, 0, 0)
+    assert ask(looking, epoch, seq + 8) == ListProgress(epoch, seq + 8, False, False, 0, 0)
 
 
 def test_zeros_ask_for_all_that_was_revoked_until_now(looking: Looking) -> None:
@@ -193,7 +197,7 @@ def test_zeros_ask_for_all_that_was_revoked_until_now(looking: Looking) -> None:
     acts.enroll("/lamp")
     acts.lock()
     assert number(acts.removals.revoke_node("/lamp", "lost")) == (0, 0)
-    assert ask(looking, 0, 0) == ListStanding(0, 0, False, False, 0, 0)
+    assert ask(looking, 0, 0) == ListProgress(0, 0, False, False, 0, 0)
     acts.unlock()
     acts.work.maintain()
     found = ask(looking, 0, 0)
@@ -204,19 +208,22 @@ def test_zeros_ask_for_all_that_was_revoked_until_now(looking: Looking) -> None:
 @pytest.mark.parametrize(
     "answer",
     [
-        None, 5, {"list": "1.1"}, {"list": "1.1", "nodes": 1, "holding": 2},
+        None,
+        5,
+        {"list": "1.1"},
+        {"list": "1.1", "nodes": 1, "holding": 2},
         {"list": 1, "nodes": 1, "holding": 1},
     ],
-)  # fmt: skip
+)
 def test_without_an_answer_what_was_published_is_known(looking: Looking, answer: object) -> None:
     acts = looking.acts
     acts.enroll("/lamp")
     epoch, seq = number(acts.removals.revoke_node("/lamp", "lost"))
     looking.master.standing = answer
     looking.master.reachable = answer is not None
-    assert ask(looking, epoch, seq) == ListStanding(epoch, seq, True, False, 0, 0)
+    assert ask(looking, epoch, seq) == ListProgress(epoch, seq, True, False, 0, 0)
     acts.work.maintain()
-    assert ask(looking, epoch, seq) == ListStanding(epoch, seq, True, True, 0, 0)
+    assert ask(looking, epoch, seq) == ListProgress(epoch, seq, True, True, 0, 0)
 
 
 @pytest.mark.parametrize("text", ["", "1", "1.", ".1", "a.b", "-1.2", "1.2.3", "9" * 30 + ".1"])
@@ -244,7 +251,7 @@ def test_a_page_with_ticks_is_not_kept_waiting_by_the_graph(looking: Looking) ->
 def test_questions_are_asked_in_a_thread_of_their_own(tmp_path: Path) -> None:
     acts, threads = Acts(tmp_path / "home"), list[str]()
 
-    def deliver(call: MasterCall) -> object:
+    def deliver(call: StatementCall) -> object:
         threads.append(threading.current_thread().name)
         raise NotDelivered("no master", call.hint)
 
@@ -255,8 +262,8 @@ def test_questions_are_asked_in_a_thread_of_their_own(tmp_path: Path) -> None:
     assert threads == ["questions to the master"]
 
 
-def ask(looking: Looking, epoch: int, seq: int) -> ListStanding:
-    return from_value(ListStanding, looking.view.standing(epoch, seq))
+def ask(looking: Looking, epoch: int, seq: int) -> ListProgress:
+    return from_value(ListProgress, looking.view.standing(epoch, seq))
 
 
 def number(value: object) -> tuple[int, int]:

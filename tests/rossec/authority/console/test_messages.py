@@ -5,7 +5,7 @@ import pytest
 from ca.encoding import Value, encode
 from rossec.authority.console import messages
 from rossec.authority.console.messages import OPERATIONS, PREPARED, checked, read_request
-from rossec.authority.keyservice.messages import Request
+from rossec.authority.keyservice.messages import ServiceRequest
 from rossec.errors import KeyMessageRefused, KeyServiceRefused
 
 ONE: dict[type, Value] = {bytes: b"x", str: "x", int: 1, bool: True, list: []}
@@ -13,8 +13,8 @@ ONE: dict[type, Value] = {bytes: b"x", str: "x", int: 1, bool: True, list: []}
 
 @pytest.mark.parametrize("operation", sorted(OPERATIONS.keys() - {"prepare"}))
 def test_read_request_takes_exactly_the_types_of_the_table(operation: str) -> None:
-    arguments = [ONE[kind] for kind in OPERATIONS[operation]]
-    assert read_request(encode([1, operation, *arguments])) == Request(operation, tuple(arguments))
+    arguments = [ONE[kind] for kind in OPERATIONS[operation].arguments]
+    assert read_request(encode([1, operation, *arguments])) == ServiceRequest(operation, tuple(arguments))
     for wrong in ([*arguments, 1], *_changed(arguments)):
         with pytest.raises(KeyMessageRefused):
             read_request(encode([1, operation, *wrong]))
@@ -23,11 +23,7 @@ def test_read_request_takes_exactly_the_types_of_the_table(operation: str) -> No
 @pytest.mark.parametrize("kind", sorted(PREPARED))
 def test_read_request_takes_exactly_the_types_of_a_kind(kind: str) -> None:
     arguments = [ONE[each] for each in PREPARED[kind]]
-    assert read_request(encode([1, "prepare", kind, arguments, "o"])).arguments == (
-        kind,
-        arguments,
-        "o",
-    )
+    assert read_request(encode([1, "prepare", kind, arguments, "o"])).arguments == (kind, arguments, "o")
     for wrong in ([*arguments, 1], *_changed(arguments)):
         with pytest.raises(KeyMessageRefused):
             read_request(encode([1, "prepare", kind, wrong, "o"]))
@@ -45,11 +41,19 @@ def _changed(arguments: list[Value]) -> list[list[Value]]:
 @pytest.mark.parametrize(
     "value",
     [
-        [1, "sign", b"x"], [1, "unlock", 0, "x"], [2, "status"], [1], [], {}, None,
-        [1, "prepare", "all", [], ""], [1, "prepare", "grant", {}, ""],
-        [1, "prepare", "delegate", [1, 1]], [True, "status"],
+        [1, "sign", b"x"],
+        [1, "unlock", 0, "x"],
+        [2, "status"],
+        [1],
+        [],
+        {},
+        None,
+        [1, "prepare", "all", [], ""],
+        [1, "prepare", "grant", {}, ""],
+        [1, "prepare", "delegate", [1, 1]],
+        [True, "status"],
     ],
-)  # fmt: skip
+)
 def test_read_request_refuses_what_is_not_in_the_table(value: Value) -> None:
     with pytest.raises(KeyMessageRefused):
         read_request(encode(value))

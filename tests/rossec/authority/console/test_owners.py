@@ -1,7 +1,7 @@
-from rossec.authority.console import owners
+from rossec.authority.console import messages
 
 
 def test_a_phone_is_above_whoever_only_looks() -> None:
-    assert owners.rank(owners.of_phone("look")) == 1
-    for owner in (owners.of_looker(b"phone"), owners.LOOKER, "", "phone"):
-        assert owners.rank(owner) == 0
+    assert messages.rank(messages.of_phone("look")) == 1
+    for owner in (messages.of_looker(b"phone"), messages.LOOKER, "", "phone"):
+        assert messages.rank(owner) == 0

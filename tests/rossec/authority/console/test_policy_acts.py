@@ -8,7 +8,7 @@ import pytest
 from ca.approvals.statement import PolicyChange, Statement
 from ca.errors import StoreError
 from grants.renewal import OpenDelegation, open_delegation
-from rossec.authority.console.policy_acts import NONE_BEFORE
+from rossec.authority.console.approved_acts import NONE_BEFORE
 from rossec.authority.signing import delegations
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from rossec.ros.names import MASTER

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from rossec.authority.console import policy_names as module
-from rossec.authority.console.policy_names import PolicyNames
-from rossec.authority.console.records import many
-from rossec.authority.console.views import PolicyName
+from rossec.authority.console import queries as module
+from rossec.authority.console.messages import PolicyName, many
+from rossec.authority.console.queries import PolicyNames
 from rossec.authority.policyfile import PolicyFile
 from tests.support.consolework import ConsoleWork, ask
 

@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 
 from grants.model import Right
-from rossec.authority.console.policy_view import PolicyLook
-from rossec.authority.console.records import from_value
-from rossec.authority.console.views import PolicyRight, PolicyView
+from rossec.authority.console.messages import PolicyRight, PolicyView, from_value
+from rossec.authority.console.queries import PolicyQuery
 from tests.support.consolework import ConsoleWork, ask
 
 POLICY = """rossec: 1
@@ -24,7 +23,7 @@ def site(tmp_path: Path) -> ConsoleWork:
 
 
 def look(site: ConsoleWork) -> PolicyView:
-    return from_value(PolicyView, ask(PolicyLook(site.work), "policy"))
+    return from_value(PolicyView, ask(PolicyQuery(site.work), "policy"))
 
 
 def test_without_a_file_there_is_no_digest(site: ConsoleWork) -> None:

@@ -2,9 +2,9 @@
 
 import pytest
 
-from ca.approvals.assertion import Passkey
+from ca.approvals.passkeys import Passkey
 from ca.errors import PasskeyUnknown
-from rossec.authority.console.proposals import LIFETIME, MAX_PROPOSALS, Proposals, digits_of
+from rossec.authority.console.phone_codes import MAX_PROPOSALS, PROPOSAL_LIFETIME, Proposals, digits_of
 from rossec.errors import KeyServiceRefused
 
 NOW = 1_800_000_000
@@ -21,11 +21,11 @@ def test_a_proposal_waits_until_it_is_dropped_or_over() -> None:
     time[0] = 10
     second = proposals.add(passkey("Ben's"), NOW + 10)
     assert proposals.all() == (first, second)
-    assert (first.expires, first.name, len(first.digits)) == (NOW + LIFETIME, "Ann's", 6)
+    assert (first.expires, first.name, len(first.digits)) == (NOW + PROPOSAL_LIFETIME, "Ann's", 6)
     assert proposals.get(first.id).name == "Ann's"
     proposals.drop(first.id)
     proposals.drop(first.id)
-    time[0] += LIFETIME - 1
+    time[0] += PROPOSAL_LIFETIME - 1
     assert proposals.all() == (second,)
     time[0] += 1
     assert proposals.all() == ()
@@ -41,15 +41,17 @@ def test_proposals_are_bounded() -> None:
         proposals.add(passkey(f"{number}"), NOW)
     with pytest.raises(KeyServiceRefused, match="wait to be approved"):
         proposals.add(passkey("one more"), NOW)
-    time[0] += LIFETIME
+    time[0] += PROPOSAL_LIFETIME
     assert proposals.add(passkey("one more"), NOW)
 
 
 def test_digits_of_differ_with_everything_they_are_made_of() -> None:
     base = passkey("Ann's")
     found = {
-        digits_of(b"1", base), digits_of(b"2", base), digits_of(b"1", base._replace(id=b"other")),
+        digits_of(b"1", base),
+        digits_of(b"2", base),
+        digits_of(b"1", base._replace(id=b"other")),
         digits_of(b"1", base._replace(cose_key=b"other")),
-    }  # fmt: skip
+    }
     assert len(found) == 4
     assert digits_of(b"1", base) == digits_of(b"1", base._replace(name="Eve's"))

@@ -5,15 +5,13 @@ from pathlib import Path
 import pytest
 
 from ca.errors import HintedError, StoreError
-from grants.claims import read_scope
+from grants.document import read_scope
 from grants.errors import PolicyRefused
 from grants.model import Right
 from grants.request import RequestedRight
 from rossec.authority.approvals import ApprovalQueue
-from rossec.authority.console.questions import MAX_SECONDS, Questions, changed_by, pending_of
-from rossec.authority.console.records import many
-from rossec.authority.console.removals import Removals
-from rossec.authority.console.views import AskedRight, GrantQuestion, QuestionAnswer
+from rossec.authority.console.grant_requests import MAX_SECONDS, Questions, Removals, changed_by, pending_of
+from rossec.authority.console.messages import AskedRight, GrantQuestion, QuestionAnswer, many
 from rossec.authority.policyfile import PolicyFile
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from tests.support.consolework import NOW, ConsoleWork, ask
@@ -55,9 +53,7 @@ def test_a_question_is_what_waits_for_a_person(site: ConsoleWork, questions: Que
     assert question.key == site.home.store().valid_certificate("/heating", NOW).thumbprint
     assert (question.at, question.expires, question.lifetime) == (NOW, NOW + 60, 3600)
     (right,) = question.rights
-    assert right[:5] == (
-        int(Right.SUBSCRIBE), "/pose", "geometry_msgs/PoseStamped", "p", "it is ours",
-    )  # fmt: skip
+    assert right[:5] == (int(Right.SUBSCRIBE), "/pose", "geometry_msgs/PoseStamped", "p", "it is ours")
     (permission,) = read_scope(right.permissions)
     assert (permission.pattern, permission.restriction) == ("/pose", None)
     assert question.coarse[0] == "room"
@@ -86,9 +82,7 @@ def test_considering_shows_what_would_be_granted(site: ConsoleWork, questions: Q
 
 def test_only_what_is_subscribed_can_be_coarse(site: ConsoleWork, questions: Questions) -> None:
     number = site.ask_for(site.enroll("/heating"), POSE, LIFT)
-    found = {
-        each.rights[0].pattern: each for each in many(GrantQuestion, ask(questions, "questions"))
-    }
+    found = {each.rights[0].pattern: each for each in many(GrantQuestion, ask(questions, "questions"))}
     assert found["/lift"].coarse == ()
     assert "room" in found["/pose"].coarse, "what else it asks for is a question of its own"
     assert {each.request for each in found.values()} == {number}
@@ -105,9 +99,7 @@ def test_how_a_question_was_answered_is_told(site: ConsoleWork, questions: Quest
     assert ask(questions, "question-answers", number) == []
     Removals(site.work, lambda: None).deny_question(number, "not you")
     (answer,) = many(QuestionAnswer, ask(questions, "question-answers", number))
-    assert answer == QuestionAnswer(
-        "/heating", int(Right.SUBSCRIBE), "/pose", "denied", "not you", NOW
-    )
+    assert answer == QuestionAnswer("/heating", int(Right.SUBSCRIBE), "/pose", "denied", "not you", NOW)
     assert ask(questions, "question-answers", bytes(16)) == []
 
 

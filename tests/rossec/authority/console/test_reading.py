@@ -5,18 +5,14 @@ from typing import NamedTuple
 
 import pytest
 
-from ca.approvals.approval import Approval
-from ca.approvals.assertion import Assertion
-from ca.approvals.statement import Invitation, Kind, NewPasskey
+from ca.approvals.passkeys import Approval, Assertion
+from ca.approvals.statement import Invitation, NewPasskey, StatementKind
 from ca.encoding import Value
-from ca.store.approvals import ApprovalState
+from ca.store.log import ApprovalState
 from grants.document import peek
 from rossec.authority import invitations
-from rossec.authority.console import reading as module
-from rossec.authority.console.reading import KEPT, MAX_APPROVALS, MAX_EVENTS, Reading, bounded
-from rossec.authority.console.records import from_value, many
-from rossec.authority.console.sentences import sentence
-from rossec.authority.console.views import (
+from rossec.authority.console import queries as module
+from rossec.authority.console.messages import (
     ApprovalView,
     EventView,
     GrantView,
@@ -24,7 +20,11 @@ from rossec.authority.console.views import (
     InvitationView,
     NodeView,
     PhoneView,
+    from_value,
+    many,
+    sentence,
 )
+from rossec.authority.console.queries import KEPT, MAX_APPROVALS, MAX_EVENTS, RecordQueries, bounded
 from rossec.home import NodeHome
 from tests.support import approving, passkeys
 from tests.support.consolework import NOW, ConsoleWork, ask
@@ -36,8 +36,8 @@ def site(tmp_path: Path) -> ConsoleWork:
 
 
 @pytest.fixture
-def reading(site: ConsoleWork) -> Reading:
-    return Reading(site.work, lambda number: (number == approving.PASSKEY.id) * (NOW + 5))
+def reading(site: ConsoleWork) -> RecordQueries:
+    return RecordQueries(site.work, lambda number: (number == approving.PASSKEY.id) * (NOW + 5))
 
 
 def never(_: bytes) -> int:
@@ -45,7 +45,7 @@ def never(_: bytes) -> int:
 
 
 def test_nodes_are_the_newest_of_a_name_and_other_valid_keys(site: ConsoleWork) -> None:
-    reading = Reading(site.work, never)
+    reading = RecordQueries(site.work, never)
     site.enroll("/robot")
     site.home.store().revoke(b"u" * 32, "x", NOW)
     found = many(NodeView, ask(reading, "nodes"))
@@ -63,11 +63,12 @@ def test_nodes_are_the_newest_of_a_name_and_other_valid_keys(site: ConsoleWork) 
 def test_grants_are_those_in_force_and_ended_of_late(site: ConsoleWork) -> None:
     site.enroll("/doctor")
     short, long = site.grant("/doctor", 60), site.grant("/doctor", 400 * 86400, "rule 3")
-    reading = Reading(site.work, never, lambda: {long: "held"})
+    reading = RecordQueries(site.work, never, lambda: {long: "held"})
     found = many(GrantView, ask(reading, "grants"))
     assert [(each.id, each.rules, each.delivery) for each in found] == [
-        (long, "rule 3", "held"), (short, "", ""),
-    ]  # fmt: skip
+        (long, "rule 3", "held"),
+        (short, "", ""),
+    ]
     assert (found[1].at, found[1].expires, found[1].cap) == (NOW, NOW + 60, NOW + 60)
     assert peek(found[0].data).id == long
     site.wait(KEPT + 61)
@@ -84,27 +85,26 @@ def test_grants_of_a_revoked_key_are_revoked(site: ConsoleWork) -> None:
     site.grant("/doctor", 60)
     store = site.home.store()
     store.revoke(store.valid_certificate("/doctor", NOW).thumbprint, "gone", NOW + 2)
-    (view,) = many(GrantView, ask(Reading(site.work, never), "grants"))
+    (view,) = many(GrantView, ask(RecordQueries(site.work, never), "grants"))
     assert (view.revoked_at, view.reason) == (NOW + 2, "gone")
 
 
 def test_requests_for_identities_are_those_that_wait(site: ConsoleWork) -> None:
-    reading = Reading(site.work, never)
+    reading = RecordQueries(site.work, never)
     site.enroll("/robot")
     with site.work.service("a test") as service:
         for name in ("/lamp", "/robot"):
             node = NodeHome.of(site.root / "other", name)
             asked = node.create_request("home")
-            service.add_request(asked, node.request(), "a code")
+            service.identities.add_request(asked, node.request(), "a code")
     found = many(IdentityRequestView, ask(reading, "identity-requests"))
-    assert {(each.name, each.is_other_key) for each in found} == {
-        ("/lamp", False),
-        ("/robot", True),
-    }
+    assert {(each.name, each.is_other_key) for each in found} == {("/lamp", False), ("/robot", True)}
     lamp = next(each for each in found if each.name == "/lamp")
     assert (lamp.state, lamp.source, lamp.csr) == (
-        "pending", "a code", NodeHome.of(site.root / "other", "/lamp").request(),
-    )  # fmt: skip
+        "pending",
+        "a code",
+        NodeHome.of(site.root / "other", "/lamp").request(),
+    )
     site.home.store().requests.deny(lamp.id, NOW)
     site.wait(2 * 86400)
     assert ask(reading, "identity-requests") == []
@@ -112,7 +112,7 @@ def test_requests_for_identities_are_those_that_wait(site: ConsoleWork) -> None:
 
 def test_invitations_say_what_they_are_and_no_secret(site: ConsoleWork) -> None:
     code = invitations.invite(site.home, "/lamp/*", 3, NOW + 60, "host:1", NOW)
-    answer = ask(Reading(site.work, never), "invitations")
+    answer = ask(RecordQueries(site.work, never), "invitations")
     (view,) = many(InvitationView, answer)
     assert (view.pattern, view.uses, view.names, view.state) == ("/lamp/*", 3, (), "open")
     assert code.secret.hex() not in repr(answer)
@@ -122,12 +122,12 @@ def test_invitations_say_what_they_are_and_no_secret(site: ConsoleWork) -> None:
 
 
 def ask_first(site: ConsoleWork) -> Value:
-    found = ask(Reading(site.work, never), "invitations")
+    found = ask(RecordQueries(site.work, never), "invitations")
     assert isinstance(found, list)
     return found[0]
 
 
-def test_phones_and_approvals(site: ConsoleWork, reading: Reading) -> None:
+def test_phones_and_approvals(site: ConsoleWork, reading: RecordQueries) -> None:
     store, other = site.home.store(), approving.registered(passkeys.Passkey(), "Ben's")
     store.passkeys.add(approving.PASSKEY)
     statement = approving.state(NewPasskey(other.id, b"d" * 32, "Ben's"), store=store)
@@ -140,7 +140,7 @@ def test_phones_and_approvals(site: ConsoleWork, reading: Reading) -> None:
     assert (ben.name, ben.last_used, ben.added_by, ben.ended) == ("Ben's", 0, "Ann's phone", "")
     (view,) = many(ApprovalView, ask(reading, "approvals", 9))
     assert view == ApprovalView(
-        given.id, int(Kind.PASSKEY), "phone Ben's", "Ann's phone", NOW + 3, "waiting", ""
+        given.id, int(StatementKind.PASSKEY), "phone Ben's", "Ann's phone", NOW + 3, "waiting", ""
     )
     store.approvals.end(given.id, ApprovalState.DONE, "added", NOW + 4)
     store.remove_passkey(ann.id, "", NOW + 6)
@@ -150,7 +150,7 @@ def test_phones_and_approvals(site: ConsoleWork, reading: Reading) -> None:
     assert ask(reading, "approvals", 0) == ask(reading, "approvals", -1) == []
 
 
-def test_events_are_read_in_pages(site: ConsoleWork, reading: Reading) -> None:
+def test_events_are_read_in_pages(site: ConsoleWork, reading: RecordQueries) -> None:
     for number in range(10):
         site.home.store().log_event("note", f"{number}", "", NOW)
     everything = many(EventView, ask(reading, "events", 0, MAX_EVENTS + 1))

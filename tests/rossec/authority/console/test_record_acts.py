@@ -6,9 +6,9 @@ import pytest
 
 from ca.enrollment.invitation import parse
 from ca.errors import HintedError, OtherOrigin, PasskeyUnknown, PatternRefused
-from rossec.authority.console.proposals import LIFETIME
-from rossec.authority.console.record_acts import CODES_KEPT, MAX_CODES
-from rossec.authority.console.views import Proposal
+from rossec.authority.console.approved_acts import CODES_KEPT, MAX_CODES
+from rossec.authority.console.messages import Proposal
+from rossec.authority.console.phone_codes import PROPOSAL_LIFETIME
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from rossec.ros.names import MASTER
 from tests.support.approving import registered
@@ -26,7 +26,7 @@ def acts(tmp_path: Path) -> Acts:
 
 
 def propose(acts: Acts, device: Passkey, name: str = "Ben's phone") -> Proposal:
-    return acts.access.proposals.add(registered(device, name, acts.now), acts.now)
+    return acts.access.proposed.add(registered(device, name, acts.now), acts.now)
 
 
 def test_a_second_phone_is_added_by_the_first(acts: Acts) -> None:
@@ -34,7 +34,7 @@ def test_a_second_phone_is_added_by_the_first(acts: Acts) -> None:
     proposal = propose(acts, device)
     outcome = acts.approve("passkey", proposal.id)
     assert (outcome.state, outcome.result) == ("done", "Ben's phone can approve")
-    assert not acts.access.proposals.all()
+    assert not acts.access.proposed.all()
     with acts.store() as store:
         added = store.passkeys.get(device.id)
     assert added.approval == outcome.id
@@ -45,7 +45,7 @@ def test_a_second_phone_is_added_by_the_first(acts: Acts) -> None:
 
 def test_another_proposal_than_the_approved_one_is_not_added(acts: Acts) -> None:
     prepared = acts.prepare("passkey", propose(acts, Passkey()).id)
-    acts.elapsed += LIFETIME - 1
+    acts.elapsed += PROPOSAL_LIFETIME - 1
     propose(acts, Passkey(), "Eve's phone")
     acts.elapsed += 1
     with pytest.raises(HintedError):
@@ -59,7 +59,7 @@ def test_another_proposal_than_the_approved_one_is_not_added(acts: Acts) -> None
 def test_a_proposal_that_ended_before_its_touch_is_not_added(acts: Acts) -> None:
     proposal = propose(acts, Passkey())
     prepared = acts.prepare("passkey", proposal.id)
-    acts.access.proposals.drop(proposal.id)
+    acts.access.proposed.drop(proposal.id)
     with pytest.raises(PasskeyUnknown, match="does not wait any more"):
         acts.touch(prepared)
 
@@ -67,7 +67,7 @@ def test_a_proposal_that_ended_before_its_touch_is_not_added(acts: Acts) -> None
 def test_a_phone_of_another_page_than_the_others_is_not_added(acts: Acts) -> None:
     """It was proposed before all phones were removed and the console got another name."""
     other = registered(Passkey(), "Eve's phone", acts.now)._replace(origin="https://eve.example")
-    proposal = acts.access.proposals.add(other, acts.now)
+    proposal = acts.access.proposed.add(other, acts.now)
     with pytest.raises(OtherOrigin):
         acts.approve("passkey", proposal.id)
     with acts.store() as store:

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import pytest
 
 from ca.encoding import Value, decode, encode
-from rossec.authority.console import views
-from rossec.authority.console.records import from_value, many, to_value
+from rossec.authority.console import messages
+from rossec.authority.console.messages import from_value, many, to_value
 from rossec.errors import KeyMessageRefused
 from tests.support.consoleservice import FakeHome
 
@@ -40,13 +40,26 @@ def test_a_record_is_the_list_of_its_fields() -> None:
 @pytest.mark.parametrize(
     "value",
     [
-        [], VALUE[:-1], [*VALUE, 1], "x", None, {}, ["x", "y", *VALUE[2:]], [1, *VALUE[1:]],
-        [*VALUE[:2], "7", *VALUE[3:]], [*VALUE[:2], True, *VALUE[3:]],
-        [*VALUE[:3], [[1, 1]], []], [*VALUE[:3], [[True, True]], []], [*VALUE[:3], [[1]], []],
-        [*VALUE[:3], [], [1]], [*VALUE[:3], {}, []], [*VALUE[:3], None, []],
-        [None, *VALUE[1:]], [*VALUE[:3], [], "ab"],
+        [],
+        VALUE[:-1],
+        [*VALUE, 1],
+        "x",
+        None,
+        {},
+        ["x", "y", *VALUE[2:]],
+        [1, *VALUE[1:]],
+        [*VALUE[:2], "7", *VALUE[3:]],
+        [*VALUE[:2], True, *VALUE[3:]],
+        [*VALUE[:3], [[1, 1]], []],
+        [*VALUE[:3], [[True, True]], []],
+        [*VALUE[:3], [[1]], []],
+        [*VALUE[:3], [], [1]],
+        [*VALUE[:3], {}, []],
+        [*VALUE[:3], None, []],
+        [None, *VALUE[1:]],
+        [*VALUE[:3], [], "ab"],
     ],
-)  # fmt: skip
+)
 def test_from_value_refuses_every_other_type(value: Value) -> None:
     with pytest.raises(KeyMessageRefused):
         from_value(Outer, value)
@@ -67,13 +80,21 @@ def test_to_value_takes_only_what_records_hold(item: object) -> None:
 def test_every_view_survives_its_encoding() -> None:
     home = FakeHome()
     found = (
-        *home.nodes, *home.grants, *home.requests, *home.questions, *home.invitations,
-        *home.phones, *home.proposals, *home.approvals, *home.events, *home.denials, *home.graph,
-        home.policy, home.standing,
-    )  # fmt: skip
+        *home.nodes,
+        *home.grants,
+        *home.requests,
+        *home.questions,
+        *home.invitations,
+        *home.phones,
+        *home.proposals,
+        *home.approvals,
+        *home.events,
+        *home.denials,
+        *home.graph,
+        home.policy,
+        home.standing,
+    )
     for view in found:
         assert from_value(type(view), decode(encode(to_value(view)))) == view
     shown = {type(view).__name__ for view in found}
-    assert (
-        {"NodeView", "GrantQuestion", "PolicyView", "ListStanding"} <= shown <= vars(views).keys()
-    )
+    assert {"NodeView", "GrantQuestion", "PolicyView", "ListProgress"} <= shown <= vars(messages).keys()

@@ -6,10 +6,11 @@ from pathlib import Path
 import pytest
 
 from ca.errors import HintedError, InvitationRefused, PasskeyUnknown, RequestClosed, StoreError
-from ca.revocation.state import RevocationList, open_statement
-from rossec.authority.console.removals import MAX_REASON, UNSIGNED
-from rossec.authority.invitations import invite
-from rossec.authority.joining import source
+from ca.revocation.lists import RevocationList
+from ca.revocation.trust_status import open_statement
+from rossec.authority.console.grant_requests import MAX_REASON, UNSIGNED
+from rossec.authority.console.serving import handlers_of
+from rossec.authority.invitations import invite, source
 from rossec.authority.requests import GrantRequestStore
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from rossec.ros.names import MASTER
@@ -137,7 +138,11 @@ def test_a_reason_is_bounded(acts: Acts) -> None:
 
 
 def test_each_operation_that_takes_away_has_a_handler(acts: Acts) -> None:
-    assert sorted(acts.removals.handlers()) == [
-        "deny-question", "deny-request", "end-invitation", "remove-phone", "revoke-grant",
+    assert sorted(handlers_of(acts.removals)) == [
+        "deny-question",
+        "deny-request",
+        "end-invitation",
+        "remove-phone",
+        "revoke-grant",
         "revoke-node",
-    ]  # fmt: skip
+    ]

@@ -2,18 +2,17 @@
 
 import pytest
 
-from ca.approvals.statement import Enroll, Grant, Kind
+from ca.approvals.statement import Enroll, GrantStatement, StatementKind
 from ca.encoding import encode
-from grants.claims import from_draft
-from grants.document import peek
-from rossec.authority.console.sentences import sentence
+from grants.document import from_draft, peek
+from rossec.authority.console.messages import sentence
 from rossec.clock import format_time
 from tests.support.approving import WHATS, state
 from tests.support.consoleservice import FakeHome
 
 
-@pytest.mark.parametrize("kind", sorted(Kind))
-def test_a_sentence_for_every_kind(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", sorted(StatementKind))
+def test_a_sentence_for_every_kind(kind: StatementKind) -> None:
     text = sentence(state(WHATS[kind]), b"")
     assert text
     assert text.isprintable()
@@ -23,10 +22,8 @@ def test_a_sentence_for_every_kind(kind: Kind) -> None:
 def test_a_sentence_about_a_grant_names_its_node() -> None:
     grant = peek(FakeHome().grants[1].data)
     payload = encode([b"", [], [[encode(from_draft(grant, grant.issuer)), ""]]])
-    asked = state(Grant(b"r" * 16, b"d" * 32))
-    assert sentence(asked, payload) == (
-        f"/doctor may subscribe /robot/pose, until {format_time(grant.cap)}"
-    )
+    asked = state(GrantStatement(b"r" * 16, b"d" * 32))
+    assert sentence(asked, payload) == (f"/doctor may subscribe /robot/pose, until {format_time(grant.cap)}")
     for malformed in (b"", b"\xff", encode([]), encode([b"", [], [[b"x", ""]]])):
         assert sentence(asked, malformed) == "a right of a node"
 

@@ -6,18 +6,16 @@ from pathlib import Path
 import pytest
 
 from rossec.authority.console import serving as module
-from rossec.authority.console.client import ConsoleClient, Registration
-from rossec.authority.console.console_socket import ConsolePlace
-from rossec.authority.console.records import from_value
-from rossec.authority.console.serving import Console, Deliveries
-from rossec.authority.console.views import Status
-from rossec.authority.keyservice.caller import Caller
-from rossec.authority.keyservice.messages import Request
+from rossec.authority.console.client import ConsoleClient
+from rossec.authority.console.messages import PasskeyRegistration, Status, from_value
+from rossec.authority.console.serving import Console, ConsolePlace, Deliveries
+from rossec.authority.keyservice.messages import ServiceRequest
+from rossec.authority.keyservice.process import AuditedCaller
 from rossec.errors import KeyServiceRefused, NotDelivered
 from tests.support.consolework import ConsoleWork
 from tests.support.passkeys import ORIGIN, RP_ID, Passkey
 
-CALLER = Caller(1, 2, "a test")
+CALLER = AuditedCaller(1, 2, "a test")
 
 
 @pytest.fixture
@@ -38,9 +36,9 @@ async def test_a_console_does_everything_in_the_table(console: Console) -> None:
 
 async def test_a_console_without_a_network_says_so(console: Console) -> None:
     with pytest.raises((NotDelivered, KeyServiceRefused)) as caught:
-        await console.service.carry_out(Request("graph"), CALLER)
+        await console.service.carry_out(ServiceRequest("graph"), CALLER)
     assert caught.value.hint
-    status = from_value(Status, await console.service.carry_out(Request("status"), CALLER))
+    status = from_value(Status, await console.service.carry_out(ServiceRequest("status"), CALLER))
     assert (status.locked, status.has_master) == (True, False)
     await console.service.close()
 
@@ -51,7 +49,7 @@ async def test_a_console_says_that_a_phone_waits(console: Console) -> None:
     before = (await client.status()).number
     asked = await client.new_passkey(ORIGIN, RP_ID)
     answer = phone.register(asked.challenge)
-    await client.propose_passkey(Registration(asked.id, await client.phone_link(), "p", *answer))
+    await client.propose_passkey(PasskeyRegistration(asked.id, await client.phone_link(), "p", *answer))
     assert (await client.status()).number != before
     await client.close()
     await console.socket.close()

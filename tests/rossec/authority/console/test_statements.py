@@ -2,14 +2,10 @@
 
 import pytest
 
-from ca.approvals.statement import Enroll, Kind, RevokeMaster, Statement
+from ca.approvals.statement import Enroll, RevokeMaster, Statement, StatementKind
 from ca.errors import ApprovalOutdated
-from rossec.authority.console import owners
-from rossec.authority.console.statements import (
-    MAX_OF_KIND,
-    PreparedStatement,
-    Statements,
-)
+from rossec.authority.console import messages
+from rossec.authority.console.approving import MAX_OF_KIND, PreparedStatement, Statements
 from rossec.errors import KeyServiceRefused
 from tests.support.approving import NOW, WHATS, state
 
@@ -29,7 +25,7 @@ def statements(time: Time) -> Statements:
 
 
 def add(
-    statements: Statements, number: int = 1, kind: Kind = Kind.ENROLL, owner: str = ""
+    statements: Statements, number: int = 1, kind: StatementKind = StatementKind.ENROLL, owner: str = ""
 ) -> Statement:
     statement = state(WHATS[kind], id=number.to_bytes(16))
     statements.add(PreparedStatement(statement, b"payload", ("arguments",)), owner)
@@ -62,7 +58,7 @@ def test_it_ends_by_both_clocks(statements: Statements, time: Time) -> None:
 
 
 def test_there_are_few_of_each_kind_and_the_oldest_goes(statements: Statements) -> None:
-    other = add(statements, 1000, Kind.REVOKE_MASTER)
+    other = add(statements, 1000, StatementKind.REVOKE_MASTER)
     made = [add(statements, number) for number in range(MAX_OF_KIND + 1)]
     with pytest.raises(ApprovalOutdated):
         statements.take(made[0].id, NOW)
@@ -72,7 +68,7 @@ def test_there_are_few_of_each_kind_and_the_oldest_goes(statements: Statements) 
 
 @pytest.mark.attack("looker-floods")
 def test_whoever_only_looks_ends_nothing_of_a_phone(statements: Statements) -> None:
-    phone, looker = owners.of_phone("Anna's"), owners.of_looker(b"1")
+    phone, looker = messages.of_phone("Anna's"), messages.of_looker(b"1")
     first = add(statements, 1, owner=phone)
     for number in range(2, 200):
         add(statements, number, owner=looker)

@@ -3,16 +3,15 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from rossec.authority.console.records import from_value
-from rossec.authority.console.status import StatusLook
-from rossec.authority.console.views import Status
+from rossec.authority.console.messages import Status, from_value
+from rossec.authority.console.serving import StatusQuery
 from tests.support import approving
 from tests.support.consolework import NOW, ConsoleWork, ask
 
 
 def test_the_number_differs_when_anything_has_changed(tmp_path: Path) -> None:
     site, seen, master = ConsoleWork(tmp_path), [0], [False]
-    look = StatusLook(site.work, site.operations.held, lambda: master[0], lambda: tuple(seen))
+    look = StatusQuery(site.work, site.operations.held, lambda: master[0], lambda: tuple(seen))
     numbers: list[int] = []
 
     def status() -> Status:

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from rossec.authority.keyservice.caller import caller_of
-from rossec.net.host.peeruid import UnixPeer
+from rossec.authority.keyservice.process import caller_of
+from rossec.host.local_sockets import UnixPeer
 
 
 def test_this_process_is_named() -> None:

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from ca.errors import PassphraseRefused
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice import client as module
 from rossec.authority.keyservice import messages
 from rossec.authority.keyservice.client import KeyServiceClient, RemoteSigner, running_signer
-from rossec.authority.keyservice.messages import SOCKET, Request
+from rossec.authority.keyservice.messages import SOCKET, ServiceRequest
 from rossec.errors import (
     AuthorityLocked,
     KeyMessageRefused,
@@ -55,9 +55,7 @@ def test_without_a_service_there_is_no_signer(home: AuthorityHome) -> None:
     assert KeyServiceClient.find(home.path / ("x" * 108)) is None
 
 
-def test_a_locked_service_is_a_refusal_with_a_hint(
-    home: AuthorityHome, service: RunningService
-) -> None:
+def test_a_locked_service_is_a_refusal_with_a_hint(home: AuthorityHome, service: RunningService) -> None:
     with pytest.raises(AuthorityLocked, match="service is locked") as caught:
         running_signer(home)
     assert "rossec ca unlock" in caught.value.hint
@@ -96,7 +94,7 @@ def test_refusals_come_back_as_what_they_are(home: AuthorityHome, service: Runni
     with pytest.raises(KeyServiceRefused, match="may be tried in"):
         client.unlock(PASSPHRASE, 60)
     with pytest.raises(SigningRefused):
-        client.ask(Request("sign", (b"a challenge",)))
+        client.ask(ServiceRequest("sign", (b"a challenge",)))
     assert service.audit[0].startswith("failed to unlock for user")
     client.close()
 
@@ -184,9 +182,7 @@ def test_a_code_that_is_no_text_is_refused(home: AuthorityHome) -> None:
     impostor.thread.join()
 
 
-def test_a_service_that_hangs_is_given_up(
-    home: AuthorityHome, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_service_that_hangs_is_given_up(home: AuthorityHome, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "TIMEOUT", 0.05)
     with socket.socket(socket.AF_UNIX) as server:
         server.bind(str(home.path / SOCKET))

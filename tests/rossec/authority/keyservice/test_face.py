@@ -1,4 +1,4 @@
-"""The network face: the join port, calls at the master, and its confinement."""
+"""The network process: the join port, calls at the master, and its confinement."""
 
 import asyncio
 import socket
@@ -10,20 +10,20 @@ from pathlib import Path
 import pytest
 
 from ca.encoding import Value
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import Named, Refused, RefuseReason, Waiting, WaitReason, write
+from ca.enrollment.invitation import JoinClaim
+from ca.enrollment.join import Named, RefusedMessage, RefuseReason, WaitingMessage, WaitReason, write
 from ca.errors import JoinBusy, JoinRefused
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
-from rossec.authority.keyservice import face as module
-from rossec.authority.keyservice.face import Face, main
+from rossec.authority.keyservice import front_end as module
+from rossec.authority.keyservice.front_end import FrontEnd, main
 from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.clock import now
-from rossec.enrollment.join_node import ask_name, join
+from rossec.enrollment.join import ask_name, join
 from rossec.errors import KeyServiceRefused
 from rossec.home import NodeHome
-from rossec.operation import landlock
+from rossec.host import sandbox
 from tests.support.commands import PASSPHRASE
 from tests.support.joining import asked
 from tests.support.ports import free_port
@@ -33,14 +33,17 @@ from tests.support.site import Site
 class Served:
     """A service's end of the socketpair: what the face said, and what it gets."""
 
-    def __init__(self, face: Face) -> None:
+    def __init__(self, face: FrontEnd) -> None:
         ours, self._theirs = socket.socketpair()
         self.said: asyncio.Queue[Value] = asyncio.Queue()
-        self.answer: Value = write(Refused(RefuseReason.ENDED))
+        self.answer: Value = write(RefusedMessage(RefuseReason.ENDED))
         self.requests: list[Value] = []
         handlers: Mapping[str, Handler] = {
-            "ready": self.say, "failed": self.say, "join": self.join, "name": self.join
-        }  # fmt: skip
+            "ready": self.say,
+            "failed": self.say,
+            "join": self.join,
+            "name": self.join,
+        }
         self.channel = InnerChannel(ours, handlers, 100_000)
         self._face = face
 
@@ -68,8 +71,8 @@ class Served:
             await asyncio.gather(service, face, return_exceptions=True)
 
 
-def face_of(node: NodeHome, join_address: str, master: str = "http://127.0.0.1:1/") -> Face:
-    return Face(node, join_address, master, PRODUCTION)
+def face_of(node: NodeHome, join_address: str, master: str = "http://127.0.0.1:1/") -> FrontEnd:
+    return FrontEnd(node, join_address, master, PRODUCTION)
 
 
 @pytest.fixture
@@ -104,10 +107,10 @@ async def test_claims_are_passed_on_as_bounded_bytes(home: AuthorityHome) -> Non
         (claim,) = served.requests
         assert isinstance(claim, bytes)
         assert JoinClaim.from_bytes(claim).metadata == b"<node/>"
-        served.answer = write(Refused(RefuseReason.UNNAMED))
+        served.answer = write(RefusedMessage(RefuseReason.UNNAMED))
         with pytest.raises(JoinRefused, match="no rules"):
             await ask_name(code, b"<node/>", now)
-        served.answer = write(Waiting(WaitReason.LOCKED))
+        served.answer = write(WaitingMessage(WaitReason.LOCKED))
         with pytest.raises(JoinBusy):
             await ask_name(code, b"<node/>", now)
 
@@ -165,7 +168,7 @@ async def test_the_process_is_confined_before_it_serves(
         return ThreadPoolExecutor(1)
 
     monkeypatch.setattr(module, "protect_memory", lambda: done.append("memory"))
-    monkeypatch.setattr(landlock, "read_only", lambda paths: done.append(paths[0]))
+    monkeypatch.setattr(sandbox, "read_only", lambda paths: done.append(paths[0]))
     monkeypatch.setattr(module, "confine_processes", confine)
     node = home.node()
     served = Served(face_of(node, ""))

@@ -11,11 +11,11 @@ import pytest
 
 from ca.encoding import Value
 from rossec.authority.home import AuthorityHome
-from rossec.authority.keyservice import face_process as module
-from rossec.authority.keyservice.face_process import FaceOptions, FaceProcess
+from rossec.authority.keyservice import process as module
+from rossec.authority.keyservice.process import FrontEndOptions, FrontEndProcess
 from rossec.clock import now
 from rossec.errors import ConfigurationError, KeyServiceRefused, PeerUserRefused
-from rossec.net.host.peeruid import UnixPeer
+from rossec.host.local_sockets import UnixPeer
 from tests.support.commands import PASSPHRASE
 from tests.support.ports import free_port
 from tests.support.witness import until
@@ -26,8 +26,8 @@ def home(tmp_path: Path) -> AuthorityHome:
     return AuthorityHome.create(tmp_path / "home", "home", PASSPHRASE, now())
 
 
-def face_at(home: AuthorityHome, where: str) -> FaceProcess:
-    return FaceProcess(home, FaceOptions(where, "http://127.0.0.1:1/"), os.environ)
+def face_at(home: AuthorityHome, where: str) -> FrontEndProcess:
+    return FrontEndProcess(home, FrontEndOptions(where, "http://127.0.0.1:1/"), os.environ)
 
 
 async def no_join(_: Value) -> Value:
@@ -35,7 +35,7 @@ async def no_join(_: Value) -> Value:
 
 
 @contextlib.asynccontextmanager
-async def running(face: FaceProcess) -> AsyncIterator[None]:
+async def running(face: FrontEndProcess) -> AsyncIterator[None]:
     face.spawn()
     task = asyncio.ensure_future(face.run(no_join))
     try:
@@ -60,7 +60,7 @@ async def test_it_listens_and_is_refused_at_the_socket(home: AuthorityHome) -> N
     async with running(face):
         assert await face.started() == port == face.port
         (process,) = children() - before
-        assert b"rossec.authority.keyservice.face" in command_of(process)
+        assert b"rossec.authority.keyservice.front_end" in command_of(process)
         with pytest.raises(PeerUserRefused, match="network process"):
             face.admit(UnixPeer(process, os.getuid()))
         face.admit(UnixPeer(os.getpid(), os.getuid()))
@@ -71,9 +71,7 @@ async def test_it_listens_and_is_refused_at_the_socket(home: AuthorityHome) -> N
         await face.call("getPid", [], 2)
 
 
-async def test_one_that_dies_is_started_again(
-    home: AuthorityHome, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_one_that_dies_is_started_again(home: AuthorityHome, caplog: pytest.LogCaptureFixture) -> None:
     before = children()
     face = face_at(home, f"127.0.0.1:{free_port()}")
     async with running(face):
@@ -111,12 +109,10 @@ def test_one_that_was_never_connected_is_ended(home: AuthorityHome) -> None:
     assert not children() - before
 
 
-async def test_one_that_lingers_after_its_connection_is_refused_until_it_is_dead(
-    home: AuthorityHome,
-) -> None:
+async def test_one_that_lingers_after_its_connection_is_refused_until_it_is_dead(home: AuthorityHome) -> None:
     answer, before = home.path / "answer", children()
-    options = FaceOptions(str(home.path), str(answer))
-    face = FaceProcess(home, options, os.environ, module="tests.support.takenface")
+    options = FrontEndOptions(str(home.path), str(answer))
+    face = FrontEndProcess(home, options, os.environ, module="tests.support.takenface")
     async with running(face):
         await until(answer.exists, within=20)
         (process,) = children() - before
@@ -129,7 +125,7 @@ async def test_one_that_lingers_after_its_connection_is_refused_until_it_is_dead
 async def test_what_it_says_of_an_error_is_one_printable_line(
     home: AuthorityHome, caplog: pytest.LogCaptureFixture
 ) -> None:
-    face = FaceProcess(home, FaceOptions("x", "y"), os.environ, module="tests.support.shoutingface")
+    face = FrontEndProcess(home, FrontEndOptions("x", "y"), os.environ, module="tests.support.shoutingface")
     async with running(face):
         with pytest.raises(ConfigurationError) as caught:
             await face.started()

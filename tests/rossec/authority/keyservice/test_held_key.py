@@ -5,11 +5,11 @@ import threading
 import pytest
 
 from ca.errors import PassphraseRefused
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner, Signer
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner, Signer
 from rossec import clock
-from rossec.authority.keyservice import held_key as module
-from rossec.authority.keyservice.held_key import MAX_DELAY, HeldKey
+from rossec.authority.keyservice import operations as module
+from rossec.authority.keyservice.operations import MAX_DELAY, HeldKey
 from rossec.errors import AuthorityLocked, KeyServiceRefused
 from tests.support.pki import new_signer
 

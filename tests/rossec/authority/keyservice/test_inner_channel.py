@@ -10,9 +10,9 @@ import pytest
 from ca.encoding import Value
 from ca.errors import EncodingError
 from rossec.authority.keyservice import inner_channel as module
-from rossec.authority.keyservice import inner_messages
+from rossec.authority.keyservice import messages
 from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
-from rossec.authority.keyservice.inner_messages import InnerAnswer, InnerRequest
+from rossec.authority.keyservice.messages import InnerAnswer, InnerRequest
 from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefused
 
 LIMIT = 10_000
@@ -63,9 +63,7 @@ async def test_a_refusal_comes_back_with_its_hint() -> None:
         assert await face.call("join", b"ab", within=10) == b"ba", "after one that was given up"
 
 
-async def test_a_request_that_crashes_is_answered_and_logged(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_request_that_crashes_is_answered_and_logged(caplog: pytest.LogCaptureFixture) -> None:
     async def crash(_: bytes) -> Value:
         raise ZeroDivisionError
 
@@ -98,10 +96,13 @@ async def test_the_end_of_one_side_ends_the_calls_of_the_other() -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        b"\0\0\0\1\xff", b"\0\0\0\0", b"\xff\xff\xff\xff", (LIMIT + 1).to_bytes(4),
-        inner_messages.write(InnerRequest(1, "call", ("m", [], 1))),
+        b"\0\0\0\1\xff",
+        b"\0\0\0\0",
+        b"\xff\xff\xff\xff",
+        (LIMIT + 1).to_bytes(4),
+        messages.write(InnerRequest(1, "call", ("m", [], 1))),
     ],
-)  # fmt: skip
+)
 async def test_a_side_that_breaks_the_protocol_is_cut_off(data: bytes) -> None:
     one, other = socket.socketpair()
     service = InnerChannel(one, HANDLERS, LIMIT)
@@ -121,7 +122,7 @@ async def test_requests_at_a_time_are_bounded(monkeypatch: pytest.MonkeyPatch) -
     running = asyncio.ensure_future(service.run())
     _, writer = await asyncio.open_connection(sock=other)
     for number in range(4):
-        writer.write(inner_messages.write(InnerRequest(number, "join", (b"wait",))))
+        writer.write(messages.write(InnerRequest(number, "join", (b"wait",))))
     with pytest.raises(KeyMessageRefused, match="may not be made now"):
         await running
     writer.close()
@@ -139,10 +140,10 @@ async def test_an_answer_to_nothing_is_ignored() -> None:
     service = InnerChannel(one, HANDLERS, LIMIT)
     running = asyncio.ensure_future(service.run())
     reader, writer = await asyncio.open_connection(sock=other)
-    writer.write(inner_messages.write(InnerAnswer(77, b"nobody asked")))
-    writer.write(inner_messages.write(InnerRequest(1, "join", (b"ab",))))
+    writer.write(messages.write(InnerAnswer(77, b"nobody asked")))
+    writer.write(messages.write(InnerRequest(1, "join", (b"ab",))))
     size = int.from_bytes(await reader.readexactly(4))
-    answer = inner_messages.read(await reader.readexactly(size), LIMIT)
+    answer = messages.read(await reader.readexactly(size), LIMIT)
     assert answer == InnerAnswer(1, b"ba")
     writer.close()
     await running

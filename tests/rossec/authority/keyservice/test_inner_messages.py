@@ -3,9 +3,10 @@
 import pytest
 
 from ca.encoding import Value, encode
-from ca.enrollment.join_claim import MAX_SIZE as MAX_CLAIM
-from ca.enrollment.join_request import MAX_SIZE
-from rossec.authority.keyservice.inner_messages import (
+from ca.enrollment.invitation import MAX_CLAIM_SIZE as MAX_CLAIM
+from ca.enrollment.invitation import MAX_REQUEST_SIZE
+from rossec.authority.keyservice.messages import (
+    HEAD,
     MAX_FROM_FACE,
     InnerAnswer,
     InnerMessage,
@@ -14,13 +15,12 @@ from rossec.authority.keyservice.inner_messages import (
     read,
     write,
 )
-from rossec.authority.keyservice.messages import HEAD
 from rossec.errors import KeyMessageRefused
 
 GOOD: list[InnerMessage] = [
     InnerRequest(0, "ready", (11318,)),
     InnerRequest(1, "failed", ("cannot listen", "choose another port")),
-    InnerRequest(2, "join", (b"j" * MAX_SIZE,)),
+    InnerRequest(2, "join", (b"j" * MAX_REQUEST_SIZE,)),
     InnerRequest(2, "name", (b"n" * MAX_CLAIM,)),
     InnerRequest(3, "call", ("rossec.depositGrants", [[b"grant"]], 15)),
     InnerAnswer(4, None),
@@ -42,15 +42,34 @@ def test_a_message_is_read_as_it_was_written(message: InnerMessage) -> None:
 @pytest.mark.parametrize(
     "value",
     [
-        [], {}, 0, [0], [0, 1], [0, 1, "sign", b"x"], [0, 1, "unlock", 0, "x"], [0, 1, "join", "x"],
-        [0, 1, "name", "x"], [0, 1, "name", b"n" * (MAX_CLAIM + 1)],
-        [0, 1, "join", b"j" * (MAX_SIZE + 1)], [0, 1, "join"], [0, 1, "join", b"", b""],
-        [0, 1, "ready", -1], [0, 1, "ready", 1 << 16], [0, 1, "ready", True],
-        [0, -1, "ready", 1], [0, 1 << 32, "ready", 1], [0, "1", "ready", 1], [False, 1, "ready", 1],
-        [0, 1, "call", "m", b"x", 1], [1, 2], [1, 2, 3, 4], [2, 1, "m"], [2, 1, "m", b"h"],
+        [],
+        {},
+        0,
+        [0],
+        [0, 1],
+        [0, 1, "sign", b"x"],
+        [0, 1, "unlock", 0, "x"],
+        [0, 1, "join", "x"],
+        [0, 1, "name", "x"],
+        [0, 1, "name", b"n" * (MAX_CLAIM + 1)],
+        [0, 1, "join", b"j" * (MAX_REQUEST_SIZE + 1)],
+        [0, 1, "join"],
+        [0, 1, "join", b"", b""],
+        [0, 1, "ready", -1],
+        [0, 1, "ready", 1 << 16],
+        [0, 1, "ready", True],
+        [0, -1, "ready", 1],
+        [0, 1 << 32, "ready", 1],
+        [0, "1", "ready", 1],
+        [False, 1, "ready", 1],
+        [0, 1, "call", "m", b"x", 1],
+        [1, 2],
+        [1, 2, 3, 4],
+        [2, 1, "m"],
+        [2, 1, "m", b"h"],
         [3, 1, 1],
     ],
-)  # fmt: skip
+)
 def test_what_is_not_in_the_table_is_refused(value: Value) -> None:
     with pytest.raises(KeyMessageRefused, match="not in the table"):
         read(encode(value), MAX_FROM_FACE)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.authority.keyservice.lock import LOCK, service_lock
+from rossec.authority.keyservice.client import LOCK, service_lock
 from rossec.errors import ConfigurationError
 
 

@@ -9,7 +9,7 @@ from rossec.authority.keyservice.messages import (
     HEAD,
     MAX_FRAME,
     REFUSALS,
-    Request,
+    ServiceRequest,
     frame_size,
     read_answer,
     read_request,
@@ -20,10 +20,10 @@ from rossec.authority.keyservice.messages import (
 from rossec.errors import AuthorityLocked, KeyMessageRefused, KeyServiceRefused
 
 REQUESTS = [
-    Request("status"),
-    Request("lock"),
-    Request("unlock", (900, "four random words")),
-    Request("sign", (b"to be signed",)),
+    ServiceRequest("status"),
+    ServiceRequest("lock"),
+    ServiceRequest("unlock", (900, "four random words")),
+    ServiceRequest("sign", (b"to be signed",)),
 ]
 
 
@@ -33,7 +33,7 @@ def body(data: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("request_", REQUESTS)
-def test_a_request_is_read_as_it_was_written(request_: Request) -> None:
+def test_a_request_is_read_as_it_was_written(request_: ServiceRequest) -> None:
     data = body(write_request(request_))
     assert read_request(data) == request_
     for changed in (*(data[:size] for size in range(len(data))), data + b"\0"):
@@ -44,11 +44,22 @@ def test_a_request_is_read_as_it_was_written(request_: Request) -> None:
 @pytest.mark.parametrize(
     "value",
     [
-        [], {}, [1], [2, "status"], [1, "format"], [1, "status", 1], [1, "unlock", 1],
-        [1, "unlock", "1", "x"], [1, "unlock", True, "x"], [1, "sign", "text"], ["status"],
-        [1, b"status"], 1, [True, "status", 5],
+        [],
+        {},
+        [1],
+        [2, "status"],
+        [1, "format"],
+        [1, "status", 1],
+        [1, "unlock", 1],
+        [1, "unlock", "1", "x"],
+        [1, "unlock", True, "x"],
+        [1, "sign", "text"],
+        ["status"],
+        [1, b"status"],
+        1,
+        [True, "status", 5],
     ],
-)  # fmt: skip
+)
 def test_a_request_outside_the_table_is_refused(value: Value) -> None:
     with pytest.raises(KeyMessageRefused):
         read_request(encode(value))

@@ -8,19 +8,19 @@ from typing import cast
 import pytest
 
 from ca.encoding import Value
-from ca.enrollment.join_messages import Issued, Named, Refused, RefuseReason, read
+from ca.enrollment.join import Issued, Named, RefusedMessage, RefuseReason, read
 from ca.errors import EncodingError
+from rossec.authority.keyservice import network
 from rossec.authority.keyservice import network as module
-from rossec.authority.keyservice import rounds
-from rossec.authority.keyservice.face_process import FaceProcess
 from rossec.authority.keyservice.inner_channel import Handler
 from rossec.authority.keyservice.network import NetworkWork
+from rossec.authority.keyservice.process import FrontEndProcess
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.master_call import MasterCall
+from rossec.authority.session import StatementCall
 from rossec.clock import now
 from rossec.errors import KeyServiceRefused, NotDelivered, RulesRefused
 from rossec.home import NodeHome
-from rossec.naming import shipped
+from rossec.naming import rule_runner
 from tests.rossec.authority.keyservice.test_work import POLICY, Working
 from tests.support.witness import until
 
@@ -56,15 +56,12 @@ class Playing:
         (self.working.home.path / "policy.yaml").write_text(POLICY)
         self.face = PlayedFace()
         self.network = NetworkWork(
-            root, self.working.operations, cast("FaceProcess", self.face), applies=applies,
-            rules=rules,
-        )  # fmt: skip
+            root, self.working.operations, cast("FrontEndProcess", self.face), applies=applies, rules=rules
+        )
 
 
 @pytest.mark.parametrize("applies", [True, False])
-async def test_a_node_that_joins_gets_what_the_policy_gives_it(
-    tmp_path: Path, applies: bool
-) -> None:
+async def test_a_node_that_joins_gets_what_the_policy_gives_it(tmp_path: Path, applies: bool) -> None:
     playing = Playing(tmp_path, applies=applies)
     working, face = playing.working, playing.face
     request = working.request(working.invite())
@@ -105,7 +102,7 @@ async def test_the_policy_is_applied_once_to_all_who_joined_meanwhile(
         apply(self, names)
 
     monkeypatch.setattr(AuthorityWork, "apply", applies)
-    network = NetworkWork(tmp_path, working.operations, cast("FaceProcess", face), applies=True)
+    network = NetworkWork(tmp_path, working.operations, cast("FrontEndProcess", face), applies=True)
     running = asyncio.ensure_future(network.run())
     await until(lambda: sorted(name for each in applied for name in each) == names, within=20)
     running.cancel()
@@ -115,7 +112,7 @@ async def test_the_policy_is_applied_once_to_all_who_joined_meanwhile(
 
 
 async def test_rounds_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rounds, "ROUND", 0.01)
+    monkeypatch.setattr(network, "ROUND", 0.01)
     playing = Playing(tmp_path, applies=True)
     playing.working.work.join(playing.working.request(playing.working.invite()))
     running = asyncio.ensure_future(playing.network.run())
@@ -127,7 +124,7 @@ async def test_rounds_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 async def test_a_round_that_crashes_is_not_the_last(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(rounds, "ROUND", 0.01)
+    monkeypatch.setattr(network, "ROUND", 0.01)
     crashed: list[int] = []
 
     def crash(_: AuthorityWork) -> None:
@@ -149,7 +146,7 @@ async def test_a_master_that_fails_slowly_is_not_called_for_a_while(
     monkeypatch.setattr(module, "SLOW", 0.0)
     monkeypatch.setattr(module, "PAUSE", 0.3)
     playing = Playing(tmp_path, applies=False)
-    call = MasterCall(NodeHome(tmp_path / "x", "/ca"), "rossec.x", (b"a",), "the list", "later")
+    call = StatementCall(NodeHome(tmp_path / "x", "/ca"), "rossec.x", (b"a",), "the list", "later")
     running = asyncio.ensure_future(playing.network.run())
     await asyncio.sleep(0.05)
     playing.face.error = TimeoutError()
@@ -168,7 +165,7 @@ async def test_a_master_that_fails_slowly_is_not_called_for_a_while(
 async def test_a_call_that_fails_is_not_delivered(tmp_path: Path) -> None:
     playing = Playing(tmp_path, applies=False)
     node = NodeHome(tmp_path / "x", "/ca")
-    call = MasterCall(node, "rossec.x", (b"a", [b"b"]), "the list", "later")
+    call = StatementCall(node, "rossec.x", (b"a", [b"b"]), "the list", "later")
     with pytest.raises(NotDelivered, match="not started"):
         playing.network.deliver(call)
     running = asyncio.ensure_future(playing.network.run())
@@ -194,7 +191,7 @@ async def test_an_answer_that_is_waited_for_and_fails_stops_no_other_call(
     monkeypatch.setattr(AuthorityWork, "maintain", lambda _: None)  # whose calls would fail too
     playing = Playing(tmp_path, applies=False)
     node = NodeHome(tmp_path / "x", "/ca")
-    call = MasterCall(node, "rossec.watchGraph", ("", 0), "a question", "later", waits=True)
+    call = StatementCall(node, "rossec.watchGraph", ("", 0), "a question", "later", waits=True)
     running = asyncio.ensure_future(playing.network.run())
     await asyncio.sleep(0.05)
     playing.face.error = TimeoutError()
@@ -206,7 +203,7 @@ async def test_an_answer_that_is_waited_for_and_fails_stops_no_other_call(
     await asyncio.gather(running, return_exceptions=True)
 
 
-RULES = shipped.rules()
+RULES = rule_runner.shipped_rules()
 METADATA = b"<node><group>fleet</group><name>a</name></node>"
 
 
@@ -221,9 +218,9 @@ async def test_nodes_are_named_by_the_rules_of_the_authority(tmp_path: Path) -> 
             named = read(cast("bytes", await face.name(working.claim(code, METADATA))))
             assert named == Named("/fleet/a")
             for metadata, name, answer in (
-                (METADATA, "/fleet/b", Refused(RefuseReason.NAME)),
-                (METADATA.replace(b"fleet", b"other"), "/fleet/a", Refused(RefuseReason.NAME)),
-                (b"<node>", "/fleet/a", Refused(RefuseReason.METADATA)),
+                (METADATA, "/fleet/b", RefusedMessage(RefuseReason.NAME)),
+                (METADATA.replace(b"fleet", b"other"), "/fleet/a", RefusedMessage(RefuseReason.NAME)),
+                (b"<node>", "/fleet/a", RefusedMessage(RefuseReason.METADATA)),
             ):
                 face.joins.put_nowait(working.request(code, name, metadata))
                 assert read(cast("bytes", await face.answers.get())) == answer
@@ -243,7 +240,7 @@ async def test_what_was_issued_is_repeated_whatever_the_rules_say_now(tmp_path: 
     try:
         async with asyncio.timeout(60):
             face.joins.put_nowait(request)
-            unnamed = Refused(RefuseReason.UNNAMED)
+            unnamed = RefusedMessage(RefuseReason.UNNAMED)
             assert read(cast("bytes", await face.answers.get())) == unnamed
             working.work.join(request)
             face.joins.put_nowait(request)

@@ -4,12 +4,11 @@ import pytest
 
 from ca.authority import Authority, create_root
 from ca.errors import PassphraseRefused
-from ca.keys.signer import Signer
-from ca.store.log_entries import HEAD_PROFILE, Head, open_head, sign_head
-from rossec.authority.keyservice import recognize
-from rossec.authority.keyservice.held_key import HeldKey
-from rossec.authority.keyservice.messages import MAX_UNLOCKED, Request
-from rossec.authority.keyservice.operations import KeyOperations, OwnSigner
+from ca.keys.signing import Signer
+from ca.store.values import HEAD_PROFILE, Head, open_head, sign_head
+from rossec.authority.keyservice import messages
+from rossec.authority.keyservice.messages import MAX_UNLOCKED, ServiceRequest
+from rossec.authority.keyservice.operations import HeldKey, KeyOperations, OwnSigner
 from rossec.errors import AuthorityLocked, KeyServiceRefused, SigningRefused
 from tests.support.pki import new_signer
 
@@ -27,7 +26,7 @@ class Served:
         self.now = 1000.0
         self.lines: list[str] = []
         self.is_full = False
-        owner = recognize.Authority(ROOT.anchor.subject, "home")
+        owner = messages.ServedAuthority(ROOT.anchor.subject, "home")
         held = HeldKey(self.load, lambda: self.now)
         self.operations = KeyOperations(held, owner, self.audit, lambda: {"domain": "home"})
 
@@ -42,7 +41,7 @@ class Served:
         self.lines.append(text)
 
     def ask(self, operation: str, *arguments: int | str | bytes) -> object:
-        return self.operations.carry_out(Request(operation, arguments), "user 7, process 8: x")
+        return self.operations.carry_out(ServiceRequest(operation, arguments), "user 7, process 8: x")
 
 
 @pytest.fixture

@@ -8,16 +8,20 @@ from pathlib import Path
 import pytest
 
 from ca.errors import IssueRefused, PassphraseRefused
-from ca.keys import key_files
+from ca.keys import private_keys
 from rossec.authority.home import AUDIT_FILE, AuthorityHome
 from rossec.authority.keyservice import process as module
-from rossec.authority.keyservice.caller import Caller
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.authority.keyservice.operations import KeyOperations
-from rossec.authority.keyservice.process import KeyServiceProcess, audit_to, operations_of
-from rossec.authority.keyservice.server import admit_all
+from rossec.authority.keyservice.process import (
+    AuditedCaller,
+    KeyServiceProcess,
+    admit_all,
+    audit_to,
+    operations_of,
+)
 from rossec.errors import KeyServiceRefused
-from rossec.operation.audit_log import audit_written
+from rossec.host.audit import audit_written
 from tests.support.commands import PASSPHRASE
 
 NOW = 1_800_000_000
@@ -33,7 +37,7 @@ def test_a_key_of_another_certificate_is_refused(home: AuthorityHome) -> None:
     with pytest.raises(PassphraseRefused):
         operations.unlock("wrong", 60, "a test")
     (home.path / "ca.key").unlink()
-    key_files.write_private(home.path / "ca.key", key_files.generate(), PASSPHRASE)
+    private_keys.write_private(home.path / "ca.key", private_keys.generate(), PASSPHRASE)
     operations = operations_of(home, lambda _: None)
     with pytest.raises(IssueRefused):
         operations.unlock(PASSPHRASE, 60, "a test")
@@ -58,16 +62,14 @@ def test_a_line_that_is_not_written_is_a_refusal(
 
 
 async def test_codes_for_a_phone_are_made_where_there_is_a_console(home: AuthorityHome) -> None:
-    callers: list[Caller] = []
+    callers: list[AuditedCaller] = []
 
-    def make(caller: Caller) -> str:
+    def make(caller: AuditedCaller) -> str:
         callers.append(caller)
         return "a code"
 
     for phone_code in (make, None):
-        process = KeyServiceProcess(
-            home, operations_of(home, lambda _: None), admit_all, phone_code
-        )
+        process = KeyServiceProcess(home, operations_of(home, lambda _: None), admit_all, phone_code)
         await process.start()
         client = await asyncio.to_thread(KeyServiceClient.find, home.path)
         assert client is not None
@@ -98,10 +100,7 @@ class Clocked:
 
 @pytest.mark.parametrize("is_full", [False, True])
 async def test_the_key_is_dropped_when_its_time_is_over(
-    home: AuthorityHome,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    is_full: bool,
+    home: AuthorityHome, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, is_full: bool
 ) -> None:
     monkeypatch.setattr(module, "TICK", 0.01)
     clocked = Clocked(home)

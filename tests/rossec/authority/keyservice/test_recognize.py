@@ -6,23 +6,28 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.authority import Authority, create_root
-from ca.certificates import build_request
-from ca.cose import Profile
-from ca.domains.cards import Card, sign_card
-from ca.domains.lists import DomainList, sign_domains
+from ca.certificates import PROFILE as RENEWAL
+from ca.certificates import build_intermediate_request
+from ca.domains.trust import Card, DomainList, sign_card, sign_domains
 from ca.encoding import encode
-from ca.intermediates import build_intermediate_request
-from ca.renewal import PROFILE as RENEWAL
-from ca.revocation.lists import MAX_ENTRIES, TIMESTAMP_PROFILE, RevocationList, sign_list
-from ca.revocation.tree import RevocationTree, sign_tree
-from ca.store.log_entries import Head, sign_head
-from ca.things.statement import sign_statement
+from ca.keys.signing import Profile
+from ca.revocation.lists import (
+    MAX_ENTRIES,
+    TIMESTAMP_PROFILE,
+    RevocationList,
+    RevocationTree,
+    sign_list,
+    sign_tree,
+)
+from ca.store.values import Head, sign_head
+from ca.svid import build_request
+from ca.things.constrained_nodes import sign_statement
 from grants import document
 from grants.model import Draft, Permission, Right
 from grants.renewal import TICKET, Delegation, sign_delegation
 from grants.request import REQUEST
-from rossec.authority.keyservice import recognize
-from rossec.authority.keyservice.recognize import kind_of
+from rossec.authority.keyservice import messages
+from rossec.authority.keyservice.messages import kind_of
 from rossec.errors import SigningRefused
 from tests.support.pki import new_signer
 from tests.vectors.make_things import STATEMENTS
@@ -30,7 +35,7 @@ from tests.vectors.make_things import STATEMENTS
 NOW = 1_800_000_000
 SIGNER = new_signer()
 ROOT = Authority(SIGNER, create_root(SIGNER, "home", now=NOW, serial=7))
-OWNER = recognize.Authority(ROOT.anchor.subject, "home")
+OWNER = messages.ServedAuthority(ROOT.anchor.subject, "home")
 
 
 class Recorder:
@@ -62,9 +67,15 @@ def intermediate(recorder: Recorder) -> None:
 
 def grant(recorder: Recorder) -> None:
     draft = Draft(
-        domain="home", subject="/robot", holder=b"h" * 32, not_before=NOW, expires=NOW + 60,
-        cap=NOW + 60, serial=b"s" * 16, permissions=(Permission("/p", Right.PUBLISH),),
-    )  # fmt: skip
+        domain="home",
+        subject="/robot",
+        holder=b"h" * 32,
+        not_before=NOW,
+        expires=NOW + 60,
+        cap=NOW + 60,
+        serial=b"s" * 16,
+        permissions=(Permission("/p", Right.PUBLISH),),
+    )
     document.sign(recorder, draft)
 
 
@@ -135,8 +146,7 @@ def test_what_others_sign_is_refused(profile: Profile) -> None:
 
 
 @pytest.mark.parametrize(
-    "message",
-    [b"", b"0", b"\x84", b"a challenge of another protocol", encode(["Signature1", b"", b"", b""])],
+    "message", [b"", b"0", b"\x84", b"a challenge of another protocol", encode(["Signature1", b"", b"", b""])]
 )
 def test_other_bytes_are_refused(message: bytes) -> None:
     with pytest.raises(SigningRefused, match="nothing that an authority signs"):
@@ -145,11 +155,11 @@ def test_other_bytes_are_refused(message: bytes) -> None:
 
 def test_more_than_any_statement_is_refused_unread() -> None:
     with pytest.raises(SigningRefused, match="more than any statement"):
-        kind_of(bytes(recognize.MAX_MESSAGE + 1), OWNER)
+        kind_of(bytes(messages.MAX_MESSAGE + 1), OWNER)
 
 
 def test_a_certificate_of_another_domain_is_refused() -> None:
     recorder = Recorder()
     certificate(recorder)
     with pytest.raises(SigningRefused):
-        kind_of(recorder.message, recognize.Authority(ROOT.anchor.subject, "garden"))
+        kind_of(recorder.message, messages.ServedAuthority(ROOT.anchor.subject, "garden"))

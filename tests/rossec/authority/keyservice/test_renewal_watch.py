@@ -10,8 +10,8 @@ from typing import Any, cast
 import pytest
 
 from ca.encoding import Value
-from rossec.authority.keyservice import renewal_watch as module
-from rossec.authority.keyservice.renewal_watch import RenewalWatch
+from rossec.authority.keyservice import network as module
+from rossec.authority.keyservice.network import RenewalWatch
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.errors import KeyServiceRefused
 from rossec.ros.names import SETTLE_RENEWALS, WATCH_RENEWALS

@@ -1,4 +1,4 @@
-"""Rounds of the service: every so often, at once when woken, and always all tasks."""
+"""Scheduler of the service: every so often, at once when woken, and always all tasks."""
 
 import asyncio
 import threading
@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from rossec.authority.keyservice import rounds as module
-from rossec.authority.keyservice.rounds import Rounds
+from rossec.authority.keyservice import network as module
+from rossec.authority.keyservice.network import Scheduler
 from tests.support.witness import until
 
 
@@ -23,7 +23,7 @@ async def ended(running: "asyncio.Future[None]") -> None:
 async def test_rounds_go_on_and_tasks_keep_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "ROUND", 0.01)
     done: list[str] = []
-    rounds = Rounds(in_thread)
+    rounds = Scheduler(in_thread)
     rounds.add(lambda: done.append("last"))
     rounds.add(lambda: done.append("first"), first=True)
     running = asyncio.ensure_future(rounds.run())
@@ -39,7 +39,7 @@ async def test_a_reason_begins_a_round_at_once_also_during_another() -> None:
         begun.release()
         go_on.acquire(timeout=10)
 
-    rounds = Rounds(in_thread)
+    rounds = Scheduler(in_thread)
     rounds.wake()  # nothing runs yet: the first round comes anyhow
     rounds.add(task)
     running = asyncio.ensure_future(rounds.run())
@@ -54,11 +54,9 @@ async def test_a_reason_begins_a_round_at_once_also_during_another() -> None:
     await ended(running)
 
 
-async def test_a_task_that_crashes_keeps_no_other_from_being_done(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_task_that_crashes_keeps_no_other_from_being_done(caplog: pytest.LogCaptureFixture) -> None:
     done: list[int] = []
-    rounds = Rounds(in_thread)
+    rounds = Scheduler(in_thread)
     rounds.add(lambda: done.append(1 // 0))
     rounds.add(lambda: done.append(1))
     running = asyncio.ensure_future(rounds.run())
@@ -70,7 +68,7 @@ async def test_a_task_that_crashes_keeps_no_other_from_being_done(
 
 
 def test_waking_after_the_end_does_nothing() -> None:
-    rounds = Rounds(in_thread)
+    rounds = Scheduler(in_thread)
 
     async def run() -> None:
         await ended(asyncio.ensure_future(rounds.run()))

@@ -9,17 +9,16 @@ import pytest
 
 from ca.encoding import Value
 from rossec.authority.keyservice import messages
-from rossec.authority.keyservice import server as module
-from rossec.authority.keyservice.caller import Caller
-from rossec.authority.keyservice.messages import Request, write_request
-from rossec.authority.keyservice.server import KeyServer, SocketRules
+from rossec.authority.keyservice import process as module
+from rossec.authority.keyservice.messages import ServiceRequest, write_request
+from rossec.authority.keyservice.process import AuditedCaller, KeyServer, SocketRules
 from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefused, PeerUserRefused
-from rossec.net.host.peeruid import UnixPeer
+from rossec.host.local_sockets import UnixPeer
 
-STATUS = write_request(Request("status"))
+STATUS = write_request(ServiceRequest("status"))
 
 
-async def carry_out(request: Request, caller: Caller) -> Value:
+async def carry_out(request: ServiceRequest, caller: AuditedCaller) -> Value:
     if request.operation == "lock":
         raise KeyServiceRefused("not now", "later")
     if request.operation == "sign":
@@ -67,7 +66,7 @@ async def test_requests_of_one_connection_are_answered_in_order(path: Path) -> N
 
 async def test_a_refusal_does_not_end_the_connection(path: Path) -> None:
     reader, writer = await asyncio.open_unix_connection(path)
-    writer.write(write_request(Request("lock")) + STATUS)
+    writer.write(write_request(ServiceRequest("lock")) + STATUS)
     with pytest.raises(KeyServiceRefused, match="not now"):
         await answer(reader)
     assert await answer(reader)
@@ -77,13 +76,15 @@ async def test_a_refusal_does_not_end_the_connection(path: Path) -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        b"\0\0\0\1\xff", b"\0\0\0\0", b"\xff\xff\xff\xff", b"GET / HTTP/1.0\r\n\r\n",
-        messages.frame([1, "format"]), messages.frame([9, "status"]),
+        b"\0\0\0\1\xff",
+        b"\0\0\0\0",
+        b"\xff\xff\xff\xff",
+        b"GET / HTTP/1.0\r\n\r\n",
+        messages.frame([1, "format"]),
+        messages.frame([9, "status"]),
     ],
-)  # fmt: skip
-async def test_what_is_malformed_is_refused_and_ends_the_connection(
-    path: Path, data: bytes
-) -> None:
+)
+async def test_what_is_malformed_is_refused_and_ends_the_connection(path: Path, data: bytes) -> None:
     reader, writer = await asyncio.open_unix_connection(path)
     writer.write(data)
     with pytest.raises(KeyMessageRefused):
@@ -95,14 +96,12 @@ async def test_what_is_malformed_is_refused_and_ends_the_connection(
 
 async def test_a_crash_ends_one_connection(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(asyncio.IncompleteReadError):
-        await exchange(path, write_request(Request("sign", (b"x",))))
+        await exchange(path, write_request(ServiceRequest("sign", (b"x",))))
     assert "a connection to the service ended" in caplog.text
     assert await exchange(path, STATUS)
 
 
-async def test_a_slow_or_silent_caller_is_dropped(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_slow_or_silent_caller_is_dropped(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "DEADLINE", 0.05)
     monkeypatch.setattr(module, "IDLE", 0.05)
     for beginning in (b"", STATUS[:1], STATUS[:-1]):
@@ -112,9 +111,7 @@ async def test_a_slow_or_silent_caller_is_dropped(
         writer.close()
 
 
-async def test_one_who_reads_no_answers_is_dropped(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_one_who_reads_no_answers_is_dropped(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "DEADLINE", 0.2)
     _, writer = await asyncio.open_unix_connection(path, limit=1)
     data = STATUS * 1000
@@ -150,7 +147,7 @@ async def test_callers_are_bounded(tmp_path: Path) -> None:
 
 
 async def test_rules_say_what_a_request_is_and_how_long(tmp_path: Path) -> None:
-    def read_request(body: bytes) -> Request:
+    def read_request(body: bytes) -> ServiceRequest:
         return messages.read_request(body, {"nodes": ()})
 
     path = tmp_path / "x.sock"

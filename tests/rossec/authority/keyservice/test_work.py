@@ -7,20 +7,26 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import from_pem
-from ca.enrollment.invitation import InvitationCode
-from ca.enrollment.join_authority import AuthorityJoin, LiveIdentity
-from ca.enrollment.join_claim import JoinClaim
-from ca.enrollment.join_messages import Issued, Refused, RefuseReason, Waiting, WaitReason, read
-from ca.enrollment.join_node import NodeJoin
-from ca.enrollment.join_request import JoinRequest
+from ca.enrollment.invitation import InvitationCode, JoinClaim, JoinRequest
+from ca.enrollment.join import (
+    AuthorityJoin,
+    Issued,
+    LiveIdentity,
+    NodeJoin,
+    RefusedMessage,
+    RefuseReason,
+    WaitingMessage,
+    WaitReason,
+    read,
+)
 from ca.errors import EnrollmentMessageRefused, StoreError
+from rossec.authority.grant_operations import PolicyWork
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
 from rossec.authority.keyservice.operations import KeyOperations
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.keyservice.work import AuthorityWork
-from rossec.authority.master_call import MasterCall
-from rossec.authority.service import AuthorityService
+from rossec.authority.session import StatementCall
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
 from tests.support.domains import foreign
@@ -50,7 +56,7 @@ class Working:
         self.operations.unlock(SECRET, 0, "a test")
         self.work = AuthorityWork(root, self.operations, self.deliver, None, lambda: self.now)
 
-    def deliver(self, call: MasterCall) -> object:
+    def deliver(self, call: StatementCall) -> object:
         if not self.reachable or call.method == "rossec.revocationStanding":  # an older master
             raise NotDelivered("no master", call.hint)
         self.calls.append(call.method)
@@ -108,7 +114,7 @@ def test_a_claim_is_answered_for_an_invitation_that_is_proved(working: Working) 
     claim = JoinClaim.from_bytes(working.claim(code, b"<node/>"))
     assert working.work.allowed_pattern(claim) == "/fleet/*"
     forged = replace(claim, metadata=b"<other/>")
-    assert working.work.allowed_pattern(forged) == Refused(RefuseReason.REFUSED)
+    assert working.work.allowed_pattern(forged) == RefusedMessage(RefuseReason.REFUSED)
     request = JoinRequest.from_bytes(working.request(code))
     assert not working.work.was_issued(request)
     working.work.join(request.to_bytes())
@@ -120,11 +126,9 @@ def test_what_is_no_request_changes_nothing(working: Working) -> None:
     with pytest.raises(EnrollmentMessageRefused):
         working.work.join(b"x" * 10)
     request = JoinRequest.from_bytes(working.request(working.invite()))
-    forged = JoinRequest(
-        request.invitation, b"t" * 32, request.name, request.csr, request.proof
-    ).to_bytes()
+    forged = JoinRequest(request.invitation, b"t" * 32, request.name, request.csr, request.proof).to_bytes()
     answer, name = working.work.join(forged)
-    assert (read(answer), name) == (Refused(RefuseReason.REFUSED), None)
+    assert (read(answer), name) == (RefusedMessage(RefuseReason.REFUSED), None)
     assert len(working.audit) == lines, "nothing was signed"
 
 
@@ -132,7 +136,7 @@ def test_joins_wait_while_it_is_locked(working: Working) -> None:
     request = working.request(working.invite())
     working.operations.held.lock()
     answer, name = working.work.join(request)
-    assert (read(answer), name) == (Waiting(WaitReason.LOCKED), None)
+    assert (read(answer), name) == (WaitingMessage(WaitReason.LOCKED), None)
     working.operations.unlock(SECRET, 0, "a test")
     assert working.work.join(request)[1] == "/fleet/a"
 
@@ -204,17 +208,13 @@ def test_grants_are_renewed_at_two_thirds(working: Working) -> None:
     assert working.grants() == 2
 
 
-def test_a_policy_that_cannot_be_used_is_logged(
-    working: Working, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_policy_that_cannot_be_used_is_logged(working: Working, caplog: pytest.LogCaptureFixture) -> None:
     working.work.apply()
     assert "the policy is not applied: " in caplog.text
     assert working.grants() == 0
 
 
-def test_while_it_is_locked_nothing_is_tried(
-    working: Working, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_while_it_is_locked_nothing_is_tried(working: Working, caplog: pytest.LogCaptureFixture) -> None:
     working.operations.held.lock()
     working.work.apply()
     working.work.maintain()
@@ -230,9 +230,7 @@ def test_its_own_identity_and_list_are_renewed_long_before_they_expire(working: 
     assert any(line.endswith(", for its own maintenance") for line in working.audit)
 
 
-def test_a_master_out_of_reach_is_tried_again(
-    working: Working, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_master_out_of_reach_is_tried_again(working: Working, caplog: pytest.LogCaptureFixture) -> None:
     (working.home.path / "policy.yaml").write_text(POLICY)
     working.work.join(working.request(working.invite()))
     working.reachable = False
@@ -274,7 +272,7 @@ def test_a_policy_that_could_not_be_applied_is_tried_in_the_next_round(
         raise StoreError("another command uses the record", "try again")
 
     with monkeypatch.context() as patch:
-        patch.setattr(AuthorityService, "plan_policy", busy)
+        patch.setattr(PolicyWork, "plan", busy)
         working.work.apply_if_changed()
     assert working.grants() == 0
     working.work.apply_if_changed()
@@ -314,9 +312,7 @@ def test_a_round_plans_only_when_something_changed_or_may_be_due(
     assert len(rounds) == 4
 
 
-def test_a_round_while_it_is_locked_is_made_up_for(
-    working: Working, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_round_while_it_is_locked_is_made_up_for(working: Working, monkeypatch: pytest.MonkeyPatch) -> None:
     (working.home.path / "policy.yaml").write_text(POLICY)
     working.work.join(working.request(working.invite()))
     working.operations.held.lock()
@@ -327,9 +323,7 @@ def test_a_round_while_it_is_locked_is_made_up_for(
     assert working.grants() == 1
 
 
-def test_a_round_without_a_policy_is_logged(
-    working: Working, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_round_without_a_policy_is_logged(working: Working, caplog: pytest.LogCaptureFixture) -> None:
     working.work.apply_if_changed()
     assert "the policy is not applied: " in caplog.text
 

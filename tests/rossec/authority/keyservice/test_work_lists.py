@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from ca.revocation.state import open_statement
-from rossec.authority.master_call import MasterCall
+from ca.revocation.trust_status import open_statement
+from rossec.authority.session import StatementCall
 from tests.rossec.authority.keyservice.test_work import Working
 
 LIST = "rossec.updateRevocations"
@@ -14,7 +14,7 @@ class Telling(Working):
 
     has_list = True
 
-    def deliver(self, call: MasterCall) -> object:
+    def deliver(self, call: StatementCall) -> object:
         if call.method != "rossec.revocationStanding":
             return super().deliver(call)
         newest = open_statement(self.home.revocation_list(), self.home.own_key())

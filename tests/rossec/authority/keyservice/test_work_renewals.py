@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ca.certificates import build_request
-from ca.renewal import sign_renewal
+from ca.certificates import sign_renewal
+from ca.svid import build_request
 from rossec.home import NodeHome
 from tests.rossec.authority.keyservice.test_work import DAY, NOW, SECRET, Working
 
@@ -48,7 +48,4 @@ def test_a_request_that_crashes_holds_no_other_back(
 
     monkeypatch.setattr("rossec.authority.renewals.renew_recorded", renew)
     given = working.work.renew_identities([b"poison", b"good", b"full", b"later"])
-    assert [(bundle, bool(reason)) for _, bundle, reason in given] == [
-        (b"", True),
-        (b"bundle", False),
-    ]
+    assert [(bundle, bool(reason)) for _, bundle, reason in given] == [(b"", True), (b"bundle", False)]

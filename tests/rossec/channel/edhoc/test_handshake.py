@@ -10,9 +10,8 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X
 
 from ca.encoding import Value, decode_sequence, encode
 from ca.errors import CAError
-from rossec.channel.edhoc.handshake import Initiator, Responder, WrongSuite
+from rossec.channel.edhoc.handshake import EdhocConfig, Initiator, Responder, WrongSuite
 from rossec.channel.edhoc.messages import Message1, decode_bytes, decode_message_1, decode_plaintext
-from rossec.channel.edhoc.peer import EdhocConfig
 from rossec.channel.edhoc.suites import SUITES
 from rossec.errors import HandshakeFailed, IdentityRefused
 from tests.support.wire import ALICE, BOB, NOW, FakeIdentity, dice, node, trust
@@ -49,6 +48,7 @@ class TraceCredential:
         self.certificate = value(f"CRED_{who} (Raw Value)")
         self.public_key = self._key.public_key()
         self.identity = TraceIdentity(self.public_key)
+        self.signer = self.current = self
 
     def sign(self, message: bytes) -> bytes:
         return self._key.sign(message)
@@ -57,13 +57,11 @@ class TraceCredential:
 def trace_config(own: str, secret: str) -> EdhocConfig[TraceIdentity]:
     credentials = [TraceCredential("I"), TraceCredential("R")]
     return EdhocConfig(
-        TraceCredential(own),
+        TraceCredential(own),  # type: ignore[arg-type]  # names no chain
         lambda chain, _: next(c.identity for c in credentials if c.certificate == chain[0]),
         lambda _: value(secret),
         suites=(0,),
-        find_chain=lambda id_cred: next(
-            (c.certificate,) for c in credentials if c.id_cred == id_cred
-        ),
+        find_chain=lambda id_cred: next((c.certificate,) for c in credentials if c.id_cred == id_cred),
         c_i=value("Connection identifier chosen by Initiator / C_I (Raw"),
         c_r=value("Connection identifier chosen by Responder / C_R (Raw"),
     )

@@ -1,7 +1,7 @@
 import pytest
 
-from rossec.channel.edhoc import known
-from rossec.channel.edhoc.known import KnownCertificates, reference
+from rossec.channel.edhoc import credentials
+from rossec.channel.edhoc.credentials import KnownCertificates, reference
 from rossec.errors import HandshakeFailed, PeerCredentialUnknown
 
 CHAIN = (b"certificate", b"intermediate")
@@ -17,16 +17,14 @@ def test_a_reference_finds_a_cached_chain() -> None:
     assert memory.find({33: b"by value"}) == (b"by value",)
 
 
-@pytest.mark.parametrize(
-    "bad", [{34: [-16, bytes(32)]}, {34: b"x" * 8}, {34: [-15, b""], 1: 1}, {}]
-)
+@pytest.mark.parametrize("bad", [{34: [-16, bytes(32)]}, {34: b"x" * 8}, {34: [-15, b""], 1: 1}, {}])
 def test_other_references_are_refused(bad: dict[int | str, object]) -> None:
     with pytest.raises(HandshakeFailed):
         KnownCertificates().find(bad)  # type: ignore[arg-type]  # a narrower map is a Value
 
 
 def test_a_hash_that_two_certificates_share_finds_neither(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(known, "_short", lambda _: bytes(8))
+    monkeypatch.setattr(credentials, "_short", lambda _: bytes(8))
     memory = KnownCertificates()
     for chain in (CHAIN, (b"other",), CHAIN):
         memory.remember(chain)

@@ -3,9 +3,8 @@
 import dataclasses
 import gc
 
-from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.edhoc.own_dials import OwnDials
-from rossec.channel.states import Authenticated
+from rossec.channel.edhoc.credentials import KnownCertificates, OwnDials
+from rossec.channel.negotiation import Authenticated
 from rossec.errors import IdentityRefused, PeerRefused
 from tests.support.wire import ALICE, BOB, FakeIdentity, Wire, alice, bob, wire
 
@@ -76,8 +75,8 @@ def test_a_repeated_message_1_changes_nothing() -> None:
     caller = alice(own_dials=dials)
     flight = bytes(caller.data_to_send())
     first, second = bob(credentials=ALICE, own_dials=dials), bob(credentials=ALICE, own_dials=dials)
-    second._negotiation._edhoc._config = dataclasses.replace(
-        second._negotiation._edhoc._config, random=lambda size: b"\5" * size
+    second._negotiation._edhoc.config = dataclasses.replace(
+        second._negotiation._edhoc.config, random=lambda size: b"\5" * size
     )
     first.receive_data(flight, 0)
     second.receive_data(flight, 0)

@@ -10,8 +10,9 @@ from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials
+from rossec.channel.edhoc.handshake import EdhocConfig
 from rossec.channel.edhoc.suites import HYBRID, POST_QUANTUM, PRODUCTION, SUITES
-from rossec.channel.states import ConnectionState
+from rossec.channel.negotiation import ConnectionState
 from rossec.errors import HandshakeFailed
 from tests.support.wire import NOT_AFTER, NOW, dice
 
@@ -68,9 +69,7 @@ def test_a_signature_is_of_the_suites_kind_and_the_message() -> None:
     eddsa = edwards.sign(b"message")
     SUITES[6].verify(p256.public_key(), es256, b"message")
     SUITES[4].verify(edwards.public_key(), eddsa, b"message")
-    for number, key, signature in (
-        (6, p256.public_key(), es256), (4, edwards.public_key(), eddsa),
-    ):  # fmt: skip
+    for number, key, signature in ((6, p256.public_key(), es256), (4, edwards.public_key(), eddsa)):
         with pytest.raises(HandshakeFailed, match="signature does not verify"):
             SUITES[number].verify(key, signature, b"another message")
     for wrong in (edwards.public_key(), other.public_key()):
@@ -125,12 +124,10 @@ def verify(chain: tuple[bytes, ...], _: int) -> EdwardsPeer:
 
 
 def test_suite_4_from_the_opening_to_a_record() -> None:
-    left = Connection[EdwardsPeer].initiator(
-        edwards("a").credentials, verify, random=dice("a"), now=NOW, suites=(4,)
-    )
-    right = Connection[EdwardsPeer].responder(
-        edwards("b").credentials, verify, random=dice("b"), now=NOW, suites=(4,)
-    )
+    ours = EdhocConfig(edwards("a").credentials, verify, dice("a"), suites=(4,))
+    theirs = EdhocConfig(edwards("b").credentials, verify, dice("b"), suites=(4,))
+    left = Connection[EdwardsPeer].initiator(ours, now=NOW)
+    right = Connection[EdwardsPeer].responder(theirs, now=NOW)
     for _ in range(2):
         right.receive_data(left.data_to_send(), NOW)
         left.receive_data(right.data_to_send(), NOW)

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from ca.keys.publickey import thumbprint
-from ca.things.credentials import read_ccs
+from ca.keys.signing import thumbprint
+from ca.things.constrained_nodes import read_ccs
 from rossec.home import NodeHome
-from rossec.saved_things import ThingFiles
+from rossec.saved_statements import ThingFiles
 from tests.support.commands import Shell, refused
 
 

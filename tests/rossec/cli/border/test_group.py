@@ -5,14 +5,9 @@ import sys
 import click
 import pytest
 
-from rossec.cli.border import serve, show_demo
-from rossec.cli.border.group import border
-from tests.rossec.cli.tables import check_table
+from rossec.cli import demo
+from rossec.cli.border import serve
 from tests.support.commands import Shell, refused
-
-
-def test_each_verb_exists_and_has_this_help_line() -> None:
-    check_table(border)
 
 
 def test_options_of_the_router_do_not_stand_before_a_verb(empty: Shell) -> None:
@@ -33,7 +28,7 @@ def test_without_a_verb_it_runs(empty: Shell, monkeypatch: pytest.MonkeyPatch) -
 
 def test_the_demonstration(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[click.Context] = []
-    monkeypatch.setattr(show_demo, "show_demo", shown.append)
+    monkeypatch.setattr(demo, "show_border_demo", shown.append)
     assert empty("border", "--demo").code == 0
     assert len(shown) == 1
 

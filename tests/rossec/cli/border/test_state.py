@@ -7,12 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from ca.things.credentials import ThingKey, ThingSecret
-from ca.things.statement import ThingStatement, sign_statement
+from ca.things.constrained_nodes import ThingKey, ThingSecret, ThingStatement, sign_statement
 from rossec import clock
-from rossec.border import status
+from rossec.border import border_router
 from rossec.home import NodeHome
-from rossec.saved_things import ThingFiles
+from rossec.saved_statements import ThingFiles
 from tests.support.commands import Shell, refused
 from tests.support.pki import new_signer
 from tests.support.site import Site
@@ -26,13 +25,21 @@ def router(empty: Shell) -> Shell:
     home = site.enroll("/border")
     files, now = ThingFiles(home), site.now()
     lamp = ThingStatement(
-        "home", LAMP, ThingKey.of(new_signer().public_key, b"\x2b"),
-        home.identity(now).thumbprint, now - 60, now + 600, bytes(16),
-    )  # fmt: skip
+        "home",
+        LAMP,
+        ThingKey.of(new_signer().public_key, b"\x2b"),
+        home.identity(now).thumbprint,
+        now - 60,
+        now + 600,
+        bytes(16),
+    )
     fan = replace(
-        lamp, name="/things/fan", not_before=0, expires=now - 1,
+        lamp,
+        name="/things/fan",
+        not_before=0,
+        expires=now - 1,
         credential=ThingSecret.of(files.create_secret("/things/fan"), b"\x07"),
-    )  # fmt: skip
+    )
     for each in (lamp, fan):
         files.install(sign_statement(site.authority.signer, each))
     return empty
@@ -44,8 +51,9 @@ def test_the_things_are_listed(router: Shell) -> None:
     assert lines[1].startswith("/things/lamp  key 2b  until ")
     found = json.loads(router("border", "list", "--json").out)["things"]
     assert [(each["name"], each["kind"], each["kid"]) for each in found] == [
-        ("/things/fan", "psk", "07"), (LAMP, "edhoc", "2b"),
-    ]  # fmt: skip
+        ("/things/fan", "psk", "07"),
+        (LAMP, "edhoc", "2b"),
+    ]
 
 
 def test_a_file_that_is_no_statement_is_named(router: Shell) -> None:
@@ -67,15 +75,21 @@ def test_a_thing_is_forgotten(router: Shell) -> None:
 
 def test_what_a_running_router_does(router: Shell) -> None:
     refused(router("border", "status"), "no border router runs here", "rossec border")
-    there = {"there": True, "offered": 1, "resources": 2, "received": 9, "refused": 1,
-             "over_rate": 3}  # fmt: skip
-    status.write(router.node("/border"), {
-        "at": clock.now(), "address": ["::", 5683],
-        "counts": {"datagrams": 20, "refused": 2, "over_budget": 0, "handshakes": 1,
-                   "derivations": 2},
-        "things": {LAMP: there, "/a": {**there, "there": False}, "/b": {"there": True},
-                   "/c": {"there": False}},
-    })  # fmt: skip
+    there = {"there": True, "offered": 1, "resources": 2, "received": 9, "refused": 1, "over_rate": 3}
+    border_router.write_status(
+        router.node("/border"),
+        {
+            "at": clock.now(),
+            "address": ["::", 5683],
+            "counts": {"datagrams": 20, "refused": 2, "over_budget": 0, "handshakes": 1, "derivations": 2},
+            "things": {
+                LAMP: there,
+                "/a": {**there, "there": False},
+                "/b": {"there": True},
+                "/c": {"there": False},
+            },
+        },
+    )
     lines = router("border", "status").out.splitlines()
     assert lines == [
         "at :: port 5683: 3 times a thing came, 2 of 20 datagrams refused",
@@ -91,8 +105,8 @@ def test_it_needs_an_identity_and_for_some_the_extra(
     empty: Shell, router: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     refused(router("border", "list", "--as", "/attic"), "/attic has no ca.pem")
-    monkeypatch.setitem(sys.modules, "rossec.border.status", None)
-    monkeypatch.delattr("rossec.border.status", raising=False)
+    monkeypatch.setitem(sys.modules, "rossec.border.border_router", None)
+    monkeypatch.delattr("rossec.border.border_router", raising=False)
     refused(router("border", "status"), "not installed", "rossec[constrained]")
 
 

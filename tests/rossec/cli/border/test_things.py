@@ -4,10 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from ca.things.credentials import ThingKey, ThingSecret, read_description
-from ca.things.secret_codes import parse_secret
+from ca.things.constrained_nodes import ThingKey, ThingSecret, parse_secret, read_description
 from rossec.home import NodeHome
-from rossec.saved_things import ThingFiles
+from rossec.saved_statements import ThingFiles
 from tests.support.commands import Shell, refused
 from tests.support.pki import new_signer
 
@@ -76,14 +75,13 @@ def test_a_secret_is_shown_once(router: Shell) -> None:
 def test_what_does_not_fit_is_refused(router: Shell) -> None:
     refused(router("border", "add", LAMP), "a key or a secret", "--key FILE or --psk")
     refused(router("border", "add", LAMP, "--psk", "--key", "lamp.ccs"), "a key or a secret")
-    refused(
-        router("border", "add", LAMP, "--key", "lamp.ccs", "--secret-out", "x"), "has no secret"
-    )
+    refused(router("border", "add", LAMP, "--key", "lamp.ccs", "--secret-out", "x"), "has no secret")
     refused(router("border", "add", "/relay", "--key", "lamp.ccs"), "cannot be the name of a thing")
     refused(
         router("border", "add", LAMP, "--key", "lamp.ccs", "--as", "/attic"),
-        "/attic has no ca.pem", "rossec node request /attic",
-    )  # fmt: skip
+        "/attic has no ca.pem",
+        "rossec node request /attic",
+    )
     Path("there").write_text("")
     said = router("border", "add", LAMP, "--psk", "--secret-out", "there")
     refused(said, "there exists and is not overwritten")
@@ -103,14 +101,10 @@ def test_the_identity_must_be_of_the_same_authority(router: Shell, tmp_path: Pat
     there("ca", "init", "home", "--passphrase-file", str(there.secret))
     there.enroll(LAMP)
     bundle = str(there.node(LAMP) / "node.pem")
-    refused(
-        router("border", "install", "things.lamp.thing", bundle), "another authority than that of"
-    )
+    refused(router("border", "install", "things.lamp.thing", bundle), "another authority than that of")
 
 
 def test_a_secret_that_nobody_got_is_made_anew(router: Shell) -> None:
-    refused(
-        router("border", "add", LAMP, "--psk", "--secret-out", "nowhere/lamp.secret"), "nowhere"
-    )
+    refused(router("border", "add", LAMP, "--psk", "--secret-out", "nowhere/lamp.secret"), "nowhere")
     assert not list(files(router).path.glob("things.lamp.*"))
     assert router("border", "add", LAMP, "--psk", "--secret-out", "lamp.secret").code == 0

@@ -1,6 +1,6 @@
 """What the authority of a test has recorded."""
 
-from ca.revocation.state import open_list
+from ca.revocation.lists import open_list
 from rossec.authority.home import AuthorityHome
 from tests.support.commands import Shell
 

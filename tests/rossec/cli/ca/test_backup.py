@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.revocation.tree import is_tree
+from ca.revocation.lists import is_tree
 from rossec.authority.backup import Restored
 from rossec.authority.home import AuthorityHome
 from rossec.cli.ca.backup import _say_what_differs
@@ -75,9 +75,7 @@ def test_a_node_that_joined_after_the_backup_is_known_again(shell: Shell, tmp_pa
     assert len(AuthorityHome.at(shell.root).store().revoked_entries()) == 1
 
 
-def test_what_is_no_file_of_an_authority_is_left_out_and_named(
-    shell: Shell, tmp_path: Path
-) -> None:
+def test_what_is_no_file_of_an_authority_is_left_out_and_named(shell: Shell, tmp_path: Path) -> None:
     (shell.root / "ca" / "notes.txt").write_text("where the key is")
     said = shell.unlocked("ca", "backup", str(tmp_path / "backup"))
     assert "left out, as it is no file of an authority: notes.txt" in said.err
@@ -88,22 +86,16 @@ def test_the_two_words_about_the_list_exclude_each_other(shell: Shell, tmp_path:
     assert shell.unlocked("ca", "restore", str(tmp_path / "x"), *given).code == 2
 
 
-def test_what_differs_after_a_restore_is_said(
-    shell: Shell, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_differs_after_a_restore_is_said(shell: Shell, capsys: pytest.CaptureFixture[str]) -> None:
     home = AuthorityHome.at(shell.root)
     _say_what_differs(
-        Restored(
-            home,
-            3,
-            0,
-            ended_domains=2,
-            ended_phones=1,
-            policy="of the backup",
-            left_out=("notes.txt",),
-        )
+        Restored(home, 3, 0, ended_domains=2, ended_phones=1, policy="of the backup", left_out=("notes.txt",))
     )
     said = capsys.readouterr().err
-    for part in ("not a file that a backup has: notes.txt", "the policy is that of the backup",
-                 "no phone can approve", "2 domains are trusted no more"):  # fmt: skip
+    for part in (
+        "not a file that a backup has: notes.txt",
+        "the policy is that of the backup",
+        "no phone can approve",
+        "2 domains are trusted no more",
+    ):
         assert part in said

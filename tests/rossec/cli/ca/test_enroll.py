@@ -5,7 +5,7 @@ import pytest
 
 from ca.certificates import from_pem
 from ca.enrollment import qr
-from ca.store.lifecycle import RequestState
+from ca.store.values import RequestState
 from rossec.authority.home import AuthorityHome
 from tests.support.commands import Said, Shell, refused
 from tests.support.enrolling import Robot, WaitingRobot
@@ -56,9 +56,7 @@ def test_the_projected_grants_are_shown(shell: Shell) -> None:
     assert "  the policy has no rule for it: deny" in other.out
 
 
-def test_a_code_is_read_from_a_picture(
-    shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_code_is_read_from_a_picture(shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with WaitingRobot(Robot()) as robot:
         (tmp_path / "photo.png").write_bytes(qr.png(robot.code))
         image = ("ca", "enroll", "--yes", "--image")

@@ -1,16 +1,4 @@
-import click
-import pytest
-
-from rossec.cli.ca.group import ca, intermediate, invitations, log
-from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
-
-
-@pytest.mark.parametrize(
-    "group", [ca, intermediate, invitations, log], ids=lambda group: group.name
-)
-def test_each_listed_command_exists_and_has_this_help_line(group: click.Command) -> None:
-    check_table(group)
 
 
 def test_the_log_is_shown_by_its_group_and_checked_by_a_verb(shell: Shell) -> None:

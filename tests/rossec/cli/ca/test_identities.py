@@ -101,8 +101,9 @@ def test_an_identity_that_is_over_comes_back_with_its_key(
     assert "/stolen" not in said.err
     refused(
         shell.unlocked("ca", "renew", "/robot"),
-        "the identity of /robot ended on 20", "rossec ca renew --expired /robot",
-    )  # fmt: skip
+        "the identity of /robot ended on 20",
+        "rossec ca renew --expired /robot",
+    )
     assert shell.unlocked("ca", "renew", "--expired", "/robot").code == 0
     after = NodeHome.of(shell.root, "/robot").identity(late)
     assert after.thumbprint == before.thumbprint
@@ -111,9 +112,7 @@ def test_an_identity_that_is_over_comes_back_with_its_key(
     refused(shell.unlocked("ca", "renew", "--expired", "/nobody"), "has no valid identity here")
 
 
-def test_the_authoritys_own_node_is_renewed_in_place(
-    shell: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_authoritys_own_node_is_renewed_in_place(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     before = AuthorityHome.at(shell.root).node().identity(int(time.time()))
     said = shell.unlocked("ca", "renew", "/ca")
     assert said.out.startswith("renewed /ca until 20")
@@ -126,21 +125,20 @@ def test_an_unknown_name_or_an_intermediate_is_not_renewed(shell: Shell) -> None
     refused(shell.unlocked("ca", "renew", "/nobody"), "/nobody has no valid identity here")
     refused(
         shell.unlocked("ca", "renew", "intermediate/0123"),
-        "is an intermediate", "rossec ca intermediate sign",
-    )  # fmt: skip
+        "is an intermediate",
+        "rossec ca intermediate sign",
+    )
 
 
 def test_an_expired_own_node_is_reported_and_renewed_by_refresh(
     shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     late = int(time.time()) + OWN_LIFETIME + 86400
-    for module in ("rossec.cli.ca.revocation", "rossec.cli.shared.service"):
+    for module in ("rossec.cli.ca.identities", "rossec.cli.shared.service"):
         monkeypatch.setattr(f"{module}.now", lambda: late)
     unlocked = AuthorityHome.at(shell.root).unlock(shell.secret.read_text().strip())
     unlocked.sign_list(late)
-    refused(
-        shell("ca", "publish", *NOBODY), "the identity of /ca has expired", "rossec ca renew /ca"
-    )
+    refused(shell("ca", "publish", *NOBODY), "the identity of /ca has expired", "rossec ca renew /ca")
     said = shell.unlocked("ca", "refresh", *NOBODY)
     assert said.out.startswith("renewed /ca until 20")
     refused(said, "did not take the list", code=3)

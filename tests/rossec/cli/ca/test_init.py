@@ -42,7 +42,5 @@ def test_a_master_that_is_there_already_stops_it_before_anything_is_made(empty: 
 
 
 def test_a_key_in_a_token_is_named_by_its_uri(empty: Shell) -> None:
-    refused(
-        empty.unlocked("ca", "init", "home", "--key", "file:x"), "does not name a key in a token"
-    )
+    refused(empty.unlocked("ca", "init", "home", "--key", "file:x"), "does not name a key in a token")
     assert not (empty.root / "ca").exists()

@@ -81,9 +81,7 @@ def test_signing_shows_what_the_intermediate_may_do(shell: Shell, host: Shell) -
 
 def test_a_pending_request_is_not_overwritten(shell: Shell, host: Shell) -> None:
     request = ("ca", "intermediate", "request", "home")
-    refused(
-        shell.unlocked(*request), "there is an authority in", "on another host, there: ROSSEC_HOME="
-    )
+    refused(shell.unlocked(*request), "there is an authority in", "on another host, there: ROSSEC_HOME=")
     assert host.unlocked(*request).code == 0
     refused(host("ca", "list"), "there is no authority")
     refused(host.unlocked(*request), "exists and is not overwritten")
@@ -94,9 +92,7 @@ def test_only_a_matching_bundle_is_installed(
 ) -> None:
     installed(shell, host)
     install = ("ca", "intermediate", "install")
-    refused(
-        host.unlocked(*install, str(shell.root / "ca" / "ca.pem")), "a bundle of 1 certificates"
-    )
+    refused(host.unlocked(*install, str(shell.root / "ca" / "ca.pem")), "a bundle of 1 certificates")
     other = Shell(tmp_path / "other", capsys)
     assert other.unlocked("ca", "init", "home").code == 0
     strange = other.root / "host.csr"

@@ -55,8 +55,7 @@ def test_an_invitation_is_ended_without_the_key(shell: Shell) -> None:
         assert said.out == f"invitation {short} is ended\n"
         assert "1 joined by it and stay enrolled; to revoke them: --and-nodes" in said.err
         refused(
-            shell("node", "join", "--file", str(shell.root / "code"), "--name", "/fleet/b"),
-            "was revoked",
+            shell("node", "join", "--file", str(shell.root / "code"), "--name", "/fleet/b"), "was revoked"
         )
     assert shell("ca", "invitations").out == "no open invitations\n"
     [row] = json.loads(shell("ca", "invitations", "--all", "--json").out)

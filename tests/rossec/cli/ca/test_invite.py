@@ -2,7 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from ca.enrollment import invitation, ndef
+from ca.enrollment import invitation
+from ca.enrollment import invitation as ndef
 from rossec.authority.home import AuthorityHome
 from tests.support.commands import Shell, refused
 from tests.support.keyservice import running_service

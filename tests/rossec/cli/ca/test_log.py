@@ -3,10 +3,11 @@ import json
 import sqlite3
 from contextlib import closing
 
-from ca.revocation.merkle import verify_consistency, verify_inclusion
-from ca.store.log_entries import open_head
+from ca.revocation.merkle import verify_inclusion
+from ca.store.values import open_head
 from rossec.authority.home import AuthorityHome
 from tests.support.commands import Shell, refused
+from tests.support.consistency import verify_consistency
 
 NOBODY = ("--master", "http://127.0.0.1:1")
 
@@ -15,9 +16,7 @@ def test_the_log_shows_every_entry(shell: Shell) -> None:
     shell.enroll("/robot")
     entries = json.loads(shell("ca", "log", "--json").out)
     assert [entry["number"] for entry in entries] == list(range(len(entries)))
-    assert [entry["what"] for entry in entries[-4:]] == [
-        "pending", "approved", "issued", "certificate"
-    ]  # fmt: skip
+    assert [entry["what"] for entry in entries[-4:]] == ["pending", "approved", "issued", "certificate"]
     lines = shell("ca", "log").out.splitlines()
     assert len(lines) == len(entries)
     assert lines[-1].startswith(f"{len(entries) - 1}  20")

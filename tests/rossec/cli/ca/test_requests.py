@@ -58,9 +58,7 @@ def test_a_denied_request_is_closed(shell: Shell) -> None:
     assert shell("ca", "deny", request_id, "--reason", "unknown").out == "denied /robot\n"
     refused(shell.unlocked("ca", "approve", request_id), "is denied", "new request")
     (row,) = [
-        row
-        for row in json.loads(shell("ca", "requests", "--all", "--json").out)
-        if row["name"] == "/robot"
+        row for row in json.loads(shell("ca", "requests", "--all", "--json").out) if row["name"] == "/robot"
     ]
     assert (row["state"], row["reason"]) == ("denied", "unknown")
 
@@ -83,9 +81,7 @@ def test_another_key_needs_replace_key(shell: Shell) -> None:
     refused(said, "did not take the list", "rossec ca publish", code=3)
 
 
-def test_the_master_gets_the_revocation_of_a_replaced_key(
-    shell: Shell, monkeypatch: object
-) -> None:
+def test_the_master_gets_the_revocation_of_a_replaced_key(shell: Shell, monkeypatch: object) -> None:
     shell.enroll("/robot")
     shell.node("/robot").rename(shell.root / "lost")
     request_id = asked(shell)

@@ -5,9 +5,9 @@ import pytest
 
 from rossec import clock
 from rossec.authority.home import OWN_LIFETIME, AuthorityHome
-from rossec.authority.service import AuthorityService
+from rossec.authority.service import Identities
 from rossec.home import NodeHome
-from rossec.master.server.start import master_of
+from rossec.master.server.server import master_of
 from tests.rossec.cli.ca.record import key_of, listed
 from tests.support.commands import Shell, refused
 
@@ -53,9 +53,7 @@ def test_an_anonymous_node_is_revoked_with_its_identity(shell: Shell) -> None:
     request = str(shell.node("/rviz") / "node.csr")
     shell.unlocked("ca", "sign", request, "--yes", "--anonymous")
     revoke = ("ca", "revoke", "/rviz_17", "--master", "http://127.0.0.1:1")
-    refused(
-        shell.unlocked(*revoke), "/rviz_17 has no valid", "nodes of /rviz: revoking that revokes"
-    )
+    refused(shell.unlocked(*revoke), "/rviz_17 has no valid", "nodes of /rviz: revoking that revokes")
 
 
 def test_a_revocation_in_no_list_is_signed_before_it_is_delivered(shell: Shell) -> None:
@@ -66,18 +64,14 @@ def test_a_revocation_in_no_list_is_signed_before_it_is_delivered(shell: Shell) 
     assert AuthorityHome.at(shell.root).count_unlisted(clock.now()) == 0
 
 
-def test_the_authoritys_own_node_is_renewed_when_due(
-    shell: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_authoritys_own_node_is_renewed_when_due(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     due = clock.now() + OWN_LIFETIME * 3 // 4
     monkeypatch.setattr(clock, "now", lambda: due)
     said = shell.unlocked("ca", "refresh", "--master", "http://127.0.0.1:1")
     assert said.out.splitlines()[0].startswith("renewed /ca until ")
 
 
-async def test_a_master_takes_the_newest_list(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+async def test_a_master_takes_the_newest_list(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shell = Shell(tmp_path / "home", capsys)
     shell.unlocked("ca", "init", "home")
     shell.enroll("/master")
@@ -115,16 +109,14 @@ def test_several_are_revoked_and_one_that_cannot_be_stops_none(shell: Shell) -> 
     assert listed(shell) == {key_of(shell, "/robot"), key_of(shell, "/lamp")}
     pem = ("--certificate", str(shell.node("/robot") / "node.pem"))
     assert shell.unlocked("ca", "revoke", "/robot", "/lamp", *pem).code == 2
-    refused(
-        shell.unlocked("ca", "revoke", "/robot", *pem), "/robot is a node of this domain", "LABEL:"
-    )
+    refused(shell.unlocked("ca", "revoke", "/robot", *pem), "/robot is a node of this domain", "LABEL:")
 
 
 def test_keys_that_an_intermediate_may_have_certified_are_spoken_of(
     shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shell.enroll("/robot")
-    monkeypatch.setattr(AuthorityService, "intermediates", lambda _: ["intermediate:0123"])
+    monkeypatch.setattr(Identities, "intermediates", lambda _: ["intermediate:0123"])
     said = shell.unlocked(*REVOKE)
     assert "intermediate:0123 may have certified other keys for /robot" in said.err
     assert "or revoke intermediate:0123" in said.err

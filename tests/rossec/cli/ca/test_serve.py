@@ -14,10 +14,9 @@ import pytest
 
 from rossec.authority.console.client import ConsoleClient
 from rossec.authority.home import AUDIT_FILE, AuthorityHome
-from rossec.authority.keyservice.client import KeyServiceClient
-from rossec.authority.keyservice.lock import service_lock
+from rossec.authority.keyservice.client import KeyServiceClient, service_lock
 from rossec.cli.ca import serve as module
-from rossec.operation.audit import read_entries, verify
+from rossec.host.audit import read_entries, verify
 from tests.support.commands import Said, Shell, refused
 from tests.support.ports import free_port
 
@@ -29,10 +28,7 @@ def _unprotected(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def serve(
-    shell: Shell,
-    *options: str,
-    network: bool = False,
-    meanwhile: Callable[[], None] = lambda: None,
+    shell: Shell, *options: str, network: bool = False, meanwhile: Callable[[], None] = lambda: None
 ) -> Said:
     """Run the service, `meanwhile` in a thread, and end it with SIGTERM if it runs."""
     ended = threading.Event()
@@ -93,9 +89,7 @@ def test_it_holds_the_key_until_it_is_ended(shell: Shell) -> None:
 def test_it_says_for_programs_that_it_is_ready(shell: Shell) -> None:
     said = serve(shell, "--json", "--unlock-for", "0")
     path, console = (str(shell.root / "ca" / f"{name}.sock") for name in ("service", "console"))
-    assert json.loads(said.out) == {
-        "ready": path, "console": console, "remaining": 0, "join_port": None,
-    }  # fmt: skip
+    assert json.loads(said.out) == {"ready": path, "console": console, "remaining": 0, "join_port": None}
 
 
 def test_the_console_of_another_user_has_a_socket_elsewhere(shell: Shell) -> None:
@@ -129,23 +123,23 @@ def test_the_console_of_another_user_has_a_socket_elsewhere(shell: Shell) -> Non
         (("--console-user", "no such"), "there is no user 'no such'", "--console-user"),
         (
             ("--console-user", "nobody", "--console-socket", "/no/such/x.sock"),
-            "/no/such: No such file", "make it",
+            "/no/such: No such file",
+            "make it",
         ),
         (
             ("--console-user", "nobody", "--console-socket", "/tmp/x.sock"),
-            "another user could replace the socket in /tmp", "a directory of your own",
+            "another user could replace the socket in /tmp",
+            "a directory of your own",
         ),
     ],
-)  # fmt: skip
+)
 def test_a_place_where_the_console_cannot_be_is_refused(
     shell: Shell, options: tuple[str, ...], message: str, hint: str
 ) -> None:
     refused(serve(shell, *options), message, hint)
 
 
-def test_it_starts_locked_without_a_passphrase(
-    shell: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_starts_locked_without_a_passphrase(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     forms = list[str]()
     monkeypatch.setattr(module, "log_as_json", lambda: forms.append("json"))
     said = serve(shell, "--locked", "--log", "json")

@@ -37,16 +37,7 @@ def test_another_key_for_a_known_name_needs_replace_key(shell: Shell) -> None:
     request = str(shell.node("/robot") / "node.csr")
     refused(shell.unlocked("ca", "sign", request, "--yes"), "another key", "--replace-key /robot")
     old = key_of(shell, "/robot")
-    sign = (
-        "ca",
-        "sign",
-        request,
-        "--yes",
-        "--replace-key",
-        "/robot",
-        "--master",
-        "http://127.0.0.1:1",
-    )
+    sign = ("ca", "sign", request, "--yes", "--replace-key", "/robot", "--master", "http://127.0.0.1:1")
     said = shell.unlocked(*sign)
     assert said.out.endswith("node.pem\nthe replaced key is revoked\n")
     refused(said, "did not take the list", "rossec ca publish", code=3)
@@ -130,9 +121,7 @@ def test_a_wildcard_request_needs_the_anonymous_option(shell: Shell) -> None:
     sign = ("ca", "sign", request, "--yes")
     refused(shell.unlocked(*sign), "asks for all names that begin with /rviz_", "--anonymous")
     signed = shell.unlocked(*sign, "--anonymous")
-    assert (
-        "it may run as any number of nodes, under every name that begins with /rviz_" in signed.out
-    )
+    assert "it may run as any number of nodes, under every name that begins with /rviz_" in signed.out
     assert "one key and the same grants, and are revoked together" in signed.out
     assert shell("node", "install", str(shell.node("/rviz") / "node.pem"), "--yes").code == 0
     assert "also for anonymous nodes, /rviz_*" in shell("node", "show", "/rviz").out

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment import qr
-from ca.things.credentials import ThingKey
-from ca.things.statement import peek_statement
+from ca.things.constrained_nodes import ThingKey, peek_statement
 from tests.rossec.cli.ca.record import key_of, listed
 from tests.support.commands import Shell, refused
 from tests.support.pki import new_signer
@@ -48,9 +47,8 @@ def test_a_thing_is_stated_and_installed_at_its_router(bench: Bench) -> None:
     assert shell("ca", "things").out == "no things\n"
     code = qr.label_code(bench.lamp.read_bytes())
     said = bench.shell.unlocked(
-        "ca", "thing", LAMP, "--border", "/border", "--key", str(bench.lamp),
-        "--code", code, "--yes", *FAR,
-    )  # fmt: skip
+        "ca", "thing", LAMP, "--border", "/border", "--key", str(bench.lamp), "--code", code, "--yes", *FAR
+    )
     assert said.code == 0, said
     assert "/things/lamp at the border router /border" in said.out
     assert "kid 2b" in said.out
@@ -75,9 +73,20 @@ def test_the_identity_is_signed_in_the_same_step(bench: Bench) -> None:
     shell("border", "add", LAMP, "--key", str(bench.lamp))
     request = shell.node(LAMP) / "node.csr"
     said = shell.unlocked(
-        "ca", "thing", LAMP, "--border", "/border", "--key", str(bench.lamp), "--yes",
-        "--request", str(request), "--out", "lamp.thing", *FAR,
-    )  # fmt: skip
+        "ca",
+        "thing",
+        LAMP,
+        "--border",
+        "/border",
+        "--key",
+        str(bench.lamp),
+        "--yes",
+        "--request",
+        str(request),
+        "--out",
+        "lamp.thing",
+        *FAR,
+    )
     assert "and an identity for its node" in said.out
     assert shell("node", "show", LAMP).code == 0
     assert (shell.root / "lamp.thing").exists()
@@ -91,9 +100,18 @@ def test_elsewhere_it_is_written_to_files(bench: Bench) -> None:
     for name in (LAMP, "/border"):
         shell.node(name).rename(shell.root / name.replace("/", "_"))
     said = shell.unlocked(
-        "ca", "thing", LAMP, "--border", "/border", "--key", str(bench.lamp), "--yes",
-        "--request", str(request), *FAR,
-    )  # fmt: skip
+        "ca",
+        "thing",
+        LAMP,
+        "--border",
+        "/border",
+        "--key",
+        str(bench.lamp),
+        "--yes",
+        "--request",
+        str(request),
+        *FAR,
+    )
     bundle = request.with_name("lamp.pem")
     assert f"rossec border install things.lamp.thing {bundle}\n" in said.out
     assert bundle.exists()
@@ -114,8 +132,9 @@ def test_a_renamed_thing_and_its_former_name(bench: Bench) -> None:
     shell.unlocked("ca", "thing", LAMP, *order)
     refused(
         shell.unlocked("ca", "thing", "/things/light", *order),
-        "this key is that of /things/lamp", "--replace /things/lamp",
-    )  # fmt: skip
+        "this key is that of /things/lamp",
+        "--replace /things/lamp",
+    )
     said = shell.unlocked("ca", "thing", "/things/light", *order, "--replace", LAMP)
     assert "what it replaces is revoked (1 entry)" in said.out
     assert said.code == 3  # no master took the list
@@ -128,30 +147,23 @@ def test_a_renamed_thing_and_its_former_name(bench: Bench) -> None:
 
 def test_a_thing_is_revoked(bench: Bench) -> None:
     shell = bench.shell
-    shell.unlocked(
-        "ca", "thing", LAMP, "--border", "/border", "--key", str(bench.lamp), "--yes", *FAR
-    )
+    shell.unlocked("ca", "thing", LAMP, "--border", "/border", "--key", str(bench.lamp), "--yes", *FAR)
     said = shell.unlocked("ca", "revoke", "--thing", LAMP, *FAR)
     assert said.out == "revoked the thing /things/lamp, 1 statement (list 2)\n"
     refused(said, "did not take the list", "rossec ca publish", code=3)
-    refused(
-        shell.unlocked("ca", "revoke", "--thing", LAMP), "no statement about a thing", "ca things"
-    )
+    refused(shell.unlocked("ca", "revoke", "--thing", LAMP), "no statement about a thing", "ca things")
     assert [each["state"] for each in bench.state()] == ["revoked"]
 
 
 def test_a_renewal(bench: Bench) -> None:
     shell = bench.shell
     shell.unlocked(
-        "ca", "thing", LAMP, "--border", "/border", "--key", str(bench.lamp), "--for", "1d",
-        "--yes", *FAR,
-    )  # fmt: skip
+        "ca", "thing", LAMP, "--border", "/border", "--key", str(bench.lamp), "--for", "1d", "--yes", *FAR
+    )
     said = shell.unlocked("ca", "thing", LAMP, "--renew", "--for", "90d")
     assert said.code == 0, said
     assert [each["state"] for each in bench.state()] == ["renewed", "in force"]
-    refused(
-        shell.unlocked("ca", "thing", LAMP, "--renew", "--border", "/border"), "takes nothing new"
-    )
+    refused(shell.unlocked("ca", "thing", LAMP, "--renew", "--border", "/border"), "takes nothing new")
     refused(shell.unlocked("ca", "thing", "/things/fan", "--renew"), "there is no thing")
 
 
@@ -160,22 +172,23 @@ def test_what_is_missing_is_said(bench: Bench) -> None:
     refused(shell.unlocked("ca", "thing", LAMP), "which border router", "--border NAME")
     refused(
         shell.unlocked("ca", "thing", LAMP, "--border", "/border"),
-        "a key or a secret", "--key FILE, --psk FILE or --renew",
-    )  # fmt: skip
+        "a key or a secret",
+        "--key FILE, --psk FILE or --renew",
+    )
     secret = shell.root / "secret"
     secret.write_bytes(bytes(16))
     refused(
         shell.unlocked("ca", "thing", LAMP, "--border", "/border", "--psk", str(secret)),
-        "not a description of a secret", "not the secret",
-    )  # fmt: skip
+        "not a description of a secret",
+        "not the secret",
+    )
     refused(
         shell.unlocked("ca", "thing", LAMP, "--border", "/border", "--key", str(secret)),
         "not a credential of a thing",
-    )  # fmt: skip
+    )
     refused(
-        shell.unlocked(
-            "ca", "thing", LAMP, "--border", "/attic", "--key", str(bench.lamp), "--yes"
-        ),
-        "/attic has no valid identity", "rossec node request /attic",
-    )  # fmt: skip
+        shell.unlocked("ca", "thing", LAMP, "--border", "/attic", "--key", str(bench.lamp), "--yes"),
+        "/attic has no valid identity",
+        "rossec node request /attic",
+    )
     assert bench.state() == []

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.authority.home import AuthorityHome
-from rossec.authority.token_modules import FILE
+from rossec.authority.home import FILE, AuthorityHome
 from tests.support.commands import Shell, refused
 from tests.support.token import MODULE, PIN, softhsm
 
@@ -39,7 +38,7 @@ def test_the_whole_life_of_an_authority(token: Shell, tmp_path: Path) -> None:
     assert elsewhere.unlocked(*anew, "--pkcs11-module", MODULE).code == 0
     assert elsewhere.unlocked("ca", "refresh", *NOBODY).code == 3
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("ca.keys.hsm.TokenSigner.open", None)  # nothing but `init` makes keys
+        patched.setattr("ca.keys.private_keys.TokenSigner.open", None)  # nothing but `init` makes keys
         refused(token.unlocked("ca", "init", "home", "--key", URI), "there is an authority")
 
 

@@ -32,9 +32,7 @@ def test_without_an_authority_it_says_so(empty: Shell) -> None:
         refused(empty("ca", verb), "there is no authority", "rossec ca init")
 
 
-def test_commands_need_no_passphrase_while_it_is_unlocked(
-    shell: Shell, service: RunningService
-) -> None:
+def test_commands_need_no_passphrase_while_it_is_unlocked(shell: Shell, service: RunningService) -> None:
     assert "unlocked for 1h" in shell.unlocked("ca", "unlock", "--for", "1h").out
     assert shell("ca", "refresh").code in {0, 3}
     assert service.audit[-1].startswith("signs a head of the log")

@@ -29,9 +29,7 @@ def test_tab_runs_the_program_that_printed_the_script(tmp_path: Path) -> None:
     assert f"'{link}'" in done.stdout
 
 
-def test_a_module_is_run_as_the_program_on_the_path(
-    empty: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_module_is_run_as_the_program_on_the_path(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.argv", ["/x/rossec/__main__.py"])
     assert "bash_complete rossec <" in empty("completion", "bash").out
     monkeypatch.setattr("sys.argv", ["/nowhere/rossec"])

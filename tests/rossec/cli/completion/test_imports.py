@@ -11,10 +11,25 @@ from rossec.cli.main import rossec
 from tests.rossec.cli.tables import all_commands
 
 FORBIDDEN: Final = (
-    "asyncio", "ca.store", "cbor2", "cryptography", "grants", "http", "multiprocessing", "numpy",
-    "rosbags", "rossec.authority", "rossec.channel", "rossec.net", "ruamel", "select", "socket",
-    "ssl", "subprocess", "urllib.request",
-)  # fmt: skip
+    "asyncio",
+    "ca.store",
+    "cbor2",
+    "cryptography",
+    "grants",
+    "http",
+    "multiprocessing",
+    "numpy",
+    "rosbags",
+    "rossec.authority",
+    "rossec.channel",
+    "rossec.net",
+    "ruamel",
+    "select",
+    "socket",
+    "ssl",
+    "subprocess",
+    "urllib.request",
+)
 PROGRAM: Final = """
 import json, sys
 held = set(sys.modules)
@@ -42,9 +57,13 @@ def lines() -> list[str]:
 
 def completed(home: Path, asked: list[str]) -> tuple[int, list[str]]:
     done = subprocess.run(
-        [sys.executable, "-I", "-c", PROGRAM, str(home)], env={},  # no coverage, which imports more
-        input=json.dumps(asked), capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        [sys.executable, "-I", "-c", PROGRAM, str(home)],
+        env={},  # no coverage, which imports more
+        input=json.dumps(asked),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     count, modules = json.loads(done.stdout)
     return count, modules
 

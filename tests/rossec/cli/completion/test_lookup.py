@@ -4,8 +4,7 @@ import click
 import pytest
 from click.shell_completion import ShellComplete
 
-from rossec.cli.completion.lookup import completed
-from rossec.cli.completion.outline_table import OutlineTable
+from rossec.cli.completion.shells import OutlineTable, completed
 from rossec.cli.shared.context import Environment
 
 
@@ -52,11 +51,11 @@ def test_a_command_that_is_known_is_not_imported(tmp_path: Path, home: Path) -> 
 
 def test_a_group_is_completed_as_it_is(tmp_path: Path) -> None:
     group = click.Group("ca")
-    assert completed("ca", "ca.group:ca", lambda: group, table(tmp_path)) is group
+    assert completed("ca", "nouns:ca", lambda: group, table(tmp_path)) is group
 
 
 def test_a_program_is_looked_up_by_the_shell(tmp_path: Path, home: Path) -> None:
-    command = completed("run", "node.run:run", lambda: hz, table(tmp_path))
+    command = completed("run", "node.sidecar:run", lambda: hz, table(tmp_path))
     assert offered(command, home, "./") == [("", "file")]
 
 
@@ -64,8 +63,3 @@ def test_a_home_that_others_could_have_written_gives_nothing(tmp_path: Path, hom
     home.chmod(0o777)
     command = completed("hz", "grant.sign:sign", lambda: hz, table(tmp_path))
     assert offered(command, home, "") == []
-
-
-def test_the_table_of_this_tree_is_used_by_default(home: Path) -> None:
-    command = completed("hz", "no.such:place", lambda: click.Group("x"))
-    assert isinstance(command, click.Group)

@@ -5,7 +5,7 @@ import click
 import pytest
 from click.shell_completion import CompletionItem, ShellComplete
 
-from rossec.cli.completion.outline import command_of, outline_of
+from rossec.cli.completion.values import command_of, outline_of
 
 
 @click.command(context_settings={"allow_interspersed_args": False})
@@ -25,9 +25,7 @@ def example(**_values: object) -> None:
 def again() -> click.Command:
     outline = json.loads(json.dumps(outline_of(example)))
     values = [
-        (lambda context, param, typed, each=each: [f"{each['name']}1"])
-        if each.get("text")
-        else None
+        (lambda context, param, typed, each=each: [f"{each['name']}1"]) if each.get("text") else None
         for each in outline["params"]
     ]
     return command_of("example", outline, values)
@@ -40,10 +38,19 @@ def completed(command: click.Command, *words: str) -> list[CompletionItem[str]]:
 @pytest.mark.parametrize(
     "words",
     [
-        ("-",), ("--",), ("--y",), ("a", "-"), ("--mode", ""), ("--mode=f",), ("--to", ""),
-        ("a", ""), ("--yes", "--"), ("-v", "--"), ("--pair", "1", "2", "--p"),
+        ("-",),
+        ("--",),
+        ("--y",),
+        ("a", "-"),
+        ("--mode", ""),
+        ("--mode=f",),
+        ("--to", ""),
+        ("a", ""),
+        ("--yes", "--"),
+        ("-v", "--"),
+        ("--pair", "1", "2", "--p"),
     ],
-)  # fmt: skip
+)
 def test_a_command_of_an_outline_is_completed_as_the_real_one(words: tuple[str, ...]) -> None:
     found = [(item.value, item.type) for item in completed(again(), *words)]
     assert sorted(found) == sorted((item.value, item.type) for item in completed(example, *words))

@@ -2,22 +2,24 @@ import json
 import os
 from pathlib import Path
 
+import click
 import pytest
 
-from rossec.cli.completion.outline import Outline
-from rossec.cli.completion.outline_table import OutlineTable
+from rossec.cli.completion.shells import OutlineTable
+from rossec.cli.completion.values import Outline
 
-OUTLINE: Outline = {"params": [], "interspersed": True, "unknown": False}
+OUTLINE: Outline = {"help": "Make it.", "params": [], "interspersed": True, "unknown": False}
+LINE: Outline = {"help": "Run it."}
 
 
 class Imports:
     """Counts how often a command had to be imported."""
 
-    def __init__(self, found: Outline | None = OUTLINE) -> None:
+    def __init__(self, found: click.Command | None = None) -> None:
         self.count = 0
-        self._found = found
+        self._found = found or click.Command("init", help="Make it. Now.")
 
-    def __call__(self) -> Outline | None:
+    def __call__(self) -> click.Command:
         self.count += 1
         return self._found
 
@@ -52,19 +54,19 @@ def test_a_changed_file_is_imported_again(tree: Path) -> None:
     assert imports.count == 3
 
 
-def test_a_group_is_not_kept(tree: Path) -> None:
-    imports = Imports(None)
-    assert table(tree).get("ca.group:ca", imports) is None
-    assert table(tree).get("ca.group:ca", imports) is None
-    assert imports.count == 2
+def test_of_a_group_its_help_line_is_kept(tree: Path) -> None:
+    imports = Imports(click.Group("ca", help="Run it. Now."))
+    for _ in range(2):
+        assert table(tree).get("nouns:ca", imports) == LINE
+    assert imports.count == 1
 
 
 def test_a_wheel_has_them_all_and_writes_nothing(tree: Path) -> None:
     (tree / "outlines.json").write_text(json.dumps({"outlines": {"ca.init:init": OUTLINE}}))
-    imports = Imports(None)
+    imports = Imports(click.Group("ca", help="Run it. Now."))
     assert table(tree).get("ca.init:init", imports) == OUTLINE
     assert imports.count == 0
-    assert table(tree).get("ca.group:ca", imports) is None
+    assert table(tree).get("nouns:ca", imports) == LINE
     assert not (tree / "__pycache__").exists()
 
 

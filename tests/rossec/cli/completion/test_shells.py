@@ -25,9 +25,7 @@ def home(tmp_path: Path) -> Path:
 
 
 def answer(home: Path, shell: str, line: str) -> list[str]:
-    environ = {
-        "ROSSEC_HOME": str(home), "_ROSSEC_COMPLETE": f"{shell}_complete", "COMP_LINE": line,
-    }  # fmt: skip
+    environ = {"ROSSEC_HOME": str(home), "_ROSSEC_COMPLETE": f"{shell}_complete", "COMP_LINE": line}
     return main.complete(environ).splitlines()
 
 
@@ -65,9 +63,11 @@ def test_an_unknown_shell_gets_nothing(home: Path) -> None:
 
 def test_scripts_of_click_are_answered_too(home: Path) -> None:
     environ = {
-        "ROSSEC_HOME": str(home), "_ROSSEC_COMPLETE": "bash_complete",
-        "COMP_WORDS": "rossec\nnode\nshow\n/robot2", "COMP_CWORD": "3",
-    }  # fmt: skip
+        "ROSSEC_HOME": str(home),
+        "_ROSSEC_COMPLETE": "bash_complete",
+        "COMP_WORDS": "rossec\nnode\nshow\n/robot2",
+        "COMP_CWORD": "3",
+    }
     assert main.complete(environ) == "plain,/robot2\n"
     assert main.complete({**environ, "COMP_CWORD": "1"}).startswith("plain,node")
 

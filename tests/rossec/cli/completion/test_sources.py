@@ -4,7 +4,7 @@ import pytest
 
 from ca.store.record import Store
 from grants.model import Right
-from rossec.cli.completion import seen
+from rossec.cli.completion import values
 from rossec.cli.completion.sources import RIGHTS, Sources
 from rossec.participant.message_types import type_names
 from tests.support.commands import Shell
@@ -41,9 +41,7 @@ def test_the_record_gives_what_is_valid_now(shell: Shell) -> None:
     assert granted[:8] in set(found.held_grants())
 
 
-@pytest.mark.parametrize(
-    "kind", ["domain", "grant request", "invitation", "phone", "request", "thing"]
-)
+@pytest.mark.parametrize("kind", ["domain", "grant request", "invitation", "phone", "request", "thing"])
 def test_every_kind_of_the_record_can_be_asked(shell: Shell, kind: str) -> None:
     assert list(sources(shell).recorded(kind)) == []
 
@@ -88,9 +86,9 @@ def test_the_policy_gives_names_and_no_patterns(shell: Shell) -> None:
 
 
 def test_the_last_look_counts_for_its_master(shell: Shell) -> None:
-    seen.keep(shell.root, "http://x:1", {seen.TOPIC: ["/scan"]})
-    assert list(sources(shell, ROS_MASTER_URI="http://x:1").seen(seen.TOPIC)) == ["/scan"]
-    assert list(sources(shell).seen(seen.TOPIC)) == []
+    values.keep(shell.root, "http://x:1", {values.TOPIC: ["/scan"]})
+    assert list(sources(shell, ROS_MASTER_URI="http://x:1").seen(values.TOPIC)) == ["/scan"]
+    assert list(sources(shell).seen(values.TOPIC)) == []
 
 
 def test_types_are_those_of_ros_packages(shell: Shell, tmp_path: Path) -> None:

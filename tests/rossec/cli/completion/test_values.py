@@ -3,11 +3,10 @@ from operator import methodcaller
 import click
 import pytest
 
-from rossec.cli.completion.outline import outline_of
 from rossec.cli.completion.sources import Sources
-from rossec.cli.completion.values import ARGUMENTS, FREE, KINDS, OPTIONS, kinds_of
+from rossec.cli.completion.values import ARGUMENTS, FREE, KINDS, OPTIONS, kinds_of, outline_of
 from rossec.cli.main import rossec
-from rossec.cli.shared.lazy import LazyCommand
+from rossec.cli.shared.context import LazyCommand
 from tests.rossec.cli.tables import all_commands
 
 LEAVES = {
@@ -50,16 +49,14 @@ def kinds(place: str) -> dict[str, str]:
 
 def test_arguments_and_options_get_theirs() -> None:
     found = kinds("ros.topic:echo")
-    assert [found[name] for name in ("name", "type_name", "--as")] == [
-        "topic", "message type", "own node",
-    ]  # fmt: skip
+    assert [found[name] for name in ("name", "type_name", "--as")] == ["topic", "message type", "own node"]
     assert found["--count"] == FREE
-    assert [kinds("relay.peers:add")[name] for name in ("label", "file")] == [FREE, FREE]
+    assert [kinds("relay.sites:add_relay")[name] for name in ("label", "file")] == [FREE, FREE]
 
 
 def test_an_option_may_mean_something_else_in_one_command() -> None:
-    assert kinds("federation.sites:add")["--as"] == FREE
-    assert kinds("ros.service:call")["--type"] == "service type"
+    assert kinds("relay.sites:add_site")["--as"] == FREE
+    assert kinds("ros.calls:call")["--type"] == "service type"
 
 
 def test_the_places_are_those_of_the_tables() -> None:

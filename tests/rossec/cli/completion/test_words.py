@@ -3,7 +3,7 @@ import re
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.cli.completion.words import MAX_WORDS, is_offered, offered
+from rossec.cli.completion.values import MAX_WORDS, is_offered, offered
 
 
 @given(st.text())

@@ -23,13 +23,16 @@ def test_every_approval_is_shown_with_what_came_of_it(empty: Shell) -> None:
     acts = approved(empty)
     lines = empty("console", "approvals").out.splitlines()
     assert [line.partition("Ann's phone  ")[2] for line in lines][::2] == [
-        "identity of /lamp: done (/lamp is enrolled)", "identity of /late: waiting",
-    ]  # fmt: skip
+        "identity of /lamp: done (/lamp is enrolled)",
+        "identity of /late: waiting",
+    ]
     assert "join code for 3 of /lamps/*: done (join code " in lines[1]
     found = json.loads(empty("console", "approvals", "--json").out)
     assert [(each["kind"], each["state"]) for each in found] == [
-        ("enroll", "done"), ("invitation", "done"), ("enroll", "waiting"),
-    ]  # fmt: skip
+        ("enroll", "done"),
+        ("invitation", "done"),
+        ("enroll", "waiting"),
+    ]
     assert found[0]["phone"] == "Ann's phone"
     assert found[0]["statement"] in acts.audit[1]
 

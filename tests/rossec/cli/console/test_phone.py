@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from ca.approvals.assertion import Passkey
+from ca.approvals.passkeys import Passkey
 from rossec.authority.home import AuthorityHome
-from rossec.cli.console import phone as module
-from rossec.console.address import write_address
+from rossec.cli.console import phones as module
+from rossec.console.listening import write_address
 from tests.support.commands import Shell, refused
 from tests.support.keyservice import running_service
 
@@ -51,12 +51,10 @@ def test_it_waits_until_a_phone_is_set_up(
     def add() -> None:
         time.sleep(0.3)
         store = home.store()
-        store.passkeys.add(
-            Passkey(b"id", "Anna's phone", b"key", bytes(16), "localhost", ORIGIN, b"", 1)
-        )
+        store.passkeys.add(Passkey(b"id", "Anna's phone", b"key", bytes(16), "localhost", ORIGIN, b"", 1))
         store.close()
 
-    monkeypatch.setattr(module, "LIFETIME", 20)
+    monkeypatch.setattr(module, "CODE_LIFETIME", 20)
     thread = threading.Thread(target=add)
     thread.start()
     said = shell("console", "phone")
@@ -67,7 +65,7 @@ def test_it_waits_until_a_phone_is_set_up(
 def test_a_code_that_is_over_is_told(
     shell: Shell, home: AuthorityHome, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "LIFETIME", 0.1)
+    monkeypatch.setattr(module, "CODE_LIFETIME", 0.1)
     assert shell("console", "phone").out.endswith("the code is over, and set up no phone\n")
 
 

@@ -21,8 +21,9 @@ def test_phones_are_shown_and_removed(empty: Shell) -> None:
     assert "has approved nothing  http://localhost:7411" in lines[1]
     found = json.loads(empty("console", "phones", "--json").out)
     assert [(each["name"], each["approved_last"]) for each in found] == [
-        ("Ann's phone", acts.now), ("Ben's phone", None),
-    ]  # fmt: skip
+        ("Ann's phone", acts.now),
+        ("Ben's phone", None),
+    ]
     acts.lock()
     waits = acts.enroll("/late")
     said = empty("console", "phones", "remove", "Ann's phone", "--reason", "lost")

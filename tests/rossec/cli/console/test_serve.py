@@ -12,7 +12,7 @@ import pytest
 
 from rossec.authority.home import AuthorityHome
 from rossec.cli.console import serve as module
-from rossec.console.address import NAME
+from rossec.console.listening import NAME
 from tests.support.commands import Said, Shell, refused
 from tests.support.keyservice import running_service
 from tests.support.ports import free_port
@@ -83,9 +83,7 @@ def test_without_an_authority_there_is_nothing_to_show(empty: Shell) -> None:
     refused(empty("console"), "there is no authority", "rossec ca init")
 
 
-def test_without_its_libraries_it_says_how_to_get_them(
-    shell: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_its_libraries_it_says_how_to_get_them(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "find_spec", lambda _: None)
     refused(shell("console"), "libraries that are not installed", "pip install 'rossec[console]'")
 

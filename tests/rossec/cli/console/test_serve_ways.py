@@ -15,8 +15,8 @@ from urllib.parse import urlencode, urlsplit
 import pytest
 
 from rossec.cli.console import serve
-from rossec.console.tls import fingerprint, store
-from rossec.console.tls.store import key_pem, open_authority
+from rossec.console.tls import certificates, own_authority
+from rossec.console.tls.certificates import key_pem, open_authority
 from tests.support.commands import Shell, refused
 from tests.support.console_tls import NAME, NOW, new_authority, new_key, pem
 from tests.support.consolecommand import console
@@ -58,7 +58,7 @@ def over_tls(port: int, root: bytes, name: str = NAME) -> http.client.HTTPSConne
 
 
 def authority_of(service: ServiceProcess) -> bytes:
-    return open_authority(service.directory / store.DIRECTORY).data
+    return open_authority(service.directory / certificates.DIRECTORY).data
 
 
 def test_on_the_network_a_phone_that_trusts_the_authority_gets_in(service: ServiceProcess) -> None:
@@ -67,7 +67,7 @@ def test_on_the_network_a_phone_that_trusts_the_authority_gets_in(service: Servi
         origin = f"https://{NAME}:{port}"
         root = authority_of(service)
         assert running.said["ready"] == origin
-        assert running.said["tls"]["words"] == fingerprint.in_words(root)
+        assert running.said["tls"]["words"] == own_authority.in_words(root)
         with closing(over_tls(port, pem(root))) as connection:
             answer = ask(connection, origin, "/login")
             assert answer.status == 200
@@ -86,7 +86,7 @@ def test_the_web_process_has_no_key_of_the_authority_for_browsers(service: Servi
     port = free_port()
     with console(service, "--lan", "--name", NAME, "--port", str(port)) as running:
         children = Path(f"/proc/{running.process.pid}/task/{running.process.pid}/children")
-        key = (service.directory / store.DIRECTORY / store.KEY).read_bytes()
+        key = (service.directory / certificates.DIRECTORY / certificates.KEY).read_bytes()
         for child in children.read_text().split():
             environ, command = (Path("/proc") / child / name for name in ("environ", "cmdline"))
             assert key not in environ.read_bytes() + command.read_bytes()
@@ -130,8 +130,11 @@ def test_the_terminal_tells_what_to_compare_and_where(service: ServiceProcess) -
     command = ["console", "--lan", "--name", NAME, "--port", str(port), "--hand-out", "--log=json"]
     process = subprocess.Popen(
         [sys.executable, "-I", "-m", "rossec", *command],
-        env=service.environ, text=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-    )  # fmt: skip
+        env=service.environ,
+        text=True,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+    )
     try:
         assert process.stdout is not None
         said = ""
@@ -144,7 +147,7 @@ def test_the_terminal_tells_what_to_compare_and_where(service: ServiceProcess) -
         assert process.wait(30) == 0
         assert process.stdout is not None
         process.stdout.close()
-    assert fingerprint.in_words(authority_of(service)) in said
+    assert own_authority.in_words(authority_of(service)) in said
     assert "http://rossec.local:7410/\n" in said
     assert "compare the fingerprint before you trust it" in said
     assert f"https://rossec.local:{port}/login#" in said
@@ -194,14 +197,16 @@ def test_behind_a_proxy_its_headers_decide_nothing(service: ServiceProcess, tmp_
             assert ask(connection, origin, "/login").status == 200
         forwarded = {"X-Forwarded-Host": "ca.example.org", "Forwarded": "host=ca.example.org"}
         with closing(ProxyConnection(path)) as connection:
-            assert (
-                ask(connection, "https://evil.example", "/login", None, **forwarded).status == 421
-            )
+            assert ask(connection, "https://evil.example", "/login", None, **forwarded).status == 421
         with closing(ProxyConnection(path)) as connection:
             answer = ask(
-                connection, origin, "/login", {"code": running.code},
-                Origin="https://evil.example", Forwarded="host=ca.example.org",
-            )  # fmt: skip
+                connection,
+                origin,
+                "/login",
+                {"code": running.code},
+                Origin="https://evil.example",
+                Forwarded="host=ca.example.org",
+            )
             assert answer.status == 403
         with closing(ProxyConnection(path)) as connection:
             assert ask(connection, origin, "/login", {"code": running.code}).status == 303
@@ -258,15 +263,21 @@ def test_a_screen_on_the_wall_has_nothing_but_looking(service: ServiceProcess) -
             answer = ask(connection, origin, "/", Cookie=cookie)
             assert answer.status == 200
             assert b'method="post"' not in answer.read()
-        for path in ("/prepare/grant", "/add", "/phones/link", "/login/new", "/login/phone",
-                     "/revoke/node//master", "/invite/AA/end", "/propose"):  # fmt: skip
+        for path in (
+            "/prepare/grant",
+            "/add",
+            "/phones/link",
+            "/login/new",
+            "/login/phone",
+            "/revoke/node//master",
+            "/invite/AA/end",
+            "/propose",
+        ):
             assert post(path, {"reason": "x"}, cookie) in {404, 405}
         assert not (service.directory / "console" / "address").exists()
 
 
-def test_phones_of_another_address_stop_the_start(
-    shell: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_phones_of_another_address_stop_the_start(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(serve, "_origins_of_phones", lambda _: {"http://localhost:7411"})
     refused(shell("console", "--port", "7412"), "cannot approve at http://localhost:7412")
     refused(shell("console", "--port", "7412", "--rename"), "the authority's service does not run")

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from rossec.cli.console import show_demo
+from rossec.cli import demo
 from rossec.demo.environment import DemoEnvironment, DemoFailed
-from rossec.demo.trying import WaitingNode
+from rossec.demo.steps import EnrollingNode
 from tests.support.commands import Shell, refused
 
 
@@ -30,19 +30,17 @@ def play(monkeypatch: pytest.MonkeyPatch, ends: bool) -> list[Path]:
         os.kill(os.getpid(), signal.SIGINT)
         await asyncio.Event().wait()
 
-    async def show_code(demo: DemoEnvironment) -> WaitingNode:
+    async def show_code(demo: DemoEnvironment) -> EnrollingNode:
         other = DemoEnvironment(demo.root / "fridge", demo.printer, {}, demo.run)
-        return WaitingNode("ROSSEC:CODE", other)
+        return EnrollingNode("ROSSEC:CODE", other)
 
-    monkeypatch.setattr(show_demo, "show_code", show_code)
-    monkeypatch.setattr(show_demo, "begin_story", begin_story)
+    monkeypatch.setattr(demo, "show_code", show_code)
+    monkeypatch.setattr(demo, "begin_story", begin_story)
     monkeypatch.setattr(DemoEnvironment, "until_one_ends", until_one_ends)
     return roots
 
 
-def test_it_prints_the_link_and_ends_with_ctrl_c(
-    empty: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_prints_the_link_and_ends_with_ctrl_c(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     roots = play(monkeypatch, ends=False)
     said = empty("console", "--demo", "--port", "7499")
     assert said.code == 0, said
@@ -65,9 +63,7 @@ def test_it_takes_a_port_and_nothing_else(empty: Shell) -> None:
     refused(empty("console", "--demo", "--read-only"), "--demo is for localhost", "--port")
 
 
-def test_a_port_in_use_is_said_before_the_story_begins(
-    empty: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_port_in_use_is_said_before_the_story_begins(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     roots = play(monkeypatch, ends=False)
     with socket.create_server(("127.0.0.1", 0)) as used:
         port = str(used.getsockname()[1])

@@ -3,8 +3,8 @@ import socket
 
 import pytest
 
-from rossec.console.tls import fingerprint
-from rossec.console.tls.store import KEY, open_authority
+from rossec.console.tls import own_authority
+from rossec.console.tls.certificates import KEY, open_authority
 from tests.support.commands import Shell, refused
 
 
@@ -18,7 +18,7 @@ def test_it_is_made_shown_and_made_anew(shell: Shell) -> None:
     directory = shell.root / "ca" / "console"
     authority = open_authority(directory)
     assert authority.name == "rossec.local"
-    assert fingerprint.in_words(authority.data) in first.out
+    assert own_authority.in_words(authority.data) in first.out
     assert "--hand-out" in first.out
     assert shell("console", "tls").out.splitlines() == first.out.splitlines()[:-1]
     assert "PRIVATE" not in first.out

@@ -10,12 +10,9 @@ from tests.support.commands import Shell
 
 @pytest.fixture
 def sites(
-    empty: Shell,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    empty: Shell, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> Neighbours:
     """Two authorities; the hospital's card is made."""
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     assert empty.unlocked("ca", "init", "home").code == 0
     return Neighbours(empty, tmp_path, capsys)

@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from ca.domains.anchors import Anchors
-from ca.domains.lists import DomainList
+from ca.domains.trust import Anchors, DomainList
 from rossec.authority.home import AuthorityHome
 from tests.support.commands import Said, Shell
 

@@ -11,8 +11,9 @@ from tests.support.commands import Shell, refused
 
 
 def test_a_card_is_shown_and_accepted(sites: Neighbours) -> None:
-    said = sites.accept("--admit", "/rounds/*", "--fresh", "90s", "--for", "30d",
-                        "--export", "/robot/** subscribe,call")  # fmt: skip
+    said = sites.accept(
+        "--admit", "/rounds/*", "--fresh", "90s", "--for", "30d", "--export", "/robot/** subscribe,call"
+    )
     refused_delivery = said.err.splitlines()
     assert f"  fingerprint {sites.fingerprint}" in said.out
     for line in (
@@ -63,9 +64,7 @@ def test_the_code_is_read_from_a_picture(sites: Neighbours, tmp_path: Path) -> N
     assert "the card that was meant" in sites.accept("--image", str(picture)).out
 
 
-def test_nothing_is_accepted_without_an_answer(
-    sites: Neighbours, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_accepted_without_an_answer(sites: Neighbours, monkeypatch: pytest.MonkeyPatch) -> None:
     accept = ("domain", "accept", str(sites.card), *NOBODY)
     for answer, message in (("", "there was no answer"), ("n\n", "nothing was done")):
         monkeypatch.setattr("sys.stdin", io.StringIO(answer))
@@ -88,9 +87,7 @@ def test_nothing_is_accepted_without_an_answer(
         (("--import", "a subscribe"), "not a name pattern", ""),
     ],
 )
-def test_terms_that_are_none(
-    sites: Neighbours, options: tuple[str, ...], error: str, hint: str
-) -> None:
+def test_terms_that_are_none(sites: Neighbours, options: tuple[str, ...], error: str, hint: str) -> None:
     refused(sites.accept(*options), error, hint)
     assert sites.home.domain_list() is None
 

@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.card_codes import check_code
-from ca.domains.cards import open_card
+from ca.domains.trust import open_card
+from ca.enrollment.qr import check_code
 from rossec import clock
 from tests.rossec.cli.domain.sites import Neighbours
 from tests.support.commands import Shell, refused

@@ -4,7 +4,7 @@ import secrets
 
 import pytest
 
-from ca.revocation.state import open_list
+from ca.revocation.lists import open_list
 from grants import document
 from grants.model import Draft, Permission, Right
 from rossec import clock
@@ -57,8 +57,10 @@ def test_a_removed_domain_is_listed_no_more(trusted: Neighbours) -> None:
     assert "rossec domain remove LABEL" in said.err
     refused(
         dataclasses.replace(said, err="\n".join(said.err.splitlines()[1:])),
-        "did not take the list of domains", "rossec ca publish", code=3,
-    )  # fmt: skip
+        "did not take the list of domains",
+        "rossec ca publish",
+        code=3,
+    )
     assert trusted.listed().domains == ()
     refused(trusted.change("remove", "hospital"), "no domain is called 'hospital'")
     assert trusted.shown()["reason"] == "the visit is over"
@@ -68,9 +70,15 @@ def give(sites: Neighbours) -> bytes:
     """Sign a grant for a node of the hospital; returns its id."""
     now, authority = clock.now(), sites.home.unlock(PASSPHRASE)
     draft = Draft(
-        "home", GUEST, b"k" * 32, now, now + 900, now + 900, secrets.token_bytes(16),
+        "home",
+        GUEST,
+        b"k" * 32,
+        now,
+        now + 900,
+        now + 900,
+        secrets.token_bytes(16),
         (Permission("/a", Right.SUBSCRIBE),),
-    )  # fmt: skip
+    )
     data = authority.issue_grant(draft, now)
     authority.store.close()
     return document.grant_id(data)

@@ -5,16 +5,15 @@ import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-from ca.domains.lists import DomainList, open_domains
+from ca.domains.trust import DomainList, open_domains
 from rossec.authority.home import AuthorityHome
-from rossec.authority.master_call import MasterCall
 from rossec.authority.service import AuthorityService
-from rossec.cli.domain.delivery import publish_domains
+from rossec.authority.session import StatementCall
+from rossec.cli.domain.trust import publish_domains
 from rossec.cli.shared.context import Environment
 from rossec.cli.shared.service import call_master
 from rossec.home import NodeHome
-from rossec.master.server.server import MasterServer
-from rossec.master.server.start import master_of
+from rossec.master.server.server import MasterServer, master_of
 from tests.rossec.cli.domain.sites import Neighbours
 from tests.support.commands import Said, Shell
 
@@ -34,7 +33,7 @@ async def running_master(shell: Shell) -> AsyncIterator[MasterServer]:
 
 async def list_at(master: MasterServer, sites: Neighbours) -> DomainList:
     """The list that the master has."""
-    call = MasterCall(sites.home.node(), "rossec.domains", (b"",), "a query", "")
+    call = StatementCall(sites.home.node(), "rossec.domains", (b"",), "a query", "")
     data = await asyncio.to_thread(call_master, Environment(sites.shell.environ), master.uri, call)
     assert isinstance(data, bytes)
     return open_domains(data, sites.home.anchor())
@@ -83,6 +82,6 @@ def test_a_second_master_is_enrolled_while_the_first_is_off(sites: Neighbours) -
 
 def test_what_was_signed_is_delivered_and_said(sites: Neighbours) -> None:
     sites.accept()
-    calls: list[MasterCall] = []
+    calls: list[StatementCall] = []
     publish_domains(AuthorityService(sites.shell.root, str, calls.append))
     assert [call.method for call in calls] == ["rossec.updateDomains"]

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.lists import ForeignDomain
-from rossec.federation.site_file import FILE, SiteFile
+from ca.domains.trust import ForeignDomain
+from rossec.federation.settings import FILE, SiteFile
 from tests.support.commands import Shell, refused
 from tests.support.masters import domain_list
 from tests.support.site import DAY, Site
@@ -27,13 +27,15 @@ def test_a_site_is_added_listed_and_removed(empty: Shell) -> None:
     said = empty("federation", "add", URI, *KITCHEN)
     assert said.out == f"kitchen is followed: /master/kitchen at {URI}\n"
     assert empty("federation", "param", "kitchen", "/robot/**").code == 0
-    assert empty("federation", "list").out.split() == [
-        "kitchen", "/master/kitchen", URI, "/robot/**",
-    ]  # fmt: skip
+    assert empty("federation", "list").out.split() == ["kitchen", "/master/kitchen", URI, "/robot/**"]
     assert json.loads(empty("federation", "list", "--json").out) == {
-        "label": "kitchen", "uri": URI, "master": "/master/kitchen", "domain": "",
-        "parameters": ["/robot/**"], "via": "",
-    }  # fmt: skip
+        "label": "kitchen",
+        "uri": URI,
+        "master": "/master/kitchen",
+        "domain": "",
+        "parameters": ["/robot/**"],
+        "via": "",
+    }
     assert empty("federation", "param", "kitchen", "/robot/**", "--remove").code == 0
     assert "/robot" not in empty("federation", "list").out
     assert empty("federation", "remove", "kitchen").out == "kitchen is followed no longer\n"
@@ -66,14 +68,11 @@ def test_a_damaged_file_is_named(empty: Shell, site: Site) -> None:
     refused(empty("federation", "list"), FILE, "rossec federation add")
 
 
-def test_the_label_of_a_trusted_domain_means_a_master_of_it(
-    empty: Shell, site: Site, tmp_path: Path
-) -> None:
+def test_the_label_of_a_trusted_domain_means_a_master_of_it(empty: Shell, site: Site, tmp_path: Path) -> None:
     other = Site(tmp_path / "other", "hospital.example")
     entry = ForeignDomain(
-        "hospital.example", "hospital", other.anchor.certificate, ("/**",), 3600,
-        int(time.time()) + DAY,
-    )  # fmt: skip
+        "hospital.example", "hospital", other.anchor.certificate, ("/**",), 3600, int(time.time()) + DAY
+    )
     path = site.enroll("/master").path / "domains.cose"
     path.touch(0o600)
     path.write_bytes(domain_list(site, "/master", foreign=[entry]))

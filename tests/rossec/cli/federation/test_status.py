@@ -5,15 +5,24 @@ from typing import Any
 
 import pytest
 
-from rossec.cli.master.admin import ADMIN_SOCKET
+from rossec.cli.status import ADMIN_SOCKET
 from rossec.master.operation.admin import AdminPort
 from tests.support.commands import Shell, refused
 
 ROW = {
-    "label": "kitchen", "uri": "http://k:1/", "master": "/master/kitchen", "domain": "",
-    "state": "lost", "facts": 7, "version": 3, "lost_s": 4.0, "error": "the peer closed",
-    "parameters": [], "mirrored": 2, "source": "file",
-}  # fmt: skip
+    "label": "kitchen",
+    "uri": "http://k:1/",
+    "master": "/master/kitchen",
+    "domain": "",
+    "state": "lost",
+    "facts": 7,
+    "version": 3,
+    "lost_s": 4.0,
+    "error": "the peer closed",
+    "parameters": [],
+    "mirrored": 2,
+    "source": "file",
+}
 
 
 def test_without_a_running_master_there_is_no_answer(empty: Shell) -> None:
@@ -22,9 +31,10 @@ def test_without_a_running_master_there_is_no_answer(empty: Shell) -> None:
 
 async def test_the_running_master_is_asked(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     answers: list[Mapping[str, Any]] = [
-        {"sites": [ROW], "problems": {"site x": "two sites"}}, {"sites": [ROW], "problems": {}},
+        {"sites": [ROW], "problems": {"site x": "two sites"}},
+        {"sites": [ROW], "problems": {}},
         {"sites": [], "problems": {}},
-    ]  # fmt: skip
+    ]
     empty.node("/master").mkdir(parents=True)
     port = AdminPort(empty.node("/master") / ADMIN_SOCKET, {"federation": lambda: answers[0]})
     await port.start()
@@ -65,14 +75,25 @@ async def test_what_may_be_done_is_below_the_site(empty: Shell) -> None:
 
 async def test_the_way_of_a_site_and_of_its_topics(empty: Shell) -> None:
     way = {
-        "relay": "/relay", "state": "up", "rtt_ms": 23.41, "retransmissions": 2, "streams": 4,
+        "relay": "/relay",
+        "state": "up",
+        "rtt_ms": 23.41,
+        "retransmissions": 2,
+        "streams": 4,
         "router": "tls/router.example:7447",
-    }  # fmt: skip
+    }
     topics = [f"/t{number}" for number in range(10)]
     row = {
-        **ROW, "uri": "", "via": "office", "way": way, "topics": topics, "topics_count": 12,
-        "lost_s": None, "error": "", "state": "following",
-    }  # fmt: skip
+        **ROW,
+        "uri": "",
+        "via": "office",
+        "way": way,
+        "topics": topics,
+        "topics_count": 12,
+        "lost_s": None,
+        "error": "",
+        "state": "following",
+    }
     rows = [row, {**row, "way": {}, "topics": topics[:1], "topics_count": 1}]
     idle = {**way, "router": "", "rtt_ms": 0, "state": "idle"}
     rows.append({**row, "way": idle, "topics": [], "topics_count": 0})
@@ -98,13 +119,15 @@ async def test_the_way_of_a_site_and_of_its_topics(empty: Shell) -> None:
     ]
 
 
-async def test_figures_alone_do_not_show_a_site_again(
-    empty: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_figures_alone_do_not_show_a_site_again(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     way: dict[str, Any] = {
-        "relay": "/relay", "state": "up", "rtt_ms": 1.0, "retransmissions": 0, "streams": 0,
+        "relay": "/relay",
+        "state": "up",
+        "rtt_ms": 1.0,
+        "retransmissions": 0,
+        "streams": 0,
         "router": "",
-    }  # fmt: skip
+    }
     row = {**ROW, "via": "office", "way": way, "topics": [], "topics_count": 0}
     empty.node("/master").mkdir(parents=True)
     answer = {"sites": [row], "problems": {}}

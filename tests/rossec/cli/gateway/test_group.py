@@ -2,13 +2,7 @@
 
 import pytest
 
-from rossec.cli.gateway.group import gateway
-from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
-
-
-def test_each_verb_exists_and_has_this_help_line() -> None:
-    check_table(gateway)
 
 
 def test_without_a_verb_it_runs(empty: Shell) -> None:
@@ -34,9 +28,7 @@ def test_without_a_verb_it_runs(empty: Shell) -> None:
         (("--from", "ada", "/x", "--json", "status"), "only --name stands before a verb"),
     ],
 )
-def test_what_stands_in_the_wrong_place_is_refused(
-    empty: Shell, words: tuple[str, ...], says: str
-) -> None:
+def test_what_stands_in_the_wrong_place_is_refused(empty: Shell, words: tuple[str, ...], says: str) -> None:
     refused(empty("gateway", *words), says, "see: rossec gateway --help", code=2)
 
 

@@ -15,7 +15,7 @@ from grants.model import Right
 from rossec.cli.gateway import serve
 from rossec.cli.shared.context import Environment
 from rossec.errors import ConfigurationError, MasterNotFound
-from rossec.ros.settings import parse_uri
+from rossec.ros.names import parse_uri
 from tests.support.commands import Shell, refused
 from tests.support.discovered import Searches
 from tests.support.site import Site
@@ -42,9 +42,16 @@ async def gateway(site: Site, *words: str, says: str, **variables: str) -> Async
     log = site.root / f"gateway{len(list(site.root.glob('gateway*.log')))}.log"
     with log.open("wb") as file:
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "rossec", "gateway", *words, env=environ,
-            stdin=asyncio.subprocess.DEVNULL, stdout=file, stderr=file,
-        )  # fmt: skip
+            sys.executable,
+            "-m",
+            "rossec",
+            "gateway",
+            *words,
+            env=environ,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=file,
+            stderr=file,
+        )
     ran = Ran(process, log)
     try:
         await until(lambda: process.returncode is not None or says in ran.said())
@@ -105,9 +112,7 @@ async def test_a_gateway_waits_for_its_master(site: Site) -> None:
         await until(lambda: "gateway /gateway serves" in running.said())
 
 
-async def test_what_is_wrong_on_this_host_is_no_master_to_wait_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_what_is_wrong_on_this_host_is_no_master_to_wait_for(monkeypatch: pytest.MonkeyPatch) -> None:
     def unreadable(*_: object, **__: object) -> None:
         raise PermissionError("node.key")
 
@@ -129,9 +134,8 @@ def test_a_gateway_that_is_not_enrolled_is_refused(empty: Shell) -> None:
 
 
 def test_a_gateway_waits_for_a_master_that_is_not_announced_yet(
-    tmp_path: Path, searches: Searches, monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-) -> None:  # fmt: skip
+    tmp_path: Path, searches: Searches, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     site = Site(tmp_path / "site")
     site.enroll("/gateway")
     searches.result = MasterNotFound("no master announces itself", "start it")
@@ -144,7 +148,7 @@ def test_a_gateway_waits_for_a_master_that_is_not_announced_yet(
             raise ConfigurationError("enough")
         return await Searches.discover(searches, *given, **more)
 
-    monkeypatch.setattr("rossec.discovery.choose.discover_master", end_after_the_third)
+    monkeypatch.setattr("rossec.discovery.local_links.discover_master", end_after_the_third)
     environ = {**site.environ, "ROS_MASTER_URI": "discover:"}
     with pytest.raises(ConfigurationError, match="enough"):
         serve.run(Environment(environ), (), as_json=False)

@@ -10,19 +10,27 @@ from typing import Any
 
 import pytest
 
-from rossec.cli.gateway import status as module
-from rossec.cli.shared import status_watch
+from rossec.cli import status
+from rossec.cli import status as module
 from rossec.master.operation.admin import AdminPort
 from tests.support.commands import Shell, refused
 from tests.support.site import Site
 
 TOPIC = {
-    "topic": "ada:/robot/pose", "served": "/gateway/ada/robot/pose", "type": "std_msgs/String",
-    "state": "subscribed", "subscribers": 3, "publishers": 1, "messages": 7, "octets": 70,
+    "topic": "ada:/robot/pose",
+    "served": "/gateway/ada/robot/pose",
+    "type": "std_msgs/String",
+    "state": "subscribed",
+    "subscribers": 3,
+    "publishers": 1,
+    "messages": 7,
+    "octets": 70,
     "problem": "",
-}  # fmt: skip
+}
 TOLD: dict[str, Any] = {
-    "gateway": "/gateway", "problem": "", "topics": [TOPIC, {**TOPIC, "problem": "a reason"}],
+    "gateway": "/gateway",
+    "problem": "",
+    "topics": [TOPIC, {**TOPIC, "problem": "a reason"}],
     "rules": [
         {"from": "ada", "pattern": "/robot/**", "rate": 2.5, "newest": True, "compress": True},
         {"from": "ben", "pattern": "/x", "rate": None, "newest": False, "compress": False},
@@ -32,7 +40,7 @@ TOLD: dict[str, Any] = {
         {"topic": "ada:/b", "why": "/gateway/attic serves it", "hint": ""},
     ],
     "skipped_count": 5,
-}  # fmt: skip
+}
 
 
 @contextlib.contextmanager
@@ -97,7 +105,7 @@ def test_a_graph_that_is_not_known_and_nothing_served(near: Shell) -> None:
 
 
 def test_it_is_shown_again_when_it_changes(near: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(status_watch, "PERIOD", 0.01)
+    monkeypatch.setattr(status, "PERIOD", 0.01)
     answers = [{**TOLD, "skipped_count": count} for count in (2, 2, 3)]
     with answering(near.node("/gateway") / module.ADMIN_SOCKET, lambda: answers.pop(0)):
         said = near("gateway", "status", "--watch")

@@ -10,13 +10,10 @@ from tests.support.commands import Shell
 
 @pytest.fixture
 def visit(
-    empty: Shell,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    empty: Shell, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> Neighbours:
     """The hospital's `/rounds/robot3` is enrolled there; the home admits `/rounds/*`."""
-    monkeypatch.setattr("ca.keys.pbes2._N", 16)  # the passphrase is not under test
+    monkeypatch.setattr("ca.keys.passphrases._N", 16)  # the passphrase is not under test
     assert empty.unlocked("ca", "init", "home").code == 0
     made = Neighbours(empty, tmp_path, capsys)
     made.accept("--admit", "/rounds/*", "--for", "30d")

@@ -12,8 +12,7 @@ import pytest
 
 from rossec.authority.home import AuthorityHome
 from rossec.home import NodeHome
-from rossec.master.server.server import MasterServer
-from rossec.master.server.start import master_of
+from rossec.master.server.server import MasterServer, master_of
 from rossec.node import Node
 from tests.rossec.cli.domain.sites import Neighbours
 from tests.support.commands import Said, Shell, refused
@@ -47,9 +46,18 @@ def states(said: Said) -> list[tuple[str, str]]:
 
 def test_a_right_with_several_restrictions_is_listed_once(robot: Shell) -> None:
     robot.unlocked(
-        "grant", "sign", "/robot", "--subscribe", "/q", "--type", "geometry_msgs/PoseStamped",
-        "--preset", "coarse-position", "--rate", "5",
-    )  # fmt: skip
+        "grant",
+        "sign",
+        "/robot",
+        "--subscribe",
+        "/q",
+        "--type",
+        "geometry_msgs/PoseStamped",
+        "--preset",
+        "coarse-position",
+        "--rate",
+        "5",
+    )
     assert robot("grant", "list", *NOBODY).out.count("subscribe /q") == 1
 
 
@@ -110,29 +118,31 @@ async def test_a_grant_for_a_node_elsewhere_arrives_through_the_master(robot: Sh
         assert delivered.out == "the master has the grant, and gives it to the node\n"
         assert (await command("grant", "deliver")).out == "the master has every grant in force\n"
         assert states(await command("grant", "list", "--json")) == [("/robot", "waiting")]
-        environ = {
-            "ROSSEC_HOME": str(elsewhere), "ROS_MASTER_URI": master.uri, "ROS_IP": "127.0.0.1"
-        }  # fmt: skip
+        environ = {"ROSSEC_HOME": str(elsewhere), "ROS_MASTER_URI": master.uri, "ROS_IP": "127.0.0.1"}
         async with Node("/robot", environ=environ) as node:
             await node.publisher("/p", "std_msgs/String")
             assert states(await command("grant", "list", "--json")) == [("/robot", "held")]
             said = await asyncio.to_thread(
-                robot.unlocked, "grant", "sign", "/robot", "--subscribe", "/q", "--master",
-                master.uri,
-            )  # fmt: skip
+                robot.unlocked, "grant", "sign", "/robot", "--subscribe", "/q", "--master", master.uri
+            )
             assert said.out.endswith("the master has the grant, and gives it to the node\n")
             await until(lambda: len(node.home.grants()) == 2)
             await node.subscriber("/q", "std_msgs/String")
 
 
-def test_a_grant_for_another_domain_is_listed_by_its_label(
-    visit: Neighbours, tmp_path: Path
-) -> None:
+def test_a_grant_for_another_domain_is_listed_by_its_label(visit: Neighbours, tmp_path: Path) -> None:
     certificate = visit.hospital.node("/rounds/robot3") / "node.pem"
     said = visit.shell.unlocked(
-        "grant", "sign", "hospital:/rounds/robot3", "--subscribe", "/pose",
-        "--certificate", str(certificate), "--out", str(tmp_path / "x.grant"),
-    )  # fmt: skip
+        "grant",
+        "sign",
+        "hospital:/rounds/robot3",
+        "--subscribe",
+        "/pose",
+        "--certificate",
+        str(certificate),
+        "--out",
+        str(tmp_path / "x.grant"),
+    )
     assert said.code == 0, said.err
     listed = visit.shell("grant", "list", "--master", "http://127.0.0.1:1").out
     assert "  hospital:/rounds/robot3  subscribe /pose  " in listed
@@ -157,7 +167,7 @@ async def test_a_master_in_another_home_gets_the_list_with_the_first_grant(robot
 async def test_a_grant_that_the_master_refuses_is_no_success(
     robot: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rossec.master.rights.deposits.MAX_HELD", 0)
+    monkeypatch.setattr("rossec.master.rights.held_grants.MAX_HELD", 0)
     shutil.move(robot.node("/robot"), robot.root / "elsewhere")
     async with running_master(robot) as master:
         sign = ("grant", "sign", "/robot", "--publish", "/p", "--json", "--master", master.uri)

@@ -18,10 +18,23 @@ def fleet(shell: Shell) -> Shell:
     for name in ("/rounds/robot3", "/rounds/robot7"):
         shell.enroll(name)
     said = shell.unlocked(
-        "grant", "sign", "/rounds/robot3", "--subscribe", "/robot/pose", "--call", "/robot/**",
-        *POSE, "--round", "pose.position=1.0", "--may-narrow", "2", "--for", "2h",
-        "--out", str(shell.root / "held.grant"),
-    )  # fmt: skip
+        "grant",
+        "sign",
+        "/rounds/robot3",
+        "--subscribe",
+        "/robot/pose",
+        "--call",
+        "/robot/**",
+        *POSE,
+        "--round",
+        "pose.position=1.0",
+        "--may-narrow",
+        "2",
+        "--for",
+        "2h",
+        "--out",
+        str(shell.root / "held.grant"),
+    )
     assert said.code == 0, said.err
     return shell
 
@@ -38,15 +51,20 @@ def narrow(shell: Shell, *options: str, own: str = "/rounds/robot3", file: str =
 def arguments(shell: Shell, file: str, own: str, out: Path) -> tuple[str, ...]:
     other = "/rounds/robot7" if own == "/rounds/robot3" else "/rounds/robot3"
     return (
-        "grant", "narrow", str(shell.root / f"{file}.grant"), "--as", own,
-        "--to", str(shell.node(other) / "node.pem"), "--out", str(out),
-    )  # fmt: skip
+        "grant",
+        "narrow",
+        str(shell.root / f"{file}.grant"),
+        "--as",
+        own,
+        "--to",
+        str(shell.node(other) / "node.pem"),
+        "--out",
+        str(out),
+    )
 
 
 def test_a_narrowed_grant_reaches_the_other_node(fleet: Shell) -> None:
-    out = narrow(
-        fleet, "--subscribe", "/robot/pose", *POSE, "--clear", "header.frame_id", "--for", "1h"
-    )
+    out = narrow(fleet, "--subscribe", "/robot/pose", *POSE, "--clear", "header.frame_id", "--for", "1h")
     said = fleet("grant", "install", out)
     assert said.out.startswith("/rounds/robot7 holds grant "), said.err
     (file,) = (fleet.node("/rounds/robot7") / "grants").iterdir()
@@ -78,8 +96,11 @@ def test_it_may_be_handed_on_again_and_ends_with_the_first(fleet: Shell) -> None
     assert len(grant.links) == 3
     assert len({link.expires for link in grant.links}) == 1
     assert "may be narrowed 1 times" in fleet("grant", "show", once).out
-    said = fleet(*arguments(fleet, Path(again).stem, "/rounds/robot3", fleet.root / "x.grant"),
-                 "--subscribe", "/robot/pose")  # fmt: skip
+    said = fleet(
+        *arguments(fleet, Path(again).stem, "/rounds/robot3", fleet.root / "x.grant"),
+        "--subscribe",
+        "/robot/pose",
+    )
     refused(said, "allows 0 narrowings", "--may-narrow")
 
 
@@ -129,9 +150,7 @@ def test_the_other_node_is_of_the_same_domain(
 def test_a_chain_that_no_peer_would_read_is_not_written(fleet: Shell) -> None:
     many = [word for n in range(60) for word in ("--subscribe", f"/{'a' * 240}{n}/**")]
     wide = fleet.root / "wide.grant"
-    said = fleet.unlocked(
-        "grant", "sign", "/rounds/robot3", *many, "--may-narrow", "2", "--out", str(wide)
-    )
+    said = fleet.unlocked("grant", "sign", "/rounds/robot3", *many, "--may-narrow", "2", "--out", str(wide))
     assert said.code == 0, said.err
     once = narrow(fleet, *many, "--may-narrow", "1", file="wide")
     out = fleet.root / "twice.grant"

@@ -8,16 +8,16 @@ from click.testing import CliRunner
 
 from ca.errors import PatternRefused
 from grants.errors import FilterRefused
-from grants.filters.presets import PRESETS
+from grants.filters.compile import PRESETS
 from grants.model import Permission, Restriction, Right, filter_rules
-from rossec.cli.grant.permission_options import (
+from rossec.cli.grant.sign import (
     for_node,
     own_pattern,
+    permission_options,
     permissions,
-    read,
+    read_permissions,
     restrictions,
     rules,
-    wishes,
 )
 from rossec.cli.main import run
 from rossec.errors import ConfigurationError
@@ -85,14 +85,23 @@ def test_wishes_are_options_and_read_says_what_they_mean() -> None:
     found: list[tuple[Permission, ...]] = []
 
     @click.command()
-    @wishes
+    @permission_options
     def ask(**said: Any) -> None:
-        found.append(read(said))
+        found.append(read_permissions(said))
 
     options = (
-        "--subscribe", "/pose", "--type", POSE, "--round", "pose.position=0.5", "--rate", "2",
-        "--clear", "header.frame_id", "--graph",
-    )  # fmt: skip
+        "--subscribe",
+        "/pose",
+        "--type",
+        POSE,
+        "--round",
+        "pose.position=0.5",
+        "--rate",
+        "2",
+        "--clear",
+        "header.frame_id",
+        "--graph",
+    )
     assert CliRunner().invoke(ask, options, catch_exceptions=False).exit_code == 0
     [[seen, *graph]] = found
     assert (seen.pattern, seen.rights) == ("/pose", Right.SUBSCRIBE)
@@ -104,9 +113,9 @@ def test_wishes_are_options_and_read_says_what_they_mean() -> None:
 
 def test_read_without_a_right_is_refused() -> None:
     @click.command()
-    @wishes
+    @permission_options
     def ask(**said: Any) -> None:
-        read(said)
+        read_permissions(said)
 
     with pytest.raises(ConfigurationError):
         CliRunner().invoke(ask, (), catch_exceptions=False)
@@ -148,12 +157,15 @@ def test_of_two_filters_for_one_field_none_is_lost(
 @pytest.mark.attack("two-spellings")
 @pytest.mark.parametrize(
     "said",
-    [("--rate", "1", "--rate", "50"), ("--preset", "coarse-position", "--preset", [*PRESETS][-1]),
-     ("--type", POSE, "--type", "std_msgs/String")],
-)  # fmt: skip
+    [
+        ("--rate", "1", "--rate", "50"),
+        ("--preset", "coarse-position", "--preset", [*PRESETS][-1]),
+        ("--type", POSE, "--type", "std_msgs/String"),
+    ],
+)
 def test_a_restriction_is_not_replaced_by_a_second_one(said: tuple[str, ...]) -> None:
     @click.command()
-    @wishes
+    @permission_options
     def command(**_: Any) -> None:
         raise AssertionError("not called")
 

@@ -71,9 +71,7 @@ def test_who_asks_where_there_is_no_policy_is_told_who_can_answer(shell: Shell) 
     shell.enroll("/lamp")
     said = shell("grant", "request", "/lamp", "--publish", "/lamp/on", "--why", "it shines")
     assert said.code == 0
-    assert "there is no policy that decides it: rossec grant sign /lamp --publish /lamp/on" in (
-        said.err
-    )
+    assert "there is no policy that decides it: rossec grant sign /lamp --publish /lamp/on" in (said.err)
     assert "rossec policy init" in said.err
 
 
@@ -129,8 +127,11 @@ def test_a_filter_that_is_not_there(site: Shell) -> None:
     number = ask(site, "--subscribe", "/other")
     said = site.unlocked("grant", "approve", number, "--approximate", "rom")
     refused(said, "no filter 'rom'", "there are: room, coarse-position")
-    refused(site.unlocked("grant", "approve", number, "--approximate", "room"),
-            "the type of /other is not known", "add it to types")  # fmt: skip
+    refused(
+        site.unlocked("grant", "approve", number, "--approximate", "room"),
+        "the type of /other is not known",
+        "add it to types",
+    )
     assert "nobody" not in site("grant", "pending").out  # it still waits
 
 

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from grants.filters.presets import PRESETS
+from grants.filters.compile import PRESETS
 from tests.support.commands import Shell, refused
 
 POSE = ("--type", "geometry_msgs/PoseStamped")
@@ -30,10 +30,23 @@ def test_a_grant_reaches_its_node(robot: Shell) -> None:
 def test_restrictions_are_shown_as_text(robot: Shell, tmp_path: Path) -> None:
     out = tmp_path / "pose.grant"
     said = robot.unlocked(
-        "grant", "sign", "/robot", "--subscribe", "/pose", *POSE,
-        "--round", "pose.position=2.0", "--clear", "header.frame_id",
-        "--when", 'msg.header.frame_id == "map"', "--for", "1h", "--out", str(out),
-    )  # fmt: skip
+        "grant",
+        "sign",
+        "/robot",
+        "--subscribe",
+        "/pose",
+        *POSE,
+        "--round",
+        "pose.position=2.0",
+        "--clear",
+        "header.frame_id",
+        "--when",
+        'msg.header.frame_id == "map"',
+        "--for",
+        "1h",
+        "--out",
+        str(out),
+    )
     assert f"written to {out}" in said.out
     shown = robot("grant", "show", str(out)).out
     assert "pose.position: round step 2.0" in shown
@@ -86,9 +99,7 @@ def test_a_node_that_is_not_enrolled_gets_no_grant(shell: Shell) -> None:
 def test_a_grant_for_a_node_elsewhere(robot: Shell, tmp_path: Path) -> None:
     away = tmp_path / "robot"
     robot.node("/robot").rename(away)
-    said = robot.unlocked(
-        "grant", "sign", "/robot", "--publish", "/p", "--master", "http://[::1]:1"
-    )
+    said = robot.unlocked("grant", "sign", "/robot", "--publish", "/p", "--master", "http://[::1]:1")
     assert said.code == 0, "it is signed and recorded"
     assert "rossec grant deliver" in said.err
     out = tmp_path / "p.grant"
@@ -99,9 +110,7 @@ def test_a_grant_for_a_node_elsewhere(robot: Shell, tmp_path: Path) -> None:
     assert robot("grant", "install", str(out)).code == 1
 
 
-def test_an_unusable_file_lifetime_or_name_is_found_before_signing(
-    robot: Shell, tmp_path: Path
-) -> None:
+def test_an_unusable_file_lifetime_or_name_is_found_before_signing(robot: Shell, tmp_path: Path) -> None:
     sign = ("grant", "sign", "/robot", "--publish", "/p")
     taken = tmp_path / "taken"
     taken.write_text("mine")

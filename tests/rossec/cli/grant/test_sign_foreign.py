@@ -22,9 +22,7 @@ def certificate(visit: Neighbours, name: str = ROBOT3) -> tuple[str, str]:
     return "--certificate", str(visit.hospital.node(name) / "node.pem")
 
 
-def test_a_grant_goes_to_another_domain_and_is_handed_on_there(
-    visit: Neighbours, tmp_path: Path
-) -> None:
+def test_a_grant_goes_to_another_domain_and_is_handed_on_there(visit: Neighbours, tmp_path: Path) -> None:
     out = tmp_path / "visit.grant"
     said = sign(visit, *certificate(visit), "--may-narrow", "1", "--out", str(out), "--for", "30d")
     assert said.code == 0, said.err
@@ -37,9 +35,17 @@ def test_a_grant_goes_to_another_domain_and_is_handed_on_there(
     assert [path.name for path in robot.grant_files()] == [f"{grant.id.hex()}.grant"]
     narrowed = tmp_path / "narrowed.grant"
     said = visit.hospital(
-        "grant", "narrow", str(out), "--as", ROBOT3, "--out", str(narrowed), *WISH,
-        "--to", str(visit.hospital.node(ROBOT7) / "node.pem"),
-    )  # fmt: skip
+        "grant",
+        "narrow",
+        str(out),
+        "--as",
+        ROBOT3,
+        "--out",
+        str(narrowed),
+        *WISH,
+        "--to",
+        str(visit.hospital.node(ROBOT7) / "node.pem"),
+    )
     assert said.code == 0, said.err
     assert visit.hospital("grant", "install", str(narrowed)).code == 0
     chain = peek(narrowed.read_bytes())
@@ -47,9 +53,7 @@ def test_a_grant_goes_to_another_domain_and_is_handed_on_there(
     assert visit.shell("ca", "log", "verify").code == 0
 
 
-def test_the_certificate_is_recorded_and_need_not_be_given_again(
-    visit: Neighbours, tmp_path: Path
-) -> None:
+def test_the_certificate_is_recorded_and_need_not_be_given_again(visit: Neighbours, tmp_path: Path) -> None:
     refused(sign(visit, "--out", str(tmp_path / "a")), "no valid certificate", "--certificate")
     unknown = sign(visit, "--out", str(tmp_path / "a"), node=f"clinic:{ROBOT3}")
     refused(unknown, "no domain is called 'clinic' here", "rossec domain list")
@@ -67,9 +71,7 @@ def test_what_a_certificate_does_not_prove_is_not_signed(visit: Neighbours, tmp_
     refused(kitchen, "hospital:/kitchen is not admitted here", "rossec domain")
     clinic = sign(visit, *certificate(visit), *out, node=f"clinic:{ROBOT3}")
     refused(clinic, "no domain is called 'clinic' here", "rossec domain list")
-    refused(
-        sign(visit, *certificate(visit), *out, node=ROBOT3), "is a node of this domain", "LABEL"
-    )
+    refused(sign(visit, *certificate(visit), *out, node=ROBOT3), "is a node of this domain", "LABEL")
     refused(sign(visit, *certificate(visit)), "no master of this domain delivers", "--out")
     refused(sign(visit, *certificate(visit), *out, "--renew-until", "90d"), "not renewed", "--for")
     refused(sign(visit, *certificate(visit), *out, node="hospital:robot"), "robot", "")

@@ -4,9 +4,8 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import Value, encode
-from ca.keys.signer import KeySigner
-from grants.claims import issuer_uri
-from grants.document import GRANT
+from ca.keys.signing import KeySigner
+from grants.document import GRANT, issuer_uri
 from tests.support.commands import Shell, refused
 
 
@@ -33,9 +32,16 @@ def test_a_filter_that_is_not_text_is_refused(
 ) -> None:
     scope: list[Value] = [["/pose", 2, {0: "geometry_msgs/PoseStamped", 2: filters}]]
     claims: dict[int | str, Value] = {
-        1: issuer_uri(bytes(32)), 2: "/robot", 3: "home", 4: 2, 5: 1, 7: bytes(16),
-        8: {5: bytes(32)}, 9: encode(scope), -65537: 2,
-    }  # fmt: skip
+        1: issuer_uri(bytes(32)),
+        2: "/robot",
+        3: "home",
+        4: 2,
+        5: 1,
+        7: bytes(16),
+        8: {5: bytes(32)},
+        9: encode(scope),
+        -65537: 2,
+    }
     signer = KeySigner(ec.generate_private_key(ec.SECP256R1()))
     (tmp_path / "odd.grant").write_bytes(GRANT.sign(signer, claims))
     refused(robot("grant", "show", str(tmp_path / "odd.grant")), "in a grant: ")

@@ -3,9 +3,9 @@ from pathlib import Path
 
 import pytest
 
-from rossec.cli.completion.outline_table import OutlineTable
+from rossec.cli.completion.shells import OutlineTable
 from rossec.cli.main import rossec
-from rossec.cli.manual.made import make
+from rossec.cli.manual.pages import make
 from tests.rossec.cli.tables import all_commands
 
 
@@ -22,5 +22,7 @@ def test_the_outlines_of_all_commands_are_made(tmp_path: Path) -> None:
     for _, listed, _command in all_commands(rossec):
         if listed is not None:
             made = found.get(listed.place, lambda: pytest.fail("imported"))
-            assert made is not None
             assert made == json.loads(table.read_text())["outlines"][listed.place]
+    assert found.get("nouns:ca", lambda: pytest.fail("imported")) == {
+        "help": "Run the authority, which signs the identities."
+    }

@@ -6,8 +6,7 @@ import click
 import pytest
 
 from rossec.cli.main import rossec
-from rossec.cli.manual.pages import pages
-from rossec.cli.manual.roff import escape
+from rossec.cli.manual.pages import escape, pages
 from tests.rossec.cli.tables import all_commands
 
 PAGES = pages(rossec, "1.2")
@@ -50,15 +49,32 @@ def test_a_small_page_as_a_whole() -> None:
     group = click.Group("rossec", commands=[ca], help="Security.")
     assert pages(group, "1.2")["rossec-ca.1"].splitlines() == [
         r'.TH "ROSSEC\-CA" 1 "" "rossec 1.2" "rossec manual"',
-        '.SH "NAME"', r"rossec\-ca \- Run it",
-        '.SH "SYNOPSIS"', r"\fBrossec ca\fR \fI[COMMAND] [ARGS]...\fR", ".br",
+        '.SH "NAME"',
+        r"rossec\-ca \- Run it",
+        '.SH "SYNOPSIS"',
+        r"\fBrossec ca\fR \fI[COMMAND] [ARGS]...\fR",
+        ".br",
         r"\fBrossec ca sign\fR \fI[OPTIONS]\fR \fINAME\fR",
-        '.SH "DESCRIPTION"', "Run it. More.",
-        '.SH "COMMANDS"', '.SS "rossec ca sign"', "Sign NAME.", ".PP", "Second.",
-        ".PP", ".RS 4", ".nf", "  rossec ca sign /x", r"  .hidden", ".fi", ".RE",
-        ".TP", r"\fB\-\-for TIME\fR", "how long",
-        '.SH "SEE ALSO"', r"\fBrossec\fR(1)",
-    ]  # fmt: skip
+        '.SH "DESCRIPTION"',
+        "Run it. More.",
+        '.SH "COMMANDS"',
+        '.SS "rossec ca sign"',
+        "Sign NAME.",
+        ".PP",
+        "Second.",
+        ".PP",
+        ".RS 4",
+        ".nf",
+        "  rossec ca sign /x",
+        r"  .hidden",
+        ".fi",
+        ".RE",
+        ".TP",
+        r"\fB\-\-for TIME\fR",
+        "how long",
+        '.SH "SEE ALSO"',
+        r"\fBrossec\fR(1)",
+    ]
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from rossec.cli.master.admin import ADMIN_SOCKET
+from rossec.cli.status import ADMIN_SOCKET
 from rossec.master.operation.admin import AdminPort, Commands
 from tests.support.commands import Shell, refused
 
@@ -38,10 +38,7 @@ async def test_the_running_master_is_asked_at_its_socket(shell: Shell) -> None:
         return {"stopping": True}
 
     shell.node("/master").mkdir(parents=True)
-    commands: Commands = {
-        "status": lambda: {"uri": "http://h:1/", "open_connections": 3},
-        "stop": stop,
-    }
+    commands: Commands = {"status": lambda: {"uri": "http://h:1/", "open_connections": 3}, "stop": stop}
     port = AdminPort(shell.node("/master") / ADMIN_SOCKET, commands)
     await port.start()
     try:

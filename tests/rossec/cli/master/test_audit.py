@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from rossec.authority.home import AuthorityHome
-from rossec.operation.audit import AuditFile
-from rossec.operation.audit_log import audit_written
+from rossec.host.audit import AuditFile, audit_written
 from tests.support.commands import PASSPHRASE, Shell, refused
 
 
@@ -69,9 +68,7 @@ def test_a_missing_file_and_omitted_lines_are_reported(shell: Shell) -> None:
 
 
 def test_an_invalid_key_is_refused_and_a_former_key_accepted(shell: Shell) -> None:
-    refused(
-        shell("audit", "--verify", "--key", "zz"), "is not a thumbprint", "64 hexadecimal digits"
-    )
+    refused(shell("audit", "--verify", "--key", "zz"), "is not a thumbprint", "64 hexadecimal digits")
     said = shell("audit", "--verify", "--key", "00" * 32)
     assert "it is of an older version" in said.err
     empty = shell.root / "empty.log"

@@ -8,7 +8,7 @@ import pytest
 
 from rossec.authority.home import AuthorityHome
 from rossec.home import NodeHome
-from rossec.master.server.start import master_of
+from rossec.master.server.server import master_of
 from tests.support.commands import Shell, refused
 
 NOBODY = ("--master", "http://127.0.0.1:1")
@@ -41,9 +41,7 @@ async def test_a_delegation_is_delivered_to_the_running_master(site: Shell) -> N
         await server.close()
 
 
-def test_a_master_with_another_key_starts_and_says_so(
-    site: Shell, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_master_with_another_key_starts_and_says_so(site: Shell, caplog: pytest.LogCaptureFixture) -> None:
     home = NodeHome.of(site.root, "/master")
     home.save_delegation(b"garbage")
     master_of(home, host="127.0.0.1", port=0, newest=None, now=int(time.time()))
@@ -66,9 +64,7 @@ def test_nothing_to_withdraw_and_too_long(site: Shell) -> None:
     assert not (site.root / "ca" / "delegations").exists()
 
 
-async def test_a_tree_is_delivered_with_its_entries(
-    site: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_tree_is_delivered_with_its_entries(site: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
     home = NodeHome.of(site.root, "/master")
     server = master_of(home, host="127.0.0.1", port=0, newest=None, now=int(time.time()))
@@ -93,9 +89,7 @@ def test_a_master_begins_with_the_tree_it_had(
 
     def begin(newest: bytes | None, entries: bytes | None) -> None:
         caplog.clear()
-        master_of(
-            home, host="127.0.0.1", port=0, newest=newest, entries=entries, now=int(time.time())
-        )
+        master_of(home, host="127.0.0.1", port=0, newest=newest, entries=entries, now=int(time.time()))
 
     begin(authority.revocation_list(), None)
     assert "the entries of the revocation tree are missing" in caplog.text

@@ -4,9 +4,8 @@ from collections import deque
 
 import pytest
 
-from rossec.cli.master import discover
-from rossec.discovery.announcement import Announcement
-from rossec.discovery.candidates import Candidate, DatagramSource
+from rossec.cli.ros import graph
+from rossec.discovery.announcement import Announcement, Candidate, DatagramSource
 from tests.support.commands import Shell, refused
 
 
@@ -20,7 +19,7 @@ def found(monkeypatch: pytest.MonkeyPatch) -> Candidate:
     async def masters(*_: object) -> list[Candidate]:
         return [one]
 
-    monkeypatch.setattr(discover, "masters", masters)
+    monkeypatch.setattr(graph, "masters", masters)
     return one
 
 
@@ -34,9 +33,15 @@ def test_a_master_is_a_line_of_json(empty: Shell, found: Candidate) -> None:
     row = json.loads(empty("discover", "--json").out)
     assert row.pop("age_s") < 60
     assert row == {
-        "uri": "http://robot:11311", "name": "/master", "rtt_ms": 2.0, "loss": 0.5, "heard": 2,
-        "sent": 4, "link": "lo", "key": "00" * 32,
-    }  # fmt: skip
+        "uri": "http://robot:11311",
+        "name": "/master",
+        "rtt_ms": 2.0,
+        "loss": 0.5,
+        "heard": 2,
+        "sent": 4,
+        "link": "lo",
+        "key": "00" * 32,
+    }
 
 
 def test_without_an_enrolled_node_no_master_is_trusted(empty: Shell) -> None:

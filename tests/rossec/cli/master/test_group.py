@@ -1,17 +1,9 @@
 from typing import Any
 
-import click
 import pytest
 
 from rossec.cli.master import serve
-from rossec.cli.master.group import master
-from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell
-
-
-@pytest.mark.parametrize("group", [master], ids=lambda group: group.name)
-def test_each_listed_command_exists_and_has_this_help_line(group: click.Command) -> None:
-    check_table(group)
 
 
 @pytest.mark.parametrize(
@@ -19,10 +11,7 @@ def test_each_listed_command_exists_and_has_this_help_line(group: click.Command)
     [
         ((), {}),
         (("--port", "0"), {"port": 0}),
-        (
-            ("--admin", "--announce", "--log", "json"),
-            {"admin": True, "announce": True, "log": "json"},
-        ),
+        (("--admin", "--announce", "--log", "json"), {"admin": True, "announce": True, "log": "json"}),
     ],
 )
 def test_options_that_are_not_given_leave_the_configuration(
@@ -34,9 +23,12 @@ def test_options_that_are_not_given_leave_the_configuration(
     ((arguments, options),) = ran
     assert arguments[1:] == (None, given, None)
     assert options == {
-        "renew_identities": False, "post_quantum": None, "as_json": False, "name": "/master",
+        "renew_identities": False,
+        "post_quantum": None,
+        "as_json": False,
+        "name": "/master",
         "follow_announced": False,
-    }  # fmt: skip
+    }
 
 
 def test_another_master_of_the_domain(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from rossec.authority import intermediate_home
+from rossec.authority import renewals
 from rossec.authority.local_list import LocalList
 from rossec.authority.renewals import sign_intermediate
-from rossec.cli.master.admin import ADMIN_SOCKET
+from rossec.cli.status import ADMIN_SOCKET
 from rossec.master.operation.admin import send_command
 from tests.support.commands import Shell, refused
 from tests.support.masterprocess import master_process
@@ -38,9 +38,9 @@ def test_a_master_that_is_not_enrolled_does_not_start(shell: Shell) -> None:
 def test_the_host_of_an_intermediate_has_no_list_of_its_own(shell: Shell) -> None:
     """Its master waits for the root's, as one on any other host."""
     site = Site(shell.root / "site")
-    request = intermediate_home.begin(shell.root, "home", "secret").read_bytes()
+    request = renewals.begin(shell.root, "home", "secret").read_bytes()
     _, bundle = sign_intermediate(site.authority, request, site.now(), may_enroll=False)
-    intermediate_home.install(shell.root, bundle, "secret", site.now())
+    renewals.install(shell.root, bundle, "secret", site.now())
     assert LocalList(shell.root).newest() is None
     refused(shell("master"), "/master has no ca.pem", "rossec node request /master")
 

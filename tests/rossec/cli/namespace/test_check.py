@@ -7,7 +7,7 @@ import pytest
 
 from grants.document import sign
 from grants.model import Permission, Right
-from rossec.cli.namespace import check as module
+from rossec.cli.namespace import serve as module
 from tests.grants.authority import CA, draft
 from tests.rossec.naming.stylesheets import PHONE, RULES, gives
 from tests.support.commands import Shell, refused
@@ -63,14 +63,10 @@ def test_findings_as_json(empty: Shell, rules: str, meta: Path) -> None:
     (meta / "lamp.xml").write_text("<node>")
     found = json.loads(empty("namespace", "check", rules, "--meta", str(meta), "--json").out)
     assert [each["what"] for each in found["findings"]] == ["metadata"]
-    assert [each["name"] for each in found["names"] if each["which"] == "temperature"] == [
-        TEMPERATURE
-    ]
+    assert [each["name"] for each in found["names"] if each["which"] == "temperature"] == [TEMPERATURE]
 
 
-def test_names_that_no_rule_of_a_policy_covers(
-    empty: Shell, rules: str, meta: Path, tmp_path: Path
-) -> None:
+def test_names_that_no_rule_of_a_policy_covers(empty: Shell, rules: str, meta: Path, tmp_path: Path) -> None:
     policy = tmp_path / "policy.yaml"
     policy.write_text(POLICY)
     said = empty("namespace", "check", rules, "--meta", str(meta), "--policy", str(policy))
@@ -94,9 +90,8 @@ def test_what_cannot_be_checked_is_refused(
     empty_folder = tmp_path / "empty"
     empty_folder.mkdir()
     refused(
-        empty("namespace", "check", rules, "--meta", str(empty_folder)),
-        "there are no metadata in", "*.xml",
-    )  # fmt: skip
+        empty("namespace", "check", rules, "--meta", str(empty_folder)), "there are no metadata in", "*.xml"
+    )
     bad = tmp_path / "bad.xsl"
     bad.write_bytes(gives("document(1)"))
     refused(

@@ -7,9 +7,9 @@ import pytest
 from grants.document import sign
 from grants.model import Permission, Right
 from rossec.authority.policyfile import parse_policy
-from rossec.cli.namespace.coverage import Coverage, read_grants
+from rossec.cli.namespace.serve import Coverage, read_grants
 from rossec.errors import ConfigurationError
-from rossec.naming.metadata import Kind
+from rossec.naming.requests import NameKind
 from tests.grants.authority import CA, draft, granted
 
 POLICY = """rossec: 1
@@ -27,25 +27,25 @@ rules:
 
 def test_a_policy_covers_what_it_does_not_deny_whatever_key_it_pins() -> None:
     covers = Coverage((), parse_policy(POLICY, "policy.yaml"))
-    assert covers("/lamp", Kind.TOPIC, "/lamps/one")
-    assert not covers("/lamp", Kind.TOPIC, "/lamps/one/two")
-    assert not covers("/lamp", Kind.SERVICE, "/lamps/one")
-    assert not covers("/other", Kind.TOPIC, "/lamps/one")
-    assert covers("/rooms/one", Kind.SERVICE, "/reset")
-    assert covers("/rooms/one", Kind.TOPIC, "/pose")  # somebody decides
-    assert covers("/rooms/one", Kind.NODE, "/rooms/one")
-    assert not covers("/attic", Kind.NODE, "/attic")
+    assert covers("/lamp", NameKind.TOPIC, "/lamps/one")
+    assert not covers("/lamp", NameKind.TOPIC, "/lamps/one/two")
+    assert not covers("/lamp", NameKind.SERVICE, "/lamps/one")
+    assert not covers("/other", NameKind.TOPIC, "/lamps/one")
+    assert covers("/rooms/one", NameKind.SERVICE, "/reset")
+    assert covers("/rooms/one", NameKind.TOPIC, "/pose")  # somebody decides
+    assert covers("/rooms/one", NameKind.NODE, "/rooms/one")
+    assert not covers("/attic", NameKind.NODE, "/attic")
 
 
 def test_a_grant_covers_what_it_gives_its_node() -> None:
     permission = Permission("/lamps/**", Right.PUBLISH | Right.PARAM_GET)
     covers = Coverage([granted(permission, subject="/lamp")], None)
-    assert covers("/lamp", Kind.TOPIC, "/lamps/one")
-    assert covers("/lamp", Kind.NODE, "/lamp")
-    assert not covers("/lamp", Kind.SERVICE, "/lamps/one")
-    assert not covers("/lamp", Kind.TOPIC, "/lamp")
-    assert not covers("/other", Kind.TOPIC, "/lamps/one")
-    assert not covers("/other", Kind.NODE, "/other")
+    assert covers("/lamp", NameKind.TOPIC, "/lamps/one")
+    assert covers("/lamp", NameKind.NODE, "/lamp")
+    assert not covers("/lamp", NameKind.SERVICE, "/lamps/one")
+    assert not covers("/lamp", NameKind.TOPIC, "/lamp")
+    assert not covers("/other", NameKind.TOPIC, "/lamps/one")
+    assert not covers("/other", NameKind.NODE, "/other")
 
 
 def test_grants_are_read_from_files(tmp_path: Path) -> None:

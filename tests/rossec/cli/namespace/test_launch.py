@@ -15,9 +15,8 @@ def test_the_figure_of_the_thesis(empty: Shell, tmp_path: Path) -> None:
     assert "topic ~output2 is /n1/raum3/lamps/wallwasher" in said.err
     before = out.read_bytes()
     refused(
-        empty("namespace", "launch", str(FIGURE), "--out", str(out)),
-        "exists and is not overwritten", "--out",
-    )  # fmt: skip
+        empty("namespace", "launch", str(FIGURE), "--out", str(out)), "exists and is not overwritten", "--out"
+    )
     assert out.read_bytes() == before
 
 

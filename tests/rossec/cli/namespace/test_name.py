@@ -23,8 +23,10 @@ def test_the_names_of_the_thesis(empty: Shell, phone: str) -> None:
     assert empty(*topic).out == "/smartphones/schneider/htc_desire/sensors/accelerometer\n"
     said = empty(*name, "--topic", "temperature", "--json")
     assert json.loads(said.out) == {
-        "kind": "topic", "which": "temperature", "name": "/building1/room3/sensors/temperature",
-    }  # fmt: skip
+        "kind": "topic",
+        "which": "temperature",
+        "name": "/building1/room3/sensors/temperature",
+    }
 
 
 def test_a_service_has_a_name(empty: Shell, tmp_path: Path) -> None:
@@ -33,9 +35,7 @@ def test_a_service_has_a_name(empty: Shell, tmp_path: Path) -> None:
     assert empty("namespace", "name", str(path), "--service", "reset").out == "/room/reset\n"
 
 
-def test_defaults_are_legal_unless_those_of_the_thesis_are_asked_for(
-    empty: Shell, tmp_path: Path
-) -> None:
+def test_defaults_are_legal_unless_those_of_the_thesis_are_asked_for(empty: Shell, tmp_path: Path) -> None:
     path = tmp_path / "nothing.xml"
     path.write_text("<node/>")
     assert empty("namespace", "name", str(path)).out == "/unknown_group/unknown_node\n"
@@ -58,8 +58,9 @@ def test_other_rules_give_other_names(empty: Shell, phone: str, tmp_path: Path) 
 def test_what_is_asked_for_must_be_there(empty: Shell, phone: str, tmp_path: Path) -> None:
     refused(
         empty("namespace", "name", phone, "--topic", "x"),
-        "the rules give no name for the topic 'x'", "is it in the metadata?",
-    )  # fmt: skip
+        "the rules give no name for the topic 'x'",
+        "is it in the metadata?",
+    )
     both = empty("namespace", "name", phone, "--topic", "x", "--service", "y")
     refused(both, "give --topic or --service, not both", code=2)
     large = tmp_path / "large.xml"

@@ -14,13 +14,12 @@ from grants.model import Right
 from rossec.cli.namespace import serve as module
 from rossec.cli.shared.context import Environment
 from rossec.errors import RossecError, RulesRefused
-from rossec.namespace.message_package import service_type
-from rossec.namespace.topic_names import SERVICE
-from rossec.naming import shipped
-from rossec.operation.shutdown import stop_on_signals
+from rossec.host.runner import stop_on_signals
+from rossec.namespace.topic_names import SERVICE, service_type
+from rossec.naming import rule_runner
 from tests.support.site import Site
 
-PHONE = shipped.example("phone.xml").decode()
+PHONE = rule_runner.shipped_example("phone.xml").decode()
 
 
 @pytest.fixture
@@ -37,9 +36,7 @@ async def served(site: Site, rules: bytes, *, as_json: bool) -> AsyncIterator[No
     """The service as a task; it ends as by Ctrl-C."""
     assert threading.current_thread() is threading.main_thread()
     environment = Environment(site.environ)
-    running = asyncio.ensure_future(
-        module._serve(environment, "/namespace", rules, as_json=as_json)
-    )
+    running = asyncio.ensure_future(module._serve(environment, "/namespace", rules, as_json=as_json))
     try:
         yield
     finally:
@@ -52,7 +49,7 @@ async def served(site: Site, rules: bytes, *, as_json: bool) -> AsyncIterator[No
 async def test_it_answers_until_it_is_ended(site: Site, capsys: pytest.CaptureFixture[str]) -> None:
     kind = service_type()
     stop_on_signals()  # SIGTERM never ends the tests
-    async with site.node("/phone") as phone, served(site, shipped.rules(), as_json=True):
+    async with site.node("/phone") as phone, served(site, rule_runner.shipped_rules(), as_json=True):
         await phone.wait_for_service(SERVICE, timeout=60)
         answer = await phone.client(SERVICE, kind.name)(name="temperature", metadata=PHONE)
         assert answer.topicname == "/building1/room3/sensors/temperature"

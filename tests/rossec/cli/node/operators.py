@@ -9,10 +9,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from ca.enrollment import qr
-from ca.enrollment.authority import AuthorityEnrollment
+from ca.enrollment.sides import AuthorityEnrollment
 from ca.errors import HintedError
-from rossec.enrollment import address, authority, control
-from rossec.enrollment.scan import code_in
+from rossec.enrollment import enroll
+from rossec.enrollment.enroll import code_in
+from rossec.host import addresses
 from tests.support.commands import Shell
 from tests.support.enrolling import clock, fresh
 from tests.support.pki import Site
@@ -23,9 +24,7 @@ SITE = Site.create(now=clock())
 class Operator(threading.Thread):
     """Somebody at the authority, who sees the node's code and calls it; `then` gets the digits."""
 
-    def __init__(
-        self, shell: Shell, then: Callable[["Operator", str], object], *, site: Site = SITE
-    ) -> None:
+    def __init__(self, shell: Shell, then: Callable[["Operator", str], object], *, site: Site = SITE) -> None:
         super().__init__()
         self.png = shell.root / "code.png"
         self.node = shell.node("/robot")
@@ -43,7 +42,7 @@ class Operator(threading.Thread):
         self._then(self, digits)
 
     def confirm(self, digits: str) -> None:
-        control.ask(self.node, {"do": "confirm", "digits": digits})
+        enroll.ask(self.node, {"do": "confirm", "digits": digits})
 
     def run(self) -> None:
         until = time.monotonic() + 30
@@ -51,7 +50,7 @@ class Operator(threading.Thread):
             assert time.monotonic() < until
             time.sleep(0.01)
         code = qr.parse(code_in(self.png.read_bytes()))
-        host, port = address.split(code.address) if code.address else ("127.0.0.1", self.port)
+        host, port = addresses.split(code.address) if code.address else ("127.0.0.1", self.port)
         self.core = AuthorityEnrollment(code, "home")
         try:
             asyncio.run(self.enroll(self.core, host, port))
@@ -59,13 +58,13 @@ class Operator(threading.Thread):
             self.error = error
 
     async def enroll(self, core: AuthorityEnrollment, host: str, port: int) -> None:
-        await authority.fetch(core, host, port, clock)
+        await enroll.fetch(core, host, port, clock)
         core.approve(clock())
         leaf = self.site.authority.issue(
             core.csr, now=clock(), serial=secrets.randbits(120), wildcard=core.request.wildcard
         )
         offer = core.offer([leaf], self.site.root, fresh(), clock())
-        await authority.deliver(core, offer, host, port, clock, self.show)
+        await enroll.deliver(core, offer, host, port, clock, self.show)
 
 
 def after(action: Callable[[], object], until: Callable[[], bool]) -> threading.Thread:

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.cli.node.address_check import check_node_addresses, check_own_address
-from rossec.cli.node.master_check import check_master
+from rossec.cli.node.doctor import check_master, check_node_addresses, check_own_address
 from rossec.cli.shared.context import Environment
 from rossec.errors import ConfigurationError
 from tests.support.attacker import call, credentials
@@ -53,8 +52,15 @@ async def test_the_nodes_it_may_reach(tmp_path: Path) -> None:
         publisher = credentials(site, "/camera")
         grants = site.enroll("/camera").grants()
         await call(site.master.uri, publisher, "rossec.presentGrants", "/camera", grants)
-        await call(site.master.uri, publisher, "registerPublisher", "/camera", "/image",
-                   "sensor_msgs/Image", f"http://{UNKNOWN}:4711/")  # fmt: skip
+        await call(
+            site.master.uri,
+            publisher,
+            "registerPublisher",
+            "/camera",
+            "/image",
+            "sensor_msgs/Image",
+            f"http://{UNKNOWN}:4711/",
+        )
         found = [each async for each in check_master(Environment(site.environ), home, ())]
         faults = [each for each in found if not isinstance(each, str)]
         assert [str(each) for each in faults] == [

@@ -9,11 +9,10 @@ from pathlib import Path
 import pytest
 
 from ca.authority import Authority
-from ca.certificates import Identity, to_pem
-from ca.intermediates import build_intermediate_request
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner, Signer
-from ca.revocation.state import Timestamp, sign_timestamp
+from ca.certificates import Identity, build_intermediate_request, to_pem
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner, Signer
+from ca.revocation.lists import Timestamp, sign_timestamp
 from grants import document
 from grants.model import Right
 from rossec.authority.home import AuthorityHome
@@ -43,9 +42,7 @@ def elsewhere(site: Site, directory: Path, name: str) -> Path:
     return directory / "away"
 
 
-async def test_a_node_in_order_and_its_faults(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+async def test_a_node_in_order_and_its_faults(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     async with Site(tmp_path / "site").running() as site:
         environ = dict(site.environ)
 
@@ -158,9 +155,7 @@ def test_a_revocation_in_a_signed_list_is_not_ok(
     if tree:
         place.save_entries(authority.newest_statement()[1])
     (shell.root / "ca").rename(shell.root / "elsewhere")
-    assert f"not ok  the key of /robot is revoked according to the list in {place.path}" in doctor(
-        shell
-    )
+    assert f"not ok  the key of /robot is revoked according to the list in {place.path}" in doctor(shell)
 
 
 def test_a_list_of_another_authority_is_ignored(shell: Shell, tmp_path: Path) -> None:
@@ -181,8 +176,11 @@ def test_a_node_below_a_revoked_intermediate_is_not_ok(shell: Shell, tmp_path: P
     signer, now = KeySigner(generate()), int(time.time())
     der = site.authority.authority.issue_intermediate(
         build_intermediate_request(signer, "home"),
-        now=now, serial=secrets.randbits(127), may_enroll=True, lifetime=90 * DAY,
-    )  # fmt: skip
+        now=now,
+        serial=secrets.randbits(127),
+        may_enroll=True,
+        lifetime=90 * DAY,
+    )
     host = Authority(signer, site.anchor.certificate, der)
     home = NodeHome.of(site.root, "/robot")
     home.create_request("home")
@@ -272,23 +270,20 @@ async def test_a_revoked_identity_is_said_to_be_revoked_though_no_master_answers
         [each for each in json.loads(line)["findings"] if not each["ok"]]
         for line in capsys.readouterr().out.splitlines()
     ]
-    assert [(each["check"], "is revoked" in each["text"]) for each in faults] == [
-        ("identity", True)
-    ]
+    assert [(each["check"], "is revoked" in each["text"]) for each in faults] == [("identity", True)]
 
 
 @pytest.mark.parametrize(("shift", "said"), [(-3600, "ahead of"), (3600, "behind")])
 async def test_a_clock_that_is_off_is_the_one_fault(
-    shift: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    shift: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     def shifted(signer: Signer, stamp: Timestamp) -> bytes:
         return sign_timestamp(signer, replace(stamp, issued=stamp.issued + shift))
 
     async with Site(tmp_path / "site").running() as site:
         site.publish("/robot", "/x")
         site.publish("/arm", "/x")
-        monkeypatch.setattr("rossec.master.rights.list_in_force.sign_timestamp", shifted)
+        monkeypatch.setattr("rossec.master.rights.revocation_lists.sign_timestamp", shifted)
         words = ["doctor", "/robot", "/arm"]
         assert await asyncio.to_thread(run, words, dict(site.environ)) == 1
         lines = capsys.readouterr().out.splitlines()

@@ -6,12 +6,13 @@ import pytest
 
 from ca.certificates import from_pem
 from ca.enrollment import qr
-from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
+from ca.enrollment.sides import AuthorityEnrollment, AuthorityState
 from ca.errors import HintedError
 from rossec.cli.main import run
-from rossec.enrollment import address, control
-from rossec.enrollment.scan import code_in
+from rossec.enrollment import enroll
+from rossec.enrollment.enroll import code_in
 from rossec.home import NodeHome
+from rossec.host import addresses
 from tests.rossec.cli.node.operators import SITE, Operator, after
 from tests.support.commands import Shell, refused
 from tests.support.enrolling import clock
@@ -32,9 +33,7 @@ def test_a_node_is_enrolled(empty: Shell) -> None:
     lines = said.out.splitlines()
     assert lines[-1] == "/robot is enrolled in home"
     assert f"digits {digits[:3]} {digits[3:]}" in lines
-    assert any(
-        re.fullmatch(r"authority of home, fingerprint [0-9a-f ]{39}", line) for line in lines
-    )
+    assert any(re.fullmatch(r"authority of home, fingerprint [0-9a-f ]{39}", line) for line in lines)
     assert any(line.startswith("/robot waits at 127.0.0.1:") for line in lines)
     assert b"<svg" in svg.read_bytes()
     home = NodeHome.of(empty.root, "/robot")
@@ -48,14 +47,8 @@ def test_a_node_is_confirmed_by_the_confirm_command(empty: Shell) -> None:
     codes: list[int] = []
 
     def walk(_: Operator, digits: str) -> None:
-        typed = (
-            ("12345",),
-            (str((int(digits) + 1) % 10**6).zfill(6),),
-            (digits[:3], f"-{digits[3:]}"),
-        )
-        codes.extend(
-            run(("node", "confirm", "/robot", "--", *words), empty.environ) for words in typed
-        )
+        typed = (("12345",), (str((int(digits) + 1) % 10**6).zfill(6),), (digits[:3], f"-{digits[3:]}"))
+        codes.extend(run(("node", "confirm", "/robot", "--", *words), empty.environ) for words in typed)
 
     operator = Operator(empty, walk)
     operator.start()
@@ -79,9 +72,7 @@ def test_confirm_without_digits_shows_and_asks(empty: Shell) -> None:
     assert said.out.count("digits ") == 2
 
 
-def test_the_digits_may_be_typed_as_the_answer(
-    empty: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_digits_may_be_typed_as_the_answer(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     codes: list[int] = []
 
     def walk(_: Operator, digits: str) -> None:
@@ -163,7 +154,7 @@ def test_a_second_enrollment_of_one_node_is_refused(empty: Shell) -> None:
 
     def second() -> None:
         try:
-            asyncio.run(control.serve(empty.node("/robot"), lambda _: {}))
+            asyncio.run(enroll.serve(empty.node("/robot"), lambda _: {}))
         except HintedError:
             codes.append(1)
         os.kill(os.getpid(), 15)
@@ -179,9 +170,7 @@ def test_only_a_label_has_a_window(empty: Shell) -> None:
     assert not empty.node("/robot").exists()
 
 
-def test_the_code_has_the_configured_or_own_address(
-    empty: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_code_has_the_configured_or_own_address(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     def shown(**environ: str) -> tuple[str, str]:
         png = empty.root / "code.png"
         png.unlink(missing_ok=True)
@@ -194,11 +183,11 @@ def test_the_code_has_the_configured_or_own_address(
 
     where, _ = shown(ROS_IP="192.168.7.7")
     assert where.startswith("192.168.7.7:")
-    monkeypatch.setattr(address, "own_addresses", lambda: ["10.0.0.7", "fd00::7"])
+    monkeypatch.setattr(addresses, "own_addresses", lambda: ["10.0.0.7", "fd00::7"])
     where, err = shown()
     assert where.startswith("10.0.0.7:")
     assert "other addresses of this host, for --address: fd00::7" in err
-    monkeypatch.setattr(address, "own_addresses", lambda: ["10.0.0.7"])
+    monkeypatch.setattr(addresses, "own_addresses", lambda: ["10.0.0.7"])
     _, err = shown()
     assert "other addresses" not in err
 

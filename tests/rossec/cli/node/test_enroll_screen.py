@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from rossec.cli.node.enroll_screen import confirms
-from rossec.enrollment import address
+from rossec.cli.node.enroll import confirms
+from rossec.host import addresses
 from tests.rossec.cli.node.operators import Operator, after, typist
 from tests.support.commands import Shell, refused
 
@@ -18,15 +18,13 @@ def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     written, screen = os.openpty()
     with os.fdopen(screen) as stdin:
         monkeypatch.setattr("sys.stdin", stdin)
-        monkeypatch.setattr("rossec.cli.node.enroll_screen.is_live", lambda: True)
+        monkeypatch.setattr("rossec.cli.node.enroll.is_live", lambda: True)
         yield written
     os.close(written)
 
 
 @pytest.mark.parametrize(("answer", "code"), [("y\n", 0), ("n\n", 1), ("\n", 1)])
-def test_the_answer_at_the_terminal_decides(
-    empty: Shell, keyboard: int, answer: str, code: int
-) -> None:
+def test_the_answer_at_the_terminal_decides(empty: Shell, keyboard: int, answer: str, code: int) -> None:
     with typist(keyboard, answer) as begins:
         operator = Operator(empty, begins)
         operator.start()
@@ -46,7 +44,7 @@ def test_refused_connections_are_reported_up_to_a_limit(empty: Shell) -> None:
     def knock(operator: Operator, digits: str) -> None:
         assert operator.core is not None
         for _ in range(12):
-            with socket.create_connection(address.split(operator.core._code.address)) as stranger:
+            with socket.create_connection(addresses.split(operator.core._code.address)) as stranger:
                 stranger.sendall(b"GET / HTTP/1.1\r\n\r\n")
                 while stranger.recv(100):
                     pass
@@ -93,8 +91,17 @@ def test_a_picture_with_a_secret_is_readable_by_the_owner_only(empty: Shell, lab
 
 @pytest.mark.parametrize(
     ("answer", "yes"),
-    [("y", True), ("yes", True), ("123456", True), ("123 456", True), ("123-456", True),
-     ("", False), ("123457", False), ("12345", False), ("yep", False)],
-)  # fmt: skip
+    [
+        ("y", True),
+        ("yes", True),
+        ("123456", True),
+        ("123 456", True),
+        ("123-456", True),
+        ("", False),
+        ("123457", False),
+        ("12345", False),
+        ("yep", False),
+    ],
+)
 def test_the_digits_themselves_are_a_yes(answer: str, yes: bool) -> None:
     assert confirms(answer, "123456") is yes

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment import qr
-from rossec.enrollment.scan import code_in
+from rossec.enrollment.enroll import code_in
 from tests.rossec.naming.stylesheets import gives
 from tests.support.commands import Shell, refused
 
@@ -67,9 +67,7 @@ def test_an_installed_node_shows_itself(shell: Shell) -> None:
     assert "\n0 grants in " in shell("node", "show", "/robot").out
 
 
-def test_installing_shows_the_authority_and_asks(
-    shell: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_installing_shows_the_authority_and_asks(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     shell("node", "request", "/robot")
     shell.unlocked("ca", "sign", str(shell.node("/robot") / "node.csr"), "--yes")

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment import invitation
-from ca.enrollment.join_messages import Refused, RefuseReason, Waiting, WaitReason
+from ca.enrollment.join import RefusedMessage, RefuseReason, WaitingMessage, WaitReason
 from ca.errors import CertificateExpired
-from rossec.cli.node import join as module
+from rossec.cli.node import enroll as module
 from rossec.home import NodeHome
-from rossec.naming import shipped
+from rossec.naming import rule_runner
 from tests.support.commands import PASSPHRASE, Shell, refused
 from tests.support.joining import JoinPort
 
@@ -82,9 +82,7 @@ def test_a_lost_answer_is_fetched_with_the_same_request(shell: Shell, pasted: Pa
         assert len({request.csr for request in port.requests}) == 1
 
 
-def test_a_node_that_was_killed_before_its_request_was_written(
-    shell: Shell, pasted: Pasted
-) -> None:
+def test_a_node_that_was_killed_before_its_request_was_written(shell: Shell, pasted: Pasted) -> None:
     with JoinPort(shell.root, PASSPHRASE) as port:
         code = invited(shell, port, "/robot")
         shell("node", "request", "/robot", "--domain", "elsewhere")
@@ -131,13 +129,13 @@ def test_the_name_is_required_for_a_pattern(shell: Shell, pasted: Pasted) -> Non
 @pytest.mark.parametrize(
     ("answer", "code", "error", "hint"),
     [
-        (Waiting(WaitReason.LOCKED), 5, "the authority is locked", "rossec ca unlock"),
-        (Waiting(WaitReason.PERSON), 5, "a person has to approve", "rossec ca requests"),
-        (Refused(RefuseReason.ENDED), 1, "is used up", "rossec ca invite"),
+        (WaitingMessage(WaitReason.LOCKED), 5, "the authority is locked", "rossec ca unlock"),
+        (WaitingMessage(WaitReason.PERSON), 5, "a person has to approve", "rossec ca requests"),
+        (RefusedMessage(RefuseReason.ENDED), 1, "is used up", "rossec ca invite"),
     ],
 )
 def test_an_answer_that_is_no_identity(
-    shell: Shell, pasted: Pasted, answer: Waiting | Refused, code: int, error: str, hint: str
+    shell: Shell, pasted: Pasted, answer: WaitingMessage | RefusedMessage, code: int, error: str, hint: str
 ) -> None:
     with JoinPort(shell.root, PASSPHRASE) as port:
         line = invited(shell, port, "/robot")
@@ -186,9 +184,7 @@ def test_a_late_code(shell: Shell, pasted: Pasted) -> None:
     refused(shell("node", "join"), "the invitation expired ", "clock")
 
 
-@pytest.mark.parametrize(
-    "data", [b"", b"ROSSEC:AB", b"\xff\xfe", b"\xd2\x1b\x05rubbish", b"x" * 9999]
-)
+@pytest.mark.parametrize("data", [b"", b"ROSSEC:AB", b"\xff\xfe", b"\xd2\x1b\x05rubbish", b"x" * 9999])
 def test_no_code(shell: Shell, pasted: Pasted, data: bytes) -> None:
     pasted(data)
     said = shell("node", "join")
@@ -196,9 +192,7 @@ def test_no_code(shell: Shell, pasted: Pasted, data: bytes) -> None:
     assert "hint" in said.err
 
 
-def test_a_terminal_is_asked_and_shows_nothing(
-    shell: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_terminal_is_asked_and_shows_nothing(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     """Line by line until the code is whole: a mail has broken its line."""
     asked: list[str] = []
 
@@ -252,10 +246,8 @@ def meta(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_name_is_that_of_the_authority_s_rules(
-    shell: Shell, pasted: Pasted, meta: Path
-) -> None:
-    with JoinPort(shell.root, PASSPHRASE, shipped.rules()) as port:
+def test_the_name_is_that_of_the_authority_s_rules(shell: Shell, pasted: Pasted, meta: Path) -> None:
+    with JoinPort(shell.root, PASSPHRASE, rule_runner.shipped_rules()) as port:
         code = invited(shell, port, "/lamps/**")
         for answer in ("/lamps/ann/desk is enrolled until ", "/lamps/ann/desk is enrolled already"):
             pasted(code)
@@ -266,7 +258,7 @@ def test_the_name_is_that_of_the_authority_s_rules(
 
 
 def test_what_the_rules_do_not_give_is_refused(shell: Shell, pasted: Pasted, meta: Path) -> None:
-    with JoinPort(shell.root, PASSPHRASE, shipped.rules()) as port:
+    with JoinPort(shell.root, PASSPHRASE, rule_runner.shipped_rules()) as port:
         pasted(invited(shell, port, "/cameras/**"))
         refused(shell("node", "join", "--meta", str(meta)), "the invitation does not allow")
         meta.write_bytes(b"<node>")

@@ -9,7 +9,7 @@ import pytest
 
 from ca.errors import DomainsRefused
 from rossec.authority.home import AuthorityHome
-from rossec.cli.node.known_domains import check_domains
+from rossec.cli.node.doctor import check_domains
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from tests.support import trust

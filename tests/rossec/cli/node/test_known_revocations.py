@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from rossec.authority.home import AuthorityHome
-from rossec.cli.node.known_revocations import known_revocations
+from rossec.cli.node.doctor import known_revocations
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
 from tests.support.site import Site
@@ -28,8 +28,9 @@ def test_every_list_counts_with_its_path(site: Site) -> None:
     node.save_revocations(site.revoke(KEY))
     master.save_revocations(site.revoke(OTHER))
     assert known_revocations(site.root, node) == {
-        KEY: f"the list in {node.path}", OTHER: f"the list in {master.path}"
-    }  # fmt: skip
+        KEY: f"the list in {node.path}",
+        OTHER: f"the list in {master.path}",
+    }
 
 
 def test_a_tree_counts_with_its_entries(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ca.errors import HintedError
-from ca.revocation.state import SKEW
+from ca.revocation.trust_status import SKEW
 from grants.token import peek
-from rossec.cli.node.master_check import check_master, describe_offset
+from rossec.cli.node.doctor import check_master, describe_offset
 from rossec.cli.shared.context import Environment
 from rossec.errors import ConfigurationError
 from tests.support.attacker import call, credentials
@@ -37,9 +37,7 @@ def test_the_offset_is_said(issued: int, begun: float, ended: float, said: str) 
 
 
 @given(SECONDS, st.floats(-0.9e9, 0.9e9), st.floats(0, 10), st.floats(0, 10))
-def test_what_is_said_is_a_lower_bound(
-    host: float, offset: float, there: float, back: float
-) -> None:
+def test_what_is_said_is_a_lower_bound(host: float, offset: float, there: float, back: float) -> None:
     """However slow the network is: no clock that is right is called wrong."""
     found = describe_offset(int(host + there + offset), host, host + there + back)
     if isinstance(found, HintedError):

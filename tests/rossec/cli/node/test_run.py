@@ -42,8 +42,11 @@ def test_a_wrong_command_line_is_refused(capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_the_program_runs_with_loopback_in_its_environment(tmp_path: Path) -> None:
-    done = started(["run", "--", "sh", "-c", "echo $ROS_MASTER_URI $ROS_IP; exit 7"],
-                   ROSSEC_HOME=str(tmp_path), ROS_MASTER_URI="http://far:11311")  # fmt: skip
+    done = started(
+        ["run", "--", "sh", "-c", "echo $ROS_MASTER_URI $ROS_IP; exit 7"],
+        ROSSEC_HOME=str(tmp_path),
+        ROS_MASTER_URI="http://far:11311",
+    )
     assert done.returncode == 7
     assert done.stdout.startswith("http://127.0.0.1:")
     assert done.stdout.endswith(" 127.0.0.1\n")
@@ -53,9 +56,13 @@ def test_the_program_runs_with_loopback_in_its_environment(tmp_path: Path) -> No
 def test_the_program_has_the_limit_it_would_have_had(tmp_path: Path) -> None:
     inside = f"exec {BIN} run -- sh -c 'ulimit -Sn; grep \"open files\" /proc/$PPID/limits'"
     done = subprocess.run(
-        ["sh", "-c", f"ulimit -Sn 300; {inside}"], text=True, capture_output=True, timeout=30,
-        env={**os.environ, "ROSSEC_HOME": str(tmp_path)}, check=True,
-    )  # fmt: skip
+        ["sh", "-c", f"ulimit -Sn 300; {inside}"],
+        text=True,
+        capture_output=True,
+        timeout=30,
+        env={**os.environ, "ROSSEC_HOME": str(tmp_path)},
+        check=True,
+    )
     limit, ours = done.stdout.splitlines()
     assert limit == "300"
     assert int(ours.split()[3]) > 300
@@ -82,9 +89,11 @@ def test_ctrl_c_during_discovery_ends_silently(tmp_path: Path) -> None:
     # A shell lets what it runs in the background ignore Ctrl-C, and so these tests.
     heeding = ["env", "--default-signal=INT"]
     with subprocess.Popen(
-        [*heeding, BIN, "run", "--", "true"], text=True, stderr=subprocess.PIPE,
+        [*heeding, BIN, "run", "--", "true"],
+        text=True,
+        stderr=subprocess.PIPE,
         env={**os.environ, "ROSSEC_HOME": str(site.root), "ROS_MASTER_URI": "discover:"},
-    ) as running:  # fmt: skip
+    ) as running:
         command = Path(f"/proc/{running.pid}/cmdline")
         end = time.monotonic() + 30
         while b"rossec.sidecar" not in command.read_bytes():

@@ -30,24 +30,25 @@ def test_an_unknown_user_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
         ("http://localhost:{}", ["is the sidecar's own address", "where the secured master is"]),
     ],
 )
-def test_a_port_that_the_sidecar_cannot_use_is_refused(
-    tmp_path: Path, uri: str, words: list[str]
-) -> None:
+def test_a_port_that_the_sidecar_cannot_use_is_refused(tmp_path: Path, uri: str, words: list[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as roscore:
         port = roscore.getsockname()[1]
         if "far" not in uri:
             roscore.close()
-        done = started(["sidecar", "-p", str(port)],
-                       ROSSEC_HOME=str(tmp_path), ROS_MASTER_URI=uri.format(port))  # fmt: skip
+        done = started(
+            ["sidecar", "-p", str(port)], ROSSEC_HOME=str(tmp_path), ROS_MASTER_URI=uri.format(port)
+        )
     assert done.returncode == 1
     assert all(word in done.stderr for word in words), done.stderr
 
 
 def test_a_service_ends_with_a_signal(tmp_path: Path) -> None:
     with subprocess.Popen(
-        [BIN, "sidecar", "-p", "0"], text=True, stdout=subprocess.PIPE,
+        [BIN, "sidecar", "-p", "0"],
+        text=True,
+        stdout=subprocess.PIPE,
         env={**os.environ, "ROSSEC_HOME": str(tmp_path)},
-    ) as running:  # fmt: skip
+    ) as running:
         assert running.stdout is not None
         assert running.stdout.readline().startswith("sidecar at http://127.0.0.1:")
         running.terminate()

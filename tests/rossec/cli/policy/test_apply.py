@@ -12,7 +12,7 @@ from grants import document
 from grants.model import Right
 from rossec.authority.home import AuthorityHome
 from rossec.home import NodeHome
-from rossec.master.server.start import master_of
+from rossec.master.server.server import master_of
 from rossec.node import Node
 from tests.support.commands import Said, Shell, refused
 
@@ -92,17 +92,13 @@ def test_the_policy_is_put_in_force_and_twice_changes_nothing(site: Shell) -> No
     said = apply(site, "--yes")
     assert (said.code, said.err) == (0, "")
     assert lines(said)[-1] == "signed: 4"
-    assert held(site, "/robot") == [
-        (Right.PUBLISH, "/odom"), (Right.PUBLISH, "/pose"), (Right.GRAPH, "/**"),
-    ]  # fmt: skip
+    assert held(site, "/robot") == [(Right.PUBLISH, "/odom"), (Right.PUBLISH, "/pose"), (Right.GRAPH, "/**")]
     before = AuthorityHome.at(site.root).store()
     rows = before.grants()
     assert set(before.policy_grants().values()) == {"drive", "look", "view"}
     again = site("policy", "apply", *NOWHERE)  # asks neither yes nor the passphrase
     assert again.code == 0
-    assert lines(again) == [
-        "= 5 rights of 2 nodes as before", LIFT, "the policy is in force, nothing to do",
-    ]  # fmt: skip
+    assert lines(again) == ["= 5 rights of 2 nodes as before", LIFT, "the policy is in force, nothing to do"]
     assert AuthorityHome.at(site.root).store().grants() == rows
 
 
@@ -129,9 +125,7 @@ def test_a_changed_rule_narrows_and_revokes(site: Shell) -> None:
 
 
 @pytest.mark.parametrize("answer", ["", "n\n"])
-def test_without_an_answer_nothing_is_done(
-    site: Shell, monkeypatch: pytest.MonkeyPatch, answer: str
-) -> None:
+def test_without_an_answer_nothing_is_done(site: Shell, monkeypatch: pytest.MonkeyPatch, answer: str) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO(answer))
     said = apply(site)
     assert said.code == 1
@@ -191,10 +185,15 @@ def test_the_difference_for_programs(site: Shell) -> None:
     assert said.err == "rossec: signed: 4\n"
     assert (shown["sign"], shown["revoke"], len(shown["changes"])) == (4, [], 5)
     assert shown["changes"][0] == {
-        "sign": "+", "kind": "new", "node": "/robot", "right": "publish", "name": "/pose",
-        "restrictions": ["valid 7d"], "before": [],
+        "sign": "+",
+        "kind": "new",
+        "node": "/robot",
+        "right": "publish",
+        "name": "/pose",
+        "restrictions": ["valid 7d"],
+        "before": [],
         "rules": [{"id": "drive", "line": 6, "why": ""}],
-    }  # fmt: skip
+    }
 
 
 RUNNING = """rossec: 1
@@ -206,16 +205,19 @@ rules:
 """
 
 
-async def test_a_running_system_follows_the_policy_and_nothing_else_comes_down(
-    shell: Shell,
-) -> None:
+async def test_a_running_system_follows_the_policy_and_nothing_else_comes_down(shell: Shell) -> None:
     """What is no longer allowed is cut at once; what no changed rule is about is not touched."""
     for name in ("/robot", "/viewer", "/master"):
         await asyncio.to_thread(shell.enroll, name)
     write(shell, RUNNING)
     authority = AuthorityHome.at(shell.root)
-    server = master_of(NodeHome.of(shell.root, "/master"), host="127.0.0.1", port=0,
-                       newest=authority.revocation_list(), now=int(time.time()))  # fmt: skip
+    server = master_of(
+        NodeHome.of(shell.root, "/master"),
+        host="127.0.0.1",
+        port=0,
+        newest=authority.revocation_list(),
+        now=int(time.time()),
+    )
     await server.start()
     environ = {**shell.environ, "ROS_MASTER_URI": server.uri}
     command = ("policy", "apply", "--yes", "--master", server.uri)
@@ -236,8 +238,10 @@ async def test_a_running_system_follows_the_policy_and_nothing_else_comes_down(
             said = await asyncio.to_thread(shell.unlocked, *command)
             assert (said.code, said.err) == (0, "")
             assert said.out.splitlines()[-3:] == [
-                "revoked: 1 (list 2)", "the master has the new list", "signed: 1",
-            ]  # fmt: skip
+                "revoked: 1 (list 2)",
+                "the master has the new list",
+                "signed: 1",
+            ]
             async with asyncio.timeout(30):
                 while pose.links:  # noqa: ASYNC110 - nothing tells
                     await asyncio.sleep(0.01)

@@ -5,12 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from grants.policy.changes import Kind
-from grants.policy.difference import Moment
-from rossec.authority.policy_plan import PlanOptions, PolicyPlan, make_plan
-from rossec.authority.policyfile import PolicyFile
+from grants.policy.difference import ChangeKind, Moment
+from rossec.authority.policyfile import PlanOptions, PolicyFile, PolicyPlan, make_plan
 from rossec.authority.signing import SKEW
-from rossec.cli.policy import apply_report
+from rossec.cli.policy import check
 from tests.support.site import DAY, Site
 
 NOW = 1_800_000_000
@@ -44,7 +42,7 @@ def sign(site: Site, made: PolicyPlan) -> None:
 
 def test_what_is_the_same_for_many_nodes_is_one_line(site: Site) -> None:
     made = plan(site, POLICY)
-    assert list(apply_report.lines(made)) == [
+    assert list(check.lines(made)) == [
         "+ /n1, /n2, /n3 and 2 more nodes: subscribe /pose, valid 7d (rule a, line 4)",
         (
             "! /n1: publish /** (rule b, line 5) is not granted: rule d, line 6 denies some of it;"
@@ -52,37 +50,43 @@ def test_what_is_the_same_for_many_nodes_is_one_line(site: Site) -> None:
         ),
         "the first grant of the policy ends 2027-01-22 08:00:00 UTC",
     ]
-    assert apply_report.summary(made) == "sign 5 grants"
+    assert check.summary(made) == "sign 5 grants"
 
 
 def test_what_is_left_is_counted_and_what_goes_is_named(site: Site) -> None:
     sign(site, plan(site, POLICY))
-    assert next(apply_report.lines(plan(site, POLICY))) == "= 5 rights of 5 nodes as before"
+    assert next(check.lines(plan(site, POLICY))) == "= 5 rights of 5 nodes as before"
     denied = POLICY.replace("publish: [/secret]", "subscribe: [/pose]")
     made = plan(site, denied)
     gone = "- /n1, /n2, /n3 and 2 more nodes: subscribe /pose (rule d, line 6)"
-    assert gone in apply_report.lines(made)
-    assert apply_report.summary(made) == "sign 1 grant and revoke 5 grants"
+    assert gone in check.lines(made)
+    assert check.summary(made) == "sign 1 grant and revoke 5 grants"
 
 
 def test_a_tree_and_due_grants_are_announced(site: Site) -> None:
     sign(site, plan(site, POLICY))
-    lines = list(apply_report.lines(replace(plan(site, POLICY, 5 * DAY), listed=5000)))
+    lines = list(check.lines(replace(plan(site, POLICY, 5 * DAY), listed=5000)))
     assert "the revocations are a tree of 5000 entries: a list has at most 4096" in lines
     assert "5 grants due for renewal: rossec policy apply --renew" in lines
     assert "the policy is in force, nothing to do" in lines
 
 
 def test_programs_get_each_right_of_each_node(site: Site) -> None:
-    shown = apply_report.as_json(plan(site, POLICY))
+    shown = check.as_json(plan(site, POLICY))
     assert isinstance(shown["changes"], list)
     assert [row["node"] for row in shown["changes"]] == [f"/n{n}" for n in range(1, 6)]
-    assert shown["changes"][0]["kind"] == Kind.NEW
+    assert shown["changes"][0]["kind"] == ChangeKind.NEW
     assert shown["withheld"] == [
-        {"node": "/n1", "right": "publish", "name": "/**", "effect": "deny",
-         "rule": {"id": "b", "line": 5, "why": ""}, "by": {"id": "d", "line": 6, "why": "no"}},
-    ]  # fmt: skip
+        {
+            "node": "/n1",
+            "right": "publish",
+            "name": "/**",
+            "effect": "deny",
+            "rule": {"id": "b", "line": 5, "why": ""},
+            "by": {"id": "d", "line": 6, "why": "no"},
+        }
+    ]
 
 
 def test_one_and_many() -> None:
-    assert [apply_report.count(n, "node") for n in (0, 1, 2)] == ["0 nodes", "1 node", "2 nodes"]
+    assert [check.count(n, "node") for n in (0, 1, 2)] == ["0 nodes", "1 node", "2 nodes"]

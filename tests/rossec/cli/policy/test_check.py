@@ -27,9 +27,7 @@ def test_every_mistake_is_printed_with_its_hint(shell: Shell, file: Path) -> Non
     said = shell("policy", "check", str(file))
     assert (said.code, said.out) == (1, "")
     lines = said.err.splitlines()
-    assert lines[0].startswith(
-        f"rossec: error: {file}:10:5: geometry_msgs/PoseStamped: pose.positon"
-    )
+    assert lines[0].startswith(f"rossec: error: {file}:10:5: geometry_msgs/PoseStamped: pose.positon")
     assert lines[1] == "rossec: hint: did you mean 'position'?"
     assert lines[2] == f"rossec: error: {file}:15:10: unknown identity 'heting'"
     assert lines[3] == "rossec: hint: did you mean 'heating'?"

@@ -42,8 +42,7 @@ def message(tmp_path: Path) -> Path:
 
 
 def test_an_allowed_right_is_explained(shell: Shell, file: str, message: Path) -> None:
-    said = shell("explain", "/heating", "subscribe", "/pose", "--policy", file,
-                 "--message", str(message))  # fmt: skip
+    said = shell("explain", "/heating", "subscribe", "/pose", "--policy", file, "--message", str(message))
     assert said.out.splitlines() == [
         "ALLOW: /heating subscribe /pose",
         "  sees where it is: exactly (pose.orientation.x is as it is)",
@@ -67,8 +66,7 @@ def test_a_withheld_message_is_explained(shell: Shell, file: str, tmp_path: Path
     kind = message_type("geometry_msgs/PoseStamped")
     raw = tmp_path / "pose.bin"
     raw.write_bytes(bytes(kind.serialize(kind.create())))
-    said = shell("explain", "/heating", "subscribe", "/pose", "--policy", file,
-                 "--message", str(raw))  # fmt: skip
+    said = shell("explain", "/heating", "subscribe", "/pose", "--policy", file, "--message", str(raw))
     assert 'withheld: the condition is not true: msg.header.frame_id == "map"' in said.out
 
 
@@ -171,8 +169,7 @@ def test_a_grant_in_force_is_said_beside_what_the_policy_says(shell: Shell, tmp_
     assert shell.unlocked(*sign).code == 0
     said = shell(*ask).out
     assert said.startswith(
-        "IN FORCE: /heating subscribe /pose, by a grant; the policy says\n"
-        "DENY: /heating subscribe /pose\n"
+        "IN FORCE: /heating subscribe /pose, by a grant; the policy says\nDENY: /heating subscribe /pose\n"
     )
     assert "gives subscribe /pose until" in said
     assert "the policy does not allow what these grants still give" in said
@@ -187,11 +184,14 @@ def test_without_a_policy_grants_signed_by_hand_are_what_counts(shell: Shell) ->
     shell.enroll("/heating")
     ask = ("explain", "/heating", "subscribe", "/pose")
     said = shell(*ask)
-    assert (said.code, said.out) == (0, (
-        "DENY: /heating subscribe /pose\n"
-        "  there is no policy, only grants signed by hand\n"
-        "  rossec grant sign /heating --subscribe /pose would change it\n"
-    ))  # fmt: skip
+    assert (said.code, said.out) == (
+        0,
+        (
+            "DENY: /heating subscribe /pose\n"
+            "  there is no policy, only grants signed by hand\n"
+            "  rossec grant sign /heating --subscribe /pose would change it\n"
+        ),
+    )
     assert shell.unlocked("grant", "sign", "/heating", "--subscribe", "/pose").code == 0
     said = shell(*ask)
     assert said.out.startswith("IN FORCE: /heating subscribe /pose\n  in force: grant ")

@@ -8,7 +8,7 @@ import pytest
 from grants.model import Right
 from grants.policy.learn import Observation, log_line
 from rossec.authority.policyfile import PolicyFile
-from rossec.cli.policy import learn as module
+from rossec.cli.policy import apply as module
 from rossec.cli.shared.context import Environment
 from tests.grants.policy.policies import SMALL
 from tests.support.commands import Shell, refused
@@ -71,9 +71,7 @@ async def test_the_graph_of_a_running_master_is_observed(site: Site) -> None:
     assert blind == []
 
 
-def test_rules_are_learned_from_the_graph(
-    shell: Shell, file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rules_are_learned_from_the_graph(shell: Shell, file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def look(*_: object) -> list[Observation]:
         return [Observation("/robot", Right.PUBLISH, "/robot/pose", "geometry_msgs/PoseStamped")]
 

@@ -6,17 +6,16 @@ from typing import Final
 
 import pytest
 
-from ca.keys import key_files
-from ca.keys.signer import KeySigner
+from ca.keys import private_keys
+from ca.keys.signing import KeySigner
 from grants import document
 from grants.decision import authorize
 from grants.filters.layout import parse
-from grants.guard import Guard
-from grants.memory import Memory
+from grants.guard import Guard, Memory
 from grants.model import Draft, Grant, Right
 from grants.policy.decision import Decider
-from grants.policy.drafts import drafts
 from grants.policy.model import Subject
+from grants.policy.wanted import drafts
 from rossec.authority.policyfile import layout_of, parse_policy
 from rossec.participant.message_types import message_type
 from tests.support.commands import Shell, refused
@@ -43,12 +42,7 @@ def test_too_fast_arrives_as_the_limit() -> None:
     verdict = Decider(policy).decide(AGENT, Right.PUBLISH, "/cmd_vel")
     [draft] = drafts([verdict], domain="home", now=NOW, skew=60, serial=lambda: bytes(16))
     decision = authorize(
-        [granted(draft)],
-        Right.PUBLISH,
-        "/cmd_vel",
-        holder=AGENT.key,
-        now=NOW,
-        check=lambda *_: None,
+        [granted(draft)], Right.PUBLISH, "/cmd_vel", holder=AGENT.key, now=NOW, check=lambda *_: None
     )
     kind = message_type("geometry_msgs/Twist")
     guard = Guard(layout_of(kind.name), decision, None, lambda _: Memory())
@@ -62,7 +56,7 @@ def test_too_fast_arrives_as_the_limit() -> None:
 
 
 def granted(draft: Draft) -> Grant:
-    return document.peek(document.sign(KeySigner(key_files.generate()), draft))
+    return document.peek(document.sign(KeySigner(private_keys.generate()), draft))
 
 
 @pytest.mark.parametrize(
@@ -71,11 +65,13 @@ def granted(draft: Draft) -> Grant:
         ("allow: {publish: [/cmd_vel]}, filter: {use: coarse-position}", "a preset or a pseudonym"),
         ("allow: {publish: [/cmd_vel]}, limit: {slot: 30}", "of what is subscribed to"),
         ("allow: {publish: [/cmd_vel]}, filter: {linear.w: {clamp: [0, 1]}}", "no field 'w'"),
-        ("allow: {publish: [/cmd_vel]}, filter: {/odom: {linear.x: {clamp: [0, 1]}}}",
-         "has no publish right on '/odom'"),
+        (
+            "allow: {publish: [/cmd_vel]}, filter: {/odom: {linear.x: {clamp: [0, 1]}}}",
+            "has no publish right on '/odom'",
+        ),
         ("allow: {publish: [/cmd_vel]}, see: {movement: no}", "rule drive: nothing to see"),
     ],
-)  # fmt: skip
+)
 def test_what_is_published_has_no_other_restriction(
     shell: Shell, tmp_path: Path, lines: str, said: str
 ) -> None:

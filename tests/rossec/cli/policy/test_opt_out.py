@@ -8,7 +8,7 @@ import pytest
 
 from rossec.authority.home import AuthorityHome
 from rossec.home import NodeHome
-from rossec.master.server.start import master_of
+from rossec.master.server.server import master_of
 from rossec.node import Node
 from tests.support.commands import Shell, refused
 from tests.support.refusingmaster import refuse_grants
@@ -75,8 +75,13 @@ async def test_a_running_connection_ends_at_once(site: Shell) -> None:
     site.unlocked("grant", "sign", "/robot", "--publish", "/pose")
     site.unlocked("grant", "sign", "/viewer", "--subscribe", "/pose")
     authority = AuthorityHome.at(site.root)
-    server = master_of(NodeHome.of(site.root, "/master"), host="127.0.0.1", port=0,
-                       newest=authority.revocation_list(), now=int(time.time()))  # fmt: skip
+    server = master_of(
+        NodeHome.of(site.root, "/master"),
+        host="127.0.0.1",
+        port=0,
+        newest=authority.revocation_list(),
+        now=int(time.time()),
+    )
     await server.start()
     environ = {**site.environ, "ROS_MASTER_URI": server.uri}
     try:
@@ -99,8 +104,9 @@ async def test_a_running_connection_ends_at_once(site: Shell) -> None:
             await asyncio.sleep(0.1)
             assert subscriber.received == seen
             # Asking again is no way round: the policy denies it now.
-            await asyncio.to_thread(site, "grant", "request", "/viewer", "--subscribe", "/pose",
-                                    "--why", "again")  # fmt: skip
+            await asyncio.to_thread(
+                site, "grant", "request", "/viewer", "--subscribe", "/pose", "--why", "again"
+            )
             said = await asyncio.to_thread(site.unlocked, "grant", "decide")
             assert said.out.endswith("\n0 allowed, 0 for you, 1 denied\n")
     finally:

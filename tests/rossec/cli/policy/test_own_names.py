@@ -39,9 +39,7 @@ def held(site: Shell, node: str) -> set[tuple[str, Right]]:
 
 def test_a_policy_is_applied_to_each_by_its_own_names(site: Shell) -> None:
     assert site.unlocked("policy", "apply", "--yes").code == 0
-    assert held(site, "/robot1") == {
-        ("/robot1/get_loggers", Right.PROVIDE), ("/robot1/pose", Right.PUBLISH),
-    }  # fmt: skip
+    assert held(site, "/robot1") == {("/robot1/get_loggers", Right.PROVIDE), ("/robot1/pose", Right.PUBLISH)}
     assert held(site, "/rviz") == {("/rviz~/get_loggers", Right.PROVIDE)}
     again = site.unlocked("policy", "apply", "--yes")
     assert "nothing" in again.out + again.err
@@ -57,7 +55,7 @@ def test_a_policy_is_applied_to_each_by_its_own_names(site: Shell) -> None:
         ("/rviz_1_2", "provide", "/rviz_1_2/get_loggers", "ALLOW: /rviz provide"),
         ("/rviz", "provide", "/rvizx/get_loggers", "DENY: /rviz provide"),
     ],
-)  # fmt: skip
+)
 def test_it_is_explained(site: Shell, node: str, right: str, name: str, first: str) -> None:
     said = site("explain", node, right, name)
     assert said.code == 0, said

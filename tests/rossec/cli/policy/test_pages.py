@@ -12,9 +12,6 @@ def test_the_policy_for_a_home_is_explained_as_its_page_says(empty: Shell, tmp_p
     page = PAGE.read_text()
     [text] = re.findall(r"<<'END'\n(rossec: 1\n.*?)^END$", page, re.DOTALL | re.MULTILINE)
     (tmp_path / "policy.yaml").write_text(text)
-    said = empty(
-        "explain", "/heating", "subscribe", "/robot/pose",
-        "--policy", str(tmp_path / "policy.yaml"),
-    )  # fmt: skip
+    said = empty("explain", "/heating", "subscribe", "/robot/pose", "--policy", str(tmp_path / "policy.yaml"))
     lines = said.out.splitlines()[:4]
     assert "\n".join(lines) in page

@@ -79,9 +79,7 @@ main()
 """
 
 
-def test_without_the_extra_a_page_is_refused_and_the_text_is_not(
-    site: Shell, tmp_path: Path
-) -> None:
+def test_without_the_extra_a_page_is_refused_and_the_text_is_not(site: Shell, tmp_path: Path) -> None:
     def run(*words: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-c", WITHOUT_JINJA, *words]
         environ = site.environ
@@ -97,8 +95,19 @@ def test_without_the_extra_a_page_is_refused_and_the_text_is_not(
 
 def test_the_report_shows_the_grants_held_now(site: Shell) -> None:
     assert site("privacy", "--held").out == "no receiver has access\n"
-    site.unlocked("grant", "sign", "/viewer", "--subscribe", "/pose", "--type", POSE,
-                  "--clear", "header", "--publish", "/out")  # fmt: skip
+    site.unlocked(
+        "grant",
+        "sign",
+        "/viewer",
+        "--subscribe",
+        "/pose",
+        "--type",
+        POSE,
+        "--clear",
+        "header",
+        "--publish",
+        "/out",
+    )
     site.unlocked("grant", "sign", "/viewer", "--subscribe", "/other")
     said = site("privacy", "--held").out.splitlines()
     assert "/other (type not known) -> /viewer" in said

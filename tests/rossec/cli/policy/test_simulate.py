@@ -38,10 +38,12 @@ def bag(tmp_path: Path) -> Path:
     path = tmp_path / "walk.bag"
     pose, text = message_type("geometry_msgs/PoseStamped"), message_type("std_msgs/String")
     with Writer(path) as writer:
-        poses = writer.add_connection("/pose", "geometry_msgs/msg/PoseStamped",
-                                      msgdef=pose.definition, md5sum=pose.md5sum)  # fmt: skip
-        texts = writer.add_connection("/text", "std_msgs/msg/String",
-                                      msgdef=text.definition, md5sum=text.md5sum)  # fmt: skip
+        poses = writer.add_connection(
+            "/pose", "geometry_msgs/msg/PoseStamped", msgdef=pose.definition, md5sum=pose.md5sum
+        )
+        texts = writer.add_connection(
+            "/text", "std_msgs/msg/String", msgdef=text.definition, md5sum=text.md5sum
+        )
         for n in range(4):
             message = pose.create()
             message.header.frame_id = "map" if n % 2 else "elsewhere"
@@ -55,8 +57,7 @@ def bag(tmp_path: Path) -> Path:
 def options(tmp_path: Path, bag: Path) -> tuple[str, ...]:
     (tmp_path / "old.yaml").write_text(OLD)
     (tmp_path / "new.yaml").write_text(NEW)
-    return ("--policy", str(tmp_path / "new.yaml"), "--old", str(tmp_path / "old.yaml"),
-            "--bag", str(bag))  # fmt: skip
+    return ("--policy", str(tmp_path / "new.yaml"), "--old", str(tmp_path / "old.yaml"), "--bag", str(bag))
 
 
 def test_messages_are_counted_before_and_after(shell: Shell, options: tuple[str, ...]) -> None:
@@ -73,8 +74,9 @@ def test_messages_are_counted_before_and_after(shell: Shell, options: tuple[str,
 def test_another_receiver_is_counted_as_json(shell: Shell, options: tuple[str, ...]) -> None:
     rows = json.loads(shell("simulate", *options, "--node", "/y", "--json").out)
     assert [(row["topic"], row["receiver"], row["old"]["withheld"]) for row in rows] == [
-        ("/pose", "/y", 4), ("/text", "/y", 1),
-    ]  # fmt: skip
+        ("/pose", "/y", 4),
+        ("/text", "/y", 1),
+    ]
     assert rows[0]["new"]["reason"] == "deny: no rule matches"
 
 
@@ -89,9 +91,7 @@ def test_an_invalid_bag_is_refused(shell: Shell, options: tuple[str, ...], tmp_p
     bad = tmp_path / "bad.bag"
     bad.write_text("no bag")
     refused(
-        shell("simulate", *options[:4], "--bag", str(bad)),
-        "is not a complete ROS 1 bag",
-        "rosbag record",
+        shell("simulate", *options[:4], "--bag", str(bad)), "is not a complete ROS 1 bag", "rosbag record"
     )
 
 
@@ -123,9 +123,7 @@ def test_an_empty_bag_has_no_rows(shell: Shell, options: tuple[str, ...], tmp_pa
     assert "holds nothing" in said.out, said
 
 
-def test_a_bag_is_bounded(
-    shell: Shell, options: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bag_is_bounded(shell: Shell, options: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_MESSAGES", 2)
     said = shell("simulate", *options)
     assert "only the first 2 messages" in said.err
@@ -139,9 +137,7 @@ def test_a_message_of_unknown_layout_is_not_tried(
     assert "holds nothing" in shell("simulate", *options).out
 
 
-def test_a_connection_without_a_good_definition_is_left_out(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_connection_without_a_good_definition_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
     connection = SimpleNamespace(msgtype="a/msg/B", topic="/a", msgdef="broken")
     assert module._layout(connection) is None
     assert "/a (a/B) is left out" in capsys.readouterr().err

@@ -26,10 +26,7 @@ def file(tmp_path: Path) -> Path:
 
 def test_assertions_that_hold(shell: Shell, file: Path) -> None:
     assert shell("policy", "test", str(file)).out == "assertions that hold: 2\n"
-    assert (
-        shell("policy", "check", str(file)).out
-        == f"{file} is right; rules: 1, tests that hold: 2\n"
-    )
+    assert shell("policy", "check", str(file)).out == f"{file} is right; rules: 1, tests that hold: 2\n"
     rows = json.loads(shell("policy", "test", str(file), "--json").out)
     assert [row["holds"] for row in rows] == [True, True]
     assert rows[0]["rules"] == ["drive"]
@@ -48,9 +45,7 @@ def test_a_failure_says_which_rule_decided_and_what_is_needed(shell: Shell, file
     assert [row["holds"] for row in json.loads(said.out)] == [True, False]
     said = shell("policy", "check", str(file))
     assert (said.code, said.out) == (1, "")
-    assert said.err.splitlines()[0].endswith(
-        f"{file}:7:1: /guest may publish /cmd_vel: rule drive, line 4"
-    )
+    assert said.err.splitlines()[0].endswith(f"{file}:7:1: /guest may publish /cmd_vel: rule drive, line 4")
     [row] = json.loads(shell("policy", "check", str(file), "--json").out)
     assert {"line", "column", "message", "hint", "file"} == row.keys()
 

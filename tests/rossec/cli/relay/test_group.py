@@ -1,18 +1,10 @@
 """The group `rossec relay`."""
 
-from rossec.cli.relay.group import relay
-from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
-
-
-def test_each_verb_exists_and_has_this_help_line() -> None:
-    check_table(relay)
 
 
 def test_without_a_verb_it_runs(empty: Shell) -> None:
     refused(empty("relay"), "/relay has no ca.pem", "rossec node request /relay")
     refused(empty("relay", "--name", "/relay/attic"), "/relay/attic has no ca.pem")
-    refused(
-        empty("relay", "--doors", "10.0.0.1", "list"), "only --name stands before a verb", code=2
-    )
+    refused(empty("relay", "--doors", "10.0.0.1", "list"), "only --name stands before a verb", code=2)
     refused(empty("relay", "--name", "/attic"), "'/attic' is not the name of a relay", "ROSSEC_REL")

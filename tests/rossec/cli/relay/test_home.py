@@ -1,7 +1,7 @@
 """Which list of domains the commands of a relay go by."""
 
-from ca.domains.lists import ForeignDomain
-from rossec.cli.relay.home import known_domains, relay_files
+from ca.domains.trust import ForeignDomain
+from rossec.cli.relay.sites import known_domains, relay_files
 from rossec.cli.shared.context import Environment
 from tests.support.commands import Shell
 from tests.support.masters import domain_list
@@ -16,7 +16,7 @@ def test_the_newest_list_on_this_host_counts(empty: Shell) -> None:
     assert known_domains(environment, home).all_listed == ()
     entry = ForeignDomain(
         "office.example", "office", other.anchor.certificate, ("/**",), 60, site.now() + DAY
-    )  # fmt: skip
+    )
     for name, number, listed in (("/relay", 1, []), ("/master", 2, [entry])):
         path = site.enroll(name).path / "domains.cose"
         path.touch(0o600)

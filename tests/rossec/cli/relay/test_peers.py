@@ -6,18 +6,20 @@ from pathlib import Path
 
 import pytest
 
-from ca.domains.lists import ForeignDomain
-from rossec.overlay.relay_files import RelayFiles
-from rossec.overlay.routers import Routers
+from ca.domains.trust import ForeignDomain
+from rossec.overlay.documents import Routers
+from rossec.overlay.homes import RelayFiles
 from tests.support.commands import Said, Shell, refused
 from tests.support.masters import domain_list
 from tests.support.site import DAY, Site
 
 ROUTERS = Routers(("tcp/127.0.0.1:7447",), "home", "p" * 22)
 OFFICE = {
-    "rossec-relay-card": 1, "domain": "office.example", "relay": "/relay",
+    "rossec-relay-card": 1,
+    "domain": "office.example",
+    "relay": "/relay",
     "mailbox": "rossec/1/office/" + "a" * 32,
-}  # fmt: skip
+}
 
 
 @pytest.fixture
@@ -31,9 +33,7 @@ def trust(site: Site, tmp_path: Path) -> None:
     """The relay's home has a list of domains with the office."""
     other = Site(tmp_path / "office", "office.example")
     until = int(time.time()) + DAY
-    entry = ForeignDomain(
-        "office.example", "office", other.anchor.certificate, ("/**",), 60, until
-    )  # fmt: skip
+    entry = ForeignDomain("office.example", "office", other.anchor.certificate, ("/**",), 60, until)
     path = site.enroll("/relay").path / "domains.cose"
     path.touch(0o600)
     path.write_bytes(domain_list(site, foreign=[entry]))
@@ -53,20 +53,14 @@ def test_cards_are_exchanged(empty: Shell, site: Site, tmp_path: Path) -> None:
     assert (own["domain"], own["relay"]) == ("home", "/relay")
     assert own["mailbox"].startswith("rossec/1/home/")
     assert "here, its card: rossec relay add office FILE" in said.err
-    assert empty("relay", "list").out.split() == [
-        "office",
-        "its",
-        "card",
-        "is",
-        "not",
-        "here",
-        "yet",
-    ]
+    assert empty("relay", "list").out.split() == ["office", "its", "card", "is", "not", "here", "yet"]
     assert take(empty, tmp_path).out == "office is office:/relay\n"
     assert empty("relay", "list").out.split() == ["office", "office:/relay"]
     assert json.loads(empty("relay", "list", "--json").out) == {
-        "label": "office", "domain": "office", "relay": "/relay",
-    }  # fmt: skip
+        "label": "office",
+        "domain": "office",
+        "relay": "/relay",
+    }
     assert json.loads(empty("relay", "card", "office").out) == own  # the same again
     assert empty("relay", "remove", "office").out == "office is linked with no longer\n"
     assert json.loads(empty("relay", "card", "office").out) != own
@@ -95,9 +89,7 @@ def test_the_card_must_be_of_a_trusted_domain(empty: Shell, site: Site, tmp_path
 def test_a_relay_of_the_own_domain(empty: Shell, tmp_path: Path) -> None:
     own = {"domain": "home", "relay": "/relay/attic"}
     assert take(empty, tmp_path, "attic", **own).out == "attic is /relay/attic\n"
-    refused(
-        take(empty, tmp_path, "self", **{**own, "relay": "/relay"}), "the relay of this host itself"
-    )
+    refused(take(empty, tmp_path, "self", **{**own, "relay": "/relay"}), "the relay of this host itself")
 
 
 @pytest.mark.usefixtures("site")

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from rossec.overlay.relay_files import RelayFiles
-from rossec.overlay.routers import Routers
+from rossec.overlay.documents import Routers
+from rossec.overlay.homes import RelayFiles
 from tests.support.commands import Shell, refused
 from tests.support.site import Site
 

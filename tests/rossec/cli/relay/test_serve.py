@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.overlay.routers import OPEN_SEAT, Routers
+from rossec.overlay.documents import OPEN_SEAT, Routers
 from tests.support.commands import Shell, refused
 from tests.support.overlay import router
 from tests.support.ports import free_port
@@ -31,9 +31,15 @@ class RelayProcess:
 
     async def run(self, *words: str) -> str:
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "rossec", "relay", *words, env=environ(self.site),
-            stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE,
-        )  # fmt: skip
+            sys.executable,
+            "-m",
+            "rossec",
+            "relay",
+            *words,
+            env=environ(self.site),
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+        )
         out, err = await process.communicate()
         assert process.returncode == 0, err.decode() + self.said()
         return out.decode()
@@ -42,21 +48,28 @@ class RelayProcess:
 def environ(site: RelayedSite) -> dict[str, str]:
     kept = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
     return {
-        **kept, "ROSSEC_HOME": str(site.site.root), "ROS_MASTER_URI": site.master.server.uri,
+        **kept,
+        "ROSSEC_HOME": str(site.site.root),
+        "ROS_MASTER_URI": site.master.server.uri,
         "ROS_IP": "127.0.0.1",
-    }  # fmt: skip
+    }
 
 
 @asynccontextmanager
-async def relay_of(
-    site: RelayedSite, *options: str, says: str = "/relay"
-) -> AsyncIterator[RelayProcess]:
+async def relay_of(site: RelayedSite, *options: str, says: str = "/relay") -> AsyncIterator[RelayProcess]:
     log = site.site.root / "relay.log"
     with log.open("wb") as file:
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", "rossec", "relay", *options, env=environ(site),
-            stdin=asyncio.subprocess.DEVNULL, stdout=file, stderr=file,
-        )  # fmt: skip
+            sys.executable,
+            "-m",
+            "rossec",
+            "relay",
+            *options,
+            env=environ(site),
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=file,
+            stderr=file,
+        )
     found = RelayProcess(site, process, log)
     try:
         await until(lambda: process.returncode is not None or says in found.said())

@@ -9,19 +9,33 @@ from typing import Any
 
 import pytest
 
-from rossec.cli.relay.home import ADMIN_SOCKET
+from rossec.cli.relay.sites import RELAY_SOCKET
 from rossec.master.operation.admin import AdminPort
 from tests.support.commands import Shell
 from tests.support.site import Site
 
 PEER = {
-    "label": "office", "relay": "office:/relay", "state": "linked", "rtt_ms": 12.5,
-    "retransmissions": 3, "router": "r", "streams": 2, "called": 1, "error": "", "hint": "",
-}  # fmt: skip
+    "label": "office",
+    "relay": "office:/relay",
+    "state": "linked",
+    "rtt_ms": 12.5,
+    "retransmissions": 3,
+    "router": "r",
+    "streams": 2,
+    "called": 1,
+    "error": "",
+    "hint": "",
+}
 BASE: dict[str, Any] = {
-    "relay": "/relay", "domain": "home", "seat": "home", "router": "tls/r:7447",
-    "masters": {"/master": ""}, "peers": [PEER], "doors": 4, "problem": "",
-}  # fmt: skip
+    "relay": "/relay",
+    "domain": "home",
+    "seat": "home",
+    "router": "tls/r:7447",
+    "masters": {"/master": ""},
+    "peers": [PEER],
+    "doors": 4,
+    "problem": "",
+}
 
 
 @pytest.fixture
@@ -59,7 +73,7 @@ class SpeakingRelay:
 
 @pytest.fixture
 def relay(shell: Shell) -> Iterator[SpeakingRelay]:
-    answering = SpeakingRelay(shell.node("/relay") / ADMIN_SOCKET, BASE)
+    answering = SpeakingRelay(shell.node("/relay") / RELAY_SOCKET, BASE)
     yield answering
     answering.close()
 
@@ -78,12 +92,20 @@ def test_the_links_are_shown(shell: Shell) -> None:
 
 
 def test_what_is_wrong_is_shown_with_its_hint(shell: Shell, relay: SpeakingRelay) -> None:
-    failed = PEER | {"state": "failed", "rtt_ms": 0, "called": 0, "streams": 0,
-                     "error": "nobody answers", "hint": "does its relay run?"}  # fmt: skip
+    failed = PEER | {
+        "state": "failed",
+        "rtt_ms": 0,
+        "called": 0,
+        "streams": 0,
+        "error": "nobody answers",
+        "hint": "does its relay run?",
+    }
     relay.answer = BASE | {
-        "router": "", "peers": [failed], "masters": {"/master": "out of reach"},
+        "router": "",
+        "peers": [failed],
+        "masters": {"/master": "out of reach"},
         "problem": "overlay.json is not JSON",
-    }  # fmt: skip
+    }
     assert shell("relay", "status").out.splitlines() == [
         "/relay of home, seat home at no router is in reach, 4 doors",
         "/master: out of reach",

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from rossec.cli.ros.claimed_types import readable
+from rossec.cli.ros.topic import readable
 from rossec.errors import MessageError
 from rossec.participant.definitions import Definition
 from rossec.participant.message_types import message_type

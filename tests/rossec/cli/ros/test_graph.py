@@ -53,16 +53,25 @@ def test_the_graph_is_printed_as_text() -> None:
     lines = describe(
         frozenset(
             {
-                ("publisher", "/t", "/b"), ("publisher", "/t", "/a"), ("subscriber", "/t", "/c"),
-                ("type", "/t", "pkg/T"), ("subscriber", "/u", "/c"), ("service", "/s", "/a"),
-                ("node", "/a", "http://a:1/"), ("provider", "/s", "rosrpc://a:2"),
+                ("publisher", "/t", "/b"),
+                ("publisher", "/t", "/a"),
+                ("subscriber", "/t", "/c"),
+                ("type", "/t", "pkg/T"),
+                ("subscriber", "/u", "/c"),
+                ("service", "/s", "/a"),
+                ("node", "/a", "http://a:1/"),
+                ("provider", "/s", "rosrpc://a:2"),
             }
         )
-    )  # fmt: skip
+    )
     assert lines == [
-        "/t (pkg/T)", "  published by /a, /b", "  subscribed by /c", "/u", "  subscribed by /c",
+        "/t (pkg/T)",
+        "  published by /a, /b",
+        "  subscribed by /c",
+        "/u",
+        "  subscribed by /c",
         "/s provided by /a",
-    ]  # fmt: skip
+    ]
 
 
 async def until(holds: Any) -> None:
@@ -107,9 +116,7 @@ async def follow(site: Site) -> None:
     await module._print_changes(Environment(site.environ), home, site.master.uri, as_json=False)
 
 
-async def test_watching_renews_the_identity(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_watching_renews_the_identity(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     site, said = Site(tmp_path / "old", clock=lambda: BEGIN), list[str]()
     monkeypatch.setattr(module, "say", said.append)
     for name in ("/desk", "/robot", "/master"):
@@ -182,13 +189,22 @@ async def test_without_a_master_watching_fails(site: Site) -> None:
 def test_names_of_other_origins_are_printed_with_their_label() -> None:
     """Own names first; a machine gets the local names."""
     pose, robot = "/remote/hospital/robot/pose", "/remote/hospital/robot"
-    facts = frozenset({
-        ("publisher", pose, robot), ("subscriber", pose, "/viewer"), ("type", pose, POSE),
-        ("publisher", "/word", "/remote/kitchen/robot"), ("service", "/say", "/robot"),
-        ("service", "/remote/hospital/lamp", robot),
-    })  # fmt: skip
+    facts = frozenset(
+        {
+            ("publisher", pose, robot),
+            ("subscriber", pose, "/viewer"),
+            ("type", pose, POSE),
+            ("publisher", "/word", "/remote/kitchen/robot"),
+            ("service", "/say", "/robot"),
+            ("service", "/remote/hospital/lamp", robot),
+        }
+    )
     assert describe(facts) == [
-        "/word", "  published by kitchen:/robot", f"hospital:/robot/pose ({POSE})",
-        "  published by hospital:/robot", "  subscribed by /viewer",
-        "/say provided by /robot", "hospital:/lamp provided by hospital:/robot",
-    ]  # fmt: skip
+        "/word",
+        "  published by kitchen:/robot",
+        f"hospital:/robot/pose ({POSE})",
+        "  published by hospital:/robot",
+        "  subscribed by /viewer",
+        "/say provided by /robot",
+        "hospital:/lamp provided by hospital:/robot",
+    ]

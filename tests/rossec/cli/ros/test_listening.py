@@ -4,10 +4,10 @@ import asyncio
 
 import pytest
 
-from rossec.cli.ros import listening
-from rossec.cli.ros.listening import Arrivals, watched
+from rossec.cli.ros import topic
+from rossec.cli.ros.topic import Arrivals, watched
 from rossec.errors import ConfigurationError
-from rossec.node.raw_subscriber import RawSource
+from rossec.node.subscriber import RawSource
 from rossec.participant.definitions import Definition
 from tests.rossec.cli.ros.talking import STRING
 from tests.support.site import Site
@@ -20,9 +20,7 @@ def test_each_reason_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
     for _ in range(3):
         arrivals.refused(ConfigurationError("no grant\x1b", "ask for one"))
         arrivals.refused(OSError("out of reach"))
-    assert capsys.readouterr().err == (
-        "rossec: no grant\\u001b; ask for one\nrossec: out of reach\n"
-    )
+    assert capsys.readouterr().err == ("rossec: no grant\\u001b; ask for one\nrossec: out of reach\n")
 
 
 async def test_what_came_is_kept_up_to_a_number() -> None:
@@ -42,7 +40,7 @@ async def test_what_came_is_kept_up_to_a_number() -> None:
 async def test_nobody_publishes(
     site: Site, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, published: bool
 ) -> None:
-    monkeypatch.setattr(listening, "MOMENT", 0.05)
+    monkeypatch.setattr(topic, "MOMENT", 0.05)
     site.publish("/talker", "/chatter")
     site.subscribe("/listener", "/chatter")
     async with site.node("/talker") as talker, site.node("/listener") as listener:

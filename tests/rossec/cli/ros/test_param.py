@@ -83,12 +83,7 @@ def test_parameters_are_listed_and_deleted(site: Site, capsys: pytest.CaptureFix
     ],
 )
 def test_a_wrong_call_is_refused(
-    site: Site,
-    capsys: pytest.CaptureFixture[str],
-    words: tuple[str, ...],
-    node: str,
-    error: str,
-    hint: str,
+    site: Site, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], node: str, error: str, hint: str
 ) -> None:
     err = said(site, capsys, *words, node=node, code=1)
     assert error in err

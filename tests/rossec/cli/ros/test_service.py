@@ -100,20 +100,12 @@ def test_a_service_type_is_read_from_a_file(
         (("call", "/lamp/none", "--as", "/hall"), "no node provides /lamp/none", "start its"),
         (("call", "/lamp/on", "{dat: 1}", "--as", "/hall"), "no field 'dat'", "it has data"),
         (("call", "/lamp/on", "{", "--as", "/hall"), "cannot parse", ""),
-        (
-            ("call", "/lamp/on", "--type", "a/B", "--as", "/hall"),
-            "unknown service type",
-            "std_srvs",
-        ),
+        (("call", "/lamp/on", "--type", "a/B", "--as", "/hall"), "unknown service type", "std_srvs"),
         (("list", "--as", "/nobody"), "/nobody has no", "rossec node request"),
     ],
 )
 def test_a_wrong_call_is_refused(
-    site: Site,
-    capsys: pytest.CaptureFixture[str],
-    words: tuple[str, ...],
-    error: str,
-    hint: str,
+    site: Site, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], error: str, hint: str
 ) -> None:
     err = said(site, capsys, *words, code=1)
     assert err.startswith("rossec: ")

@@ -21,8 +21,11 @@ def start(site: Site, environ: dict[str, str], *arguments: str) -> subprocess.Po
     return subprocess.Popen(
         [sys.executable, "-I", "-m", "rossec", *arguments],
         env={**os.environ, "ROSSEC_HOME": str(site.root), "ROS_IP": "127.0.0.1", **environ},
-        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 @pytest.fixture
@@ -51,9 +54,7 @@ def master(site: Site) -> Iterator[dict[str, str]]:
 def test_a_published_message_is_echoed(site: Site, master: dict[str, str]) -> None:
     talk = ("topic", "pub", "/chatter", STRING, "{data: hello}", "--as", "/talker", "--rate", "20")
     talker = start(site, master, *talk)
-    listener = start(
-        site, master, "topic", "echo", "/chatter", STRING, "--as", "/listener", "-n", "2"
-    )
+    listener = start(site, master, "topic", "echo", "/chatter", STRING, "--as", "/listener", "-n", "2")
     out, err = listener.communicate(timeout=30)
     assert (listener.returncode, out, err) == (0, 'data: "hello"\n---\n' * 2, "")
     talker.send_signal(signal.SIGINT)
@@ -67,9 +68,7 @@ def test_the_type_need_not_be_given(site: Site, master: dict[str, str]) -> None:
     listener = start(site, master, "topic", "echo", "/chatter", "--as", "/listener", "-n", "1")
     out, err = listener.communicate(timeout=30)
     assert (listener.returncode, out, err) == (0, 'data: "hello"\n---\n', "")
-    shown = start(
-        site, master, "topic", "echo", "/chatter", "--as", "/listener", "-n", "1", "--nostr"
-    )
+    shown = start(site, master, "topic", "echo", "/chatter", "--as", "/listener", "-n", "1", "--nostr")
     assert shown.communicate(timeout=30)[0] == 'data: "<string length: 5>"\n---\n'
     talker.send_signal(signal.SIGINT)
     talker.communicate(timeout=60)
@@ -80,22 +79,16 @@ def test_a_listener_hears_that_nobody_publishes(site: Site, master: dict[str, st
         words = ("topic", "echo", "/chatter", *kind, "--as", "/listener")
         listener = start(site, master, *words)
         assert listener.stderr is not None
-        assert listener.stderr.readline() == (
-            "rossec: nobody publishes /chatter at this master; waiting\n"
-        )
+        assert listener.stderr.readline() == ("rossec: nobody publishes /chatter at this master; waiting\n")
         listener.send_signal(signal.SIGINT)
         assert "".join(listener.communicate(timeout=60)).strip() == ""
 
 
-def test_what_was_echoed_is_published_again(
-    site: Site, master: dict[str, str], tmp_path: Path
-) -> None:
+def test_what_was_echoed_is_published_again(site: Site, master: dict[str, str], tmp_path: Path) -> None:
     recorded = tmp_path / "recorded.yaml"
     recorded.write_text('data: "one"\n---\ndata: two\n---\n')
     talk = ("topic", "pub", "/chatter", STRING, "-f", str(recorded), "--as", "/talker", "-r", "20")
-    listener = start(
-        site, master, "topic", "echo", "/chatter", STRING, "--as", "/listener", "-n", "2"
-    )
+    listener = start(site, master, "topic", "echo", "/chatter", STRING, "--as", "/listener", "-n", "2")
     talker = start(site, master, *talk)
     out, _ = listener.communicate(timeout=30)
     _, said = talker.communicate(timeout=60)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from rossec.cli.ros.topic_list import absolute
+from rossec.cli.ros.graph import absolute
 from tests.rossec.cli.ros.talking import STRING, prepare, talk
 from tests.support.background import command, serving
 from tests.support.commands import Said, refused

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.cli.ros.windows import RateWindow, SizeWindow
+from rossec.cli.shared.messages import RateWindow, SizeWindow
 
 
 def test_a_steady_rate() -> None:
@@ -18,9 +18,7 @@ def test_only_the_last_messages_count() -> None:
     window = RateWindow(3)
     for moment in (0, 100, 101, 103):
         window.add(moment)
-    assert window.describe() == (
-        "average rate: 0.667\n\tmin: 1.000s max: 2.000s std dev: 0.50000s window: 3"
-    )
+    assert window.describe() == ("average rate: 0.667\n\tmin: 1.000s max: 2.000s std dev: 0.50000s window: 3")
 
 
 def test_silence_is_said() -> None:

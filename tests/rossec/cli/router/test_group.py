@@ -2,19 +2,10 @@ import json
 
 import pytest
 
-from rossec.cli.router.group import router, seats
-from tests.rossec.cli.tables import check_table
 from tests.support.commands import Shell, refused
 
 
-def test_each_verb_exists_and_has_this_help_line() -> None:
-    check_table(router)
-    check_table(seats)
-
-
-@pytest.mark.parametrize(
-    "word", ["--open", "--json", "--print-config", "--host=a", "--join=tls/a:1"]
-)
+@pytest.mark.parametrize("word", ["--open", "--json", "--print-config", "--host=a", "--join=tls/a:1"])
 def test_only_the_directory_stands_before_a_verb(empty: Shell, word: str) -> None:
     said = empty("router", word, "seats", "list")
     assert (said.code, "only --home stands before a verb" in said.err) == (2, True)

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import HintedError
-from rossec.cli.router.home import home_of
+from rossec.cli.relay.sites import home_of
 from rossec.cli.shared.context import Environment
 
 

@@ -1,6 +1,6 @@
 import json
 
-from rossec.overlay.routers import Routers
+from rossec.overlay.documents import Routers
 from tests.support.commands import Shell, refused
 
 HOST = ("--host", "router.example.org")

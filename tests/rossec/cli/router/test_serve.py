@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from rossec.overlay.routers import Routers
+from rossec.overlay.documents import Routers
 from rossec.overlay.zenoh_carrier import Carrier
 from tests.support.commands import Shell, refused
 from tests.support.ports import free_port
@@ -46,9 +46,7 @@ def test_an_open_router_says_what_that_means(empty: Shell) -> None:
     listen = f"tcp/127.0.0.1:{free_port()}"
     command = [sys.executable, "-I", "-m", "rossec", "router", "--open", "--listen", listen]
     pipe = subprocess.PIPE
-    with subprocess.Popen(
-        command, env=empty.environ, stdout=pipe, stderr=pipe, text=True
-    ) as router:
+    with subprocess.Popen(command, env=empty.environ, stdout=pipe, stderr=pipe, text=True) as router:
         assert router.stdout is not None
         assert router.stdout.readline().strip() == f"router at {listen}"
         router.send_signal(signal.SIGINT)

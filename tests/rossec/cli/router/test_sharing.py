@@ -32,9 +32,7 @@ def test_a_second_router_takes_over_what_the_first_shares(empty: Shell, shared: 
     assert "tls/a.example.org:7447" in seat
 
 
-def test_it_comes_by_standard_input(
-    empty: Shell, shared: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_comes_by_standard_input(empty: Shell, shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(shared.read_bytes())))
     said = empty("router", "--home", str(empty.root / "second"), "take", "-")
     assert said.out.startswith("seats: home; joins")
@@ -54,9 +52,7 @@ def test_a_router_that_was_never_told_its_name_shares_nothing(empty: Shell) -> N
 
 
 @pytest.mark.parametrize("words", [("share",), ("seats", "show", "home")], ids=" ".join)
-def test_what_a_shell_writes_of_it_is_read_by_this_user_alone(
-    empty: Shell, words: tuple[str, ...]
-) -> None:
+def test_what_a_shell_writes_of_it_is_read_by_this_user_alone(empty: Shell, words: tuple[str, ...]) -> None:
     assert empty("router", "seats", "add", "home", *HOST).code == 0
     path = empty.root / "written"
     path.touch(mode=0o644)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ca.errors import RecordUnusable, StoreError
-from rossec.cli.shared.batch import Batch, unique
+from rossec.cli.shared.options import Batch, unique
 from rossec.errors import ConfigurationError
 
 PATH = Path("a.csr")
@@ -24,9 +24,10 @@ def test_one_refused_file_of_several_is_reported(capsys: pytest.CaptureFixture[s
     refuse(batch, StoreError("is known"))
     said = capsys.readouterr().err.splitlines()
     assert said == [
-        "rossec: error: a.csr: is known", "rossec: hint: see there",
         "rossec: error: a.csr: is known",
-    ]  # fmt: skip
+        "rossec: hint: see there",
+        "rossec: error: a.csr: is known",
+    ]
     with pytest.raises(ConfigurationError, match="2 of 3 were refused"):
         batch.finish()
 

@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from rossec import terminal
-from rossec.cli.shared import busy
+from rossec.cli.shared import options
 
 
 class Terminal(io.StringIO):
@@ -29,7 +29,7 @@ def at_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     """Not a fixture: pytest puts its own stderr back before the test begins."""
     found = Terminal()
     monkeypatch.setattr(sys, "stderr", found)
-    monkeypatch.setattr(busy, "AFTER", 0.01)
+    monkeypatch.setattr(options, "AFTER", 0.01)
     return found
 
 
@@ -40,7 +40,7 @@ def lines(text: str) -> list[str]:
 
 def test_what_takes_long_is_said_and_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = at_terminal(monkeypatch)
-    with busy.working("encrypting\x1b[2J"):
+    with options.working("encrypting\x1b[2J"):
         assert shown.drawn.wait(60)
     assert "encrypting\\u001b[2J (0 s)" in shown.getvalue()
     assert lines(shown.getvalue()) == [""]
@@ -49,7 +49,7 @@ def test_what_takes_long_is_said_and_leaves_nothing(monkeypatch: pytest.MonkeyPa
 
 def test_it_gives_way_to_what_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = at_terminal(monkeypatch)
-    with busy.working("delivering"):
+    with options.working("delivering"):
         assert shown.drawn.wait(60)
         terminal.note("the master has it")
         shown.drawn.clear()
@@ -61,7 +61,7 @@ def test_it_is_gone_when_the_work_fails(monkeypatch: pytest.MonkeyPatch) -> None
     shown = at_terminal(monkeypatch)
 
     def work() -> None:
-        with busy.working("delivering"):
+        with options.working("delivering"):
             assert shown.drawn.wait(60)
             raise KeyboardInterrupt
 
@@ -72,28 +72,28 @@ def test_it_is_gone_when_the_work_fails(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_what_is_quick_is_not_mentioned(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = at_terminal(monkeypatch)
-    monkeypatch.setattr(busy, "AFTER", 3600.0)
-    with busy.working("nothing"):
+    monkeypatch.setattr(options, "AFTER", 3600.0)
+    with options.working("nothing"):
         pass
     assert shown.getvalue() == ""
 
 
 def test_programs_never_see_it(monkeypatch: pytest.MonkeyPatch) -> None:
     at_terminal(monkeypatch)
-    with busy.working("x", quiet=True):
+    with options.working("x", quiet=True):
         assert terminal.TEMPORARY == []
     token = terminal.FACTS.set({})
-    with busy.working("x"):
+    with options.working("x"):
         assert terminal.TEMPORARY == []
     terminal.FACTS.reset(token)
     monkeypatch.setattr(sys, "stderr", io.StringIO())
-    with busy.working("x"):
+    with options.working("x"):
         assert terminal.TEMPORARY == []
 
 
 def test_a_terminal_that_is_gone_is_no_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = at_terminal(monkeypatch)
-    with busy.working("x"):
+    with options.working("x"):
         assert shown.drawn.wait(60)
         shown.close()
     assert terminal.TEMPORARY == []

@@ -11,8 +11,7 @@ from rossec.errors import ConfigurationError
 
 
 @pytest.mark.parametrize(
-    ("text", "seconds"),
-    [("30s", 30), ("15m", 900), ("8h", 28800), ("7d", 604800), ("4w", 2419200), (5, 5)],
+    ("text", "seconds"), [("30s", 30), ("15m", 900), ("8h", 28800), ("7d", 604800), ("4w", 2419200), (5, 5)]
 )
 def test_a_duration_is_parsed_to_seconds(text: Any, seconds: int) -> None:
     assert context.Duration().convert(text, None, None) == seconds

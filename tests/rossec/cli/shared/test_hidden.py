@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from rossec.cli.shared import hidden
+from rossec.cli.shared import passphrase
 
 PROGRAM = """
 import sys
-from rossec.cli.shared.hidden import can_hide, read_lines
+from rossec.cli.shared.passphrase import can_hide, read_lines
 assert can_hide()
 found = read_lines("paste", lambda text: "".join(text.split()).endswith("END"))
 print("GOT", "".join(found.split()), flush=True)
@@ -62,24 +62,19 @@ def test_a_paste_with_line_breaks_is_taken_whole_and_not_shown() -> None:
 
 def test_an_empty_line_ends_it() -> None:
     said = at_a_terminal(
-        PROGRAM.replace("sys.stdin.readline()", "''"),
-        once((b"paste: ", b"half\n"), (b"to end: ", b"\n")),
+        PROGRAM.replace("sys.stdin.readline()", "''"), once((b"paste: ", b"half\n"), (b"to end: ", b"\n"))
     )
     assert b"GOT half" in said
 
 
 def test_the_terminal_is_as_before_and_the_rest_of_a_paste_is_gone() -> None:
-    said = at_a_terminal(
-        PROGRAM, once((b"paste: ", b"x END\nrm -rf\n"), (b"GOT xEND\r\n", b"after\n"))
-    )
+    said = at_a_terminal(PROGRAM, once((b"paste: ", b"x END\nrm -rf\n"), (b"GOT xEND\r\n", b"after\n")))
     assert b"AFTER" in said
     assert b"after\r\nAFTER" in said  # it is echoed again
 
 
 def test_the_lines_are_bounded() -> None:
-    said = at_a_terminal(
-        PROGRAM.replace("sys.stdin.readline()", "''"), once((b"paste: ", b"z\n" * 64))
-    )
+    said = at_a_terminal(PROGRAM.replace("sys.stdin.readline()", "''"), once((b"paste: ", b"z\n" * 64)))
     assert b"GOT " + b"z" * 32 + b"\r\n" in said
 
 
@@ -92,7 +87,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     def opened(path: str, flags: int) -> int:
         return os.dup(inner) if path == "/dev/tty" else plain(path, flags)
 
-    monkeypatch.setattr("rossec.cli.shared.hidden.os.open", opened)
+    monkeypatch.setattr("rossec.cli.shared.passphrase.os.open", opened)
     yield outer
     os.close(outer)
     os.close(inner)
@@ -100,17 +95,13 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 @pytest.mark.parametrize(
     ("typed", "taken"),
-    [
-        (b"one\n  two END\nrest\n", "oneEND"),
-        (b"half\n\n", "half"),
-        (b"z\n" * 40, "z" * 32),
-    ],
+    [(b"one\n  two END\nrest\n", "oneEND"), (b"half\n\n", "half"), (b"z\n" * 40, "z" * 32)],
     ids=["whole", "an empty line", "too many"],
 )
 def test_lines_are_taken_until_the_code_is_whole(terminal: int, typed: bytes, taken: str) -> None:
     os.write(terminal, typed)
-    assert hidden.can_hide()
-    found = "".join(hidden.read_lines("paste", lambda text: "END" in text).split())
+    assert passphrase.can_hide()
+    found = "".join(passphrase.read_lines("paste", lambda text: "END" in text).split())
     assert found.replace("two", "") == taken
     said = b""
     while b"paste: " not in said:
@@ -124,6 +115,6 @@ def test_without_a_terminal_nothing_can_be_hidden(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(os, "open", refused)
     monkeypatch.setattr(sys, "stdin", None)
-    assert not hidden.can_hide()
+    assert not passphrase.can_hide()
     with pytest.raises(OSError, match="No such device"):
-        hidden.read_lines("paste", bool)
+        passphrase.read_lines("paste", bool)

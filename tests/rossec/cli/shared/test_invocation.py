@@ -3,7 +3,7 @@ import os
 import click
 import pytest
 
-from rossec.cli.shared import invocation
+from rossec.cli.shared import context
 from rossec.errors import ConfigurationError, NotDelivered
 
 
@@ -24,7 +24,7 @@ def test_every_error_has_its_exit_code(error: BaseException, code: int) -> None:
     def program() -> None:
         raise error
 
-    assert invocation.run(program, [], os.environ) == code
+    assert context.run(program, [], os.environ) == code
 
 
 def test_click_errors_are_printed_as_error_and_hint(capsys: pytest.CaptureFixture[str]) -> None:
@@ -33,7 +33,7 @@ def test_click_errors_are_printed_as_error_and_hint(capsys: pytest.CaptureFixtur
     def program(name: str) -> None:
         """Take one name."""
 
-    assert invocation.run(program, [], {}) == 2
+    assert context.run(program, [], {}) == 2
     said = capsys.readouterr().err
     assert said == "rossec: error: missing argument 'NAME'\nrossec: hint: see: rossec --help\n"
-    assert invocation.run(program, ["x"], {}) == 0
+    assert context.run(program, ["x"], {}) == 0

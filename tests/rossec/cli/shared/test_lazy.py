@@ -3,25 +3,25 @@ import sys
 import click
 import pytest
 
-from rossec.cli.shared.lazy import LazyGroup
+from rossec.cli.shared.context import LazyGroup
 
 HELP = "Look for the masters of this trust domain, the best link first."
-MODULE = "rossec.cli.master.discover"
+MODULE = "rossec.cli.ros.graph"
 
 
 @pytest.fixture
 def group(monkeypatch: pytest.MonkeyPatch) -> LazyGroup:
+    made = LazyGroup("group", table={"discover": "ros.graph:discover"})
+    made.get_help(click.Context(made))  # in a source tree the first look imports, and keeps the outline
     monkeypatch.delitem(sys.modules, MODULE, raising=False)
-    return LazyGroup("group", table={"discover": ("master.discover:discover", HELP)})
+    return made
 
 
 def test_a_command_is_listed_without_an_import(group: LazyGroup) -> None:
     said = group.get_help(click.Context(group, terminal_width=60))
     assert " ".join(said.split()).endswith(f"discover {HELP}")
     assert max(map(len, said.splitlines())) <= 60
-    assert [item.value for item in group.shell_complete(click.Context(group), "dis")] == [
-        "discover"
-    ]
+    assert [item.value for item in group.shell_complete(click.Context(group), "dis")] == ["discover"]
     assert MODULE not in sys.modules
 
 

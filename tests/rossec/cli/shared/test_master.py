@@ -59,18 +59,14 @@ async def test_a_search_in_vain_is_not_repeated(site: Site, searches: Searches) 
 async def test_a_node_runs_with_the_master_that_was_found(site: Site, searches: Searches) -> None:
     searches.result = site.environ["ROS_MASTER_URI"]
     site.enroll("/looker")
-    async with node_as(
-        Environment({**site.environ, "ROS_MASTER_URI": "discover:"}), "/looker"
-    ) as node:
+    async with node_as(Environment({**site.environ, "ROS_MASTER_URI": "discover:"}), "/looker") as node:
         assert node.settings.master_uri == site.environ["ROS_MASTER_URI"]
 
 
 def test_a_master_listens_where_ros_expects_it_if_others_discover_it() -> None:
     found = own_variables(Environment({"ROS_MASTER_URI": "discover:", "ROS_IP": "127.0.0.1"}))
     assert found == {"ROS_MASTER_URI": "http://localhost:11311", "ROS_IP": "127.0.0.1"}
-    assert own_variables(Environment({"ROS_MASTER_URI": "http://m:1"})) == {
-        "ROS_MASTER_URI": "http://m:1"
-    }
+    assert own_variables(Environment({"ROS_MASTER_URI": "http://m:1"})) == {"ROS_MASTER_URI": "http://m:1"}
 
 
 async def test_a_call_reaches_the_master(site: Site) -> None:
@@ -131,9 +127,7 @@ async def test_a_revoked_identity_is_said_to_be_revoked(site: Site) -> None:
     assert "rossec node request /looker" in raised.value.hint
 
 
-async def test_a_connection_that_is_closed_for_another_reason_is_said_to_be_closed(
-    site: Site,
-) -> None:
+async def test_a_connection_that_is_closed_for_another_reason_is_said_to_be_closed(site: Site) -> None:
     home = site.enroll("/looker")
     environment = Environment(site.environ)
     with pytest.raises(ChannelClosed):

@@ -8,28 +8,39 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from rossec.cli.shared import message_output, message_text
+from rossec.cli.shared import messages
 from rossec.participant.message_types import message_type
 
 STRING = "std_msgs/String"
 TYPES = (
-    "geometry_msgs/PoseStamped", "sensor_msgs/LaserScan", "sensor_msgs/JointState",
-    "sensor_msgs/Image", "nav_msgs/Path", "nav_msgs/Odometry", "sensor_msgs/Imu",
-    "diagnostic_msgs/DiagnosticArray", "std_msgs/Time", "std_msgs/Duration", "std_msgs/Bool",
-    "std_msgs/Empty", "std_msgs/UInt8MultiArray", "sensor_msgs/CameraInfo",
-    "sensor_msgs/PointCloud2", "trajectory_msgs/JointTrajectory",
+    "geometry_msgs/PoseStamped",
+    "sensor_msgs/LaserScan",
+    "sensor_msgs/JointState",
+    "sensor_msgs/Image",
+    "nav_msgs/Path",
+    "nav_msgs/Odometry",
+    "sensor_msgs/Imu",
+    "diagnostic_msgs/DiagnosticArray",
+    "std_msgs/Time",
+    "std_msgs/Duration",
+    "std_msgs/Bool",
+    "std_msgs/Empty",
+    "std_msgs/UInt8MultiArray",
+    "sensor_msgs/CameraInfo",
+    "sensor_msgs/PointCloud2",
+    "trajectory_msgs/JointTrajectory",
     "visualization_msgs/MarkerArray",
-)  # fmt: skip
+)
 
 
 def filled(type_name: str, content: object) -> Any:
     message = message_type(type_name).create()
-    message_text.fill(message, content)
+    messages.fill(message, content)
     return message
 
 
 def shown(type_name: str, content: object) -> str:
-    return message_output.render(filled(type_name, content))
+    return messages.render(filled(type_name, content))
 
 
 def test_times_have_the_names_of_ros_1() -> None:
@@ -52,7 +63,7 @@ def test_times_have_the_names_of_ros_1() -> None:
 def test_text_of_a_peer_stays_on_its_line(text: str, expected: str) -> None:
     line = shown(STRING, {"data": text})
     assert line == f"data: {expected}"
-    assert message_text.parse_message(line) == {"data": text}
+    assert messages.parse_message(line) == {"data": text}
 
 
 @pytest.mark.parametrize(
@@ -62,13 +73,13 @@ def test_text_of_a_peer_stays_on_its_line(text: str, expected: str) -> None:
 def test_every_number_comes_back(value: float, expected: str) -> None:
     line = shown("std_msgs/Float64", {"data": value})
     assert line == f"data: {expected}"
-    assert repr(message_text.parse_message(line)) == repr({"data": value})
+    assert repr(messages.parse_message(line)) == repr({"data": value})
 
 
 def test_lists() -> None:
     scan = filled("sensor_msgs/LaserScan", {"ranges": [1, 2.5] * 1000})
-    assert "\nranges: [1.0, 2.5, 1.0, 2.5," in message_output.render(scan)
-    assert "\nintensities: []" in message_output.render(scan)
+    assert "\nranges: [1.0, 2.5, 1.0, 2.5," in messages.render(scan)
+    assert "\nintensities: []" in messages.render(scan)
     joints = shown("sensor_msgs/JointState", {"name": ["left", "a\n', '"]})
     assert '\nname: \n  - "left"\n  - "a\\n\', \'"\nposition: []' in joints
     path = {"poses": [{"header": {"frame_id": "map"}}] * 2}
@@ -78,34 +89,32 @@ def test_lists() -> None:
 
 def test_what_is_hidden_has_its_length() -> None:
     joints = filled("sensor_msgs/JointState", {"name": ["left"], "header": {"frame_id": "map"}})
-    assert message_output.render(joints, 0, (str,)).endswith(
+    assert messages.render(joints, 0, (str,)).endswith(
         'frame_id: "<string length: 3>"\nname: "<array type: string, length: 1>"\n'
         "position: []\nvelocity: []\neffort: []"
     )
-    assert '\nposition: "<array type: float64, length: 0>"' in message_output.render(
-        joints, 0, (list,)
-    )
+    assert '\nposition: "<array type: float64, length: 0>"' in messages.render(joints, 0, (list,))
     path = filled("nav_msgs/Path", {"poses": [{}, {}]})
-    assert message_output.render(path, 0, (list,)).endswith(
+    assert messages.render(path, 0, (list,)).endswith(
         '\nposes: "<array type: geometry_msgs/PoseStamped, length: 2>"'
     )
 
 
 def test_values_by_the_paths_of_their_fields() -> None:
     path = filled("nav_msgs/Path", {"poses": [{"pose": {"position": {"x": 3}}}]})
-    found = message_output.flat(path)
+    found = messages.flat(path)
     assert found["poses[0].pose.position.x"] == "3.0"
     assert found["header.stamp.nsecs"] == "0"
-    assert message_output.flat(filled("nav_msgs/Path", {}))["poses"] == "[]"
+    assert messages.flat(filled("nav_msgs/Path", {}))["poses"] == "[]"
 
 
 def test_json_has_the_same_names() -> None:
     pose = filled("geometry_msgs/PoseStamped", {"header": {"stamp": 1_000_000_005}})
-    plain: Any = message_output.plain(pose)
+    plain: Any = messages.plain(pose)
     assert plain["header"]["stamp"] == {"secs": 1, "nsecs": 5}
     assert plain["pose"]["position"] == {"x": 0.0, "y": 0.0, "z": 0.0}
     names = filled("sensor_msgs/JointState", {"name": ["a"], "position": [1]})
-    made: Any = message_output.plain(names)
+    made: Any = messages.plain(names)
     assert (made["name"], made["position"]) == (["a"], [1.0])
 
 
@@ -113,9 +122,7 @@ def stock(type_name: str, dice: np.random.Generator) -> Any:
     """A message of Debian's class with anything in it."""
     import genpy.message
 
-    kind = genpy.message.get_message_class(
-        "std_msgs/Header" if type_name == "Header" else type_name
-    )
+    kind = genpy.message.get_message_class("std_msgs/Header" if type_name == "Header" else type_name)
     message = kind()
     for field, slot in zip(kind.__slots__, kind._slot_types, strict=True):
         setattr(message, field, anything(slot, dice))
@@ -175,7 +182,7 @@ def test_rostopic_takes_what_is_printed_and_the_reverse(type_name: str, seed: in
     theirs = stock(type_name, np.random.default_rng(seed))
     data = serialized(theirs)
     kind = message_type(type_name)
-    text = message_output.render(kind.deserialize(data))
+    text = messages.render(kind.deserialize(data))
 
     again = type(theirs)()
     genpy.message.fill_message_args(again, [yaml.safe_load(text)] if text else [])
@@ -184,5 +191,5 @@ def test_rostopic_takes_what_is_printed_and_the_reverse(type_name: str, seed: in
     printed = genpy.message.strify_message(theirs)
     for written in (text, printed):
         ours = kind.create()
-        message_text.fill(ours, message_text.parse_message(written) if written else {})
+        messages.fill(ours, messages.parse_message(written) if written else {})
         assert bytes(kind.serialize(ours)) == data

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from rossec import clock
-from rossec.cli.shared import message_text
-from rossec.cli.shared.message_output import flat, plain, render
-from rossec.cli.shared.message_text import fill, parse_arguments, parse_message
+from rossec.cli.shared import messages
+from rossec.cli.shared.messages import fill, flat, parse_arguments, parse_message, plain, render
 from rossec.errors import ConfigurationError
 from rossec.participant.message_types import message_type, register_type
 from tests.support.commands import Shell, refused
@@ -18,7 +17,7 @@ STRING = "std_msgs/String"
 
 def filled(type_name: str, content: object) -> Any:
     message = message_type(type_name).create()
-    message_text.fill(message, content)
+    messages.fill(message, content)
     return message
 
 
@@ -34,10 +33,10 @@ def test_a_time_has_many_forms() -> None:
     now = 5_000_000_007
     for content in ({"secs": 5, "nsecs": 7}, {"sec": 5, "nanosec": 7}, [5, 7], now, "now"):
         message = message_type("std_msgs/Time").create()
-        message_text.fill(message, {"data": content}, now)
+        messages.fill(message, {"data": content}, now)
         assert (message.data.sec, message.data.nanosec) == (5, 7), content
     header = message_type("geometry_msgs/PoseStamped").create()
-    message_text.fill(header, {"header": "auto"}, now)
+    messages.fill(header, {"header": "auto"}, now)
     assert (header.header.stamp.sec, header.header.seq) == (5, 0)
 
 
@@ -62,26 +61,26 @@ def test_values_that_yaml_writes_otherwise() -> None:
 
 def test_a_stamp_is_of_this_hosts_clock() -> None:
     before = clock.now()
-    assert before <= message_text.stamp_now() // 1_000_000_000 <= before + 60
+    assert before <= messages.stamp_now() // 1_000_000_000 <= before + 60
 
 
 def test_now_is_found_anywhere() -> None:
-    assert message_text.mentions_now({"header": {"stamp": "now"}})
-    assert message_text.mentions_now([[{"header": "auto"}]])
-    assert not message_text.mentions_now({"data": "later", "more": [1]})
+    assert messages.mentions_now({"header": {"stamp": "now"}})
+    assert messages.mentions_now([[{"header": "auto"}]])
+    assert not messages.mentions_now({"data": "later", "more": [1]})
 
 
 def test_arguments_are_one_mapping_or_the_fields_in_order() -> None:
-    assert message_text.parse_arguments(["{data: 1}"]) == {"data": 1}
-    assert message_text.parse_arguments(["[1, 0]", "[2]"]) == [[1, 0], [2]]
-    assert message_text.parse_arguments(["hello"]) == ["hello"]
-    assert message_text.parse_arguments([]) == {}
+    assert messages.parse_arguments(["{data: 1}"]) == {"data": 1}
+    assert messages.parse_arguments(["[1, 0]", "[2]"]) == [[1, 0], [2]]
+    assert messages.parse_arguments(["hello"]) == ["hello"]
+    assert messages.parse_arguments([]) == {}
 
 
 def test_documents_are_separated_as_echo_separates_them() -> None:
     text = "data: 1\n---\ndata: 2\n---\n"
-    assert message_text.parse_documents(text) == [{"data": 1}, {"data": 2}]
-    assert message_text.parse_documents("---\n") == []
+    assert messages.parse_documents(text) == [{"data": 1}, {"data": 2}]
+    assert messages.parse_documents("---\n") == []
 
 
 @pytest.mark.parametrize(
@@ -90,12 +89,7 @@ def test_documents_are_separated_as_echo_separates_them() -> None:
         (STRING, {"data": 5}, "data is text, not a whole number", "put text that looks like"),
         (STRING, ["a", "b"], "2 values for 1 field$", "give all of data in this order"),
         ("nav_msgs/Path", {"poses": {}}, "poses is a list, not a mapping", "write"),
-        (
-            "nav_msgs/Path",
-            {"poses": [{"x": 1}]},
-            r"poses\[0\]: no field 'x'",
-            "it has header, pose",
-        ),
+        ("nav_msgs/Path", {"poses": [{"x": 1}]}, r"poses\[0\]: no field 'x'", "it has header, pose"),
         ("std_msgs/Time", {"data": "then"}, "not text", "secs, nsecs"),
         ("std_msgs/Time", {"data": {"hours": 1}}, "no field 'hours' in Time", "secs, nsecs"),
         ("std_msgs/Duration", {"data": "now"}, "data: a message is a mapping", "secs"),
@@ -106,9 +100,7 @@ def test_documents_are_separated_as_echo_separates_them() -> None:
         ("shape_msgs/Mesh", {"triangles": [{"vertex_indices": "x"}]}, "is a list, not text", ""),
     ],
 )
-def test_what_is_wrong_and_where_is_said(
-    type_name: str, content: object, error: str, hint: str
-) -> None:
+def test_what_is_wrong_and_where_is_said(type_name: str, content: object, error: str, hint: str) -> None:
     with pytest.raises(ConfigurationError, match=error) as refusal:
         filled(type_name, content)
     assert hint in refusal.value.hint
@@ -130,9 +122,7 @@ def test_a_message_that_is_none(content: object, error: str) -> None:
 
 
 def test_invalid_yaml_is_refused(empty: Shell) -> None:
-    refused(
-        empty("topic", "pub", "/chatter", STRING, "{data: [", "--as", "/talker"), "cannot parse"
-    )
+    refused(empty("topic", "pub", "/chatter", STRING, "{data: [", "--as", "/talker"), "cannot parse")
 
 
 def test_fields_named_as_keywords_of_python_are_filled_shown_and_come_back() -> None:
@@ -150,8 +140,7 @@ def test_fields_named_as_keywords_of_python_are_filled_shown_and_come_back() -> 
 
 
 @pytest.mark.parametrize(
-    ("content", "refusal"),
-    [([1], "1 value for 0 fields"), ({"a": [1]}, "no field 'a'")],
+    ("content", "refusal"), [([1], "1 value for 0 fields"), ({"a": [1]}, "no field 'a'")]
 )
 def test_a_message_without_fields_is_counted_in_words(content: object, refusal: str) -> None:
     with pytest.raises(ConfigurationError, match=refusal) as raised:
@@ -171,9 +160,7 @@ def test_a_message_that_the_shell_made_words_of_is_given_back_in_quotes(
     shell: Shell, command: tuple[str, ...], words: str
 ) -> None:
     said = shell(*command, *words.split(" "), "--as", "/robot")
-    refused(
-        said, f"the shell made {len(words.split())} words of the ", f"in single quotes: '{words}'"
-    )
+    refused(said, f"the shell made {len(words.split())} words of the ", f"in single quotes: '{words}'")
 
 
 def test_several_values_of_one_message_are_no_mistake() -> None:

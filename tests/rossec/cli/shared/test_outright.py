@@ -60,8 +60,7 @@ def test_many_rights_are_counted(shell: Shell) -> None:
     names = ", ".join(f"/t{n}" for n in range(7))
     write(shell, POLICY.replace('"/robot*"', "/robot").replace("[/odom]", f"[{names}]"))
     assert sign(shell, "/robot")[1] == (
-        "the policy gives /robot: publish /t0, publish /t1, publish /t2, publish /t3, publish /t4,"
-        " and 3 more"
+        "the policy gives /robot: publish /t0, publish /t1, publish /t2, publish /t3, publish /t4, and 3 more"
     )
 
 
@@ -78,9 +77,7 @@ def test_a_replaced_key_gets_its_own(shell: Shell) -> None:
     assert "nothing to do" in shell("policy", "apply").out
 
 
-def test_grants_that_the_master_refuses_are_a_note(
-    shell: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_grants_that_the_master_refuses_are_a_note(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     """The identity is signed by then."""
     write(shell, POLICY.replace('"/robot*"', "/robot"))
     shell("node", "request", "/robot")

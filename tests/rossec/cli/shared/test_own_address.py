@@ -1,8 +1,8 @@
 import pytest
 
 from rossec.cli.shared.context import Environment
-from rossec.cli.shared.own_address import own_address
-from rossec.enrollment import address
+from rossec.cli.shared.master import own_address
+from rossec.host import addresses
 
 
 def test_as_ros_is_configured(capsys: pytest.CaptureFixture[str]) -> None:
@@ -21,12 +21,10 @@ def test_an_address_of_another_host_is_said(capsys: pytest.CaptureFixture[str]) 
 def test_else_the_first_found_and_the_others_are_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], others: list[str]
 ) -> None:
-    monkeypatch.setattr(address, "own_addresses", lambda: ["192.168.1.7", *others])
+    monkeypatch.setattr(addresses, "own_addresses", lambda: ["192.168.1.7", *others])
     assert own_address(Environment({})) == "192.168.1.7"
     said = capsys.readouterr().err
-    assert said == (
-        "rossec: other addresses of this host, for --address: fd00::7\n" if others else ""
-    )
+    assert said == ("rossec: other addresses of this host, for --address: fd00::7\n" if others else "")
 
 
 def test_how_the_master_is_found_does_not_matter() -> None:

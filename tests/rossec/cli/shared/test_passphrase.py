@@ -90,9 +90,7 @@ def test_ctrl_c_at_the_prompt_is_raised(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_without_a_terminal_a_line_of_the_input_is_read_without_a_word_of_python(
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-    recwarn: pytest.WarningsRecorder,
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], recwarn: pytest.WarningsRecorder
 ) -> None:
     monkeypatch.setattr(passphrase, "can_hide", lambda: False)
     monkeypatch.setattr("sys.stdin", io.StringIO("typed by a program\n"))

@@ -6,9 +6,8 @@ import click
 import pytest
 
 from ca.errors import HintedError, StoreError
-from rossec.cli.shared.batch import Batch
 from rossec.cli.shared.context import confirm
-from rossec.cli.shared.results import add_entry, json_result, recorded_in
+from rossec.cli.shared.options import Batch, add_entry, json_result, recorded_in
 from rossec.errors import NotDelivered
 from rossec.terminal import record, say, say_secret
 
@@ -44,9 +43,7 @@ def test_with_it_stdout_holds_one_document(capsys: pytest.CaptureFixture[str]) -
 
     run(work, "--json")
     said = capsys.readouterr()
-    assert json.loads(said.out) == {
-        "name": "/robot", "expires": 7, "results": [{"ok": True, "file": "x"}],
-    }  # fmt: skip
+    assert json.loads(said.out) == {"name": "/robot", "expires": 7, "results": [{"ok": True, "file": "x"}]}
     assert said.out.count("\n") == 1
     assert said.err == "for people\n"
 
@@ -66,8 +63,11 @@ def test_what_was_done_before_a_refusal_is_said(capsys: pytest.CaptureFixture[st
     with pytest.raises(NotDelivered):
         run(work, "--json")
     assert json.loads(capsys.readouterr().out) == {
-        "keys": 1, "published": False, "error": "the master is away", "hint": "rossec ca publish",
-    }  # fmt: skip
+        "keys": 1,
+        "published": False,
+        "error": "the master is away",
+        "hint": "rossec ca publish",
+    }
 
 
 @pytest.mark.parametrize("error", [StoreError("no", "so"), EOFError(), OSError("full")])

@@ -4,20 +4,14 @@ from pathlib import Path
 import pytest
 
 from rossec.cli.shared import rules
-from rossec.errors import (
-    ConfigurationError,
-    MetadataRefused,
-    NamesExtraMissing,
-    NameUndefined,
-    RulesRefused,
-)
-from rossec.naming import shipped
-from rossec.naming.documents import MAX_INPUT
+from rossec.errors import ConfigurationError, MetadataRefused, NamesExtraMissing, NameUndefined, RulesRefused
+from rossec.naming import rule_runner
+from rossec.naming.requests import MAX_INPUT
 from tests.rossec.naming.stylesheets import gives
 
 
 def test_the_shipped_rules_or_those_of_a_file(tmp_path: Path) -> None:
-    assert rules.read_rules(None) == shipped.rules()
+    assert rules.read_rules(None) == rule_runner.shipped_rules()
     path = tmp_path / "rules.xsl"
     path.write_bytes(gives("'/a'"))
     assert rules.read_rules(path) == gives("'/a'")
@@ -52,6 +46,6 @@ def test_metadata_are_bounded_and_not_parsed(tmp_path: Path) -> None:
 
 def test_the_name_of_a_node() -> None:
     lamp = b"<node><group>lamps</group><name>desk</name></node>"
-    assert rules.name_of_node(shipped.rules(), lamp) == "/lamps/desk"
+    assert rules.name_of_node(rule_runner.shipped_rules(), lamp) == "/lamps/desk"
     with pytest.raises(NameUndefined):
-        rules.name_of_node(shipped.rules(), b"<nothing/>")
+        rules.name_of_node(rule_runner.shipped_rules(), b"<nothing/>")

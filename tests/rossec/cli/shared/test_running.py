@@ -2,7 +2,7 @@ import asyncio
 
 import pytest
 
-from rossec.cli.shared.running import run_until_node_ends
+from rossec.cli.ros.topic import run_until_node_ends
 from rossec.errors import NodeShutdown
 from tests.support.site import Site
 
@@ -27,9 +27,7 @@ async def test_an_error_of_the_work_is_the_commands(site: Site) -> None:
             await run_until_node_ends(node, work())
 
 
-async def test_a_node_that_ends_cancels_the_work(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_node_that_ends_cancels_the_work(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     cancelled: list[int] = []
     working = asyncio.Event()
 

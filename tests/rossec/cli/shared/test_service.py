@@ -7,24 +7,18 @@ import click
 import pytest
 
 from ca.certificates import Identity
-from rossec.authority.grant_delivery import RefusedDeposit
+from rossec.authority.grant_operations import RefusedDeposit
 from rossec.authority.home import AuthorityHome
-from rossec.authority.master_call import MasterCall
 from rossec.authority.service import AuthorityService
+from rossec.authority.session import StatementCall
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment
-from rossec.cli.shared.service import (
-    call_master,
-    deliver_grant,
-    pass_service,
-    say_deposited,
-    service_of,
-)
+from rossec.cli.shared.service import call_master, deliver_grant, pass_service, say_deposited, service_of
 from rossec.errors import NotDelivered
 from rossec.home import NodeHome
-from rossec.master.server.start import master_of
+from rossec.master.server.server import master_of
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, serve
-from rossec.net.rpc.client import serve_calls
+from rossec.net.rpc.calls import serve_calls
 from rossec.ros.xmlrpc import Fault
 from rossec.terminal import say
 from tests.support.commands import PASSPHRASE, Shell, refused
@@ -109,9 +103,7 @@ def test_a_grant_is_given_to_a_node_of_this_host(
     assert capsys.readouterr() == (f"written to {copy}\n", ""), "somebody carries it"
 
 
-def test_deposits_are_reported_with_what_the_master_refuses(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_deposits_are_reported_with_what_the_master_refuses(capsys: pytest.CaptureFixture[str]) -> None:
     say_deposited(1, [])
     say_deposited(0, [RefusedDeposit(bytes(16), "/robot", "too many grants")])
     say_deposited(30, [])
@@ -156,7 +148,7 @@ async def test_a_call_at_the_master_has_a_value_or_a_reason(
         await serve_calls(stream, Answers(value))
 
     async with serve(handle, "127.0.0.1", 0, own, WireProtocol.HTTP) as server:
-        call = MasterCall(node, "a.method", ([b"x"],), "the grants", "later", within=0.5)
+        call = StatementCall(node, "a.method", ([b"x"],), "the grants", "later", within=0.5)
         uri = f"http://127.0.0.1:{server.port}"
         made = asyncio.to_thread(call_master, Environment(shell.environ), uri, call)
         if isinstance(outcome, str):

@@ -3,14 +3,14 @@ from typing import Any
 import click
 import pytest
 
-from rossec.cli.shared import signing_options
+from rossec.cli.ca import sign
 
 
 def parsed(*arguments: str, multiple: bool = False) -> Any:
     @click.command()
-    @signing_options.identity_lifetime
-    @signing_options.replace_key(multiple=multiple)
-    @signing_options.anonymous
+    @sign.identity_lifetime
+    @sign.replace_key(multiple=multiple)
+    @sign.anonymous
     def command(**values: object) -> dict[str, object]:
         return values
 

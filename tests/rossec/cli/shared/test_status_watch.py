@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from rossec.cli.shared import status_watch
+from rossec.cli import status
 
 
 class Ended(Exception):
@@ -25,7 +25,7 @@ def shown(
         return "nothing" if answer["is"] == "" else ""
 
     try:
-        status_watch.show_status(
+        status.show_status(
             ask, lambda answer: [f"it is {answer['is']}"], missing, as_json=as_json, watch=watch
         )
     except Ended:
@@ -43,8 +43,9 @@ def test_it_is_shown_once(capsys: pytest.CaptureFixture[str]) -> None:
 def test_it_is_shown_again_when_it_changes(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(status_watch, "PERIOD", 0)
+    monkeypatch.setattr(status, "PERIOD", 0)
     assert shown(capsys, "a", "a", "", "", "a", watch=True) == (
-        "it is a\nit is \nit is a\n", "rossec: nothing\n",
-    )  # fmt: skip
+        "it is a\nit is \nit is a\n",
+        "rossec: nothing\n",
+    )
     assert shown(capsys, "a", "a", as_json=True, watch=True)[0] == '{"is": "a"}\n' * 2

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from rossec.cli.completion import seen
-from rossec.cli.shared.context import Environment
-from rossec.cli.shared.system_state import (
+from rossec.cli.completion import values
+from rossec.cli.ros.graph import (
     SystemState,
     _keep_for_completion,
     addresses,
@@ -15,14 +14,13 @@ from rossec.cli.shared.system_state import (
     read_state,
     system_state,
 )
+from rossec.cli.shared.context import Environment
 from rossec.errors import AnswerMalformed
 from tests.rossec.cli.ros.talking import prepare, talk
 from tests.support.background import serving
 from tests.support.site import Site
 
-STATE: list[object] = [
-    [["/a", ["/n2", "/n1"]]], [["/a", ["/n3"]], ["/b", ["/n1"]]], [["/s", ["/n4"]]],
-]  # fmt: skip
+STATE: list[object] = [[["/a", ["/n2", "/n1"]]], [["/a", ["/n3"]], ["/b", ["/n1"]]], [["/s", ["/n4"]]]]
 
 
 async def state(system: object, types: object) -> SystemState:
@@ -39,17 +37,23 @@ async def test_an_answer_is_read() -> None:
     assert found.topics == ["/a", "/b"]
     assert found.nodes == ["/n1", "/n2", "/n3", "/n4"]
     assert [found.type_of(topic) for topic in ("/a", "/b", "/c")] == [
-        "std_msgs/String", "unknown type", "unknown type",
-    ]  # fmt: skip
+        "std_msgs/String",
+        "unknown type",
+        "unknown type",
+    ]
 
 
 @pytest.mark.parametrize(
     ("system", "types"),
     [
-        (None, []), ([[], []], []), ([[["/a"]], [], []], []), ([[["/a", "/n"]], [], []], []),
-        ([[], [], []], None), ([[], [], []], [["/a"]]),
+        (None, []),
+        ([[], []], []),
+        ([[["/a"]], [], []], []),
+        ([[["/a", "/n"]], [], []], []),
+        ([[], [], []], None),
+        ([[], [], []], [["/a"]]),
     ],
-)  # fmt: skip
+)
 async def test_other_answers_are_refused(system: object, types: object) -> None:
     with pytest.raises(AnswerMalformed):
         await state(system, types)
@@ -78,7 +82,10 @@ def test_names_that_were_seen_complete_from_now_on(tmp_path: Path) -> None:
     found = SystemState({"/scan": ("/robot",)}, {}, {"/reset": ("/robot",)}, {"/scan": "a/B"})
     environment = Environment({"ROSSEC_HOME": str(home), "ROS_MASTER_URI": "http://x:1"})
     _keep_for_completion(environment, found)
-    kinds = (seen.TOPIC, seen.SERVICE, seen.NODE, seen.TYPE)
-    assert [seen.read(home, "http://x:1", kind) for kind in kinds] == [
-        ["/scan"], ["/reset"], ["/robot"], ["a/B"],
-    ]  # fmt: skip
+    kinds = (values.TOPIC, values.SERVICE, values.NODE, values.TYPE)
+    assert [values.read(home, "http://x:1", kind) for kind in kinds] == [
+        ["/scan"],
+        ["/reset"],
+        ["/robot"],
+        ["a/B"],
+    ]

@@ -7,7 +7,7 @@ import pytest
 from grants.errors import GrantExpired, GrantForged, GrantNotHeld
 from grants.model import Right
 from grants.token import MAX_TOKEN, peek
-from rossec.cli.shared.tokens import holder_home, open_held, read_token
+from rossec.cli.shared.master import holder_home, open_held, read_token
 from rossec.errors import ConfigurationError
 from tests.support import trust
 from tests.support.site import DAY, Site

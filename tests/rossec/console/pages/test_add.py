@@ -13,11 +13,10 @@ from ca.errors import (
     HintedError,
     RequestSwapped,
 )
-from rossec.authority.console import owners
-from rossec.console.enrollment import Destination, Enrollment, Known, Stage
-from rossec.console.enrollments import Enrollments
-from rossec.console.routing import MAX_FRAME
-from rossec.console.settings import Settings
+from rossec.authority.console import messages
+from rossec.console.enrollments import Destination, Enrollment, Enrollments, RecordedName, Stage
+from rossec.console.rendering import MAX_FRAME
+from rossec.console.server.control import WebSettings
 from rossec.errors import PictureRefused, ScannerBusy
 from tests.support.consolepages import ORIGIN, Browser
 from tests.support.enrolling import Robot, clock, compared
@@ -45,7 +44,7 @@ class Adding:
         return self.found
 
     def begin(self, text: str, address: str, owner: str) -> str:
-        assert owner == owners.of_phone("Anna's phone")
+        assert owner == messages.of_phone("Anna's phone")
         if self.refusal is not None:
             raise self.refusal
         self.begun.append((text, address))
@@ -160,7 +159,7 @@ def test_the_card_shows_all_that_is_decided() -> None:
 
 def test_a_key_that_changed_is_an_alarm_and_reject_comes_first() -> None:
     adding = Adding()
-    adding.found.known = Known.OTHER_KEY
+    adding.found.known = RecordedName.OTHER_KEY
     text = added(adding).get(f"/add/{NUMBER}").text
     assert "The key of a name you know has CHANGED" in text
     assert 'class="card alarm"' in text
@@ -173,7 +172,7 @@ def test_a_key_that_changed_is_an_alarm_and_reject_comes_first() -> None:
 
 def test_a_known_key_gets_a_new_certificate() -> None:
     adding = Adding()
-    adding.found.known = Known.SAME_KEY
+    adding.found.known = RecordedName.SAME_KEY
     text = added(adding).get(f"/add/{NUMBER}").text
     assert "Yes, with this key" in text
     assert "see nothing" not in text
@@ -192,12 +191,12 @@ def test_the_digits_are_shown_in_two_groups_and_confirmed_at_the_node() -> None:
 @pytest.mark.parametrize(
     ("known", "error", "says"),
     [
-        (Known.NEW, None, "is revoked: nothing accepts it"),
-        (Known.SAME_KEY, None, "keeps what it had"),
-        (Known.NEW, EnrollmentOver("the service is <away>", "try it"), "could not be ended"),
+        (RecordedName.NEW, None, "is revoked: nothing accepts it"),
+        (RecordedName.SAME_KEY, None, "keeps what it had"),
+        (RecordedName.NEW, EnrollmentOver("the service is <away>", "try it"), "could not be ended"),
     ],
 )
-def test_digits_that_differ_end_it_here(known: Known, error: HintedError | None, says: str) -> None:
+def test_digits_that_differ_end_it_here(known: RecordedName, error: HintedError | None, says: str) -> None:
     adding = Adding()
     adding.found.known, adding.found.error = known, error
     adding.found.stage = Stage.DIFFERED
@@ -271,9 +270,12 @@ def test_before_the_node_has_answered_there_is_nothing_to_approve() -> None:
 def test_a_person_who_comes_back_too_late_sees_that() -> None:
     adding = Adding()
     late = Enrollment(
-        adding.found.core, Destination("192.168.1.7", 1, "a screen"), None,  # type: ignore[arg-type]
-        lambda: clock() + 1000, lambda: None,
-    )  # fmt: skip
+        adding.found.core,
+        Destination("192.168.1.7", 1, "a screen"),
+        None,  # type: ignore[arg-type]
+        lambda: clock() + 1000,
+        lambda: None,
+    )
     late.stage, adding.found = Stage.COMPARED, late
     assert "its code has expired" in added(adding).get(f"/add/{NUMBER}").text
 
@@ -292,7 +294,7 @@ def test_an_enrollment_that_is_not_there_is_told() -> None:
 
 
 def test_a_screen_that_only_shows_offers_nothing() -> None:
-    settings = Settings("home", (ORIGIN,), read_only=True)
+    settings = WebSettings("home", (ORIGIN,), read_only=True)
     browser = added(Adding(), settings=settings)
     assert "<form" not in browser.get("/add").text
     assert "<form" not in browser.get(f"/add/{NUMBER}").text

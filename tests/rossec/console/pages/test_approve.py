@@ -1,6 +1,6 @@
 """Preparing and approving: the two requests of every kind."""
 
-from rossec.console.forms import to_base64url
+from rossec.console.rendering import to_base64url
 from rossec.errors import AuthorityLocked
 from tests.support.consolepages import Browser
 
@@ -41,9 +41,7 @@ def test_another_session_cannot_finish_it() -> None:
     asked = browser.post("/prepare/passkey", data=FORM, headers=JSON).json()
     other = browser.context.sessions.begin(b"o" * 32, "Anna's phone", browser.now)
     headers = {**JSON, "Cookie": f"__Host-rossec={other}"}
-    assert (
-        browser.post(f"/approve/{asked['id']}", json=ASSERTION, headers=headers).status_code == 404
-    )
+    assert browser.post(f"/approve/{asked['id']}", json=ASSERTION, headers=headers).status_code == 404
     assert browser.asked("approve") == []
 
 

@@ -2,12 +2,11 @@
 
 import pytest
 
-from ca.approvals.statement import Kind
+from ca.approvals.statement import StatementKind
 from ca.encoding import encode
-from grants.claims import from_draft
-from grants.document import peek
-from rossec.authority.console.views import ApprovalView, Outcome
-from rossec.console.forms import to_base64url
+from grants.document import from_draft, peek
+from rossec.authority.console.messages import ApprovalOutcome, ApprovalView
+from rossec.console.rendering import to_base64url
 from rossec.console.words import day
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import Browser
@@ -18,7 +17,7 @@ PATH = f"/approved/{to_base64url(NUMBER)}"
 
 def approved(state: str, kind: int = 2, data: bytes = b"", result: str = "") -> Browser:
     browser = Browser().log_in()
-    browser.home.outcomes[NUMBER] = Outcome(NUMBER, state, result, data)
+    browser.home.outcomes[NUMBER] = ApprovalOutcome(NUMBER, state, result, data)
     (view,) = browser.home.approvals
     browser.home.approvals = [view._replace(kind=int(kind))]
     return browser
@@ -52,12 +51,12 @@ def test_what_waits_for_the_master_is_not_said_to_wait_for_the_key() -> None:
 
 
 def test_what_a_person_carries_to_a_host_is_shown() -> None:
-    browser = approved("done", Kind.INTERMEDIATE, b"-----BEGIN CERT")
+    browser = approved("done", StatementKind.INTERMEDIATE, b"-----BEGIN CERT")
     assert "BEGIN CERT" in browser.get(PATH).text
 
 
-@pytest.mark.parametrize("kind", sorted({*Kind} - {Kind.INTERMEDIATE}))
-def test_nothing_else_that_was_made_is_shown_here(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", sorted({*StatementKind} - {StatementKind.INTERMEDIATE}))
+def test_nothing_else_that_was_made_is_shown_here(kind: StatementKind) -> None:
     text = approved("done", kind, b"ROSSEC-JOIN:X").get(PATH).text
     assert "ROSSEC-JOIN" not in text
 
@@ -65,7 +64,7 @@ def test_nothing_else_that_was_made_is_shown_here(kind: Kind) -> None:
 def test_what_was_given_is_told_and_until_when_not_what_was_asked() -> None:
     coarse = peek(Browser().home.grants[2].data)
     data = encode([encode(from_draft(coarse, coarse.issuer))])
-    browser = approved("done", Kind.GRANT, data, "some words")
+    browser = approved("done", StatementKind.GRANT, data, "some words")
     (view,) = browser.home.approvals
     browser.home.approvals = [view._replace(sentence="what /heating asked for")]
     text = browser.get(PATH).text
@@ -74,7 +73,7 @@ def test_what_was_given_is_told_and_until_when_not_what_was_asked() -> None:
     assert f"until {day(coarse.cap)}" in text
     assert "asked for" not in text
     for malformed in (b"\xff", encode(5), encode([b"x"]), encode([5])):
-        other = approved("done", Kind.GRANT, malformed, "some words")
+        other = approved("done", StatementKind.GRANT, malformed, "some words")
         assert "some words" in other.get(PATH).text
 
 

@@ -3,12 +3,12 @@
 import pytest
 
 from ca.errors import HintedError
-from grants.claims import scope_of
+from grants.document import scope_of
 from grants.model import Permission, Right
-from rossec.authority.console.views import FactView, QuestionAnswer
-from rossec.console.forms import to_base64url
-from rossec.console.pages.ask import DENIED
-from rossec.console.settings import Settings
+from rossec.authority.console.messages import FactView, QuestionAnswer
+from rossec.console.pages.decisions import DENIED
+from rossec.console.rendering import to_base64url
+from rossec.console.server.control import WebSettings
 from rossec.errors import KeyServiceRefused
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import ORIGIN, Browser
@@ -52,9 +52,11 @@ def test_a_command_looks_different_from_reading() -> None:
     browser = Browser().log_in()
     (question,) = browser.home.questions
     drive = question.rights[0]._replace(
-        right=int(Right.PUBLISH), pattern="/cmd_vel", type="geometry_msgs/Twist",
+        right=int(Right.PUBLISH),
+        pattern="/cmd_vel",
+        type="geometry_msgs/Twist",
         permissions=scope_of([Permission("/cmd_vel", Right.PUBLISH)]),
-    )  # fmt: skip
+    )
     other = question._replace(id=b"\4" * 16, rights=(drive,), coarse=())
     browser.home.rights = (drive,)
     browser.home.questions = [question, other]
@@ -91,10 +93,11 @@ def test_denying_needs_only_the_session() -> None:
 @pytest.mark.parametrize(
     ("answer", "heading"),
     [
-        ("granted", "Approved"), ("no answer", "Denied: nobody answered in time"),
+        ("granted", "Approved"),
+        ("no answer", "Denied: nobody answered in time"),
         ("too many", "This is answered"),
     ],
-)  # fmt: skip
+)
 def test_how_it_was_answered_is_said(answer: str, heading: str) -> None:
     browser = Browser().log_in()
     (question,) = browser.home.questions
@@ -136,5 +139,5 @@ def test_texts_of_a_node_are_data() -> None:
 
 
 def test_a_screen_that_only_shows_offers_no_buttons() -> None:
-    browser = Browser(settings=Settings("home", (ORIGIN,), read_only=True)).log_in()
+    browser = Browser(settings=WebSettings("home", (ORIGIN,), read_only=True)).log_in()
     assert "<form" not in browser.get(PATH).text

@@ -2,7 +2,7 @@
 
 import re
 
-from rossec.authority.console.views import EventView
+from rossec.authority.console.messages import EventView
 from rossec.errors import KeyServiceRefused
 from tests.support.consolehome import NOW, FakeHome, as_service, crowd, demo
 from tests.support.consolepages import Browser

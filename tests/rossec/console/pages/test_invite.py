@@ -1,9 +1,9 @@
 """Join codes: the form, the code once, and the end of one."""
 
-from rossec.authority.console.views import Outcome
-from rossec.console.forms import to_base64url
-from rossec.console.pages.invite import ENDED
-from rossec.console.settings import Settings
+from rossec.authority.console.messages import ApprovalOutcome
+from rossec.console.pages.adding import ENDED
+from rossec.console.rendering import to_base64url
+from rossec.console.server.control import WebSettings
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import ORIGIN, Browser
 
@@ -14,7 +14,7 @@ TEXT = "ROSSEC-JOIN:ABCDEFGH"
 
 def made(state: str = "done", data: bytes = TEXT.encode()) -> Browser:
     browser = Browser().log_in()
-    browser.home.outcomes[MADE] = Outcome(MADE, state, "", data)
+    browser.home.outcomes[MADE] = ApprovalOutcome(MADE, state, "", data)
     return browser
 
 
@@ -51,13 +51,13 @@ def test_a_code_that_waits_for_the_key_is_shown_when_it_is_made() -> None:
     browser = made("waiting", b"")
     browser.context.made_codes.add(MADE, own(browser))
     assert "The key is locked" in browser.get(PATH).text
-    browser.home.outcomes[MADE] = Outcome(MADE, "done", "", TEXT.encode())
+    browser.home.outcomes[MADE] = ApprovalOutcome(MADE, "done", "", TEXT.encode())
     assert TEXT in browser.get(PATH).text
 
 
 def test_a_code_that_was_not_made_says_why() -> None:
     browser = made("failed", b"")
-    browser.home.outcomes[MADE] = Outcome(MADE, "failed", "too late", b"")
+    browser.home.outcomes[MADE] = ApprovalOutcome(MADE, "failed", "too late", b"")
     assert "too late" in browser.get(PATH).text
 
 
@@ -85,5 +85,5 @@ def test_texts_are_data() -> None:
 
 
 def test_a_screen_that_only_shows_offers_nothing() -> None:
-    browser = Browser(settings=Settings("home", (ORIGIN,), read_only=True)).log_in()
+    browser = Browser(settings=WebSettings("home", (ORIGIN,), read_only=True)).log_in()
     assert "<form" not in browser.get("/invite").text

@@ -2,9 +2,9 @@
 
 import pytest
 
-from rossec.console.forms import to_base64url
-from rossec.console.pages.join import REJECTED
-from rossec.console.settings import Settings
+from rossec.console.pages.adding import REJECTED
+from rossec.console.rendering import to_base64url
+from rossec.console.server.control import WebSettings
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import ORIGIN, Browser
 
@@ -57,5 +57,5 @@ def test_texts_of_strangers_are_data(anonymous: bool) -> None:
 
 
 def test_a_screen_that_only_shows_offers_nothing() -> None:
-    browser = Browser(settings=Settings("home", (ORIGIN,), read_only=True)).log_in()
+    browser = Browser(settings=WebSettings("home", (ORIGIN,), read_only=True)).log_in()
     assert "<form" not in browser.get(PATH).text

@@ -2,8 +2,8 @@
 
 import pytest
 
-from rossec.console.forms import from_base64url, to_base64url
-from rossec.console.pages.login import FIRST
+from rossec.console.pages.passkeys import FIRST
+from rossec.console.rendering import from_base64url, to_base64url
 from rossec.errors import KeyServiceFailed
 from tests.support.consolepages import ORIGIN, Browser
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from starlette.requests import Request
 from starlette.responses import StreamingResponse
 
-from rossec.console.pages.news import stream
+from rossec.console.pages.today import stream
 from tests.support.consolepages import Browser
 from tests.support.consoleprocess import ask, running_web
 

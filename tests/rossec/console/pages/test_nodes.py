@@ -1,8 +1,8 @@
 """One node, one grant."""
 
-from rossec.console.forms import to_base64url
-from rossec.console.matrix import Access
-from rossec.console.pages.nodes import grant_line, sees
+from rossec.console.matrix import TopicAccess
+from rossec.console.pages.visibility import grant_line, sees
+from rossec.console.rendering import to_base64url
 from tests.support.consolehome import NOW, FakeHome, as_service, crowd, demo
 from tests.support.consolepages import Browser
 
@@ -46,7 +46,7 @@ def test_an_unknown_node_is_no_page() -> None:
 
 def test_what_a_node_sees_now_comes_first() -> None:
     found = sees(demo().matrix, "/doctor")
-    assert [cell.access for _, cell in found] == [Access.ALL, Access.ALL, Access.ENDED]
+    assert [cell.access for _, cell in found] == [TopicAccess.ALL, TopicAccess.ALL, TopicAccess.ENDED]
 
 
 def test_a_grant_says_what_it_gives_and_how_it_ends() -> None:

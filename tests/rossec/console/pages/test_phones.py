@@ -1,9 +1,9 @@
 """The page of phones: list, link, proposal, removal."""
 
-from rossec.authority.console.views import Proposal
-from rossec.console.forms import to_base64url
-from rossec.console.pages.phones import REMOVED
-from rossec.console.settings import Settings
+from rossec.authority.console.messages import Proposal
+from rossec.console.pages.passkeys import REMOVED
+from rossec.console.rendering import to_base64url
+from rossec.console.server.control import WebSettings
 from tests.support.consolepages import ORIGIN, Browser
 
 PHONE = to_base64url(b"\5" * 32)
@@ -61,7 +61,7 @@ def test_a_phone_whose_digits_differ_is_not_added() -> None:
 
 
 def test_a_screen_that_only_shows_offers_no_buttons() -> None:
-    browser = Browser(settings=Settings("home", (ORIGIN,), read_only=True)).log_in()
+    browser = Browser(settings=WebSettings("home", (ORIGIN,), read_only=True)).log_in()
     assert "/remove" not in browser.get("/phones").text
 
 

@@ -2,13 +2,13 @@
 
 import base64
 
-from ca.intermediates import build_intermediate_request
-from ca.keys.publickey import thumbprint
+from ca.certificates import build_intermediate_request
+from ca.keys.signing import thumbprint
 from grants.model import Right
-from rossec.authority.console.views import PolicyRight
-from rossec.console.forms import to_base64url
-from rossec.console.pages.policy import sentence
-from rossec.console.settings import Settings
+from rossec.authority.console.messages import PolicyRight
+from rossec.console.pages.decisions import sentence
+from rossec.console.rendering import to_base64url
+from rossec.console.server.control import WebSettings
 from tests.support.consolehome import HOSTILE
 from tests.support.consolepages import ORIGIN, Browser
 from tests.support.pki import new_signer
@@ -90,6 +90,6 @@ def test_what_is_no_request_of_a_host_is_told_where_it_was_pasted() -> None:
 
 
 def test_a_screen_that_only_shows_offers_nothing() -> None:
-    browser = Browser(settings=Settings("home", (ORIGIN,), read_only=True)).log_in()
+    browser = Browser(settings=WebSettings("home", (ORIGIN,), read_only=True)).log_in()
     for path in ("/policy", "/delegate", "/intermediate"):
         assert "<form" not in browser.get(path).text

@@ -1,8 +1,8 @@
 """The report to print."""
 
 from grants.policy.privacy import ReceiverAccess
-from rossec.console.pages.privacy import write
-from rossec.console.report import topics
+from rossec.console.matrix import topics
+from rossec.console.pages.visibility import write
 from rossec.participant.host_types import layout_of
 from tests.support.consolehome import HOSTILE, NOW, POSE, as_service, crowd, demo
 from tests.support.consolepages import Browser

@@ -2,10 +2,10 @@
 
 import pytest
 
-from rossec.authority.console.views import ListStanding
-from rossec.console.forms import to_base64url
-from rossec.console.pages.revoke import REFRESH
-from rossec.console.settings import Settings
+from rossec.authority.console.messages import ListProgress
+from rossec.console.pages.decisions import REFRESH
+from rossec.console.rendering import to_base64url
+from rossec.console.server.control import WebSettings
 from tests.support.consolepages import ORIGIN, Browser
 
 
@@ -90,14 +90,14 @@ def test_another_form_ends_nothing(path: str, form: dict[str, str], status: int)
 @pytest.mark.parametrize(
     ("standing", "ticks", "says"),
     [
-        (ListStanding(1, 4, False, False, 0, 0), 0, "may still"),
-        (ListStanding(1, 4, True, False, 0, 0), 1, "may still"),
-        (ListStanding(1, 4, True, True, 3, 2), 2, "may still"),
-        (ListStanding(1, 4, True, True, 0, 0), 2, "may still"),
-        (ListStanding(1, 4, True, True, 3, 3), 3, "may no longer"),
+        (ListProgress(1, 4, False, False, 0, 0), 0, "may still"),
+        (ListProgress(1, 4, True, False, 0, 0), 1, "may still"),
+        (ListProgress(1, 4, True, True, 3, 2), 2, "may still"),
+        (ListProgress(1, 4, True, True, 0, 0), 2, "may still"),
+        (ListProgress(1, 4, True, True, 3, 3), 3, "may no longer"),
     ],
 )
-def test_the_ticks_come_as_they_are_true(standing: ListStanding, ticks: int, says: str) -> None:
+def test_the_ticks_come_as_they_are_true(standing: ListProgress, ticks: int, says: str) -> None:
     browser = Browser().log_in()
     browser.home.standing = standing
     answer = browser.get(f"/revoked/1/4?grant={grant_of(browser)}")
@@ -113,7 +113,7 @@ def test_the_ticks_come_as_they_are_true(standing: ListStanding, ticks: int, say
 def test_while_the_key_is_locked_it_waits_to_be_signed() -> None:
     browser = Browser().log_in()
     browser.home.remaining = None
-    browser.home.standing = ListStanding(0, 0, False, False, 0, 0)
+    browser.home.standing = ListProgress(0, 0, False, False, 0, 0)
     answer = browser.post("/revoke/node/robot", data={"reason": "", "name": "/robot"})
     assert answer.headers["location"] == "/revoked/0/0?node=%2Frobot"
     text = browser.get(answer.headers["location"]).text
@@ -121,17 +121,21 @@ def test_while_the_key_is_locked_it_waits_to_be_signed() -> None:
     assert "rossec ca unlock" in text
     assert "is-done" not in text
     browser.home.remaining = 600
-    browser.home.standing = ListStanding(1, 5, True, True, 3, 3)
+    browser.home.standing = ListProgress(1, 5, True, True, 3, 3)
     assert "is no longer trusted" in browser.get("/revoked/0/0?node=/robot").text
 
 
 @pytest.mark.parametrize(
     "path",
     [
-        "/revoke/grant/AAAA", "/revoke/node/nobody", "/revoked/1/4?grant=AAAA",
-        "/revoked/1/4?node=/nobody", "/revoked/-1/4", "/revoked/1/99999999999999999",
+        "/revoke/grant/AAAA",
+        "/revoke/node/nobody",
+        "/revoked/1/4?grant=AAAA",
+        "/revoked/1/4?node=/nobody",
+        "/revoked/-1/4",
+        "/revoked/1/99999999999999999",
     ],
-)  # fmt: skip
+)
 def test_what_is_not_there_is_told(path: str) -> None:
     assert Browser().log_in().get(path).status_code == 404
 
@@ -141,5 +145,5 @@ def test_without_a_subject_only_the_ticks_are_shown() -> None:
 
 
 def test_a_screen_that_only_shows_offers_nothing() -> None:
-    browser = Browser(settings=Settings("home", (ORIGIN,), read_only=True)).log_in()
+    browser = Browser(settings=WebSettings("home", (ORIGIN,), read_only=True)).log_in()
     assert "<form" not in browser.get(f"/revoke/grant/{grant_of(browser)}").text

@@ -4,14 +4,9 @@ import pytest
 
 from ca.encoding import encode
 from grants.model import Right
-from rossec.authority.console.views import (
-    AskedRight,
-    GrantQuestion,
-    IdentityRequestView,
-    Proposal,
-)
-from rossec.console.forms import to_base64url
-from rossec.console.pages.today import Counts, counts
+from rossec.authority.console.messages import AskedRight, GrantQuestion, IdentityRequestView, Proposal
+from rossec.console.pages.today import TodayCounts, counts
+from rossec.console.rendering import to_base64url
 from rossec.errors import KeyServiceRefused
 from tests.support.consolehome import NOW, FakeHome, as_service, demo
 from tests.support.consolepages import Browser
@@ -44,9 +39,10 @@ def test_what_waits_comes_first_the_oldest_before_the_others() -> None:
     home = demo()
     asked = AskedRight(int(Right.SUBSCRIBE), "/robot/scan", "", "", "", encode([]))
     home.questions.append(
-        GrantQuestion(b"\1" * 16, "/heating", b"k" * 32, "to be <b>warm</b>", NOW - 60, NOW + 60,
-                 3600, (), (asked,))
-    )  # fmt: skip
+        GrantQuestion(
+            b"\1" * 16, "/heating", b"k" * 32, "to be <b>warm</b>", NOW - 60, NOW + 60, 3600, (), (asked,)
+        )
+    )
     made = page(home)
     request = IdentityRequestView(
         b"\2" * 32, "/lamp", b"k" * 32, "code", NOW - 120, NOW + 60, "pending", False, False, b""
@@ -55,9 +51,7 @@ def test_what_waits_comes_first_the_oldest_before_the_others() -> None:
     made.home.proposals = [Proposal(b"\3" * 16, "Ben's phone", "123456", NOW + 60)]
     text = made.get("/").text
     assert "3 things wait for you" in text
-    assert (
-        text.index("/lamp</bdi>") < text.index("asks to</bdi> <bdi>see") < text.index("Ben&#39;s")
-    )
+    assert text.index("/lamp</bdi>") < text.index("asks to</bdi> <bdi>see") < text.index("Ben&#39;s")
     assert 'href="/ask/AQEBAQEBAQEBAQEBAQEBAQ"' in text
     assert "&lt;b&gt;warm&lt;/b&gt;" in text
     assert "/issued" not in text
@@ -157,7 +151,7 @@ def test_what_is_new_since_the_log_was_looked_at_is_counted() -> None:
 
 
 def test_the_counts_are_of_topics_that_are_sent() -> None:
-    assert counts(demo().matrix) == Counts(1, 3, 2)
+    assert counts(demo().matrix) == TodayCounts(1, 3, 2)
 
 
 def test_it_needs_a_session() -> None:

@@ -1,7 +1,7 @@
 """The whole matrix, and one topic."""
 
 from grants.model import Permission, Right
-from rossec.console.pages.who import ROWS, other_rights
+from rossec.console.pages.visibility import ROWS, other_rights
 from tests.support.consolehome import NOW, FakeHome, as_service, crowd, demo, sees
 from tests.support.consolepages import Browser
 

@@ -2,7 +2,7 @@
 
 import math
 
-from rossec.console.matrix import Access, Matrix
+from rossec.console.matrix import Matrix, TopicAccess
 from rossec.console.pictures import flow
 from rossec.console.pictures.svg import Point, along
 from tests.support.consolehome import crowd, demo, sees
@@ -42,9 +42,9 @@ def lines_of(matrix: Matrix) -> tuple[list[flow.Line], list[flow.Line]]:
     for top, row in enumerate(matrix.rows):
         for low, cell in enumerate(row.cells):
             line = ((385.0, 54.0 * top), (455.0, 54.0 * low))
-            if cell.access is Access.ENDED:
+            if cell.access is TopicAccess.ENDED:
                 struck.append(line)
-            elif cell.access is not Access.NOTHING:
+            elif cell.access is not TopicAccess.NOTHING:
                 others.append(line)
     return struck, others
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from grants.model import Restriction, filter_rules
-from rossec.console import made_up
-from rossec.console.matrix import Access, Cell
-from rossec.console.pictures import image, laser, looks
+from rossec.console import samples
+from rossec.console.matrix import Cell, TopicAccess
+from rossec.console.pictures import looks
+from rossec.console.pictures import looks as image
+from rossec.console.pictures import looks as laser
 from rossec.console.pictures.looks import Comparison
 from rossec.console.samples import Recorded
 from rossec.errors import MessageError
@@ -20,13 +22,20 @@ FIX = "sensor_msgs/NavSatFix"
 
 
 def compare(kind: str, *ways: Restriction | None) -> Comparison:
-    recorded = made_up.recorded("/robot/topic", kind)
+    recorded = samples.recorded("/robot/topic", kind)
     assert recorded is not None
     cells = [
-        Cell(f"/node_{at}", "/robot/topic", Access.COARSE if way else Access.ALL,
-             "said", "", (b"g",), (way,) if way else ())
+        Cell(
+            f"/node_{at}",
+            "/robot/topic",
+            TopicAccess.COARSE if way else TopicAccess.ALL,
+            "said",
+            "",
+            (b"g",),
+            (way,) if way else (),
+        )
         for at, way in enumerate(ways)
-    ]  # fmt: skip
+    ]
     return looks.compare(recorded, cells)
 
 
@@ -48,9 +57,9 @@ def test_receivers_that_see_the_same_share_a_look() -> None:
 
 
 def test_who_sees_nothing_has_no_look() -> None:
-    recorded = made_up.recorded("/robot/topic", POSE)
+    recorded = samples.recorded("/robot/topic", POSE)
     assert recorded is not None
-    assert looks.compare(recorded, [Cell("/a", "/t", Access.ENDED)]).looks == ()
+    assert looks.compare(recorded, [Cell("/a", "/t", TopicAccess.ENDED)]).looks == ()
 
 
 def test_a_place_that_was_removed_is_said_and_the_fields_are_shown() -> None:
@@ -64,13 +73,14 @@ def test_a_place_that_was_removed_is_said_and_the_fields_are_shown() -> None:
 
 
 def test_a_laser_a_picture_and_a_number() -> None:
-    (seen,) = compare(laser.TYPE, None).looks
+    (seen,) = compare(laser.SCAN_TYPE, None).looks
     assert seen.heading == "sees what the laser meets"
     checked(seen.picture)
-    blur = Restriction(image.TYPE, (), filter_rules({"data": {"pixelate": {"block": 32}}}))
-    assert [each.heading for each in compare(image.TYPE, blur, None).looks] == [
-        "sees the picture", "sees this of the picture",
-    ]  # fmt: skip
+    blur = Restriction(image.IMAGE_TYPE, (), filter_rules({"data": {"pixelate": {"block": 32}}}))
+    assert [each.heading for each in compare(image.IMAGE_TYPE, blur, None).looks] == [
+        "sees the picture",
+        "sees this of the picture",
+    ]
     (number,) = compare("sensor_msgs/BatteryState", None).looks
     assert number.heading == "sees the voltage"
     checked(number.picture)
@@ -97,14 +107,14 @@ def test_a_grant_for_another_type_gets_nothing() -> None:
 
 def test_messages_of_an_unknown_type_have_no_look() -> None:
     recorded = Recorded("/t", "my_msgs/Own", ((0.0, b"x"),))
-    assert looks.compare(recorded, [Cell("/a", "/t", Access.ALL)]).looks == ()
+    assert looks.compare(recorded, [Cell("/a", "/t", TopicAccess.ALL)]).looks == ()
 
 
 def test_messages_that_never_pass_are_said() -> None:
-    recorded = made_up.recorded("/t", POSE)
+    recorded = samples.recorded("/t", POSE)
     assert recorded is not None
     never = Restriction(POSE, ('msg.header.frame_id == "elsewhere"',))
-    cell = Cell("/a", "/t", Access.COARSE, "only when", "", (b"g",), (never,))
+    cell = Cell("/a", "/t", TopicAccess.COARSE, "only when", "", (b"g",), (never,))
     (look,) = looks.compare(recorded._replace(is_made_up=False), [cell]).looks
     assert look.heading == "gets none of these"
     assert look.caption == "none of 240 messages passed: only when"
@@ -117,16 +127,14 @@ def test_only_so_many_ways_are_drawn() -> None:
 
 
 def test_a_hostile_text_in_a_message_is_text() -> None:
-    hidden = Restriction(
-        "std_msgs/String", (), filter_rules({"data": {"redact": {"text": HOSTILE}}})
-    )
+    hidden = Restriction("std_msgs/String", (), filter_rules({"data": {"redact": {"text": HOSTILE}}}))
     (look,) = compare("std_msgs/String", hidden).looks
     assert "\u202e" not in look.fields[0].value
     assert len(look.fields[0].value) < 80
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1.7e308, -1.7e308, 5e-324])
-@pytest.mark.parametrize("kind", sorted([POSE, FIX, laser.TYPE, "sensor_msgs/BatteryState"]))
+@pytest.mark.parametrize("kind", sorted([POSE, FIX, laser.SCAN_TYPE, "sensor_msgs/BatteryState"]))
 def test_strange_numbers_of_a_robot_are_drawn_or_left_out(kind: str, value: float) -> None:
     made = message_type(kind)
 
@@ -137,7 +145,7 @@ def test_strange_numbers_of_a_robot_are_drawn_or_left_out(kind: str, value: floa
             found.pose.orientation.z, found.pose.orientation.w = value, value
         elif kind == FIX:
             found.latitude, found.longitude = value, float(at)
-        elif kind == laser.TYPE:
+        elif kind == laser.SCAN_TYPE:
             found.angle_min, found.ranges = value, np.ones(9, np.float32)
         else:
             found.voltage = value if at % 2 else -value
@@ -148,6 +156,6 @@ def test_strange_numbers_of_a_robot_are_drawn_or_left_out(kind: str, value: floa
     except MessageError:  # float32 has no such number
         return
     recorded = Recorded("/t", kind, messages)
-    (look,) = looks.compare(recorded, [Cell("/a", "/t", Access.ALL)]).looks
+    (look,) = looks.compare(recorded, [Cell("/a", "/t", TopicAccess.ALL)]).looks
     if look.picture is not None:
         checked(look.picture)

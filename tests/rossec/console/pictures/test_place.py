@@ -5,28 +5,35 @@ from pathlib import Path
 import pytest
 
 from grants.model import Restriction, filter_rules
-from rossec.console import made_up
+from rossec.console import samples
 from rossec.console.pictures import place
-from rossec.console.samples import Sample, SeenTopic, see
+from rossec.console.samples import SeenTopic, SyntheticSample, see
 from tests.support.consolehome import COARSE, POSE
 from tests.support.drawings import checked, classes, texts
 
 FIX = "sensor_msgs/NavSatFix"
 TYPES = sorted(
-    [POSE, FIX, "geometry_msgs/Pose", "geometry_msgs/PointStamped", "nav_msgs/Odometry",
-     "geometry_msgs/TransformStamped", "geometry_msgs/PoseWithCovarianceStamped"]
-)  # fmt: skip
+    [
+        POSE,
+        FIX,
+        "geometry_msgs/Pose",
+        "geometry_msgs/PointStamped",
+        "nav_msgs/Odometry",
+        "geometry_msgs/TransformStamped",
+        "geometry_msgs/PoseWithCovarianceStamped",
+    ]
+)
 
 
 def seen(kind: str = POSE, *restrictions: Restriction) -> SeenTopic:
-    recorded = made_up.recorded("/robot/pose", kind)
+    recorded = samples.recorded("/robot/pose", kind)
     assert recorded is not None
     return see(recorded, "/doctor", restrictions)
 
 
 def poses(*points: tuple[float, float]) -> SeenTopic:
     samples = tuple(
-        Sample(at, {"pose": {"position": {"x": x, "y": y}}}) for at, (x, y) in enumerate(points)
+        SyntheticSample(at, {"pose": {"position": {"x": x, "y": y}}}) for at, (x, y) in enumerate(points)
     )
     return SeenTopic("/doctor", "/pose", POSE, len(samples), samples)
 
@@ -97,10 +104,9 @@ def test_a_place_on_earth_has_cells_in_metres() -> None:
 
 @pytest.mark.parametrize(
     "points",
-    [[(1, 1)], [(5, 5), (5, 5)], [(0, 0), (9e7, -9e7)], [(float("nan"), 1), (1, 2)],
-     [(1e-9, 0), (2e-9, 0)]],
+    [[(1, 1)], [(5, 5), (5, 5)], [(0, 0), (9e7, -9e7)], [(float("nan"), 1), (1, 2)], [(1e-9, 0), (2e-9, 0)]],
     ids=["one", "still", "far", "nan", "tiny"],
-)  # fmt: skip
+)
 def test_strange_places_stay_in_the_frame(points: list[tuple[float, float]]) -> None:
     strange = poses(*points)
     frame = place.frame_of([strange])
@@ -110,7 +116,7 @@ def test_strange_places_stay_in_the_frame(points: list[tuple[float, float]]) -> 
 
 
 def test_a_type_without_a_place_has_none() -> None:
-    other = SeenTopic("/a", "/b", "std_msgs/Float64", 1, (Sample(0, {"data": 1.0}),))
+    other = SeenTopic("/a", "/b", "std_msgs/Float64", 1, (SyntheticSample(0, {"data": 1.0}),))
     assert place.frame_of([other]) is None
     assert place.places(other) == 0
     assert place.cells_of([Restriction("std_msgs/Float64", (), (), 1.0)]) == []

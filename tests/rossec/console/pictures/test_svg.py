@@ -5,15 +5,7 @@ from typing import Any
 
 import pytest
 
-from rossec.console.pictures.svg import (
-    Element,
-    curve,
-    cut,
-    drawing,
-    label,
-    number,
-    path,
-)
+from rossec.console.pictures.svg import SvgElement, curve, cut, drawing, label, number, path
 from tests.support.consolehome import HOSTILE
 from tests.support.drawings import checked, texts
 
@@ -31,26 +23,26 @@ def test_a_text_never_becomes_markup() -> None:
 @pytest.mark.parametrize("tag", ["a", "script", "foreignObject", "style", "use"])
 def test_other_elements_are_refused(tag: str) -> None:
     with pytest.raises(ValueError, match="in a picture"):
-        Element(tag)
+        SvgElement(tag)
 
 
 @pytest.mark.parametrize("name", ["style", "href", "onload", "on_click", "src", 'x"y', "a b"])
 def test_other_attributes_are_refused(name: str) -> None:
     attributes: dict[str, Any] = {name: "1"}
     with pytest.raises(ValueError, match="in a picture"):
-        Element("rect", **attributes)
+        SvgElement("rect", **attributes)
 
 
 def test_an_image_is_base64_or_refused() -> None:
-    assert 'href="data:image/png;base64,AAAA"' in str(Element.picture("AAAA", width=5.0))
+    assert 'href="data:image/png;base64,AAAA"' in str(SvgElement.picture("AAAA", width=5.0))
     with pytest.raises(ValueError, match="not base64"):
-        Element.picture('AA"onload="x')
+        SvgElement.picture('AA"onload="x')
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_a_number_that_is_not_finite_is_refused(value: float) -> None:
     with pytest.raises(ValueError, match="finite"):
-        Element("circle", cx=value)
+        SvgElement("circle", cx=value)
 
 
 def test_numbers_are_short() -> None:

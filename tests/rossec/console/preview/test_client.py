@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import pytest
 
-from rossec.console.preview import frames
-from rossec.console.preview.client import PreviewClient
-from rossec.console.preview.memory import PreviewMessage
+from rossec.console import samples
+from rossec.console.samples import PreviewMessage
+from rossec.console.server.web import PreviewClient
 
 NOW = 1_800_000_000.0
 
@@ -34,7 +34,7 @@ async def pair() -> AsyncIterator[Pair]:
 
 
 async def test_messages_are_kept_as_they_come(pair: Pair) -> None:
-    data = frames.write(PreviewMessage("/t", "std_msgs/String", NOW, b"one"))
+    data = samples.write_preview(PreviewMessage("/t", "std_msgs/String", NOW, b"one"))
     pair.sender.sendall(data[:7])
     await asyncio.sleep(0)
     pair.sender.sendall(data[7:] + data)
@@ -47,9 +47,7 @@ async def test_messages_are_kept_as_they_come(pair: Pair) -> None:
 
 
 @pytest.mark.parametrize("data", [b"\xff\xff\xff\xff", b"\0\0\0\x01\x00"])
-async def test_a_broken_protocol_ends_it(
-    pair: Pair, data: bytes, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_broken_protocol_ends_it(pair: Pair, data: bytes, caplog: pytest.LogCaptureFixture) -> None:
     pair.sender.sendall(data)
     async with asyncio.timeout(30):
         await asyncio.to_thread(pair.sender.recv, 1)  # the end of the connection
@@ -60,7 +58,7 @@ async def test_the_end_of_the_receiver_is_no_end_of_the_pages(
     pair: Pair, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.WARNING)
-    pair.sender.sendall(frames.write(PreviewMessage("/t", "T", NOW, b"one")))
+    pair.sender.sendall(samples.write_preview(PreviewMessage("/t", "T", NOW, b"one")))
     await pair.until_recorded("/t")
     pair.sender.close()
     async with asyncio.timeout(30):

@@ -1,13 +1,13 @@
-from rossec.console.preview.memory import (
+from rossec.console.samples import (
     MAX_MESSAGES,
     MAX_SIZE,
     MAX_TOPIC_SIZE,
     MAX_TOPICS,
-    SECONDS,
+    MEMORY_SECONDS,
     PreviewMemory,
     PreviewMessage,
+    Recorded,
 )
-from rossec.console.samples import Recorded
 
 POSE = "geometry_msgs/Pose"
 
@@ -19,9 +19,7 @@ class Clock:
         return self.now
 
 
-def message(
-    at: float, topic: str = "/pose", kind: str = POSE, data: bytes = b"m"
-) -> PreviewMessage:
+def message(at: float, topic: str = "/pose", kind: str = POSE, data: bytes = b"m") -> PreviewMessage:
     return PreviewMessage(topic, kind, at, data)
 
 
@@ -43,7 +41,7 @@ def test_what_is_older_than_a_minute_is_gone_also_if_nothing_new_comes() -> None
     memory = PreviewMemory(clock)
     memory.add(message(clock.now))
     memory.add(message(clock.now + 5))
-    clock.now += SECONDS
+    clock.now += MEMORY_SECONDS
     assert len((memory.recorded("/pose") or Recorded("", "", ())).messages) == 2
     clock.now += 1
     assert len((memory.recorded("/pose") or Recorded("", "", ())).messages) == 1

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from rossec.console.preview import receiver
-from rossec.console.preview.client import PreviewClient
 from rossec.console.preview.receiver import NAME, PreviewReceiver, receive
 from rossec.console.samples import see
-from rossec.net.aio.tasks import TaskSet
+from rossec.console.server.web import PreviewClient
+from rossec.host.runner import TaskSet
 from rossec.node import Publisher
 from tests.support.caller import caller
 from tests.support.discovered import Searches
@@ -58,9 +58,7 @@ async def until_recorded(client: PreviewClient, topic: str, count: int = 1) -> A
             await asyncio.sleep(0.02)
 
 
-async def test_its_master_is_discovered(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:  # fmt: skip
+async def test_its_master_is_discovered(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
     found = Searches()
     found.result = site.environ["ROS_MASTER_URI"]
     monkeypatch.setattr(receiver, "discover_master", found.discover)

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from rossec.console.preview.client import PreviewClient
 from rossec.console.preview.receiver import NAME
-from rossec.console.preview.supervisor import PreviewProcess, check_enrolled
+from rossec.console.server.supervisor import PreviewProcess, check_enrolled
+from rossec.console.server.web import PreviewClient
 from rossec.errors import ConfigurationError
 from tests.rossec.console.preview.test_receiver import POSE, drive, until_recorded
 from tests.support.consoleprocess import ask, running_web

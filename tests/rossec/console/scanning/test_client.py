@@ -8,8 +8,8 @@ from contextlib import asynccontextmanager
 import pytest
 
 from rossec.console.scanning import frames
-from rossec.console.scanning.client import ScannerClient
 from rossec.console.scanning.frames import Found, Unreadable
+from rossec.console.server.web import ScannerClient
 from rossec.errors import PictureRefused, ScannerBusy
 
 

@@ -8,9 +8,7 @@ from rossec.console.scanning.frames import Found, Unreadable
 from rossec.errors import KeyMessageRefused
 
 
-@pytest.mark.parametrize(
-    "answer", [Found("ROSSEC:ABC"), Found(""), Unreadable("not a picture", "send one")]
-)
+@pytest.mark.parametrize("answer", [Found("ROSSEC:ABC"), Found(""), Unreadable("not a picture", "send one")])
 def test_an_answer_is_read_as_it_was_written(answer: Found | Unreadable) -> None:
     data = frames.write_answer(answer)
     assert frames.size(data[: frames.HEAD], frames.MAX_ANSWER) == len(data) - frames.HEAD

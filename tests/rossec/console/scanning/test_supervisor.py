@@ -13,8 +13,8 @@ import pytest
 
 from ca.enrollment import qr
 from rossec.console.scanning import frames
-from rossec.console.scanning.client import ScannerClient
-from rossec.console.scanning.supervisor import WORKER, ScannerSupervisor
+from rossec.console.server.supervisor import WORKER, ScannerSupervisor
+from rossec.console.server.web import ScannerClient
 from rossec.errors import KeyMessageRefused, PictureRefused
 
 TEXT = qr.label_code(b"a request")
@@ -76,7 +76,7 @@ async def test_a_worker_that_is_idle_ends_and_another_one_takes_its_place() -> N
 async def test_a_worker_that_fails_is_one_picture_that_was_not_read(
     command: Sequence[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rossec.console.scanning.supervisor.START", 0.0)
+    monkeypatch.setattr("rossec.console.server.supervisor.SCANNER_START", 0.0)
     deadline = 0.3 if "time" in command[-1] else 20.0
     async with scanner(command, deadline=deadline) as client:
         for _ in range(2):

@@ -15,7 +15,7 @@ from rossec.console.scanning import frames, worker
 from rossec.console.scanning.frames import Found, Unreadable
 from rossec.enrollment import scanner
 from rossec.errors import KeyMessageRefused
-from rossec.operation import landlock
+from rossec.host import sandbox
 
 TEXT = qr.label_code(b"a request")
 OTHER = qr.label_code(b"another request")
@@ -59,9 +59,7 @@ def test_a_picture_that_takes_too_much_memory_is_told(monkeypatch: pytest.Monkey
         raise MemoryError
 
     monkeypatch.setattr(scanner, "texts", read)
-    assert worker.answer(b"x") == Unreadable(
-        "the picture takes more memory than allowed", scanner.CLOSER
-    )
+    assert worker.answer(b"x") == Unreadable("the picture takes more memory than allowed", scanner.CLOSER)
 
 
 def test_pictures_are_served_in_their_order() -> None:
@@ -89,18 +87,19 @@ def test_what_is_given_up_does_not_depend_on_the_kernel(
     monkeypatch.setattr(resource, "getrlimit", lambda _: (1, 32))
     monkeypatch.setattr(resource, "setrlimit", lambda what, most: given.append((what, most[1])))
     monkeypatch.setattr(os, "nice", lambda _: 0)
-    monkeypatch.setattr(landlock, "read_only", refuse)
+    monkeypatch.setattr(sandbox, "read_only", refuse)
     worker.confine()
     assert dict(given) == {
-        resource.RLIMIT_AS: 32, resource.RLIMIT_CORE: 0, resource.RLIMIT_FSIZE: 0,
-        resource.RLIMIT_NOFILE: 16, resource.RLIMIT_NPROC: 0,
-    }  # fmt: skip
+        resource.RLIMIT_AS: 32,
+        resource.RLIMIT_CORE: 0,
+        resource.RLIMIT_FSIZE: 0,
+        resource.RLIMIT_NOFILE: 16,
+        resource.RLIMIT_NPROC: 0,
+    }
     assert "can read the files of its user: no Landlock" in caplog.text
 
 
-def test_the_libraries_are_loaded_before_the_process_is_confined(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_libraries_are_loaded_before_the_process_is_confined(monkeypatch: pytest.MonkeyPatch) -> None:
     steps: list[str] = []
     monkeypatch.setattr(worker, "protect_memory", lambda: steps.append("protected"))
     monkeypatch.setattr(worker, "answer", lambda _: steps.append("loaded"))
@@ -134,18 +133,28 @@ def test_a_confined_worker_reads_pictures_and_can_do_nothing_else(tmp_path: Path
     secret.write_text("secret")
     done = subprocess.run(
         [sys.executable, "-c", TRIES, secret],
-        input=qr.png(TEXT), capture_output=True, check=True, cwd="/", env={},
-    )  # fmt: skip
+        input=qr.png(TEXT),
+        capture_output=True,
+        check=True,
+        cwd="/",
+        env={},
+    )
     assert done.stdout.decode().splitlines() == [
-        "refused: read a file", "refused: write a file", "refused: start a program", TEXT,
-    ]  # fmt: skip
+        "refused: read a file",
+        "refused: write a file",
+        "refused: start a program",
+        TEXT,
+    ]
     assert secret.read_text() == "secret"
 
 
 def test_the_program_serves_its_standard_input() -> None:
     done = subprocess.run(
         [sys.executable, "-I", "-m", worker.__name__],
-        input=frames.frame(qr.png(TEXT)) * 2, capture_output=True, check=True, env={},
-    )  # fmt: skip
+        input=frames.frame(qr.png(TEXT)) * 2,
+        capture_output=True,
+        check=True,
+        env={},
+    )
     assert done.stdout == frames.write_answer(Found(TEXT)) * 2
     assert done.stderr == b""

@@ -19,9 +19,7 @@ def test_a_word_is_written_and_read(word: ControlMessage) -> None:
         read(frame[4:] + b"\0")
 
 
-@pytest.mark.parametrize(
-    "value", [[], ["no"], ["ready", 1], ["certificate"], ["certificate", "a"], 1]
-)
+@pytest.mark.parametrize("value", [[], ["no"], ["ready", 1], ["certificate"], ["certificate", "a"], 1])
 def test_others_are_not_in_the_table(value: object) -> None:
     with pytest.raises(KeyMessageRefused):
         read(encode(value))  # type: ignore[arg-type]

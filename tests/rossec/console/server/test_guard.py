@@ -8,14 +8,21 @@ from typing import Any
 import pytest
 from starlette.responses import PlainTextResponse, Response
 
-from rossec.console.headers import HEADERS, HSTS, IMMUTABLE
-from rossec.console.known_phones import KnownPhones
-from rossec.console.routes import ROUTES
-from rossec.console.routing import PUBLIC, SESSION, Access, Match, Page, PageTable
-from rossec.console.server import guard as module
-from rossec.console.server.guard import RULES, Allowed, Facts, broken_rule, is_by_person
-from rossec.console.sessions import COOKIE
-from rossec.console.settings import Settings
+from rossec.console import app as module
+from rossec.console.app import (
+    HEADERS,
+    HSTS,
+    IMMUTABLE,
+    ROUTES,
+    RULES,
+    Allowed,
+    Facts,
+    broken_rule,
+    is_by_person,
+)
+from rossec.console.rendering import PUBLIC, SESSION, Match, Page, PageAccess, PageTable
+from rossec.console.server.control import WebSettings
+from rossec.console.sessions import COOKIE, KnownPhones
 from rossec.errors import PeerUserRefused
 from tests.support.consolepages import ORIGIN, Browser
 
@@ -47,11 +54,9 @@ every_route = pytest.mark.parametrize(("page", "method"), CASES, ids=named)
 
 
 @every_route
-def test_without_a_session_only_public_pages_are_there(
-    browser: Browser, page: Page, method: str
-) -> None:
+def test_without_a_session_only_public_pages_are_there(browser: Browser, page: Page, method: str) -> None:
     answer = browser.request(method, address(page))
-    if page.access is Access.PUBLIC:
+    if page.access is PageAccess.PUBLIC:
         assert answer.status_code != 303 or answer.headers["location"] != "/login"
     else:
         assert (answer.status_code, answer.headers["location"]) == (303, "/login")
@@ -93,9 +98,7 @@ def test_what_changes_something_comes_from_an_own_page(
 
 
 @every_route
-def test_an_origin_that_is_missing_is_none_of_ours(
-    browser: Browser, page: Page, method: str
-) -> None:
+def test_an_origin_that_is_missing_is_none_of_ours(browser: Browser, page: Page, method: str) -> None:
     if method == "GET":
         return
     del browser.headers["Origin"]
@@ -149,13 +152,18 @@ def test_what_is_too_large_is_not_read(browser: Browser, page: Page, method: str
 def test_every_page_asks_for_a_session_but_those_before_it() -> None:
     public = {page.path for page in ROUTES if page.access is PUBLIC}
     assert public == {
-        "/static/{digest}/{name}", "/login", "/login/challenge", "/login/passkey", "/login/new",
-        "/login/phone", "/propose",
-    }  # fmt: skip
+        "/static/{digest}/{name}",
+        "/login",
+        "/login/challenge",
+        "/login/passkey",
+        "/login/new",
+        "/login/phone",
+        "/propose",
+    }
 
 
 def test_headers_of_a_name_with_a_real_certificate() -> None:
-    browser = Browser(settings=Settings("home", (ORIGIN,), hsts=True))
+    browser = Browser(settings=WebSettings("home", (ORIGIN,), hsts=True))
     check_headers(browser.get("/login"), **{"Strict-Transport-Security": HSTS})
     assert "Strict-Transport-Security" not in Browser().get("/login").headers
 
@@ -168,8 +176,7 @@ def test_a_path_that_is_none() -> None:
 
 
 @pytest.mark.parametrize(
-    "cookie",
-    ["", "{0}; {0}", "other={1}", "__Host-rossec=", "__Host-rossec={1}A", "__Host-rossec=\xe4"],
+    "cookie", ["", "{0}; {0}", "other={1}", "__Host-rossec=", "__Host-rossec={1}A", "__Host-rossec=\xe4"]
 )
 def test_a_cookie_that_is_not_the_one(cookie: str) -> None:
     browser = Browser().log_in()
@@ -241,10 +248,17 @@ def test_the_order_of_the_rules() -> None:
 
 async def run(browser: Browser, path: str, receive: Any, send: Any, method: str = "POST") -> None:
     scope = {
-        "type": "http", "http_version": "1.1", "method": method, "path": path, "query_string": b"",
+        "type": "http",
+        "http_version": "1.1",
+        "method": method,
+        "path": path,
+        "query_string": b"",
         "headers": [(b"host", b"localhost:7411"), (b"origin", ORIGIN.encode())],
-        "client": ("127.0.0.1", 1), "server": ("127.0.0.1", 2), "scheme": "http", "root_path": "",
-    }  # fmt: skip
+        "client": ("127.0.0.1", 1),
+        "server": ("127.0.0.1", 2),
+        "scheme": "http",
+        "root_path": "",
+    }
     await browser.app(scope, receive, send)
 
 
@@ -305,9 +319,7 @@ def test_a_guard_that_crashes_lets_nobody_pass(
     check_headers(answer)
 
 
-def test_another_user_of_the_host_is_refused(
-    browser: Browser, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_user_of_the_host_is_refused(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise PeerUserRefused("another user", "log in as yourself")
 

@@ -7,9 +7,9 @@ from contextlib import contextmanager
 
 import pytest
 
-from rossec.console.server.peer import check_peer
+from rossec.console.server.serving import check_peer
 from rossec.errors import PeerUserRefused
-from rossec.net.host import peeruid
+from rossec.host import local_sockets
 
 OWN = frozenset({os.geteuid()})
 
@@ -58,13 +58,13 @@ def test_a_kernel_that_does_not_say_is_a_refusal(monkeypatch: pytest.MonkeyPatch
     def fail(*_: object) -> None:
         raise OSError
 
-    monkeypatch.setattr(peeruid, "find_holder", fail)
+    monkeypatch.setattr(local_sockets, "find_holder", fail)
     with pytest.raises(PeerUserRefused, match="nobody knows"):
         check_peer({"client": ("127.0.0.1", 1), "server": ("127.0.0.1", 2)}, OWN)
 
 
 def test_a_user_of_another_namespace_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(peeruid, "is_known", lambda user: False)
+    monkeypatch.setattr(local_sockets, "is_known", lambda user: False)
     with connection() as client, pytest.raises(PeerUserRefused):
         check_peer(scope_of(client), OWN)
 

@@ -11,13 +11,13 @@ import pytest
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from rossec.console.server import places
 from rossec.console.server import serving as module
+from rossec.console.server import serving as places
 from rossec.console.server.serving import MAX_HEAD, PLACE, ConsoleServer
-from rossec.console.tls.server_context import load, make_context
-from rossec.console.tls.store import key_pem
+from rossec.console.server.web import load_bundle, make_context
+from rossec.console.tls.certificates import key_pem
 from rossec.errors import PeerUserRefused
-from rossec.net.halfopen import HalfOpen
+from rossec.net.limits import HalfOpen
 from tests.support.console_tls import NOW, new_authority, new_key, pem
 
 REQUEST = b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"
@@ -38,9 +38,7 @@ async def serving(app: ASGIApp = hello) -> AsyncIterator[int]:
             await server.close()
 
 
-async def ask(
-    port: int, *pieces: bytes, pause: float = 0, context: ssl.SSLContext | None = None
-) -> bytes:
+async def ask(port: int, *pieces: bytes, pause: float = 0, context: ssl.SSLContext | None = None) -> bytes:
     """Send the pieces; returns what comes until the end."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=context)
     try:
@@ -106,9 +104,7 @@ async def test_what_cannot_be_read_is_not_answered(data: bytes) -> None:
         assert await ask(port, data) == b""
 
 
-async def test_connections_are_bounded_for_one_address_and_for_all(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_connections_are_bounded_for_one_address_and_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
     for caps in (HalfOpen(per_address=2, total=9), HalfOpen(per_address=9, total=2)):
         with monkeypatch.context() as patch:
             patch.setattr(places, "STRANGERS", caps)
@@ -127,7 +123,7 @@ def server_context() -> ssl.SSLContext:
     authority, key = new_authority(), new_key()
     context = make_context()
     leaf = authority.issue(key.public_key(), now=NOW, serial=9)
-    load(context, key_pem(key) + pem(leaf))
+    load_bundle(context, key_pem(key) + pem(leaf))
     return context
 
 
@@ -143,17 +139,12 @@ def descriptors() -> int:
 
 async def opened(port: int, address: str, count: int) -> list[asyncio.StreamWriter]:
     where = (address, 0)
-    return [
-        (await asyncio.open_connection("127.0.0.1", port, local_addr=where))[1]
-        for _ in range(count)
-    ]
+    return [(await asyncio.open_connection("127.0.0.1", port, local_addr=where))[1] for _ in range(count)]
 
 
 @pytest.mark.attack("console-connections")
 @pytest.mark.parametrize("context", [None, server_context()], ids=["plain", "tls"])
-async def test_two_addresses_that_hold_all_places_keep_nobody_out(
-    context: ssl.SSLContext | None,
-) -> None:
+async def test_two_addresses_that_hold_all_places_keep_nobody_out(context: ssl.SSLContext | None) -> None:
     """TLS that never begins is counted too: no more descriptors are held than there are places."""
     with socket.create_server(("127.0.0.1", 0)) as sock:
         port = sock.getsockname()[1]
@@ -199,9 +190,7 @@ async def until(holds: Callable[[], bool]) -> None:
             await asyncio.sleep(0.01)
 
 
-async def test_other_users_of_the_host_take_no_place_from_its_owner(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_other_users_of_the_host_take_no_place_from_its_owner(monkeypatch: pytest.MonkeyPatch) -> None:
     def check(scope: Scope, _users: object) -> None:
         if scope["client"][0] == "127.0.0.2":
             raise PeerUserRefused("another user")
@@ -211,9 +200,7 @@ async def test_other_users_of_the_host_take_no_place_from_its_owner(
     monkeypatch.setattr(places, "OTHER_USERS", HalfOpen(per_address=3, total=3))
     async with serving() as port:
         address = ("127.0.0.2", 0)
-        many = [
-            await asyncio.open_connection("127.0.0.1", port, local_addr=address) for _ in range(9)
-        ]
+        many = [await asyncio.open_connection("127.0.0.1", port, local_addr=address) for _ in range(9)]
         assert (await ask(port, CLOSING)).endswith(b"127.0.0.1")
         for reader, writer in many[3:]:
             with pytest.raises((ConnectionError, asyncio.IncompleteReadError)):

@@ -11,13 +11,13 @@ import pytest
 from rossec.authority.console.client import ConsoleClient
 from rossec.console.server import control
 from rossec.console.server import web as module
-from rossec.console.server.web import WebProcess, main
-from rossec.console.settings import Settings, write_settings
-from rossec.console.tls.server_context import make_context
+from rossec.console.server.control import WebSettings, write_settings
+from rossec.console.server.web import WebServer, main, make_context
 from rossec.errors import ConfigurationError, KeyMessageRefused
+from rossec.host import workers
 from tests.support.consoleprocess import listening
 
-SETTINGS = Settings("home", ("http://localhost:7411",))
+SETTINGS = WebSettings("home", ("http://localhost:7411",))
 
 
 @pytest.fixture
@@ -38,8 +38,8 @@ def scanner() -> Iterator[socket.socket]:
 
 
 @pytest.fixture
-def web(tmp_path: Path, scanner: socket.socket) -> WebProcess:
-    return WebProcess(SETTINGS, ConsoleClient(tmp_path / "no.sock"), scanner)
+def web(tmp_path: Path, scanner: socket.socket) -> WebServer:
+    return WebServer(SETTINGS, ConsoleClient(tmp_path / "no.sock"), scanner)
 
 
 def said(ours: socket.socket) -> control.ControlMessage:
@@ -48,7 +48,7 @@ def said(ours: socket.socket) -> control.ControlMessage:
 
 
 async def test_it_says_that_it_serves_and_ends_with_its_supervisor(
-    web: WebProcess, pair: tuple[socket.socket, socket.socket]
+    web: WebServer, pair: tuple[socket.socket, socket.socket]
 ) -> None:
     ours, theirs = pair
     with listening() as sock:
@@ -72,10 +72,7 @@ async def test_it_says_that_it_serves_and_ends_with_its_supervisor(
     ],
 )
 async def test_a_supervisor_that_says_something_else_is_none(
-    web: WebProcess,
-    pair: tuple[socket.socket, socket.socket],
-    sent: bytes,
-    error: type[Exception],
+    web: WebServer, pair: tuple[socket.socket, socket.socket], sent: bytes, error: type[Exception]
 ) -> None:
     ours, theirs = pair
     with listening() as sock:
@@ -89,7 +86,7 @@ async def test_with_tls_it_waits_for_a_certificate(
 ) -> None:
     ours, theirs = pair
     client = ConsoleClient(tmp_path / "no.sock")
-    process = WebProcess(SETTINGS, client, scanner, make_context())
+    process = WebServer(SETTINGS, client, scanner, make_context())
     ours.send(control.write(control.ControlMessage(control.CERTIFICATE, (b"no certificate",))))
     with listening() as sock, pytest.raises(ConfigurationError):
         await process.run(theirs, [sock])
@@ -108,16 +105,14 @@ async def test_it_is_confined_before_it_serves(
         return ThreadPoolExecutor(1)
 
     monkeypatch.setattr(module, "protect_memory", lambda: done.append("memory"))
-    monkeypatch.setattr(module, "confine_files", lambda paths: done.append(f"files {paths}"))
-    monkeypatch.setattr(module, "confine_processes", confine)
+    monkeypatch.setattr(workers, "confine_files", lambda paths: done.append(f"files {paths}"))
+    monkeypatch.setattr(workers, "confine_processes", confine)
     ours, theirs = pair
     with socket.create_server(("127.0.0.1", 0)) as sock:
         given = [theirs.detach(), scanner.detach(), sock.detach()]
     arguments = [write_settings(SETTINGS), str(tmp_path / "no.sock"), "plain", "text", "made-up"]
-    running = asyncio.ensure_future(
-        asyncio.to_thread(main, [",".join(map(str, given)), *arguments])
-    )
+    running = asyncio.ensure_future(asyncio.to_thread(main, [",".join(map(str, given)), *arguments]))
     assert await asyncio.to_thread(said, ours) == control.ControlMessage(control.READY)
-    assert done == ["memory", "files []", "processes"]
+    assert done == ["memory", "files ()", "processes"]
     ours.close()
     await asyncio.wait_for(running, 20)

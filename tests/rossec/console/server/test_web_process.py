@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from rossec.console.headers import HEADERS
-from rossec.console.server import web_process as module
-from rossec.console.server.web_process import WebOptions, WebProcess
-from rossec.console.settings import Settings
+from rossec.console.app import HEADERS
+from rossec.console.server import supervisor as module
+from rossec.console.server.control import WebSettings
+from rossec.console.server.supervisor import WebOptions, WebProcess
 from rossec.errors import ConfigurationError
 from tests.support.consoleprocess import UNMEASURED, ask, listening, running_web
 from tests.support.serviceprocess import children_of, wait_until_gone
@@ -59,9 +59,7 @@ async def test_it_is_confined(tmp_path: Path) -> None:
         assert "NoNewPrivs:\t1" in read_proc(pid, "status")
 
 
-async def test_it_is_started_again_at_the_same_port(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_it_is_started_again_at_the_same_port(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     async with running_web(tmp_path) as running:
         first = running.web.pid
         assert first is not None
@@ -80,11 +78,9 @@ async def test_it_ends_with_its_supervisor(tmp_path: Path) -> None:
     wait_until_gone(pid)
 
 
-async def test_one_that_does_not_start_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_one_that_does_not_start_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "START", 0.01)
-    settings = Settings("home", ("http://localhost:1",))
+    settings = WebSettings("home", ("http://localhost:1",))
     with listening() as sock:
         web = WebProcess(WebOptions(settings, tmp_path / "no"), [sock], UNMEASURED, module="no")
         with pytest.raises(ConfigurationError, match="does not start"):
@@ -107,7 +103,7 @@ async def test_one_that_breaks_the_protocol_is_killed(
         given.append(b"bundle")
         await asyncio.Event().wait()
 
-    options = WebOptions(Settings("home", ("https://localhost:1",)), tmp_path / "no")
+    options = WebOptions(WebSettings("home", ("https://localhost:1",)), tmp_path / "no")
     with listening() as sock:
         web = WebProcess(options, [sock], UNMEASURED, certificates, "tests.support.takenweb")
         task = asyncio.ensure_future(web.run())

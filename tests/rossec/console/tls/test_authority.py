@@ -7,7 +7,7 @@ import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from rossec.console.tls.authority import DAY, LEAF_LIFETIME, LIFETIME, TlsAuthority
+from rossec.console.tls.own_authority import DAY, LEAF_LIFETIME, LIFETIME, TlsAuthority
 from rossec.errors import ConfigurationError
 from tests.support.console_tls import (
     HOST,
@@ -49,9 +49,7 @@ def test_its_constraints_are_critical_and_name_one_host() -> None:
 def test_an_address_of_version_6_is_one_host() -> None:
     address = ipaddress.IPv6Address("fd00::7")
     made = TlsAuthority.create(new_key(), NAME, address, now=NOW, serial=1)
-    found = x509.load_der_x509_certificate(made.data).extensions.get_extension_for_class(
-        x509.NameConstraints
-    )
+    found = x509.load_der_x509_certificate(made.data).extensions.get_extension_for_class(x509.NameConstraints)
     assert found.value.permitted_subtrees is not None
     assert x509.IPAddress(ipaddress.ip_network("fd00::7/128")) in found.value.permitted_subtrees
     assert made.address == address
@@ -62,9 +60,7 @@ def test_what_it_issues_is_valid_to_openssl(tmp_path: Path) -> None:
     leaf = pem(authority.issue(new_key().public_key(), now=NOW, serial=2, address=HOST))
     assert openssl_verify(tmp_path, authority, leaf, "-verify_hostname", NAME) == ""
     assert openssl_verify(tmp_path, authority, leaf, "-verify_ip", str(HOST)) == ""
-    assert "hostname mismatch" in openssl_verify(
-        tmp_path, authority, leaf, "-verify_hostname", "other.local"
-    )
+    assert "hostname mismatch" in openssl_verify(tmp_path, authority, leaf, "-verify_hostname", "other.local")
 
 
 @pytest.mark.parametrize("address", [None, ipaddress.IPv4Address("192.168.1.9")])
@@ -102,8 +98,9 @@ def test_openssl_refuses_what_its_key_signs_for_others(
 ) -> None:
     authority = new_authority(address=host)
     leaf = foreign_leaf(authority, new_key(), [x509.DNSName(NAME), FOREIGN[what]])
-    assert re.search("permitted subtree violation|excluded subtree violation",
-                     openssl_verify(tmp_path, authority, leaf))  # fmt: skip
+    assert re.search(
+        "permitted subtree violation|excluded subtree violation", openssl_verify(tmp_path, authority, leaf)
+    )
 
 
 def test_openssl_refuses_a_subject_that_passes_for_another_name(tmp_path: Path) -> None:
@@ -115,9 +112,7 @@ def test_openssl_refuses_a_subject_that_passes_for_another_name(tmp_path: Path) 
 
 def test_a_leaf_ends_after_90_days_and_with_its_authority() -> None:
     authority = new_authority()
-    first = x509.load_der_x509_certificate(
-        authority.issue(new_key().public_key(), now=NOW, serial=2)
-    )
+    first = x509.load_der_x509_certificate(authority.issue(new_key().public_key(), now=NOW, serial=2))
     assert first.not_valid_after_utc == datetime.fromtimestamp(NOW + LEAF_LIFETIME, UTC)
     late = authority.issue(new_key().public_key(), now=NOW + 350 * DAY, serial=2)
     end = x509.load_der_x509_certificate(late).not_valid_after_utc

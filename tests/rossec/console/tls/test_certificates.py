@@ -12,14 +12,14 @@ from cryptography.hazmat.primitives.serialization import (
     PrivateFormat,
 )
 
-from rossec.console.tls.authority import DAY, LEAF_LIFETIME, TlsAuthority
 from rossec.console.tls.certificates import (
     FileCertificates,
     OwnCertificates,
     check_bundle,
+    key_pem,
     renewal_time,
 )
-from rossec.console.tls.store import key_pem
+from rossec.console.tls.own_authority import DAY, LEAF_LIFETIME, TlsAuthority
 from rossec.errors import ConfigurationError
 from tests.support.console_tls import HOST, NAME, NOW, foreign_leaf, new_authority, new_key, pem
 
@@ -49,9 +49,7 @@ def test_an_authority_that_ended_is_said_once_an_hour(caplog: pytest.LogCaptureF
     source.first(NOW)
     later = NOW + 400 * DAY
     with caplog.at_level(logging.ERROR):
-        assert [source.newer(later), source.newer(later + 1), source.newer(later + 3600)] == [
-            None
-        ] * 3
+        assert [source.newer(later), source.newer(later + 1), source.newer(later + 3600)] == [None] * 3
     assert [record.getMessage().count("has expired") for record in caplog.records] == [1, 1]
 
 
@@ -105,9 +103,7 @@ def test_files_may_be_links_as_those_of_acme_clients(files: Files, tmp_path: Pat
     assert source.first(NOW).count(b"BEGIN CERTIFICATE") == 1
 
 
-def test_a_renewal_that_is_half_done_is_not_used(
-    files: Files, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_renewal_that_is_half_done_is_not_used(files: Files, caplog: pytest.LogCaptureFixture) -> None:
     source = files.source()
     source.first(NOW)
     other = key_pem(new_key())

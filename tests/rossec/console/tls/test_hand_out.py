@@ -7,7 +7,7 @@ import httpx
 import pytest
 from starlette.types import ASGIApp
 
-from rossec.console.tls import fingerprint
+from rossec.console.tls import own_authority
 from rossec.console.tls.hand_out import FILE, PAGE, create_hand_out, documents
 from rossec.errors import ConfigurationError
 from tests.support.console_tls import new_authority
@@ -26,23 +26,19 @@ def client() -> httpx.AsyncClient:
     return client_of(create_hand_out(CERTIFICATE, ORIGIN, lambda: False))
 
 
-async def test_the_certificate_is_handed_out_as_browsers_install_it(
-    client: httpx.AsyncClient,
-) -> None:
+async def test_the_certificate_is_handed_out_as_browsers_install_it(client: httpx.AsyncClient) -> None:
     answer = await client.get(FILE)
     assert (answer.status_code, answer.content) == (200, CERTIFICATE)
     assert answer.headers["content-type"] == "application/x-x509-ca-cert"
 
 
-async def test_the_page_tells_to_compare_and_shows_no_fingerprint(
-    client: httpx.AsyncClient,
-) -> None:
+async def test_the_page_tells_to_compare_and_shows_no_fingerprint(client: httpx.AsyncClient) -> None:
     text = (await client.get(PAGE)).text
     assert "Compare before you trust it" in text
     assert "terminal" in text
     assert text.count(ORIGIN) == 3
-    assert fingerprint.in_hex(CERTIFICATE)[:11] not in text
-    assert fingerprint.in_words(CERTIFICATE) not in text
+    assert own_authority.in_hex(CERTIFICATE)[:11] not in text
+    assert own_authority.in_words(CERTIFICATE) not in text
 
 
 @pytest.mark.parametrize("device", ["iPhone", "Android", "Firefox", "Chrome"])
@@ -75,9 +71,7 @@ async def test_its_policy_allows_its_own_style_and_nothing_else(client: httpx.As
     assert answer.headers["cache-control"] == "no-store"
 
 
-@pytest.mark.parametrize(
-    "path", ["/login", "/static/style.css", "/rossec-console.crt/", "/%2e%2e/tls.key"]
-)
+@pytest.mark.parametrize("path", ["/login", "/static/style.css", "/rossec-console.crt/", "/%2e%2e/tls.key"])
 async def test_there_is_nothing_else(client: httpx.AsyncClient, path: str) -> None:
     assert (await client.get(path)).status_code == 404
 

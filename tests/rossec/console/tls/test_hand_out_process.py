@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 
-from rossec.console.tls import hand_out_process
-from rossec.console.tls.hand_out import FILE
-from rossec.console.tls.hand_out_process import handing_out
+from rossec.console.tls import hand_out
+from rossec.console.tls.hand_out import FILE, handing_out
 from rossec.errors import ConfigurationError
+from rossec.host import workers
 from tests.support.console_tls import new_authority
 from tests.support.ports import free_port
 
@@ -80,7 +80,7 @@ async def test_it_serves_until_its_supervisor_ends() -> None:
     sock = listening()
     port = sock.getsockname()[1]
     with os.fdopen(reading, "rb") as until:
-        task = asyncio.ensure_future(hand_out_process.serve([sock], ORIGIN, 60, CERTIFICATE, until))
+        task = asyncio.ensure_future(hand_out.serve([sock], ORIGIN, 60, CERTIFICATE, until))
         assert await asyncio.to_thread(ask, port) == (200, CERTIFICATE, "")
         os.close(writing)
         await asyncio.wait_for(task, 30)
@@ -92,7 +92,7 @@ async def test_it_serves_for_its_time() -> None:
     sock = listening()
     port = sock.getsockname()[1]
     with os.fdopen(reading, "rb") as until, os.fdopen(writing, "wb"):
-        await hand_out_process.serve([sock], ORIGIN, 0.1, CERTIFICATE, until)
+        await hand_out.serve([sock], ORIGIN, 0.1, CERTIFICATE, until)
     assert is_closed(port)
 
 
@@ -109,12 +109,12 @@ def test_it_is_confined_before_it_serves(monkeypatch: pytest.MonkeyPatch) -> Non
         done.append("processes")
         return ThreadPoolExecutor(1)
 
-    monkeypatch.setattr(hand_out_process, "confine_files", lambda _: done.append("files"))
-    monkeypatch.setattr(hand_out_process, "confine_processes", confine)
-    monkeypatch.setattr(hand_out_process, "serve", serve)
+    monkeypatch.setattr(workers, "confine_files", lambda _: done.append("files"))
+    monkeypatch.setattr(workers, "confine_processes", confine)
+    monkeypatch.setattr(hand_out, "serve", serve)
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO()))
     descriptor = listening().detach()
-    hand_out_process.main([str(descriptor), ORIGIN, "600", CERTIFICATE.hex()])
+    hand_out.main([str(descriptor), ORIGIN, "600", CERTIFICATE.hex()])
     assert done == ["files", "processes", "served"]
 
 
@@ -127,7 +127,7 @@ def test_one_that_does_not_end_is_killed(monkeypatch: pytest.MonkeyPatch) -> Non
         return real([sys.executable, "-c", sleeper], **options)
 
     monkeypatch.setattr(subprocess, "Popen", start)
-    monkeypatch.setattr(hand_out_process, "END", 0.2)
+    monkeypatch.setattr(hand_out, "END", 0.2)
     port = free_port()
     with handing_out(CERTIFICATE, ORIGIN, HERE, os.environ, port):
         assert not is_closed(port)

@@ -3,7 +3,7 @@ from contextlib import suppress
 
 import pytest
 
-from rossec.console.tls.renewing import renewed_from
+from rossec.console.tls.certificates import renewed_from
 from rossec.errors import ConfigurationError
 
 

@@ -11,18 +11,10 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 
-from rossec.console.tls.authority import TlsAuthority
-from rossec.console.tls.server_context import load, make_context
+from rossec.console.server.web import load_bundle, make_context
+from rossec.console.tls.own_authority import TlsAuthority
 from rossec.errors import ConfigurationError
-from tests.support.console_tls import (
-    NAME,
-    NOW,
-    bundle,
-    foreign_leaf,
-    new_authority,
-    new_key,
-    pem,
-)
+from tests.support.console_tls import NAME, NOW, bundle, foreign_leaf, new_authority, new_key, pem
 
 
 def own_bundle(authority: TlsAuthority, serial: int) -> bytes:
@@ -77,9 +69,9 @@ def serving_once(server: ssl.SSLContext) -> Iterator[int]:
 
 def test_a_renewed_bundle_is_shown_from_then_on() -> None:
     authority, server = new_authority(), make_context()
-    load(server, own_bundle(authority, 5))
+    load_bundle(server, own_bundle(authority, 5))
     assert shake_hands(server, authority, NAME) == 5
-    load(server, own_bundle(authority, 6))
+    load_bundle(server, own_bundle(authority, 6))
     assert shake_hands(server, authority, NAME) == 6
 
 
@@ -87,14 +79,14 @@ def test_a_renewed_bundle_is_shown_from_then_on() -> None:
 def test_python_refuses_what_its_key_signs_for_another_name(name: str) -> None:
     authority, server, key = new_authority(), make_context(), new_key()
     leaf = foreign_leaf(authority, key, [x509.DNSName(name)])
-    load(server, bundle(authority, key, leaf))
+    load_bundle(server, bundle(authority, key, leaf))
     with pytest.raises(ssl.SSLCertVerificationError, match="permitted subtree violation"):
         shake_hands(server, authority, name)
 
 
 def test_python_refuses_it_under_another_name() -> None:
     authority, server = new_authority(), make_context()
-    load(server, own_bundle(authority, 5))
+    load_bundle(server, own_bundle(authority, 5))
     with pytest.raises(ssl.SSLCertVerificationError, match="Hostname mismatch"):
         shake_hands(server, authority, "other.local")
 
@@ -106,7 +98,7 @@ def test_old_versions_of_tls_are_not_spoken() -> None:
 @pytest.mark.parametrize("data", [b"", b"nothing"])
 def test_a_bundle_that_openssl_does_not_take_is_refused(data: bytes) -> None:
     with pytest.raises(ConfigurationError, match="cannot be used"):
-        load(make_context(), data)
+        load_bundle(make_context(), data)
 
 
 # A confined process can write no file, so it records no coverage.
@@ -114,11 +106,11 @@ UNMEASURED = {key: value for key, value in os.environ.items() if not key.startsw
 CONFINED = """
 import sys
 from pathlib import Path
-from rossec.operation.confinement import confine_files
-from rossec.console.tls.server_context import load, make_context
+from rossec.host.confinement import confine_files
+from rossec.console.server.web import load_bundle, make_context
 data = sys.stdin.buffer.read()
 confine_files([Path(sys.argv[1])])
-load(make_context(), data)
+load_bundle(make_context(), data)
 try:
     Path(sys.argv[2]).read_bytes()
 except PermissionError:
@@ -132,8 +124,11 @@ def test_a_process_that_may_open_no_file_with_a_key_can_use_one(tmp_path: Path) 
     outside.write_text("x")
     done = subprocess.run(
         [sys.executable, "-c", CONFINED, inside, outside],
-        input=own_bundle(new_authority(), 1), capture_output=True, check=False, env=UNMEASURED,
-    )  # fmt: skip
+        input=own_bundle(new_authority(), 1),
+        capture_output=True,
+        check=False,
+        env=UNMEASURED,
+    )
     if b"can read the files" in done.stderr:
         pytest.skip("NOT RUN: this kernel has no Landlock")
     assert (done.returncode, done.stdout) == (0, b"confined\n"), done.stderr

@@ -3,18 +3,17 @@ from pathlib import Path
 
 import pytest
 
-from rossec.console.options import Options, read_options
-from rossec.console.tls import store
-from rossec.console.tls.source import prepare_tls
-from rossec.console.tls.store import key_pem, open_authority
+from rossec.console.options import ConsoleOptions, read_options
+from rossec.console.tls import certificates
+from rossec.console.tls.certificates import key_pem, open_authority, prepare_tls
 from rossec.errors import ConfigurationError
 from tests.support.console_tls import NAME, NOW, new_authority, new_key, pem
 
-LAN = read_options(Options(lan=True, name=NAME), "hall")
+LAN = read_options(ConsoleOptions(lan=True, name=NAME), "hall")
 
 
 def test_without_tls_nothing_is_made(tmp_path: Path) -> None:
-    assert prepare_tls(read_options(Options(), "hall"), tmp_path, NOW, rename=False) is None
+    assert prepare_tls(read_options(ConsoleOptions(), "hall"), tmp_path, NOW, rename=False) is None
     assert list(tmp_path.iterdir()) == []
 
 
@@ -23,7 +22,7 @@ def test_on_the_network_an_authority_is_made_and_used(tmp_path: Path) -> None:
     assert setup is not None
     assert setup.authority is not None
     assert setup.authority.data == open_authority(tmp_path / "console").data
-    assert setup.authority.address == store.first_address()
+    assert setup.authority.address == certificates.first_address()
     assert setup.source.first(NOW).count(b"BEGIN CERTIFICATE") == 1
 
 
@@ -44,7 +43,7 @@ def test_files_are_checked_before_anything_listens(tmp_path: Path) -> None:
     leaf = new_authority().issue(private.public_key(), now=NOW, serial=1)
     certificate.write_bytes(pem(leaf))
     key.write_bytes(key_pem(private))
-    options = Options(tls_certificate=certificate, tls_key=key, name=NAME)
+    options = ConsoleOptions(tls_certificate=certificate, tls_key=key, name=NAME)
     setup = prepare_tls(read_options(options, "hall"), tmp_path / "console", NOW, rename=False)
     assert setup is not None
     assert setup.authority is None
@@ -54,7 +53,7 @@ def test_files_are_checked_before_anything_listens(tmp_path: Path) -> None:
 
 
 def test_an_endpoint_without_its_files_is_refused(tmp_path: Path) -> None:
-    options = Options(tls_certificate=tmp_path, tls_key=tmp_path, name=NAME)
+    options = ConsoleOptions(tls_certificate=tmp_path, tls_key=tmp_path, name=NAME)
     endpoint = replace(read_options(options, "hall"), tls_key=None)
     with pytest.raises(ConfigurationError, match="needs its key"):
         prepare_tls(endpoint, tmp_path, NOW, rename=False)

@@ -4,18 +4,11 @@ from pathlib import Path
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from rossec.console.tls import store
-from rossec.console.tls.authority import DAY
-from rossec.console.tls.store import (
-    CERTIFICATE,
-    KEY,
-    authority_for,
-    exists,
-    open_authority,
-    renew,
-)
-from rossec.enrollment import address
+from rossec.console.tls import certificates
+from rossec.console.tls.certificates import CERTIFICATE, KEY, authority_for, exists, open_authority, renew
+from rossec.console.tls.own_authority import DAY
 from rossec.errors import ConfigurationError
+from rossec.host import addresses
 from tests.support.console_tls import HOST, NAME, NOW
 
 
@@ -78,13 +71,13 @@ def test_a_damaged_file_is_refused(directory: Path, file: str) -> None:
 
 def test_a_key_of_another_curve_is_refused(directory: Path) -> None:
     renew(directory, NAME, None, NOW)
-    (directory / KEY).write_bytes(store.key_pem(ec.generate_private_key(ec.SECP384R1())))
+    (directory / KEY).write_bytes(certificates.key_pem(ec.generate_private_key(ec.SECP384R1())))
     with pytest.raises(ConfigurationError, match="not a P-256 key"):
         open_authority(directory)
 
 
 def test_serials_are_positive_and_differ() -> None:
-    found = {store.random_serial() for _ in range(100)}
+    found = {certificates.random_serial() for _ in range(100)}
     assert len(found) == 100
     assert all(0 < serial < 1 << 128 for serial in found)
 
@@ -112,14 +105,10 @@ def test_an_authority_that_ended_is_not_used(directory: Path) -> None:
 
 @pytest.mark.parametrize(
     ("listed", "found"),
-    [
-        (["127.0.0.1", "::1"], None),
-        (["fe80::1", "192.168.1.5"], "192.168.1.5"),
-        (["fd00::7"], "fd00::7"),
-    ],
+    [(["127.0.0.1", "::1"], None), (["fe80::1", "192.168.1.5"], "192.168.1.5"), (["fd00::7"], "fd00::7")],
 )
 def test_the_address_is_one_that_others_reach(
     monkeypatch: pytest.MonkeyPatch, listed: list[str], found: str | None
 ) -> None:
-    monkeypatch.setattr(address, "own_addresses", lambda: listed)
-    assert store.first_address() == (None if found is None else ipaddress.ip_address(found))
+    monkeypatch.setattr(addresses, "own_addresses", lambda: listed)
+    assert certificates.first_address() == (None if found is None else ipaddress.ip_address(found))

@@ -6,11 +6,8 @@ from rossec.master.api import arguments as arg
 
 
 @pytest.mark.parametrize(
-    "value",
-    [
-        "http://h:1/", "http://h:65535", "http://[::1]:1/", "http://10.0.0.1:1/path",
-    ],
-)  # fmt: skip
+    "value", ["http://h:1/", "http://h:65535", "http://[::1]:1/", "http://10.0.0.1:1/path"]
+)
 def test_uris_with_host_and_port(value: str) -> None:
     assert arg.uri("caller_api", "http")(value, "/n") == value
 
@@ -18,12 +15,25 @@ def test_uris_with_host_and_port(value: str) -> None:
 @pytest.mark.parametrize(
     "value",
     [
-        "http://h", "http://:1/", "http://h:0/", "http://h:65536/", "http://h:x/", "https://h:1/",
-        "rosrpc://h:1", "http://user@h:1/", "http://h:1/ x", "http://h:1/\n", "http://h\u00e9:1/",
-        "http://[::1:1/", "http://" + "h" * 600 + ":1/", "ftp://h:1",
-        "http://0.0.0.0:1/", "http://127.1:1/", "http://224.0.0.1:1/",
+        "http://h",
+        "http://:1/",
+        "http://h:0/",
+        "http://h:65536/",
+        "http://h:x/",
+        "https://h:1/",
+        "rosrpc://h:1",
+        "http://user@h:1/",
+        "http://h:1/ x",
+        "http://h:1/\n",
+        "http://h\u00e9:1/",
+        "http://[::1:1/",
+        "http://" + "h" * 600 + ":1/",
+        "ftp://h:1",
+        "http://0.0.0.0:1/",
+        "http://127.1:1/",
+        "http://224.0.0.1:1/",
     ],
-)  # fmt: skip
+)
 def test_uris_that_no_connection_can_use(value: str) -> None:
     with pytest.raises(arg.ArgumentRefused, match="is not an RPC URI"):
         arg.uri("caller_api", "http")(value, "/n")
@@ -60,9 +70,7 @@ def test_keys_are_bounded() -> None:
         arg.key("key")("/" + "a" * 300, "/n")
 
 
-@pytest.mark.parametrize(
-    "value", ["/a b", "/1a", "/a\nrossec: WARNING: /b", "a-b", "/a/~b", "/\u0430"]
-)
+@pytest.mark.parametrize("value", ["/a b", "/1a", "/a\nrossec: WARNING: /b", "a-b", "/a/~b", "/\u0430"])
 def test_keys_are_well_formed_names(value: str) -> None:
     with pytest.raises(arg.ArgumentRefused, match=r"\[key\] contains illegal chars"):
         arg.key("key")(value, "/n")

@@ -3,9 +3,9 @@ from dataclasses import replace
 import pytest
 
 from grants.model import Right
-from rossec.master.api.authority_calls import DENIALS, MAX_LACKING, STANDING
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.rights.recent_denials import RecentDenials
+from rossec.master.api.statement_calls import DENIALS, MAX_LACKING, STANDING
+from rossec.master.rights.caller import RecentDenials
 from rossec.master.state.registry import NodeRef, Registry
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 
@@ -24,9 +24,14 @@ class Office:
         self.statements.update(LIST, NOW)
         self.connected: list[NodeRef] = []
         self.api = MasterApi(
-            Registry(), self.statements, name="/master", uri="http://m:1/", pid=7,
-            denials=self.denials, connected=lambda: self.connected,
-        )  # fmt: skip
+            Registry(),
+            self.statements,
+            name="/master",
+            uri="http://m:1/",
+            pid=7,
+            denials=self.denials,
+            connected=lambda: self.connected,
+        )
 
     def ask(self, method: str) -> object:
         return call_api(self.api, method, ("/ca",), CA, NOW).answer
@@ -38,9 +43,7 @@ def office() -> Office:
 
 
 def test_the_standing_of_the_list_in_force(office: Office) -> None:
-    office.connected = [
-        node("/doctor"), node("/heating"), node("/ca"), node("/remote/hospital/robot"),
-    ]  # fmt: skip
+    office.connected = [node("/doctor"), node("/heating"), node("/ca"), node("/remote/hospital/robot")]
     office.statements.held_lists.record(office.connected[0], LIST, NOW)
     answer = {"list": "1.1", "nodes": 2, "holding": 1, "lacking": ["/heating"]}
     assert office.ask(STANDING) == [1, "standing of the revocation list", answer]
@@ -59,8 +62,10 @@ def test_denials_are_told_by_their_age(office: Office) -> None:
     office.denials.add(NOW - 60, "/eve", Right.SUBSCRIBE, "/scan")
     office.denials.add(NOW + 5, "/bob", Right.CALL, "/reset")  # the clock was set back
     assert office.ask(DENIALS) == [
-        1, "denials of the last day", [[0, "/bob", 4, "/reset"], [60, "/eve", 2, "/scan"]],
-    ]  # fmt: skip
+        1,
+        "denials of the last day",
+        [[0, "/bob", 4, "/reset"], [60, "/eve", 2, "/scan"]],
+    ]
 
 
 @pytest.mark.parametrize("method", [STANDING, DENIALS])

@@ -8,16 +8,11 @@ import pytest
 from grants import document
 from grants.errors import GrantError
 from grants.model import Right
-from rossec.master.api.deposit_calls import (
-    DEPOSIT_LIMIT,
-    KNOWN_LIMIT,
-    STATES_LIMIT,
-    is_empty,
-)
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import GrantsDeposited
+from rossec.master.api.statement_calls import DEPOSIT_LIMIT, KNOWN_LIMIT, STATES_LIMIT, is_empty
 from rossec.master.rights.caller import Caller
-from rossec.master.rights.deposits import Deposits, verifier
+from rossec.master.rights.held_grants import Deposits, verifier
 from rossec.master.state.registry import Registry
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 from tests.support.authority import EnrolledNode, Site
@@ -38,9 +33,8 @@ class Office:
         verify = verifier(self.site.anchor, lambda _entry, _now: None)
         self.deposits = Deposits(verify, self._persist)
         self.api = MasterApi(
-            Registry(), self.statements, name="/master", uri="http://m:1/", pid=7,
-            deposits=self.deposits,
-        )  # fmt: skip
+            Registry(), self.statements, name="/master", uri="http://m:1/", pid=7, deposits=self.deposits
+        )
 
     def _persist(self, _: object) -> None:
         if self.full:

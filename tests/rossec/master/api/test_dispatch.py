@@ -38,9 +38,7 @@ def test_uri_and_pid_of_the_master(api: MasterApi) -> None:
 
 
 def test_all_parameters_together_are_bounded() -> None:
-    api = MasterApi(
-        Registry(), FakeStatements(), name="/master", uri="u", pid=1, parameter_bytes=10_000
-    )
+    api = MasterApi(Registry(), FakeStatements(), name="/master", uri="u", pid=1, parameter_bytes=10_000)
     for name in ("/a", "/b"):
         assert ask(api, everything(name), "setParam", name, name, "x" * 4500)[0] == 1
     code, status, _ = ask(api, everything("/c"), "setParam", "/c", "/c", "x" * 4500)

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from ca.revocation.state import digest
+from ca.revocation.lists import digest
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied, DomainsChanged
 from rossec.master.state.registry import Registry
@@ -89,9 +89,7 @@ def test_of_a_domain_that_is_not_listed_nothing_is_known(
         ("rossec.foreignRevocationProofs", (HOSPITAL, [])),
     ],
 )
-def test_foreigners_ask_their_own_master(
-    calls: Calls, method: str, params: tuple[object, ...]
-) -> None:
+def test_foreigners_ask_their_own_master(calls: Calls, method: str, params: tuple[object, ...]) -> None:
     code, status, _ = calls.ask(method, *params, foreign=True)
     assert (code, status) == (-1, "rossec: only nodes of the own domain may call this")
     [denied] = calls.events

@@ -48,9 +48,7 @@ def test_a_cached_state_is_not_sent_to_another_caller(api: MasterApi) -> None:
 
 
 @pytest.mark.parametrize("limit", ["_MAX_CACHED_STATES", "_MAX_CACHED_ENTRIES"])
-def test_the_caches_are_bounded(
-    api: MasterApi, monkeypatch: pytest.MonkeyPatch, limit: str
-) -> None:
+def test_the_caches_are_bounded(api: MasterApi, monkeypatch: pytest.MonkeyPatch, limit: str) -> None:
     monkeypatch.setattr(f"rossec.master.api.graph_calls.{limit}", 2)
     for number in range(5):
         register(api, "/a", f"/t{number}")

@@ -5,23 +5,25 @@ from typing import Any
 
 import pytest
 
-from ca.domains.aliases import origin_of
+from ca.names import origin_of
+from grants.decision import Reach
 from grants.model import Permission, Right
-from grants.reach import Reach
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.watch_calls import WATCH
+from rossec.master.api.graph_calls import WATCH
 from rossec.master.rights.caller import Caller
-from rossec.master.state.demand import EVERYTHING, NOTHING
-from rossec.master.state.imports import Imports
+from rossec.master.state.imported_facts import Site
+from rossec.master.state.imports import EVERYTHING, NOTHING, Imports
 from rossec.master.state.registry import Registry
-from rossec.master.state.sites import Site
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 
 T, URI = "std_msgs/String", "http://10.0.0.2:1/"
 FACTS = [
-    ("node", "/robot", URI), ("publisher", "/pose", "/robot"), ("type", "/pose", T),
-    ("service", "/reset", "/robot"), ("provider", "/reset", "rosrpc://10.0.0.2:9"),
-]  # fmt: skip
+    ("node", "/robot", URI),
+    ("publisher", "/pose", "/robot"),
+    ("type", "/pose", T),
+    ("service", "/reset", "/robot"),
+    ("provider", "/reset", "rosrpc://10.0.0.2:9"),
+]
 KITCHEN, HOSPITAL = Site("kitchen"), Site("hospital", "hospital")
 
 
@@ -33,9 +35,8 @@ class Importing:
         self.registry = Registry()
         self.imports = Imports(self.registry)
         self.api = MasterApi(
-            self.registry, FakeStatements(), name="/master", uri="http://m:1/", pid=7,
-            imports=self.imports,
-        )  # fmt: skip
+            self.registry, FakeStatements(), name="/master", uri="http://m:1/", pid=7, imports=self.imports
+        )
         self.tool = everything("/tool")
 
     def ask(self, method: str, *params: object, who: Caller | None = None) -> Any:
@@ -54,9 +55,7 @@ def master() -> Importing:
 def test_queries_see_local_and_imported_facts(master: Importing) -> None:
     master.ask("registerPublisher", "/pose", "*", "http://10.0.0.1:1/")
     robot = "/remote/kitchen/robot"
-    assert master.ask("getSystemState")[2] == [
-        [["/pose", ["/tool", robot]]], [], [["/reset", [robot]]]
-    ]  # fmt: skip
+    assert master.ask("getSystemState")[2] == [[["/pose", ["/tool", robot]]], [], [["/reset", [robot]]]]
     assert master.ask("getPublishedTopics", "")[2] == [["/pose", T]]
     assert master.ask("getTopicTypes")[2] == [["/pose", T]]
     assert master.ask("lookupService", "/reset")[2] == "rosrpc://10.0.0.2:9"
@@ -74,9 +73,7 @@ def test_a_subscriber_is_answered_with_imported_publishers(master: Importing) ->
 def test_foreign_names_are_below_their_label(master: Importing) -> None:
     master.imports.drop("kitchen")
     master.imports.apply(HOSPITAL, FACTS, [])
-    assert master.ask("getSystemState")[2][0] == [
-        ["/remote/hospital/pose", ["/remote/hospital/robot"]]
-    ]
+    assert master.ask("getSystemState")[2][0] == [["/remote/hospital/pose", ["/remote/hospital/robot"]]]
 
 
 def test_a_caller_sees_no_import_without_a_right(master: Importing) -> None:
@@ -126,8 +123,7 @@ def test_what_is_asked_for_is_wanted_of_other_masters(master: Importing) -> None
 
 
 @pytest.mark.parametrize(
-    ("method", "params"),
-    [("getTopicTypes", ()), ("getPublishedTopics", ("",)), (WATCH, ("", 0))],
+    ("method", "params"), [("getTopicTypes", ()), ("getPublishedTopics", ("",)), (WATCH, ("", 0))]
 )
 def test_a_tool_that_lists_wants_everything(
     master: Importing, method: str, params: tuple[object, ...]
@@ -145,10 +141,14 @@ def visitor(exported: str = "/**") -> Caller:
 @pytest.mark.parametrize(
     ("method", "params"),
     [
-        ("getSystemState", ()), ("getTopicTypes", ()), ("getPublishedTopics", ("",)),
-        (WATCH, ("", 0)), ("lookupNode", ("/remote/kitchen/arm",)), ("lookupNode", ("/arm",)),
+        ("getSystemState", ()),
+        ("getTopicTypes", ()),
+        ("getPublishedTopics", ("",)),
+        (WATCH, ("", 0)),
+        ("lookupNode", ("/remote/kitchen/arm",)),
+        ("lookupNode", ("/arm",)),
     ],
-)  # fmt: skip
+)
 def test_a_foreigner_has_nothing_asked_of_other_masters(
     master: Importing, method: str, params: tuple[object, ...]
 ) -> None:

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from rossec.master.api import graph_views
-from rossec.master.api.graph_views import MAX_VIEWS, Fact, GraphViews, View, is_unchanged
+from rossec.master.api import graph_calls
+from rossec.master.api.graph_calls import MAX_VIEWS, Fact, GraphViews, View, is_unchanged
 
 ME = b"me"
 
@@ -28,9 +28,7 @@ def test_the_first_answer_is_whole_and_the_next_has_the_changes(views: GraphView
     first = views.answer(ME, ("", 0), facts("/a", "/b"), 1)
     assert (first["whole"], names(first, "added")) == (True, ["/a", "/b"])
     second = views.answer(ME, ("run", first["cursor"]), facts("/b", "/c"), 2)
-    assert (second["whole"], names(second, "added"), names(second, "removed")) == (
-        False, ["/c"], ["/a"],
-    )  # fmt: skip
+    assert (second["whole"], names(second, "added"), names(second, "removed")) == (False, ["/c"], ["/a"])
 
 
 def test_the_cursor_stays_while_nothing_changes(views: GraphViews) -> None:
@@ -50,16 +48,14 @@ def test_what_is_said_beside_the_facts_is_part_of_the_view(views: GraphViews) ->
 
 
 @pytest.mark.parametrize("seen", [("other", 1), ("run", 99), ("run", "1")])
-def test_a_view_that_is_not_known_is_answered_whole(
-    views: GraphViews, seen: tuple[object, object]
-) -> None:
+def test_a_view_that_is_not_known_is_answered_whole(views: GraphViews, seen: tuple[object, object]) -> None:
     views.answer(ME, ("", 0), facts("/a"), 1)
     assert views.answer(ME, seen, facts("/a"), 1)["whole"]
     assert views.answer(b"other", ("run", 1), facts("/a"), 1)["whole"]
 
 
 def test_an_answer_is_bounded(views: GraphViews, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(graph_views, "BATCH", 2)
+    monkeypatch.setattr(graph_calls, "BATCH", 2)
     first = views.answer(ME, ("", 0), facts("/a", "/b", "/c"), 1)
     assert (names(first, "added"), first["more"]) == (["/a", "/b"], True)
     rest = views.answer(ME, ("run", first["cursor"]), facts("/a", "/b", "/c"), 1)

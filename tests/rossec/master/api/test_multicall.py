@@ -7,16 +7,16 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.methods import CallDenied, Denied
-from rossec.master.api.multicall import (
+from rossec.master.api.dispatch import (
     MULTICALL_ANSWER,
     MULTICALL_LIMIT,
     MULTICALL_ONCE,
     Fault,
+    MasterApi,
     Multicall,
 )
-from rossec.master.api.watch_calls import WATCH
+from rossec.master.api.graph_calls import WATCH
+from rossec.master.api.methods import CallDenied, Denied
 from rossec.master.rights.caller import NAMES_PER_YIELD, Caller
 from rossec.master.state.registry import Registry
 from rossec.ros.xmlrpc import dump_call, dump_response
@@ -39,9 +39,11 @@ def element(method: str, *params: object) -> dict[str, object]:
 def test_each_element_of_a_multicall_is_authorized_alone(api: MasterApi) -> None:
     who = caller("/a", {})
     answers = ask(
-        api, who, "system.multicall",
+        api,
+        who,
+        "system.multicall",
         [element("getUri", "/a"), element("setParam", "/a", "/x", 1), element("getUri", "/victim")],
-    )  # fmt: skip
+    )
     assert [answer[0][0] for answer in answers] == [1, -1, -1]
 
 
@@ -117,14 +119,10 @@ def test_a_multicall_is_bounded(api: MasterApi, params: list[object]) -> None:
 
 def test_each_refused_element_is_a_denial(api: MasterApi) -> None:
     who = caller("/a", {})
-    calls = [
-        element("setParam", "/a", "/x", 1), element("getUri", "/victim"), element("getUri", "/a"),
-    ]  # fmt: skip
+    calls = [element("setParam", "/a", "/x", 1), element("getUri", "/victim"), element("getUri", "/a")]
     events = call_api(api, "system.multicall", [calls], who, 0).events
     refused = [event for event in events if isinstance(event, CallDenied)]
-    assert [(event.node, event.method) for event in refused] == [
-        ("/a", "setParam"), ("/a", "getUri"),
-    ]  # fmt: skip
+    assert [(event.node, event.method) for event in refused] == [("/a", "setParam"), ("/a", "getUri")]
     assert all(event.status.startswith("rossec: ") for event in refused)
     assert Denied("/a", Right.PARAM_SET, "/x") in events
 
@@ -175,8 +173,7 @@ def after(times: int) -> Callable[[], bool]:
 
 
 @pytest.mark.parametrize(
-    "changes",
-    [element("rossec.updateRevocations", "/a", b"list"), element("rossec.presentGrants", "/a", [])],
+    "changes", [element("rossec.updateRevocations", "/a", b"list"), element("rossec.presentGrants", "/a", [])]
 )
 def test_an_element_that_changes_rights_ends_the_step(api: MasterApi, changes: Any) -> None:
     multicall = Multicall([[element("getPid", "/a"), changes, element("getPid", "/a")]])

@@ -9,7 +9,7 @@ from rossec.master.api import parameter_calls
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import MasterEvent, ParameterChanged, PersistParameter
 from rossec.master.rights.caller import NAMES_PER_YIELD, Caller
-from rossec.master.state.parameter_journal import ParameterChange
+from rossec.master.state.journals import ParameterChange
 from rossec.master.state.registry import NodeRef, Registry
 from rossec.ros.xmlrpc import BODY_LIMIT, Fault
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
@@ -44,12 +44,7 @@ def test_changes_and_only_changes_are_persisted(api: MasterApi) -> None:
 
     assert events_of("setParam", "k", 1) == [PersistParameter(ParameterChange("/k", 1))]
     assert events_of("deleteParam", "k") == [PersistParameter(ParameterChange("/k", deleted=True))]
-    assert (
-        events_of("deleteParam", "k")
-        == events_of("setParam", "/", 1)
-        == events_of("getParam", "k")
-        == []
-    )
+    assert events_of("deleteParam", "k") == events_of("setParam", "/", 1) == events_of("getParam", "k") == []
 
 
 def test_all_subscribers_but_the_setter_are_notified_of_a_change(api: MasterApi) -> None:
@@ -138,14 +133,10 @@ def test_a_search_finds_only_readable_parameters(api: MasterApi) -> None:
 
 
 def test_one_key_cannot_use_up_the_limit_of_all_parameters() -> None:
-    api = MasterApi(
-        Registry(), FakeStatements(), name="/m", uri="http://m:1/", pid=1, parameter_bytes=10_000
-    )
+    api = MasterApi(Registry(), FakeStatements(), name="/m", uri="http://m:1/", pid=1, parameter_bytes=10_000)
 
     def put(node: str, key: str, size: int) -> str:
-        answer: list[str] = call_api(
-            api, "setParam", (node, key, "x" * size), everything(node), 0
-        ).answer  # type: ignore[assignment]
+        answer: list[str] = call_api(api, "setParam", (node, key, "x" * size), everything(node), 0).answer  # type: ignore[assignment]
         return answer[1]
 
     full = "Error: invalid arguments: the parameters that /a has set would take more than 5000 byte"

@@ -4,14 +4,14 @@ from typing import Any
 
 import pytest
 
+from grants.decision import Reach
 from grants.model import Permission, Right
-from grants.reach import Reach
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import ParameterChanged
 from rossec.master.rights.caller import Caller
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import NodeRef, Registry
-from rossec.master.state.sites import Site
 from tests.rossec.master.fakes import FakeStatements, call_api, refuse
 
 KITCHEN, SPEED = Site("kitchen"), "/remote/kitchen/robot/speed"
@@ -31,9 +31,8 @@ class Mirroring:
         self.imports = Imports(registry)
         self.statements = FakeStatements({"/reader": reader("/robot/**")})
         self.api = MasterApi(
-            registry, self.statements, name="/master", uri="http://m:1/", pid=1,
-            imports=self.imports,
-        )  # fmt: skip
+            registry, self.statements, name="/master", uri="http://m:1/", pid=1, imports=self.imports
+        )
         self.imports.mirrors.replace(KITCHEN, {"robot": {"speed": 1.5}, "secret": {"key": 7}})
 
     def ask(self, who: Caller, method: str, *params: object) -> Any:
@@ -62,21 +61,20 @@ def test_the_own_tree_has_no_mirror_in_it(master: Mirroring) -> None:
     who = reader("/**")
     master.ask(who, "setParam", "/own", 1)
     assert master.ask(who, "getParam", "/")[2] == {"own": 1}
-    assert sorted(master.ask(who, "getParamNames")[2]) == [
-        "/own", SPEED, "/remote/kitchen/secret/key"
-    ]  # fmt: skip
+    assert sorted(master.ask(who, "getParamNames")[2]) == ["/own", SPEED, "/remote/kitchen/secret/key"]
 
 
 @pytest.mark.parametrize(
     ("method", "params"),
     [
-        ("setParam", (SPEED, 2)), ("setParam", ("/remote/other", 2)), ("deleteParam", (SPEED,)),
-        ("setParam", ("/", {"remote": {"kitchen": 1}})), ("deleteParam", ("/remote",)),
+        ("setParam", (SPEED, 2)),
+        ("setParam", ("/remote/other", 2)),
+        ("deleteParam", (SPEED,)),
+        ("setParam", ("/", {"remote": {"kitchen": 1}})),
+        ("deleteParam", ("/remote",)),
     ],
-)  # fmt: skip
-def test_nothing_is_set_below_remote(
-    master: Mirroring, method: str, params: tuple[object, ...]
-) -> None:
+)
+def test_nothing_is_set_below_remote(master: Mirroring, method: str, params: tuple[object, ...]) -> None:
     code, status, _ = master.ask(reader("/**"), method, *params)
     assert code == -1
     assert "only read here (set it at its own master)" in status
@@ -85,9 +83,7 @@ def test_nothing_is_set_below_remote(
 
 def test_subscribers_are_sent_what_changes_at_the_origin(master: Mirroring) -> None:
     who = reader("/robot/**")
-    assert master.ask(who, "subscribeParam", READER.uri, "/remote/kitchen/robot")[2] == {
-        "speed": 1.5
-    }
+    assert master.ask(who, "subscribeParam", READER.uri, "/remote/kitchen/robot")[2] == {"speed": 1.5}
     tree: dict[str, object] = {"robot": {"speed": 2.0}, "secret": {"key": 8}}
     changes = master.imports.mirrors.replace(KITCHEN, tree)
     events = master.api.parameters.mirror(changes, 0)

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from rossec.master.api import relay_arguments as arg
+from rossec.master.api import arguments as arg
 from rossec.master.api.arguments import ArgumentRefused, Check
-from rossec.master.state.doors import AT_ONCE, MAX_PEERS, Door, Target, Way
+from rossec.master.state.forwarded_ports import AT_ONCE, MAX_PEERS, Door, PeerWay, Target
 
 WAY = {"state": "up", "rtt_ms": 12.5, "retransmissions": 3, "router": "tls/r:7447", "streams": 2}
 DOOR = ["office", "node", "/robot", "127.0.0.1", 7001]
@@ -74,17 +74,23 @@ def test_doors_are_bounded() -> None:
 
 
 def test_ways_by_peer() -> None:
-    assert arg.ways("it")({"office": WAY}, "/relay") == {"office": Way(**WAY)}  # type: ignore[arg-type]
+    assert arg.ways("it")({"office": WAY}, "/relay") == {"office": PeerWay(**WAY)}  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        {"state": 1}, {"router": "r" * 256}, {"rtt_ms": -1}, {"rtt_ms": math.inf}, {"more": 1},
-        {"rtt_ms": math.nan}, {"streams": "2"}, {"retransmissions": True},
+        {"state": 1},
+        {"router": "r" * 256},
+        {"rtt_ms": -1},
+        {"rtt_ms": math.inf},
+        {"more": 1},
+        {"rtt_ms": math.nan},
+        {"streams": "2"},
+        {"retransmissions": True},
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_a_way_that_is_not_one(change: dict[str, object]) -> None:
     assert is_refused(arg.ways("it"), {"office": {**WAY, **change}})
 

@@ -6,8 +6,8 @@ import pytest
 
 from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.relay_calls import is_idle
-from rossec.master.state.doors import Door, Doors, Target
+from rossec.master.api.site_calls import is_idle
+from rossec.master.state.forwarded_ports import Door, ForwardedPorts, Target
 from rossec.master.state.registry import NodeRef, Registry
 from tests.rossec.master.fakes import call_api
 from tests.rossec.master.rights.test_statements_foreign import Home
@@ -23,11 +23,10 @@ class Calls(Home):
 
     def __init__(self, **changes: Any) -> None:
         super().__init__(**changes)
-        self.doors, self.registry = Doors(), Registry()
+        self.doors, self.registry = ForwardedPorts(), Registry()
         self.api = MasterApi(
-            self.registry, self.trust, name="/master", uri="http://m:11311/", pid=7,
-            doors=self.doors,
-        )  # fmt: skip
+            self.registry, self.trust, name="/master", uri="http://m:11311/", pid=7, doors=self.doors
+        )
         self.relay = self.site.enroll("/relay")
         self.is_local = True
         own = NodeRef("/arm", "http://10.0.0.3:4711/", b"arm")
@@ -40,9 +39,7 @@ class Calls(Home):
     def ask(self, method: str, *params: object, by: EnrolledNode | None = None) -> Any:
         member = self.relay if by is None else by
         who = self.trust.caller(self.identity(member), self.now)
-        found = call_api(
-            self.api, method, (member.name, *params), who, self.now, is_local=self.is_local
-        )
+        found = call_api(self.api, method, (member.name, *params), who, self.now, is_local=self.is_local)
         return found.answer
 
     def poll(self, seen: int = 0, *doors: list[object], **ways: Any) -> Any:
@@ -94,8 +91,9 @@ def test_only_relays_of_the_own_domain_call(calls: Calls, name: str) -> None:
         calls.trust.domains.take("hospital.example", *calls.hospital.word(), calls.now)
     member = site.enroll(name)
     for method, *params in (
-        ("rossec.relayDoors", "one", 0, [], {}), ("rossec.relayTarget", "", "master", "/master")
-    ):  # fmt: skip
+        ("rossec.relayDoors", "one", 0, [], {}),
+        ("rossec.relayTarget", "", "master", "/master"),
+    ):
         code, status, _ = calls.ask(method, *params, by=member)
         assert (code, status) == (-1, "rossec: only relays of the own domain may call this")
 
@@ -115,14 +113,16 @@ def test_targets_of_the_own_domain_are_all_that_is_registered_here(calls: Calls)
 @pytest.mark.parametrize(
     ("kind", "name"),
     [
-        ("master", "/master/kitchen"), ("node", "/nobody"), ("service", "/none"),
-        ("node", "/remote/hospital/robot"), ("service", "/theirs"), ("service", "/arm"),
+        ("master", "/master/kitchen"),
+        ("node", "/nobody"),
+        ("service", "/none"),
+        ("node", "/remote/hospital/robot"),
+        ("service", "/theirs"),
+        ("service", "/arm"),
         ("node", "/grip"),
     ],
-)  # fmt: skip
-def test_what_is_not_registered_here_by_an_own_node_is_refused(
-    calls: Calls, kind: str, name: str
-) -> None:
+)
+def test_what_is_not_registered_here_by_an_own_node_is_refused(calls: Calls, kind: str, name: str) -> None:
     assert calls.target(kind, name) == [-1, f"rossec: no {kind} {name} is shown there", []]
 
 
@@ -145,9 +145,7 @@ def test_what_is_not_exported_is_refused_as_what_is_unknown() -> None:
         refused = calls.target(kind, known, "hospital")
         assert refused[0] == -1
         other = calls.target(kind, unknown, "hospital")
-        assert [refused[1].replace(known, "X"), refused[2]] == [
-            other[1].replace(unknown, "X"), other[2],
-        ]  # fmt: skip
+        assert [refused[1].replace(known, "X"), refused[2]] == [other[1].replace(unknown, "X"), other[2]]
 
 
 def test_a_domain_that_is_not_trusted_now_reaches_nothing(calls: Calls) -> None:

@@ -7,8 +7,8 @@ import pytest
 
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import Administered
-from rossec.master.api.renewal_calls import is_idle
-from rossec.master.rights.identity_renewals import OFFER_LIMIT, IdentityRenewals, Settlement
+from rossec.master.api.statement_calls import has_no_renewal
+from rossec.master.rights.renewals import OFFER_LIMIT, IdentityRenewals, Settlement
 from rossec.master.state.registry import Registry
 from rossec.ros.names import RENEW_IDENTITY, SETTLE_RENEWALS, WATCH_RENEWALS
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
@@ -52,7 +52,7 @@ def test_an_identity_is_renewed_or_the_reason_is_returned(api: MasterApi) -> Non
 def test_the_service_of_the_authority_sees_and_answers(api: MasterApi) -> None:
     offered = ask(api, CA, WATCH_RENEWALS, 0)
     assert offered == [1, "renewals", {"renewals": [], "waiting": 0}]
-    assert is_idle(offered)
+    assert has_no_renewal(offered)
     answers = [[b"1" * 32, b"bundle", ""], [b"2" * 32, b"", "no"]]
     outcome = call_api(api, SETTLE_RENEWALS, ("/ca", answers), CA, 0)
     assert outcome.answer == [1, "settled", 1]
@@ -87,5 +87,5 @@ def test_answers_have_one_form(api: MasterApi, answers: object) -> None:
 
 
 def test_an_offer_is_no_idle_answer() -> None:
-    assert not is_idle([1, "renewals", {"renewals": [b"x"], "waiting": 1}])
-    assert not is_idle([-1, "rossec: refused", {}])
+    assert not has_no_renewal([1, "renewals", {"renewals": [b"x"], "waiting": 1}])
+    assert not has_no_renewal([-1, "rossec: refused", {}])

@@ -3,13 +3,12 @@
 import pytest
 
 from rossec.errors import HangUp
-from rossec.master.api.revoked_calls import (
+from rossec.master.api.dispatch import (
     MAX_BELOW_INTERMEDIATE,
     MAX_CALLS,
     MAX_CONNECTIONS,
     RevokedCalls,
     RevokedConnections,
-    answer_revoked,
 )
 from rossec.master.api.statement_calls import PROOF_LIMIT
 from tests.rossec.master.fakes import FakeStatements
@@ -26,21 +25,21 @@ class TreeInForce(FakeStatements):
         return [b"proof"] * len(entries)
 
 
+def answer_revoked(method: str, params: tuple[object, ...]) -> list[object]:
+    return RevokedCalls(TreeInForce(), lambda: 7).answer(method, params, None)
+
+
 @pytest.mark.parametrize(
     ("method", "params"),
     [("rossec.revocations", ("/eve",)), ("rossec.revocationsSince", ("/eve", b"digest"))],
 )
-def test_the_whole_list_is_sent_without_a_timestamp(
-    method: str, params: tuple[object, ...]
-) -> None:
-    assert answer_revoked(TreeInForce(), 7, method, params) == [1, "revocations", [b"list", b""]]
+def test_the_whole_list_is_sent_without_a_timestamp(method: str, params: tuple[object, ...]) -> None:
+    assert answer_revoked(method, params) == [1, "revocations", [b"list", b""]]
 
 
 def test_proofs_are_limited_as_for_other_callers() -> None:
     entries: list[object] = [bytes(32), "no entry", *[bytes(32)] * PROOF_LIMIT]
-    [code, status, proofs] = answer_revoked(
-        TreeInForce(), 7, "rossec.revocationProofs", ("/eve", entries)
-    )
+    [code, status, proofs] = answer_revoked("rossec.revocationProofs", ("/eve", entries))
     assert (code, status) == (1, "proofs")
     assert proofs == [b"proof"] * (PROOF_LIMIT - 1)
 
@@ -48,21 +47,23 @@ def test_proofs_are_limited_as_for_other_callers() -> None:
 @pytest.mark.parametrize(
     ("method", "params"),
     [
-        ("rossec.revocations", ()), ("rossec.revocations", (b"/eve",)),
-        ("rossec.revocationProofs", ("/eve",)), ("rossec.revocationProofs", ("/eve", b"entry")),
-        ("rossec.trl", ("/eve", b"")), ("system.multicall", ([],)), ("getPid", ("/eve",)),
+        ("rossec.revocations", ()),
+        ("rossec.revocations", (b"/eve",)),
+        ("rossec.revocationProofs", ("/eve",)),
+        ("rossec.revocationProofs", ("/eve", b"entry")),
+        ("rossec.trl", ("/eve", b"")),
+        ("system.multicall", ([],)),
+        ("getPid", ("/eve",)),
     ],
-)  # fmt: skip
+)
 def test_any_other_call_ends_the_connection(method: str, params: tuple[object, ...]) -> None:
     with pytest.raises(HangUp, match="the identity is revoked"):
-        answer_revoked(TreeInForce(), 7, method, params)
+        answer_revoked(method, params)
 
 
 def test_connections_are_limited_for_each_identity_and_each_intermediate() -> None:
     connections, one = RevokedConnections(), (b"one", b"above")
-    assert [connections.admit(one) for _ in range(MAX_CONNECTIONS + 1)] == [
-        True
-    ] * MAX_CONNECTIONS + [False]
+    assert [connections.admit(one) for _ in range(MAX_CONNECTIONS + 1)] == [True] * MAX_CONNECTIONS + [False]
     others = [(b"%d" % number, b"above") for number in range(MAX_BELOW_INTERMEDIATE)]
     assert sum(map(connections.admit, others)) == MAX_BELOW_INTERMEDIATE - MAX_CONNECTIONS
     assert connections.admit((b"elsewhere",))

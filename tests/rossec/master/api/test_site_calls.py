@@ -5,26 +5,25 @@ from typing import Any
 
 import pytest
 
+from grants.decision import Reach
 from grants.model import Permission, Right
-from grants.reach import Reach
 from rossec.master.api.dispatch import MasterApi
+from rossec.master.api.graph_calls import is_unchanged
 from rossec.master.api.site_calls import FOLLOW, MAX_PATTERNS
-from rossec.master.api.watch_calls import is_unchanged
 from rossec.master.rights.caller import Caller
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import NodeRef, Registry
-from rossec.master.state.sites import Site
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, refuse
 
 T = "std_msgs/String"
 LASER, ARM = NodeRef("/laser", "http://l:1/", b"laser"), NodeRef("/arm", "http://a:1/", b"arm")
-SCAN = [
-    ["node", "/laser", "http://l:1/"], ["publisher", "/scan", "/laser"], ["type", "/scan", T]
-]  # fmt: skip
+SCAN = [["node", "/laser", "http://l:1/"], ["publisher", "/scan", "/laser"], ["type", "/scan", T]]
 RESET = [
-    ["node", "/arm", "http://a:1/"], ["provider", "/reset", "rosrpc://a:2"],
+    ["node", "/arm", "http://a:1/"],
+    ["provider", "/reset", "rosrpc://a:2"],
     ["service", "/reset", "/arm"],
-]  # fmt: skip
+]
 
 
 class Followed:
@@ -35,9 +34,14 @@ class Followed:
         self.imports = Imports(self.registry)
         self.statements = FakeStatements()
         self.api = MasterApi(
-            self.registry, self.statements, name="/master", uri="http://m:1/", pid=7,
-            instance="first", imports=self.imports,
-        )  # fmt: skip
+            self.registry,
+            self.statements,
+            name="/master",
+            uri="http://m:1/",
+            pid=7,
+            instance="first",
+            imports=self.imports,
+        )
         self.registry.register_publisher("/scan", T, LASER)
         self.registry.register_service("/reset", "rosrpc://a:2", ARM)
 
@@ -106,13 +110,16 @@ def test_names_of_another_origin_are_not_shown(followed: Followed) -> None:
 @pytest.mark.parametrize(
     ("wanted", "shown"),
     [
-        (["/scan"], SCAN), (["/reset", "/other"], RESET), (["/**"], sorted(SCAN + RESET)),
-        (["/arm"], RESET[:1]), ([""], []), (["/sc"], []), (["/*"], sorted(SCAN + RESET)),
+        (["/scan"], SCAN),
+        (["/reset", "/other"], RESET),
+        (["/**"], sorted(SCAN + RESET)),
+        (["/arm"], RESET[:1]),
+        ([""], []),
+        (["/sc"], []),
+        (["/*"], sorted(SCAN + RESET)),
     ],
-)  # fmt: skip
-def test_what_is_wanted_is_sent(
-    followed: Followed, wanted: list[str], shown: list[list[str]]
-) -> None:
+)
+def test_what_is_wanted_is_sent(followed: Followed, wanted: list[str], shown: list[list[str]]) -> None:
     assert followed.facts(master(), *wanted) == shown
 
 
@@ -124,9 +131,7 @@ def test_wanting_more_or_less_is_a_change_of_the_view(followed: Followed) -> Non
     assert (less["added"], less["removed"]) == ([], sorted(SCAN + RESET))
 
 
-@pytest.mark.parametrize(
-    "wanted", ["/scan", [5], ["scan"], ["/a//b"], ["/**x"], ["/a"] * 4097, [b"/scan"]]
-)
+@pytest.mark.parametrize("wanted", ["/scan", [5], ["scan"], ["/a//b"], ["/**x"], ["/a"] * 4097, [b"/scan"]])
 def test_malformed_wants_are_refused(followed: Followed, wanted: object) -> None:
     code, status, default = followed.call(master(), "", 0, wanted)
     assert (code, default) == (-1, {})

@@ -7,9 +7,8 @@ import pytest
 from ca.encoding import decode, encode
 from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.methods import GrantsPresented, RevocationsChanged
+from rossec.master.api.methods import CallerPresentedGrants, CallOutcome, RevocationsChanged
 from rossec.master.api.statement_calls import PRESENT_LIMIT
-from rossec.master.api.turns import CallOutcome
 from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import Registry
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, run_to_end
@@ -32,7 +31,7 @@ def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:
 def test_presented_grants_are_counted(api: MasterApi, statements: FakeStatements) -> None:
     outcome = call_api(api, "rossec.presentGrants", ("/a", [b"one", b"two"]), caller("/a"), 0)
     assert outcome.answer == [1, "grants accepted", 2]
-    assert outcome.events == (GrantsPresented("/a"),)
+    assert outcome.events == (CallerPresentedGrants("/a"),)
     assert statements.presented == [b"one", b"two"]
     good_and_bad = ask(api, caller("/a"), "rossec.presentGrants", "/a", [b"forged", b"three"])
     assert good_and_bad == [1, "grants presented, but refused: forged", 3]
@@ -52,7 +51,7 @@ def test_grants_are_verified_in_turns(api: MasterApi, statements: FakeStatements
 def test_a_node_without_a_valid_grant_keeps_its_session(api: MasterApi) -> None:
     outcome = call_api(api, "rossec.presentGrants", ("/a", [b"forged"] * 2), caller("/a"), 0)
     assert outcome.answer == [1, "grants presented, but refused: forged; forged", 0]
-    assert outcome.events == (GrantsPresented("/a", ("forged", "forged")),)
+    assert outcome.events == (CallerPresentedGrants("/a", ("forged", "forged")),)
 
 
 @pytest.mark.parametrize("value", [5, b"x", ["text"], [b"x"] * (PRESENT_LIMIT + 1)])
@@ -79,7 +78,7 @@ def test_revocations_are_returned_with_a_timestamp(api: MasterApi) -> None:
 def test_grants_are_renewed_one_by_one(api: MasterApi) -> None:
     outcome = call_api(api, "rossec.renewGrants", ("/a", [b"one", b"forged"]), caller("/a"), 0)
     assert outcome.answer == [1, "grants renewed, but refused: forged", [b"renewed one", b""]]
-    assert outcome.events == (GrantsPresented("/a", ("forged",)),)
+    assert outcome.events == (CallerPresentedGrants("/a", ("forged",)),)
     assert ask(api, caller("/a"), "rossec.renewGrants", "/a", [b"one"])[1] == "grants renewed"
 
 
@@ -91,9 +90,7 @@ def test_a_newer_delegation_is_accepted(api: MasterApi) -> None:
     assert [answer[::2] for answer in answers] == [[1, 1], [1, 0], [-1, 0]]
 
 
-def test_the_list_is_sent_only_to_nodes_without_it(
-    api: MasterApi, statements: FakeStatements
-) -> None:
+def test_the_list_is_sent_only_to_nodes_without_it(api: MasterApi, statements: FakeStatements) -> None:
     statements.lists.append(b"list 1")
     since = "rossec.revocationsSince"
     assert ask(api, caller("/a"), since, "/a", b"other")[2] == [b"list 1", b"stamp"]

@@ -2,13 +2,7 @@
 
 import pytest
 
-from rossec.master.api.turns import (
-    TURN,
-    CallOutcome,
-    Turns,
-    Work,
-    advance,
-)
+from rossec.master.api.methods import TURN, CallOutcome, TurnClock, Work, advance
 from tests.rossec.master.fakes import never_expires, run_to_end
 
 
@@ -20,7 +14,7 @@ def work(steps: int) -> Work:
 
 def test_a_turn_ends_by_the_clock() -> None:
     now = [100.0]
-    turns = Turns(lambda: now[0])
+    turns = TurnClock(lambda: now[0])
     expired = turns.begin()
     assert not expired()
     now[0] += TURN

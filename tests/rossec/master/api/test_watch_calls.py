@@ -5,12 +5,12 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.master.api import graph_views
+from rossec.master.api import graph_calls
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.watch_calls import MAX_VIEWS, WATCH, is_unchanged
+from rossec.master.api.graph_calls import MAX_VIEWS, WATCH, is_unchanged
 from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import Registry
-from rossec.participant.graph_view import GraphView
+from rossec.participant.registrations import GraphView
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
 
 T = "std_msgs/String"
@@ -63,22 +63,28 @@ def test_the_whole_state_is_sent_first_then_changes(api: MasterApi) -> None:
     do(api, "/map", "registerSubscriber", "/other", "*", "http://n:1/")
     assert watcher.look() == (
         [
-            "node /laser http://l:1/", "node /map http://n:1/", "provider /reset rosrpc://l:2",
-            "publisher /scan /laser", "service /reset /laser", "subscriber /other /map",
-            "subscriber /scan /map", f"type /scan {T}",
+            "node /laser http://l:1/",
+            "node /map http://n:1/",
+            "provider /reset rosrpc://l:2",
+            "publisher /scan /laser",
+            "service /reset /laser",
+            "subscriber /other /map",
+            "subscriber /scan /map",
+            f"type /scan {T}",
         ],
         [],
         False,
-    )  # fmt: skip
+    )
     assert not is_unchanged(watcher.answer, watcher.asked)
     assert watcher.look() == ([], [], False)
     assert is_unchanged(watcher.answer, watcher.asked)
     do(api, "/laser", "unregisterService", "/reset", "rosrpc://l:2")
     do(api, "/map", "unregisterSubscriber", "/scan", "http://n:1/")
     assert watcher.look() == (
-        [], ["provider /reset rosrpc://l:2", "service /reset /laser", "subscriber /scan /map"],
+        [],
+        ["provider /reset rosrpc://l:2", "service /reset /laser", "subscriber /scan /map"],
         False,
-    )  # fmt: skip
+    )
     assert watcher.view.version == 8  # every change of state counts, also of types and URIs
 
 
@@ -103,13 +109,13 @@ def test_only_visible_facts_are_sent(api: MasterApi) -> None:
     do(api, "/laser", "registerPublisher", "/scan", T, "http://l:1/")
     do(api, "/secret", "registerPublisher", "/hidden", T, "http://s:1/")
     do(api, "/secret", "registerService", "/hide", "rosrpc://s:2", "http://s:1/")
-    assert watcher.look()[0] == [
-        "node /laser http://l:1/", "publisher /scan /laser", f"type /scan {T}",
-    ]  # fmt: skip
+    assert watcher.look()[0] == ["node /laser http://l:1/", "publisher /scan /laser", f"type /scan {T}"]
     watcher.who = caller("/watcher", {"/master": Right.GRAPH})  # a grant was revoked
     assert watcher.look() == (
-        [], ["node /laser http://l:1/", "publisher /scan /laser", f"type /scan {T}"], False,
-    )  # fmt: skip
+        [],
+        ["node /laser http://l:1/", "publisher /scan /laser", f"type /scan {T}"],
+        False,
+    )
 
 
 def test_a_restarted_master_is_recognised(api: MasterApi) -> None:
@@ -123,10 +129,8 @@ def test_a_restarted_master_is_recognised(api: MasterApi) -> None:
     assert watcher.look() == ([], [], False)
 
 
-def test_an_answer_is_bounded_and_the_rest_follows(
-    api: MasterApi, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(graph_views, "BATCH", 2)
+def test_an_answer_is_bounded_and_the_rest_follows(api: MasterApi, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(graph_calls, "BATCH", 2)
     for n in range(3):
         do(api, "/laser", "registerPublisher", f"/t{n}", "*", "http://l:1/")
     watcher = Watcher(api)

@@ -34,9 +34,7 @@ def mode(path: Path) -> int:
     return stat.S_IMODE(path.stat().st_mode)
 
 
-async def test_the_user_of_the_master_is_answered(
-    path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_the_user_of_the_master_is_answered(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "rossec.audit")
     assert mode(path) == 0o600
     assert await asyncio.to_thread(send_command, path, "status") == {"calls": 5}

@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.master.operation.config import Config, load, parse
-from rossec.master.operation.limits import MasterLimits
+from rossec.master.operation.config import Config, MasterLimits, load, parse
 
 FULL = """
 port: 11312
@@ -24,9 +23,15 @@ limits:
 
 def test_every_setting_is_read() -> None:
     assert parse(FULL, "m.yaml") == Config(
-        port=11312, log="json", audit=False, admin=True, announce=True, metrics=9311,
-        complaints=Path("/tmp/complaints"), limits=MasterLimits(body=65536, idle_seconds=60),
-    )  # fmt: skip
+        port=11312,
+        log="json",
+        audit=False,
+        admin=True,
+        announce=True,
+        metrics=9311,
+        complaints=Path("/tmp/complaints"),
+        limits=MasterLimits(body=65536, idle_seconds=60),
+    )
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "{}"])

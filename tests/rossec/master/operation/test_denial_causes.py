@@ -2,16 +2,11 @@
 
 from grants.model import Right
 from rossec.master.api.methods import CallDenied
-from rossec.master.operation.denial_causes import LOGGED_FOR, MAX_CAUSES, DenialCauses
+from rossec.master.server.effects import LOGGED_FOR, MAX_CAUSES, DenialCauses
 
 
 def denied(
-    right: Right,
-    name: str,
-    *,
-    node: str = "/rviz",
-    reason: str = "no grant for it",
-    method: str = "m",
+    right: Right, name: str, *, node: str = "/rviz", reason: str = "no grant for it", method: str = "m"
 ) -> CallDenied:
     status = f"rossec: {node} needs the right {right.label} on {name}: {reason}"
     return CallDenied(node, method, status, None, (right, name), node, wildcard=True)

@@ -5,13 +5,8 @@ from collections.abc import Mapping
 
 import pytest
 
-from rossec.master.operation.denial_limit import (
-    DENIALS,
-    MAX_NODES,
-    DenialRateLimit,
-    denials_limited,
-)
-from rossec.operation.audit import LEFT_OUT
+from rossec.host.audit import LEFT_OUT
+from rossec.master.operation.admin import DENIALS, MAX_NODES, DenialRateLimit, denials_limited
 
 
 class Lines:
@@ -76,9 +71,7 @@ def test_the_number_of_nodes_is_bounded(lines: Lines) -> None:
 
 
 @pytest.mark.parametrize("args", [(), {"a": 1}])
-def test_lines_without_a_node_are_limited(
-    lines: Lines, args: tuple[()] | Mapping[str, object]
-) -> None:
+def test_lines_without_a_node_are_limited(lines: Lines, args: tuple[()] | Mapping[str, object]) -> None:
     record = logging.makeLogRecord({"msg": "x", "args": args})
     assert sum(lines.limit.filter(record) for _ in range(500)) == 200
 

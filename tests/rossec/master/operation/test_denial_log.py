@@ -6,8 +6,8 @@ import pytest
 from grants.model import Right
 from grants.policy.learn import from_log
 from rossec.errors import RossecError
-from rossec.master.operation import denial_log
-from rossec.master.operation.denial_log import DenialLog
+from rossec.master.server import effects
+from rossec.master.server.effects import DenialLog
 from tests.support.site import Site
 
 
@@ -27,11 +27,9 @@ def test_what_is_written_can_be_learnt_from(tmp_path: Path) -> None:
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
-def test_a_restart_appends_and_the_lines_are_limited(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(denial_log, "MAX_LINES", 1)
-    monkeypatch.setattr(denial_log, "LINES_PER_NODE", 2)
+def test_a_restart_appends_and_the_lines_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(effects, "MAX_LINES", 1)
+    monkeypatch.setattr(effects, "LINES_PER_NODE", 2)
     for _ in range(2):
         log = DenialLog(tmp_path / "complaints")
         for number in range(10):
@@ -40,11 +38,9 @@ def test_a_restart_appends_and_the_lines_are_limited(
     assert len((tmp_path / "complaints").read_text().splitlines()) == 6
 
 
-def test_no_node_uses_up_the_quota_of_another(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(denial_log, "MAX_LINES", 5)
-    monkeypatch.setattr(denial_log, "LINES_PER_NODE", 3)
+def test_no_node_uses_up_the_quota_of_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(effects, "MAX_LINES", 5)
+    monkeypatch.setattr(effects, "LINES_PER_NODE", 3)
     log = DenialLog(tmp_path / "complaints")
     for node, lines in (("/eve", 99), ("/mallory", 99), ("/robot", 3)):
         for number in range(lines):
@@ -65,9 +61,7 @@ async def test_the_master_logs_denials(tmp_path: Path) -> None:
         with pytest.raises(RossecError):
             await viewer._membership.session.call("getParam", "/robot/name")
         with pytest.raises(RossecError):
-            await viewer._membership.session.call(
-                "registerPublisher", "not a name", "*", viewer.uri
-            )
+            await viewer._membership.session.call("registerPublisher", "not a name", "*", viewer.uri)
     assert received_calls == [
         ("/viewer", Right.SUBSCRIBE, "/robot/pose"),
         ("/viewer", Right.PARAM_GET, "/robot/name"),

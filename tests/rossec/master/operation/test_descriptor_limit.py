@@ -2,7 +2,7 @@ import resource
 
 import pytest
 
-from rossec.master.operation.descriptor_limit import raise_descriptor_limit
+from rossec.master.operation.admin import raise_descriptor_limit
 
 
 @pytest.mark.parametrize(
@@ -16,9 +16,7 @@ from rossec.master.operation.descriptor_limit import raise_descriptor_limit
     ],
 )
 def test_the_soft_limit_is_raised_as_far_as_the_hard_one_allows(
-    monkeypatch: pytest.MonkeyPatch,
-    limits: tuple[int, int],
-    expected: tuple[int, int] | None,
+    monkeypatch: pytest.MonkeyPatch, limits: tuple[int, int], expected: tuple[int, int] | None
 ) -> None:
     changes: list[tuple[int, int]] = []
     monkeypatch.setattr(resource, "getrlimit", lambda _: limits)

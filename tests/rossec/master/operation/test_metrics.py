@@ -13,17 +13,25 @@ from rossec.errors import ConfigurationError
 from rossec.master.operation import metrics
 from rossec.master.operation.metrics import MetricsExporter, on_loop
 
-STATUS = {"calls": 5, "denials": 2, "nodes": 3, "registrations": 9, "connections": 4,
-          "revocation_number": 7, "domains": 1, "domains_number": 6,
-          "foreign_connections": 8, "identity_expires": 10, "renewals_waiting": 11}  # fmt: skip
+STATUS = {
+    "calls": 5,
+    "denials": 2,
+    "nodes": 3,
+    "registrations": 9,
+    "connections": 4,
+    "revocation_number": 7,
+    "domains": 1,
+    "domains_number": 6,
+    "foreign_connections": 8,
+    "identity_expires": 10,
+    "renewals_waiting": 11,
+}
 
 
 def test_metrics_are_served_on_loopback() -> None:
     exporter = MetricsExporter(lambda: STATUS, 0)
     try:
-        with urllib.request.urlopen(
-            f"http://127.0.0.1:{exporter.port}/metrics", timeout=10
-        ) as page:
+        with urllib.request.urlopen(f"http://127.0.0.1:{exporter.port}/metrics", timeout=10) as page:
             text = page.read().decode()
     finally:
         exporter.close()

@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from grants.model import Right
-from rossec.master.rights.alias_publishers import AliasPublishers
 from rossec.master.rights.caller import Caller
+from rossec.master.rights.publisher_views import AliasPublishers
 from rossec.master.state.graph import Graph
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import NodeRef, PublishersChanged, Registry
-from rossec.master.state.sites import Site
 from tests.rossec.master.rights.test_caller import visitor_of
 
 T: Final = "std_msgs/String"
@@ -18,9 +18,7 @@ ALIAS: Final = "/remote/hospital/pose"
 SERVED: Final = "/gateway/hospital/pose"
 HOSPITAL: Final = Site("hospital", "hospital")
 ORIGIN: Final = "http://10.0.0.2:1/"
-POSE: Final = [
-    ("node", "/robot", ORIGIN), ("publisher", "/pose", "/robot"), ("type", "/pose", T)
-]  # fmt: skip
+POSE: Final = [("node", "/robot", ORIGIN), ("publisher", "/pose", "/robot"), ("type", "/pose", T)]
 GATEWAY: Final = NodeRef("/gateway", "http://10.0.0.9:1/", b"/gateway")
 SERVED_RIGHT: Final = {SERVED: Right.SUBSCRIBE}
 ORIGINS_RIGHT: Final = {"/pose": Right.SUBSCRIBE}

@@ -3,11 +3,11 @@
 from collections.abc import Iterable
 from typing import Any, Final
 
+from grants.decision import Reach
 from grants.model import Permission, Restriction, Right
-from grants.reach import Reach
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.rights.alias_publishers import AliasPublishers
 from rossec.master.rights.caller import Caller
+from rossec.master.rights.publisher_views import AliasPublishers
 from rossec.master.state.graph import Graph
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import PublishersChanged, Registry
@@ -36,9 +36,14 @@ class SlottedMaster:
         self.statements = FakeStatements()
         self.aliases = AliasPublishers(self.graph, self.statements.caller_of)
         self.api = MasterApi(
-            self.registry, self.statements, name="/master", uri="http://m:1/", pid=7,
-            imports=imports, aliases=self.aliases,
-        )  # fmt: skip
+            self.registry,
+            self.statements,
+            name="/master",
+            uri="http://m:1/",
+            pid=7,
+            imports=imports,
+            aliases=self.aliases,
+        )
         self.watcher = with_permissions("/watcher", IN_SLOTS, WATCHES)
         self.witness = caller("/witness", {DOOR: Right.SUBSCRIBE})
         self.sensor = caller("/sensor", {DOOR: Right.PUBLISH})
@@ -81,9 +86,12 @@ class SlottedMaster:
     def answers(self, who: Caller, now: int) -> dict[str, object]:
         """Everything that the master tells of the graph."""
         calls = (
-            ("getSystemState",), ("getTopicTypes",), ("getPublishedTopics", ""),
-            ("lookupNode", "/sensor"), ("rossec.watchGraph", "", 0),
-        )  # fmt: skip
+            ("getSystemState",),
+            ("getTopicTypes",),
+            ("getPublishedTopics", ""),
+            ("lookupNode", "/sensor"),
+            ("rossec.watchGraph", "", 0),
+        )
         found = {method: self.ask(who, method, *params, now=now) for method, *params in calls}
         watched = found["rossec.watchGraph"]
         if isinstance(watched, dict):

@@ -7,13 +7,7 @@ import pytest
 from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied
-from rossec.master.rights.access_rules import (
-    RULES,
-    AccessControl,
-    Scope,
-    is_authority,
-    require,
-)
+from rossec.master.rights.access_rules import RULES, AccessControl, Scope, is_authority, require
 from rossec.master.rights.caller import Refused
 from rossec.master.state.graph import Graph
 from rossec.master.state.imports import Imports
@@ -160,9 +154,7 @@ def test_m4_unregistering_under_ones_own_name_touches_nothing(api: MasterApi) ->
 def test_m5_only_an_administrator_stops_the_master(api: MasterApi) -> None:
     rights = {"/master": Right(255) & ~Right.ADMIN, "/other": Right.ADMIN}
     assert ask(api, caller("/eve", rights), "shutdown", "/eve", "")[0] == -1
-    outcome = call_api(
-        api, "shutdown", ("/admin", "bye"), caller("/admin", {"/master": Right.ADMIN}), 0
-    )
+    outcome = call_api(api, "shutdown", ("/admin", "bye"), caller("/admin", {"/master": Right.ADMIN}), 0)
     assert outcome.answer == [1, "shutdown", 0]
     assert [event.reason for event in outcome.events] == ["/admin: bye"]  # type: ignore[union-attr]
 
@@ -274,14 +266,17 @@ FOREIGNER = "/remote/hospital/rounds/robot3"
 @pytest.mark.parametrize(
     ("host", "is_local", "taken"),
     [
-        ("10.0.0.9", False, True), ("robot.example", False, True), ("169.254.3.1", False, False),
-        ("169.254.3.1", True, False), ("[fe80::1]", True, False), ("127.0.0.1", False, False),
-        ("127.0.0.1", True, True), ("localhost", True, True),
+        ("10.0.0.9", False, True),
+        ("robot.example", False, True),
+        ("169.254.3.1", False, False),
+        ("169.254.3.1", True, False),
+        ("[fe80::1]", True, False),
+        ("127.0.0.1", False, False),
+        ("127.0.0.1", True, True),
+        ("localhost", True, True),
     ],
-)  # fmt: skip
-def test_addresses_that_a_foreigner_may_have(
-    api: MasterApi, host: str, is_local: bool, taken: bool
-) -> None:
+)
+def test_addresses_that_a_foreigner_may_have(api: MasterApi, host: str, is_local: bool, taken: bool) -> None:
     who, uri = caller(FOREIGNER, {"/**": Right(255)}), f"http://{host}:7/"
     for method, *params in (
         ("registerPublisher", "/t", T, uri),
@@ -313,10 +308,7 @@ def test_the_services_of_a_foreigner_may_share_an_address(api: MasterApi) -> Non
 
 def test_an_administrator_cleans_up_what_a_foreigner_registered(api: MasterApi) -> None:
     uri = "http://10.0.0.9:7/"
-    ask(
-        api, caller(FOREIGNER, {"/t": Right.PUBLISH}), "registerPublisher", "/rounds/robot3", "/t",
-        T, uri,
-    )  # fmt: skip
+    ask(api, caller(FOREIGNER, {"/t": Right.PUBLISH}), "registerPublisher", "/rounds/robot3", "/t", T, uri)
     admin = caller("/admin", {"/**": Right.ADMIN})
     assert ask(api, caller("/eve"), "unregisterPublisher", FOREIGNER, "/t", uri)[0] == -1
     assert ask(api, admin, "unregisterPublisher", FOREIGNER, "/t", uri)[2] == 1
@@ -327,9 +319,7 @@ def test_a_foreigner_cleans_up_nothing_of_ours(api: MasterApi) -> None:
     ask(api, twin, "unregisterPublisher", "/victim", "/secret", VICTIM_API)
     ask(api, twin, "unregisterService", "/victim", "/arm", "rosrpc://victim:2")
     state = ask(api, everything("/victim"), "getSystemState", "/victim")[2]
-    assert state == [
-        [["/secret", ["/victim"]]], [["/cmd_vel", ["/victim"]]], [["/arm", ["/victim"]]],
-    ]  # fmt: skip
+    assert state == [[["/secret", ["/victim"]]], [["/cmd_vel", ["/victim"]]], [["/arm", ["/victim"]]]]
 
 
 def test_a_foreigners_service_is_its_own(api: MasterApi) -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from rossec.master.rights.access_rules import AccessControl, nowhere
+from rossec.master.rights.access_rules import AccessControl
 from rossec.master.rights.caller import Refused
 from rossec.master.state.graph import Graph
 from rossec.master.state.imports import Imports
@@ -34,24 +34,29 @@ def test_no_node_registers_the_address_of_a_door(method: str, params: tuple[str,
         access.check(method, everything("/x"), ("/x", *params))
     with pytest.raises(Refused, match="needs the right"):
         access.check(method, caller("/x"), ("/x", *params))
-    assert not nowhere(("127.0.0.1", 7001))
+    AccessControl(graph, "/master").check(method, everything("/x"), ("/x", *params))
 
 
 @pytest.mark.parametrize(
     ("name", "allowed"),
     [
-        ("/relay", True), ("/relay/roof", True), ("/relay/a/b", False), ("/relayed", False),
-        ("/master", False), ("/remote/hospital/relay", False),
+        ("/relay", True),
+        ("/relay/roof", True),
+        ("/relay/a/b", False),
+        ("/relayed", False),
+        ("/master", False),
+        ("/remote/hospital/relay", False),
     ],
-)  # fmt: skip
+)
 def test_only_a_relay_of_the_own_domain_passes(name: str, *, allowed: bool) -> None:
     access = AccessControl(empty_graph(), "/master")
     who = everything(name)
     for method in ("rossec.relayDoors", "rossec.relayTarget"):
         for each, passes in (
-            (who, allowed), (replace(who, wildcard=True), False),
+            (who, allowed),
+            (replace(who, wildcard=True), False),
             (replace(who, certified="/rel"), False),
-        ):  # fmt: skip
+        ):
             if passes:
                 access.check(method, each, (name,))
                 continue

@@ -22,14 +22,7 @@ from tests.rossec.master.rights.serving import (
     T,
     node,
 )
-from tests.rossec.master.rights.slotted import (
-    DOOR,
-    IN_SLOTS,
-    SLOT,
-    URI,
-    SlottedMaster,
-    with_permissions,
-)
+from tests.rossec.master.rights.slotted import DOOR, IN_SLOTS, SLOT, URI, SlottedMaster, with_permissions
 
 BOTH = (SERVED_RIGHT, ORIGINS_RIGHT)
 
@@ -104,9 +97,7 @@ def test_a_silent_gateway_is_left_until_it_answers(master: Serving) -> None:
     assert lists(master.aliases.changes(SERVED, 0)) == {"/served": [], "/both": [ORIGIN]}
     assert master.aliases.changes(SERVED, 0) == []
     assert master.registry.set_silent(GATEWAY, silent=False)
-    assert lists(master.aliases.changes(ALIAS, 0)) == {
-        "/served": [GATEWAY.uri], "/both": [GATEWAY.uri]
-    }  # fmt: skip
+    assert lists(master.aliases.changes(ALIAS, 0)) == {"/served": [GATEWAY.uri], "/both": [GATEWAY.uri]}
 
 
 def test_rights_that_come_and_go_change_the_list(master: Serving) -> None:

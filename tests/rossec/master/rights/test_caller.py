@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from ca.errors import HintedError, NotAdmitted
+from grants.decision import Reach
 from grants.errors import GrantMissing
 from grants.model import Permission, Right
-from grants.reach import Reach
 from rossec.master.rights.caller import OWN_DOMAIN, Caller, OriginRights, Refused
 from tests.rossec.master.fakes import ALL, caller, refuse
 
@@ -25,9 +25,7 @@ def labels(label: str) -> str | None:
     return {"hospital": "hospital.example", "kitchen": OWN_DOMAIN}.get(label)
 
 
-def visitor_of(
-    hospital: Mapping[str, Right] | None = None, own: Mapping[str, Right] | None = None
-) -> Caller:
+def visitor_of(hospital: Mapping[str, Right] | None = None, own: Mapping[str, Right] | None = None) -> Caller:
     """A node of the own domain that holds grants of the hospital."""
     elsewhere = {"hospital.example": OriginRights(reach(hospital or {}), refuse)}
     return replace(caller("/robot", own), elsewhere=elsewhere, domain_of=labels)
@@ -67,9 +65,7 @@ def test_nothing_is_done_below_remote_even_at_an_own_site(right: Right) -> None:
     assert not visitor_of(own={"/**": ALL}).may(right, "/remote/kitchen/robot/pose")
 
 
-@pytest.mark.parametrize(
-    "name", ["/remote", "/remote/hospital", "/remote/1/x", "/remote/hospital/"]
-)
+@pytest.mark.parametrize("name", ["/remote", "/remote/hospital", "/remote/1/x", "/remote/hospital/"])
 def test_what_names_no_origin_is_denied(name: str) -> None:
     held = visitor_of({"/**": ALL}, {"/**": ALL})
     assert not any(held.may(right, name) for right in [*FORBIDDEN, Right.SUBSCRIBE, Right.CALL])
@@ -78,9 +74,7 @@ def test_what_names_no_origin_is_denied(name: str) -> None:
 
 
 def test_a_name_that_only_begins_like_remote_is_an_own_name() -> None:
-    assert visitor_of(own={"/remote_arm/pose": Right.PUBLISH}).may(
-        Right.PUBLISH, "/remote_arm/pose"
-    )
+    assert visitor_of(own={"/remote_arm/pose": Right.PUBLISH}).may(Right.PUBLISH, "/remote_arm/pose")
 
 
 @pytest.mark.parametrize("right", [Right.PUBLISH, Right.SUBSCRIBE, Right.GRAPH], ids=str)

@@ -3,7 +3,7 @@
 import pytest
 
 from ca.errors import HintedError, Revoked
-from ca.revocation.state import SKEW
+from ca.revocation.trust_status import SKEW
 from grants.document import grant_id, verify
 from grants.errors import (
     GrantForged,
@@ -17,7 +17,7 @@ from grants.errors import (
 from grants.model import Grant, Right
 from grants.renewal import open_delegation
 from grants.token import unpack
-from rossec.master.rights.delegation import Delegate
+from rossec.master.rights.renewals import TicketSigner
 from tests.support.authority import DAY, Site
 
 HOUR = 3600
@@ -30,9 +30,7 @@ class World:
         self.now = self.site.now
         self.master, self.node = self.site.enroll("/master"), self.site.enroll("/node")
         self.persisted: list[bytes] = []
-        self.delegate = Delegate(
-            self.site.anchor, self.master.credentials.signer, self.persisted.append
-        )
+        self.delegate = TicketSigner(self.site.anchor, self.master.credentials.signer, self.persisted.append)
         self.revoked = b""
 
     def check(self, entry: bytes, _: int) -> None:
@@ -119,7 +117,7 @@ def test_without_a_delegation_nothing_is_renewed() -> None:
     with pytest.raises(RenewalNotInTime, match="has not delegated renewal") as refused:
         world.renew(world.grant())
     assert refused.value.hint == "at the authority: rossec master delegate"
-    silent = Delegate(world.site.anchor, world.master.credentials.signer)
+    silent = TicketSigner(world.site.anchor, world.master.credentials.signer)
     assert silent.take(world.site.delegation(world.master))
 
 

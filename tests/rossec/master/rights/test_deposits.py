@@ -9,9 +9,9 @@ from grants import document
 from grants.errors import GrantError, GrantExpired, GrantForged
 from grants.model import Grant, Right
 from grants.token import pack
-from rossec.master.rights import deposits as module
-from rossec.master.rights.deposits import DeliveryState, Deposits, Missing, verifier
-from rossec.master.state.deposit_journal import DepositChange, GrantDeposited, GrantHeld
+from rossec.master.rights import held_grants as module
+from rossec.master.rights.held_grants import DeliveryState, Deposits, Missing, verifier
+from rossec.master.state.journals import DepositChange, GrantDeposited, GrantHeld
 from tests.support.authority import DAY, EnrolledNode, Site
 
 NONE = frozenset[bytes]()
@@ -168,9 +168,7 @@ def test_the_grants_of_one_key_are_bounded(table: Table, monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("limit", ["MAX_TOTAL", "MAX_TOTAL_BYTES"])
-def test_all_grants_together_are_bounded(
-    table: Table, monkeypatch: pytest.MonkeyPatch, limit: str
-) -> None:
+def test_all_grants_together_are_bounded(table: Table, monkeypatch: pytest.MonkeyPatch, limit: str) -> None:
     one, two = table.grant(), table.grant(table.camera)
     monkeypatch.setattr(module, limit, 1 if limit == "MAX_TOTAL" else len(two))
     assert table.add(one, two) == ["", "the master holds 1 grants and takes no more"]

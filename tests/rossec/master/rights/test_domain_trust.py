@@ -6,8 +6,7 @@ from typing import Any
 import pytest
 
 from ca.certificates import Identity
-from ca.domains.anchors import Anchors
-from ca.domains.standing import Standing
+from ca.domains.trust import Anchors
 from ca.errors import (
     DomainsRefused,
     NotAdmitted,
@@ -16,8 +15,9 @@ from ca.errors import (
     Revoked,
     RollbackRefused,
 )
-from ca.keys.publickey import to_coordinates
-from ca.revocation.state import Revocations, digest
+from ca.keys.signing import to_coordinates
+from ca.revocation.lists import digest
+from ca.revocation.trust_status import Revocations, Standing
 from grants.errors import GrantForged
 from grants.model import ALL_RIGHTS, Right
 from rossec.errors import NotWritten
@@ -35,12 +35,8 @@ class Master:
     def __init__(self) -> None:
         self.home, self.hospital = Site.create("home"), Site.create(DOMAIN)
         self.saved: list[Any] = []
-        self.standing = Standing(
-            Anchors(self.home.anchor), Revocations(self.home.anchor.public_key)
-        )
-        self.trust = DomainTrust(
-            self.standing, self.saved.append, lambda *both: self.saved.append(both)
-        )
+        self.standing = Standing(Anchors(self.home.anchor), Revocations(self.home.anchor.public_key))
+        self.trust = DomainTrust(self.standing, self.saved.append, lambda *both: self.saved.append(both))
         self.list = domains(self.home, foreign(self.hospital))
         self.trust.update(self.list)
         self.speaker = SomeNode(self.hospital, "/master")
@@ -266,9 +262,7 @@ def test_grants_of_a_domain_are_opened_with_its_key(master: Master) -> None:
     verifier = master.trust.verifier(DOMAIN)
     assert verifier.ca_key.public_numbers() == master.hospital.anchor.public_key.public_numbers()
     assert verifier.domain == DOMAIN
-    assert [key.public_numbers() for key in verifier.delegates] == [
-        master.speaker.key.public_numbers()
-    ]
+    assert [key.public_numbers() for key in verifier.delegates] == [master.speaker.key.public_numbers()]
     with pytest.raises(NotAdmitted):
         master.trust.verifier("clinic.example")
 

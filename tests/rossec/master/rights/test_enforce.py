@@ -6,7 +6,7 @@ import pytest
 
 from grants.model import Right
 from rossec.master.api.methods import MasterEvent
-from rossec.master.rights.enforce import BATCH, EnforcementStep, enforce, steps
+from rossec.master.rights.statements import BATCH, EnforcementStep, enforce, enforcement_steps
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry
 from tests.rossec.master.fakes import FakeStatements, caller
 from tests.rossec.master.rights.test_caller import visitor_of
@@ -15,7 +15,7 @@ A, B = NodeRef("/a", "http://h:1/", b"/a"), NodeRef("/b", "http://h:2/", b"/b")
 
 
 def enforce_all(state: Registry, statements: FakeStatements) -> list[MasterEvent]:
-    return [event for step in steps(state) for event in enforce(state, statements, step, 0)]
+    return [event for step in enforcement_steps(state) for event in enforce(state, statements, step, 0)]
 
 
 def registry() -> Registry:
@@ -30,13 +30,7 @@ def registry() -> Registry:
 
 BOTH = {
     "/a": caller(
-        "/a",
-        {
-            "/t": Right.PUBLISH,
-            "/u": Right.PUBLISH,
-            "/s": Right.PROVIDE,
-            "/p/one": Right.PARAM_GET,
-        },
+        "/a", {"/t": Right.PUBLISH, "/u": Right.PUBLISH, "/s": Right.PROVIDE, "/p/one": Right.PARAM_GET}
     ),
     "/b": caller("/b", {"/t": Right.SUBSCRIBE}),
 }
@@ -66,9 +60,11 @@ def test_each_registration_needs_its_own_right(right: Right) -> None:
     enforce_all(state, FakeStatements({**BOTH, "/a": caller("/a", rights)}))
     left = {kind for kind in Kind if state.keys_of("/a", kind)}
     own = {
-        Right.PUBLISH: Kind.PUBLISHER, Right.SUBSCRIBE: Kind.SUBSCRIBER,
-        Right.PROVIDE: Kind.SERVICE, Right.PARAM_GET: Kind.PARAMETER,
-    }  # fmt: skip
+        Right.PUBLISH: Kind.PUBLISHER,
+        Right.SUBSCRIBE: Kind.SUBSCRIBER,
+        Right.PROVIDE: Kind.SERVICE,
+        Right.PARAM_GET: Kind.PARAMETER,
+    }
     assert left == ({own[right]} if right in own else set())
 
 
@@ -84,14 +80,11 @@ def test_a_step_is_small_and_uses_the_current_state() -> None:
     state = Registry()
     for n in range(BATCH + 1):
         state.register_publisher(f"/t{n}", "*", A)
-    first, second = steps(state)
+    first, second = enforcement_steps(state)
     assert (len(first.keys), len(second.keys)) == (BATCH, 1)
     without_callers = FakeStatements()
     assert (
-        enforce(
-            state, without_callers, EnforcementStep(A._replace(uri="http://h:9/"), *first[1:]), 0
-        )
-        == []
+        enforce(state, without_callers, EnforcementStep(A._replace(uri="http://h:9/"), *first[1:]), 0) == []
     )
     assert len(state.keys_of("/a", Kind.PUBLISHER)) == BATCH + 1
     nothing = FakeStatements({"/a": caller("/a")})

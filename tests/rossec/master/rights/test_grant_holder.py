@@ -9,7 +9,7 @@ from grants.document import peek
 from grants.errors import GrantNotHeld
 from grants.model import Right
 from rossec.master.rights.caller import Refused
-from rossec.master.rights.grant_holder import check_holder
+from rossec.master.rights.held_grants import check_holder
 from tests.rossec.master.rights.trust_world import World, update_delegation
 from tests.support.authority import DAY, EnrolledNode
 

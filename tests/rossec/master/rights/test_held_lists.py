@@ -1,7 +1,7 @@
 import pytest
 
-from rossec.master.rights import held_lists as module
-from rossec.master.rights.held_lists import SILENT_AFTER, HeldLists
+from rossec.master.rights import revocation_lists as module
+from rossec.master.rights.revocation_lists import SILENT_AFTER, HeldLists
 from rossec.master.state.registry import NodeRef
 
 NOW = 1_800_000_000

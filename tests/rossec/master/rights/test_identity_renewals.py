@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
-from ca.certificates import build_request
+from ca.certificates import MAX_AGE, MAX_RENEWAL, Renewal, open_renewal, sign_renewal
 from ca.errors import RenewalRefused, Revoked
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.renewal import MAX_AGE, MAX_RENEWAL, Renewal, open_renewal, sign_renewal
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.svid import build_request
 from rossec.authority.renewals import renew
-from rossec.master.rights import identity_renewals as module
-from rossec.master.rights.identity_renewals import (
+from rossec.master.rights import renewals as module
+from rossec.master.rights.renewals import (
     ANSWER_KEPT,
     OFFER_LIMIT,
     OFFERED_AGAIN,
@@ -66,9 +66,7 @@ class Office:
         """The authority's service answers what there is; returns how much."""
         found = self.table.offer(self.now, locked=False).requests
         answers = [
-            Settlement(
-                hashlib.sha256(data).digest(), renew(self.site.authority, data, self.now), ""
-            )
+            Settlement(hashlib.sha256(data).digest(), renew(self.site.authority, data, self.now), "")
             for data in found
         ]
         return self.table.settle(answers, self.now, self.check)
@@ -116,9 +114,7 @@ def test_the_next_renewal_is_not_answered_with_the_last(office: Office) -> None:
         (5, False, "has been asked"),
     ],
 )
-def test_a_node_is_told_who_must_do_what(
-    office: Office, seen: int | None, locked: bool, says: str
-) -> None:
+def test_a_node_is_told_who_must_do_what(office: Office, seen: int | None, locked: bool, says: str) -> None:
     if seen is not None:
         office.table.offer(office.now - seen, locked=locked)
     assert says in office.ask("/robot").status
@@ -241,9 +237,7 @@ def test_the_table_is_bounded(office: Office, monkeypatch: pytest.MonkeyPatch) -
     assert office.ask("/eve").bundle == b""
 
 
-def test_the_service_is_offered_some_at_a_time(
-    office: Office, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_service_is_offered_some_at_a_time(office: Office, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "OFFER_LIMIT", 1)
     assert OFFER_LIMIT > 1
     office.ask("/robot")

@@ -3,10 +3,17 @@
 import pytest
 
 from ca.errors import RevocationRefused
-from ca.keys.key_files import generate
-from ca.keys.signer import KeySigner
-from ca.revocation.state import digest, open_timestamp
-from ca.revocation.tree import RevocationTree, TreeEntries, is_revoked, open_tree, sign_tree
+from ca.keys.private_keys import generate
+from ca.keys.signing import KeySigner
+from ca.revocation.lists import (
+    RevocationTree,
+    TreeEntries,
+    digest,
+    is_revoked,
+    open_timestamp,
+    open_tree,
+    sign_tree,
+)
 from grants.document import grant_id
 from grants.model import Right
 from rossec.master.rights.statements import TrustState
@@ -108,9 +115,12 @@ def test_the_entries_of_a_tree_are_on_the_disk_before_it(world: World) -> None:
     """A master that crashes between the two must not find a tree without entries."""
     order: list[bytes] = []
     world.trust = TrustState(
-        world.site.anchor, world.master.credentials.signer, world.site.revocations(),
-        order.append, persist_entries=order.append,
-    )  # fmt: skip
+        world.site.anchor,
+        world.master.credentials.signer,
+        world.site.revocations(),
+        order.append,
+        persist_entries=order.append,
+    )
     tree, entries = tree_of(world)
     forged = sign_tree(KeySigner(generate()), open_tree(tree, world.site.anchor.public_key))
     with pytest.raises(RevocationRefused):

@@ -42,8 +42,7 @@ def test_a_node_of_a_wildcard_sees_what_it_registered_itself(api: MasterApi) -> 
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["/victim", "/master", "/ca", "/rviz_", "/rvizx", "/rviz_1/a", "/robot/rviz_1", "rviz_1"],
+    "name", ["/victim", "/master", "/ca", "/rviz_", "/rvizx", "/rviz_1/a", "/robot/rviz_1", "rviz_1"]
 )
 def test_a_wildcard_covers_only_its_tail(api: MasterApi, name: str) -> None:
     for method, *params in (
@@ -80,9 +79,7 @@ def test_a_name_is_registered_by_one_key() -> None:
         acting_caller.acting_as("/rviz")
 
 
-def test_an_administrator_cleans_up_after_a_node_and_does_nothing_else_for_it(
-    api: MasterApi,
-) -> None:
+def test_an_administrator_cleans_up_after_a_node_and_does_nothing_else_for_it(api: MasterApi) -> None:
     """`rosnode cleanup`."""
     operator = caller("/operator", {"/victim": Right.ADMIN, "/secret": ALL})
     assert ask(api, operator, "registerPublisher", "/victim", "/secret", T, EVIL_API)[0] == -1
@@ -93,8 +90,15 @@ def test_an_administrator_cleans_up_after_a_node_and_does_nothing_else_for_it(
 
 def test_the_administrator_of_a_provider_may_look_its_service_up(api: MasterApi) -> None:
     """`rosnode cleanup` does, to unregister it by its address."""
-    ask(api, caller("/victim", {"/arm": Right.PROVIDE}), "registerService", "/victim", "/arm",
-        "rosrpc://10.0.0.9:2", VICTIM_API)  # fmt: skip
+    ask(
+        api,
+        caller("/victim", {"/arm": Right.PROVIDE}),
+        "registerService",
+        "/victim",
+        "/arm",
+        "rosrpc://10.0.0.9:2",
+        VICTIM_API,
+    )
     admin = caller("/tool", {"/victim": Right.ADMIN})
     assert ask(api, admin, "lookupService", "/tool", "/arm")[2] == "rosrpc://10.0.0.9:2"
     assert ask(api, admin, "lookupService", "/tool", "/none")[0] == -1
@@ -135,9 +139,7 @@ def test_the_nodes_of_a_key_are_limited() -> None:
     api = MasterApi(Registry(1), FakeStatements(), name="/master", uri="u", pid=1)
 
     def answer(name: str, uri: str) -> Any:
-        return call_api(
-            api, "registerPublisher", [name, "/t", "*", uri], anonymous("/rviz"), 0
-        ).answer
+        return call_api(api, "registerPublisher", [name, "/t", "*", uri], anonymous("/rviz"), 0).answer
 
     assert answer("/rviz_1", "http://h:1/")[0] == 1
     for name in ("/rviz_2", "/rviz"):

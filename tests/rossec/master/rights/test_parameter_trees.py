@@ -6,17 +6,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from grants.decision import Reach
 from grants.model import Permission, Right
-from grants.reach import Reach
-from rossec.master.rights import parameter_trees
-from rossec.master.rights.caller import Caller, Refused
-from rossec.master.rights.parameter_trees import (
+from rossec.master.api import parameter_calls
+from rossec.master.api.parameter_calls import (
     decisions,
     decisions_across_turns,
     has_right_on_all,
     parameter_names,
     require_tree,
 )
+from rossec.master.rights.caller import Caller, Refused
 from tests.rossec.master.fakes import caller, everything, refuse
 
 GET = Right.PARAM_GET
@@ -40,22 +40,16 @@ def leaves(key: str, value: object) -> Iterator[str]:
 
 
 @given(st.lists(patterns, max_size=3), st.sampled_from(["/", "/a", "/a/b"]), values)
-def test_the_result_equals_that_of_checking_every_leaf(
-    held: list[str], key: str, value: object
-) -> None:
+def test_the_result_equals_that_of_checking_every_leaf(held: list[str], key: str, value: object) -> None:
     who = holder(*held)
-    assert has_right_on_all(who, GET, [(key, value)]) == all(
-        who.may(GET, at) for at in leaves(key, value)
-    )
+    assert has_right_on_all(who, GET, [(key, value)]) == all(who.may(GET, at) for at in leaves(key, value))
 
 
 @given(st.lists(patterns, max_size=3), values)
 def test_covered_names_are_shown(held: list[str], value: object) -> None:
     who = holder(*held)
     decided = decisions_across_turns(who, GET, ("/", value))
-    shown = [
-        name for decision in decided if decision.covered for name in parameter_names(decision.item)
-    ]
+    shown = [name for decision in decided if decision.covered for name in parameter_names(decision.item)]
     expected = [at for at in leaves("/", value) if who.may(GET, at)]
     assert [name for name in expected if name in set(parameter_names(("/", value)))] == shown
 
@@ -91,7 +85,7 @@ def test_the_check_ends_at_the_first_uncovered_name() -> None:
 
 
 def test_a_tree_of_too_many_names_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parameter_trees, "MAX_NAMES_CHECKED", 1 + 2 * 10)  # each with its namespace
+    monkeypatch.setattr(parameter_calls, "MAX_NAMES_CHECKED", 1 + 2 * 10)  # each with its namespace
     each, whole = holder("/*/x"), holder("/**")
     fits = {f"n{number}": {"x": 1} for number in range(10)}
     more = fits | {"n10": {"x": 1}}
@@ -113,9 +107,7 @@ def test_namespaces_and_patterns_count_too() -> None:
     many = holder("/*/x", *(f"/*/x{number}" for number in range(99)))
     assert many.patterns(GET) == 100
     assert has_right_on_all(many, GET, [("/", {f"n{number}": {"x": 1} for number in range(80)})])
-    assert not has_right_on_all(
-        many, GET, [("/", {f"n{number}": {"x": 1} for number in range(200)})]
-    )
+    assert not has_right_on_all(many, GET, [("/", {f"n{number}": {"x": 1} for number in range(200)})])
     assert holder("/a/**", "/b").patterns(GET) == 0
 
 

@@ -10,10 +10,8 @@ def test_entries_that_pertain_to_a_node(world: World) -> None:
     other, third = world.site.enroll("/other"), world.site.enroll("/third")
     own, is_local, far, unseen = (
         world.site.grant(who, {name: Right.SUBSCRIBE})
-        for who, name in (
-            (world.node, "/own"), (other, "/t"), (third, "/far"), (other, "/unseen"),
-        )
-    )  # fmt: skip
+        for who, name in ((world.node, "/own"), (other, "/t"), (third, "/far"), (other, "/unseen"))
+    )
     update_delegation(world)
     id_ = world.trust._delegate.id
     assert id_ is not None

@@ -4,7 +4,7 @@ import pytest
 
 from grants.model import Right
 from grants.renewal import open_delegation
-from rossec.master.rights.presented_grants import MAX_FAILURES, MAX_HELD
+from rossec.master.rights.held_grants import MAX_FAILURES, MAX_HELD
 from tests.rossec.master.rights.trust_world import World, update_delegation
 from tests.support.authority import DAY
 
@@ -56,8 +56,7 @@ def test_a_renewed_grant_beyond_the_limits_is_not_stored(world: World) -> None:
     tokens = [world.site.grant(world.node, {f"/t{n}": Right.CALL}) for n in range(MAX_HELD)]
     world.present(*tokens)
     (token,), _ = renew(
-        update_delegation(world),
-        world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY),
+        update_delegation(world), world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
     )
     assert token
     assert not world.may(Right.PUBLISH, "/t")

@@ -2,14 +2,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from grants.model import Right
-from rossec.master.rights.recent_denials import (
-    KEPT,
-    MAX_DENIALS,
-    MAX_NAME,
-    MAX_OF_NODE,
-    RecentDenial,
-    RecentDenials,
-)
+from rossec.master.rights.caller import KEPT, MAX_DENIALS, MAX_NAME, MAX_OF_NODE, RecentDenial, RecentDenials
 
 NOW = 1_800_000_000
 SUBSCRIBE, CALL = Right.SUBSCRIBE, Right.CALL
@@ -67,11 +60,7 @@ def test_a_long_name_is_cut() -> None:
     assert len(denials.newest_first(NOW)[0].name) == MAX_NAME
 
 
-@given(
-    st.lists(
-        st.tuples(st.integers(0, 3), st.sampled_from("abc"), st.integers(0, 400)), max_size=900
-    )
-)
+@given(st.lists(st.tuples(st.integers(0, 3), st.sampled_from("abc"), st.integers(0, 400)), max_size=900))
 def test_never_more_than_the_limit(steps: list[tuple[int, str, int]]) -> None:
     denials = RecentDenials()
     now = NOW

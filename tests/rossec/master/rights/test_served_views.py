@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import pytest
 
 from grants.model import Right
-from rossec.master.rights import served_views
+from rossec.master.rights import publisher_views
 from rossec.master.rights.access_rules import AccessControl
 from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import Kind
@@ -34,7 +34,7 @@ def master() -> Serving:
 
 def seen(master: Serving, who: Caller, kind: Kind = Kind.PUBLISHER) -> Mapping[str, object]:
     control = AccessControl(master.graph, "/master")
-    found = served_views.entries(master.graph, who, kind)
+    found = publisher_views.shown_entries(master.graph, who, kind)
     shown = {key: control.visible_nodes(who, key, names) for key, names in found}
     return {key: names for key, names in shown.items() if names}
 
@@ -51,14 +51,11 @@ def seen(master: Serving, who: Caller, kind: Kind = Kind.PUBLISHER) -> Mapping[s
     ],
 )
 def test_who_sees_which_publishers(
-    master: Serving,
-    own: Mapping[str, Right],
-    hospital: Mapping[str, Right],
-    expected: Mapping[str, object],
+    master: Serving, own: Mapping[str, Right], hospital: Mapping[str, Right], expected: Mapping[str, object]
 ) -> None:
     who = master.rights("/a", own, hospital)
     assert seen(master, who) == expected
-    assert served_views.is_topic_visible(master.graph, who, ALIAS) is (ALIAS in expected)
+    assert publisher_views.is_topic_visible(master.graph, who, ALIAS) is (ALIAS in expected)
     control = AccessControl(master.graph, "/master")
     assert control.is_node_visible(who, ROBOT) is (ROBOT in expected.get(ALIAS, ()))  # type: ignore[operator]
     assert control.is_node_visible(who, "/gateway") is (SERVED in expected)
@@ -82,14 +79,14 @@ def test_subscribers_here_are_seen_and_those_of_the_origin_are_not(master: Servi
     master.registry.register_subscriber(ALIAS, "*", node("/viewer"))
     assert seen(master, master.rights("/a", SERVED_RIGHT), Kind.SUBSCRIBER) == {ALIAS: ("/viewer",)}
     assert seen(master, master.rights("/viewer", {}), Kind.SUBSCRIBER) == {ALIAS: ("/viewer",)}
-    assert served_views.is_topic_visible(master.graph, master.callers["/viewer"], ALIAS)
+    assert publisher_views.is_topic_visible(master.graph, master.callers["/viewer"], ALIAS)
 
 
 def test_when_nothing_is_served_a_right_on_it_shows_nothing(master: Serving) -> None:
     who = master.rights("/a", SERVED_RIGHT)
     master.registry.remove_node("/gateway")
     assert seen(master, who) == {}
-    assert not served_views.is_topic_visible(master.graph, who, ALIAS)
+    assert not publisher_views.is_topic_visible(master.graph, who, ALIAS)
 
 
 def test_a_gateway_that_does_not_answer_is_not_shown(master: Serving) -> None:

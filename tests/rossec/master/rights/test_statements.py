@@ -5,12 +5,12 @@ import dataclasses
 import pytest
 
 from ca.errors import Revoked
-from ca.revocation.state import RevocationList, sign_list
+from ca.revocation.lists import RevocationList, sign_list
 from grants.document import grant_id
 from grants.model import Right
 from rossec.master.rights.access_rules import require
 from rossec.master.rights.caller import Refused
-from rossec.master.rights.presented_grants import FAILURE_WINDOW, MAX_FAILURES, MAX_HELD
+from rossec.master.rights.held_grants import FAILURE_WINDOW, MAX_FAILURES, MAX_HELD
 from rossec.master.rights.statements import TrustState
 from tests.rossec.master.rights.trust_world import World
 from tests.support.authority import DAY, Site
@@ -27,10 +27,7 @@ def test_without_a_list_no_grant_is_valid() -> None:
 
 def test_a_grant_is_valid_for_its_rights_and_its_time(world: World) -> None:
     assert not world.may(Right.PUBLISH, "/t")
-    assert world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60)) == (
-        1,
-        (),
-    )
+    assert world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60)) == (1, ())
     assert world.may(Right.PUBLISH, "/t")
     assert not world.may(Right.SUBSCRIBE, "/t")
     assert not world.may(Right.PUBLISH, "/u")
@@ -92,9 +89,7 @@ def test_a_revoked_grant_ends_at_once(world: World) -> None:
 def test_a_list_updated_elsewhere_takes_effect_at_once() -> None:
     site = Site()
     node, revocations = site.enroll("/node"), site.revocations()
-    trust = TrustState(
-        site.anchor, site.enroll("/master").credentials.signer, revocations, lambda _: None
-    )
+    trust = TrustState(site.anchor, site.enroll("/master").credentials.signer, revocations, lambda _: None)
     token = site.grant(node, {"/t": Right.PUBLISH})
     revocations.update(site.revoke(), site.now)
     trust.present(trust.caller(node.identity, site.now), [token], site.now)
@@ -158,10 +153,7 @@ def test_other_keys_are_discarded(world: World) -> None:
 def test_a_caller_has_the_names_of_its_certificate(world: World) -> None:
     assert not world.trust.caller(world.node.identity, world.now).wildcard
     rviz = world.site.enroll("/rviz", wildcard=True)
-    assert (
-        world.trust.caller(rviz.identity, world.now).acting_as("/rviz_1").thumbprint
-        == rviz.thumbprint
-    )
+    assert world.trust.caller(rviz.identity, world.now).acting_as("/rviz_1").thumbprint == rviz.thumbprint
     registered = world.trust.caller_of(rviz, world.now)
     assert registered is not None
     assert not registered.wildcard  # a name in the registry has no wildcard

@@ -6,8 +6,7 @@ import pytest
 
 from grants.document import peek, sign
 from grants.model import Draft, Permission, Right
-from grants.narrowing import sign_narrowing
-from grants.token import pack_chain
+from grants.token import pack_chain, sign_narrowing
 from tests.rossec.master.rights.test_statements_foreign import Home
 from tests.rossec.master.visiting import HOSPITAL, Hospital
 from tests.support.authority import DAY, EnrolledNode, Site
@@ -18,9 +17,16 @@ ALL = Right.SUBSCRIBE | Right.PUBLISH
 def narrowable(site: Site, to: EnrolledNode, subject: str) -> bytes:
     """A grant of `/**` that may be narrowed once; `subject` is what `site` calls the holder."""
     draft = Draft(
-        site.domain, subject, to.thumbprint, site.now, site.now + DAY, site.now + DAY,
-        secrets.token_bytes(16), (Permission("/**", ALL),), may_narrow=1,
-    )  # fmt: skip
+        site.domain,
+        subject,
+        to.thumbprint,
+        site.now,
+        site.now + DAY,
+        site.now + DAY,
+        secrets.token_bytes(16),
+        (Permission("/**", ALL),),
+        may_narrow=1,
+    )
     return sign(site.signer, draft)
 
 
@@ -28,9 +34,15 @@ def narrowed(grant: bytes, by: EnrolledNode, to: EnrolledNode, subject: str) -> 
     """The chain in which `by` hands on subscribing to `/pose`."""
     parent = peek(grant)
     draft = Draft(
-        parent.domain, subject, to.thumbprint, parent.not_before, parent.expires, parent.expires,
-        secrets.token_bytes(16), (Permission("/pose", Right.SUBSCRIBE),),
-    )  # fmt: skip
+        parent.domain,
+        subject,
+        to.thumbprint,
+        parent.not_before,
+        parent.expires,
+        parent.expires,
+        secrets.token_bytes(16),
+        (Permission("/pose", Right.SUBSCRIBE),),
+    )
     return pack_chain(grant, [sign_narrowing(by.signer, draft, parent)])
 
 
@@ -56,8 +68,11 @@ def test_each_link_ends_it(home: Home, what: str, by: str) -> None:
     grant = narrowable(home.site, home.robot, "/remote/hospital/rounds/robot3")
     chain = narrowed(grant, home.robot, second, "/remote/hospital/rounds/robot7")
     home.present(second, chain)
-    entry = {"the grant": peek(grant).id, "the first key": home.robot.thumbprint,
-             "the chain's key": second.thumbprint}[what]  # fmt: skip
+    entry = {
+        "the grant": peek(grant).id,
+        "the first key": home.robot.thumbprint,
+        "the chain's key": second.thumbprint,
+    }[what]
     caller = home.trust.caller(home.identity(second), home.now)
     if by == "home":
         home.trust.update(home.site.revoke(entry), home.now)

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from ca.certificates import Identity
-from ca.domains.anchors import Anchors
-from ca.domains.standing import Standing
+from ca.domains.trust import Anchors
 from ca.errors import CAError, Revoked
+from ca.revocation.trust_status import Standing
 from grants.model import Right
 from rossec.master.rights.domain_trust import DomainTrust
 from rossec.master.rights.statements import TrustState
@@ -205,9 +205,7 @@ def test_a_twin_does_not_hide_a_revoked_intermediate(home: Home, whose: str) -> 
 @pytest.mark.parametrize("listed", [True, False])
 def test_tickets_of_listed_masters_count(home: Home, listed: bool) -> None:
     other = home.site.enroll("/master/kitchen")
-    trust = TrustState(
-        home.site.anchor, other.credentials.signer, home.site.revocations(), lambda _: None
-    )
+    trust = TrustState(home.site.anchor, other.credentials.signer, home.site.revocations(), lambda _: None)
     newest = home.site.revoke()
     for state in (trust, home.trust):
         state.update(newest, home.now)

@@ -6,8 +6,8 @@ import pytest
 
 from ca.encoding import Value, decode, encode
 from rossec.errors import QueryRefused
-from rossec.master.rights import trl
-from rossec.master.rights.trl import MAX_DIFF_BATCH, MAX_N, RevocationQueries, read
+from rossec.master.rights import revocation_lists
+from rossec.master.rights.revocation_lists import MAX_DIFF_BATCH, MAX_N, RevocationQueries, read_query
 
 A, B, C = b"a" * 16, b"b" * 16, b"c" * 32
 START = 1_800_000_000
@@ -47,9 +47,7 @@ def test_a_diff_query_is_newest_first(requester: Requester) -> None:
     requester.add(A)
     requester.add(B)
     requester.entries.discard(A)
-    assert requester.ask(diff=0) == {
-        1: [[[A], []], [[], [B]], [[], [A]]], 2: FIRST + 2, 3: False,
-    }  # fmt: skip
+    assert requester.ask(diff=0) == {1: [[[A], []], [[], [B]], [[], [A]]], 2: FIRST + 2, 3: False}
     assert requester.ask(diff=1) == {1: [[[A], []]], 2: FIRST + 2, 3: False}
 
 
@@ -75,10 +73,8 @@ def test_batches_until_there_is_no_more(requester: Requester) -> None:
     assert (len(rest[1]), rest[3]) == (2, False)
 
 
-def test_an_answer_is_bounded_in_hashes_too(
-    requester: Requester, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(trl, "MAX_HASHES", 3)
+def test_an_answer_is_bounded_in_hashes_too(requester: Requester, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(revocation_lists, "MAX_HASHES", 3)
     for n in range(3):
         requester.add(*(bytes([n, m]) * 8 for m in range(2)))
     assert [len(requester.ask(diff=0)[1]), requester.ask(diff=0)[3]] == [1, True]
@@ -95,7 +91,7 @@ def test_a_cursor_too_old_asks_for_a_full_query(requester: Requester) -> None:
 
 
 def test_requesters_have_series_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trl, "MAX_REQUESTERS", 2)
+    monkeypatch.setattr(revocation_lists, "MAX_REQUESTERS", 2)
     queries = RevocationQueries(START)
 
     def ask(who: bytes, *entries: bytes) -> Any:
@@ -125,4 +121,4 @@ def test_requesters_have_series_of_their_own(monkeypatch: pytest.MonkeyPatch) ->
 )
 def test_malformed_queries_are_refused(query: bytes, message: str) -> None:
     with pytest.raises(QueryRefused, match=message):
-        read(query)
+        read_query(query)

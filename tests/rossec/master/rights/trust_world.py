@@ -13,10 +13,7 @@ class World:
         self.node = self.site.enroll("/node")
         self.persisted: list[bytes] = []
         self.trust = TrustState(
-            self.site.anchor,
-            self.master.credentials.signer,
-            self.site.revocations(),
-            self.persisted.append,
+            self.site.anchor, self.master.credentials.signer, self.site.revocations(), self.persisted.append
         )
 
     def may(self, right: Right, name: str, later: int = 0) -> bool:

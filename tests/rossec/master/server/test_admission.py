@@ -4,8 +4,8 @@ import contextlib
 
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.master.operation.limits import MasterLimits
-from rossec.net.rpc.client import RpcClient
+from rossec.master.operation.config import MasterLimits
+from rossec.net.rpc.calls import RpcClient
 from tests.support.attacker import EVE, credentials, dial
 from tests.support.caller import caller
 from tests.support.site import Site
@@ -31,9 +31,7 @@ async def test_a_grant_that_is_valid_shows_a_right(site: Site) -> None:
 
 async def test_connections_count_together_until_a_grant_is_shown(site: Site) -> None:
     assert site.master is not None
-    site.master._admission._limits = MasterLimits(
-        connections_without_right=2, connections_per_identity=3
-    )
+    site.master._admission._limits = MasterLimits(connections_without_right=2, connections_per_identity=3)
     own = credentials(site)
     async with contextlib.AsyncExitStack() as stack:
 

@@ -10,9 +10,9 @@ import pytest
 
 from grants.document import grant_id
 from rossec.errors import AnswerRefused
-from rossec.master.api.turns import Turns
+from rossec.master.api.methods import TurnClock
 from rossec.master.rights.caller import NAMES_PER_YIELD
-from rossec.master.state.doors import Target
+from rossec.master.state.forwarded_ports import Target
 from tests.rossec.master.world import SlaveNode, T, World, ends, until
 from tests.support.caller import caller
 from tests.support.site import Site
@@ -25,7 +25,7 @@ async def slow() -> AsyncIterator[World]:
     """A master whose turns are one step long."""
     async with AsyncExitStack() as exit_stack:
         world, ticks = World(exit_stack), count()
-        await world.start(Turns(lambda: next(ticks)))
+        await world.start(TurnClock(lambda: next(ticks)))
         yield world
 
 
@@ -60,9 +60,7 @@ async def test_other_calls_are_answered_during_a_query(slow: World) -> None:
     assert whole["more"]
 
 
-async def test_a_watcher_waits_for_changes_in_turns(
-    slow: World, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_watcher_waits_for_changes_in_turns(slow: World, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rossec.master.server.answers.WATCH_WAIT", 0.05)
     caller = await slow.node("/asker")
     for number in range(2 * NAMES_PER_YIELD):
@@ -115,9 +113,7 @@ async def test_what_changes_before_a_watcher_has_begun_to_wait_is_told(slow: Wor
     """The answer that has nothing new is of the call; a coroutine of the wait begins later."""
     watcher, robot = await slow.node("/watcher"), await slow.node("/robot")
     first = await watcher.ask("rossec.watchGraph", "", 0)
-    waiting = asyncio.ensure_future(
-        watcher.ask("rossec.watchGraph", first["instance"], first["cursor"])
-    )
+    waiting = asyncio.ensure_future(watcher.ask("rossec.watchGraph", first["instance"], first["cursor"]))
     await robot.ask("registerPublisher", "/t", T, robot.uri)
     async with asyncio.timeout(4):  # a wait without a change takes five
         changes = await waiting

@@ -13,9 +13,7 @@ from tests.support.caller import caller
 from tests.support.site import Site
 
 
-async def test_a_service_waits_unless_it_is_locked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_service_waits_unless_it_is_locked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(answers, "RENEWALS_WAIT", 60.0)
     site = Site(tmp_path / "site")
     async with site.running(), caller(site, OWN_NODE) as service:

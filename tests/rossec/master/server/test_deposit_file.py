@@ -10,10 +10,16 @@ from grants import document
 from grants.model import Right
 from rossec import files
 from rossec.errors import NotWritten
-from rossec.master.rights.deposits import DeliveryState, verifier
-from rossec.master.server import deposit_file as module
-from rossec.master.server.deposit_file import DepositFile
-from rossec.master.state.deposit_journal import MAGIC, GrantDeposited, GrantHeld, decode, encode
+from rossec.master.rights.held_grants import DeliveryState, verifier
+from rossec.master.server import saved_state as module
+from rossec.master.server.saved_state import DepositFile
+from rossec.master.state.journals import (
+    DEPOSITS_MAGIC,
+    GrantDeposited,
+    GrantHeld,
+    decode_deposits,
+    encode_deposit,
+)
 from tests.rossec.test_files import no_room
 from tests.support.authority import Site
 
@@ -42,13 +48,11 @@ def deposit(file: DepositFile, *grants: bytes) -> None:
 
 
 def stored(path: Path) -> list[bytes]:
-    changes, _ = decode(path.read_bytes())
+    changes, _ = decode_deposits(path.read_bytes())
     return [change.data for change in changes if isinstance(change, GrantDeposited)]
 
 
-def test_a_deposit_is_synced_before_it_is_in_the_table(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_deposit_is_synced_before_it_is_in_the_table(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file, one, two = opened(path), grant(), grant()
     synced: list[list[bytes]] = []
     with monkeypatch.context() as watched:
@@ -64,14 +68,12 @@ def test_a_deposit_is_synced_before_it_is_in_the_table(
         deposit(file, grant())
 
 
-def test_a_truncated_record_is_removed_and_saved_aside(
-    path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_truncated_record_is_removed_and_saved_aside(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     file, one, two = opened(path), grant(), grant()
     deposit(file, one)
     file.close()
     whole = path.read_bytes()
-    path.write_bytes(whole + whole[len(MAGIC) : -3])
+    path.write_bytes(whole + whole[len(DEPOSITS_MAGIC) : -3])
     deposit(opened(path), two)
     assert stored(path) == [one, two]
     assert "are damaged" in caplog.text
@@ -87,13 +89,11 @@ def test_what_was_presented_is_written_at_leisure(path: Path) -> None:
     assert path.read_bytes() == before
     file.sync()
     file.sync()
-    assert path.read_bytes() == before + encode(GrantHeld(document.grant_id(one)))
+    assert path.read_bytes() == before + encode_deposit(GrantHeld(document.grant_id(one)))
     assert opened(path).deposits.state(document.grant_id(one)) is DeliveryState.HELD
 
 
-def test_the_file_is_compacted_when_it_has_grown(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_file_is_compacted_when_it_has_grown(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "REWRITE_MIN", 1000)
     file, grants = opened(path), [grant() for _ in range(10)]
     deposit(file, *grants)
@@ -128,8 +128,10 @@ def test_a_full_disk_refuses_a_deposit_and_leaves_no_half_record(
     deposit(file, two)
     file.sync()
     assert opened(path).deposits.changes() == [
-        GrantDeposited(one), GrantDeposited(two), GrantHeld(document.grant_id(one)),
-    ]  # fmt: skip
+        GrantDeposited(one),
+        GrantDeposited(two),
+        GrantHeld(document.grant_id(one)),
+    ]
 
 
 def test_a_file_that_cannot_be_opened_again_takes_no_deposit(

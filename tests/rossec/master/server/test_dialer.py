@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from rossec.errors import AnswerRefused
-from rossec.master.server.dialer import is_node
+from rossec.master.server.updates import is_node
 from rossec.master.state.registry import NodeRef
 from tests.rossec.master.world import EVERYTHING, SlaveNode, T, World, until
 from tests.support.authority import Site
@@ -36,9 +36,7 @@ async def test_a_node_that_registers_the_address_of_another_is_removed(
     await viewer.ask("registerPublisher", "/t", T, viewer.uri)  # of which the squatter is notified
     await until(lambda: viewer.received_calls("publisherUpdate")[-1:] == [("/t", [viewer.uri])])
     assert f"/squatter is removed: /victim answers at {victim.uri}" in caplog.text
-    assert world.server._effects.updates.nodes == (
-        NodeRef("/viewer", viewer.uri, viewer.member.thumbprint),
-    )
+    assert world.server.effects.updates.nodes == (NodeRef("/viewer", viewer.uri, viewer.member.thumbprint),)
     assert await victim.ask("registerPublisher", "/t", T, victim.uri) == [viewer.uri]
     assert victim.received == []
 
@@ -59,10 +57,8 @@ async def test_a_node_at_the_port_of_a_dead_one_can_register(
     assert await eve.ask("lookupNode", "/heir") == heir.uri
 
 
-async def test_a_node_is_probed_once_at_a_time(
-    world: World, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("rossec.master.server.dialer.CALL_DEADLINE", 0.5)
+async def test_a_node_is_probed_once_at_a_time(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rossec.master.server.updates.CALL_DEADLINE", 0.5)
     loop = asyncio.get_running_loop()
     with socket.create_server(("127.0.0.1", 0)) as silent:
         silent.setblocking(False)
@@ -77,7 +73,7 @@ async def test_a_node_is_probed_once_at_a_time(
             assert not pending.done()
             with pytest.raises(AnswerRefused, match="registered by another node"):
                 await pending
-        assert world.server._effects.dialer.probed == set()
+        assert world.server.effects.dialer.probed == set()
         assert await bob.ask("lookupNode", "/slow") == uri
 
 

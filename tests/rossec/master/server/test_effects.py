@@ -43,9 +43,7 @@ async def test_a_restarted_node_replaces_itself(world: World) -> None:
     await node.ask("registerPublisher", "/t", T, node.uri)
     await node.ask("registerPublisher", "/t", T, "http://127.0.0.1:9/")
     await until(lambda: node.received_calls("shutdown") != [])
-    assert node.received_calls("shutdown") == [
-        ("[/node] Reason: new node registered with same name",)
-    ]
+    assert node.received_calls("shutdown") == [("[/node] Reason: new node registered with same name",)]
 
 
 async def test_parameter_updates_are_sent(world: World) -> None:
@@ -74,9 +72,7 @@ async def test_refused_grants_are_audited_without_an_error(
     assert await node.ask("rossec.presentGrants", [old]) == 1
 
 
-async def test_line_breaks_do_not_reach_the_log(
-    world: World, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_line_breaks_do_not_reach_the_log(world: World, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     eve = await world.node("/eve", {"/eve/t": Right.SUBSCRIBE, "/master": Right.ADMIN})
     forged = "x\nrossec: WARNING: /robot is disconnected\x9b31m\u202e"
@@ -146,7 +142,7 @@ async def test_updates_of_a_revoked_node_are_dropped(world: World) -> None:
         uri = f"http://127.0.0.1:{silent.getsockname()[1]}/"
         await gone.ask("registerSubscriber", "/t", T, uri)
         await talker.ask("registerPublisher", "/t", T, talker.uri)
-        updates = world.server._effects.updates
+        updates = world.server.effects.updates
         assert [node.name for node in updates.nodes] == ["/gone"]
         await talker.ask("rossec.updateRevocations", world.site.revoke(gone.member))
         assert [node for node in updates.nodes if node.name == "/gone"] == []

@@ -44,9 +44,7 @@ async def test_a_newer_list_of_domains_is_sent_to_every_own_node(
     assert "/robot delivered list of domains 2" in caplog.text
 
 
-async def test_a_removal_closes_and_says_whom(
-    world: VisitWorld, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_removal_closes_and_says_whom(world: VisitWorld, caplog: pytest.LogCaptureFixture) -> None:
     viewer, visitor = await registered(world, "/viewer"), await world.visitor(EVERYTHING)
     await visitor.ask("registerPublisher", "/t", T, visitor.uri)
     await until(lambda: viewer.received_calls("publisherUpdate") == [("/t", [visitor.uri])])
@@ -60,7 +58,7 @@ async def test_foreign_revocations_are_sent_to_every_own_node(world: VisitWorld)
     viewer, visitor = await registered(world, "/viewer"), await world.visitor(EVERYTHING)
     await visitor.ask("registerPublisher", "/x", T, visitor.uri)
     word = world.hospital.word(b"g" * 16)
-    world.server._effects.take_foreign(HOSPITAL, *word)
+    world.server.effects.take_foreign(HOSPITAL, *word)
     await until(lambda: viewer.received_calls(FOREIGN) != [])
     assert viewer.received_calls(FOREIGN) == [(HOSPITAL, word[0], word[1], list(word[2]))]
     assert visitor.received_calls(FOREIGN) == []
@@ -68,9 +66,9 @@ async def test_foreign_revocations_are_sent_to_every_own_node(world: VisitWorld)
 
 async def test_a_word_without_a_newer_list_is_not_sent(world: VisitWorld) -> None:
     viewer, word = await registered(world, "/viewer"), world.hospital.word()
-    world.server._effects.take_foreign(HOSPITAL, *word)
+    world.server.effects.take_foreign(HOSPITAL, *word)
     await until(lambda: len(viewer.received_calls(FOREIGN)) == 1)
-    world.server._effects.take_foreign(HOSPITAL, *word)
+    world.server.effects.take_foreign(HOSPITAL, *word)
     await registered(world, "/other")
     assert len(viewer.received_calls(FOREIGN)) == 1
 
@@ -79,7 +77,7 @@ async def test_a_list_without_a_timestamp_is_enforced_and_sent(world: VisitWorld
     viewer, visitor = await registered(world, "/viewer"), await world.visitor(EVERYTHING)
     data = world.hospital.word(world.robot)[0]
     with pytest.raises(RevocationsStale):
-        world.server._effects.take_foreign(HOSPITAL, data, b"", ())
+        world.server.effects.take_foreign(HOSPITAL, data, b"", ())
     await until(lambda: viewer.received_calls(FOREIGN) == [(HOSPITAL, data, b"", [])])
     await ends(visitor.ask("getPid"))
 
@@ -89,7 +87,7 @@ async def test_an_older_foreign_list_changes_nothing(world: VisitWorld) -> None:
     world.take()
     viewer = await registered(world, "/viewer")
     with pytest.raises(RollbackRefused):
-        world.server._effects.take_foreign(HOSPITAL, *old)
+        world.server.effects.take_foreign(HOSPITAL, *old)
     assert viewer.received_calls(FOREIGN) == []
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import AnswerRefused
-from rossec.master.server import gateways
+from rossec.master.server import maintenance
 from rossec.master.state.registry import Kind
 from tests.rossec.master.gatewayworld import (
     ALIAS,
@@ -28,9 +28,9 @@ from tests.rossec.master.world import SlaveNode, T, until
 
 @pytest.fixture
 async def world(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[ServedWorld]:
-    monkeypatch.setattr(gateways, "ASK_EVERY", 0.05)
-    monkeypatch.setattr(gateways, "RETRY_AFTER", 0.05)
-    monkeypatch.setattr(gateways, "SILENT_AFTER", 0.2)
+    monkeypatch.setattr(maintenance, "ASK_EVERY", 0.05)
+    monkeypatch.setattr(maintenance, "RETRY_AFTER", 0.05)
+    monkeypatch.setattr(maintenance, "SILENT_AFTER", 0.2)
     async with AsyncExitStack() as stack:
         world = ServedWorld(stack)
         await world.start()
@@ -88,7 +88,7 @@ async def test_a_gateway_that_comes_back_serves_again(world: ServedWorld) -> Non
 async def test_a_gateway_that_hangs_is_left_until_it_answers(
     world: ServedWorld, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(gateways, "ANSWER_WITHIN", 0.3)
+    monkeypatch.setattr(maintenance, "ANSWER_WITHIN", 0.3)
     gateway = await world.gateway()
     goes_on, usual = asyncio.Event(), gateway.dispatch
     goes_on.set()
@@ -109,7 +109,7 @@ async def test_a_gateway_that_hangs_is_left_until_it_answers(
     tool = await world.node("/tool", MAY_BE_SERVED)
     assert [ALIAS, ["/gateway"]] not in (await tool.ask("getSystemState"))[0]
     goes_on.set()
-    monkeypatch.setattr(gateways, "ANSWER_WITHIN", 30.0)
+    monkeypatch.setattr(maintenance, "ANSWER_WITHIN", 30.0)
     await is_told(both, gateway.uri)
     assert "/gateway answers again" in caplog.text
     assert [ALIAS, ["/gateway"]] in (await tool.ask("getSystemState"))[0]
@@ -146,7 +146,7 @@ async def test_another_node_at_its_address_takes_its_place_in_nothing(world: Ser
 async def test_an_address_that_does_not_answer_is_no_gateway(
     world: ServedWorld, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(gateways, "ANSWER_WITHIN", 0.2)
+    monkeypatch.setattr(maintenance, "ANSWER_WITHIN", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as mute:  # takes connections, says nothing
         gateway = await world.node("/gateway", SERVES)
         served, _ = await world.subscriber("/served", origins=False)

@@ -2,7 +2,7 @@
 
 import asyncio
 
-from rossec.master.server.grant_changes import MAX_WAITING, GrantChanges
+from rossec.master.server.updates import MAX_WAITING, GrantChanges
 
 ONE, TWO = b"1" * 32, b"2" * 32
 

@@ -2,7 +2,7 @@
 
 import asyncio
 
-from rossec.master.server.graph_changes import GraphChanges
+from rossec.master.server.updates import GraphChanges
 
 
 async def waits(changes: GraphChanges) -> "asyncio.Task[None]":

@@ -5,11 +5,10 @@ from pathlib import Path
 import pytest
 
 from ca.errors import RevocationRefused
-from ca.revocation.state import Revocations
+from ca.revocation.trust_status import Revocations
 from rossec.errors import ConfigurationError
-from rossec.master.rights.delegation import discard
 from rossec.master.rights.statements import TrustState
-from rossec.master.server.local_authority import LocalAuthority, no_authority
+from rossec.master.server.maintenance import LocalAuthority, no_authority
 from tests.rossec.master.fakes import FakeStatements
 from tests.support import trust
 from tests.support.site import Site
@@ -30,9 +29,11 @@ class Found:
 def test_a_newer_list_is_accepted() -> None:
     found = Found()
     for there, newer in (
-        (None, False), ((b"list 1", b""), True), ((b"list 1", b""), False),
+        (None, False),
+        ((b"list 1", b""), True),
+        ((b"list 1", b""), False),
         ((b"list 2", b""), True),
-    ):  # fmt: skip
+    ):
         found.there = there
         assert found.local_authority.has_newer_list(7) is newer
     assert found.statements.lists == [b"list 1", b"list 2"]
@@ -45,9 +46,7 @@ def test_without_an_authority_nothing_is_accepted() -> None:
 
 
 def test_a_tree_is_accepted_with_its_entries(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "rossec.master.server.local_authority.is_tree", lambda data: data == b"tree"
-    )
+    monkeypatch.setattr("rossec.master.server.maintenance.is_tree", lambda data: data == b"tree")
     found = Found()
     found.there = b"tree", b" and entries"
     found.local_authority.has_newer_list(7)
@@ -55,8 +54,7 @@ def test_a_tree_is_accepted_with_its_entries(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [(b"forged", b""), RevocationRefused("no"), ConfigurationError("none signed", "x"), OSError()],
+    "wrong", [(b"forged", b""), RevocationRefused("no"), ConfigurationError("none signed", "x"), OSError()]
 )
 def test_a_failure_is_logged(
     wrong: tuple[bytes, bytes] | Exception, caplog: pytest.LogCaptureFixture
@@ -82,13 +80,11 @@ def test_each_reason_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     assert caplog.text.count("is not accepted: another") == 2
 
 
-def test_a_newer_list_of_domains_is_accepted(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_newer_list_of_domains_is_accepted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     home, hospital = Site(tmp_path / "home", "home"), Site(tmp_path / "hospital", "hospital")
     there = [b""]
     revocations = Revocations(home.anchor.public_key)
-    statements = TrustState(home.anchor, home.authority.signer, revocations, discard)
+    statements = TrustState(home.anchor, home.authority.signer, revocations, lambda _data: None)
     local = LocalAuthority(no_authority, statements, lambda: there[0])
     assert not local.has_newer_domains()
     old = there[0] = trust.accept(home, hospital)

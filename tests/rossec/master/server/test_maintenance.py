@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from ca.revocation.state import digest, open_timestamp
+from ca.revocation.lists import digest, open_timestamp
 from rossec.clock import Clock
 from rossec.errors import AnswerRefused
-from rossec.master.server import parameter_file as module
-from rossec.master.server.parameter_file import ParameterFile
+from rossec.master.server import saved_state as module
+from rossec.master.server.saved_state import ParameterFile
 from tests.rossec.master.server.test_server import another
 from tests.rossec.master.world import EVERYTHING, T, World, ends, until
 
@@ -30,10 +30,10 @@ async def test_a_revoked_node_receives_no_more_updates(world: World) -> None:
         connected, _ = await loop.sock_accept(silent)
         with connected:
             assert await loop.sock_recv(connected, 1) != b""  # the handshake, never answered
-            [client] = world.server._effects.updates.nodes
+            [client] = world.server.effects.updates.nodes
             assert client.name == "/dead"
             await other.ask("rossec.updateRevocations", world.site.revoke(dead.member))
-            await until(lambda: client not in world.server._effects.updates.nodes)
+            await until(lambda: client not in world.server.effects.updates.nodes)
 
 
 async def test_an_older_key_of_a_name_cannot_disturb_the_node(world: World) -> None:
@@ -108,24 +108,25 @@ async def test_an_exception_does_not_end_freshness(
         raise RuntimeError("a fault of ours")
 
     monkeypatch.setattr(world.trust, "revocations_for", crash)
-    world.server._effects.list_changed.set()
+    world.server.effects.list_changed.set()
     await until(lambda: "a fault of ours" in caplog.text)
-    world.server._effects.list_changed.set()
+    world.server.effects.list_changed.set()
     await until(lambda: node.received_calls("rossec.revocationUpdate") != [])
 
 
-async def test_a_revoked_node_is_in_no_answer_once_the_list_is_delivered(
-    world: World,
-) -> None:
+async def test_a_revoked_node_is_in_no_answer_once_the_list_is_delivered(world: World) -> None:
     """Also within one multicall: it is listed before the revocation list, and not after."""
     camera, viewer = await world.node("/camera"), await world.node("/viewer")
     await camera.ask("registerPublisher", "/image", T, camera.uri)
     await camera.ask("registerService", "/reset", "rosrpc://127.0.0.1:9", camera.uri)
     revoked = world.site.revoke(camera.member)
     elements = [
-        ("getSystemState",), ("rossec.updateRevocations", revoked), ("getSystemState",),
-        ("lookupNode", "/camera"), ("lookupService", "/reset"),
-    ]  # fmt: skip
+        ("getSystemState",),
+        ("rossec.updateRevocations", revoked),
+        ("getSystemState",),
+        ("lookupNode", "/camera"),
+        ("lookupService", "/reset"),
+    ]
     calls = [{"methodName": name, "params": ["/viewer", *params]} for name, *params in elements]
     answers: Any = await viewer.client.call("system.multicall", calls)
     before, taken, after, node, service = (answer[0] for answer in answers)

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from ca.certificates import open_renewal
 from ca.errors import CertificateExpired, RenewalRefused
-from ca.renewal import open_renewal
 from rossec.authority.renewals import renew
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.master.rights.identity_renewals import RenewalAnswer
-from rossec.master.server.own_identity import OwnIdentity
+from rossec.master.rights.renewals import RenewalAnswer
+from rossec.master.server.maintenance import OwnIdentity
 from tests.support.site import DAY, HOUR, Site
 
 MASTER = "/master"
@@ -26,18 +26,18 @@ class World:
         self.site = Site(root / "site", clock=lambda: self.now)
         self.home = self.site.enroll(MASTER, LIFE)
         self.own = OwnIdentity(self.home, NOW)
-        self.before = self.own.credentials.certificate
+        self.before = self.own.credentials.current.certificate
 
     def check(self, now: int) -> bool:
         """Whether the certificate has changed since the last call."""
         self.now = now
         self.own.check(now)
-        shown, self.before = self.own.credentials.certificate != self.before, self.shown
+        shown, self.before = self.own.credentials.current.certificate != self.before, self.shown
         return shown
 
     @property
     def shown(self) -> bytes:
-        return self.own.credentials.certificate
+        return self.own.credentials.current.certificate
 
 
 @pytest.fixture
@@ -50,9 +50,7 @@ def test_another_certificate_is_reloaded_without_a_restart(
 ) -> None:
     assert not world.check(NOW + 25 * DAY)
     assert "the master's own identity: it expires " in caplog.text
-    assert (
-        "(rossec ca renew /master, then rossec node install FILE here; no restart)" in caplog.text
-    )
+    assert "(rossec ca renew /master, then rossec node install FILE here; no restart)" in caplog.text
     world.site.renew(MASTER, LIFE)
     caplog.clear()
     assert world.check(NOW + 25 * DAY + 10)
@@ -117,17 +115,13 @@ def test_the_authority_answers_later(world: World, caplog: pytest.LogCaptureFixt
         world.check(begin + second)
     [line] = caplog.messages
     assert "after which no node connects: the key is locked (rossec ca renew /master" in line
-    opened = {
-        open_renewal(each, world.site.anchor, begin, lambda *_: None).csr for each in asked[:6]
-    }
+    opened = {open_renewal(each, world.site.anchor, begin, lambda *_: None).csr for each in asked[:6]}
     assert len(opened) == 1, "the authority answers one request with one certificate"
     world.own.renew = partial(answered, world)
     assert world.check(begin + HOUR)
 
 
-def test_one_that_has_ended_is_not_asked_for(
-    world: World, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_one_that_has_ended_is_not_asked_for(world: World, caplog: pytest.LogCaptureFixture) -> None:
     world.own.renew = partial(answered, world)
     assert not world.check(NOW + 31 * DAY)
     assert "it expired " in caplog.text
@@ -138,9 +132,7 @@ def test_another_key_needs_a_restart(world: World, caplog: pytest.LogCaptureFixt
     there = world.home.path
     there.rename(there.with_name("away"))
     world.home.create_request(world.site.anchor.domain)
-    world.home.install(
-        world.site.authority.issue(world.home.request(), NOW, LIFE, replace_key=MASTER), NOW
-    )
+    world.home.install(world.site.authority.issue(world.home.request(), NOW, LIFE, replace_key=MASTER), NOW)
     assert not world.check(NOW + 10)
     assert caplog.messages == [
         "the master's own identity: the installed identity has another key (restart the master)"
@@ -149,9 +141,7 @@ def test_another_key_needs_a_restart(world: World, caplog: pytest.LogCaptureFixt
     assert len(caplog.messages) == 1
 
 
-def test_a_missing_or_damaged_file_changes_nothing(
-    world: World, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_missing_or_damaged_file_changes_nothing(world: World, caplog: pytest.LogCaptureFixture) -> None:
     file = world.home.path / "node.pem"
     data = file.read_bytes()
     file.unlink()

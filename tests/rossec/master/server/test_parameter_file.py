@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import NotWritten
-from rossec.master.server import parameter_file as module
-from rossec.master.server.parameter_file import ParameterFile
-from rossec.master.state.parameter_journal import MAGIC, ParameterChange, decode
+from rossec.master.server import saved_state as module
+from rossec.master.server.saved_state import ParameterFile
+from rossec.master.state.journals import PARAMETERS_MAGIC, ParameterChange, decode_parameters
 from tests.rossec.test_files import no_room
 
 
@@ -32,7 +32,7 @@ def size(path: Path) -> int:
 
 
 def records(path: Path) -> list[ParameterChange]:
-    return decode(path.read_bytes())[0]
+    return decode_parameters(path.read_bytes())[0]
 
 
 def change(parameter_file: ParameterFile, key: str, value: object) -> None:
@@ -53,14 +53,12 @@ def test_a_change_survives_without_a_close(path: Path) -> None:
     assert opened(path).parameters.get("/") == {"a": 1}
 
 
-def test_a_truncated_record_is_removed_and_saved_aside(
-    path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_truncated_record_is_removed_and_saved_aside(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     parameter_file = opened(path)
     parameter_file.write(ParameterChange("/a", 1))
     parameter_file.close()
     whole = path.read_bytes()
-    path.write_bytes(whole + whole[len(MAGIC) : -3])
+    path.write_bytes(whole + whole[len(PARAMETERS_MAGIC) : -3])
     parameter_file = opened(path)
     parameter_file.write(ParameterChange("/b", 2))
     assert opened(path).parameters.get("/") == {"a": 1, "b": 2}
@@ -68,17 +66,15 @@ def test_a_truncated_record_is_removed_and_saved_aside(
     assert path.with_suffix(".damaged").read_bytes().startswith(whole)
 
 
-def test_the_file_is_compacted_when_it_has_grown(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_file_is_compacted_when_it_has_grown(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "REWRITE_MIN", 1000)
     parameter_file = opened(path)
     for number in range(100):
         parameter_file.parameters.set("/a", number)
         parameter_file.write(ParameterChange("/a", number))
-    assert len(decode(path.read_bytes())[0]) == 100
+    assert len(decode_parameters(path.read_bytes())[0]) == 100
     parameter_file.sync()
-    assert decode(path.read_bytes())[0] == [ParameterChange("/a", 99)]
+    assert decode_parameters(path.read_bytes())[0] == [ParameterChange("/a", 99)]
     parameter_file.write(ParameterChange("/b", 1))
     parameter_file.sync()
     parameter_file.sync()
@@ -102,9 +98,7 @@ def test_a_full_disk_is_reported_and_leaves_no_half_record(
     assert opened(path).parameters.get("/") == {"a": 1, "c": 3}
 
 
-def test_a_change_lost_to_a_full_disk_is_written_later(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_change_lost_to_a_full_disk_is_written_later(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     parameter_file = opened(path)
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", lambda fd, data: os.fsync(1 << 20))
@@ -112,7 +106,7 @@ def test_a_change_lost_to_a_full_disk_is_written_later(
     with monkeypatch.context() as patch:
         patch.setattr("rossec.files.replace", lambda *_: os.fsync(1 << 20))
         parameter_file.sync()  # still no space
-    assert decode(path.read_bytes())[0] == []
+    assert decode_parameters(path.read_bytes())[0] == []
     parameter_file.sync()
     assert opened(path).parameters.get("/") == {"a": 1}
 
@@ -147,9 +141,7 @@ def test_a_full_disk_is_logged_and_the_file_is_unchanged(
     again.close()
 
 
-async def test_the_loop_goes_on_while_the_disk_syncs(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_the_loop_goes_on_while_the_disk_syncs(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     parameter_file, syncs, go_on = opened(path), threading.Event(), threading.Event()
 
     def sync(_: int) -> None:
@@ -243,9 +235,7 @@ async def test_a_compaction_that_fails_leaves_the_file_as_it_was(
     assert opened(path).parameters.get("/") == {"a": 99}
 
 
-async def test_much_that_is_written_is_saved_soon(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_much_that_is_written_is_saved_soon(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "GROWN", 2000)
     parameter_file = opened(path)
     while not parameter_file.grown.is_set():

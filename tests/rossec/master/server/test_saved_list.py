@@ -4,16 +4,14 @@ from pathlib import Path
 
 import pytest
 
-from ca.revocation.state import open_list
-from rossec.master.server.saved_list import ListFile
+from ca.revocation.lists import open_list
+from rossec.master.server.saved_state import ListFile
 from rossec.ros.names import MASTER
 from tests.rossec.test_files import no_room
 from tests.support.site import Site
 
 
-def test_a_list_that_cannot_be_saved_is_saved_later(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_list_that_cannot_be_saved_is_saved_later(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     site = Site(tmp_path / "site")
     home = site.enroll(MASTER)
     file, first, second = ListFile(home), site.revoke(b"1" * 32), site.revoke(b"2" * 32)

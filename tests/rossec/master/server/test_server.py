@@ -9,14 +9,13 @@ from typing import Any
 import pytest
 
 from rossec.errors import AnswerRefused
-from rossec.master.api.revoked_calls import MAX_CONNECTIONS
-from rossec.master.operation.limits import MasterLimits
-from rossec.master.rights.deposits import verifier
-from rossec.master.server.deposit_file import DepositFile
-from rossec.master.server.parameter_file import ParameterFile
+from rossec.master.api.dispatch import MAX_CONNECTIONS
+from rossec.master.operation.config import MasterLimits
+from rossec.master.rights.held_grants import verifier
+from rossec.master.server.saved_state import DepositFile, ParameterFile
 from rossec.master.server.server import PEER_CONNECTIONS, MasterServer
 from rossec.net.aio import SecureStream
-from rossec.net.rpc.client import serve_calls
+from rossec.net.rpc.calls import serve_calls
 from tests.rossec.master.world import EVERYTHING, T, World, ends, until
 
 
@@ -25,9 +24,14 @@ async def another(world: World, **options: Any) -> AsyncIterator[MasterServer]:
     """Another master of the same site, in place of the first."""
     first, credentials = world.server, world.master.credentials
     made = MasterServer(
-        credentials, world.site.anchor.verify, world.trust, host="127.0.0.1", port=0,
-        advertise="127.0.0.1", **options,
-    )  # fmt: skip
+        credentials,
+        world.site.anchor.verify,
+        world.trust,
+        host="127.0.0.1",
+        port=0,
+        advertise="127.0.0.1",
+        **options,
+    )
     await made.start()
     world.server = made
     try:
@@ -98,9 +102,7 @@ async def test_m8_a_node_on_another_host_cannot_register_loopback(
 async def test_a_long_multicall_does_not_delay_others(world: World) -> None:
     """The rights of the caller are also checked again in every turn."""
     eve, other = await world.node("/eve"), await world.node("/other")
-    calls = [
-        {"methodName": "setParam", "params": ["/eve", f"/p{number}", 1]} for number in range(2000)
-    ]
+    calls = [{"methodName": "setParam", "params": ["/eve", f"/p{number}", 1]} for number in range(2000)]
     pending = asyncio.ensure_future(eve.client.call("system.multicall", calls))
     await until(lambda: int(world.server.status()["calls"]) > 2)
     assert isinstance(await other.ask("getPid"), int)
@@ -117,9 +119,7 @@ async def test_a_long_multicall_does_not_delay_others(world: World) -> None:
 
 async def test_a_revoked_identity_does_not_end_its_multicall(world: World) -> None:
     eve, other = await world.node("/eve"), await world.node("/other")
-    calls = [
-        {"methodName": "setParam", "params": ["/eve", f"/p{number}", 1]} for number in range(3000)
-    ]
+    calls = [{"methodName": "setParam", "params": ["/eve", f"/p{number}", 1]} for number in range(3000)]
     pending = asyncio.ensure_future(eve.client.call("system.multicall", calls))
     await until(lambda: int(world.server.status()["calls"]) > 2)
     await other.ask("rossec.updateRevocations", world.site.revoke(eve.member))
@@ -150,9 +150,7 @@ async def test_parameters_and_deposits_survive_a_restart(world: World, tmp_path:
     deposit = world.site.grant(robot, EVERYTHING)
 
     def files() -> dict[str, Any]:
-        deposits = DepositFile(
-            tmp_path / "deposits", verifier(world.site.anchor, world.trust.check)
-        )
+        deposits = DepositFile(tmp_path / "deposits", verifier(world.site.anchor, world.trust.check))
         return {"parameter_file": ParameterFile(tmp_path / "parameters"), "deposit_file": deposits}
 
     async with another(world, **files()):

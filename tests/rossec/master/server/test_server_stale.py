@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import RossecError
-from rossec.net.rpc.client import RpcClient
+from rossec.net.rpc.calls import RpcClient
 from tests.support.attacker import credentials, dial
 from tests.support.site import Site
 from tests.support.trust import accept, carry

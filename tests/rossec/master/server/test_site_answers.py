@@ -7,18 +7,19 @@ from typing import Any
 import pytest
 
 from rossec.errors import AnswerRefused
-from rossec.master.server.site_answers import SiteAnswers
+from rossec.host.runner import TaskSet
+from rossec.master.server.answers import SiteAnswers
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Registry
-from rossec.master.state.sites import Site
-from rossec.net.aio.tasks import TaskSet
 from tests.rossec.master.world import SlaveNode, World, until
 
 KITCHEN = Site("kitchen")
 FACTS = [
-    ("node", "/robot", "http://10.0.0.2:1/"), ("service", "/reset", "/robot"),
+    ("node", "/robot", "http://10.0.0.2:1/"),
+    ("service", "/reset", "/robot"),
     ("provider", "/reset", "rosrpc://10.0.0.2:9"),
-]  # fmt: skip
+]
 
 
 @pytest.fixture

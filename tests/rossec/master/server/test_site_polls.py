@@ -5,8 +5,8 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 
 import pytest
 
-from rossec.master.server.site_polls import SitePolls
-from rossec.net.aio.tasks import TaskSet
+from rossec.host.runner import TaskSet
+from rossec.master.server.updates import SitePolls
 from tests.rossec.master.world import until
 
 LONG = 30.0

@@ -12,10 +12,9 @@ from grants.errors import GrantForged
 from grants.model import Right
 from rossec.errors import NotWritten
 from rossec.home import NodeHome
-from rossec.master.rights.deposits import Deposits
-from rossec.master.server.server import MasterServer
-from rossec.master.server.start import master_of
-from rossec.master.state.deposit_journal import MAGIC, GrantDeposited, encode
+from rossec.master.rights.held_grants import Deposits
+from rossec.master.server.server import MasterServer, master_of
+from rossec.master.state.journals import DEPOSITS_MAGIC, GrantDeposited, encode_deposit
 from tests.rossec.master.visiting import HOSPITAL, Hospital, Lists
 from tests.rossec.test_files import no_room
 from tests.support import site as trust_domains
@@ -102,9 +101,7 @@ async def test_an_expired_identity_is_refused(tmp_path: Path) -> None:
         make(home, None, site.now + 40 * 86400)
 
 
-def test_a_delegation_for_another_key_is_not_used(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_delegation_for_another_key_is_not_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     site = trust_domains.Site(tmp_path / "site")
     site.delegate()
     home = site.enroll("/master")
@@ -125,9 +122,7 @@ def test_a_tree_of_revocations_is_complete_with_its_entries(
     assert site.entries is not None
     for entries, warned in ((None, True), (b"other", True), (site.entries, False), (None, False)):
         caplog.clear()
-        master_of(
-            home, host="127.0.0.1", port=11311, newest=newest, now=site.now(), entries=entries
-        )
+        master_of(home, host="127.0.0.1", port=11311, newest=newest, now=site.now(), entries=entries)
         assert ("entries of the revocation tree are missing" in caplog.text) is warned
 
 
@@ -141,7 +136,7 @@ async def test_a_restarted_master_has_the_deposits_that_are_in_force(tmp_path: P
     with pytest.raises(NotWritten, match="is not open"):
         deposits.add(verified)
     (home.path / "deposits.journal").write_bytes(
-        MAGIC + b"".join(encode(GrantDeposited(data)) for data in (one, two))
+        DEPOSITS_MAGIC + b"".join(encode_deposit(GrantDeposited(data)) for data in (one, two))
     )
     assert len(await deposits_after_start(home, site, site.revoke())) == 2
     assert len(await deposits_after_start(home, site, site.revoke(one))) == 1

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from rossec.errors import PeerUnreachable
+from rossec.host.runner import TaskSet
 from rossec.master.server.updates import PENDING_BYTES, PENDING_LIMIT, NodeClient, Updates
 from rossec.master.state.registry import NodeRef
-from rossec.net.aio.tasks import TaskSet
-from rossec.net.rpc.client import RpcClient, serve_calls
+from rossec.net.rpc.calls import RpcClient, serve_calls
 from rossec.ros.xmlrpc import Fault
 from tests.support.streams import stream_pair
 
@@ -118,9 +118,7 @@ async def test_a_node_that_starts_late_receives_the_update(nodes: Nodes) -> None
     assert nodes.dialled == ["/live"] * 3
 
 
-async def test_an_unreachable_node_is_given_up(
-    nodes: Nodes, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_an_unreachable_node_is_given_up(nodes: Nodes, caplog: pytest.LogCaptureFixture) -> None:
     nodes.failures = 3
     client = NodeClient(ref("/live"), nodes.dial, retry_after=(0.0, 0.0))
     client.post(KEY, 1)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.master.state.addresses import (
+from rossec.master.state.registry import (
     endpoint,
     is_connectable,
     is_loopback_host,
@@ -22,11 +22,27 @@ def test_unicast_hosts(host: str) -> None:
 @pytest.mark.parametrize(
     "host",
     [
-        "", "0.0.0.0", "::", "::ffff:0.0.0.0", "224.0.0.1", "ff02::1", "255.255.255.255",
-        "127.1", "2130706433", "0x7f000001", "0X7F.1", "017700000001", "127.0.0.01", "127.0.0.1.",
-        "1.2.3.4.5", "256.1.1.1", "a.b.1", "0x", ":1",
+        "",
+        "0.0.0.0",
+        "::",
+        "::ffff:0.0.0.0",
+        "224.0.0.1",
+        "ff02::1",
+        "255.255.255.255",
+        "127.1",
+        "2130706433",
+        "0x7f000001",
+        "0X7F.1",
+        "017700000001",
+        "127.0.0.01",
+        "127.0.0.1.",
+        "1.2.3.4.5",
+        "256.1.1.1",
+        "a.b.1",
+        "0x",
+        ":1",
     ],
-)  # fmt: skip
+)
 def test_other_hosts_and_unusual_spellings_are_refused(host: str) -> None:
     assert not is_unicast_host(host)
 
@@ -34,10 +50,17 @@ def test_other_hosts_and_unusual_spellings_are_refused(host: str) -> None:
 @pytest.mark.parametrize(
     "host",
     [
-        "127.0.0.1", "127.9.9.9", "::1", "::ffff:127.0.0.1", "localhost", "a.localhost",
-        "localhost.localdomain", "ip6-localhost", "localhost.",
+        "127.0.0.1",
+        "127.9.9.9",
+        "::1",
+        "::ffff:127.0.0.1",
+        "localhost",
+        "a.localhost",
+        "localhost.localdomain",
+        "ip6-localhost",
+        "localhost.",
     ],
-)  # fmt: skip
+)
 def test_loopback_hosts(host: str) -> None:
     assert is_loopback_host(host)
 
@@ -59,11 +82,17 @@ def test_spellings_of_one_endpoint_are_equal(one: str, other: str) -> None:
 @pytest.mark.parametrize(
     ("host", "reachable"),
     [
-        ("10.0.0.1", True), ("robot.local", True), ("fd00::1", True), ("127.0.0.1", False),
-        ("localhost", False), ("::1", False), ("169.254.1.1", False), ("fe80::1", False),
+        ("10.0.0.1", True),
+        ("robot.local", True),
+        ("fd00::1", True),
+        ("127.0.0.1", False),
+        ("localhost", False),
+        ("::1", False),
+        ("169.254.1.1", False),
+        ("fe80::1", False),
         ("::ffff:127.0.0.1", False),
     ],
-)  # fmt: skip
+)
 def test_loopback_and_link_local_mean_another_machine_here(host: str, *, reachable: bool) -> None:
     assert is_reachable_from_here(host) is reachable
 
@@ -71,10 +100,16 @@ def test_loopback_and_link_local_mean_another_machine_here(host: str, *, reachab
 @pytest.mark.parametrize(
     ("uri", "connectable"),
     [
-        ("http://h:1/", True), ("rosrpc://h:1", False), ("http://h/", False), ("http://:1/", False),
-        ("http://u@h:1/", False), ("http://h:99999/", False), ("http://h:1/ ", False),
-        ("http://0.0.0.0:1/", False), ("http://h:1/" + "x" * 600, False),
+        ("http://h:1/", True),
+        ("rosrpc://h:1", False),
+        ("http://h/", False),
+        ("http://:1/", False),
+        ("http://u@h:1/", False),
+        ("http://h:99999/", False),
+        ("http://h:1/ ", False),
+        ("http://0.0.0.0:1/", False),
+        ("http://h:1/" + "x" * 600, False),
     ],
-)  # fmt: skip
+)
 def test_a_uri_names_a_host_and_a_port(uri: str, *, connectable: bool) -> None:
     assert is_connectable(uri, "http") is connectable

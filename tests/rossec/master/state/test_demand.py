@@ -2,10 +2,10 @@
 
 import pytest
 
-from rossec.master.state import demand as module
-from rossec.master.state.demand import EVERYTHING, NOTHING, WANTED_SECONDS, Demand
+from rossec.master.state import imports as module
+from rossec.master.state.imported_facts import Site
+from rossec.master.state.imports import EVERYTHING, NOTHING, WANTED_SECONDS, Demand
 from rossec.master.state.registry import Kind, NodeRef, Registry
-from rossec.master.state.sites import Site
 
 KITCHEN, HOSPITAL = Site("kitchen"), Site("ward", "hospital")
 HERE = NodeRef("/here", "http://h:1/", b"here")
@@ -25,9 +25,7 @@ def test_nothing_is_wanted_at_first(demand: Demand) -> None:
     assert demand.wanted(KITCHEN, 0) == NOTHING
 
 
-def test_subscribed_topics_are_wanted_while_they_are_subscribed(
-    registry: Registry, demand: Demand
-) -> None:
+def test_subscribed_topics_are_wanted_while_they_are_subscribed(registry: Registry, demand: Demand) -> None:
     registry.register_subscriber("/pose", "*", HERE)
     registry.register_subscriber("/remote/hospital/map", "*", HERE)
     registry.register_publisher("/own", "*", HERE)
@@ -38,9 +36,7 @@ def test_subscribed_topics_are_wanted_while_they_are_subscribed(
     assert demand.wanted(KITCHEN, 10**9) == NOTHING
 
 
-def test_of_the_own_domain_what_gateways_there_serve_is_wanted(
-    registry: Registry, demand: Demand
-) -> None:
+def test_of_the_own_domain_what_gateways_there_serve_is_wanted(registry: Registry, demand: Demand) -> None:
     for alias in ("/remote/kitchen/pose", "/remote/hospital/remote/clinic/map", "/remote/ward"):
         registry.register_subscriber(alias, "*", HERE)
     assert demand.wanted(KITCHEN, 0) == ("/gateway/kitchen/pose", "/pose")
@@ -82,9 +78,7 @@ def test_the_version_grows_when_more_is_wanted_only(demand: Demand) -> None:
     assert demand.version == third
 
 
-def test_a_topic_that_others_subscribe_is_wanted_already(
-    registry: Registry, demand: Demand
-) -> None:
+def test_a_topic_that_others_subscribe_is_wanted_already(registry: Registry, demand: Demand) -> None:
     for node in (HERE, NodeRef("/second", "http://h:2/", b"second")):
         registry.register_subscriber("/pose", "*", node)
     before = demand.version

@@ -4,30 +4,30 @@ from collections.abc import Mapping
 
 import pytest
 
-from rossec.master.state.addresses import endpoint
-from rossec.master.state.doors import (
+from rossec.master.state.forwarded_ports import (
     AT_ONCE,
     SILENCE,
     Door,
-    Doors,
-    Report,
+    ForwardedPorts,
+    PeerWay,
+    RelayReport,
     Target,
     WantedChange,
-    Way,
 )
+from rossec.master.state.registry import endpoint
 
 MASTER = Target("office", "master", "/master")
 ROBOT = Target("office", "node", "/robot")
 CLOCK = Target("office", "service", "/clock")
 AT = Door("127.0.0.1", 7001)
-WAY = Way("idle", 0.0, 0, "tls/router:7447", 0)
+WAY = PeerWay("idle", 0.0, 0, "tls/router:7447", 0)
 
 
 class Site:
     """A relay of each name that polls as it should, and what the doors have called."""
 
     def __init__(self, limit: int = 100) -> None:
-        self.doors = Doors(limit)
+        self.doors = ForwardedPorts(limit)
         self.seen: dict[str, int] = {}
         self.told = self.changed = 0
         self.doors.on_wanted = self._tell
@@ -48,7 +48,7 @@ class Site:
         peers: tuple[str, ...] = ("office",),
         now: int = 0,
     ) -> WantedChange:
-        report = Report(instance, self.seen.get(relay, 0), opened or {}, dict.fromkeys(peers, WAY))
+        report = RelayReport(instance, self.seen.get(relay, 0), opened or {}, dict.fromkeys(peers, WAY))
         change = self.doors.hear(relay, report, now)
         self.seen[relay] = change.version
         return change

@@ -3,18 +3,22 @@
 import pytest
 
 from rossec.master.state.graph import Graph, GraphNode
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Kind, NodeRef, Registry
-from rossec.master.state.sites import Site
 
 T, KITCHEN = "std_msgs/String", Site("kitchen")
 HERE = NodeRef("/here", "http://10.0.0.1:1/", b"here")
 ROBOT = "/remote/kitchen/robot"
 FACTS = [
-    ("node", "/robot", "http://10.0.0.2:1/"), ("publisher", "/pose", "/robot"),
-    ("publisher", "/far", "/robot"), ("type", "/pose", T), ("type", "/far", T),
-    ("service", "/reset", "/robot"), ("provider", "/reset", "rosrpc://10.0.0.2:9"),
-]  # fmt: skip
+    ("node", "/robot", "http://10.0.0.2:1/"),
+    ("publisher", "/pose", "/robot"),
+    ("publisher", "/far", "/robot"),
+    ("type", "/pose", T),
+    ("type", "/far", T),
+    ("service", "/reset", "/robot"),
+    ("provider", "/reset", "rosrpc://10.0.0.2:9"),
+]
 
 
 @pytest.fixture
@@ -27,9 +31,7 @@ def graph() -> Graph:
 
 
 def test_a_topic_occurs_once_with_the_nodes_of_all_masters(graph: Graph) -> None:
-    assert list(graph.entries(Kind.PUBLISHER)) == [
-        ("/pose", ("/here", ROBOT)), ("/far", (ROBOT,))
-    ]  # fmt: skip
+    assert list(graph.entries(Kind.PUBLISHER)) == [("/pose", ("/here", ROBOT)), ("/far", (ROBOT,))]
     assert list(graph.entries(Kind.SERVICE)) == [("/reset", (ROBOT,))]
     assert list(graph.entries(Kind.SUBSCRIBER)) == []
 

@@ -1,25 +1,19 @@
 """A contradiction of types is reported once, until its site is forgotten."""
 
-from collections.abc import Generator
-
 import pytest
 
-from rossec.master.state import import_events
-from rossec.master.state.import_events import (
-    Contradictions,
-    ImportEvent,
-    TypeContradicted,
-    finished,
-)
-from rossec.master.state.imported_facts import Fact, SiteFacts
+from rossec.master.state import imported_facts
+from rossec.master.state.imported_facts import Contradictions, Fact, Site, SiteFacts, TypeContradicted
 from rossec.master.state.registry import NodeRef, Registry
-from rossec.master.state.sites import Site
 
 HERE, THERE = "std_msgs/String", "std_msgs/Int32"
 FACTS: list[Fact] = [
-    ("type", "/a", THERE), ("type", "/b", THERE), ("type", "/same", HERE), ("type", "/far", THERE),
+    ("type", "/a", THERE),
+    ("type", "/b", THERE),
+    ("type", "/same", HERE),
+    ("type", "/far", THERE),
     ("publisher", "/a", "/robot"),
-]  # fmt: skip
+]
 
 
 @pytest.fixture
@@ -48,23 +42,6 @@ def test_of_an_alias_nobody_here_says_what_type_it_has(registry: Registry) -> No
     assert Contradictions(registry).report(hospital, FACTS) == []
 
 
-def test_reports_of_one_site_are_bounded(
-    registry: Registry, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(import_events, "MAX_REPORTED", 1)
+def test_reports_of_one_site_are_bounded(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(imported_facts, "MAX_REPORTED", 1)
     assert len(Contradictions(registry).report(SiteFacts(Site("kitchen")), FACTS)) == 1
-
-
-@pytest.mark.parametrize("pauses", [0, 3])
-def test_all_steps_are_taken_and_their_events_returned(pauses: int) -> None:
-    taken = list[int]()
-    event = TypeContradicted("kitchen", "/a", HERE, THERE)
-
-    def steps() -> Generator[None, None, list[ImportEvent]]:
-        for step in range(pauses):
-            taken.append(step)
-            yield
-        return [event]
-
-    assert finished(steps()) == [event]
-    assert len(taken) == pauses

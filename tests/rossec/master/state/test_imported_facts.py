@@ -3,16 +3,18 @@
 import pytest
 
 from rossec.errors import ImportRefused
-from rossec.master.state.imported_facts import Fact, SiteFacts, checked
+from rossec.master.state.imported_facts import Fact, Site, SiteFacts, checked
 from rossec.master.state.registry import Kind
-from rossec.master.state.sites import Site
 
 ROBOT = ("node", "/robot", "http://10.0.0.2:1/")
 FACTS: list[Fact] = [
-    ROBOT, ("publisher", "/pose", "/robot"), ("subscriber", "/cmd", "/robot"),
-    ("type", "/pose", "std_msgs/String"), ("service", "/reset", "/robot"),
+    ROBOT,
+    ("publisher", "/pose", "/robot"),
+    ("subscriber", "/cmd", "/robot"),
+    ("type", "/pose", "std_msgs/String"),
+    ("service", "/reset", "/robot"),
     ("provider", "/reset", "rosrpc://10.0.0.2:9"),
-]  # fmt: skip
+]
 
 
 @pytest.fixture
@@ -27,12 +29,14 @@ def test_well_formed_facts_are_taken_as_they_are() -> None:
 @pytest.mark.parametrize(
     ("fact", "why"),
     [
-        (("publisher", "/a", "robot"), "invalid name"), (("node", "/remote/a/b", "x"), "alias"),
+        (("publisher", "/a", "robot"), "invalid name"),
+        (("node", "/remote/a/b", "x"), "alias"),
         (("provider", "/a", "rosrpc://10.0.0.2"), "not one"),
         (("kind", "/a", "/b"), "unknown kind"),
-        (("type", "/a", "a/" + "b" * 300), "not one"), (("node", "/a", "http://x:1/ "), "not one"),
+        (("type", "/a", "a/" + "b" * 300), "not one"),
+        (("node", "/a", "http://x:1/ "), "not one"),
     ],
-)  # fmt: skip
+)
 def test_a_malformed_fact_is_refused(fact: Fact, why: str) -> None:
     with pytest.raises(ImportRefused, match=why):
         checked([*FACTS, fact])
@@ -60,9 +64,10 @@ def test_what_is_withdrawn_leaves_nothing(held: SiteFacts) -> None:
 def test_a_newer_value_stays_when_the_older_one_is_withdrawn(held: SiteFacts) -> None:
     older: list[Fact] = [ROBOT, ("type", "/pose", "a/Old"), ("provider", "/s", "rosrpc://h:1")]
     newer: list[Fact] = [
-        ("node", "/robot", "http://10.0.0.3:1/"), ("type", "/pose", "a/New"),
+        ("node", "/robot", "http://10.0.0.3:1/"),
+        ("type", "/pose", "a/New"),
         ("provider", "/s", "rosrpc://h:2"),
-    ]  # fmt: skip
+    ]
     for fact in (*older, *newer):
         held.add(fact)
     for fact in older:

@@ -2,13 +2,12 @@
 
 import pytest
 
+from grants.decision import Reach
 from grants.model import Permission, Right
-from grants.reach import Reach
 from rossec.errors import ImportRefused
-from rossec.master.state.import_events import TypeContradicted
+from rossec.master.state.imported_facts import Site, TypeContradicted
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry
-from rossec.master.state.sites import Site
 
 T, OTHER = "std_msgs/String", "std_msgs/Int32"
 KITCHEN, ATTIC = Site("kitchen"), Site("attic")
@@ -58,26 +57,20 @@ def test_everything_of_a_foreign_domain_lies_below_its_label(imports: Imports) -
     assert imports.service_uri("/reset") is None
 
 
-def test_local_subscribers_are_told_of_imported_publishers(
-    registry: Registry, imports: Imports
-) -> None:
+def test_local_subscribers_are_told_of_imported_publishers(registry: Registry, imports: Imports) -> None:
     subscribe(registry, "/pose")
     registry.register_publisher("/pose", T, NodeRef("/own", "http://10.0.0.1:2/", b"own"))
     own, there = "http://10.0.0.1:2/", ROBOT[2]
     assert imports.apply(KITCHEN, POSE, []) == [changed("/pose", own, there)]
     assert imports.apply(KITCHEN, POSE, []) == []  # nothing new
-    _, events = registry.unregister(
-        Kind.PUBLISHER, "/pose", NodeRef("/own", "http://10.0.0.1:2/", b"own")
-    )
+    _, events = registry.unregister(Kind.PUBLISHER, "/pose", NodeRef("/own", "http://10.0.0.1:2/", b"own"))
     assert events == [changed("/pose", there)]
     moved = ("node", "/robot", "http://10.0.0.3:1/")
     assert imports.apply(KITCHEN, [moved], [ROBOT]) == [changed("/pose", moved[2])]
     assert imports.drop("kitchen") == [changed("/pose")]
 
 
-def test_subscribers_of_an_alias_are_told_by_its_alias(
-    registry: Registry, imports: Imports
-) -> None:
+def test_subscribers_of_an_alias_are_told_by_its_alias(registry: Registry, imports: Imports) -> None:
     subscribe(registry, "/remote/hospital/pose")
     assert imports.apply(HOSPITAL, POSE, []) == [changed("/remote/hospital/pose", ROBOT[2])]
 
@@ -102,9 +95,10 @@ def test_what_is_registered_here_wins(registry: Registry, imports: Imports) -> N
 def test_of_two_sites_the_lower_label_provides_a_service(imports: Imports) -> None:
     for site, host in ((KITCHEN, 3), (ATTIC, 4)):
         facts = [
-            ("node", "/n", f"http://10.0.0.{host}:1/"), ("service", "/reset", "/n"),
+            ("node", "/n", f"http://10.0.0.{host}:1/"),
+            ("service", "/reset", "/n"),
             ("provider", "/reset", f"rosrpc://10.0.0.{host}:9"),
-        ]  # fmt: skip
+        ]
         imports.apply(site, facts, [])
     assert imports.nodes_of(Kind.SERVICE, "/reset") == ("/remote/attic/n",)
     assert imports.service_uri("/reset") == "rosrpc://10.0.0.4:9"
@@ -124,9 +118,7 @@ def test_a_topic_with_another_type_is_not_imported_and_reported_once(
     assert registry.topic_type("/pose") == OTHER
 
 
-def test_a_type_that_is_learnt_here_ends_what_contradicts_it(
-    registry: Registry, imports: Imports
-) -> None:
+def test_a_type_that_is_learnt_here_ends_what_contradicts_it(registry: Registry, imports: Imports) -> None:
     imports.apply(KITCHEN, POSE, [])
     subscribe(registry, "/pose")
     other = NodeRef("/second", "http://10.0.0.1:3/", b"second")
@@ -134,13 +126,9 @@ def test_a_type_that_is_learnt_here_ends_what_contradicts_it(
     assert events == [PublishersChanged("/pose", (HERE, other), ())]
 
 
-def test_sites_that_contradict_each_other_leave_the_type_of_the_lower_label(
-    imports: Imports,
-) -> None:
+def test_sites_that_contradict_each_other_leave_the_type_of_the_lower_label(imports: Imports) -> None:
     imports.apply(KITCHEN, POSE, [])
-    facts = [
-        ("node", "/n", "http://10.0.0.9:1/"), ("publisher", "/pose", "/n"), ("type", "/pose", OTHER)
-    ]  # fmt: skip
+    facts = [("node", "/n", "http://10.0.0.9:1/"), ("publisher", "/pose", "/n"), ("type", "/pose", OTHER)]
     imports.apply(ATTIC, facts, [])
     assert imports.topic_type("/pose") == OTHER
     assert imports.nodes_of(Kind.PUBLISHER, "/pose") == ("/remote/attic/n",)
@@ -154,9 +142,7 @@ def test_two_sites_of_one_foreign_domain_share_their_names(imports: Imports) -> 
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]", "169.254.0.9", "[fe80::1]"])
-def test_an_address_that_means_another_machine_here_is_not_imported(
-    imports: Imports, host: str
-) -> None:
+def test_an_address_that_means_another_machine_here_is_not_imported(imports: Imports, host: str) -> None:
     facts = [("node", "/robot", f"http://{host}:1/"), ("publisher", "/pose", "/robot")]
     imports.apply(KITCHEN, facts, [])
     assert imports.publisher_uris("/pose") == []
@@ -169,16 +155,16 @@ def test_a_site_that_is_followed_over_loopback_is_on_this_host(imports: Imports)
     assert imports.publisher_uris("/pose") == ["http://127.0.0.1:1/"]
 
 
-def test_an_address_that_is_registered_here_is_not_imported(
-    registry: Registry, imports: Imports
-) -> None:
+def test_an_address_that_is_registered_here_is_not_imported(registry: Registry, imports: Imports) -> None:
     subscribe(registry, "/pose")
     registry.register_service("/own", "rosrpc://10.0.0.1:9", HERE)
     facts: list[Fact] = [
-        ("node", "/robot", "http://10.0.0.1:1/"), ("publisher", "/pose", "/robot"),
-        ("node", "/arm", "http://10.0.0.2:1/"), ("service", "/reset", "/arm"),
+        ("node", "/robot", "http://10.0.0.1:1/"),
+        ("publisher", "/pose", "/robot"),
+        ("node", "/arm", "http://10.0.0.2:1/"),
+        ("service", "/reset", "/arm"),
         ("provider", "/reset", "rosrpc://10.0.0.1:9"),
-    ]  # fmt: skip
+    ]
     assert imports.apply(KITCHEN, facts, []) == []
     assert imports.publisher_uris("/pose") == []
     assert imports.service_uri("/reset") is None
@@ -197,13 +183,18 @@ def test_a_node_of_the_own_domain_that_is_registered_here_is_not_imported(
 @pytest.mark.parametrize(
     "fact",
     [
-        ("publisher", "/remote/x/pose", "/robot"), ("publisher", "/pose", "/remote/x/robot"),
-        ("publisher", "pose", "/robot"), ("friend", "/pose", "/robot"),
-        ("node", "/robot", "rosrpc://10.0.0.2:1"), ("node", "/robot", "http://10.0.0.2/"),
-        ("node", "/robot", f"http://10.0.0.2:1/{'x' * 600}"), ("type", "/pose", "*"),
-        ("type", "/pose", "a/b/c"), ("provider", "/reset", "http://10.0.0.2:1/"),
+        ("publisher", "/remote/x/pose", "/robot"),
+        ("publisher", "/pose", "/remote/x/robot"),
+        ("publisher", "pose", "/robot"),
+        ("friend", "/pose", "/robot"),
+        ("node", "/robot", "rosrpc://10.0.0.2:1"),
+        ("node", "/robot", "http://10.0.0.2/"),
+        ("node", "/robot", f"http://10.0.0.2:1/{'x' * 600}"),
+        ("type", "/pose", "*"),
+        ("type", "/pose", "a/b/c"),
+        ("provider", "/reset", "http://10.0.0.2:1/"),
     ],
-)  # fmt: skip
+)
 def test_a_malformed_fact_refuses_the_whole_answer(imports: Imports, fact: Fact) -> None:
     imports.apply(KITCHEN, POSE, [])
     with pytest.raises(ImportRefused):
@@ -253,9 +244,7 @@ def test_subscribers_do_not_leave_the_publishers_of_a_site_that_is_lost_for_long
     assert imports.apply(KITCHEN, [], [], whole=True) == [changed("/pose", other[2])]
 
 
-def test_what_was_kept_of_a_site_goes_when_it_is_dropped(
-    registry: Registry, imports: Imports
-) -> None:
+def test_what_was_kept_of_a_site_goes_when_it_is_dropped(registry: Registry, imports: Imports) -> None:
     subscribe(registry, "/pose")
     imports.apply(KITCHEN, POSE, [])
     imports.expire("kitchen")
@@ -311,7 +300,7 @@ def test_sites_are_settled_when_they_have_answered_what_is_wanted(imports: Impor
 
 def test_of_a_foreign_domain_only_what_the_rules_take_in_counts(imports: Imports) -> None:
     rules = {"hospital": Reach((Permission("/pose", Right.SUBSCRIBE),))}
-    imports.intake.rules = rules.get
+    imports.filter.rules = rules.get
     imports.apply(HOSPITAL, [*POSE, *RESET, ("node", "/nurse", "http://10.0.0.4:1/")], [])
     assert imports.publisher_uris("/remote/hospital/pose") == [ROBOT[2]]
     assert imports.topic_type("/remote/hospital/pose") == T
@@ -326,7 +315,7 @@ def test_of_a_foreign_domain_only_what_the_rules_take_in_counts(imports: Imports
 
 def test_what_may_only_be_seen_has_no_address(imports: Imports) -> None:
     rules = {"hospital": Reach((Permission("/**", Right.GRAPH),))}
-    imports.intake.rules = rules.get
+    imports.filter.rules = rules.get
     imports.apply(HOSPITAL, [*POSE, *RESET], [])
     pose, reset = "/remote/hospital/pose", "/remote/hospital/reset"
     assert imports.nodes_of(Kind.PUBLISHER, pose) == ("/remote/hospital/robot",)
@@ -339,7 +328,7 @@ def test_other_rules_are_told_to_subscribers_and_hide_the_own_domain_never(
     registry: Registry, imports: Imports
 ) -> None:
     alias, rules = "/remote/hospital/pose", {"kitchen": Reach(()), "hospital": Reach(())}
-    imports.intake.rules = rules.get
+    imports.filter.rules = rules.get
     subscribe(registry, alias)
     imports.apply(HOSPITAL, POSE, [])
     imports.apply(KITCHEN, POSE, [])

@@ -12,15 +12,15 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from grants.reach import Reach
+from grants.decision import Reach
 from rossec.master.api.dispatch import MasterApi
+from rossec.master.api.graph_calls import WATCH
 from rossec.master.api.site_calls import FOLLOW
-from rossec.master.api.watch_calls import WATCH
 from rossec.master.rights.caller import Caller
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry
-from rossec.master.state.sites import Site
-from rossec.participant.graph_view import GraphView
+from rossec.participant.registrations import GraphView
 from tests.rossec.master.fakes import FakeStatements, call_api, refuse
 
 LABELS = ("a", "b", "c")
@@ -48,9 +48,14 @@ class Master:
         self.imports = Imports(self.registry)
         self.imports.demand.ask_everything(1 << 40)
         self.api = MasterApi(
-            self.registry, FakeStatements(), name="/master", uri="http://m:1/", pid=7,
-            instance=f"{self.label}{self.runs}", imports=self.imports,
-        )  # fmt: skip
+            self.registry,
+            FakeStatements(),
+            name="/master",
+            uri="http://m:1/",
+            pid=7,
+            instance=f"{self.label}{self.runs}",
+            imports=self.imports,
+        )
         self.views = {label: GraphView() for label in LABELS if label != self.label}
         self.told: dict[str, tuple[str, ...]] = {}
 
@@ -183,9 +188,7 @@ class Mesh(RuleBasedStateMachine):
             assert not seen or max(seen.values()) == 1
             for topic in master.registry.keys(Kind.SUBSCRIBER):
                 publishers = {
-                    uri
-                    for each in self.masters.values()
-                    for uri in each.registry.uris(Kind.PUBLISHER, topic)
+                    uri for each in self.masters.values() for uri in each.registry.uris(Kind.PUBLISHER, topic)
                 }
                 assert set(master.told[topic]) == publishers
                 assert len(master.told[topic]) == len(publishers)
@@ -196,9 +199,7 @@ class Mesh(RuleBasedStateMachine):
             for master in self.masters.values():
                 who = own_master("x")
                 answer: Any = call_api(master.api, FOLLOW, [who.name, "", 0, []], who, 0).answer
-                values = [each[2] for each in answer[2]["added"]] + [
-                    each[1] for each in answer[2]["added"]
-                ]
+                values = [each[2] for each in answer[2]["added"]] + [each[1] for each in answer[2]["added"]]
                 assert not any(value.startswith("/remote") for value in values)
 
 
@@ -211,9 +212,7 @@ def test_nothing_grows_with_a_thousand_cycles() -> None:
     sizes = list[tuple[int, ...]]()
     for cycle in range(1000):
         second.registry.register_publisher(f"/t{cycle}", TYPE, second.node(0))
-        second.registry.register_service(
-            f"/s{cycle}", f"rosrpc://10.0.0.1:{cycle + 1}", second.node(1)
-        )
+        second.registry.register_service(f"/s{cycle}", f"rosrpc://10.0.0.1:{cycle + 1}", second.node(1))
         first.registry.register_subscriber(f"/t{cycle}", "*", first.node(0))
         first.follow(second)
         second.registry.remove_node(second.node(0).name)

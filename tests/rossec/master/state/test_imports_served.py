@@ -4,14 +4,7 @@ import pytest
 
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import PublishersChanged, Registry
-from tests.rossec.master.state.test_imports import (
-    HOSPITAL,
-    KITCHEN,
-    OTHER,
-    POSE,
-    ROBOT,
-    subscribe,
-)
+from tests.rossec.master.state.test_imports import HOSPITAL, KITCHEN, OTHER, POSE, ROBOT, subscribe
 
 
 @pytest.fixture
@@ -24,9 +17,7 @@ def imports(registry: Registry) -> Imports:
     return Imports(registry)
 
 
-def test_who_subscribes_an_alias_does_not_decide_its_type(
-    registry: Registry, imports: Imports
-) -> None:
+def test_who_subscribes_an_alias_does_not_decide_its_type(registry: Registry, imports: Imports) -> None:
     subscribe(registry, "/remote/hospital/pose", OTHER)
     imports.apply(HOSPITAL, POSE, [])
     assert imports.publisher_uris("/remote/hospital/pose") == [ROBOT[2]]
@@ -35,9 +26,7 @@ def test_who_subscribes_an_alias_does_not_decide_its_type(
     assert imports.publisher_uris("/pose") == []
 
 
-def test_subscribers_of_an_alias_are_told_of_gateways_elsewhere(
-    registry: Registry, imports: Imports
-) -> None:
+def test_subscribers_of_an_alias_are_told_of_gateways_elsewhere(registry: Registry, imports: Imports) -> None:
     served = "/gateway/hospital/pose"
     facts = [("node", "/gateway", ROBOT[2]), ("publisher", served, "/gateway")]
     assert imports.apply(KITCHEN, facts, []) == []

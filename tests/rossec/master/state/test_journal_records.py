@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.master.state.journal_records import contents, frame
+from rossec.master.state.journals import contents, frame
 
 ITEMS = [b"one", b"", b"three" * 100]
 WHOLE = b"magic" + b"".join(map(frame, ITEMS))

@@ -4,8 +4,8 @@ import pytest
 
 from ca.errors import NameRefused
 from rossec.errors import ImportRefused
-from rossec.master.state.mirrors import MirrorChange, Mirrors, refuse_mirror
-from rossec.master.state.sites import Site
+from rossec.master.state.imported_facts import Site
+from rossec.master.state.parameters import MirrorChange, Mirrors, refuse_mirror
 
 KITCHEN, HOSPITAL = Site("kitchen"), Site("ward", "hospital")
 TREE: dict[str, object] = {"robot": {"speed": 1.5, "name": "r"}}
@@ -47,9 +47,7 @@ def test_only_what_has_changed_is_reported(mirrors: Mirrors) -> None:
 def test_another_site_under_a_label_replaces_the_one_before(mirrors: Mirrors) -> None:
     mirrors.replace(KITCHEN, {"a": 1})
     changes = mirrors.replace(Site("kitchen", "hospital"), {"b": 2})
-    assert changes == [
-        MirrorChange("/remote/kitchen/a", {}), MirrorChange("/remote/hospital/b", 2)
-    ]  # fmt: skip
+    assert changes == [MirrorChange("/remote/kitchen/a", {}), MirrorChange("/remote/hospital/b", 2)]
 
 
 def test_two_sites_of_one_domain_share_a_namespace(mirrors: Mirrors) -> None:
@@ -59,9 +57,7 @@ def test_two_sites_of_one_domain_share_a_namespace(mirrors: Mirrors) -> None:
     assert mirrors.item("/remote/hospital/b")[1] == 2
 
 
-@pytest.mark.parametrize(
-    "tree", [{"a/b": 1}, {"a b": 1}, {"a": None}, {"a": 1 << 40}, {"remote": {"x": 1}}]
-)
+@pytest.mark.parametrize("tree", [{"a/b": 1}, {"a b": 1}, {"a": None}, {"a": 1 << 40}, {"remote": {"x": 1}}])
 def test_what_cannot_be_a_parameter_is_refused(mirrors: Mirrors, tree: dict[str, object]) -> None:
     mirrors.replace(KITCHEN, TREE)
     with pytest.raises(ImportRefused, match="kitchen"):

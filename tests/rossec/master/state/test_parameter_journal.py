@@ -5,11 +5,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rossec.errors import XmlRpcRefused
-from rossec.master.state.parameter_journal import (
-    MAGIC,
+from rossec.master.state.journals import (
+    PARAMETERS_MAGIC,
     ParameterChange,
-    decode,
-    encode,
+    decode_parameters,
+    encode_parameter,
     replay,
     snapshot,
 )
@@ -22,27 +22,27 @@ CHANGES = [
     ParameterChange("/a", deleted=True),
     ParameterChange("/", {"x": 1}),
 ]
-WHOLE = MAGIC + b"".join(map(encode, CHANGES))
+WHOLE = PARAMETERS_MAGIC + b"".join(map(encode_parameter, CHANGES))
 
 
 def test_decode_inverts_encode() -> None:
-    assert decode(WHOLE) == (CHANGES, len(WHOLE))
-    assert decode(MAGIC) == ([], len(MAGIC))
+    assert decode_parameters(WHOLE) == (CHANGES, len(WHOLE))
+    assert decode_parameters(PARAMETERS_MAGIC) == ([], len(PARAMETERS_MAGIC))
 
 
 @given(st.integers(0, len(WHOLE) - 1))
 def test_a_truncated_record_ends_the_journal(size: int) -> None:
-    changes, good = decode(WHOLE[:size])
+    changes, good = decode_parameters(WHOLE[:size])
     assert changes == CHANGES[: len(changes)]
     assert good <= size
-    assert decode(WHOLE[:good]) == (changes, good)
+    assert decode_parameters(WHOLE[:good]) == (changes, good)
 
 
 @given(st.integers(0, len(WHOLE) - 1), st.integers(1, 255))
 def test_a_damaged_record_ends_the_journal(at: int, flip: int) -> None:
     damaged = bytearray(WHOLE)
     damaged[at] ^= flip
-    changes, _ = decode(bytes(damaged))
+    changes, _ = decode_parameters(bytes(damaged))
     assert changes == CHANGES[: len(changes)]
     assert len(changes) < len(CHANGES)
 
@@ -61,20 +61,21 @@ def test_an_unknown_record_ends_the_journal(call: bytes) -> None:
     import zlib
 
     record = len(call).to_bytes(4) + zlib.crc32(call).to_bytes(4) + call
-    assert decode(MAGIC + record + encode(CHANGES[0])) == ([], len(MAGIC))
+    assert decode_parameters(PARAMETERS_MAGIC + record + encode_parameter(CHANGES[0])) == (
+        [],
+        len(PARAMETERS_MAGIC),
+    )
 
 
 def test_replay_and_snapshot_lead_to_the_same() -> None:
     parameters, again = Parameters(), Parameters()
-    replay(
-        parameters, [*CHANGES[:2], ParameterChange("/none", deleted=True), ParameterChange("/", 5)]
-    )
+    replay(parameters, [*CHANGES[:2], ParameterChange("/none", deleted=True), ParameterChange("/", 5)])
     assert parameters.get("/") == {"a": 1, "b": {"c": CHANGES[1].value}}
-    replay(again, decode(snapshot(parameters))[0])
+    replay(again, decode_parameters(snapshot(parameters))[0])
     assert again.get("/") == parameters.get("/")
-    assert snapshot(Parameters()) == MAGIC
+    assert snapshot(Parameters()) == PARAMETERS_MAGIC
 
 
 def test_a_value_that_cannot_be_encoded_is_refused() -> None:
     with pytest.raises(XmlRpcRefused):
-        encode(ParameterChange("/a", None))
+        encode_parameter(ParameterChange("/a", None))

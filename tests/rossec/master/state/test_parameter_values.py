@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.master.state.parameter_values import DEPTH_LIMIT, check, encoded_size, exceeds
+from rossec.master.state.parameters import DEPTH_LIMIT, check_value, encoded_size, exceeds
 from rossec.ros import xmlrpc
-from rossec.ros.xmlwrite import EncodedList
+from rossec.ros.xmlrpc import EncodedList
 
 _WHEN = datetime(2020, 1, 2, 3, 4, 5)  # noqa: DTZ001 - XML-RPC's times have no zone
 _GOOD = st.recursive(
@@ -33,7 +33,7 @@ def test_exceeds_stops_early(value: Any, limit: int) -> None:
 
 @given(_GOOD)
 def test_accepted_values_can_be_encoded(value: Any) -> None:
-    check(value)
+    check_value(value)
     size = len(xmlrpc.dump_response(value)) - len(xmlrpc.dump_response([])) + encoded_size([])
     assert size < 2 * encoded_size(value) + 100
     assert encoded_size(value) < 2 * size + 100
@@ -49,29 +49,27 @@ def test_accepted_values_can_be_encoded(value: Any) -> None:
         (Decimal("1.5"), "a Decimal"),
     ],
 )
-def test_values_that_cannot_be_encoded_are_refused_at_any_depth(
-    value: object, message: str
-) -> None:
+def test_values_that_cannot_be_encoded_are_refused_at_any_depth(value: object, message: str) -> None:
     for spoilt in (value, [1, value], {"a": {"b": [value]}}):
         with pytest.raises(ValueError, match=f"XML-RPC cannot carry {message}"):
-            check(spoilt)
+            check_value(spoilt)
 
 
 @pytest.mark.parametrize("name", ["a/b", "", "~a"])
 def test_names_in_a_tree_are_one_segment(name: str) -> None:
     with pytest.raises(ValueError, match="cannot be the name"):
-        check({"a": {name: 1}})
+        check_value({"a": {name: 1}})
 
 
 def test_the_depth_is_bounded() -> None:
     value: object = 1
     for _ in range(DEPTH_LIMIT):
         value = [value]
-    check(value)
+    check_value(value)
     with pytest.raises(ValueError, match=f"deeper than {DEPTH_LIMIT}"):
-        check([value])
+        check_value([value])
     with pytest.raises(ValueError, match="deeper"):
-        check(1, -1)
+        check_value(1, -1)
 
 
 def test_the_size_of_encoded_text_is_its_length() -> None:
@@ -83,4 +81,4 @@ def test_the_size_of_encoded_text_is_its_length() -> None:
 def test_a_number_is_not_a_valid_name() -> None:
     """XML-RPC's structs can have a number as a member's name."""
     with pytest.raises(ValueError, match="1 cannot be the name of a parameter"):
-        check({1: 2})
+        check_value({1: 2})

@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.master.state.parameter_values import DEPTH_LIMIT, encoded_size
 from rossec.master.state.parameters import (
+    DEPTH_LIMIT,
     ParameterMissing,
     Parameters,
     check_names,
+    encoded_size,
     search_candidates,
     subscription_key,
     updates,
@@ -60,7 +61,7 @@ def test_get_set_delete() -> None:
     parameters.set("/a/b/new", 5)
     assert parameters.get("/a/b") == {"new": 5}
     parameters.delete("/a")
-    assert not parameters.has("/a/b")
+    assert parameters.item("/a/b") == ("/a/b", None)
     with pytest.raises(ParameterMissing):
         parameters.get("/a")
     for key in ("/", "/none", "/none/x"):
@@ -90,7 +91,7 @@ def test_the_size_of_all_parameters_is_limited_and_can_shrink() -> None:
     for key in ("/more", "/a/b", "/deep/er/than/that"):
         with pytest.raises(ValueError, match=f"more than {limit} bytes"):
             parameters.set(key, "x" * 2000, limit)
-    assert not parameters.has("/deep")
+    assert parameters.item("/deep") == ("/deep", None)
     parameters.set("/big", "y" * 1900, limit)
     parameters.set("/more", "x" * 2000)  # from an earlier run, which had a higher limit
     parameters.set("/big", "y" * 1000, limit)  # fewer is fine, though still too many
@@ -122,8 +123,10 @@ def test_the_size_is_that_of_all_parameters(changes: list[tuple[str, object]]) -
 
 def test_a_search_climbs_and_looks_for_the_first_segment() -> None:
     assert search_candidates("/ns/node", "x/y") == [
-        ("/ns/node/x", "/ns/node/x/y"), ("/ns/x", "/ns/x/y"), ("/x", "/x/y"),
-    ]  # fmt: skip
+        ("/ns/node/x", "/ns/node/x/y"),
+        ("/ns/x", "/ns/x/y"),
+        ("/x", "/x/y"),
+    ]
     assert search_candidates("/ns/node", "/x/y") == [("/x/y", "/x/y")]
     for key in ("", "~x"):
         with pytest.raises(ValueError, match="invalid key"):
@@ -138,11 +141,7 @@ def received_calls(key: str, value: object) -> list[tuple[str, str, object]]:
 
 
 def test_subscribers_above_at_and_below_are_notified() -> None:
-    assert received_calls("/a/b", 1) == [
-        ("/", "/a/b/", 1),
-        ("/a/", "/a/b/", 1),
-        ("/a/b/", "/a/b/", 1),
-    ]
+    assert received_calls("/a/b", 1) == [("/", "/a/b/", 1), ("/a/", "/a/b/", 1), ("/a/b/", "/a/b/", 1)]
     assert received_calls("/a", {"b": 5}) == [
         ("/", "/a/", {"b": 5}),
         ("/a/", "/a/", {"b": 5}),
@@ -158,24 +157,13 @@ def test_an_update_is_a_copy() -> None:
     assert update.value == {"b": [1]}
 
 
-keys = st.lists(st.sampled_from("abc"), min_size=1, max_size=3).map(
-    lambda parts: "/" + "/".join(parts)
-)
-trees = st.recursive(
-    st.integers(0, 3), lambda t: st.dictionaries(st.sampled_from("abc"), t, max_size=2)
-)
+keys = st.lists(st.sampled_from("abc"), min_size=1, max_size=3).map(lambda parts: "/" + "/".join(parts))
+trees = st.recursive(st.integers(0, 3), lambda t: st.dictionaries(st.sampled_from("abc"), t, max_size=2))
 
 
 @pytest.mark.ros
-@given(
-    key=keys,
-    value=trees,
-    subscriptions=st.lists(keys, unique=True),
-    setter=st.sampled_from(["/a", "/b"]),
-)
-def test_updates_equal_rosmasters(
-    key: str, value: object, subscriptions: list[str], setter: str
-) -> None:
+@given(key=keys, value=trees, subscriptions=st.lists(keys, unique=True), setter=st.sampled_from(["/a", "/b"]))
+def test_updates_equal_rosmasters(key: str, value: object, subscriptions: list[str], setter: str) -> None:
     stock = pytest.importorskip("rosmaster.paramserver")
     registrations = pytest.importorskip("rosmaster.registrations").Registrations(4)
     for name in subscriptions:

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from grants.limits import MAX_SLOT
-from rossec.master.state.publisher_log import MAX_ENDED, MAX_TOPICS, PublisherLog
+from rossec.master.state.graph import MAX_ENDED, MAX_TOPICS, PublisherLog
 from rossec.master.state.registry import Kind, NodeRef, Registry
 
 NODE = NodeRef("/a", "http://a:1/", b"a")

@@ -26,9 +26,7 @@ def test_a_publisher_is_announced_to_the_subscribers() -> None:
     registry = Registry()
     assert registry.register_subscriber("/t", "*", A) == []
     assert registry.register_publisher("/t", TYPE, B) == [PublishersChanged("/t", (A,), (B.uri,))]
-    assert registry.register_publisher("/t", TYPE, C) == [
-        PublishersChanged("/t", (A,), (B.uri, C.uri))
-    ]
+    assert registry.register_publisher("/t", TYPE, C) == [PublishersChanged("/t", (A,), (B.uri, C.uri))]
     assert registry.uris(Kind.PUBLISHER, "/t") == [B.uri, C.uri]
 
 
@@ -50,9 +48,7 @@ def test_unregistering_is_announced_once() -> None:
 def test_unregistering_needs_the_registered_uri() -> None:
     registry = Registry()
     registry.register_publisher("/t", TYPE, A)
-    done, events = registry.unregister(
-        Kind.PUBLISHER, "/t", NodeRef("/a", "http://other:1/", b"/a")
-    )
+    done, events = registry.unregister(Kind.PUBLISHER, "/t", NodeRef("/a", "http://other:1/", b"/a"))
     assert done == Unregistered("[/a] is not a known provider of [/t]", 0)
     assert events == []
 
@@ -95,9 +91,7 @@ def test_another_key_that_registers_replaces_the_node() -> None:
     registry.register_subscriber("/t", "*", B)
     registry.register_publisher("/t", TYPE, A)
     other = A._replace(thumbprint=b"another key")
-    assert registry.register_publisher("/u", TYPE, other)[:-1] == [
-        PublishersChanged("/t", (B,), ())
-    ]
+    assert registry.register_publisher("/u", TYPE, other)[:-1] == [PublishersChanged("/t", (B,), ())]
     assert registry.is_current(other)
     assert registry.owner(A.uri) == "/a"
 
@@ -228,12 +222,7 @@ def test_version_grows_only_with_changes() -> None:
 
 
 refs = st.sampled_from(
-    [
-        NodeRef(n, f"http://{n[1:]}:{p}/", k)
-        for n in ("/a", "/b")
-        for p in (1, 2)
-        for k in (b"k", b"l")
-    ]
+    [NodeRef(n, f"http://{n[1:]}:{p}/", k) for n in ("/a", "/b") for p in (1, 2) for k in (b"k", b"l")]
 )
 topics = st.sampled_from(["/t", "/u"])
 
@@ -269,9 +258,7 @@ class Machine(RuleBasedStateMachine):
     @rule(kind=st.sampled_from(list(Kind)), topic=topics, ref=refs)
     def unregister(self, kind: Kind, topic: str, ref: NodeRef) -> None:
         if kind is Kind.SERVICE:
-            self.registry.unregister_service(
-                topic, ref.name, f"rosrpc://{ref.name}", ref.thumbprint
-            )
+            self.registry.unregister_service(topic, ref.name, f"rosrpc://{ref.name}", ref.thumbprint)
         else:
             self.deliver(self.registry.unregister(kind, topic, ref)[1])
 

@@ -2,20 +2,21 @@
 
 import pytest
 
+from grants.decision import Reach
 from grants.model import Permission, Right
-from grants.reach import Reach
 from rossec.master.state.graph import Graph
+from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Kind, NodeRef, Registry
-from rossec.master.state.sites import Site
 from tests.rossec.master.state.test_imports import HERE, HOSPITAL, KITCHEN, OTHER, T
 
 ALIAS, SERVED = "/remote/hospital/pose", "/gateway/hospital/pose"
 GATEWAY = NodeRef("/gateway", "http://10.0.0.9:1/", b"gateway")
 ELSEWHERE = [
-    ("node", "/gateway/attic", "http://10.0.0.3:1/"), ("publisher", SERVED, "/gateway/attic"),
+    ("node", "/gateway/attic", "http://10.0.0.3:1/"),
+    ("publisher", SERVED, "/gateway/attic"),
     ("type", SERVED, T),
-]  # fmt: skip
+]
 
 
 @pytest.fixture
@@ -59,9 +60,7 @@ def test_a_gateway_of_another_master_of_the_domain_serves_too(graph: Graph) -> N
 
 
 def test_from_two_gateways_elsewhere_nobody_gets_everything_twice(graph: Graph) -> None:
-    cellar = [
-        ("node", "/gateway", "http://10.0.0.4:1/"), ("publisher", SERVED, "/gateway"),
-    ]  # fmt: skip
+    cellar = [("node", "/gateway", "http://10.0.0.4:1/"), ("publisher", SERVED, "/gateway")]
     graph.imports.apply(KITCHEN, ELSEWHERE, [])
     graph.imports.apply(Site("cellar"), cellar, [])
     assert graph.served.uris(ALIAS) == ["http://10.0.0.4:1/"]
@@ -96,7 +95,7 @@ def test_a_silent_gateway_serves_nothing_until_it_answers(graph: Graph) -> None:
 def test_what_is_not_taken_from_a_domain_is_not_served(graph: Graph) -> None:
     graph.registry.register_publisher(SERVED, T, GATEWAY)
     assert graph.served.gateways()
-    graph.imports.intake.rules = lambda _: Reach([Permission("/map", Right.SUBSCRIBE)])
+    graph.imports.filter.rules = lambda _: Reach([Permission("/map", Right.SUBSCRIBE)])
     graph.imports.taken_anew()
     assert graph.served.gateways() == {}
     assert graph.served.uris(ALIAS) == []
@@ -108,9 +107,10 @@ def test_of_an_alias_its_origin_decides_the_type(graph: Graph) -> None:
     graph.registry.register_publisher(SERVED, T, GATEWAY)
     assert graph.topic_type(ALIAS) == T
     facts = [
-        ("node", "/robot", "http://10.0.0.2:1/"), ("publisher", "/pose", "/robot"),
+        ("node", "/robot", "http://10.0.0.2:1/"),
+        ("publisher", "/pose", "/robot"),
         ("type", "/pose", "pkg/Pose"),
-    ]  # fmt: skip
+    ]
     assert graph.imports.apply(HOSPITAL, facts, []) != []
     assert graph.topic_type(ALIAS) == "pkg/Pose"
     assert graph.imports.publisher_uris(ALIAS) == ["http://10.0.0.2:1/"]

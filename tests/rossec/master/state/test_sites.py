@@ -3,7 +3,7 @@
 import pytest
 
 from ca.errors import NameRefused
-from rossec.master.state.sites import Site
+from rossec.master.state.imported_facts import Site
 
 KITCHEN, WARD = Site("kitchen"), Site("ward", "hospital")
 

@@ -8,22 +8,17 @@ import logging
 import pytest
 
 from rossec.channel.records import ChannelLimits
-from rossec.errors import (
-    ChannelError,
-    HandshakeFailed,
-)
-from rossec.net.aio import accepted as accepted_module
+from rossec.errors import ChannelError, HandshakeFailed
 from rossec.net.aio import serve
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
+from rossec.net.aio import server as accepted_module
+from rossec.net.limits import HalfOpen, HalfOpenCount
 from tests.support.contexts import context
 from tests.support.secure_streams import Stream, call, echo, raw, still_works
 from tests.support.wire import BOB
 from tests.support.witness import until
 
 
-async def test_a_crashing_handler_ends_only_its_connection(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_crashing_handler_ends_only_its_connection(caplog: pytest.LogCaptureFixture) -> None:
     async def picky(stream: Stream) -> None:
         unit = await stream.receive()
         await stream.send(bytes([100 // unit[0]]))
@@ -98,9 +93,7 @@ async def test_the_ports_of_a_context_share_its_limit() -> None:
         await still_works(other)
 
 
-async def test_a_caller_that_closes_at_once_releases_its_slot(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_caller_that_closes_at_once_releases_its_slot(monkeypatch: pytest.MonkeyPatch) -> None:
     only = HalfOpen(total=1)
     async with serve(echo, "127.0.0.1", 0, context(BOB, half_open=HalfOpenCount(only))) as server:
         gone: list[str] = []

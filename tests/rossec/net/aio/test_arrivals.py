@@ -6,10 +6,9 @@ import pytest
 
 from rossec import clock
 from rossec.errors import LimitExceeded
-from rossec.net.aio import arrivals
-from rossec.net.aio.arrivals import next_messages
-from rossec.ros.framing import Framing
-from rossec.ros.header import FrameReader, frame
+from rossec.net.aio import stream
+from rossec.net.aio.stream import next_messages
+from rossec.ros.tcpros import FrameReader, Framing, frame
 
 
 class Script:
@@ -31,7 +30,7 @@ async def test_bytes_are_split_into_messages() -> None:
 
 
 async def test_silence_between_messages_is_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(arrivals, "PATIENCE", 0.0)
+    monkeypatch.setattr(stream, "PATIENCE", 0.0)
     monkeypatch.setattr(clock, "now", lambda: pytest.fail("asked although nothing is begun"))
     with pytest.raises(TimeoutError):
         async with asyncio.timeout(0.05):
@@ -40,7 +39,7 @@ async def test_silence_between_messages_is_allowed(monkeypatch: pytest.MonkeyPat
 
 async def test_silence_within_a_message_ends_the_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     ticks = iter(range(0, 10_000, 5))
-    monkeypatch.setattr(arrivals, "PATIENCE", 0.001)
+    monkeypatch.setattr(stream, "PATIENCE", 0.001)
     monkeypatch.setattr(clock, "now", lambda: next(ticks))
     source, framing = Script(frame(bytes(9))[:6]), Framing(FrameReader())
     assert await next_messages(source, framing) == []

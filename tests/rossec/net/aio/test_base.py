@@ -8,8 +8,7 @@ import pytest
 
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed
-from rossec.net.aio.base import BaseStream
-from rossec.net.aio.transport import Transport
+from rossec.net.aio.transport import BaseStream, Transport
 
 
 class Fed(BaseStream):
@@ -54,9 +53,7 @@ async def fed() -> AsyncIterator[tuple[Fed, socket.socket]]:
     stream.transport.abort()
 
 
-async def test_units_are_received_in_order_and_the_end_after_them(
-    fed: tuple[Fed, socket.socket],
-) -> None:
+async def test_units_are_received_in_order_and_the_end_after_them(fed: tuple[Fed, socket.socket]) -> None:
     stream, far = fed
     far.sendall(b"12")
     assert await stream.receive() == b"1"
@@ -86,9 +83,7 @@ async def test_reading_pauses_while_units_are_not_taken(fed: tuple[Fed, socket.s
     assert (called, reading, stream.has_unit) == ([True], [False, False, True], False)
 
 
-async def test_a_sink_that_lags_is_drained_before_more_is_read(
-    fed: tuple[Fed, socket.socket],
-) -> None:
+async def test_a_sink_that_lags_is_drained_before_more_is_read(fed: tuple[Fed, socket.socket]) -> None:
     stream, far = fed
     sink, drained, lagged = bytearray(), asyncio.Event(), asyncio.Event()
 

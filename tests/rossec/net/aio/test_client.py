@@ -40,9 +40,7 @@ async def test_a_handshake_that_cannot_begin(dialled: socket.socket) -> None:
 async def test_a_cancelled_handshake() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-        calling = asyncio.get_running_loop().create_task(
-            connect("127.0.0.1", port, context(ALICE, trust))
-        )
+        calling = asyncio.get_running_loop().create_task(connect("127.0.0.1", port, context(ALICE, trust)))
         peer, _ = await asyncio.to_thread(listener.accept)
         calling.cancel()
         with pytest.raises(asyncio.CancelledError):

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from rossec.net.aio import dial as module
-from rossec.net.aio.dial import dial
+from rossec.net.aio import client as module
+from rossec.net.aio.client import dial
 from tests.support.ports import free_port
 
 Found = list[tuple[Any, Any, Any, Any, tuple[str, int]]]
@@ -83,11 +83,7 @@ async def test_an_address_needs_no_resolver(port: int, monkeypatch: pytest.Monke
 
 
 async def test_a_failure_goes_on_to_the_next(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    resolve(
-        monkeypatch,
-        (socket.AF_INET, "127.0.0.1", free_port()),
-        (socket.AF_INET, "127.0.0.1", port),
-    )
+    resolve(monkeypatch, (socket.AF_INET, "127.0.0.1", free_port()), (socket.AF_INET, "127.0.0.1", port))
     with await dial("host", port, 5) as sock:
         assert sock.getpeername() == ("127.0.0.1", port)
 
@@ -98,9 +94,7 @@ async def test_all_fail(monkeypatch: pytest.MonkeyPatch) -> None:
         await dial("host", 1, 5)
 
 
-async def test_a_failure_while_another_is_under_way(
-    port: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_failure_while_another_is_under_way(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     failed = asyncio.Event()
 
     async def after_the_failure() -> None:
@@ -115,18 +109,14 @@ async def test_a_failure_while_another_is_under_way(
         assert sock.getpeername() == ("127.0.0.1", port)
 
 
-async def test_a_silent_address_does_not_hold_up_the_next(
-    port: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_silent_address_does_not_hold_up_the_next(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     used = attempts(monkeypatch, port, first=never, second=never, third=at_once)
     with await dial("host", port, 5) as sock:
         assert sock.getpeername() == ("127.0.0.1", port)
         assert [each.fileno() == -1 for each in used] == [True, True, False]
 
 
-async def test_two_that_answer_together_leave_one_socket(
-    port: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_two_that_answer_together_leave_one_socket(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     answer = asyncio.Event()
 
     async def together() -> None:
@@ -184,9 +174,7 @@ async def test_a_cancellation_while_other_attempts_end_is_kept(
     assert [each.fileno() for each in used] == [-1, -1]
 
 
-async def test_a_task_that_was_cancelled_before_may_dial(
-    port: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_task_that_was_cancelled_before_may_dial(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     attempts(monkeypatch, port, first=at_once, second=at_once)
 
     async def work() -> socket.socket:

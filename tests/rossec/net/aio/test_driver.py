@@ -5,13 +5,13 @@ import itertools
 
 import pytest
 
-from rossec.channel.states import GrantsPresented, IdentityRenewed
+from rossec.channel.negotiation import GrantsPresented, IdentityRenewed
 from rossec.errors import LimitExceeded
 from rossec.net.aio import connect, serve
-from rossec.net.aio import driver as driver_module
+from rossec.net.aio import stream as driver_module
 from rossec.net.aio.server import SecureServer
 from rossec.net.aio.stream import SecureStream
-from rossec.progress import MIN_BYTES, STEP, WINDOW
+from rossec.peer_limits import MIN_BYTES, STEP, WINDOW
 from tests.support.contexts import context
 from tests.support.secure_streams import Stream, call, echo
 from tests.support.wire import ALICE, BOB, FakeIdentity, renewed, renews
@@ -32,9 +32,7 @@ async def begin(stream: Stream, server: SecureServer[FakeIdentity]) -> SecureStr
     return driver
 
 
-async def test_a_peer_that_stalls_in_a_unit_is_disconnected(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_peer_that_stalls_in_a_unit_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
     async with serve(echo, "127.0.0.1", 0, context(BOB)) as server:
         stream = await call(server)
         driver = await begin(stream, server)

@@ -5,7 +5,7 @@ import dataclasses
 
 import pytest
 
-from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.credentials import KnownCertificates
 from rossec.channel.edhoc.suites import POST_QUANTUM
 from rossec.channel.records import ChannelLimits
 from rossec.errors import (
@@ -23,9 +23,7 @@ from tests.support.secure_streams import Stream, call, echo, still_works
 from tests.support.wire import ALICE, BOB, STRANGER, FakeIdentity, trust
 
 
-async def test_data_sent_at_once_leaves_with_the_last_flight(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_data_sent_at_once_leaves_with_the_last_flight(monkeypatch: pytest.MonkeyPatch) -> None:
     written: dict[Transport, list[bool]] = {}
     write = Transport.write
 

@@ -8,15 +8,11 @@ import socket
 import pytest
 
 from rossec.channel.opening import REFUSAL, WireProtocol
-from rossec.errors import (
-    ConnectionTruncated,
-    PeerUnreachable,
-    PlainPeer,
-)
+from rossec.errors import ConnectionTruncated, PeerUnreachable, PlainPeer
 from rossec.net.aio import SecureServer, connect, serve
 from rossec.net.aio import server as server_module
 from rossec.net.aio.server import bind
-from rossec.net.halfopen import source_of
+from rossec.net.limits import source_of
 from tests.support.contexts import context
 from tests.support.ports import free_port
 from tests.support.secure_streams import call, echo, raw, still_works

@@ -10,12 +10,9 @@ import pytest
 
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes, ChannelLimits
-from rossec.errors import (
-    ChannelClosed,
-    LimitExceeded,
-)
+from rossec.errors import ChannelClosed, LimitExceeded
 from rossec.net.aio import SecureServer, connect, serve
-from rossec.net.aio import driver as driver_module
+from rossec.net.aio import stream as driver_module
 from rossec.net.aio import stream as secure_module
 from rossec.net.aio.transport import Transport
 from tests.support.contexts import context
@@ -89,9 +86,7 @@ async def test_a_burst_is_joined_after_its_first_unit(
         assert await stream.receive() == b"later"
 
 
-async def test_a_single_unit_is_offered_before_it_is_queued(
-    server: SecureServer[FakeIdentity],
-) -> None:
+async def test_a_single_unit_is_offered_before_it_is_queued(server: SecureServer[FakeIdentity]) -> None:
     async with await call(server) as stream:
         called, offered = asyncio.Event(), list[bytes]()
 
@@ -296,9 +291,7 @@ async def test_forwarded_units_arrive_in_order(server: SecureServer[FakeIdentity
     assert b"".join(sink) == b"".join(bytes([number]) * 1000 for number in range(20))
 
 
-async def test_a_receiver_that_fails_ends_the_forwarding(
-    server: SecureServer[FakeIdentity],
-) -> None:
+async def test_a_receiver_that_fails_ends_the_forwarding(server: SecureServer[FakeIdentity]) -> None:
     async with await call(server) as stream:
 
         def write_nowait(_: Bytes) -> bool:

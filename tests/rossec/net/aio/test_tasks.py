@@ -2,7 +2,7 @@ import asyncio
 
 import pytest
 
-from rossec.net.aio.tasks import TaskSet
+from rossec.host.runner import TaskSet
 
 
 async def test_close_ends_every_task() -> None:

@@ -7,20 +7,13 @@ import pytest
 
 from ca.errors import HintedError
 from rossec.errors import ConfigurationError
-from rossec.net.host.own_address import (
-    check_own_address,
-    resolved,
-    variable_of,
-    warn_of_own_address,
-)
+from rossec.host.addresses import check_own_address, resolved, variable_of, warn_of_own_address
 
 ELSEWHERE = "192.0.2.7"  # RFC 5737: no host's
 
 
 def test_an_address_of_this_host() -> None:
-    assert (
-        check_own_address("127.0.0.1", "ROS_IP") == "ROS_IP is 127.0.0.1, an address of this host"
-    )
+    assert check_own_address("127.0.0.1", "ROS_IP") == "ROS_IP is 127.0.0.1, an address of this host"
 
 
 def test_an_address_of_another_host() -> None:

@@ -12,8 +12,8 @@ from typing import Final
 import pytest
 
 from rossec.errors import PeerUserRefused
-from rossec.net.host import peeruid, sockdiag
-from rossec.net.host.peeruid import Holder, holder_in, require_user, user_of
+from rossec.host import local_sockets
+from rossec.host.local_sockets import Holder, holder_in, require_user, user_of
 
 HEAD: Final = "  sl  local_address rem_address   st ..."
 V4: Final = "0100007F:1F90 0100007F:A0B0"
@@ -111,7 +111,7 @@ def test_a_unix_socket_tells_its_user() -> None:
 def test_the_overflow_user_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     overflow = tmp_path / "overflowuid"
     overflow.write_text(f"{os.getuid()}\n")
-    monkeypatch.setattr(peeruid, "OVERFLOW", overflow)
+    monkeypatch.setattr(local_sockets, "OVERFLOW", overflow)
     local, remote = socket.socketpair()
     with local, remote, pytest.raises(PeerUserRefused):
         require_user(local, {os.getuid()})
@@ -133,34 +133,32 @@ def test_another_user_is_identified() -> None:
             child.wait(30)
 
 
-def test_a_kernel_that_cannot_be_asked_still_has_its_tables(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_kernel_that_cannot_be_asked_still_has_its_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     def unavailable(*_: object) -> None:
         raise OSError("no such protocol")
 
-    monkeypatch.setattr(sockdiag, "find", unavailable)
-    monkeypatch.setattr(sockdiag, "listener", unavailable)
+    monkeypatch.setattr(local_sockets, "find", unavailable)
+    monkeypatch.setattr(local_sockets, "listener", unavailable)
     with pair(socket.AF_INET, "127.0.0.1") as (local, remote):
         inode = os.fstat(remote.fileno()).st_ino
-        assert peeruid.holder_of(local) == (os.getuid(), inode)
+        assert local_sockets.holder_of(local) == (os.getuid(), inode)
         place = local.getsockname()[:2]
         with socket.create_server(("127.0.0.2", place[1])):  # another place
-            (holder,) = peeruid.listeners(place)
+            (holder,) = local_sockets.listeners(place)
         assert holder.user == os.getuid()
         remote.close()
         with pytest.raises(PeerUserRefused):
-            peeruid.holder_of(local)
+            local_sockets.holder_of(local)
 
 
 def test_a_socket_without_a_holder_has_no_user(monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel shows user 0 for it, which is wrong."""
-    entry = sockdiag.SocketEntry(1, (b"", 0), (b"", 0), 0, 0)
-    monkeypatch.setattr(sockdiag, "find", lambda *_: entry)
-    monkeypatch.setattr(sockdiag, "listener", lambda _: entry)
+    entry = local_sockets.SocketEntry(1, (b"", 0), (b"", 0), 0, 0)
+    monkeypatch.setattr(local_sockets, "find", lambda *_: entry)
+    monkeypatch.setattr(local_sockets, "listener", lambda _: entry)
     with pair(socket.AF_INET, "127.0.0.1") as (local, _), pytest.raises(PeerUserRefused):
-        peeruid.holder_of(local)
-    assert peeruid.listeners(("127.0.0.1", 1)) == []
+        local_sockets.holder_of(local)
+    assert local_sockets.listeners(("127.0.0.1", 1)) == []
 
 
 @pytest.mark.parametrize("asked", [True, False])
@@ -171,15 +169,15 @@ def test_the_holder_of_an_ipv6_listener(monkeypatch: pytest.MonkeyPatch, asked: 
         def unavailable(*_: object) -> None:
             raise OSError("no such protocol")
 
-        monkeypatch.setattr(sockdiag, "listener", unavailable)
+        monkeypatch.setattr(local_sockets, "listener", unavailable)
     with socket.create_server(("::1", 0), family=socket.AF_INET6) as server:
         port = server.getsockname()[1]
         with socket.create_server(("127.0.0.1", port)):
-            (holder,) = peeruid.listeners(("::1", port))
+            (holder,) = local_sockets.listeners(("::1", port))
         assert holder == (os.getuid(), os.fstat(server.fileno()).st_ino)
 
 
 def test_a_unix_socket_names_process_and_user() -> None:
     one, other = socket.socketpair()
     with one, other:
-        assert peeruid.unix_peer(one) == (os.getpid(), os.getuid())
+        assert local_sockets.unix_peer(one) == (os.getpid(), os.getuid())

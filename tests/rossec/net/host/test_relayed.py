@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.net.host.relayed import is_near, is_relayed, source_for
+from rossec.host.addresses import is_near, is_relayed, source_for
 
 
 def test_each_remote_relay_has_an_address_of_its_own() -> None:

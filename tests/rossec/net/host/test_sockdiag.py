@@ -7,7 +7,7 @@ from typing import Self
 
 import pytest
 
-from rossec.net.host import sockdiag
+from rossec.host import local_sockets
 
 
 def message(kind: int, body: bytes) -> bytes:
@@ -19,21 +19,18 @@ def test_one_connection(client: str) -> None:
     host = "::1" if client == "::1" else "127.0.0.1"
     family = socket.AF_INET6 if ":" in client else socket.AF_INET
     server_family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with (
-        socket.create_server((host, 0), family=server_family) as server,
-        socket.socket(family) as remote,
-    ):
+    with socket.create_server((host, 0), family=server_family) as server, socket.socket(family) as remote:
         remote.connect((client, server.getsockname()[1]))
         local, _ = server.accept()
         with local:
             ends = local.getpeername()[:2], local.getsockname()[:2]
-            found = sockdiag.find(*ends)
+            found = local_sockets.find(*ends)
             assert found is not None
             assert (found.user, found.inode) == (os.getuid(), os.fstat(remote.fileno()).st_ino)
-            assert sockdiag.find((ends[0][0], 1), ends[1]) is None
-            assert sockdiag.find(ends[1], (ends[0][0], 1)) is None  # not the listener
+            assert local_sockets.find((ends[0][0], 1), ends[1]) is None
+            assert local_sockets.find(ends[1], (ends[0][0], 1)) is None  # not the listener
         remote.close()
-        found = sockdiag.find(*ends)
+        found = local_sockets.find(*ends)
         assert found is None or found.inode == 0
 
 
@@ -53,13 +50,13 @@ def test_the_listener_that_would_be_reached() -> None:
         port = server.getsockname()[1]
         with other:
             for host, listens in (("127.0.0.1", server), ("127.0.0.2", other)):
-                found = sockdiag.listener((host, port))
+                found = local_sockets.listener((host, port))
                 assert found is not None
                 assert (found.user, found.inode) == (os.getuid(), os.fstat(listens.fileno()).st_ino)
-        assert sockdiag.listener(("127.0.0.2", port)) is None
+        assert local_sockets.listener(("127.0.0.2", port)) is None
         with socket.create_connection(("127.0.0.1", port)):
-            assert sockdiag.listener(("127.0.0.1", port)) is not None
-    assert sockdiag.listener(("127.0.0.1", port)) is None
+            assert local_sockets.listener(("127.0.0.1", port)) is not None
+    assert local_sockets.listener(("127.0.0.1", port)) is None
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::"])
@@ -67,7 +64,7 @@ def test_a_listener_at_every_address(host: str) -> None:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     dual = family == socket.AF_INET6
     with socket.create_server((host, 0), family=family, dualstack_ipv6=dual) as server:
-        found = sockdiag.listener(("127.0.0.1", server.getsockname()[1]))
+        found = local_sockets.listener(("127.0.0.1", server.getsockname()[1]))
         assert found is not None
         assert found.inode == os.fstat(server.fileno()).st_ino
 
@@ -86,10 +83,10 @@ def test_a_listener_at_every_address(host: str) -> None:
 )
 def test_an_invalid_answer_is_refused(data: bytes) -> None:
     with pytest.raises(OSError, match=r"answer|not supported"):
-        sockdiag.parse(data)
+        local_sockets.parse(data)
 
 
-ROW = sockdiag.SocketEntry(1, (b"\x7f\0\0\1", 5000), (b"\x7f\0\0\1", 6000), 1000, 4711)
+ROW = local_sockets.SocketEntry(1, (b"\x7f\0\0\1", 5000), (b"\x7f\0\0\1", 6000), 1000, 4711)
 
 
 @pytest.mark.parametrize(
@@ -102,14 +99,14 @@ ROW = sockdiag.SocketEntry(1, (b"\x7f\0\0\1", 5000), (b"\x7f\0\0\1", 6000), 1000
     ],
 )
 def test_only_the_very_connection_counts(
-    monkeypatch: pytest.MonkeyPatch, other: sockdiag.SocketEntry
+    monkeypatch: pytest.MonkeyPatch, other: local_sockets.SocketEntry
 ) -> None:
     ends = ("127.0.0.1", 5000), ("127.0.0.1", 6000)
-    monkeypatch.setattr(sockdiag, "_ask", lambda _: ROW)
-    assert sockdiag.find(*ends) == ROW
-    assert sockdiag.listener(ends[0]) is None, "it is no listener"
-    monkeypatch.setattr(sockdiag, "_ask", lambda _: other)
-    assert sockdiag.find(*ends) is None
+    monkeypatch.setattr(local_sockets, "_ask", lambda _: ROW)
+    assert local_sockets.find(*ends) == ROW
+    assert local_sockets.listener(ends[0]) is None, "it is no listener"
+    monkeypatch.setattr(local_sockets, "_ask", lambda _: other)
+    assert local_sockets.find(*ends) is None
 
 
 class Stranger:
@@ -131,4 +128,4 @@ class Stranger:
 def test_an_answer_of_another_process_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "socket", Stranger)
     with pytest.raises(OSError, match="an answer from another process"):
-        sockdiag.find(("127.0.0.1", 5000), ("127.0.0.1", 6000))
+        local_sockets.find(("127.0.0.1", 5000), ("127.0.0.1", 6000))

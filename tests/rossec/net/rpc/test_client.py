@@ -13,11 +13,10 @@ from rossec.errors import (
     RossecError,
     XmlRpcRefused,
 )
-from rossec.net.bounds import UNSHOWN_UNIT
-from rossec.net.rpc.client import CallFailed, RpcClient, serve_calls
+from rossec.net.limits import UNSHOWN_UNIT
+from rossec.net.rpc.calls import CallFailed, RpcClient, serve_calls
 from rossec.ros import xmlrpc
-from rossec.ros.callserver import CallServer
-from rossec.ros.compact import dump_answer
+from rossec.ros.calls import CallServer, dump_compact_answer
 from rossec.ros.xmlrpc import Fault
 from tests.support.streams import MemoryStream, stream_pair
 
@@ -62,9 +61,7 @@ async def test_calls_one_after_the_other_and_at_once() -> None:
     assert far.closed
 
 
-async def test_refusals_faults_and_bugs_leave_the_connection_open(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_refusals_faults_and_bugs_leave_the_connection_open(caplog: pytest.LogCaptureFixture) -> None:
     near, far = stream_pair("/node", "/master")
 
     async def run() -> None:
@@ -162,8 +159,10 @@ async def test_both_forms_give_the_same(compact: bool) -> None:
         client = RpcClient(near, compact=compact)
         for n in range(30):
             assert await client.call("echo", {"a": [n, 1.0, True, b"x"]}) == [
-                1, "/node", [{"a": [n, 1.0, True, b"x"]}]
-            ]  # fmt: skip
+                1,
+                "/node",
+                [{"a": [n, 1.0, True, b"x"]}],
+            ]
             assert client.is_compact == compact
         body = await client.fetch("echo", 5)
         assert xmlrpc.load_response(body) == [1, "/node", [5]]
@@ -199,7 +198,7 @@ async def test_a_client_closes_on_a_unit_that_is_not_its_answer() -> None:
         assert await asking == 1
         asking = asyncio.ensure_future(client.ask("echo", 2))
         await far.receive()
-        await far.send(dump_answer(7, [1, "", 2]))
+        await far.send(dump_compact_answer(7, [1, "", 2]))
         with pytest.raises(CompactRefused, match="out of its turn"):
             await asking
         assert client.closed

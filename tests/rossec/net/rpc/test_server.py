@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from rossec.errors import HangUp, RossecError
-from rossec.net.rpc.server import CallLoop
+from rossec.net.rpc.calls import CallLoop
 from rossec.ros import xmlrpc
-from rossec.ros.callclient import CallClient, value_in
+from rossec.ros.calls import CallClient, value_in
 from rossec.ros.http import HttpClient
 from rossec.ros.xmlrpc import BODY_LIMIT, Fault
 from tests.support.streams import MemoryStream, stream_pair
@@ -242,9 +242,7 @@ async def test_a_call_before_the_answer_ends_the_connection(method: str) -> None
     assert served.near.inbox.empty()
 
 
-@pytest.mark.parametrize(
-    "unit", [b"", b"POST / HTTP/1.1\r\n", b"\x84\x01\x01\x60\x00", b"\xc0\x60"]
-)
+@pytest.mark.parametrize("unit", [b"", b"POST / HTTP/1.1\r\n", b"\x84\x01\x01\x60\x00", b"\xc0\x60"])
 async def test_what_is_not_a_unit_ends_the_connection_without_an_answer(unit: bytes) -> None:
     served = Served()
     await switched(served, CallClient("x"))

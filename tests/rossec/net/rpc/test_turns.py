@@ -5,7 +5,7 @@ from collections.abc import Generator
 
 import pytest
 
-from rossec.net.rpc.turns import URGENT, LoopTurns, TurnOwner, of_loop, source_of
+from rossec.net.rpc.time_slices import URGENT, LoopTurns, TurnOwner, of_loop, source_of
 from tests.rossec.net.rpc.clocks import Ticks
 
 

@@ -10,38 +10,15 @@ import time
 
 import pytest
 
+from rossec.channel.negotiation import GrantsPresented, IdentityRenewed
 from rossec.channel.records import ChannelLimits
-from rossec.channel.states import GrantsPresented, IdentityRenewed
-from rossec.errors import (
-    ChannelError,
-    HandshakeTimeout,
-    IdentityExpired,
-    IdentityRefused,
-    PeerRefused,
-)
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
-from rossec.net.threads import carrier
+from rossec.errors import ChannelError, HandshakeTimeout, IdentityExpired, IdentityRefused, PeerRefused
+from rossec.net.limits import HalfOpen, HalfOpenCount
+from rossec.net.threads import secure_socket
 from tests.support.contexts import context, live
 from tests.support.listener import SecureListener
-from tests.support.secure_sockets import (
-    Secure,
-    background,
-    dial,
-    make_listener,
-    pair,
-    read,
-)
-from tests.support.wire import (
-    ALICE,
-    BOB,
-    NOW,
-    STRANGER,
-    FakeIdentity,
-    bob,
-    renewed,
-    renews,
-    trust,
-)
+from tests.support.secure_sockets import Secure, background, dial, make_listener, pair, read
+from tests.support.wire import ALICE, BOB, NOW, STRANGER, FakeIdentity, bob, renewed, renews, trust
 
 
 def test_a_stranger_is_refused(listener: SecureListener[FakeIdentity]) -> None:
@@ -96,7 +73,7 @@ def test_a_connection_nobody_used_for_longer_than_the_handshake_may_take(
         if use == "recv":
             right.sendall(b"x")
         select.select([left._socket], [], [])
-        monkeypatch.setattr(carrier, "_now", lambda: int(time.time()) + 60)
+        monkeypatch.setattr(secure_socket, "_now", lambda: int(time.time()) + 60)
         if use == "recv":
             assert left.recv(1) == b"x"
         elif use == "send_now":
@@ -121,7 +98,7 @@ def test_a_responder_that_never_confirms(monkeypatch: pytest.MonkeyPatch) -> Non
         done = threading.Event()
         thread = background(half_way)
         left = dial(server, context(ALICE))
-        monkeypatch.setattr(carrier, "_now", lambda: int(time.time()) + 60)
+        monkeypatch.setattr(secure_socket, "_now", lambda: int(time.time()) + 60)
         with left, pytest.raises(HandshakeTimeout):
             left.sendall(b"x")
         done.set()
@@ -159,7 +136,7 @@ def test_a_reader_without_a_deadline_runs_the_timers_of_the_core(
     listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The kernel waits a slice at a time; between two the clock is looked at."""
-    monkeypatch.setattr("rossec.net.threads.carrier.SLICE", struct.pack("ll", 0, 20_000))
+    monkeypatch.setattr("rossec.net.threads.secure_socket.SLICE", struct.pack("ll", 0, 20_000))
     left, right = pair(listener)
     with left, right:
         left.settimeout(None)
@@ -185,7 +162,7 @@ def test_timers_run_once_in_a_second(
         monkeypatch.setattr(left._core, "tick", looks.append)
         start = int(time.time()) + 10
         for second in (start, start, start + 1, start + 1, start + 9):
-            monkeypatch.setattr("rossec.net.threads.carrier._now", lambda second=second: second)
+            monkeypatch.setattr("rossec.net.threads.secure_socket._now", lambda second=second: second)
             left.sendall(b"map")
         assert looks == [start, start + 1, start + 9]
 

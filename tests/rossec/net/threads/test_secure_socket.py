@@ -10,6 +10,7 @@ from functools import partial
 import pytest
 
 from rossec.channel.connection import Connection
+from rossec.channel.edhoc.handshake import EdhocConfig
 from rossec.channel.records import ChannelLimits
 from rossec.errors import ChannelClosed, ChannelError, ConnectionTruncated, IdentityRefused
 from rossec.net.threads.secure_socket import SecureSocket
@@ -201,7 +202,7 @@ def test_try_send_does_not_wait(listener: SecureListener[FakeIdentity]) -> None:
 
 def test_try_send_without_a_peer_sends_nothing(listener: SecureListener[FakeIdentity]) -> None:
     sock = socket.create_connection(listener.getsockname())
-    core = Connection[FakeIdentity].initiator(ALICE, live, random=secrets.token_bytes, now=0)
+    core = Connection[FakeIdentity].initiator(EdhocConfig(ALICE, live, secrets.token_bytes), now=0)
     with SecureSocket(sock, core) as secure:
         assert not secure.try_send(b"x")
 
@@ -216,9 +217,7 @@ def test_try_send_raises_after_the_end(listener: SecureListener[FakeIdentity]) -
             left.try_send(b"x")
 
 
-def test_an_aborted_connection_delivers_nothing_more(
-    listener: SecureListener[FakeIdentity],
-) -> None:
+def test_an_aborted_connection_delivers_nothing_more(listener: SecureListener[FakeIdentity]) -> None:
     """Neither what was decrypted, nor what waits in the kernel."""
     left, right = pair(listener)
     with left, right:
@@ -257,9 +256,7 @@ def test_pump_is_bounded_under_a_flood(
         assert next(taken) == 3
 
 
-def test_run_timers_renews_the_keys_of_an_idle_connection(
-    listener: SecureListener[FakeIdentity],
-) -> None:
+def test_run_timers_renews_the_keys_of_an_idle_connection(listener: SecureListener[FakeIdentity]) -> None:
     """Without reads and writes, renewals are begun and followed, and units stay."""
     left, right = pair(listener, limits=ChannelLimits(seconds=1))
     with left, right:
@@ -294,9 +291,7 @@ def answer(listener: SecureListener[FakeIdentity], callers: int = 1) -> None:
             accepted.do_handshake()
 
 
-def test_an_initiator_waits_no_longer_than_it_may(
-    listener: SecureListener[FakeIdentity],
-) -> None:
+def test_an_initiator_waits_no_longer_than_it_may(listener: SecureListener[FakeIdentity]) -> None:
     own = socket.create_connection(listener.getsockname())
     with pytest.raises(TimeoutError):
         Secure.initiate(own, context(ALICE), timeout=0.05)

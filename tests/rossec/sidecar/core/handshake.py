@@ -3,20 +3,27 @@
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.participant.access import FIELD
-from rossec.participant.header_fields import Fields
-from rossec.participant.limit_memory import memory_scope
-from rossec.sidecar.core.commands import CallProgram, Command
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint, topic_endpoint
-from rossec.sidecar.core.events import Answered, Event, HeaderArrived
-from rossec.sidecar.core.layers import Layer
-from rossec.sidecar.core.tcpros import AdmittedConnection, admit_peer
+from rossec.participant.authorized import memory_scope
+from rossec.participant.handshakes import Fields
+from rossec.sidecar.core.layers import (
+    Answered,
+    CallProgram,
+    Command,
+    Event,
+    HeaderArrived,
+    Layer,
+    ListeningAddress,
+    local_endpoint,
+    topic_endpoint,
+)
+from rossec.sidecar.core.node_connections import AdmittedConnection, admit_peer
 from tests.rossec.sidecar.agent_setup import AgentSetup
 
 SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
 TOPICS_VIA_API = topic_endpoint(SLAVE)
 TOPIC_PORT = ["TCPROS", "localhost", 5001]
 TOPIC_ENDPOINT = local_endpoint(WireProtocol.TCPROS, 5001)
-PEER = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
+PEER = ListeningAddress(WireProtocol.TCPROS, "10.0.0.7", 6001)
 STRING = {"type": b"std_msgs/String", "md5sum": b"992ce8a1687cec8c8bd883ec73ca41d1"}
 REQUEST = {"callerid": b"/viewer", "topic": b"/word", "tcp_nodelay": b"1", **STRING}
 ANSWER = {"callerid": b"/robot", "message_definition": b"string data\n", "latching": b"0", **STRING}
@@ -32,7 +39,7 @@ def proof(setup: AgentSetup, name: str, right: Right, topic: str) -> Fields:
 
 
 def admit(
-    setup: AgentSetup, fields: Fields, endpoint: Endpoint = TOPICS_VIA_API
+    setup: AgentSetup, fields: Fields, endpoint: ListeningAddress = TOPICS_VIA_API
 ) -> Layer[AdmittedConnection]:
     peer = setup.identity("/viewer")
     return admit_peer(

@@ -3,11 +3,10 @@
 from contextlib import ExitStack
 
 from grants.decision import Decision
-from grants.filters.codegen import Buffer
-from grants.guard import Guard
-from grants.memory import Memory
+from grants.filters.layout import Buffer
+from grants.guard import Guard, Memory
 from grants.model import Restriction, Right
-from rossec.sidecar.core.copies import CopyTracker, MessageGuard, ReplaceableGuard
+from rossec.sidecar.core.guards import CopyTracker, MessageGuard, ReplaceableGuard
 
 NOW = 1_800_000_000
 

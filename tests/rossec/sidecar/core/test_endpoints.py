@@ -1,30 +1,30 @@
 import pytest
 
 from rossec.channel.opening import WireProtocol
-from rossec.sidecar.core.endpoints import Endpoint, EndpointMap, local_endpoint, parse_endpoint
+from rossec.sidecar.core.layers import EndpointMap, ListeningAddress, local_endpoint, parse_endpoint
 
 SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
-PEER = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6000)
+PEER = ListeningAddress(WireProtocol.TCPROS, "10.0.0.7", 6000)
 
 
 @pytest.mark.parametrize(
     ("uri", "protocol", "found"),
     [
-        ("http://10.0.0.7:6000/", WireProtocol.HTTP, Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)),
+        ("http://10.0.0.7:6000/", WireProtocol.HTTP, ListeningAddress(WireProtocol.HTTP, "10.0.0.7", 6000)),
         (
             "rosrpc://[fd99::2]:6000",
             WireProtocol.TCPROS,
-            Endpoint(WireProtocol.TCPROS, "fd99::2", 6000),
+            ListeningAddress(WireProtocol.TCPROS, "fd99::2", 6000),
         ),
         (
             "http://10.0.0.7:6000/via",
             WireProtocol.HTTP,
-            Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000, door=True),
+            ListeningAddress(WireProtocol.HTTP, "10.0.0.7", 6000, door=True),
         ),
         (
             "rosrpc://10.0.0.7:6000/via",
             WireProtocol.TCPROS,
-            Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6000),
+            ListeningAddress(WireProtocol.TCPROS, "10.0.0.7", 6000),
         ),
         ("rosrpc://10.0.0.7:6000", WireProtocol.HTTP, None),
         ("http://10.0.0.7/", WireProtocol.HTTP, None),
@@ -33,13 +33,13 @@ PEER = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6000)
         (7, WireProtocol.HTTP, None),
     ],
 )
-def test_uris_are_parsed(uri: object, protocol: WireProtocol, found: Endpoint | None) -> None:
+def test_uris_are_parsed(uri: object, protocol: WireProtocol, found: ListeningAddress | None) -> None:
     assert parse_endpoint(uri, protocol) == found
 
 
 def test_endpoints_are_written_as_in_ros() -> None:
     assert SLAVE.uri == "http://127.0.0.1:5000/"
-    assert Endpoint(WireProtocol.TCPROS, "fd99::2", 6000).uri == "rosrpc://[fd99::2]:6000"
+    assert ListeningAddress(WireProtocol.TCPROS, "fd99::2", 6000).uri == "rosrpc://[fd99::2]:6000"
 
 
 @pytest.mark.parametrize("uri", ["http://10.0.0.7:6000/via", "http://[fd99::2]:6000/via"])
@@ -88,8 +88,8 @@ def test_programs_get_the_loopback_host_name() -> None:
 
 
 def test_whose_topics_are_at_an_endpoint_is_known_while_a_port_leads_there() -> None:
-    map_, api = EndpointMap("robot.local"), Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
-    topics = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
+    map_, api = EndpointMap("robot.local"), ListeningAddress(WireProtocol.HTTP, "10.0.0.7", 6000)
+    topics = ListeningAddress(WireProtocol.TCPROS, "10.0.0.7", 6001)
     assert map_.api_of(topics) is None
     map_.add_egress(topics, 8000)
     map_.set_api(topics, api)

@@ -9,28 +9,31 @@ from ca.certificates import Identity
 from ca.errors import NameRefused, NotAdmitted
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConnectionHeaderRefused, HangUp
-from rossec.participant.header_fields import Fields
-from rossec.participant.limit_memory import memory_scope
-from rossec.sidecar.core.commands import AuthenticatePeer, CallPeer, ConnectPeer, OpenEgress
-from rossec.sidecar.core.endpoints import Endpoint
-from rossec.sidecar.core.events import (
+from rossec.participant.authorized import memory_scope
+from rossec.participant.handshakes import Fields
+from rossec.sidecar.core.layers import (
     Answered,
+    AuthenticatePeer,
+    CallPeer,
     CommandDone,
+    ConnectPeer,
     HeaderArrived,
+    Layer,
+    ListeningAddress,
     NoAnswer,
-    Opened,
+    OpenEgress,
     PeerAuthenticated,
+    PortOpened,
+    UnexpectedEvent,
 )
-from rossec.sidecar.core.layers import Layer, UnexpectedEvent
-from rossec.sidecar.core.slave_calls import handle_program_call
-from rossec.sidecar.core.tcpros import AdmittedConnection, connect_to_peer
+from rossec.sidecar.core.node_connections import AdmittedConnection, connect_to_peer, handle_program_call
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.rossec.sidecar.core.handshake import ANSWER, PEER, REQUEST, no_key
 from tests.support.openaccess import PROOF, OpenAccess
 from tests.support.site import Site
 
 ALIAS, SERVED, ORIGIN = "/remote/hospital/word", "/gateway/hospital/word", "/word"
-API = Endpoint(WireProtocol.HTTP, PEER.host, PEER.port)
+API = ListeningAddress(WireProtocol.HTTP, PEER.host, PEER.port)
 ASKED = ("/robot", ALIAS, [["TCPROS"]])
 
 
@@ -78,9 +81,7 @@ def test_a_gateway_reads_the_served_name_and_the_program_the_alias(
 ) -> None:
     gateway = setup.identity(name)
     admitted = run_layer(
-        connecting(setup, subscribed(setup)),
-        authenticated(gateway),
-        answered(setup, gateway, SERVED),
+        connecting(setup, subscribed(setup)), authenticated(gateway), answered(setup, gateway, SERVED)
     )
     assert access.presented == [("subscribe", SERVED)]
     assert access.authorized == [(name, "publish", SERVED)]
@@ -147,9 +148,7 @@ def test_an_anonymous_program_has_its_own_name_towards_a_gateway(
 
 def test_nothing_is_sent_where_nobody_or_no_name_is(setup: AgentSetup, access: OpenAccess) -> None:
     with pytest.raises(HangUp, match="gone"):
-        run_layer(
-            connecting(setup, subscribed(setup)), (AuthenticatePeer(PEER), NoAnswer("gone", True))
-        )
+        run_layer(connecting(setup, subscribed(setup)), (AuthenticatePeer(PEER), NoAnswer("gone", True)))
     with pytest.raises(NameRefused, match="names no origin"):
         run_layer(connecting(setup, subscribed(setup, "/remote/hospital")))
     with pytest.raises(UnexpectedEvent):
@@ -169,7 +168,7 @@ def test_a_gateways_topic_is_requested_by_the_served_name(setup: AgentSetup) -> 
         handle_program_call(setup.agent, API, "requestTopic", ASKED),
         (AuthenticatePeer(API), PeerAuthenticated(gateway)),
         (request, Answered([1, "ready", ["TCPROS", "10.0.0.7", 6001]], gateway)),
-        (OpenEgress(PEER), Opened(8001)),
+        (OpenEgress(PEER), PortOpened(8001)),
     )
     assert answer == [1, "ready", ["TCPROS", "127.0.0.1", 8001]]
 

@@ -7,20 +7,25 @@ import pytest
 
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
-from rossec.sidecar.core.commands import OpenEgress, OpenIngress
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
-from rossec.sidecar.core.events import CommandDone, NoAnswer, Opened, PeerAuthenticated
 from rossec.sidecar.core.layers import (
+    CommandDone,
+    ListeningAddress,
+    NoAnswer,
+    OpenEgress,
+    OpenIngress,
+    PeerAuthenticated,
+    PortOpened,
     Program,
     UnexpectedEvent,
     authenticated_peer,
+    local_endpoint,
     own_endpoint,
 )
 from tests.rossec.sidecar.agent_setup import HOST, AgentSetup, run_layer
 from tests.support.site import Site
 
 SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
-PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
+PEER = ListeningAddress(WireProtocol.HTTP, "10.0.0.7", 6000)
 
 
 @pytest.fixture
@@ -35,15 +40,15 @@ def test_peers_see_only_certified_names(setup: AgentSetup) -> None:
 
 
 def test_a_program_is_reached_at_the_port_that_was_opened(setup: AgentSetup) -> None:
-    found = run_layer(setup.agent.ingress_endpoint(SLAVE), (OpenIngress(SLAVE), Opened(7000)))
-    assert found == Endpoint(WireProtocol.HTTP, HOST, 7000)
+    found = run_layer(setup.agent.ingress_endpoint(SLAVE), (OpenIngress(SLAVE), PortOpened(7000)))
+    assert found == ListeningAddress(WireProtocol.HTTP, HOST, 7000)
     assert setup.agent.endpoints.program_at(found) == SLAVE
     with pytest.raises(UnexpectedEvent, match="no port but CommandDone"):
         run_layer(setup.agent.ingress_endpoint(SLAVE), (OpenIngress(SLAVE), CommandDone()))
 
 
 def test_a_peer_is_reached_at_a_port_of_this_host(setup: AgentSetup) -> None:
-    opened = (OpenEgress(PEER, probe=True), Opened(8000))
+    opened = (OpenEgress(PEER, probe=True), PortOpened(8000))
     uri = run_layer(setup.agent.egress_uri(PEER, probe=True), opened)
     assert uri == "http://127.0.0.1:8000/"
     assert setup.agent.endpoints.peer_at(local_endpoint(WireProtocol.HTTP, 8000)) == PEER
@@ -55,7 +60,7 @@ def test_a_program_gets_its_own_uri_as_it_wrote_it(setup: AgentSetup) -> None:
     assert run_layer(setup.agent.egress_uri(seen, SLAVE)) == "http://my-laptop:5000/"
     other = local_endpoint(WireProtocol.HTTP, 5001)
     uris = setup.agent.egress_uris([seen.uri, PEER.uri], other)
-    found = run_layer(uris, (OpenEgress(seen), Opened(8001)), (OpenEgress(PEER), Opened(8002)))
+    found = run_layer(uris, (OpenEgress(seen), PortOpened(8001)), (OpenEgress(PEER), PortOpened(8002)))
     assert found == ["http://127.0.0.1:8001/", "http://127.0.0.1:8002/"]
 
 

@@ -9,30 +9,23 @@ from rossec.errors import HangUp
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.state.registry import Registry
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.core.commands import (
+from rossec.sidecar.core.layers import (
+    Answered,
     CallMaster,
+    CommandDone,
+    ListeningAddress,
+    NoAnswer,
     OpenEgress,
     OpenIngress,
+    PortOpened,
+    RawResponse,
+    UnexpectedEvent,
+    local_endpoint,
 )
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
-from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer, Opened, RawResponse
-from rossec.sidecar.core.layers import UnexpectedEvent
-from rossec.sidecar.core.master_calls import (
-    MULTICALL_LIMIT,
-    RULES,
-    handle_call,
-)
+from rossec.sidecar.core.master_calls import MULTICALL_LIMIT, RULES, handle_call
 from tests.rossec.master.fakes import FakeStatements
 from tests.rossec.sidecar.agent_setup import HOST, MASTER_URI, AgentSetup, run_layer
-from tests.rossec.sidecar.core.registering import (
-    INGRESS_URI,
-    OK,
-    OWN_URI,
-    PEER,
-    SERVICE,
-    SLAVE,
-    register,
-)
+from tests.rossec.sidecar.core.registering import INGRESS_URI, OK, OWN_URI, PEER, SERVICE, SLAVE, register
 
 
 def test_a_registration_is_rewritten_in_both_directions(setup: AgentSetup) -> None:
@@ -43,33 +36,26 @@ def test_the_programs_own_uri_is_returned_byte_for_byte(setup: AgentSetup) -> No
     assert register(setup, INGRESS_URI, "no uri") == [1, "ok", [OWN_URI]]
 
 
-def test_another_program_of_the_same_identity_is_reached_through_the_channel(
-    setup: AgentSetup,
-) -> None:
+def test_another_program_of_the_same_identity_is_reached_through_the_channel(setup: AgentSetup) -> None:
     """Its messages must pass the guard too."""
     setup.agent.endpoints.add_ingress(local_endpoint(WireProtocol.HTTP, 5555), 7777)
-    other = Endpoint(WireProtocol.HTTP, HOST, 7777)
+    other = ListeningAddress(WireProtocol.HTTP, HOST, 7777)
     params = ("/robot", "/scan", "pkg/Type", INGRESS_URI)
     answer = run_layer(
         handle_call(setup.agent, "registerSubscriber", ("/robot", "/scan", "pkg/Type", OWN_URI)),
-        (OpenIngress(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
         (CallMaster("registerSubscriber", params), Answered([1, "ok", [other.uri]])),
-        (OpenEgress(other), Opened(8000)),
+        (OpenEgress(other), PortOpened(8000)),
     )
     assert answer == [1, "ok", ["http://127.0.0.1:8000/"]]
 
 
 def test_a_service_is_registered_with_the_slave_api(setup: AgentSetup) -> None:
     answer = run_layer(
-        handle_call(
-            setup.agent, "registerService", ("/robot", "/say", "rosrpc://127.0.0.1:5001", OWN_URI)
-        ),
-        (OpenIngress(SLAVE), Opened(7000)),
-        (OpenIngress(SERVICE), Opened(7001)),
-        (
-            CallMaster("registerService", ("/robot", "/say", f"rosrpc://{HOST}:7001", INGRESS_URI)),
-            OK,
-        ),
+        handle_call(setup.agent, "registerService", ("/robot", "/say", "rosrpc://127.0.0.1:5001", OWN_URI)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
+        (OpenIngress(SERVICE), PortOpened(7001)),
+        (CallMaster("registerService", ("/robot", "/say", f"rosrpc://{HOST}:7001", INGRESS_URI)), OK),
     )
     assert answer == [1, "done", 0]
 
@@ -87,9 +73,7 @@ def test_an_egress_port_cannot_be_registered(setup: AgentSetup) -> None:
     """Or the sidecar would forward a peer's calls to another peer (L7)."""
     setup.agent.endpoints.add_egress(PEER, 8000)
     uri = "http://127.0.0.1:8000/"
-    answer = run_layer(
-        handle_call(setup.agent, "registerPublisher", ("/robot", "/x", "pkg/Type", uri))
-    )
+    answer = run_layer(handle_call(setup.agent, "registerPublisher", ("/robot", "/x", "pkg/Type", uri)))
     assert answer == [-1, "rossec: this address is not the program's own", 0]
 
 
@@ -118,14 +102,14 @@ def test_lookups_return_egress_uris(setup: AgentSetup) -> None:
     answer = run_layer(
         handle_call(agent, "lookupNode", ("/robot", "/viewer")),
         (CallMaster("lookupNode", ("/robot", "/viewer")), Answered([1, "node api", PEER.uri])),
-        (OpenEgress(PEER, probe=True), Opened(8000)),
+        (OpenEgress(PEER, probe=True), PortOpened(8000)),
     )
     assert answer == [1, "node api", "http://127.0.0.1:8000/"]
-    remote = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
+    remote = ListeningAddress(WireProtocol.TCPROS, "10.0.0.7", 6001)
     answer = run_layer(
         handle_call(agent, "lookupService", ("/robot", "/say")),
         (CallMaster("lookupService", ("/robot", "/say")), Answered([1, "x", remote.uri])),
-        (OpenEgress(remote), Opened(8001)),
+        (OpenEgress(remote), PortOpened(8001)),
     )
     assert answer == [1, "rosrpc URI: [rosrpc://127.0.0.1:8001]", "rosrpc://127.0.0.1:8001"]
     for method in ("lookupNode", "lookupService"):
@@ -185,21 +169,13 @@ def test_unknown_methods_are_not_forwarded(setup: AgentSetup, method: str) -> No
 
 def test_invalid_parameters_are_left_to_the_master(setup: AgentSetup) -> None:
     agent = setup.agent
-    assert run_layer(handle_call(agent, "getPid", ())) == [
-        -1,
-        "missing required caller_id parameter",
-        -1,
-    ]
+    assert run_layer(handle_call(agent, "getPid", ())) == [-1, "missing required caller_id parameter", -1]
     assert run_layer(handle_call(agent, "getUri", (7,))) == [-1, "caller_id must be a string", ""]
     odd = ("/robot", "/x", "pkg/Type", 7)
     request = CallMaster("registerPublisher", odd)
-    assert run_layer(
-        handle_call(agent, "registerPublisher", odd), (request, Answered([-1, "no URI", []]))
-    )
+    assert run_layer(handle_call(agent, "registerPublisher", odd), (request, Answered([-1, "no URI", []])))
     short = CallMaster("registerPublisher", ("/robot",))
-    assert run_layer(
-        handle_call(agent, "registerPublisher", ("/robot",)), (short, Answered([-1, "", 0]))
-    )
+    assert run_layer(handle_call(agent, "registerPublisher", ("/robot",)), (short, Answered([-1, "", 0])))
 
 
 def test_refusals_have_the_default_values_of_the_master() -> None:
@@ -239,10 +215,7 @@ def test_a_search_starts_in_the_callers_namespace(setup: AgentSetup) -> None:
 def test_a_search_under_the_certified_name_is_forwarded(setup: AgentSetup) -> None:
     for params in (("/robot", "x"), ("/tool", "/x"), ("/tool", "~x")):
         request = CallMaster("searchParam", ("/robot", params[1]))
-        assert (
-            run_layer(handle_call(setup.agent, "searchParam", params), (request, Answered(FOUND)))
-            == FOUND
-        )
+        assert run_layer(handle_call(setup.agent, "searchParam", params), (request, Answered(FOUND))) == FOUND
 
 
 def test_no_answer_or_an_invalid_one_of_the_master_closes_the_connection(setup: AgentSetup) -> None:
@@ -264,7 +237,7 @@ def test_an_anonymous_program_uses_the_wildcard(setup: AgentSetup) -> None:
     params = ("/rviz_12_34", "/x", "pkg/Type", OWN_URI)
     run_layer(
         handle_call(anonymous.agent, "registerPublisher", params),
-        (OpenIngress(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
         (CallMaster("registerPublisher", (*params[:3], INGRESS_URI)), Answered([1, "", []])),
     )
     assert replace(anonymous.agent).name_for("/rvizx") == "/rviz"
@@ -292,11 +265,11 @@ def test_a_program_subscribes_to_an_alias_by_its_local_name(setup: AgentSetup) -
     alias = "/remote/hospital/scan"
     answer = run_layer(
         handle_call(setup.agent, "registerSubscriber", ("/robot", alias, "pkg/Type", OWN_URI)),
-        (OpenIngress(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
         (
             CallMaster("registerSubscriber", ("/robot", alias, "pkg/Type", INGRESS_URI)),
             Answered([1, "ok", [PEER.uri]]),
         ),
-        (OpenEgress(PEER), Opened(8000)),
+        (OpenEgress(PEER), PortOpened(8000)),
     )
     assert answer == [1, "ok", ["http://127.0.0.1:8000/"]]

@@ -1,7 +1,7 @@
 """Memories of limits for programs behind a sidecar."""
 
-from grants.memory import MemoryScope, MemoryStore
-from rossec.sidecar.core.program_memory import ProgramMemories
+from grants.guard import MemoryScope, MemoryStore
+from rossec.sidecar.core.guards import ProgramMemories
 
 SCOPE = MemoryScope(MemoryStore(lambda: 0), ("/robot",))
 

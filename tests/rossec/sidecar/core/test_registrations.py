@@ -8,35 +8,29 @@ import pytest
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
-from rossec.participant.publisher_grace import GRACE
-from rossec.participant.registrations import MAX_REFUSED
-from rossec.sidecar.core.commands import (
+from rossec.participant.registrations import GRACE, MAX_REFUSED
+from rossec.sidecar.core.layers import (
+    Answered,
     CallMaster,
     CallProgram,
+    CommandDone,
+    NoAnswer,
     OpenEgress,
     OpenIngress,
+    PortOpened,
     Probe,
     Suspend,
+    local_endpoint,
 )
-from rossec.sidecar.core.endpoints import local_endpoint
-from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer, Opened
-from rossec.sidecar.core.master_calls import handle_call
-from rossec.sidecar.core.registrations import (
+from rossec.sidecar.core.master_calls import (
     drop_expired_publishers,
+    handle_call,
     restore,
     resubscribe,
     rights_changed,
 )
 from tests.rossec.sidecar.agent_setup import HOST, AgentSetup, run_layer
-from tests.rossec.sidecar.core.registering import (
-    INGRESS_URI,
-    OK,
-    OWN_URI,
-    PEER,
-    SERVICE,
-    SLAVE,
-    register,
-)
+from tests.rossec.sidecar.core.registering import INGRESS_URI, OK, OWN_URI, PEER, SERVICE, SLAVE, register
 from tests.support.site import Site
 
 ALIVE = (Probe(SLAVE), CommandDone())
@@ -69,8 +63,8 @@ def test_a_service_is_unregistered_by_its_own_address(setup: AgentSetup) -> None
     params = ("/robot", "/say", outside, INGRESS_URI)
     run_layer(
         handle_call(setup.agent, "registerService", ("/robot", "/say", SERVICE.uri, OWN_URI)),
-        (OpenIngress(SLAVE), Opened(7000)),
-        (OpenIngress(SERVICE), Opened(7001)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
+        (OpenIngress(SERVICE), PortOpened(7001)),
         (CallMaster("registerService", params), OK),
     )
     other = local_endpoint(WireProtocol.TCPROS, 5002)
@@ -92,7 +86,7 @@ def test_a_program_on_a_reused_port_has_none_of_the_old_registrations(tmp_path: 
     params = ("/robot_2", "/word", "pkg/Type", INGRESS_URI)
     run_layer(
         handle_call(setup.agent, "registerPublisher", ("/robot_2", "/word", "pkg/Type", OWN_URI)),
-        (OpenIngress(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
         (CallMaster("registerPublisher", params), OK),
     )
     run_layer(restore(setup.agent, has()), ALIVE, (CallMaster("registerPublisher", params), OK))
@@ -106,7 +100,7 @@ def test_registrations_are_made_again_with_a_restarted_master(setup: AgentSetup)
         restore(setup.agent, has()),
         ALIVE,
         (CallMaster("registerSubscriber", params), Answered([1, "ok", [PEER.uri]])),
-        (OpenEgress(PEER), Opened(8000)),
+        (OpenEgress(PEER), PortOpened(8000)),
         (CallProgram(SLAVE, "publisherUpdate", update), NoAnswer("gone", dead=True)),
         (Suspend(SLAVE), CommandDone()),
     )
@@ -136,7 +130,7 @@ def test_resubscribing_sends_the_publishers_again(setup: AgentSetup) -> None:
             CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", INGRESS_URI)),
             Answered([1, "ok", [PEER.uri]]),
         ),
-        (OpenEgress(PEER), Opened(8000)),
+        (OpenEgress(PEER), PortOpened(8000)),
         (
             CallProgram(SLAVE, "publisherUpdate", ("/master", "/scan", ["http://127.0.0.1:8000/"])),
             Answered([1, "", 0]),
@@ -146,14 +140,10 @@ def test_resubscribing_sends_the_publishers_again(setup: AgentSetup) -> None:
 
 
 def publisher_update(*uris: str) -> tuple[CallProgram, Answered]:
-    return CallProgram(SLAVE, "publisherUpdate", ("/master", "/scan", [*uris])), Answered(
-        [1, "", 0]
-    )
+    return CallProgram(SLAVE, "publisherUpdate", ("/master", "/scan", [*uris])), Answered([1, "", 0])
 
 
-def test_a_publisher_missing_at_a_new_master_is_kept_for_a_grace_period(
-    setup: AgentSetup,
-) -> None:
+def test_a_publisher_missing_at_a_new_master_is_kept_for_a_grace_period(setup: AgentSetup) -> None:
     register(setup, PEER.uri)
     inside_uri = "http://127.0.0.1:8000/"
     register_again = CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", INGRESS_URI))
@@ -162,7 +152,7 @@ def test_a_publisher_missing_at_a_new_master_is_kept_for_a_grace_period(
         restore(setup.agent, has()),
         ALIVE,
         (register_again, Answered([1, "ok", []])),
-        (OpenEgress(PEER), Opened(8000)),
+        (OpenEgress(PEER), PortOpened(8000)),
         publisher_update(inside_uri),
     )
     assert run_layer(drop_expired_publishers(setup.agent)) is None
@@ -179,21 +169,17 @@ PUBLISHER = ("/robot", "/pose", "pkg/Type", INGRESS_URI)
 REFUSED = Answered([-1, "rossec: /robot needs the right publish on /pose", []])
 
 
-def refuse(
-    setup: AgentSetup, params: tuple[str, ...] = PUBLISHER, answer: Answered = REFUSED
-) -> None:
+def refuse(setup: AgentSetup, params: tuple[str, ...] = PUBLISHER, answer: Answered = REFUSED) -> None:
     run_layer(
         handle_call(setup.agent, "registerPublisher", (*params[:3], OWN_URI)),
-        (OpenIngress(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
         (CallMaster("registerPublisher", params), answer),
     )
 
 
 def test_a_refused_registration_is_made_again_with_the_right(setup: AgentSetup) -> None:
     refuse(setup)
-    assert run_layer(restore(setup.agent, has()), ALIVE) is None, (
-        "a restarted master would refuse it"
-    )
+    assert run_layer(restore(setup.agent, has()), ALIVE) is None, "a restarted master would refuse it"
     assert run_layer(rights_changed(setup.agent, has())) is None
     may = has((Right.PUBLISH, "/pose"))
     again = CallMaster("registerPublisher", PUBLISHER)
@@ -216,7 +202,7 @@ def test_what_a_program_works_without_succeeds_for_it(
     status = f"rossec: /robot needs the right publish on {topic}: {reason}"
     answer = run_layer(
         handle_call(setup.agent, "registerPublisher", (*params[:3], OWN_URI)),
-        (OpenIngress(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), PortOpened(7000)),
         (CallMaster("registerPublisher", params), Answered([-1, status, []])),
     )
     assert answer == [code, status, []]
@@ -247,9 +233,7 @@ def test_a_refused_registration_that_is_undone_is_not_made_again(setup: AgentSet
     assert list(setup.agent.programs[SLAVE].registrations) == []
 
 
-def test_refusals_are_bounded_and_those_of_the_stock_master_are_not_stored(
-    setup: AgentSetup,
-) -> None:
+def test_refusals_are_bounded_and_those_of_the_stock_master_are_not_stored(setup: AgentSetup) -> None:
     refuse(setup, answer=Answered([-1, "ERROR: parameter [topic] contains illegal chars", 0]))
     assert list(setup.agent.programs[SLAVE].registrations) == []
     for number in range(MAX_REFUSED + 1):

@@ -6,13 +6,11 @@ import pytest
 
 from grants.decision import Decision
 from grants.errors import RestrictionMismatch
-from grants.guard import Guard
-from grants.memory import Memory
+from grants.guard import Guard, Memory
 from grants.model import Restriction, Right
 from rossec.errors import ConnectionHeaderRefused
-from rossec.sidecar.core.copies import CopyTracker, ReplaceableGuard, SharedGuard
-from rossec.sidecar.core.replacing import Replacing
-from rossec.sidecar.core.tcpros import unrestricted
+from rossec.sidecar.core.guards import CopyTracker, ReplaceableGuard, Replacing, SharedGuard
+from rossec.sidecar.core.node_connections import unrestricted
 
 NOW = 1_800_000_000
 NEVER = Restriction(conditions=('now < timestamp("2001-01-01T00:00:00Z")',))
@@ -73,9 +71,7 @@ def test_a_shared_guard_keeps_its_place_among_the_connections_of_its_key() -> No
     memory = Memory()
     with CopyTracker().share(guard_of(LIMITED, memory=memory), NOW, latching=False) as (guard, _):
         assert isinstance(guard, SharedGuard)
-        made = Replacing(
-            guard, lambda made: guard_of(*made.restrictions, memory=memory), to_peer=True
-        )
+        made = Replacing(guard, lambda made: guard_of(*made.restrictions, memory=memory), to_peer=True)
         passed = [guard.apply(b"%d" % count, NOW) for count in range(5)]
         made.swap(made.rebuild(decision(LIMITED)))
         assert guard.apply(b"one more", NOW) is None, "a renewal fills no bucket again"

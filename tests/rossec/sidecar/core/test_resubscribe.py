@@ -1,4 +1,4 @@
-from rossec.sidecar.core.resubscribe import FIRST_DELAY, MAX_DELAY, ResubscribeQueue
+from rossec.sidecar.core.master_calls import FIRST_DELAY, MAX_DELAY, ResubscribeQueue
 
 
 def always(_: str) -> bool:

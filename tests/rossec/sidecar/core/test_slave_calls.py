@@ -11,32 +11,36 @@ from rossec.channel.opening import WireProtocol
 from rossec.errors import CallRefused, HangUp
 from rossec.participant.slave_api import NO_TRANSPORT
 from rossec.ros.xmlrpc import Encoded, Fault
-from rossec.sidecar.core.commands import (
+from rossec.sidecar.core.layers import (
+    Answered,
     CallPeer,
     CallProgram,
+    CommandDone,
+    Event,
+    Layer,
+    ListeningAddress,
+    NoAnswer,
     OpenEgress,
     OpenIngress,
+    PortOpened,
     Probe,
+    RawResponse,
     Suspend,
+    UnexpectedEvent,
+    local_endpoint,
+    topic_endpoint,
 )
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint, topic_endpoint
-from rossec.sidecar.core.events import Answered, CommandDone, Event, NoAnswer, Opened, RawResponse
-from rossec.sidecar.core.layers import Layer, UnexpectedEvent
-from rossec.sidecar.core.slave_calls import handle_peer_call, handle_program_call
+from rossec.sidecar.core.node_connections import handle_peer_call, handle_program_call
 from tests.rossec.sidecar.agent_setup import HOST, MASTER_URI, AgentSetup, run_layer
 
 SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
-PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
+PEER = ListeningAddress(WireProtocol.HTTP, "10.0.0.7", 6000)
 EGRESS_URI = "http://127.0.0.1:8000/"
 UDP = ["UDPROS", b"header", "host", 1, 1500]
 
 
 def peer_call(
-    setup: AgentSetup,
-    method: str,
-    *params: object,
-    peer: str = "/viewer",
-    grants: bytes | None = None,
+    setup: AgentSetup, method: str, *params: object, peer: str = "/viewer", grants: bytes | None = None
 ) -> Layer[object]:
     everything = (peer, *params)
     return handle_peer_call(
@@ -48,7 +52,7 @@ def test_updates_of_the_master_are_forwarded(setup: AgentSetup) -> None:
     params = ("/master", "/scan", [PEER.uri, "nonsense"])
     answer = run_layer(
         peer_call(setup, "publisherUpdate", *params[1:], peer="/master"),
-        (OpenEgress(PEER), Opened(8000)),
+        (OpenEgress(PEER), PortOpened(8000)),
         (
             CallProgram(SLAVE, "publisherUpdate", ("/master", "/scan", ["http://127.0.0.1:8000/"])),
             Answered([1, "", 0]),
@@ -92,9 +96,7 @@ def test_the_admin_right_allows_shutdown(setup: AgentSetup) -> None:
     setup.site.grant("/viewer", Right.ADMIN, "/robot")
     grants = setup.access("/viewer").present(Right.ADMIN, "/robot", setup.site.now())
     request = CallProgram(SLAVE, "shutdown", ("/viewer", "because"))
-    run_layer(
-        peer_call(setup, "shutdown", "because", grants=grants), (request, Answered([1, "", 0]))
-    )
+    run_layer(peer_call(setup, "shutdown", "because", grants=grants), (request, Answered([1, "", 0])))
 
 
 @pytest.mark.parametrize("topic", ["/scan", "/nothing", "no name"])
@@ -103,7 +105,7 @@ def test_the_same_port_is_offered_for_every_topic(setup: AgentSetup, topic: obje
     answer = run_layer(
         peer_call(setup, "requestTopic", topic, [UDP, ["TCPROS"]]),
         (Probe(SLAVE), CommandDone()),
-        (OpenIngress(topic_endpoint(SLAVE)), Opened(7001)),
+        (OpenIngress(topic_endpoint(SLAVE)), PortOpened(7001)),
     )
     assert answer == [1, "ready", ["TCPROS", HOST, 7001]]
 
@@ -145,7 +147,7 @@ def test_answers_of_a_program_name_ingress_endpoints(setup: AgentSetup) -> None:
         [4, SLAVE.uri, "i", "INTRAPROCESS", "/loop", True],
         [5, 7, "i"],
     ]
-    ingress = ((OpenIngress(SLAVE), Opened(7000)),)
+    ingress = ((OpenIngress(SLAVE), PortOpened(7000)),)
     own = f"http://{HOST}:7000/"
     seen = [[1, PEER.uri, *info[0][2:]], *info[1:3], [4, own, *info[3][2:]], info[4]]
     for method, value, script, expected in (
@@ -205,10 +207,7 @@ def test_a_call_needs_a_caller_id(setup: AgentSetup) -> None:
             assert run_layer(layer) == answer
     short = [-1, "Error: bad call arity", []]
     assert run_layer(peer_call(setup, "requestTopic", "/scan")) == short
-    assert (
-        run_layer(handle_program_call(setup.agent, PEER, "requestTopic", ("/robot", "/scan")))
-        == short
-    )
+    assert run_layer(handle_program_call(setup.agent, PEER, "requestTopic", ("/robot", "/scan"))) == short
     for topic in ("", 7):
         nameless = [-1, "ERROR: parameter [topic] must be a non-empty string", []]
         assert run_layer(peer_call(setup, "requestTopic", topic, [["TCPROS"]])) == nameless
@@ -228,14 +227,14 @@ def test_calls_of_a_program_have_a_certified_caller_id_and_its_grants(setup: Age
 
 def test_the_topics_of_a_peer_get_an_egress_port(setup: AgentSetup) -> None:
     params = ("/robot", "/scan", [["TCPROS"]])
-    remote = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
+    remote = ListeningAddress(WireProtocol.TCPROS, "10.0.0.7", 6001)
     answer = run_layer(
         handle_program_call(setup.agent, PEER, "requestTopic", params),
         (
             CallPeer(PEER, "requestTopic", params, None),
             Answered([1, "ready", ["TCPROS", remote.host, remote.port]]),
         ),
-        (OpenEgress(remote), Opened(8001)),
+        (OpenEgress(remote), PortOpened(8001)),
     )
     assert answer == [1, "ready", ["TCPROS", "127.0.0.1", 8001]]
 
@@ -243,33 +242,27 @@ def test_the_topics_of_a_peer_get_an_egress_port(setup: AgentSetup) -> None:
 @pytest.mark.parametrize(
     ("method", "value", "script", "expected"),
     [
-        ("getUri", "http://x:1/", [(OpenEgress(PEER), Opened(8000))], "http://127.0.0.1:8000/"),
+        ("getUri", "http://x:1/", [(OpenEgress(PEER), PortOpened(8000))], "http://127.0.0.1:8000/"),
         ("getMasterUri", "http://x:1/", [], MASTER_URI),
         ("getBusInfo", [[1], [2, "/x", "o"]], [], [[1], [2, "/x", "o"]]),
         ("getBusInfo", 7, [], 7),
         (
             "getBusInfo",
             [[1, PEER.uri, "i", "TCPROS"], [2, PEER.uri, "i", "TCPROS"], [3, "odd", "i"]],
-            [(OpenEgress(PEER), Opened(8000))],
+            [(OpenEgress(PEER), PortOpened(8000))],
             [[1, EGRESS_URI, "i", "TCPROS"], [2, EGRESS_URI, "i", "TCPROS"], [3, "odd", "i"]],
         ),
     ],
 )
 def test_answers_of_a_peer_name_egress_ports(
-    setup: AgentSetup,
-    method: str,
-    value: object,
-    script: list[tuple[OpenEgress, Event]],
-    expected: object,
+    setup: AgentSetup, method: str, value: object, script: list[tuple[OpenEgress, Event]], expected: object
 ) -> None:
     request = CallPeer(PEER, method, ("/robot",), Right.GRAPH)
     layer = handle_program_call(setup.agent, PEER, method, ("/robot",))
     assert run_layer(layer, (request, Answered([1, "", value])), *script) == [1, "", expected]
 
 
-def test_bus_info_of_a_peer_names_this_identity_as_lookups_do(
-    setup: AgentSetup,
-) -> None:
+def test_bus_info_of_a_peer_names_this_identity_as_lookups_do(setup: AgentSetup) -> None:
     outside = setup.agent.endpoints.add_ingress(SLAVE, 7000)
     layer = handle_program_call(setup.agent, PEER, "getBusInfo", ("/robot",))
     request = CallPeer(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
@@ -282,12 +275,10 @@ def test_a_peer_cannot_open_any_number_of_ports(setup: AgentSetup) -> None:
     layer = handle_program_call(setup.agent, PEER, "getBusInfo", ("/robot",))
     request = CallPeer(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
     egress = [
-        (OpenEgress(Endpoint(WireProtocol.HTTP, "10.0.0.7", port)), Opened(8000 + port))
+        (OpenEgress(ListeningAddress(WireProtocol.HTTP, "10.0.0.7", port)), PortOpened(8000 + port))
         for port in range(1, 65)
     ]
-    answer = run_layer(
-        layer, (request, Answered([1, "", [[1, uri, "i"] for uri in uris]])), *egress
-    )
+    answer = run_layer(layer, (request, Answered([1, "", [[1, uri, "i"] for uri in uris]])), *egress)
     assert isinstance(answer, list)
     assert [entry[1] for entry in answer[2]][63:65] == ["http://127.0.0.1:8064/", uris[64]]
 
@@ -298,9 +289,7 @@ def test_refusals_of_a_peer_are_forwarded_and_no_answer_hangs_up(setup: AgentSet
     assert run_layer(layer, (request, Answered([-1, "rossec: no", 0]))) == [-1, "rossec: no", 0]
     for event, error in ((NoAnswer("gone"), HangUp), (CommandDone(), UnexpectedEvent)):
         with pytest.raises(error):
-            run_layer(
-                handle_program_call(setup.agent, PEER, "getBusInfo", ("/robot",)), (request, event)
-            )
+            run_layer(handle_program_call(setup.agent, PEER, "getBusInfo", ("/robot",)), (request, event))
 
 
 ELSEWHERE = ["TCPROS", "203.0.113.5", 6666]

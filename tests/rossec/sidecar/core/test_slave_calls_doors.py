@@ -9,16 +9,27 @@ from rossec.channel.opening import WireProtocol
 from rossec.errors import CallRefused, HangUp
 from rossec.participant.slave_api import NO_TRANSPORT
 from rossec.ros.names import PORTS
-from rossec.sidecar.core.commands import CallPeer, OpenEgress, OpenIngress, Probe, Suspend
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint, topic_endpoint
-from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer, Opened
-from rossec.sidecar.core.layers import Layer
-from rossec.sidecar.core.slave_calls import handle_peer_call, handle_program_call
+from rossec.sidecar.core.layers import (
+    Answered,
+    CallPeer,
+    CommandDone,
+    Layer,
+    ListeningAddress,
+    NoAnswer,
+    OpenEgress,
+    OpenIngress,
+    PortOpened,
+    Probe,
+    Suspend,
+    local_endpoint,
+    topic_endpoint,
+)
+from rossec.sidecar.core.node_connections import handle_peer_call, handle_program_call
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.support.openaccess import OpenAccess
 
 SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
-DOOR = Endpoint(WireProtocol.HTTP, "127.0.0.1", 6000, door=True)
+DOOR = ListeningAddress(WireProtocol.HTTP, "127.0.0.1", 6000, door=True)
 PARAMS = ("/robot", "/scan", [["TCPROS"]])
 REQUEST = CallPeer(DOOR, "requestTopic", PARAMS, None)
 
@@ -32,7 +43,7 @@ def test_behind_a_door_the_topics_are_at_the_door(setup: AgentSetup) -> None:
     answer = run_layer(
         handle_program_call(setup.agent, DOOR, "requestTopic", PARAMS),
         (REQUEST, there),
-        (OpenEgress(Endpoint(WireProtocol.TCPROS, "127.0.0.1", 6000)), Opened(8001)),
+        (OpenEgress(ListeningAddress(WireProtocol.TCPROS, "127.0.0.1", 6000)), PortOpened(8001)),
     )
     assert answer == [1, "ready", ["TCPROS", "127.0.0.1", 8001]]
 
@@ -49,7 +60,7 @@ def test_a_relay_learns_the_port_of_a_programs_topics(setup: AgentSetup) -> None
         answer = run_layer(
             asked(setup, setup.identity(name), name),
             (Probe(SLAVE), CommandDone()),
-            (OpenIngress(topic_endpoint(SLAVE)), Opened(7001)),
+            (OpenIngress(topic_endpoint(SLAVE)), PortOpened(7001)),
         )
         assert answer == [1, "", [7001]]
 

@@ -8,16 +8,24 @@ from ca.certificates import Identity
 from ca.errors import NameRefused
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
-from rossec.sidecar.core.commands import AuthenticatePeer, CallPeer, CallProgram, OpenEgress
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
-from rossec.sidecar.core.events import Answered, Opened, PeerAuthenticated
-from rossec.sidecar.core.layers import Layer
-from rossec.sidecar.core.slave_calls import handle_peer_call, handle_program_call
+from rossec.sidecar.core.layers import (
+    Answered,
+    AuthenticatePeer,
+    CallPeer,
+    CallProgram,
+    Layer,
+    ListeningAddress,
+    OpenEgress,
+    PeerAuthenticated,
+    PortOpened,
+    local_endpoint,
+)
+from rossec.sidecar.core.node_connections import handle_peer_call, handle_program_call
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.support.openaccess import OpenAccess
 
 SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
-PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
+PEER = ListeningAddress(WireProtocol.HTTP, "10.0.0.7", 6000)
 EGRESS_URI = "http://127.0.0.1:8000/"
 ALIAS = "/remote/hospital/scan"
 AUTHENTICATE = AuthenticatePeer(PEER)
@@ -31,27 +39,23 @@ def foreigner(setup: AgentSetup) -> Identity:
 def foreign_call(setup: AgentSetup, method: str, *params: object) -> Layer[object]:
     """A call of the hospital's /viewer, which has every right here."""
     setup.agent = replace(setup.agent, access=OpenAccess())
-    return handle_peer_call(
-        setup.agent, SLAVE, foreigner(setup), method, ("/viewer", *params), b"", 0
-    )
+    return handle_peer_call(setup.agent, SLAVE, foreigner(setup), method, ("/viewer", *params), b"", 0)
 
 
 def test_a_peer_is_asked_for_a_topic_by_the_name_at_its_origin(setup: AgentSetup) -> None:
     request = CallPeer(PEER, "requestTopic", ("/robot", "/scan", [["TCPROS"]]), None)
     params = ("/robot", ALIAS, [["TCPROS"]])
-    remote = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
+    remote = ListeningAddress(WireProtocol.TCPROS, "10.0.0.7", 6001)
     answer = run_layer(
         handle_program_call(setup.agent, PEER, "requestTopic", params),
         (AUTHENTICATE, PeerAuthenticated(foreigner(setup))),
         (request, Answered([1, "ready", ["TCPROS", "10.0.0.7", 6001]], foreigner(setup))),
-        (OpenEgress(remote), Opened(8001)),
+        (OpenEgress(remote), PortOpened(8001)),
     )
     assert answer == [1, "ready", ["TCPROS", "127.0.0.1", 8001]]
     with pytest.raises(NameRefused, match="names no origin"):
         run_layer(
-            handle_program_call(
-                setup.agent, PEER, "requestTopic", ("/robot", "/remote/x", [["TCPROS"]])
-            )
+            handle_program_call(setup.agent, PEER, "requestTopic", ("/robot", "/remote/x", [["TCPROS"]]))
         )
 
 
@@ -82,21 +86,23 @@ def test_a_program_reads_what_a_foreign_node_says_in_local_names(setup: AgentSet
     ]
     peer = foreigner(setup)
     for method, value, script, expected in (
-        ("getBusInfo", rows, ((OpenEgress(Endpoint(WireProtocol.HTTP, "10.0.0.9", 6000)),
-                               Opened(8000)),), [
-            [1, EGRESS_URI, "i", "TCPROS", ALIAS, True],
-            [2, "/remote/hospital/display", "o", "TCPROS", ALIAS, True],
-            [4, "/viewer", "o", "TCPROS", ALIAS, True],
-        ]),
+        (
+            "getBusInfo",
+            rows,
+            ((OpenEgress(ListeningAddress(WireProtocol.HTTP, "10.0.0.9", 6000)), PortOpened(8000)),),
+            [
+                [1, EGRESS_URI, "i", "TCPROS", ALIAS, True],
+                [2, "/remote/hospital/display", "o", "TCPROS", ALIAS, True],
+                [4, "/viewer", "o", "TCPROS", ALIAS, True],
+            ],
+        ),
         ("getName", "/viewer", (), "/remote/hospital/viewer"),
         ("getPublications", [["/scan", "p/T"]], (), [[ALIAS, "p/T"]]),
         ("getPid", 7, (), 7),
-    ):  # fmt: skip
+    ):
         request = CallPeer(PEER, method, ("/robot",), Right.GRAPH)
         layer = handle_program_call(setup.agent, PEER, method, ("/rosnode",))
-        assert run_layer(layer, (request, Answered([1, "", value], peer)), *script) == [
-            1, "", expected,
-        ]  # fmt: skip
+        assert run_layer(layer, (request, Answered([1, "", value], peer)), *script) == [1, "", expected]
 
 
 def test_a_foreign_tool_is_known_to_the_program_by_its_alias(setup: AgentSetup) -> None:
@@ -121,7 +127,7 @@ def test_an_anonymous_program_has_its_certified_name_towards_foreigners(setup: A
         ("requestTopic", (ALIAS, [["TCPROS"]]), "/robot"),
         ("requestTopic", ("/scan", [["TCPROS"]]), "/robot_1_2"),
         ("getPid", (), "/robot"),
-    ):  # fmt: skip
+    ):
         layer = handle_program_call(setup.agent, PEER, method, ("/robot_1_2", *params))
         command = next(layer)
         if command == AUTHENTICATE:

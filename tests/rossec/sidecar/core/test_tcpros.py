@@ -8,14 +8,21 @@ from grants.errors import GrantMissing
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import CallerMismatch, ConnectionHeaderRefused, HangUp
 from rossec.participant.access import FIELD
-from rossec.participant.header_fields import Fields
-from rossec.participant.limit_memory import memory_scope
+from rossec.participant.authorized import memory_scope
+from rossec.participant.delivery import Wishes
+from rossec.participant.handshakes import Fields
 from rossec.participant.message_types import message_type
-from rossec.participant.wishes import Wishes
-from rossec.sidecar.core.commands import ConnectPeer, ConnectProgram, Suspend
-from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer
-from rossec.sidecar.core.layers import Layer, UnexpectedEvent
-from rossec.sidecar.core.tcpros import AdmittedConnection, connect_to_peer
+from rossec.sidecar.core.layers import (
+    Answered,
+    CommandDone,
+    ConnectPeer,
+    ConnectProgram,
+    Layer,
+    NoAnswer,
+    Suspend,
+    UnexpectedEvent,
+)
+from rossec.sidecar.core.node_connections import AdmittedConnection, connect_to_peer
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.rossec.sidecar.core.handshake import (
     ANSWER,
@@ -43,14 +50,10 @@ def authorized(setup: AgentSetup) -> Fields:
     return REQUEST | proof(setup, "/viewer", Right.SUBSCRIBE, "/word")
 
 
-def test_a_subscriber_with_a_grant_is_connected_to_the_program(
-    setup: AgentSetup, authorized: Fields
-) -> None:
+def test_a_subscriber_with_a_grant_is_connected_to_the_program(setup: AgentSetup, authorized: Fields) -> None:
     """The program gets no grant; the peer gets the program's; rospy omits the topic."""
     connect = ConnectProgram(TOPIC_ENDPOINT, REQUEST)
-    admitted = run_layer(
-        admit(setup, authorized), REQUEST_ANSWERED, (connect, arrived(setup, ANSWER))
-    )
+    admitted = run_layer(admit(setup, authorized), REQUEST_ANSWERED, (connect, arrived(setup, ANSWER)))
     expected = ANSWER | {"topic": b"/word"} | proof(setup, "/robot", Right.PUBLISH, "/word")
     assert admitted.answer == expected
     assert admitted.guard is None
@@ -63,9 +66,7 @@ def test_the_program_is_not_contacted_for_a_peer_without_grant(setup: AgentSetup
         run_layer(admit(setup, REQUEST))
 
 
-def test_a_subscriber_with_another_caller_id_is_refused(
-    setup: AgentSetup, authorized: Fields
-) -> None:
+def test_a_subscriber_with_another_caller_id_is_refused(setup: AgentSetup, authorized: Fields) -> None:
     """N6."""
     with pytest.raises(CallerMismatch):
         run_layer(admit(setup, authorized | {"callerid": b"/robot"}))
@@ -121,9 +122,7 @@ def test_the_port_of_an_ended_program_is_suspended(setup: AgentSetup, authorized
         7,
     ],
 )
-def test_an_unpublished_topic_is_refused(
-    setup: AgentSetup, authorized: Fields, answer: object
-) -> None:
+def test_an_unpublished_topic_is_refused(setup: AgentSetup, authorized: Fields, answer: object) -> None:
     """Only an authorized subscriber gets this refusal."""
     with pytest.raises(ConnectionHeaderRefused, match=r"^/robot does not publish /word$"):
         run_layer(admit(setup, authorized), (REQUEST_TOPIC, Answered(answer)))
@@ -160,9 +159,7 @@ def restricted(setup: AgentSetup) -> Fields:
 
 def test_a_restricted_subscriber_gets_a_guard(setup: AgentSetup, restricted: Fields) -> None:
     connect = ConnectProgram(TOPIC_ENDPOINT, REQUEST)
-    admitted = run_layer(
-        admit(setup, restricted), REQUEST_ANSWERED, (connect, arrived(setup, ANSWER))
-    )
+    admitted = run_layer(admit(setup, restricted), REQUEST_ANSWERED, (connect, arrived(setup, ANSWER)))
     assert admitted.guard is not None
     pieces = admitted.guard(b"\x05\0\0\0hello", setup.site.now())
     assert pieces is not None
@@ -184,10 +181,13 @@ def test_a_definition_that_differs_from_the_known_one_is_refused(setup: AgentSet
     setup.site.subscribe("/viewer", "/word", Restriction("geometry_msgs/Twist", (), rules))
     twist = message_type("geometry_msgs/Twist")
     answer = {
-        "callerid": b"/robot", "type": b"geometry_msgs/Twist", "md5sum": twist.md5sum.encode(),
+        "callerid": b"/robot",
+        "type": b"geometry_msgs/Twist",
+        "md5sum": twist.md5sum.encode(),
         "message_definition": twist.definition.replace("Vector3 linear", "Vector3[0] linear")
-        .replace("Vector3 angular", "Vector3[2] angular").encode(),
-    }  # fmt: skip
+        .replace("Vector3 angular", "Vector3[2] angular")
+        .encode(),
+    }
     authorized = REQUEST | proof(setup, "/viewer", Right.SUBSCRIBE, "/word")
     with pytest.raises(ConnectionHeaderRefused, match="not the one this host knows"):
         run_layer(
@@ -197,9 +197,7 @@ def test_a_definition_that_differs_from_the_known_one_is_refused(setup: AgentSet
         )
 
 
-def test_a_definition_is_not_checked_without_restrictions(
-    setup: AgentSetup, authorized: Fields
-) -> None:
+def test_a_definition_is_not_checked_without_restrictions(setup: AgentSetup, authorized: Fields) -> None:
     answer = ANSWER | {"message_definition": b"# caf\xe9\nstring data"}
     admitted = run_layer(
         admit(setup, authorized),
@@ -229,9 +227,7 @@ def test_a_program_subscribes_with_its_grants(setup: AgentSetup, authorized: Fie
     ):
         with pytest.raises(error):
             run_layer(
-                connect_to_peer(
-                    viewer.agent, PEER, everything, no_key, memory_scope("/viewer").child, now
-                ),
+                connect_to_peer(viewer.agent, PEER, everything, no_key, memory_scope("/viewer").child, now),
                 (connect, event),
             )
 
@@ -252,9 +248,7 @@ def test_a_restricted_publisher_gets_a_guard(setup: AgentSetup, authorized: Fiel
     assert admitted.answer["message_definition"].strip() == b"string data"  # as this host knows it
     viewer.agent.known_types = lambda _: None
     layer = connect_to_peer(viewer.agent, PEER, REQUEST, no_key, memory_scope("/viewer").child, now)
-    with pytest.raises(
-        ConnectionHeaderRefused, match="how this subscriber reads a std_msgs/String"
-    ):
+    with pytest.raises(ConnectionHeaderRefused, match="how this subscriber reads a std_msgs/String"):
         run_layer(layer, (connect, arrived(setup, undefined, "/robot")))
 
 
@@ -306,9 +300,7 @@ def test_a_programs_own_wishes_are_not_passed_on_and_none_may_be_answered(
     answer = ANSWER | {"topic": b"/word"} | proof(setup, "/robot", Right.PUBLISH, "/word")
 
     def subscribing() -> Layer[AdmittedConnection]:
-        return connect_to_peer(
-            viewer.agent, PEER, wished, no_key, memory_scope("/viewer").child, now
-        )
+        return connect_to_peer(viewer.agent, PEER, wished, no_key, memory_scope("/viewer").child, now)
 
     run_layer(subscribing(), (connect, arrived(setup, answer, "/robot")))
     for key, value in WISHES.items():

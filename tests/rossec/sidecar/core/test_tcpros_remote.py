@@ -6,11 +6,16 @@ import pytest
 
 from ca.certificates import Identity
 from rossec.errors import ConnectionHeaderRefused
-from rossec.participant.header_fields import Fields
-from rossec.participant.limit_memory import memory_scope
-from rossec.sidecar.core.commands import AuthenticatePeer, ConnectPeer, ConnectProgram
-from rossec.sidecar.core.events import HeaderArrived, PeerAuthenticated
-from rossec.sidecar.core.tcpros import admit_peer, connect_to_peer
+from rossec.participant.authorized import memory_scope
+from rossec.participant.handshakes import Fields
+from rossec.sidecar.core.layers import (
+    AuthenticatePeer,
+    ConnectPeer,
+    ConnectProgram,
+    HeaderArrived,
+    PeerAuthenticated,
+)
+from rossec.sidecar.core.node_connections import admit_peer, connect_to_peer
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.rossec.sidecar.core.handshake import (
     ANSWER,
@@ -36,16 +41,12 @@ def foreign(setup: AgentSetup, name: str) -> Identity:
     return dataclasses.replace(identity, name=f"/remote/hospital{name}", certified=name)
 
 
-def test_a_program_subscribes_to_an_alias_and_the_peer_reads_the_origins_name(
-    setup: AgentSetup,
-) -> None:
+def test_a_program_subscribes_to_an_alias_and_the_peer_reads_the_origins_name(setup: AgentSetup) -> None:
     access = OpenAccess()
     setup.agent = dataclasses.replace(setup.agent, access=access)
     robot, alias = foreign(setup, "/robot"), b"/remote/hospital/word"
     fields = REQUEST | {"callerid": b"/robot", "topic": alias}
-    layer = connect_to_peer(
-        setup.agent, PEER, fields, no_key, memory_scope("/robot").child, setup.site.now()
-    )
+    layer = connect_to_peer(setup.agent, PEER, fields, no_key, memory_scope("/robot").child, setup.site.now())
     connect = ConnectPeer(PEER, fields | {"topic": b"/word"} | PROOF)
     answer = HeaderArrived(ANSWER | {"topic": b"/word"} | PROOF, robot, setup.site.now())
     admitted = run_layer(layer, (AUTHENTICATE, PeerAuthenticated(robot)), (connect, answer))
@@ -60,9 +61,7 @@ def test_a_program_calls_an_alias_and_the_peer_reads_the_origins_name(setup: Age
     access = OpenAccess()
     setup.agent = dataclasses.replace(setup.agent, access=access)
     fields = SERVICE | {"callerid": b"/robot", "service": b"/remote/hospital/say"}
-    layer = connect_to_peer(
-        setup.agent, PEER, fields, no_key, memory_scope("/robot").child, setup.site.now()
-    )
+    layer = connect_to_peer(setup.agent, PEER, fields, no_key, memory_scope("/robot").child, setup.site.now())
     connect = ConnectPeer(PEER, fields | {"service": b"/say"} | PROOF)
     provider = foreign(setup, "/viewer")
     answer = HeaderArrived({"callerid": b"/viewer", "md5sum": b"7"}, provider, setup.site.now())
@@ -77,9 +76,7 @@ def test_a_peer_that_answers_with_another_name_than_the_origins_is_refused(
 ) -> None:
     setup.agent = dataclasses.replace(setup.agent, access=OpenAccess())
     fields = REQUEST | {"callerid": b"/robot", "topic": b"/remote/hospital/word"}
-    layer = connect_to_peer(
-        setup.agent, PEER, fields, no_key, memory_scope("/robot").child, setup.site.now()
-    )
+    layer = connect_to_peer(setup.agent, PEER, fields, no_key, memory_scope("/robot").child, setup.site.now())
     connect = ConnectPeer(PEER, fields | {"topic": b"/word"} | PROOF)
     robot = foreign(setup, "/robot")
     answer = HeaderArrived(ANSWER | {"topic": topic}, robot, setup.site.now())
@@ -92,9 +89,8 @@ def test_a_foreign_subscriber_is_known_to_the_program_by_its_alias(setup: AgentS
     setup.agent = dataclasses.replace(setup.agent, access=access)
     viewer = foreign(setup, "/viewer")
     layer = admit_peer(
-        setup.agent, TOPICS_VIA_API, REQUEST, viewer, no_key,
-        memory_scope("/robot").child, setup.site.now(),
-    )  # fmt: skip
+        setup.agent, TOPICS_VIA_API, REQUEST, viewer, no_key, memory_scope("/robot").child, setup.site.now()
+    )
     caller = {"callerid": b"/remote/hospital/viewer"}
     request = dataclasses.replace(REQUEST_TOPIC, params=(viewer.name, *REQUEST_TOPIC.params[1:]))
     admitted = run_layer(
@@ -126,8 +122,9 @@ def test_an_anonymous_program_has_its_certified_name_towards_foreigners(setup: A
     robot = dataclasses.replace(setup.identity("/robot"), wildcard=True)
     setup.agent = dataclasses.replace(setup.agent, access=access, identity=robot)
     for topic, wire, caller in (
-        (b"/remote/hospital/word", b"/word", b"/robot"), (b"/word", b"/word", b"/robot_1_2")
-    ):  # fmt: skip
+        (b"/remote/hospital/word", b"/word", b"/robot"),
+        (b"/word", b"/word", b"/robot_1_2"),
+    ):
         fields = REQUEST | {"callerid": b"/robot_1_2", "topic": topic}
         layer = connect_to_peer(
             setup.agent, PEER, fields, no_key, memory_scope("/robot").child, setup.site.now()

@@ -7,20 +7,12 @@ import pytest
 from grants.errors import GrantMissing, RestrictionMismatch
 from grants.model import Restriction, Right
 from rossec.errors import ConnectionHeaderRefused
-from rossec.participant.header_fields import Fields
-from rossec.participant.limit_memory import memory_scope
-from rossec.sidecar.core.commands import ConnectPeer, ConnectProgram
-from rossec.sidecar.core.tcpros import connect_to_peer
+from rossec.participant.authorized import memory_scope
+from rossec.participant.handshakes import Fields
+from rossec.sidecar.core.layers import ConnectPeer, ConnectProgram
+from rossec.sidecar.core.node_connections import connect_to_peer
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
-from tests.rossec.sidecar.core.handshake import (
-    PEER,
-    SERVICE,
-    TOPIC_ENDPOINT,
-    admit,
-    arrived,
-    no_key,
-    proof,
-)
+from tests.rossec.sidecar.core.handshake import PEER, SERVICE, TOPIC_ENDPOINT, admit, arrived, no_key, proof
 
 
 def test_services_are_admitted_in_both_directions(setup: AgentSetup) -> None:
@@ -53,9 +45,7 @@ def test_services_are_admitted_in_both_directions(setup: AgentSetup) -> None:
     assert admitted_there.answer == answer
     with pytest.raises(GrantMissing):
         run_layer(
-            connect_to_peer(
-                viewer.agent, PEER, SERVICE, no_key, memory_scope("/viewer").child, now
-            ),
+            connect_to_peer(viewer.agent, PEER, SERVICE, no_key, memory_scope("/viewer").child, now),
             (ConnectPeer(PEER, authorized), arrived(setup, answer, "/robot")),
         )
 
@@ -71,12 +61,7 @@ def test_a_header_for_both_topic_and_service_is_refused(setup: AgentSetup, both:
         with pytest.raises(ConnectionHeaderRefused, match="for a topic or for a service"):
             run_layer(
                 connect_to_peer(
-                    setup.agent,
-                    PEER,
-                    fields,
-                    no_key,
-                    memory_scope("/robot").child,
-                    setup.site.now(),
+                    setup.agent, PEER, fields, no_key, memory_scope("/robot").child, setup.site.now()
                 )
             )
 

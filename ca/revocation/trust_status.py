@@ -1,0 +1,393 @@
+"""The revocations this node knows of its own domain and of the listed ones, and whether they are fresh.
+
+The state fails closed: without a list, without a confirmation, after its maximum age, after the
+list's own expiry, or on a clock that was set back, `check` refuses. It only moves forward, also
+over a restart: the caller persists the list *before* it takes effect (CVE-2025-2888 in tough was
+that order reversed) and passes its number as `floor`. A foreign list counts for the nodes and
+grants of that domain and for nothing else, the own one for every key. Clock and disk are the
+caller's; whoever shares a state between threads locks it.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Final
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.certificates import Identity
+from ca.domains.trust import ADMIT_HINT, Anchors, ListedDomain
+from ca.errors import (
+    ClocksDisagree,
+    NotAdmitted,
+    RevocationRefused,
+    RevocationsStale,
+    Revoked,
+    RollbackRefused,
+)
+from ca.keys.signing import thumbprint
+from ca.names import is_master_name, pattern_covers
+from ca.revocation.lists import (
+    MAX_AGE,
+    RevocationList,
+    RevocationTree,
+    Timestamp,
+    TreeEntries,
+    check_entry,
+    digest,
+    is_revoked,
+    is_tree,
+    open_list,
+    open_timestamp,
+    open_tree,
+)
+
+NO_FLOOR: Final = (0, 0)
+SKEW: Final = 5  # seconds two synchronised clocks may differ
+MAX_PROOFS: Final = 16 * 1024  # cached entries proved absent, and entries without a proof
+NO_LIST_YET: Final = "no revocation list was received yet"
+_STALE: Final = "check that the master is running and reachable, and both clocks"
+
+MAX_DELEGATES: Final = 16  # masters of one foreign domain, the last ones seen
+_SILENT: Final = "does this side's master reach that domain's? rossec federation status"
+
+
+class Revocations:
+    """The newest list of one authority, and the last confirmation that it is the newest."""
+
+    def __init__(
+        self,
+        anchor_key: ec.EllipticCurvePublicKey,
+        floor: tuple[int, int] = NO_FLOOR,
+        fresh: int | None = None,
+    ) -> None:
+        self._key = anchor_key
+        self.floor = floor
+        # How old a confirmation may be, seconds; None: what each one says (`max_age`). Another value is for
+        # foreign domains: 30 s would end visits with every outage of the line.
+        self.fresh = fresh
+        self.current: RevocationList | RevocationTree | None = None
+        self.data = b""  # as signed
+        self.entries: frozenset[bytes] = frozenset()
+        self._received = 0
+        self._complete = True  # False: `_entries` are the known ones of a tree
+        self._absent: set[bytes] = set()
+        self._unproved: dict[bytes, None] = {}
+        self._confirmed: Timestamp | None = None
+        self._relied_until = 0  # the end of a confirmation that was expired early
+
+    @property
+    def fresh_until(self) -> int:
+        """The last second at which `check` may succeed; 0 if there is none."""
+        if self.current is None or self._confirmed is None:
+            return self._relied_until
+        return min(self._end(self._confirmed), self.current.expires - 1)
+
+    def status_valid_until(self, entry: bytes) -> int:
+        """As `fresh_until`, for one entry: a proof may take as long as a confirmation."""
+        if self._complete or entry in self._absent:
+            return self.fresh_until
+        return min(self.fresh_until, self._received + MAX_AGE)
+
+    def is_proved(self, entry: bytes) -> bool:
+        return self._complete or entry in self._absent or entry in self.entries
+
+    @property
+    def unproved(self) -> list[bytes]:
+        return list(self._unproved)
+
+    def add_proof(self, entry: bytes, proof: bytes) -> None:
+        if not isinstance(self.current, RevocationTree):
+            return  # replaced by a list meanwhile, which needs no proofs
+        revoked = is_revoked(self.current, check_entry(entry), proof)
+        self._unproved.pop(entry, None)
+        if revoked:
+            self.entries |= {entry}
+            return
+        if len(self._absent) >= MAX_PROOFS:
+            self._absent.clear()
+        self._absent.add(entry)
+
+    def set_entries(self, tree_entries: TreeEntries) -> None:
+        """Set all entries of the current tree: no proofs are needed any more."""
+        if not isinstance(self.current, RevocationTree):
+            raise RevocationRefused("entries of a tree, but there is no tree")
+        tree_entries.check(self.current)
+        self.entries, self._complete = tree_entries.entries, True
+
+    def update(
+        self, data: bytes, now: int, persist: Callable[[bytes], None] | None = None
+    ) -> frozenset[bytes]:
+        """Apply a signed list or tree; return the entries it adds, to close their connections.
+
+        Its age is not checked: a slow clock must not block revocations. `persist(data)` is called
+        after all checks and before the list takes effect; if it raises, nothing changes. An expired
+        list is applied too: what it revokes stays revoked, and `check` refuses everything else. A
+        new list needs a new confirmation. With a tree, what was known to be revoked stays so.
+        """
+        revocations = open_statement(data, self._key)
+        self.check_number(revocations)
+        if data == self.data:
+            return frozenset()
+        if persist is not None:
+            persist(data)
+        self._complete = isinstance(revocations, RevocationList)
+        entries = revocations.entries if isinstance(revocations, RevocationList) else self.entries
+        added = entries - self.entries
+        self.current, self.data, self.floor = revocations, data, revocations.number
+        self.entries, self._received = entries, now
+        self._confirmed, self._relied_until = None, 0
+        self._absent, self._unproved = set(), {}
+        return added
+
+    def confirm(self, timestamp: Timestamp, now: int) -> None:
+        """Apply a timestamp, opened with `open_timestamp`: the current list is the newest."""
+        if self.current is None:
+            raise RevocationRefused("a timestamp came before any revocation list", _STALE)
+        if timestamp.seq != self.current.seq or timestamp.digest != digest(self.data):
+            raise RevocationRefused(
+                f"the timestamp is for another list than the current number {self.current.seq}",
+                "fetch the newest list from the master",
+            )
+        if timestamp.max_age > MAX_AGE:
+            raise RevocationRefused("the timestamp claims to be valid for too long")
+        if timestamp.issued > now + SKEW:
+            raise ClocksDisagree("the timestamp is from the future", "check both clocks")
+        if self._end(timestamp) < now:
+            raise ClocksDisagree("the timestamp is too old", "check both clocks")
+        if self._confirmed is None or not (timestamp.issued <= self._confirmed.issued <= now + SKEW):
+            self._confirmed = timestamp
+
+    def expire_confirmation(self, until: int = 0) -> None:
+        self._relied_until = min(self.fresh_until, until)
+        self._confirmed = None
+
+    def check(self, entry: bytes, now: int) -> None:
+        """Return if `entry` (a grant id or key thumbprint) is known not to be revoked."""
+        if check_entry(entry) in self.entries:
+            raise Revoked(f"{entry.hex()} is revoked", "ask the authority's operator for the reason")
+        unproved = not self._complete and entry not in self._absent
+        if unproved and len(self._unproved) < MAX_PROOFS:
+            self._unproved[entry] = None
+        self.check_fresh(now)
+        if unproved:
+            raise RevocationsStale(f"no proof received yet that {entry.hex()} is not revoked", _STALE)
+
+    def check_fresh(self, now: int) -> None:
+        """Return if the current list is confirmed and valid at `now`."""
+        if self.current is None:
+            raise RevocationsStale(NO_LIST_YET, _STALE)
+        if now >= self.current.expires:
+            raise RevocationsStale(
+                f"the revocation list expired {now - self.current.expires} s ago",
+                "have the authority sign a new one: `rossec ca refresh`",
+            )
+        if self._confirmed is None:
+            raise RevocationsStale("the revocation list is not confirmed by the master", _STALE)
+        if now > self.fresh_until:
+            raise RevocationsStale(f"the last confirmation expired {now - self.fresh_until} s ago", _STALE)
+        if now < max(self.current.issued, self._confirmed.issued) - SKEW:
+            raise RevocationsStale("the clock is behind the revocation list", "set the clock")
+
+    def _end(self, timestamp: Timestamp) -> int:
+        return timestamp.issued + (timestamp.max_age if self.fresh is None else self.fresh)
+
+    def check_number(self, new: RevocationList | RevocationTree) -> None:
+        """Return if a list or tree may follow the current one, or is the same."""
+        if new.number < self.floor:
+            raise RollbackRefused(
+                f"revocation list {_text(new.number)} is older than {_text(self.floor)}",
+                "an old list was replayed: find out which peer sent it",
+            )
+        if self.current is not None and new.number == self.current.number and new != self.current:
+            raise RollbackRefused(
+                f"there are two different revocation lists {_text(new.number)}",
+                "the authority's database was restored or copied: begin a new epoch",
+            )
+
+
+def open_statement(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList | RevocationTree:
+    return open_tree(data, ca_key) if is_tree(data) else open_list(data, ca_key)
+
+
+def _text(number: tuple[int, int]) -> str:
+    return f"{number[0]}.{number[1]}"
+
+
+@dataclass
+class _Foreign:
+    root: bytes
+    revocations: Revocations
+    masters: dict[bytes, ec.EllipticCurvePublicKey] = field(default_factory=dict)
+
+
+class Standing:
+    """The revocations of the own domain and of those that `anchors` lists."""
+
+    def __init__(self, anchors: Anchors, own: Revocations) -> None:
+        self.anchors: Final = anchors
+        self.own: Final = own
+        self._foreign: dict[str, _Foreign] = {}
+
+    def foreign(self, domain: str) -> Revocations | None:
+        """What is known of a listed domain's revocations; None: it is not listed."""
+        held = self._held(domain)
+        return None if held is None else held.revocations
+
+    def restore(self, domain: str, revocations: bytes, now: int) -> bool:
+        """Take a saved list, not confirmed; returns whether it is of the domain's present root."""
+        held = self._held(domain)
+        if held is None:
+            return False
+        try:
+            held.revocations.update(revocations, now)
+        except RevocationRefused:  # saved under an earlier root: nothing follows from it
+            return False
+        return True
+
+    def take_foreign(
+        self,
+        domain: str,
+        revocations: bytes,
+        timestamp: bytes,
+        chain: Sequence[bytes],
+        now: int,
+        persist: Callable[[bytes], None] | None = None,
+    ) -> frozenset[bytes]:
+        """Take a foreign list (empty: the one held) and its timestamp; returns what it adds.
+
+        A valid list is kept even when the timestamp is not accepted. `persist(list)` is called
+        after all checks of the list and before it takes effect. `chain` are the certificates of the
+        master that signed the timestamp, DER, the leaf first.
+        """
+        listed, held = self._listed(domain), self._held(domain)
+        if held is None:
+            raise _not_listed(domain)
+        added: frozenset[bytes] = frozenset()
+        if revocations:
+            added = held.revocations.update(revocations, now, persist)
+        if not timestamp:
+            raise RevocationsStale(f"no word of {listed.entry.label}'s master", _SILENT)
+        # The master that signed it need not be admitted as a peer.
+        master = listed.anchor.verify(chain, now)
+        if not is_master_name(master.name) or master.wildcard:
+            raise NotAdmitted(f"{listed.entry.label}:{master.name} is no master, and confirms no revocations")
+        for key in master.keys:
+            for each in (self.own, held.revocations):
+                with suppress(RevocationsStale):  # the timestamp may end it
+                    each.check(key, now)
+                if not each.is_proved(key):
+                    raise RevocationsStale("no proof yet for a foreign master's key", _SILENT)
+        held.revocations.confirm(open_timestamp(timestamp, master.public_key), now)
+        held.masters.pop(master.thumbprint, None)
+        held.masters[master.thumbprint] = master.public_key
+        if len(held.masters) > MAX_DELEGATES:
+            del held.masters[next(iter(held.masters))]
+        return added
+
+    def check(self, domain: str, entry: bytes, now: int) -> None:
+        """Return if `entry` is known not to be revoked by the authority of `domain`."""
+        if domain == self.anchors.own.domain:
+            self.own.check(entry, now)
+            return
+        held = self._held(domain)
+        if held is None:
+            raise _not_listed(domain)
+        try:
+            held.revocations.check(entry, now)
+        except RevocationsStale as error:
+            label = self._listed(domain).entry.label
+            raise RevocationsStale(f"of domain {label}: {error}", _SILENT) from None
+
+    def check_peer(self, peer: Identity, now: int) -> None:
+        """Return if a new connection with `peer` is right, as far as its identity goes.
+
+        All its keys are checked: stale data on the first must not hide that its intermediate is
+        revoked. Those of a foreigner on the own list too, so that this side can refuse one at once.
+        """
+        checks: list[Callable[[bytes, int], None]] = [self.own.check]
+        if peer.is_foreign:
+            self.check_trust(peer, now)
+            current = self.anchors.current
+            if current is None or now >= current.expires:
+                raise NotAdmitted("the list of domains has expired", "rossec ca refresh")
+            checks.append(partial(self.check, peer.domain))
+        stale: RevocationsStale | None = None
+        for check in checks:
+            for key in peer.keys:
+                try:
+                    check(key, now)
+                except RevocationsStale as error:
+                    stale = stale or error
+        if stale is not None:
+            raise stale
+
+    def check_trust(self, peer: Identity, now: int) -> None:
+        """Return if the newest list of domains lets a connection with `peer` stand.
+
+        A list that has expired cuts nobody.
+        """
+        if not peer.is_foreign:
+            return
+        listed = self._listed(peer.domain)
+        entry = listed.entry
+        if now >= entry.until or listed.anchor.thumbprint != peer.root:
+            raise NotAdmitted(f"the trust in domain {entry.label} has ended", ADMIT_HINT)
+        name, label = peer.certified_name, peer.name.split("/")[2]
+        if label != entry.label or not any(pattern_covers(each, name) for each in entry.admitted):
+            raise NotAdmitted(f"{entry.label}:{name} is not admitted here any more", ADMIT_HINT)
+
+    def status_valid_until(self, domain: str, entry: bytes) -> int:
+        """The last second at which `check` may succeed, now or before; 0: it never could."""
+        if domain == self.anchors.own.domain:
+            return self.own.status_valid_until(entry)
+        held = self._held(domain)
+        return 0 if held is None else held.revocations.status_valid_until(entry)
+
+    def revoked(self, domain: str) -> frozenset[bytes]:
+        """Everything known to be revoked by the authority of `domain`, fresh or not."""
+        if domain == self.anchors.own.domain:
+            return self.own.entries
+        held = self._held(domain)
+        return frozenset() if held is None else held.revocations.entries
+
+    def delegates(self, domain: str) -> tuple[ec.EllipticCurvePublicKey, ...]:
+        """The keys whose tickets renew grants of `domain`: its masters, unless revoked.
+
+        Of the own domain those that the list of domains names; the caller adds its own master.
+        """
+        if domain == self.anchors.own.domain:
+            keys = self.anchors.masters
+        else:
+            held = self._held(domain)
+            keys = () if held is None else tuple(held.masters.values())
+        revoked = self.own.entries | self.revoked(domain)
+        return tuple(key for key in keys if thumbprint(key) not in revoked)
+
+    def expire_confirmations(self, until: int) -> None:
+        """End every confirmation at `until`: the clock it was received by went back."""
+        self.own.expire_confirmation(until)
+        for held in self._foreign.values():
+            held.revocations.expire_confirmation(until)
+
+    def _listed(self, domain: str) -> ListedDomain:
+        listed = self.anchors.listed_domain(domain)
+        if listed is None:
+            raise _not_listed(domain)
+        return listed
+
+    def _held(self, domain: str) -> _Foreign | None:
+        listed = self.anchors.listed_domain(domain)
+        if listed is None:
+            return None
+        held = self._foreign.get(domain)
+        if held is None or held.root != listed.anchor.thumbprint:
+            held = _Foreign(listed.anchor.thumbprint, Revocations(listed.anchor.public_key))
+            self._foreign[domain] = held
+        held.revocations.fresh = listed.entry.fresh
+        return held
+
+
+def _not_listed(domain: str) -> NotAdmitted:
+    return NotAdmitted(f"domain {domain!a} is not listed here", ADMIT_HINT)

@@ -1,0 +1,290 @@
+"""Foreign domains and constrained things in the authority's record, and the audit of both.
+
+Each acceptance of a domain and each change of its terms is a row, and the newest row counts until
+an end refers to it. Nothing accepted goes from the record: a label is not given to another domain
+while a grant that names it can live. Whoever has another root key is another domain. Of the
+statements about things in force, one name is one thing and one credential is one thing; at one
+border router, so is one kid. The audit replays both from the log, in the order of their entries:
+the record cannot be made to hold what the authority would not have signed, or to deny what it did.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, Final, NamedTuple
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.certificates import Identity
+from ca.domains.trust import ForeignDomain, verify_domains
+from ca.errors import CAError, DomainUnknown, StoreError, ThingChanged, ThingUnknown
+from ca.store.database import Database, append_entry
+from ca.store.values import LogEntry, digest_of, replay, require
+from ca.things.constrained_nodes import ThingStatement, peek_statement, verify_statement
+
+_NEWEST = "number IN (SELECT max(number) FROM foreign_domain GROUP BY domain)"
+_NOT_ENDED = "number NOT IN (SELECT number FROM foreign_domain_end)"
+
+KINDS: Final = ("domain", "domain ended", "domain list")
+Row = tuple[Any, ...]
+
+_IN_FORCE = "expires > ? AND id NOT IN (SELECT entry FROM revocation)"
+
+KIND: Final = "thing"
+
+
+class DomainRow(NamedTuple):
+    """One acceptance of a domain, or change of its terms; `root` is its key's thumbprint."""
+
+    number: int
+    domain: str
+    label: str
+    root: bytes
+    terms: bytes
+    at: int
+
+    def read(self) -> ForeignDomain:
+        return ForeignDomain.from_terms(self.terms)
+
+
+class ForeignCertificateRow(NamedTuple):
+    thumbprint: bytes
+    root: bytes
+    name: str
+    der: bytes
+    at: int
+
+
+class DomainTable:
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def accepted(self) -> list[DomainRow]:
+        return self._rows(f"WHERE {_NEWEST} AND {_NOT_ENDED} ORDER BY domain")
+
+    def all(self) -> list[DomainRow]:
+        return self._rows("ORDER BY number")
+
+    def get(self, label: str) -> DomainRow:
+        for row in self.accepted():
+            if row.label == label:
+                return row
+        raise DomainUnknown(f"no domain is called {label!a} here", "see: rossec domain list")
+
+    def labelled(self, label: str) -> list[DomainRow]:
+        return self._rows("WHERE label = ? ORDER BY number", label)
+
+    def ends(self) -> dict[int, tuple[str, int]]:
+        return {number: (reason, at) for number, reason, at in self._database.logged("domain ended")}
+
+    def accept(self, domain: ForeignDomain, now: int) -> None:
+        with self._database.transaction() as db:
+            root = domain.anchor.thumbprint
+            for known in self.accepted():
+                check_domains_apart(known, domain.domain, domain.label, root)
+            rows = self._database.rows("SELECT coalesce(max(number), 0) + 1 FROM foreign_domain")
+            number = int(rows[0][0])
+            row = DomainRow(number, domain.domain, domain.label, root, domain.terms, now)
+            db.execute("INSERT INTO foreign_domain VALUES (?, ?, ?, ?, ?, ?)", row)
+            append_entry(db, now, "domain", row.domain, row.label, digest_of(row))
+
+    def end(self, label: str, reason: str, now: int) -> DomainRow:
+        with self._database.transaction() as db:
+            row = self.get(label)
+            ended = (row.number, reason, now)
+            db.execute("INSERT INTO foreign_domain_end VALUES (?, ?, ?)", ended)
+            append_entry(db, now, "domain ended", row.domain, reason, digest_of(ended))
+        return row
+
+    def next_number(self) -> tuple[int, int]:
+        rows = self._database.rows("SELECT epoch, seq FROM domain_list ORDER BY epoch DESC, seq DESC LIMIT 1")
+        return (rows[0][0], rows[0][1] + 1) if rows else (1, 1)
+
+    def save_list(self, number: tuple[int, int], data: bytes, now: int) -> None:
+        with self._database.transaction() as db:
+            db.execute("INSERT INTO domain_list VALUES (?, ?, ?, ?)", (*number, data, now))
+            subject = f"{number[0]}.{number[1]}"
+            append_entry(db, now, "domain list", subject, "", digest_of((*number, data)))
+
+    def newest_list(self) -> bytes:
+        rows = self._database.rows("SELECT data FROM domain_list ORDER BY epoch DESC, seq DESC LIMIT 1")
+        return bytes(rows[0][0]) if rows else b""
+
+    def add_certificate(self, root: bytes, identity: Identity, now: int) -> None:
+        row = ForeignCertificateRow(
+            identity.thumbprint, root, identity.certified_name, identity.certificate, now
+        )
+        with self._database.transaction() as db:
+            if any(known.der == row.der for known in self.certificates(root)):
+                return
+            db.execute("INSERT INTO foreign_certificate VALUES (?, ?, ?, ?, ?)", row)
+            key = row.thumbprint.hex()
+            append_entry(db, now, "foreign certificate", row.name, key, digest_of(row))
+
+    def certificates(self, root: bytes) -> list[ForeignCertificateRow]:
+        rows = self._database.logged("foreign certificate", "WHERE root = ? ORDER BY rowid", root)
+        return [ForeignCertificateRow(*row) for row in rows]
+
+    def _rows(self, clause: str, *values: object) -> list[DomainRow]:
+        return [DomainRow(*row) for row in self._database.logged("domain", clause, *values)]
+
+
+def check_domains_apart(known: DomainRow, domain: str, label: str, root: bytes) -> None:
+    """Return if a domain with this name, label and root key may be trusted beside `known`."""
+    same = (known.domain == domain, known.label == label, known.root == root)
+    if all(same) or not any(same):
+        return
+    if known.domain == domain and known.root != root:
+        raise StoreError(
+            f"domain {domain} has another root key than before",
+            "find out why, by telephone; if it was set up again:"
+            f" rossec domain remove {known.label}, then accept it anew",
+        )
+    if known.domain == domain:
+        raise StoreError(f"domain {domain} is called {known.label} here", f"--as {known.label}")
+    if known.label == label:
+        raise StoreError(f"the label {label} is that of domain {known.domain}", "choose another label: --as")
+    raise StoreError(
+        f"domain {known.domain} has the same root key",
+        "one authority has one domain: ask them which one it is",
+    )
+
+
+def replay_domains(
+    entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], key: ec.EllipticCurvePublicKey
+) -> None:
+    replay(entries, _DomainReplay(rows, key).steps, CAError)
+
+
+class _DomainReplay:
+    def __init__(self, rows: Mapping[str, Iterable[Row]], key: ec.EllipticCurvePublicKey) -> None:
+        self._key = key
+        self._rows: dict[str, Iterator[Row]] = {kind: iter(rows[kind]) for kind in KINDS}
+        self._trusted: dict[str, DomainRow] = {}  # by domain
+        self._last = (0, 0)
+        self.steps: Mapping[str, Callable[[LogEntry], None]] = {
+            "domain": self._accept,
+            "domain ended": self._end,
+            "domain list": self._list,
+        }
+
+    def _accept(self, entry: LogEntry) -> None:
+        row = DomainRow(*next(self._rows["domain"]))
+        terms = row.read()
+        found = terms.domain, terms.label, terms.anchor.thumbprint
+        require(found == (row.domain, row.label, row.root), entry)
+        for known in self._trusted.values():
+            check_domains_apart(known, *found)
+        self._trusted[row.domain] = row
+
+    def _end(self, entry: LogEntry) -> None:
+        number = next(self._rows["domain ended"])[0]
+        ended = [row for row in self._trusted.values() if row.number == number]
+        require(len(ended) == 1, entry)
+        del self._trusted[ended[0].domain]
+
+    def _list(self, entry: LogEntry) -> None:
+        epoch, seq, data = next(self._rows["domain list"])
+        listed = verify_domains(data, self._key)
+        require(self._last < (epoch, seq) == listed.number, entry)
+        self._last = listed.number
+        for each in listed.domains:
+            known = self._trusted.get(each.domain)
+            require(known is not None and known.terms == each.terms, entry)
+
+
+class ThingRow(NamedTuple):
+    """One signed statement; `border` is the name of the router with the key in it."""
+
+    id: bytes
+    name: str
+    border: str
+    data: bytes
+    not_before: int
+    expires: int
+
+    def read(self) -> ThingStatement:
+        return peek_statement(self.data)
+
+
+class ThingTable:
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def all(self) -> list[ThingRow]:
+        return self._rows("ORDER BY rowid")
+
+    def in_force(self, now: int) -> list[ThingRow]:
+        return self._rows(f"WHERE {_IN_FORCE} ORDER BY rowid", now)
+
+    def newest(self, now: int) -> dict[str, ThingRow]:
+        return {row.name: row for row in self.in_force(now)}
+
+    def get(self, name: str, now: int) -> ThingRow:
+        found = self._rows(f"WHERE name = ? AND {_IN_FORCE} ORDER BY rowid", name, now)
+        if not found:
+            raise ThingUnknown(
+                f"no statement about a thing {name} is in force", "see: rossec ca things --all"
+            )
+        return found[-1]
+
+    def last(self, name: str) -> ThingRow:
+        # The last statement about `name` that was not revoked; it may have expired.
+        alive = "WHERE name = ? AND id NOT IN (SELECT entry FROM revocation) ORDER BY rowid"
+        found = self._rows(alive, name)
+        if not found:
+            raise ThingUnknown(f"there is no thing {name}", "see: rossec ca things --all")
+        return found[-1]
+
+    def revoked(self) -> list[ThingRow]:
+        return self._rows("WHERE id IN (SELECT entry FROM revocation) ORDER BY rowid")
+
+    def ids(self, name: str, now: int) -> frozenset[bytes]:
+        return frozenset(row.id for row in self.in_force(now) if row.name == name)
+
+    def add(self, row: ThingRow, statement: ThingStatement, now: int) -> None:
+        with self._database.transaction() as db:
+            for known in self.in_force(now):
+                check_things_apart(known.read(), statement)
+            db.execute("INSERT INTO thing VALUES (?, ?, ?, ?, ?, ?, ?)", (*row, now))
+            append_entry(db, now, "thing", row.name, row.id.hex(), digest_of(row))
+
+    def _rows(self, clause: str, *values: object) -> list[ThingRow]:
+        return [ThingRow(*row) for row in self._database.logged(KIND, clause, *values)]
+
+
+def check_things_apart(known: ThingStatement, new: ThingStatement) -> None:
+    same_thing = known.credential.thumbprint == new.credential.thumbprint
+    if (known.name, known.border) == (new.name, new.border) and known.credential == new.credential:
+        return
+    if known.name == new.name:
+        what = "another border router" if same_thing else "another key"
+        raise ThingChanged(
+            f"{new.name} has a statement in force with {what}", f"if that one is to end: --replace {new.name}"
+        )
+    if same_thing:
+        raise ThingChanged(
+            f"this key is that of {known.name}", f"if the thing was renamed: --replace {known.name}"
+        )
+    if (known.border, known.credential.kid) == (new.border, new.credential.kid):
+        raise ThingChanged(
+            f"{known.name} has the same kid {known.credential.kid.hex()} at this border router",
+            f"give one of the two another kid, or --replace {known.name}",
+        )
+
+
+def replay_things(entries: Iterable[LogEntry], rows: Iterable[Row], key: ec.EllipticCurvePublicKey) -> None:
+    made, in_force = iter(rows), dict[str, ThingStatement]()
+
+    def take(entry: LogEntry) -> None:
+        row = ThingRow(*next(made))
+        found = verify_statement(row.data, key, domain=peek_statement(row.data).domain)
+        said = (found.id, found.name, found.not_before, found.expires)
+        require(said == (row.id, row.name, row.not_before, row.expires), entry)
+        for number, known in list(in_force.items()):
+            if known.expires <= entry.at:
+                del in_force[number]
+            else:
+                check_things_apart(known, found)
+        in_force[row.id.hex()] = found
+
+    steps = {KIND: take, "revocation": lambda entry: in_force.pop(entry.subject, None)}
+    replay(entries, steps, CAError)

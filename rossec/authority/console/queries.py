@@ -1,0 +1,514 @@
+"""What the console is shown: the record, the policy, and what the master says.
+
+Each answer is one look, newest first where it is long: what does not fit into an answer is left
+out, and the log of the service says so. Nothing here needs the key. The master is asked as `/ca`,
+through the network process, and only while somebody looks; pages get what was heard last.
+"""
+
+import contextlib
+import hashlib
+import logging
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
+from typing import Any, Final, TypeVar
+
+from ca.approvals.passkeys import Approval
+from ca.approvals.statement import StatementKind
+from ca.encoding import Value, encode
+from ca.errors import HintedError, RevocationRefused
+from ca.revocation.trust_status import open_statement
+from ca.store.log import ApprovalState
+from ca.store.record import CertificateRow, Store
+from grants import document
+from grants.errors import PolicyRefused
+from grants.policy.difference import Change, ChangeKind
+from grants.policy.source import MAX_SIZE
+from rossec import clock, files
+from rossec.authority import invitations
+from rossec.authority.console.messages import (
+    MAX_ANSWER,
+    ApprovalView,
+    DenialView,
+    EventView,
+    FactView,
+    GrantView,
+    IdentityRequestView,
+    InvitationView,
+    ListProgress,
+    NodeView,
+    PhoneView,
+    PolicyName,
+    PolicyRight,
+    PolicyView,
+    sentence,
+    to_value,
+)
+from rossec.authority.keyservice.work import AuthorityWork
+from rossec.authority.policyfile import PolicyFile
+from rossec.authority.session import StatementCall
+from rossec.errors import AnswerMalformed, ConfigurationError, NotDelivered
+from rossec.participant.registrations import WATCH_GRAPH, GraphView
+
+KEPT: Final = 30 * 86400  # seconds for which ended grants are shown
+MAX_EVENTS: Final = 500  # of one answer
+MAX_APPROVALS: Final = 100
+_MAX_NUMBER: Final = (1 << 63) - 1  # of SQLite
+_MAX_ROWS: Final = 20_000  # grants that are looked at
+ROOM: Final = MAX_ANSWER - 64 * 1024
+_log = logging.getLogger("rossec.authority.service")
+
+Deliveries = Callable[[], Mapping[bytes, str]]
+
+
+class RecordQueries:
+    """The operations that read the record.
+
+    `last_used`: when passkeys were last used to log in. `deliveries`: what the master says of each
+    grant; without one, nothing.
+    """
+
+    def __init__(
+        self, work: AuthorityWork, last_used: Callable[[bytes], int], deliveries: Deliveries = dict
+    ) -> None:
+        self._work = work
+        self._last_used = last_used
+        self._deliveries = deliveries
+
+    def nodes(self) -> Value:
+        at = self._work.now()
+        with self._store() as store, store.database.read_transaction():
+            ended = {row.entry: row for row in store.revocations()}
+            rows = store.identities.all()
+        found: dict[tuple[str, bytes], CertificateRow] = {}
+        newest = {row.name: row for row in rows}
+        for row in rows:
+            is_valid = at <= row.not_after and row.thumbprint not in ended
+            if is_valid or newest[row.name].thumbprint == row.thumbprint:
+                found[row.name, row.thumbprint] = row
+        views = []
+        for row in found.values():
+            revoked = ended.get(row.thumbprint)
+            views.append(
+                NodeView(
+                    row.name,
+                    row.thumbprint,
+                    row.not_before,
+                    row.not_after,
+                    row.wildcard,
+                    revoked.at if revoked else 0,
+                    revoked.reason if revoked else "",
+                )
+            )
+        return bounded("identities", reversed(views), lambda view: view.name)
+
+    def grants(self) -> Value:
+        oldest = self._work.now() - KEPT
+        with self._store() as store, store.database.read_transaction():
+            ended = {row.entry: row for row in store.revocations()}
+            rules, signed = store.policy_grants(), store.signed_at()
+            rows = store.grants()
+        states, views = self._deliveries(), []
+        for row in shared(reversed(rows), lambda row: row.name, _MAX_ROWS):
+            grant = document.peek(row.data)
+            revoked = ended.get(row.id) or ended.get(grant.holder)
+            if min(grant.cap, revoked.at if revoked else grant.cap) < oldest:
+                continue
+            views.append(
+                GrantView(
+                    row.id,
+                    row.name,
+                    row.data,
+                    signed[row.id],
+                    grant.expires,
+                    grant.cap,
+                    revoked.at if revoked else 0,
+                    revoked.reason if revoked else "",
+                    rules.get(row.id, ""),
+                    states.get(row.id, ""),
+                )
+            )
+        return bounded("grants", views, lambda view: view.node)
+
+    def identity_requests(self) -> Value:
+        at = self._work.now()
+        with self._store() as store:
+            store.requests.collect(at)
+            views = [
+                IdentityRequestView(
+                    row.digest,
+                    row.name,
+                    row.thumbprint,
+                    row.source,
+                    row.arrived,
+                    row.expires,
+                    str(row.state),
+                    row.wildcard,
+                    any(each.thumbprint != row.thumbprint for each in store.identities.by_name(row.name)),
+                    row.der,
+                )
+                for row in store.requests.open(at)
+            ]
+        return bounded("requests", reversed(views))
+
+    def invitations(self) -> Value:
+        at = self._work.now()
+        with self._store() as store, store.database.read_transaction():
+            views = [
+                InvitationView(
+                    each.row.id,
+                    each.row.pattern,
+                    each.row.uses,
+                    tuple(use.name for use in each.uses),
+                    each.row.wildcard,
+                    each.row.expires,
+                    each.row.at,
+                    each.state(at),
+                )
+                for each in invitations.invitations(store)
+            ]
+        return bounded("join codes", reversed(views))
+
+    def phones(self) -> Value:
+        with self._store() as store, store.database.read_transaction():
+            known, ended = store.passkeys.all(), store.passkeys.ended()
+            used, by = store.approvals.last_used(), store.approvals.approvers(StatementKind.PASSKEY)
+        names = {each.id: each.name for each in known}
+        views = []
+        for each in known:
+            last = max(used.get(each.id, 0), self._last_used(each.id))
+            why = ended.get(each.id)
+            views.append(
+                PhoneView(
+                    each.id,
+                    each.name,
+                    each.at,
+                    last,
+                    names.get(by.get(each.approval, b""), ""),
+                    "" if why is None else why or "removed",
+                )
+            )
+        return bounded("phones", views)
+
+    def approvals(self, count: int) -> Value:
+        with self._store() as store, store.database.read_transaction():
+            found = store.approvals.newest(_count(count, MAX_APPROVALS))
+            ends = store.approvals.ends()
+            names = {each.id: each.name for each in store.passkeys.all()}
+        views = []
+        for each in found:
+            end = ends.get(each.id)
+            views.append(
+                ApprovalView(
+                    each.id,
+                    each.kind,
+                    _sentence(each),
+                    names.get(each.passkey, ""),
+                    each.at,
+                    end.state if end else str(ApprovalState.WAITING),
+                    end.result if end else "",
+                )
+            )
+        return bounded("approvals", views)
+
+    def events(self, before: int, count: int) -> Value:
+        with self._store() as store:
+            last = min(before, _MAX_NUMBER) if before > 0 else None
+            found = store.log.newest(_count(count, MAX_EVENTS), last)
+        return bounded("entries", [EventView(*each[:5]) for each in found])
+
+    def _store(self) -> contextlib.closing[Store]:
+        return contextlib.closing(self._work.home().store())
+
+
+V = TypeVar("V", bound=tuple[Any, ...])
+T = TypeVar("T")
+
+
+def bounded(what: str, views: Iterable[V], owner: Callable[[V], str] = lambda _: "") -> list[Value]:
+    given = list(views)
+    room = ROOM
+    values: dict[int, Value] = {}
+    for place in _in_turns([owner(view) for view in given]):
+        value = to_value(given[place])
+        room -= len(encode(value))
+        if room < 0:
+            _log.warning("the console is shown the newest %d %s only", len(values), what)
+            break
+        values[place] = value
+    return [values[place] for place in sorted(values)]
+
+
+def shared(items: Iterable[T], owner: Callable[[T], str], limit: int) -> list[T]:
+    given = list(items)
+    chosen = _in_turns([owner(item) for item in given])[:limit]
+    return [given[place] for place in sorted(chosen)]
+
+
+def _in_turns(owners: Sequence[str]) -> list[int]:
+    # The places in turns: the first of each owner, then the second of each, and so on.
+    count = Counter[str]()
+    turns: list[tuple[int, int]] = []
+    for place, owner in enumerate(owners):
+        turns.append((count[owner], place))
+        count[owner] += 1
+    return [place for _, place in sorted(turns)]
+
+
+def _count(count: int, limit: int) -> int:
+    return max(0, min(count, limit))
+
+
+def _sentence(approval: Approval) -> str:
+    try:
+        return sentence(approval.read(), approval.payload)
+    except HintedError as error:
+        return f"an approval that cannot be read: {error}"
+
+
+_NOTHING: Final = (0, 0, 0)
+
+
+class PolicyNames:
+    # For every page, so the policy is read only when its file has changed. While it has mistakes there are
+    # no titles.
+
+    def __init__(self, work: AuthorityWork) -> None:
+        self._work = work
+        self._read = _NOTHING
+        self._names: tuple[PolicyName, ...] = ()
+
+    def policy_names(self) -> Value:
+        path, found = self._work.policy_path(), _NOTHING
+        with contextlib.suppress(OSError):
+            status = path.stat()
+            found = status.st_mtime_ns, status.st_size, status.st_ino
+        if found != self._read:
+            names: tuple[PolicyName, ...] = ()
+            if found != _NOTHING:
+                with contextlib.suppress(HintedError):  # told on the page of the policy
+                    policy = PolicyFile.read(path, own=True).policy
+                    names = tuple(
+                        PolicyName(name, policy.titles.get(name, ""), policy.types.get(name, ""))
+                        for name in sorted(policy.titles.keys() | policy.types.keys())
+                    )
+            self._read, self._names = found, names
+        return bounded("names of the policy", self._names)
+
+
+PURPOSE: Final = "a look at the policy"
+MAX_REFUSED: Final = 64
+_NOT_GIVEN: Final = frozenset({ChangeKind.KEPT, ChangeKind.GONE})
+
+
+class PolicyQuery:
+    def __init__(self, work: AuthorityWork) -> None:
+        self._work = work
+
+    def policy(self) -> Value:
+        path = self._work.policy_path()
+        empty = PolicyView(str(path), b"", (), (), 0, ())
+        if not path.exists():
+            return to_value(empty)
+        read = b""
+        try:
+            read = files.read(path, MAX_SIZE, ConfigurationError(f"there is no policy in {path}"))
+            file = PolicyFile.read(path, own=True)
+            read = file.text.encode()
+            with self._work.service(PURPOSE) as service:
+                plan = service.policy.plan(file)
+        except HintedError as error:
+            digest = hashlib.sha256(read).digest() if read else b""
+            return to_value(empty._replace(digest=digest, mistakes=_mistakes(error)))
+        changes = [change for node in plan.nodes for change in node.changes]
+        kept = [change for change in changes if change.kind is ChangeKind.KEPT]
+        return to_value(
+            empty._replace(
+                digest=hashlib.sha256(read).digest(),
+                gives=tuple(_right(each) for each in changes if each.kind not in _NOT_GIVEN),
+                takes=tuple(_right(each) for each in changes if each.kind is ChangeKind.GONE),
+                keeps=len(kept),
+                refused=plan.refused[:MAX_REFUSED],
+            )
+        )
+
+
+def _right(change: Change) -> PolicyRight:
+    lines: Sequence[str] = change.restrictions
+    until = ""
+    if change.kind is not ChangeKind.GONE:
+        *lines, until = change.restrictions
+    words, span = "; ".join(lines), until.removeprefix("valid ")
+    return PolicyRight(change.subject.name, int(change.right), change.pattern, words, span)
+
+
+def _mistakes(error: HintedError) -> tuple[str, ...]:
+    found = error.mistakes if isinstance(error, PolicyRefused) else ()
+    return tuple(map(str, found)) or (str(error),)
+
+
+STANDING: Final = "rossec.revocationStanding"
+DENIALS: Final = "rossec.recentDenials"
+PERIOD: Final = 2.0  # seconds between two questions
+FRESH: Final = 30.0  # seconds for which what was heard is shown
+SHORT: Final = 3.0  # seconds for an answer that a page waits for
+LONG: Final = 15.0  # for one that the master delays until there is news
+MAX_FACTS: Final = 20_000
+_HINT: Final = "it is asked again"
+
+
+class MasterView:
+    """The operations that need the master.
+
+    `deliver`: calls the master. Raises `NotDelivered`. `elapsed`: seconds of a clock that cannot be
+    set. `begin`: calls a function in another thread. `came_back`: called when the master answers
+    again: something may wait for it.
+    """
+
+    def __init__(
+        self,
+        work: AuthorityWork,
+        deliver: Callable[[StatementCall], object],
+        elapsed: clock.Seconds | None = None,
+        begin: Callable[[Callable[[], None]], None] | None = None,
+        came_back: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._work = work
+        self._deliver = deliver
+        self._elapsed = clock.counter() if elapsed is None else elapsed
+        self._begin = begin or _in_thread
+        self._came_back = came_back
+        self._is_away = False
+        self._asking = threading.Lock()  # held by the thread that asks
+        self._begun = self._heard = self._standing_asked = float("-inf")
+        self._view = GraphView()
+        self._denials: tuple[DenialView, ...] = ()
+        self._standing: ListProgress | None = None
+        self._changes = 0
+
+    def look(self) -> int:
+        if self._elapsed() - self._begun >= PERIOD and self._asking.acquire(blocking=False):
+            self._begun = self._elapsed()
+            self._begin(self._ask_and_release)
+        return self._changes
+
+    def graph(self) -> Value:
+        if self._elapsed() - self._heard > FRESH:
+            view = GraphView()
+            self._watch(view, SHORT)
+            return _facts(view)
+        return _facts(self._view)
+
+    def denials(self) -> Value:
+        if self._elapsed() - self._heard > FRESH:
+            return to_value(self._recent_denials())
+        return to_value(self._denials)
+
+    def standing(self, epoch: int, seq: int) -> Value:
+        self._standing_asked = self._elapsed()
+        found = self._list_standing(epoch, seq)
+        self._standing = found
+        return to_value(found)
+
+    def _ask_and_release(self) -> None:
+        try:
+            with contextlib.suppress(ConfigurationError, AnswerMalformed):
+                self._ask()
+            if self._is_away:
+                self._is_away = False
+                self._came_back()
+        except NotDelivered:  # what was heard is old: whoever looks is told now
+            self._changes += not self._is_away
+            self._is_away, self._heard = True, float("-inf")
+        finally:
+            self._asking.release()
+
+    def _ask(self) -> None:
+        # Ask what pages are likely to show; a page with ticks is not kept waiting by the graph.
+        standing = self._standing
+        if standing is not None and self._elapsed() - self._standing_asked < FRESH:
+            self._note(standing, self._list_standing(standing.epoch, standing.seq))
+            if self._elapsed() - self._heard < FRESH / 2:
+                return
+        before = self._view.facts
+        self._watch(self._view, LONG)
+        self._note(before, self._view.facts)
+        self._heard = self._elapsed()
+        with contextlib.suppress(NotDelivered):
+            known, self._denials = self._denials, self._recent_denials()
+            self._note(*({each[1:] for each in some} for some in (known, self._denials)))
+
+    def _note(self, before: object, after: object) -> None:
+        self._changes += before != after
+
+    def _watch(self, view: GraphView, within: float) -> None:
+        more = True
+        while more:
+            answer = self._call(WATCH_GRAPH, (*view.next_params,), "a question about the graph", within)
+            more = view.take(answer).more
+            if len(view.facts) > MAX_FACTS:
+                raise NotDelivered(f"the graph has more than {MAX_FACTS} facts", _HINT)
+
+    def _recent_denials(self) -> tuple[DenialView, ...]:
+        answer = self._call(DENIALS, (), "a question about denials", SHORT)
+        if not isinstance(answer, list):
+            raise NotDelivered("the master's answer about denials is malformed", _HINT)
+        return tuple(_denial(row, self._work.now()) for row in answer)
+
+    def _list_standing(self, epoch: int, seq: int) -> ListProgress:
+        home, now = self._work.home(), self._work.now()
+        with closing(home.store()) as store:
+            data = store.newest_list()
+        newest = (0, 0)
+        with contextlib.suppress(RevocationRefused):
+            if data is not None:
+                found = open_statement(data, home.anchor().public_key)
+                newest = found.epoch, found.seq
+        wanted = (epoch, seq)
+        if wanted == (0, 0):
+            wanted = newest if home.count_unlisted(now) == 0 else (0, 0)
+        if wanted == (0, 0) or newest < wanted:
+            return ListProgress(epoch, seq, False, False, 0, 0)
+        return self._ask_standing(*wanted, is_published=data == self._work.published)
+
+    def _ask_standing(self, epoch: int, seq: int, *, is_published: bool) -> ListProgress:
+        # What the master says of a signed list; if it does not answer, what it took before.
+        # Nodes that hold a newer one than was asked for hold this one too.
+        unknown = ListProgress(epoch, seq, True, is_published, 0, 0)
+        try:
+            answer = self._call(STANDING, (), "a question about a list", SHORT)
+        except NotDelivered:
+            return unknown
+        match answer:
+            case {"list": str(number), "nodes": int(nodes), "holding": int(holding)} if 0 <= holding <= nodes:
+                is_there = _number(number) >= (epoch, seq)
+                return ListProgress(epoch, seq, True, is_there, nodes, holding if is_there else 0)
+            case _:
+                return unknown
+
+    def _call(self, method: str, arguments: tuple[object, ...], what: str, within: float) -> object:
+        node = self._work.home().node()
+        return self._deliver(StatementCall(node, method, arguments, what, _HINT, within=within, waits=True))
+
+
+def _facts(view: GraphView) -> Value:
+    return to_value(tuple(FactView(*fact) for fact in sorted(view.facts)))
+
+
+def _number(text: str) -> tuple[int, int]:
+    epoch, _, seq = text.partition(".")
+    is_one = all(part.isascii() and part.isdigit() and len(part) < 20 for part in (epoch, seq))
+    return (int(epoch), int(seq)) if is_one else (0, 0)
+
+
+def _denial(row: object, now: int) -> DenialView:
+    match row:
+        case [int(ago), str(node), int(right), str(name)]:
+            return DenialView(now - ago, node, right, name)
+        case _:
+            raise NotDelivered("the master's answer about denials is malformed", _HINT)
+
+
+def _in_thread(task: Callable[[], None]) -> None:
+    threading.Thread(target=task, name="questions to the master", daemon=True).start()

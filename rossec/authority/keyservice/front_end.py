@@ -1,0 +1,164 @@
+"""The network process: a process of the service that talks to strangers and has no key of it.
+
+`python -I -m rossec.authority.keyservice.front_end`, started by `face_process`. It is the node `/ca`: it
+serves the join port, and calls the master when the service asks for it. What it may ask of the
+service is in `inner_messages`. It ends when the service does, may start no other process, and the
+service's own socket refuses it.
+"""
+
+import asyncio
+import logging
+import os
+import socket
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, cast
+
+from ca.encoding import Value
+from ca.enrollment.invitation import JoinClaim, JoinRequest
+from ca.enrollment.join import (
+    Issued,
+    JoinAnswer,
+    JoinMessage,
+    LiveIdentity,
+    NameAnswer,
+    Named,
+    RefusedMessage,
+    WaitingMessage,
+    read,
+)
+from ca.errors import EnrollmentMessageRefused, HintedError
+from rossec.authority.keyservice import messages
+from rossec.authority.keyservice.inner_channel import InnerChannel
+from rossec.authority.master_connection import master_connection
+from rossec.authority.signing import OWN_NODE
+from rossec.channel import opening
+from rossec.enrollment.join import DECISION, JoinServer
+from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered
+from rossec.home import NodeHome
+from rossec.host import addresses
+from rossec.host.confinement import confine_files, confine_processes
+from rossec.host.runner import log_as_json, until_first_ends
+from rossec.host.sandbox import protect_memory
+from rossec.net.rpc.calls import CALL_DEADLINE
+from rossec.peer_limits import printable
+from rossec.ros.xmlrpc import Fault
+
+ANY: Final = "*"  # as the host of a join address: every address of this host
+_ODD: Final = "the service does not answer as it should"
+_FRESH: Final = 10.0  # seconds for which the own identity is not read again
+_log = logging.getLogger("rossec.authority.face")
+
+
+class FrontEnd:
+    """The join port, and calls at the master, as `/ca`.
+
+    `node`: the directory of `/ca`. `join_address`: `host:port`; the host may be `ANY`.
+    """
+
+    def __init__(self, node: NodeHome, join_address: str, master_uri: str, suites: tuple[int, ...]) -> None:
+        self._node = node
+        self._join_address = join_address
+        self._master_uri = master_uri
+        self._suites = suites
+        self._identity: LiveIdentity | None = None
+        self._read_at = 0.0
+        self._server = JoinServer(self._live, self._admit, _report, name=self._name)
+        self._channel: InnerChannel | None = None
+
+    async def run(self, sock: socket.socket) -> None:
+        handlers = {messages.CALL: self._call}
+        channel = self._channel = InnerChannel(sock, handlers, messages.MAX_FROM_SERVICE)
+        try:
+            await until_first_ends(channel.run(), self._serve(channel))
+        finally:
+            await self._server.close()
+
+    async def _serve(self, channel: InnerChannel) -> None:
+        # Listen, and say so; returns if that is not possible.
+        try:
+            host, port = _host_and_port(self._join_address)
+            await self._server.listen(host, port)
+        except (OSError, HintedError) as error:
+            reason = os.strerror(error.errno or 0) if isinstance(error, OSError) else str(error)
+            text = f"cannot listen on {self._join_address}: {reason.lower()}"
+            hint = "choose another one: --join-address HOST:PORT"
+            await channel.call(messages.FAILED, text, hint, within=DECISION)
+            return
+        await channel.call(messages.READY, self._server.port, within=DECISION)
+        await asyncio.Event().wait()
+
+    def _live(self) -> LiveIdentity:
+        now = asyncio.get_running_loop().time()
+        if self._identity is None or now - self._read_at > _FRESH:
+            own, root = self._node.credentials(), self._node.anchor().certificate
+            self._identity, self._read_at = LiveIdentity(own.signer, own.chain, root), now
+        return self._identity
+
+    async def _admit(self, request: JoinRequest) -> JoinAnswer:
+        found = await self._ask(messages.JOIN, request.to_bytes())
+        if not isinstance(found, Issued | WaitingMessage | RefusedMessage):
+            raise EnrollmentMessageRefused(_ODD)
+        return found
+
+    async def _name(self, claim: JoinClaim) -> NameAnswer:
+        found = await self._ask(messages.NAME, claim.to_bytes())
+        if not isinstance(found, Named | RefusedMessage):
+            raise EnrollmentMessageRefused(_ODD)
+        return found
+
+    async def _ask(self, operation: str, data: bytes) -> JoinMessage | None:
+        if self._channel is None:
+            raise ConfigurationError("the service is not there yet")
+        answer = await self._channel.call(operation, data, within=DECISION)
+        return read(answer) if isinstance(answer, bytes) else None
+
+    async def _call(self, method: str, arguments: list[Value], seconds: int) -> Value:
+        try:
+            async with asyncio.timeout(seconds):
+                own, anchor = self._node.credentials(), self._node.anchor()
+                deadline = max(CALL_DEADLINE, float(seconds))
+                connection = master_connection(own, anchor, self._master_uri, self._suites, deadline)
+                async with connection as client:
+                    answer = await client.ask(method, self._node.name, *arguments)
+                    return cast("Value", answer)  # the frame says what it may be
+        except (HintedError, OSError, TimeoutError, Fault) as error:
+            reason = error.faultString if isinstance(error, Fault) else str(error)
+            shown = printable(reason) or "no answer in time"
+            raise NotDelivered(f"{self._master_uri}: {shown}") from error
+
+
+def _host_and_port(text: str) -> tuple[str | None, int]:
+    if text == ANY or text.startswith(f"{ANY}:"):
+        return None, addresses.split(f"localhost{text[1:]}", addresses.JOIN_PORT)[1]
+    return addresses.split(text, addresses.JOIN_PORT)
+
+
+def _report(line: str) -> None:
+    _log.warning("refused at the join port: %s", line)
+
+
+def main(arguments: list[str]) -> None:
+    descriptor, directory, join_address, master_uri, log = arguments
+    if log == "json":
+        log_as_json()
+    else:  # as the service itself writes, whose terminal or journal this is
+        logging.basicConfig(level=logging.WARNING, format="rossec: %(levelname)s: %(message)s")
+    protect_memory()
+    # So it cannot read the authority's encrypted key, its record or a passphrase beside them.
+    confine_files([Path(directory)])
+    executor = confine_processes()
+    suites = opening.post_quantum(os.environ)
+    face = FrontEnd(NodeHome(Path(directory), OWN_NODE), join_address, master_uri, suites)
+
+    async def run() -> None:
+        asyncio.get_running_loop().set_default_executor(executor)
+        with suppress(KeyServiceRefused):  # the service has ended
+            await face.run(socket.socket(fileno=int(descriptor)))
+
+    asyncio.run(run())
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

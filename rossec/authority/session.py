@@ -1,0 +1,208 @@
+"""The authority as one command has it: its key unlocked once, its lists, what is told to the master.
+
+Nothing is printed or asked here: the passphrase comes from a callable, called when the key is first
+needed, and once only. Telling the master is a step of its own (`publish`, `deliver`): the statement
+is recorded by then, and what was done can be shown while the master is out of reach.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from ca.errors import CertificateExpired
+from ca.keys.signing import Signer
+from ca.revocation.lists import RevocationList
+from ca.revocation.trust_status import open_statement
+from rossec import clock
+from rossec.authority import renewals, restored_lists
+from rossec.authority.home import AuthorityHome
+from rossec.authority.keyservice.client import RemoteSigner, running_signer
+from rossec.authority.signing import SigningAuthority
+from rossec.clock import format_time
+from rossec.errors import ConfigurationError
+from rossec.home import NodeHome
+from rossec.ros.names import UPDATE_DOMAINS
+
+DEPOSIT_SECONDS: Final = 15.0
+_EXPIRES_SOON: Final = 7 * 86400
+_PUBLISH: Final = (
+    "the list is signed and stored, but takes effect only when the master has it;"
+    " deliver it with: rossec ca publish"
+)
+_PUBLISH_DOMAINS: Final = (
+    "the list of domains is signed and stored, but takes effect only when the master has it;"
+    " deliver it with: rossec ca publish"
+)
+
+
+class StatementCall(NamedTuple):
+    """A signed statement for the master, or a query: called as `node`, the authority's own.
+
+    `what` names it in errors, `hint` says how to deliver it later, `note` is to be shown if set.
+    `within`: seconds until it fails; None: the usual deadlines. `waits`: the master answers when
+    there is something new, so that a slow answer is no sign of one that is out of reach.
+    """
+
+    node: NodeHome
+    method: str
+    statement: tuple[object, ...]
+    what: str
+    hint: str
+    note: str = ""
+    within: float | None = None
+    waits: bool = False
+
+
+class _Signed(NamedTuple):
+    revoked: int
+    revocations: tuple[int, int]
+    domains: tuple[int, int]
+
+
+class AuthoritySession:
+    """The authority below ROSSEC_HOME; for one thread, as its record is.
+
+    `passphrase`: returns the passphrase of the key, or raises. `deliver`: calls the master, returns
+    its answer; raises `NotDelivered` if it cannot. `now`: seconds since the epoch. `find_signer`:
+    the key, if a service holds it; `running_signer` asks the one that runs.
+    """
+
+    def __init__(
+        self,
+        home: Path,
+        passphrase: Callable[[], str],
+        deliver: Callable[[StatementCall], object],
+        now: Callable[[], int] = clock.now,
+        find_signer: Callable[[AuthorityHome], Signer | None] = running_signer,
+    ) -> None:
+        self.rossec_home = home
+        self.now = now
+        self._passphrase = passphrase
+        self._deliver = deliver
+        self._find_signer = find_signer
+        self._unlocked: SigningAuthority | None = None
+        self._before = _Signed(0, (0, 0), (0, 0))
+
+    @property
+    def home(self) -> AuthorityHome:
+        return AuthorityHome.at(self.rossec_home)
+
+    def unlock(self) -> SigningAuthority:
+        """The authority with its key: that of its service where one runs (`rossec ca serve`).
+
+        Otherwise it asks for the passphrase, unless this was done before.
+        """
+        if self._unlocked is None:
+            home = self.home
+            signer = self._find_signer(home)
+            authority = home.unlock(self._passphrase()) if signer is None else home.open(signer)
+            self._before = _signed(authority)
+            self._unlocked = authority
+        return self._unlocked
+
+    def close(self) -> None:
+        if self._unlocked is not None:
+            if isinstance(self._unlocked.signer, RemoteSigner):
+                self._unlocked.signer.close()
+            self._unlocked.store.close()
+            self._unlocked = None
+
+    def refresh(self) -> tuple[RevocationList, int | None]:
+        """Sign the list anew; returns it, and the end of the own node's identity if renewed.
+
+        The list of domains, if there is one, is signed anew as well.
+        """
+        authority, at = self.unlock(), self.now()
+        due = renewals.own_node_is_due(authority, at)
+        renewed = renewals.renew_own_node(authority, at) if due else None
+        if authority.store.domains.newest_list():
+            authority.sign_domains(at)
+        return authority.sign_list(at), renewed
+
+    def take_over_revocations(self, data: bytes, entries: bytes | None) -> int:
+        return restored_lists.take_over(self.unlock(), data, entries, self.now())[1]
+
+    def complete_list(self) -> None:
+        self.unlock().refresh_list(self.now())
+
+    def sign_head(self) -> bytes:
+        self.complete_list()
+        return self.unlock().sign_head(self.now())
+
+    @property
+    def has_revoked(self) -> bool:
+        """Whether something was revoked since the key was unlocked: the master must be told."""
+        opened = self._unlocked
+        return opened is not None and _signed(opened).revoked != self._before.revoked
+
+    @property
+    def has_signed_list(self) -> bool:
+        """Whether a list was signed since the key was unlocked: the master should get it."""
+        opened = self._unlocked
+        return opened is not None and _signed(opened).revocations != self._before.revocations
+
+    @property
+    def has_signed_domains(self) -> bool:
+        """Whether a list of domains was signed since the key was unlocked: likewise."""
+        opened = self._unlocked
+        return opened is not None and _signed(opened).domains != self._before.domains
+
+    def publish(self) -> None:
+        """Deliver the newest list to the master, and the list of domains if there is one."""
+        home, at = self.home, self.now()
+        data, entries = home.newest_statement()
+        expires = open_statement(data, home.anchor().public_key).expires
+        if at >= expires:
+            raise ConfigurationError(
+                f"the revocation list expired {format_time(expires)}", "sign it anew with: rossec ca refresh"
+            )
+        note = f"the revocation list expires {format_time(expires)}; renew it with: rossec ca refresh"
+        method = "rossec.updateRevocationTree" if entries else "rossec.updateRevocations"
+        statement = (data, entries) if entries else (data,)
+        soon = note if at >= expires - _EXPIRES_SOON else ""
+        self.deliver(StatementCall(home.node(), method, statement, "the list", _PUBLISH, soon))
+        self.publish_domains()
+
+    def publish_domains(self) -> bool:
+        """Deliver the list of domains; whether there is one."""
+        home, at = self.home, self.now()
+        found = home.domain_list()
+        if found is None:
+            return False
+        data, listed = found
+        if at >= listed.expires:
+            raise ConfigurationError(
+                f"the list of domains expired {format_time(listed.expires)}",
+                "sign it anew with: rossec ca refresh",
+            )
+        what = "the list of domains"
+        self.deliver(StatementCall(home.node(), UPDATE_DOMAINS, (data,), what, _PUBLISH_DOMAINS))
+        return True
+
+    def master_has_list(self) -> bool:
+        """Whether the master says that it has the newest list."""
+        node, what = self.home.node(), "the question for its list"
+        method, hint = "rossec.revocationStanding", "rossec ca publish"
+        answer = self.deliver(StatementCall(node, method, (), what, hint, within=DEPOSIT_SECONDS))
+        newest = open_statement(self.home.revocation_list(), self.home.anchor().public_key)
+        if self.now() >= newest.expires:
+            raise ConfigurationError("the revocation list has expired", "rossec ca refresh")
+        epoch, seq = newest.number
+        return isinstance(answer, dict) and answer.get("list") == f"{epoch}.{seq}"
+
+    def deliver(self, call: StatementCall) -> object:
+        """Deliver a statement to the master; returns the value of its answer."""
+        try:
+            call.node.identity(self.now())
+        except CertificateExpired as error:
+            raise ConfigurationError(
+                f"the identity of {call.node.name} has expired by this host's clock, which says"
+                f" {format_time(self.now())}: no master accepts it",
+                f"renew it: rossec ca renew {call.node.name}",
+            ) from error
+        return self._deliver(call)
+
+
+def _signed(authority: SigningAuthority) -> _Signed:
+    store = authority.store
+    return _Signed(store.count_revoked(), store.next_number(), store.domains.next_number())

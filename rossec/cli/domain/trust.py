@@ -1,0 +1,399 @@
+"""`rossec domain card | accept | limit | remove`: how far, and until when, a foreign domain is trusted."""
+
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from ca.domains.trust import (
+    LEAST_FRESH,
+    MAX_CARD,
+    MAX_CARD_LIFETIME,
+    MOST_FRESH,
+    Card,
+    ForeignDomain,
+    NameRights,
+    open_card,
+)
+from ca.enrollment import qr
+from ca.enrollment.qr import card_code, check_code
+from ca.errors import NameRefused
+from ca.names import MASTER, RELAY, check_label, check_pattern
+from ca.store.signed_statements import check_domains_apart
+from grants.model import ALL_RIGHTS, Right
+from rossec import files
+from rossec.authority.domain_operations import living_grants
+from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
+from rossec.authority.service import AuthorityService
+from rossec.cli.shared import options
+from rossec.cli.shared.context import confirm, now
+from rossec.cli.shared.options import json_result
+from rossec.cli.shared.service import pass_service, publish_list
+from rossec.clock import format_time
+from rossec.enrollment.enroll import code_in_file
+from rossec.errors import ConfigurationError
+from rossec.terminal import note, note_picture, printable, record, say
+
+# Without these, the masters of two domains cannot follow each other, nor learn of revocations.
+OF_MASTERS: Final = (MASTER, f"{MASTER}/*")
+OF_RELAYS: Final = (RELAY, f"{RELAY}/*")  # without these no link between sites
+EVERYTHING, NOTHING = "everything", "nothing"
+MAX_DAYS: Final = 10 * 366
+_RIGHTS: Final = {right.label: right for right in Right} | {"all": ALL_RIGHTS}
+_RULE: Final = "'/robot/** subscribe', '/door/open call'; or everything, or nothing"
+_UNITS: Final = ((86400, "d"), (3600, "h"), (60, "m"))
+admit = click.option(
+    "--admit",
+    multiple=True,
+    metavar="PATTERN",
+    help="nodes of it that may connect; its masters and relays may as well",
+)
+
+
+@click.command()
+@click.option(
+    "--out", type=click.Path(path_type=Path, dir_okay=False), help="write it here, instead of DOMAIN.card"
+)
+@click.option(
+    "--names",
+    multiple=True,
+    metavar="PATTERN",
+    default=("/**",),
+    show_default=True,
+    help="your nodes that shall be admitted there",
+)
+@click.option("--at", "masters", multiple=True, metavar="URI", help="where they reach your master")
+@options.duration(
+    "--for", "lifetime", days=MAX_CARD_LIFETIME // 86400, default="7d", text="how long it can be accepted"
+)
+@click.option("--qr", "picture", is_flag=True, help="also show its code as a picture, on stderr")
+@json_result()
+@pass_service
+def card(
+    service: AuthorityService,
+    out: Path | None,
+    names: tuple[str, ...],
+    masters: tuple[str, ...],
+    lifetime: int,
+    picture: bool,
+) -> None:
+    """Write this domain's card, for the authority of another one.
+
+    A card is no secret, and anybody could make one in your name: let them compare its fingerprint
+    with yours by telephone or on paper, or scan its code from your screen.
+    """
+    home = service.home
+    data = service.domains.card(names, masters, lifetime)
+    target = out or Path(f"{home.domain}.card")
+    files.replace(target, data, 0o644)
+    record(domain=home.domain, file=str(target), code=card_code(data), fingerprint=fingerprint(home.anchor()))
+    say(f"card of {home.domain}: {target}")
+    say(f"fingerprint {fingerprint(home.anchor())}")
+    say(f"code {card_code(data)}")
+    if picture:
+        note_picture(qr.terminal(card_code(data)))
+    note(f"there: rossec domain accept {target.name} --as LABEL")
+    note("that lets your nodes in there; for theirs here, accept their card: it is two-sided")
+
+
+def lifetime(default: str | None) -> Callable[..., Any]:
+    text = "how long it is trusted, from now on"
+    return options.duration("--for", "lifetime", days=MAX_DAYS, default=default, text=text)
+
+
+def fresh(default: str | None) -> Callable[..., Any]:
+    text = "how old its last word on its revocations may be"
+    return options.duration("--fresh", days=MOST_FRESH // 86400, default=default, text=text)
+
+
+def rules(command: Callable[..., Any]) -> Callable[..., Any]:
+    for option, name, what in (
+        ("--import", "imported", "taken from it into the graph here"),
+        ("--export", "exported", "shown to it, where grants allow it too"),
+    ):
+        command = click.option(
+            option, name, multiple=True, metavar="RULE", help=f"{what}: PATTERN RIGHT[,RIGHT]"
+        )(command)
+    return command
+
+
+@click.command()
+@click.argument("card", type=options.FILE)
+@click.option("--as", "label", help="what it is called here, for example hospital")
+@admit
+@fresh("1h")
+@lifetime("365d")
+@rules
+@click.option("--code", help="the code that its authority shows (rossec domain card)")
+@options.image
+@click.option("--fingerprint", "expected", help="the fingerprint that its authority has told you")
+@options.master_uri
+@click.option("--yes", is_flag=True, help="do not ask")
+@json_result()
+@pass_service
+def accept(
+    service: AuthorityService,
+    card: Path,
+    label: str | None,
+    admit: tuple[str, ...],
+    fresh: int,
+    lifetime: int,
+    exported: tuple[str, ...],
+    imported: tuple[str, ...],
+    code: str | None,
+    image: Path | None,
+    expected: str | None,
+    yes: bool,
+) -> None:
+    """Trust the domain of CARD, as far as these options say.
+
+    Shows its fingerprint, which you compare with the one its authority shows, and asks. Its nodes
+    that are admitted may then connect and say who they are; what they may do is up to grants. By
+    default the names are admitted that the card asks for. Accepting it again changes the terms.
+    """
+    # 1. The card is the one that was meant, as far as that can be checked here.
+    home, data = service.home, files.read(card, MAX_CARD)
+    if image is not None:
+        code = code_in_file(image, sys.stdin.buffer)
+    if code is not None:
+        check_code(code, data)
+    found = open_card(data, now())
+    _check_fingerprint(found, expected)
+    domain = ForeignDomain(
+        found.anchor.domain,
+        _label(home, found, label),
+        found.root,
+        admitted(admit or found.names),
+        check_fresh(fresh),
+        now() + lifetime,
+        read_rules(exported) if exported else None,
+        read_rules(imported) if imported else None,
+    )
+    # 2. What would be refused when it is signed, before a person compares and answers.
+    if domain.domain == home.domain:
+        raise ConfigurationError(
+            f"this is the card of {home.domain}, the own domain",
+            "accept the card that the other authority wrote",
+        )
+    for row in home.store().domains.accepted():
+        check_domains_apart(row, domain.domain, domain.label, domain.anchor.thumbprint)
+    # 3. A person compares.
+    _show(home, domain, found, is_checked=code is not None or expected is not None)
+    confirm("trust this domain so far?", yes=yes)
+    listed = service.domains.accept(domain)
+    record(**as_json(domain), list=listed.seq)
+    say(f"{domain.domain} is trusted as {domain.label} (list of domains {listed.seq})")
+    note(f"this is one way: until {domain.label} accepts you too, connections with it fail there")
+    note(f"  here: rossec domain card --out {home.domain}.card")
+    note(f"  there: rossec domain accept {home.domain}.card --as LABEL")
+    for uri in found.masters[:1]:
+        note(printable(f"your master follows theirs: rossec federation add {uri} --as {domain.label}"))
+    note(f"its nodes may do nothing yet: rossec grant sign {domain.label}:/NODE --certificate FILE")
+    publish_domains(service)
+
+
+def _check_fingerprint(card: Card, expected: str | None) -> None:
+    shown = format_fingerprint(card.anchor.thumbprint)
+    if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
+        raise ConfigurationError(
+            f"the fingerprint of the card is {shown}",
+            "it is another authority's: ask yours for its card again, and trust no other",
+        )
+
+
+def _label(home: AuthorityHome, card: Card, given: str | None) -> str:
+    if given is not None:
+        return check_label(given)
+    domain = card.anchor.domain
+    for row in home.store().domains.accepted():
+        if row.domain == domain:
+            return row.label
+    try:
+        return check_label(domain.replace("-", "_").partition(".")[0])
+    except NameRefused:
+        raise ConfigurationError(f"domain {domain} needs a name here", "for example: --as hospital") from None
+
+
+def admitted(patterns: Iterable[str]) -> tuple[str, ...]:
+    """The patterns that are admitted: those given, masters and relays; each once, sorted."""
+    return tuple(sorted({*map(check_pattern, patterns), *OF_MASTERS, *OF_RELAYS}))
+
+
+def check_fresh(seconds: int) -> int:
+    if seconds < LEAST_FRESH:
+        raise ConfigurationError(
+            f"--fresh {seconds}s is too short", f"masters ask every 10 s: at least {LEAST_FRESH}s"
+        )
+    return seconds
+
+
+def read_rules(texts: tuple[str, ...]) -> tuple[NameRights, ...] | None:
+    """The rules of an export or import; None: no rule, and so no limit."""
+    if texts == (EVERYTHING,):
+        return None
+    return () if texts == (NOTHING,) else tuple(sorted(map(_rule, texts)))
+
+
+def _rule(text: str) -> NameRights:
+    pattern, _, listed = text.strip().partition(" ")
+    bits = Right(0)
+    for label in listed.replace(",", " ").split():
+        if label not in _RIGHTS:
+            raise ConfigurationError(f"{label!a} is not a right", f"one of {', '.join(_RIGHTS)}")
+        bits |= _RIGHTS[label]
+    if not bits:
+        raise ConfigurationError(f"{text!a} is not a pattern and its rights", f"as in {_RULE}")
+    return check_pattern(pattern), int(bits)
+
+
+def _show(home: AuthorityHome, domain: ForeignDomain, card: Card, *, is_checked: bool) -> None:
+    say(printable(f"domain {domain.domain}, here {domain.label}:/... and /remote/{domain.label}"))
+    for line in lines(domain):
+        say(printable(line))
+    for uri in card.masters:
+        say(printable(f"  its master is at {uri}"))
+    for row in home.store().domains.accepted():
+        if row.domain == domain.domain:
+            say("  it is trusted already: these terms replace those of before")
+    say(
+        "  this is the card that was meant"
+        if is_checked
+        else "  no code was checked: compare the fingerprint with the one its authority shows"
+    )
+
+
+def lines(terms: ForeignDomain) -> Iterator[str]:
+    yield f"  fingerprint {fingerprint(terms.anchor)}"
+    yield f"  admits {_admitted(terms.admitted)}"
+    yield f"  until {format_time(terms.until)}"
+    yield f"  its word on its revocations may be {duration(terms.fresh)} old"
+    for what, given in (("shown to it", terms.exported), ("taken from it", terms.imported)):
+        if given is None:
+            yield f"  {what}: whatever grants allow"
+        else:
+            said = (f"{pattern} ({Right(bits).label})" for pattern, bits in given)
+            yield f"  {what}: {', '.join(said) or NOTHING}"
+
+
+def _admitted(patterns: tuple[str, ...]) -> str:
+    kinds = {"masters": OF_MASTERS, "relays": OF_RELAYS}
+    nodes = [each for each in patterns if each not in {*OF_MASTERS, *OF_RELAYS}]
+    whole = [word for word, names in kinds.items() if {*names} <= {*patterns}]
+    return (", ".join(nodes) or "no node") + (f", and its {' and '.join(whole)}" if whole else "")
+
+
+def duration(seconds: int) -> str:
+    """Seconds as an option takes them: `1h`, `90s`."""
+    for size, unit in _UNITS:
+        if seconds % size == 0:
+            return f"{seconds // size}{unit}"
+    return f"{seconds}s"
+
+
+def as_json(terms: ForeignDomain) -> dict[str, Any]:
+    return {
+        "label": terms.label,
+        "domain": terms.domain,
+        "fingerprint": terms.anchor.thumbprint.hex(),
+        "admitted": [*terms.admitted],
+        "fresh": terms.fresh,
+        "until": terms.until,
+        "exported": _rules_json(terms.exported),
+        "imported": _rules_json(terms.imported),
+    }
+
+
+def _rules_json(given: tuple[NameRights, ...] | None) -> list[dict[str, Any]] | None:
+    if given is None:
+        return None
+    return [{"pattern": pattern, "rights": [right.label for right in Right(bits)]} for pattern, bits in given]
+
+
+def publish_domains(service: AuthorityService) -> None:
+    record(published=False)
+    service.publish_domains()
+    record(published=True)
+    say("the master has the new list of domains")
+
+
+@click.command()
+@click.argument("label")
+@admit
+@fresh(None)
+@lifetime(None)
+@rules
+@options.master_uri
+@click.option("--yes", is_flag=True, help="do not ask")
+@json_result()
+@pass_service
+def limit(
+    service: AuthorityService,
+    label: str,
+    admit: tuple[str, ...],
+    fresh: int | None,
+    lifetime: int | None,
+    exported: tuple[str, ...],
+    imported: tuple[str, ...],
+    yes: bool,
+) -> None:
+    """Change how far, and until when, the domain LABEL is trusted.
+
+    What is not given stays as it is. A RULE is a pattern and rights, as in '/robot/** subscribe';
+    the rules given replace those of before; `everything` is whatever grants allow. Where the
+    admitted names change, the domain's connections are cut and made anew.
+    """
+    changes: dict[str, Any] = {}
+    if admit:
+        changes["admitted"] = admitted(admit)
+    if fresh is not None:
+        changes["fresh"] = check_fresh(fresh)
+    if lifetime is not None:
+        changes["until"] = now() + lifetime
+    if exported:
+        changes["exported"] = read_rules(exported)
+    if imported:
+        changes["imported"] = read_rules(imported)
+    if not changes:
+        raise ConfigurationError("nothing is changed", "--admit, --fresh, --for, --export, --import")
+    new = service.domains.changed(label, **changes)
+    say(f"domain {new.domain}, here {label}")
+    for line in lines(new):
+        say(printable(line))
+    confirm("trust it so far?", yes=yes)
+    listed = service.domains.limit(label, **changes)
+    record(**as_json(new), list=listed.seq)
+    say(f"changed (list of domains {listed.seq})")
+    publish_domains(service)
+
+
+@click.command()
+@click.argument("label")
+@click.option("--reason", default="", help="why, for the record")
+@click.option("--revoke-grants", is_flag=True, help="also revoke every grant that was signed for its nodes")
+@options.master_uri
+@json_result()
+@pass_service
+def remove(service: AuthorityService, label: str, reason: str, revoke_grants: bool) -> None:
+    """Trust the domain LABEL no more, and cut its connections.
+
+    The other side goes on trusting this one until it removes it as well.
+    """
+    removed = service.domains.remove(label, reason, revoke_grants=revoke_grants)
+    record(domain=removed.row.domain, label=label, revoked=len(removed.revoked))
+    say(f"{removed.row.domain} is not trusted any more, nor called {label}")
+    if removed.revoked:
+        say(f"revoked {len(removed.revoked)} grants for its nodes")
+    else:
+        with closing(service.home.store()) as store:
+            count = len(living_grants(store, label, now()))
+        if count:
+            note(f"{count} grants for its nodes would hold again if it is accepted as {label}")
+            note("revoke those you do not want: rossec grant list, rossec grant revoke ID")
+    note("there you may be trusted still: at its authority, rossec domain remove LABEL")
+    if removed.revoked:
+        publish_list(service)
+    else:
+        publish_domains(service)

@@ -1,1 +1,0 @@
-"""`rossec federation`: which other masters this one follows."""

@@ -1,0 +1,240 @@
+"""The groups of verbs that run no server, each with the places of its verbs."""
+
+from pathlib import Path
+from typing import Final
+
+import click
+
+from rossec.cli.shared import options
+from rossec.cli.shared.context import Environment, LazyGroup
+
+_CA: Final = {
+    "approve": "ca.enroll:approve",
+    "backup": "ca.backup:backup",
+    "deny": "ca.enroll:deny",
+    "enroll": "ca.enroll:enroll",
+    "import": "ca.sign:import_",
+    "init": "ca.init:init",
+    "intermediate": "nouns:intermediate",
+    "invitations": "nouns:invitations",
+    "invite": "ca.invite:command",
+    "list": "ca.identities:list_",
+    "lock": "ca.serve:lock",
+    "log": "nouns:log",
+    "publish": "ca.identities:publish",
+    "refresh": "ca.identities:refresh",
+    "renew": "ca.identities:renew",
+    "requests": "ca.enroll:requests",
+    "restore": "ca.backup:restore",
+    "revoke": "ca.identities:revoke",
+    "serve": "ca.serve:serve",
+    "show": "ca.identities:show",
+    "sign": "ca.sign:sign",
+    "status": "ca.serve:status",
+    "thing": "ca.sign:thing",
+    "things": "ca.sign:things",
+    "unlock": "ca.serve:unlock",
+}
+_INTERMEDIATE: Final = {
+    "install": "ca.sign:install_intermediate",
+    "request": "ca.sign:request_intermediate",
+    "sign": "ca.sign:sign_intermediate",
+}
+_INVITATIONS: Final = {"revoke": "ca.identities:revoke_invitations"}
+_LOG: Final = {"head": "ca.identities:head", "prove": "ca.identities:prove", "verify": "ca.identities:verify"}
+_NODE: Final = {
+    "code": "node.identity:code",
+    "confirm": "node.enroll:confirm",
+    "enroll": "node.enroll:enroll",
+    "info": "ros.graph:node_info",
+    "install": "node.identity:install",
+    "join": "node.enroll:join_domain",
+    "labels": "node.enroll:labels",
+    "list": "ros.graph:list_nodes",
+    "request": "node.identity:request",
+    "show": "node.identity:show",
+}
+_GRANT: Final = {
+    "approve": "grant.request:approve",
+    "decide": "grant.request:decide",
+    "deliver": "grant.delivery:deliver",
+    "deny": "grant.request:deny",
+    "install": "grant.delivery:install",
+    "list": "grant.delivery:list_",
+    "narrow": "grant.sign:narrow",
+    "pending": "grant.request:pending",
+    "presets": "grant.sign:presets",
+    "request": "grant.request:request",
+    "revoke": "grant.delivery:revoke",
+    "show": "grant.delivery:show",
+    "sign": "grant.sign:sign",
+}
+_POLICY: Final = {
+    "apply": "policy.apply:apply",
+    "check": "policy.check:check",
+    "import-sros2": "policy.check:import_",
+    "learn": "policy.apply:learn",
+    "lint": "policy.check:lint",
+    "init": "policy.check:init",
+    "review": "policy.apply:review",
+    "test": "policy.check:test",
+}
+_PRIVACY: Final = {"opt-out": "policy.apply:opt_out"}
+_DOMAIN: Final = {
+    "accept": "domain.trust:accept",
+    "card": "domain.trust:card",
+    "limit": "domain.trust:limit",
+    "list": "domain.listing:list_",
+    "remove": "domain.trust:remove",
+    "show": "domain.listing:show",
+}
+_FEDERATION: Final = {
+    "add": "relay.sites:add_site",
+    "list": "relay.sites:list_sites",
+    "param": "relay.sites:param",
+    "remove": "relay.sites:remove_site",
+    "status": "status:federation_status",
+}
+_NAMESPACE: Final = {
+    "check": "namespace.serve:check",
+    "launch": "namespace.names:launch",
+    "messages": "namespace.names:messages",
+    "name": "namespace.names:show_name",
+    "rules": "namespace.names:show_rules",
+    "serve": "namespace.serve:serve",
+}
+_PARAM: Final = {
+    "delete": "ros.calls:delete_param",
+    "get": "ros.calls:get_param",
+    "list": "ros.calls:list_params",
+    "set": "ros.calls:set_param",
+}
+_SERVICE: Final = {
+    "call": "ros.calls:call",
+    "info": "ros.calls:service_info",
+    "list": "ros.calls:list_services",
+    "type": "ros.calls:type_of_service",
+}
+_TOPIC: Final = {
+    "bw": "ros.topic:bw",
+    "echo": "ros.topic:echo",
+    "find": "ros.graph:find_topics",
+    "hz": "ros.topic:hz",
+    "info": "ros.graph:topic_info",
+    "list": "ros.graph:list_topics",
+    "pub": "ros.topic:pub",
+    "type": "ros.graph:type_of_topic",
+}
+
+
+@click.group(cls=LazyGroup, table=_CA)
+def ca() -> None:
+    """Run the authority, which signs the identities."""
+
+
+@click.group(cls=LazyGroup, table=_INTERMEDIATE)
+def intermediate() -> None:
+    """Let a host sign nodes for a limited time, while the root stays offline."""
+
+
+@click.group(cls=LazyGroup, table=_LOG, invoke_without_command=True)
+@click.option("--last", type=click.IntRange(1), help="only the newest so many entries")
+@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@click.pass_context
+def log(context: click.Context, last: int | None, in_json: bool) -> None:
+    """Show everything the authority did, oldest first."""
+    if context.invoked_subcommand is not None:
+        return
+    from rossec.cli.ca.identities import show_log  # noqa: PLC0415 - imported when it runs
+
+    show_log(context.ensure_object(Environment), last, in_json=in_json)
+
+
+@click.group(cls=LazyGroup, table=_INVITATIONS, invoke_without_command=True)
+@click.option("--all", "everything", is_flag=True, help="also those that have ended")
+@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@click.pass_context
+def invitations(context: click.Context, everything: bool, in_json: bool) -> None:
+    """Show the invitations that can be used, and who joined by them."""
+    if context.invoked_subcommand is not None:
+        return
+    from rossec.cli.ca.identities import show_invitations  # noqa: PLC0415 - imported when it runs
+
+    show_invitations(context.ensure_object(Environment), everything=everything, in_json=in_json)
+
+
+@click.group(cls=LazyGroup, table=_NODE)
+def node() -> None:
+    """Prepare a node on its own machine."""
+
+
+@click.group(cls=LazyGroup, table=_GRANT)
+def grant() -> None:
+    """Sign, show and revoke grants."""
+
+
+@click.group(cls=LazyGroup, table=_POLICY)
+def policy() -> None:
+    """Write what is allowed, and check it."""
+
+
+@click.group(cls=LazyGroup, table=_PRIVACY, invoke_without_command=True)
+@click.option("--node", help="only what this node sees")
+@click.option("--field", help="only fields with this in their path")
+@click.option("--held", is_flag=True, help="what is granted now, instead of what the policy allows")
+@click.option("--html", type=click.Path(path_type=Path), help="write a page to this file")
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@options.policy
+@click.pass_context
+def privacy(
+    context: click.Context,
+    node: str | None,
+    field: str | None,
+    held: bool,
+    html: Path | None,
+    as_json: bool,
+    policy_path: Path | None,
+) -> None:
+    """Show every field of every topic: which node sees it, how, why and until when."""
+    if context.invoked_subcommand is not None:
+        return
+    from rossec.cli.policy.explain import show_privacy  # noqa: PLC0415 - imported when it runs
+
+    read = (context.ensure_object(Environment), policy_path)
+    show_privacy(*read, node=node, field=field, held=held, html=html, as_json=as_json)
+
+
+@click.group(cls=LazyGroup, table=_DOMAIN)
+def domain() -> None:
+    """Trust other domains, as far as you say."""
+
+
+@click.group(cls=LazyGroup, table=_FEDERATION)
+def federation() -> None:
+    """Follow other masters: of the own domain, and of domains that are trusted.
+
+    For the master on this host; with several, that of ROSSEC_MASTER.
+    """
+
+
+@click.group(cls=LazyGroup, table=_NAMESPACE)
+def namespace() -> None:
+    """Give names by rules: to a node, its topics and services, from its metadata.
+
+    Names are proposals: nothing is renamed, and no right comes of one.
+    """
+
+
+@click.group(cls=LazyGroup, table=_PARAM)
+def param() -> None:
+    """Read and write parameters."""
+
+
+@click.group(cls=LazyGroup, table=_SERVICE)
+def service() -> None:
+    """List, ask and call services."""
+
+
+@click.group(cls=LazyGroup, table=_TOPIC)
+def topic() -> None:
+    """Publish and listen."""

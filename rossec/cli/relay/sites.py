@@ -1,0 +1,501 @@
+"""`rossec relay`, `rossec router seats | share | take`, `rossec federation`: other sites."""
+
+import secrets
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from operator import methodcaller
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from ca.domains.trust import Anchors
+from ca.errors import CAError, DomainsRefused
+from ca.names import MASTER, check_label, display_name
+from rossec import files
+from rossec.authority.local_list import LocalList
+from rossec.cli.shared import options
+from rossec.cli.shared.context import Environment, pass_environment
+from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.environment import own_master, own_relay
+from rossec.errors import ConfigurationError
+from rossec.federation.settings import SiteFile, SiteSettings, checked_sites
+from rossec.home import NodeHome
+from rossec.overlay.documents import MAX_CARD, MAX_SEAT_FILE, Peer, RelayCard, check_seat
+from rossec.overlay.homes import DIRECTORY, RelayFiles, RouterHome, new_password
+from rossec.overlay.link_frames import BOX, mailbox
+from rossec.overlay.router_tls import MAX_SHARE_FILE, Share
+from rossec.saved_statements import DomainFiles
+from rossec.terminal import note, printable, record, say, say_json, say_secret
+
+RELAY_SOCKET: Final = "admin.sock"
+_LISTED = "at the authority: rossec domain accept CARD; then the master has the list, and the relay"
+pass_home = click.make_pass_decorator(RouterHome)
+
+
+@click.command()
+@click.argument("label")
+@click.option(
+    "--domain",
+    metavar="DOMAIN-LABEL",
+    default=None,
+    help="only a relay of this trusted domain may use it; '' for the own domain",
+)
+@pass_environment
+def card(environment: Environment, label: str, domain: str | None) -> None:
+    """Print the card for the relay LABEL: the mailbox that it alone shall send to.
+
+    The same again each time, and after a change of the seat a new one. Hand it to that relay's
+    operator only. Without --domain the card that comes back says of which domain LABEL is.
+    """
+    store = relay_files(environment)
+    own = store.home.anchor().domain
+    routers = store.routers()
+    if domain:
+        _check_listed(known_domains(environment, store.home), domain)
+
+    def put(peers: dict[str, Peer]) -> None:
+        peer = peers.setdefault(label, Peer(check_label(label), _new_box(), domain))
+        if domain is None or domain == peer.domain:
+            return
+        if peer.is_complete:
+            raise ConfigurationError(f"{label} is {peer.shown} already", f"rossec relay remove {label}")
+        peers[label] = replace(peer, domain=domain)
+
+    store.change(put)
+    box = bytes.fromhex(store.peers()[label].box)
+    say_secret(RelayCard(own, store.home.name, mailbox(routers.seat, box)).write().rstrip())
+    if not store.peers()[label].is_complete:
+        note(f"for the relay {label} alone; there: rossec relay add LABEL FILE")
+        note(f"here, its card: rossec relay add {label} FILE")
+
+
+def relay_files(environment: Environment) -> RelayFiles:
+    """The files of this host's relay, which need not be enrolled."""
+    return RelayFiles(NodeHome.of(environment.home, own_relay(environment.variables)))
+
+
+def _check_listed(anchors: Anchors, label: str) -> None:
+    if anchors.listed(label) is None:
+        raise ConfigurationError(f"no trusted domain is called {label[:40]!a}", _LISTED)
+
+
+def known_domains(environment: Environment, home: NodeHome) -> Anchors:
+    """The newest list of domains on this host: of the relay, its master, or the authority."""
+    anchors = Anchors(home.anchor())
+    master = NodeHome.of(environment.home, own_master(environment.variables))
+    found = [DomainFiles(each, anchors.own).load_domains() for each in (home, master)]
+    for data in (*found, LocalList(environment.home).domains()):
+        if data:
+            with suppress(DomainsRefused):  # of another authority, or older than one of the others
+                anchors.update(data)
+    return anchors
+
+
+def _new_box() -> str:
+    return secrets.token_hex(BOX)
+
+
+@click.command()
+@click.argument("label")
+@click.argument("file", type=options.FILE)
+@json_result()
+@pass_environment
+def add_relay(environment: Environment, label: str, file: Path) -> None:
+    """Take the card in FILE of another site's relay, and call it LABEL.
+
+    Links with it are made once it has this relay's card too: rossec relay card LABEL. A running
+    relay takes it within a second.
+    """
+    store = relay_files(environment)
+    found = RelayCard.read(files.read(file, MAX_CARD))
+    domain = _label_of(known_domains(environment, store.home), found)
+    if not domain and found.relay == store.home.name:
+        raise ConfigurationError(
+            f"this is the card of {found.relay}, the relay of this host itself",
+            "add the card that the other relay printed",
+        )
+
+    def put(peers: dict[str, Peer]) -> None:
+        peer = peers.get(label) or Peer(check_label(label), _new_box())
+        if peer.domain is not None and peer.domain != domain:
+            raise ConfigurationError(
+                f"the card is of domain {found.domain}, and {label} is to be of"
+                f" {peer.domain or 'the own one'}",
+                f"take the right card, or begin anew: rossec relay remove {label}",
+            )
+        if peer.is_complete and peer.relay != found.relay:
+            raise ConfigurationError(f"{label} is {peer.shown} already", f"rossec relay remove {label}")
+        peers[label] = replace(peer, domain=domain, relay=found.relay, mailbox=found.mailbox)
+
+    store.change(put)
+    record(label=label, domain=domain, relay=found.relay)
+    say(f"{label} is {store.peers()[label].shown}")
+    note(f"it needs this relay's card too: rossec relay card {label} > FILE, and there: add")
+
+
+def _label_of(anchors: Anchors, found: RelayCard) -> str:
+    if found.domain == anchors.own.domain:
+        return ""
+    listed = anchors.listed_domain(found.domain)
+    if listed is None:
+        raise ConfigurationError(f"the card is of domain {found.domain}, not trusted here", _LISTED)
+    return listed.entry.label
+
+
+@click.command()
+@click.argument("labels", metavar="LABEL...", nargs=-1, required=True)
+@json_result()
+@pass_environment
+def remove_relay(environment: Environment, labels: tuple[str, ...]) -> None:
+    """Link with LABEL no longer: its links end at once.
+
+    Its mailbox is gone: a card that was handed out for it is of no use any more.
+    """
+    labels = unique(labels)
+    batch = Batch(len(labels), "name")
+    for label in labels:
+        with batch.item(label):
+            relay_files(environment).change(partial(_forget, label))
+            say(f"{label} is linked with no longer")
+    batch.finish()
+
+
+def _forget(label: str, peers: dict[str, Peer]) -> None:
+    if label not in peers:
+        raise ConfigurationError(
+            f"there is no peer {label[:40]!a}", f"there are: {', '.join(sorted(peers)) or 'none'}"
+        )
+    del peers[label]
+
+
+@click.command("list")
+@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each")
+@pass_environment
+def list_relays(environment: Environment, *, as_json: bool) -> None:
+    """List the relays of other sites, as cards have named them."""
+    peers = relay_files(environment).peers()
+    for label, each in sorted(peers.items()):
+        if as_json:
+            say_json({"label": label, "domain": each.domain, "relay": each.relay})
+        else:
+            say(printable(f"{label:<16} {each.shown or 'its card is not here yet'}"))
+    if not peers and not as_json:
+        note("no relay of another site: rossec relay card LABEL, rossec relay add LABEL FILE")
+
+
+@click.command()
+@click.argument("file", type=options.FILE)
+@json_result()
+@pass_environment
+def seat(environment: Environment, file: Path) -> None:
+    """Keep the seat FILE that the operator of the routers made.
+
+    It has a password in it. A relay that runs uses it when it is started again.
+    """
+    store = relay_files(environment)
+    before = store.routers().seat if store.has_seat else ""
+    found = store.keep_seat(files.read(file, MAX_SEAT_FILE))
+    record(seat=found.seat, locators=list(found.locators))
+    say(printable(f"seat {found.seat} at {' '.join(found.locators)}"))
+    if before and before != found.seat:
+        note("the mailboxes have other keys now: hand out the cards again, rossec relay card LABEL")
+    note(f"{file} is not needed any more, and whoever has it has the seat: remove it")
+
+
+def _reached(command: Callable[..., Any]) -> Callable[..., Any]:
+    # Options of what makes a seat file: where the router is found, if it was not told yet.
+    listen = click.option(
+        "--listen",
+        metavar="LOCATOR",
+        multiple=True,
+        help="where this router will listen, if it never ran yet; as of rossec router",
+    )
+    host = click.option(
+        "--host",
+        metavar="NAME",
+        multiple=True,
+        help="name or address by which relays reach this router; may be repeated",
+    )
+    return host(listen(command))
+
+
+@click.command()
+@click.argument("name")
+@_reached
+@pass_home
+def add_account(home: RouterHome, name: str, host: tuple[str, ...], listen: tuple[str, ...]) -> None:
+    """Make the seat NAME, and print its file for the relay of that site.
+
+    For example: rossec router seats add home > home.seat. The file holds a password: bring it to
+    the site as you would a key.
+    """
+    check_seat(name)
+    home.prepare()
+    _check_reached(home, host, listen)
+    home.change_seats(lambda found: found.add(name, new_password()))
+    _print_file(home, name)
+
+
+def _check_reached(home: RouterHome, host: tuple[str, ...], listen: tuple[str, ...]) -> None:
+    home.tell(hosts=host, listen=listen)
+    home.settings().locators  # noqa: B018 - raises
+
+
+def _print_file(home: RouterHome, name: str) -> None:
+    say_secret(home.seat_file(name).write().decode().rstrip())
+
+
+@click.command()
+@click.argument("name")
+@_reached
+@pass_home
+def show_account(home: RouterHome, name: str, host: tuple[str, ...], listen: tuple[str, ...]) -> None:
+    """Print the file of the seat NAME again, with the routers of now.
+
+    NAME is `open` for a router that was started with --open.
+    """
+    home.prepare()
+    _check_reached(home, host, listen)
+    _print_file(home, name)
+
+
+@click.command("list")
+@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+@pass_home
+def list_accounts(home: RouterHome, *, as_json: bool) -> None:
+    """List the seats."""
+    names = home.seats().names
+    if as_json:
+        say_json({"seats": list(names)})
+        return
+    for name in names:
+        say(name)
+    if not names:
+        note("nobody has a seat: rossec router seats add NAME > NAME.seat")
+
+
+@click.command()
+@click.argument("names", metavar="NAME...", nargs=-1, required=True)
+@json_result()
+@pass_home
+def remove_account(home: RouterHome, names: tuple[str, ...]) -> None:
+    """Take the seat NAME away; a router that runs cuts its relay off within a second.
+
+    Do it at each router of the operator.
+    """
+    names = unique(names)
+    batch = Batch(len(names), "name")
+    for name in names:
+        with batch.item(name):
+            home.change_seats(methodcaller("remove", name))
+            say(f"the seat {name} is no more")
+    batch.finish()
+
+
+@click.command()
+@pass_home
+def share(home: RouterHome) -> None:
+    """Write what another router of the operator needs to join.
+
+    For example: rossec router share > share.json. It holds the key of the routers' authority and
+    the passwords of all seats: bring it to the other host by ssh, and remove it there. Do it again
+    when seats were added or removed.
+    """
+    say_secret(home.share().write().decode().rstrip())
+    note("this holds every password of the routers: keep it to yourself")
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path, dir_okay=False, allow_dash=True))
+@click.option("--host", metavar="NAME", multiple=True, help="as of rossec router")
+@json_result()
+@pass_home
+def take(home: RouterHome, file: Path, host: tuple[str, ...]) -> None:
+    """Take over FILE of `share` here, and join that router.
+
+    That is its authority, its seats and its address. FILE is - for standard input. A router that
+    runs here takes the seats over within a second.
+    """
+    home.take(Share.read(_read(file)))
+    home.tell(hosts=host)
+    record(seats=list(home.seats().names), joins=list(home.settings().join))
+    say(f"seats: {', '.join(home.seats().names) or 'none'}; joins {', '.join(home.settings().join)}")
+
+
+def _read(file: Path) -> bytes:
+    if str(file) == "-":
+        return sys.stdin.buffer.read(MAX_SHARE_FILE + 1)
+    missing = ConfigurationError(f"there is no {file}", "it is made by: rossec router share")
+    return files.read_own(file, MAX_SHARE_FILE, missing, link=True)
+
+
+@click.command()
+@click.argument("uri", required=False, default="")
+@click.option("--as", "label", metavar="LABEL", required=True, help="what it is called here")
+@click.option(
+    "--name",
+    "master",
+    metavar="NAME",
+    default=MASTER,
+    show_default=True,
+    help="the name that master is certified for",
+)
+@click.option(
+    "--domain",
+    metavar="LABEL",
+    default=None,
+    help="the label of its foreign domain, if that is not the site's own label",
+)
+@click.option(
+    "--via",
+    metavar="PEER",
+    default="",
+    help="instead of a URI: the site that the relay of this site knows by this label",
+)
+@json_result()
+@pass_environment
+def add_site(
+    environment: Environment, uri: str, label: str, master: str, domain: str | None, via: str
+) -> None:
+    """Follow the master at URI, or behind the relay's peer PEER, and call it LABEL.
+
+    A label that is that of a trusted domain means a master of that domain. A running master begins
+    within a second.
+    """
+    if bool(uri) == bool(via):
+        raise ConfigurationError(
+            "a master is followed at a URI or by a relay",
+            f"rossec federation add URI --as {label}, or: add --via PEER --as {label}",
+        )
+    home = _home(environment)
+    found = _foreign(home, label) if domain is None else domain
+    site = SiteSettings(label, uri, master, found, via=via)
+    if not found and master == home.name:
+        raise ConfigurationError(
+            f"{master} is the master of this host itself",
+            "another one of this domain has another name: --name /master/kitchen;"
+            " that of another domain is followed once that is trusted: rossec domain accept CARD",
+        )
+
+    def put(sites: dict[str, SiteSettings]) -> None:
+        if label in sites:
+            raise ConfigurationError(
+                f"there is a site {label} already: {sites[label].place}", f"rossec federation remove {label}"
+            )
+        sites[label] = site
+        checked_sites(sites.values())
+
+    SiteFile(home.path).change(put)
+    record(label=label, uri=uri, via=via, domain=found, master=master)
+    say(f"{label} is followed: {display_name(found, master)} {site.place}")
+
+
+def _home(environment: Environment) -> NodeHome:
+    return NodeHome.of(environment.home, own_master(environment.variables))
+
+
+def _foreign(home: NodeHome, label: str) -> str:
+    if not home.path.is_dir():
+        return ""
+    try:
+        anchors = DomainFiles(home, home.anchor()).anchors()
+    except CAError as error:
+        raise ConfigurationError(
+            f"the list of domains of {home.name} is invalid: {error}", "rossec ca publish"
+        ) from error
+    return "" if anchors.listed(label) is None else label
+
+
+@click.command()
+@click.argument("labels", metavar="LABEL...", nargs=-1, required=True)
+@json_result()
+@pass_environment
+def remove_site(environment: Environment, labels: tuple[str, ...]) -> None:
+    """Follow LABEL no longer: its names go at once.
+
+    Subscribers here leave its publishers.
+    """
+    labels = unique(labels)
+    batch = Batch(len(labels), "name")
+    for label in labels:
+        with batch.item(label):
+            SiteFile(_home(environment).path).change(partial(_unfollow, label))
+            say(f"{label} is followed no longer")
+    batch.finish()
+
+
+def _unfollow(label: str, sites: dict[str, SiteSettings]) -> None:
+    _find(sites, label)
+    del sites[label]
+
+
+def _find(sites: dict[str, SiteSettings], label: str) -> SiteSettings:
+    if label not in sites:
+        raise ConfigurationError(
+            f"there is no site {label[:40]!a}", f"there are: {', '.join(sorted(sites)) or 'none'}"
+        )
+    return sites[label]
+
+
+@click.command()
+@click.argument("label")
+@click.argument("pattern")
+@click.option("--remove", "removing", is_flag=True, help="mirror it no longer")
+@json_result()
+@pass_environment
+def param(environment: Environment, label: str, pattern: str, *, removing: bool) -> None:
+    """Mirror the parameters of LABEL that match PATTERN, read-only.
+
+    They are at /remote/LABEL/... here. PATTERN has the names they have there, for example
+    '/robot/**'. This master needs a grant of the right param-get on them, in its home.
+    """
+
+    def change(sites: dict[str, SiteSettings]) -> None:
+        site = _find(sites, label)
+        patterns = [each for each in site.parameters if each != pattern]
+        if removing and len(patterns) == len(site.parameters):
+            raise ConfigurationError(f"{pattern} of {label} is not mirrored", "rossec federation list")
+        sites[label] = replace(site, parameters=(*patterns, *([] if removing else [pattern])))
+
+    SiteFile(_home(environment).path).change(change)
+    record(label=label, pattern=pattern, mirrored=not removing)
+    say(f"{pattern} of {label} is mirrored{' no longer' if removing else ''}")
+
+
+@click.command("list")
+@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each")
+@pass_environment
+def list_sites(environment: Environment, *, as_json: bool) -> None:
+    """List the masters to follow, as `rossec federation add` has them.
+
+    Those of the configuration file and those that were heard are in `rossec federation status`.
+    """
+    sites = list(SiteFile(_home(environment).path).sites())
+    for each in sites:
+        if as_json:
+            say_json(
+                {
+                    "label": each.label,
+                    "uri": each.uri,
+                    "master": each.master,
+                    "domain": each.domain,
+                    "parameters": list(each.parameters),
+                    "via": each.via,
+                }
+            )
+            continue
+        where = each.uri or each.place
+        mirrored = f"  {' '.join(each.parameters)}" if each.parameters else ""
+        say(f"{each.label:<16} {display_name(each.domain, each.master)}  {where}{mirrored}")
+    if not sites and not as_json:
+        note("no master is followed: rossec federation add URI --as LABEL")
+
+
+def home_of(environment: Environment, directory: Path | None) -> RouterHome:
+    """The directory that was given, else that in ROSSEC_HOME."""
+    found = environment.home / DIRECTORY if directory is None else directory.absolute()
+    return RouterHome(found)

@@ -1,0 +1,256 @@
+"""`rossec service`, `rossec param`: services and parameters from the command line, with an identity."""
+
+import asyncio
+import base64
+import shlex
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
+from typing import TypeVar
+
+import click
+
+from ca.certificates import Identity
+from ca.names import local_name, shown
+from rossec.cli.ros.topic import run_until_node_ends
+from rossec.cli.shared.context import Environment, pass_environment
+from rossec.cli.shared.master import node_as
+from rossec.cli.shared.messages import fill, parse_arguments, parse_message, plain, render, stamp_now
+from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.errors import ConfigurationError
+from rossec.node import Node, register_service_type, service_type
+from rossec.participant.handshakes import caller_here, text
+from rossec.terminal import json_text, printable, record, say, say_block, say_json
+
+_AS = click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
+T = TypeVar("T")
+_JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+
+
+@click.command("list")
+@_AS
+@_JSON
+@pass_environment
+def list_services(environment: Environment, node: str, as_json: bool) -> None:
+    """List the services that NODE may see."""
+    known = _run(environment, node, lambda running: running.services.known())
+    if as_json:
+        say_json(known)
+        return
+    for name in sorted(known):
+        say(printable(shown(name)))
+
+
+def _run(environment: Environment, node: str, work: Callable[[Node], Awaitable[T]]) -> T:
+    async def run() -> T:
+        async with node_as(environment, node) as running:
+            return await work(running)
+
+    return asyncio.run(run())
+
+
+@click.command()
+@click.argument("name")
+@_AS
+@_JSON
+@pass_environment
+def service_info(environment: Environment, name: str, node: str, as_json: bool) -> None:
+    """Show which node provides the service NAME, where, and its type."""
+
+    async def ask(running: Node) -> tuple[str, Mapping[str, bytes], Identity]:
+        absolute = running.settings.resolve(local_name(name))
+        return await running.services.lookup(absolute), *await running.services.probe(absolute)
+
+    uri, fields, provider = _run(environment, node, ask)
+    caller = caller_here(provider, text(fields, "callerid"))
+    found = {"node": caller, "uri": uri, "type": text(fields, "type"), "md5sum": text(fields, "md5sum")}
+    if caller != provider.name:
+        found["identity"] = provider.name
+    if as_json:
+        say_json(found)
+        return
+    for key, value in found.items():
+        say(f"{key}: {printable(shown(value))}")
+
+
+@click.command("type")
+@click.argument("name")
+@_AS
+@json_result()
+@pass_environment
+def type_of_service(environment: Environment, name: str, node: str) -> None:
+    """Print the type of the service NAME."""
+    service = local_name(name)
+    fields, _ = _run(
+        environment, node, lambda running: running.services.probe(running.settings.resolve(service))
+    )
+    record(service=service, type=text(fields, "type"))
+    say(printable(text(fields, "type")))
+
+
+@click.command()
+@click.argument("name")
+@click.argument("content", nargs=-1)
+@_AS
+@click.option("--type", "type_name", metavar="PKG/TYPE", help="instead of asking the provider")
+@click.option(
+    "--definition",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="the .srv file of that type, unless it is a standard one",
+)
+@click.option(
+    "--timeout",
+    type=click.FloatRange(min=0, min_open=True),
+    default=60.0,
+    show_default=True,
+    help="seconds to wait for the answer",
+)
+@_JSON
+@pass_environment
+def call(
+    environment: Environment,
+    name: str,
+    content: tuple[str, ...],
+    node: str,
+    type_name: str | None,
+    definition: Path | None,
+    timeout: float,
+    as_json: bool,
+) -> None:
+    """Call the service NAME with CONTENT (YAML, as in rosservice) and print the answer."""
+    content_fields = parse_arguments(content)
+    if definition is not None:
+        _register_definition(type_name, definition)
+    asyncio.run(_call(environment, name, content_fields, node, type_name, timeout, as_json))
+
+
+def _register_definition(type_name: str | None, definition: Path) -> None:
+    if type_name is None:
+        raise ConfigurationError("a definition without its name", "give --type PKG/TYPE as well")
+    try:
+        content = definition.read_text()
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{definition} is not text", "give a .srv file") from None
+    register_service_type(type_name, content)
+
+
+async def _call(
+    environment: Environment,
+    name: str,
+    content_fields: object,
+    node: str,
+    type_name: str | None,
+    timeout: float,  # noqa: ASYNC109 - as the option
+    as_json: bool,
+) -> None:
+    name = local_name(name)
+    async with node_as(environment, node) as running:
+        if type_name is None:
+            fields, _ = await running.services.probe(running.settings.resolve(name))
+            type_name = text(fields, "type")
+        service_type(type_name)
+        client = running.client(name, type_name, deadline=timeout)
+        request = client.create()
+        fill(request, content_fields, stamp_now())
+
+        async def answer() -> None:
+            response = await client(request)
+            if as_json:
+                say_json(plain(response))
+            elif (said := render(response)) != "":
+                say_block(said)
+
+        await run_until_node_ends(running, answer())
+
+
+@click.command("list")
+@click.argument("namespace", default="/")
+@_AS
+@_JSON
+@pass_environment
+def list_params(environment: Environment, namespace: str, node: str, as_json: bool) -> None:
+    """List the parameters that NODE may read, of all or of one NAMESPACE."""
+    names = _run(environment, node, lambda running: running.params.names())
+    prefix = local_name(namespace).rstrip("/") + "/"
+    found = sorted(name for name in names if f"{name}/".startswith(prefix))
+    if as_json:
+        say_json(found)
+        return
+    for name in found:
+        say(printable(shown(name)))
+
+
+@click.command()
+@click.argument("name")
+@_AS
+@_JSON
+@pass_environment
+def get_param(environment: Environment, name: str, node: str, as_json: bool) -> None:
+    """Print the parameter NAME, or a namespace with all in it."""
+    key = local_name(name)
+    value = _run(environment, node, lambda running: running.params.get(key))
+    if as_json:
+        say_json(_encodable(value))
+    else:
+        say_block(_readable(value))
+
+
+def _encodable(value: object) -> object:
+    match value:
+        case dict():
+            return {str(key): _encodable(below) for key, below in value.items()}
+        case list():
+            return [_encodable(item) for item in value]
+        case bytes():
+            return base64.b64encode(value).decode()
+        case bool() | int() | float() | str():
+            return value
+        case _:
+            return str(value)
+
+
+def _readable(value: object) -> str:
+    if isinstance(value, str):
+        return printable(value)
+    return json_text(_encodable(value), 2 if isinstance(value, dict) else None)
+
+
+@click.command("set")
+@click.argument("name")
+@click.argument("values", metavar="VALUE", nargs=-1, required=True)
+@_AS
+@json_result()
+@pass_environment
+def set_param(environment: Environment, name: str, values: tuple[str, ...], node: str) -> None:
+    """Set the parameter NAME to VALUE (YAML, as in rosparam)."""
+    if len(values) > 1:
+        raise ConfigurationError(
+            f"the shell made {len(values)} words of the value",
+            f"put it in single quotes: {shlex.quote(' '.join(values))}",
+        )
+    content = parse_message(values[0])
+    if content is None:
+        raise ConfigurationError(
+            "a parameter cannot be null", f"unset it: rossec param delete {name} --as NODE"
+        )
+    key = local_name(name)
+    _run(environment, node, lambda running: running.params.set(key, content))
+    record(name=key, value=_encodable(content))
+
+
+@click.command()
+@click.argument("names", metavar="NAME...", nargs=-1, required=True)
+@_AS
+@json_result()
+@pass_environment
+def delete_param(environment: Environment, names: tuple[str, ...], node: str) -> None:
+    """Unset the parameter NAME and everything below it."""
+    keys = unique([local_name(name) for name in names])
+    batch = Batch(len(keys), "name")
+
+    async def work(running: Node) -> None:
+        for key in keys:
+            with batch.item(key):
+                await running.params.delete(key)
+
+    _run(environment, node, work)
+    batch.finish()

@@ -1,1 +1,0 @@
-"""The process at the other end of a local socket, as Linux knows it."""

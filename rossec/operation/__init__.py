@@ -1,1 +1,0 @@
-"""What every long-running program of rossec shares: audit, lock, signals, its service manager."""

@@ -1,0 +1,474 @@
+"""Between nodes: calls of slave APIs and TCPROS handshakes, of peers and programs. Pure layers.
+
+Both directions are default deny and drop UDPROS, which would bypass the channel (attack N10). A peer is
+authorized before the program is called. Answers are parsed and serialized again, and hold a value only
+if the code is 1: rospy takes any positive code for success, and stock parsers accept what ours refuses;
+a program would connect in plaintext to an address that the sidecar did not see.
+
+A header is read once, authorized and sent to the other end, and its answer is authorized in turn; grants
+are added towards the network and removed towards the program, names of other origins are mapped.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+from ca.certificates import Identity
+from ca.names import is_alias, origin_of, split_alias
+from grants.decision import Decision
+from grants.guard import Guard, MemoryScope
+from grants.model import Right
+from rossec.channel.opening import WireProtocol
+from rossec.errors import ConnectionHeaderRefused, HangUp
+from rossec.participant import definitions, delivery, handshakes, slave_api
+from rossec.participant.access import FIELD, granted_name, wire_name
+from rossec.peer_limits import printable
+from rossec.ros.names import PORTS, PRESENT_GRANTS
+from rossec.ros.xmlrpc import Encoded, Fault
+from rossec.sidecar.core.layers import (
+    AgentState,
+    Answered,
+    AuthenticatePeer,
+    CallPeer,
+    CallProgram,
+    ConnectPeer,
+    ConnectProgram,
+    Event,
+    HeaderArrived,
+    Layer,
+    ListeningAddress,
+    NoAnswer,
+    Probe,
+    RawResponse,
+    Suspend,
+    UnexpectedEvent,
+    authenticated_peer,
+    local_endpoint,
+    own_endpoint,
+    parse_endpoint,
+    topic_endpoint,
+)
+
+# Empty for peers: it would count what a grant withholds. A peer's is forwarded unparsed: roscpp's is
+# malformed, and it holds no address.
+_UNPARSED: Final = frozenset({"getBusStats"})
+REQUEST_TOPIC: Final = "requestTopic"
+_INBOUND: Final = "i"
+_MAX_EGRESS_PORTS: Final = 64  # ports that one answer of a peer can open
+
+_CALLER = "callerid"
+_LONGEST_NAME = 255
+FindMemoryScope: TypeAlias = Callable[[str], MemoryScope]  # by the program's caller_id
+
+
+def handle_peer_call(
+    agent: AgentState,
+    local: ListeningAddress,
+    peer: Identity,
+    method: str,
+    params: tuple[object, ...],
+    grants: bytes | None,
+    now: int,
+) -> Layer[object]:
+    node = agent.identity.name
+    if method == PRESENT_GRANTS:
+        agent.access.check_peer(peer, now)
+        yield from _require_alive(agent, local, (yield Probe(local)))
+        return [1, "", 0]
+    slave_api.check_slave_call(method, peer, node, grants, agent.access, now)
+    answer = _answer_at_once(peer, method, params)
+    if answer is not None:
+        return answer
+    if method in (REQUEST_TOPIC, PORTS):
+        return (yield from _answer_with_port(agent, local, method))
+    changed = (handshakes.caller_here(peer, str(params[0])), *params[1:])
+    if method == "publisherUpdate" and len(params) == 3:
+        followed = agent.followed_publishers(params[1], params[2])
+        changed = (*changed[:2], (yield from agent.egress_uris(followed, local)))
+    event = yield CallProgram(local, method, changed)
+    yield from _require_alive(agent, local, event)
+    match event:
+        case Answered(value=[code, str() as status, value]) if succeeded(code):
+            described = handshakes.answer_for(peer, method, value)
+            return (yield from _answer_for_peer(agent, local, method, status, described))
+        case Answered(value=value):
+            return _refusal(value)
+        case _:
+            raise UnexpectedEvent(method)
+
+
+def _answer_at_once(peer: Identity, method: str, params: tuple[object, ...]) -> list[object] | None:
+    if method == PORTS:
+        return slave_api.refusal(method, params, peer)
+    refused = slave_api.without_caller(params, slave_api.RULES[method].default)
+    if refused is None and method == REQUEST_TOPIC:
+        return _invalid_request_topic(params) or slave_api.alias_asked(method, params)
+    if refused is None and method in _UNPARSED:
+        return [1, "", handshakes.answer_for(peer, method, None)]
+    return refused
+
+
+def _answer_with_port(agent: AgentState, local: ListeningAddress, method: str) -> Layer[object]:
+    # The same for every topic: the program is asked once an authorized peer connects there (N5).
+    yield from _require_alive(agent, local, (yield Probe(local)))
+    ingress = yield from agent.ingress_endpoint(topic_endpoint(local))
+    if method == PORTS:
+        return slave_api.ports_answer(ingress.port)
+    return [1, "ready", [slave_api.TCPROS, ingress.host, ingress.port]]
+
+
+def succeeded(code: object) -> bool:
+    return type(code) is int and code == 1  # not True, not 1.0
+
+
+def _refusal(answer: object) -> list[object]:
+    match answer:
+        case [(-1 | 0) as code, str() as status, _]:
+            return [code, status, 0]
+        case [_, str() as status, _]:
+            return [-1, status, 0]
+        case _:
+            return [-1, "rossec: an answer that is not [code, status, value]", 0]
+
+
+def _require_alive(agent: AgentState, local: ListeningAddress, event: Event) -> Layer[None]:
+    # Hang up if the program did not answer; suspend its port if it has ended.
+    if isinstance(event, NoAnswer):
+        if event.dead:
+            agent.forget(local)
+            yield Suspend(local)
+        raise HangUp(event.reason)
+
+
+def _invalid_request_topic(params: tuple[object, ...]) -> list[object] | None:
+    if len(params) != 3:
+        return [-1, "Error: bad call arity", []]
+    if not isinstance(params[1], str) or not params[1]:
+        return [-1, "ERROR: parameter [topic] must be a non-empty string", []]
+    return None if slave_api.offers_tcpros(params[2]) else [-1, slave_api.NO_TRANSPORT, []]
+
+
+def _answer_for_peer(
+    agent: AgentState, local: ListeningAddress, method: str, status: object, value: object
+) -> Layer[object]:
+    match method, value:
+        case "getUri", _:
+            return [1, status, (yield from agent.ingress_endpoint(local)).uri]
+        case "getMasterUri", _:
+            return [1, status, ""]
+        case "getBusInfo", list() as entries:
+            return [1, status, (yield from _program_bus_info(agent, local, entries))]
+        case _:
+            return [1, status, value]
+
+
+def _program_bus_info(
+    agent: AgentState, local: ListeningAddress, entries: list[object]
+) -> Layer[list[object]]:
+    rewritten: list[object] = []
+    for entry in entries:
+        match entry:
+            case [number, str() as uri, "i", *rest]:
+                endpoint = parse_endpoint(uri, WireProtocol.HTTP)
+                remote = None if endpoint is None else agent.endpoints.peer_at(endpoint)
+                if own_endpoint(uri) == local:
+                    remote = yield from agent.ingress_endpoint(local)
+                rewritten.append([number, uri if remote is None else remote.uri, _INBOUND, *rest])
+            case _:
+                rewritten.append(entry)
+    return rewritten
+
+
+def handle_program_call(
+    agent: AgentState, remote: ListeningAddress, method: str, params: tuple[object, ...]
+) -> Layer[object]:
+    if method not in slave_api.OPEN | slave_api.MASTER_ONLY | slave_api.SLAVE_CALLS.keys():
+        raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
+    refused = slave_api.without_caller(params, slave_api.RULES[method].default)
+    if refused is None and method == REQUEST_TOPIC:
+        refused = _invalid_request_topic(params)
+    if refused is not None:
+        return refused
+    changed = (agent.identity.name, *params[1:])  # the peer may be foreign: no anonymous suffix
+    if method == REQUEST_TOPIC:
+        changed = yield from _request_for_peer(agent, remote, str(params[0]), str(params[1]))
+    parse = method not in _UNPARSED
+    event = yield CallPeer(remote, method, changed, slave_api.SLAVE_CALLS.get(method), parse)
+    match event:
+        case RawResponse(body=body) if method in _UNPARSED:
+            return Encoded(body)
+        case Answered(value=[code, str() as status, value], peer=peer) if succeeded(code):
+            named = (
+                value if peer is None else handshakes.answer_here(peer, agent.identity.domain, method, value)
+            )
+            return (yield from _answer_for_program(agent, remote, method, status, named))
+        case Answered(value=value):
+            return _refusal(value)
+        case NoAnswer(reason=reason):
+            raise HangUp(reason)
+        case _:
+            raise UnexpectedEvent(method)
+
+
+def _request_for_peer(
+    agent: AgentState, remote: ListeningAddress, caller: str, topic: str
+) -> Layer[tuple[object, ...]]:
+    if not is_alias(topic):
+        return agent.name_for(caller), topic, [[slave_api.TCPROS]]
+    split_alias(topic)
+    peer = authenticated_peer((yield AuthenticatePeer(remote)))
+    return agent.name_for_peer(caller, peer), wire_name(peer, topic), [[slave_api.TCPROS]]
+
+
+def _answer_for_program(
+    agent: AgentState, remote: ListeningAddress, method: str, status: object, value: object
+) -> Layer[object]:
+    match method, value:
+        case "requestTopic", ["TCPROS", str() as host, int() as port] if (
+            host and 0 < port < 1 << 16
+        ) and not _leads_back(agent, remote, _topics_of(remote, host, port)):
+            topics = _topics_of(remote, host, port)
+            uri = yield from agent.egress_uri(topics)
+            agent.endpoints.set_api(topics, remote)
+            egress = parse_endpoint(uri, WireProtocol.TCPROS)
+            return [1, "ready", ["TCPROS", egress.host, egress.port]] if egress else [-1, "", []]
+        case "requestTopic", _:
+            return [-1, slave_api.NO_TRANSPORT, []]
+        case "getUri", _:
+            return [1, status, (yield from agent.egress_uri(remote))]
+        case "getMasterUri", _:
+            return [1, status, agent.master_uri]
+        case "getBusInfo", list() as entries:
+            return [1, status, (yield from _peer_bus_info(agent, entries))]
+        case _:
+            return [1, status, value]
+
+
+def _topics_of(remote: ListeningAddress, host: str, port: int) -> ListeningAddress:
+    # From a peer behind a relay's door only that it offers TCPROS counts: the topic is at the door, too.
+    if remote.door:
+        host, port = remote.host, remote.port
+    return ListeningAddress(WireProtocol.TCPROS, host, port)
+
+
+def _leads_back(agent: AgentState, remote: ListeningAddress, endpoint: ListeningAddress) -> bool:
+    program_at = agent.endpoints.program_at
+    return program_at(endpoint) is not None and program_at(remote) is None
+
+
+def _peer_bus_info(agent: AgentState, entries: list[object]) -> Layer[list[object]]:
+    uris: dict[str, str] = {}
+    rewritten: list[object] = []
+    for entry in entries:
+        match entry:
+            case [number, str() as uri, "i", *rest]:
+                remote = parse_endpoint(uri, WireProtocol.HTTP)
+                if remote is not None and uri not in uris and len(uris) < _MAX_EGRESS_PORTS:
+                    own_api = agent.endpoints.program_at(remote)
+                    uris[uri] = yield from agent.egress_uri(remote, own_api)
+                rewritten.append([number, uris.get(uri, uri), _INBOUND, *rest])
+            case _:
+                rewritten.append(entry)
+    return rewritten
+
+
+def unrestricted(decision: Decision) -> None:
+    # No guard, where one cannot be: raises `RestrictionMismatch` for a restricted decision.
+    decision.require_unrestricted()
+
+
+@dataclass(frozen=True)
+class AdmittedConnection:
+    """A connection whose two ends may exchange messages."""
+
+    answer: Mapping[str, bytes]  # the header for the end that asked
+    decision: Decision  # of the peer; the connection ends with it
+    guard: Guard | None  # filters each message before it is forwarded; None: bytes pass unchanged
+    service: bool  # both directions carry data; else only from publisher to subscriber
+    message_size: int | None = None  # of every message to a program, if it is fixed and known
+    wishes: delivery.Wishes = delivery.NO_WISHES  # of a peer that subscribes
+    rebuild: Callable[[Decision], Guard | None] = unrestricted  # for another decision of the same peer
+
+    @property
+    def latching(self) -> bool:
+        return self.answer.get("latching") == b"1"
+
+
+def admit_peer(
+    agent: AgentState,
+    local: ListeningAddress,
+    fields: Mapping[str, bytes],
+    peer: Identity,
+    filter_key: definitions.FilterKey,
+    memory_scope_of: FindMemoryScope,
+    now: int,
+) -> Layer[AdmittedConnection]:
+    service, wishes = _is_service(fields), delivery.NO_WISHES
+    if service is local.via_slave_api:
+        raise ConnectionHeaderRefused(f"this port is not for {'services' if service else 'topics'}")
+    if service:
+        decision = handshakes.admit_caller(fields, peer, agent.access, now)
+        decision.require_unrestricted()
+        target = local
+    else:
+        decision = handshakes.admit_subscriber(fields, peer, agent.access, now)
+        wishes = delivery.carried_out(delivery.requested_wishes(fields), decision)
+        target = yield from _request_topic(agent, local, fields, peer)
+    event = yield ConnectProgram(target, handshakes.fields_here(without_grants(fields), peer))
+    if isinstance(event, NoAnswer) and event.dead:
+        yield Suspend(local)
+    arrived = _require_header(event)
+    answer = _tcpros_answer_for_peer(agent, fields, arrived.fields, peer)
+    own = {**_own_proof(agent, fields, arrived.now), **wishes.fields}
+    if service:
+        return AdmittedConnection({**answer, **own}, decision, None, service)
+    sent, program = definitions.from_header(answer), _program_name(arrived.fields)
+
+    def guard_under(decision: Decision) -> Guard | None:
+        delivery.check_carried_out(wishes, decision)
+        if not decision.restrictions:
+            return None
+        kind = definitions.sender_definition(sent, decision, agent.known_types)
+        return definitions.guard_for(kind, decision, filter_key, memory_scope_of(program))
+
+    if decision.restrictions:
+        kind = definitions.sender_definition(sent, decision, agent.known_types)
+        answer |= {} if kind is sent else definitions.definition_fields(kind, decision)
+    return AdmittedConnection(
+        {**answer, **own}, decision, guard_under(decision), service, wishes=wishes, rebuild=guard_under
+    )
+
+
+def _request_topic(
+    agent: AgentState, local: ListeningAddress, fields: Mapping[str, bytes], peer: Identity
+) -> Layer[ListeningAddress]:
+    topic = handshakes.requested_topic(fields)
+    request = (handshakes.caller_here(peer, handshakes.text(fields, _CALLER)), topic, [[slave_api.TCPROS]])
+    event = yield CallProgram(local_endpoint(WireProtocol.HTTP, local.port), REQUEST_TOPIC, request)
+    match event:
+        case Answered(value=[code, _, [str(protocol), str(), int() as port]]) if (
+            succeeded(code) and protocol == slave_api.TCPROS and 0 < port < 1 << 16
+        ):
+            return local_endpoint(WireProtocol.TCPROS, port)
+        case Answered():
+            raise ConnectionHeaderRefused(f"{agent.identity.name} does not publish {topic}")
+        case NoAnswer(dead=True, reason=reason):
+            yield Suspend(local)
+            raise HangUp(reason)
+        case NoAnswer(reason=reason):
+            raise HangUp(reason)
+        case _:
+            raise UnexpectedEvent(type(event).__name__)
+
+
+def _is_service(fields: Mapping[str, bytes]) -> bool:
+    # Whether a header is for a service. One with both fields would be authorized as one and served as the
+    # other: roscpp and rospy check the topic first.
+    if ("service" in fields) is ("topic" in fields):
+        raise ConnectionHeaderRefused("a connection header is for a topic or for a service")
+    return "service" in fields
+
+
+def _tcpros_answer_for_peer(
+    agent: AgentState, request: Mapping[str, bytes], answer: Mapping[str, bytes], peer: Identity
+) -> dict[str, bytes]:
+    if "error" in answer:
+        raise ConnectionHeaderRefused(handshakes.text(answer, "error"))
+    completed = {**without_grants(answer), _CALLER: _caller_name(agent, answer, peer.is_foreign)}
+    if "topic" in request:
+        completed["topic"] = request["topic"]
+    return completed
+
+
+def _program_name(fields: Mapping[str, bytes]) -> str:
+    return handshakes.text(fields, _CALLER)[:_LONGEST_NAME] if _CALLER in fields else ""
+
+
+def _caller_name(agent: AgentState, fields: Mapping[str, bytes], foreign: bool) -> bytes:
+    given = handshakes.text(fields, _CALLER) if _CALLER in fields and not foreign else ""
+    return agent.name_for(given).encode()
+
+
+def _own_proof(agent: AgentState, request: Mapping[str, bytes], now: int) -> handshakes.Fields:
+    if "service" in request:
+        return handshakes.provider_proof(handshakes.text(request, "service"), agent.access, now)
+    return {FIELD: agent.access.present(Right.PUBLISH, handshakes.text(request, "topic"), now)}
+
+
+def connect_to_peer(
+    agent: AgentState,
+    remote: ListeningAddress,
+    fields: Mapping[str, bytes],
+    filter_key: definitions.FilterKey,
+    memory_scope_of: FindMemoryScope,
+    now: int,
+) -> Layer[AdmittedConnection]:
+    service = _is_service(fields)
+    wanted = handshakes.text(fields, "service" if service else "topic")
+    if service:
+        request = handshakes.fields_on_wire(without_grants(fields))
+        request[_CALLER] = _caller_name(agent, fields, is_alias(wanted))
+        request |= handshakes.caller_proof(wanted, agent.access, now)
+        event = yield ConnectPeer(remote, request)
+        arrived, peer = _from_peer(event)
+        decision = handshakes.admit_provider(arrived.fields, peer, wanted, agent.access, arrived.now)
+        decision.require_unrestricted()
+        answer = handshakes.fields_here(without_grants(arrived.fields), peer)
+        return AdmittedConnection(answer, decision, None, service)
+    own, program = definitions.from_header(fields), _program_name(fields)
+    granted, caller = yield from _name_granted(agent, remote, fields)
+    request = {**without_grants(fields), _CALLER: caller, "topic": origin_of(granted).encode()}
+    expected = handshakes.ExpectedTopic(granted, own.name, own.md5sum)
+    request[FIELD] = agent.access.present(Right.SUBSCRIBE, granted, now)
+    arrived, peer = _from_peer((yield ConnectPeer(remote, request)))
+    decision = handshakes.admit_publisher(arrived.fields, peer, expected, agent.access, arrived.now)
+    delivery.taken_wishes(arrived.fields, delivery.NO_WISHES)
+    sent = definitions.from_header(arrived.fields)
+    kind = definitions.receiver_definition(own, sent, decision, agent.known_types)
+
+    def guard_under(decision: Decision) -> Guard | None:
+        kind = definitions.receiver_definition(own, sent, decision, agent.known_types)
+        if not decision.restrictions:
+            return None
+        return definitions.guard_for(kind, decision, filter_key, memory_scope_of(program))
+
+    named = handshakes.fields_here(without_grants(arrived.fields), peer, wanted)
+    return AdmittedConnection(
+        named | definitions.definition_fields(kind, decision),
+        decision,
+        guard_under(decision),
+        service,
+        definitions.size_of(definitions.reported_definition(kind, sent)),
+        rebuild=guard_under,
+    )
+
+
+def _name_granted(
+    agent: AgentState, remote: ListeningAddress, fields: Mapping[str, bytes]
+) -> Layer[tuple[str, bytes]]:
+    # Of an alias both depend on who the peer is, which is known before it is sent anything.
+    topic = handshakes.text(fields, "topic")
+    if not is_alias(topic):
+        return topic, _caller_name(agent, fields, foreign=False)
+    split_alias(topic)
+    peer = authenticated_peer((yield AuthenticatePeer(remote)))
+    return granted_name(peer, topic), _caller_name(agent, fields, peer.is_foreign)
+
+
+def _from_peer(event: Event) -> tuple[HeaderArrived, Identity]:
+    arrived = _require_header(event)
+    if arrived.peer is None:
+        raise UnexpectedEvent("a peer without an identity")
+    return arrived, arrived.peer
+
+
+def _require_header(event: Event) -> HeaderArrived:
+    if isinstance(event, NoAnswer):
+        raise HangUp(event.reason)
+    if not isinstance(event, HeaderArrived):
+        raise UnexpectedEvent(type(event).__name__)
+    return event
+
+
+def without_grants(fields: Mapping[str, bytes]) -> dict[str, bytes]:
+    return {key: value for key, value in delivery.without_wishes(fields).items() if key != FIELD}
