@@ -46,7 +46,6 @@ class Store:
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open an existing record; an older version is migrated first."""
         return cls(Database.open(path))
 
     def add_certificate(

@@ -1,34 +1,25 @@
-"""Foreign domains and constrained things in the authority's record, and the audit of both.
+"""Foreign domains and constrained things in the authority's record.
 
 Each acceptance of a domain and each change of its terms is a row, and the newest row counts until
 an end refers to it. Nothing accepted goes from the record: a label is not given to another domain
 while a grant that names it can live. Whoever has another root key is another domain. Of the
 statements about things in force, one name is one thing and one credential is one thing; at one
-border router, so is one kid. The audit replays both from the log, in the order of their entries:
-the record cannot be made to hold what the authority would not have signed, or to deny what it did.
+border router, so is one kid.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, Final, NamedTuple
-
-from cryptography.hazmat.primitives.asymmetric import ec
+from typing import NamedTuple
 
 from ca.certificates import Identity
-from ca.domains.trust import ForeignDomain, verify_domains
-from ca.errors import CAError, DomainUnknown, StoreError, ThingChanged, ThingUnknown
+from ca.domains.trust import ForeignDomain
+from ca.errors import DomainUnknown, StoreError, ThingChanged, ThingUnknown
 from ca.store.database import Database, append_entry
-from ca.store.values import LogEntry, digest_of, replay, require
-from ca.things.constrained_nodes import ThingStatement, peek_statement, verify_statement
+from ca.store.values import digest_of
+from ca.things.constrained_nodes import ThingStatement, peek_statement
 
 _NEWEST = "number IN (SELECT max(number) FROM foreign_domain GROUP BY domain)"
 _NOT_ENDED = "number NOT IN (SELECT number FROM foreign_domain_end)"
 
-KINDS: Final = ("domain", "domain ended", "domain list")
-Row = tuple[Any, ...]
-
 _IN_FORCE = "expires > ? AND id NOT IN (SELECT entry FROM revocation)"
-
-KIND: Final = "thing"
 
 
 class DomainRow(NamedTuple):
@@ -148,49 +139,6 @@ def check_domains_apart(known: DomainRow, domain: str, label: str, root: bytes) 
     )
 
 
-def replay_domains(
-    entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], key: ec.EllipticCurvePublicKey
-) -> None:
-    replay(entries, _DomainReplay(rows, key).steps, CAError)
-
-
-class _DomainReplay:
-    def __init__(self, rows: Mapping[str, Iterable[Row]], key: ec.EllipticCurvePublicKey) -> None:
-        self._key = key
-        self._rows: dict[str, Iterator[Row]] = {kind: iter(rows[kind]) for kind in KINDS}
-        self._trusted: dict[str, DomainRow] = {}  # by domain
-        self._last = (0, 0)
-        self.steps: Mapping[str, Callable[[LogEntry], None]] = {
-            "domain": self._accept,
-            "domain ended": self._end,
-            "domain list": self._list,
-        }
-
-    def _accept(self, entry: LogEntry) -> None:
-        row = DomainRow(*next(self._rows["domain"]))
-        terms = row.read()
-        found = terms.domain, terms.label, terms.anchor.thumbprint
-        require(found == (row.domain, row.label, row.root), entry)
-        for known in self._trusted.values():
-            check_domains_apart(known, *found)
-        self._trusted[row.domain] = row
-
-    def _end(self, entry: LogEntry) -> None:
-        number = next(self._rows["domain ended"])[0]
-        ended = [row for row in self._trusted.values() if row.number == number]
-        require(len(ended) == 1, entry)
-        del self._trusted[ended[0].domain]
-
-    def _list(self, entry: LogEntry) -> None:
-        epoch, seq, data = next(self._rows["domain list"])
-        listed = verify_domains(data, self._key)
-        require(self._last < (epoch, seq) == listed.number, entry)
-        self._last = listed.number
-        for each in listed.domains:
-            known = self._trusted.get(each.domain)
-            require(known is not None and known.terms == each.terms, entry)
-
-
 class ThingRow(NamedTuple):
     """One signed statement; `border` is the name of the router with the key in it."""
 
@@ -248,7 +196,7 @@ class ThingTable:
             append_entry(db, now, "thing", row.name, row.id.hex(), digest_of(row))
 
     def _rows(self, clause: str, *values: object) -> list[ThingRow]:
-        return [ThingRow(*row) for row in self._database.logged(KIND, clause, *values)]
+        return [ThingRow(*row) for row in self._database.logged("thing", clause, *values)]
 
 
 def check_things_apart(known: ThingStatement, new: ThingStatement) -> None:
@@ -269,22 +217,3 @@ def check_things_apart(known: ThingStatement, new: ThingStatement) -> None:
             f"{known.name} has the same kid {known.credential.kid.hex()} at this border router",
             f"give one of the two another kid, or --replace {known.name}",
         )
-
-
-def replay_things(entries: Iterable[LogEntry], rows: Iterable[Row], key: ec.EllipticCurvePublicKey) -> None:
-    made, in_force = iter(rows), dict[str, ThingStatement]()
-
-    def take(entry: LogEntry) -> None:
-        row = ThingRow(*next(made))
-        found = verify_statement(row.data, key, domain=peek_statement(row.data).domain)
-        said = (found.id, found.name, found.not_before, found.expires)
-        require(said == (row.id, row.name, row.not_before, row.expires), entry)
-        for number, known in list(in_force.items()):
-            if known.expires <= entry.at:
-                del in_force[number]
-            else:
-                check_things_apart(known, found)
-        in_force[row.id.hex()] = found
-
-    steps = {KIND: take, "revocation": lambda entry: in_force.pop(entry.subject, None)}
-    replay(entries, steps, CAError)

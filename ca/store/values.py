@@ -9,7 +9,7 @@ elsewhere prevents the file's owner from rewriting the log.
 """
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, NamedTuple, NoReturn
@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca import names, svid
 from ca.encoding import encode, is_number
-from ca.errors import CAError, EncodingError, LogDamaged, RequestClosed, SignatureError, StoreError
+from ca.errors import EncodingError, LogDamaged, RequestClosed, SignatureError, StoreError
 from ca.keys.signing import Profile, Signer
 from ca.revocation import merkle
 from ca.revocation.merkle import HASH_SIZE
@@ -198,23 +198,6 @@ def check_head(tree: merkle.Tree, head: Head) -> None:
         )
     if tree.root(head.size) != head.root:
         raise LogDamaged(f"the first {head.size} entries of the log are not those that were signed", _HINT)
-
-
-def replay(
-    entries: Iterable[LogEntry], steps: Mapping[str, Callable[[LogEntry], object]], refused: type[CAError]
-) -> None:
-    """Take the steps for the entries of these kinds, in their order; none may be refused."""
-    for entry in entries:
-        if (step := steps.get(entry.what)) is not None:
-            try:
-                step(entry)
-            except refused as error:
-                raise LogDamaged(f"log entry {entry.number}: {error}", REPLAY_HINT) from error
-
-
-def require(holds: bool, entry: LogEntry) -> None:
-    if not holds:
-        raise LogDamaged(f"log entry {entry.number} says {entry.what}, which cannot be", REPLAY_HINT)
 
 
 def sign_head(signer: Signer, head: Head) -> bytes:
