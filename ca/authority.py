@@ -23,7 +23,7 @@ from ca.certificates import (
     check_intermediate_request,
     policy,
 )
-from ca.errors import CertificateRefused, IssueRefused, NameRefused
+from ca.errors import CAError, CertificateRefused, NameRefused
 from ca.keys.passphrases import SEQUENCE, der
 from ca.keys.signing import Signer, require_p256, thumbprint
 from ca.names import SCHEME, check_domain, check_wildcard, parse_spiffe_id, spiffe_id
@@ -58,7 +58,7 @@ class Authority:
             found = self.anchor.read_intermediate(intermediate)
             self.issuer, self.chain, self.may_enroll = found, (intermediate,), found.may_enroll
         if thumbprint(signer.public_key) != self.issuer.thumbprint:
-            raise IssueRefused(
+            raise CAError(
                 "the authority's certificate belongs to another key",
                 "restore ca.key and ca.pem from the same backup",
             )
@@ -78,7 +78,7 @@ class Authority:
         anonymous nodes (`ca.names.covers`), whether the request asks for that or not.
         """
         if not self.may_enroll:
-            raise IssueRefused(
+            raise CAError(
                 "this intermediate may renew identities, not enroll nodes",
                 "enroll at the root, or make an intermediate that may enroll",
             )
@@ -108,7 +108,7 @@ class Authority:
         """Return the certificate (DER) of an intermediate; `may_enroll` sets its policy."""
         key = check_intermediate_request(csr, self.anchor.domain)
         if not self.is_root or self.anchor.path_length == 0:
-            raise IssueRefused(
+            raise CAError(
                 "this authority may have no intermediates",
                 "only a root can make one, and roots of older versions cannot",
             )
@@ -154,14 +154,14 @@ class Authority:
 
     def _period(self, now: int, lifetime: int) -> tuple[int, int]:
         if not 0 < lifetime <= MAX_LIFETIME:
-            raise IssueRefused(
+            raise CAError(
                 f"a lifetime of {lifetime} s where 1 to {MAX_LIFETIME} are allowed",
                 "certificates are renewed instead: the default is 30 days",
             )
         first = max(self.issuer.not_before, self.anchor.not_before)
         last = min(self.issuer.not_after, self.anchor.not_after)
         if not first <= now <= last:
-            raise IssueRefused(
+            raise CAError(
                 "the authority's own certificate is not valid now",
                 "check this computer's clock; an expired authority must be replaced by a new one",
             )
@@ -205,7 +205,7 @@ def _issuer_key(key: ec.EllipticCurvePublicKey) -> x509.AuthorityKeyIdentifier:
 
 def _check_serial(serial: int) -> None:
     if not 0 < serial < _SERIAL_LIMIT:
-        raise IssueRefused("a serial is a positive number of 128 bits", "use secrets.randbits(128)")
+        raise CAError("a serial is a positive number of 128 bits", "use secrets.randbits(128)")
 
 
 def _builder(key: ec.EllipticCurvePublicKey, serial: int, start: int, end: int) -> x509.CertificateBuilder:

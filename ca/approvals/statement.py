@@ -12,7 +12,7 @@ from hashlib import sha256
 from typing import Final, NamedTuple, Self, TypeAlias
 
 from ca.encoding import Value, decode, encode, is_number
-from ca.errors import EncodingError, StatementRefused
+from ca.errors import ApprovalRefused, EncodingError
 from ca.names import MASTER, is_master_name
 
 VERSION: Final = "rossec-approval-v1"
@@ -201,7 +201,7 @@ class Statement(NamedTuple):
         try:
             value = decode(data, limit=MAX_STATEMENT)
         except EncodingError as error:
-            raise StatementRefused(f"this is not a statement: {error}", _HINT) from error
+            raise ApprovalRefused(f"this is not a statement: {error}", _HINT) from error
         match value:
             case [
                 str(version),
@@ -214,13 +214,13 @@ class Statement(NamedTuple):
                 [*fields],
             ] if version == VERSION:
                 if isinstance(kind, bool) or kind not in _FORMS:  # True equals 1, and is encoded otherwise
-                    raise StatementRefused("a statement of an unknown kind", _HINT)
+                    raise ApprovalRefused("a statement of an unknown kind", _HINT)
                 what = _what(StatementKind(kind), fields)
                 found = cls(StatementKind(kind), id_, domain, made, until, size, root, what)
                 _check(found)
                 return found
             case _:
-                raise StatementRefused("this is not a statement of a known form", _HINT)
+                raise ApprovalRefused("this is not a statement of a known form", _HINT)
 
     @property
     def challenge(self) -> bytes:
@@ -234,9 +234,9 @@ class Statement(NamedTuple):
         """Return if `payload` is the one whose digest was approved; without a digest, it is empty."""
         digest = self._field(_FORMS[self.kind].payload)
         if len(payload) > MAX_PAYLOAD:
-            raise StatementRefused("the payload of the approval is too large", "approve less")
+            raise ApprovalRefused("the payload of the approval is too large", "approve less")
         if payload != b"" if digest is None else sha256(payload).digest() != digest:
-            raise StatementRefused(
+            raise ApprovalRefused(
                 "what was approved is not what was shown", "look at it again, and approve that"
             )
 
@@ -253,14 +253,14 @@ def _what(kind: StatementKind, fields: list[Value]) -> What:
     if form.default is not None and len(fields) == len(form.fields) - 1:
         fields = [*fields, form.default]
     elif len(fields) != len(form.fields) or (fields and fields[-1] == form.default):
-        raise StatementRefused(f"a statement of kind {kind} with {len(fields)} fields", _HINT)
+        raise ApprovalRefused(f"a statement of kind {kind} with {len(fields)} fields", _HINT)
     return form.build(*fields)
 
 
 def _check(statement: Statement) -> None:
     form = _FORMS[statement.kind]
     if type(statement.what) is not form.build:
-        raise StatementRefused(f"a statement of kind {statement.kind} about another", _HINT)
+        raise ApprovalRefused(f"a statement of kind {statement.kind} about another", _HINT)
     head = (
         (_is_id, statement.id),
         (_is_name, statement.domain),
@@ -268,6 +268,6 @@ def _check(statement: Statement) -> None:
         *((is_number, each) for each in (statement.made, statement.until, statement.log_size)),
     )
     if not all(check(field) for check, field in (*zip(form.fields, statement.what, strict=True), *head)):
-        raise StatementRefused("a field of the statement is not of its form", _HINT)
+        raise ApprovalRefused("a field of the statement is not of its form", _HINT)
     if not statement.made < statement.until <= statement.made + LIFETIME:
-        raise StatementRefused(f"a statement is valid for at most {LIFETIME} seconds", _HINT)
+        raise ApprovalRefused(f"a statement is valid for at most {LIFETIME} seconds", _HINT)

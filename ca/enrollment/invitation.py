@@ -24,14 +24,7 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from ca.encoding import Value, encode
-from ca.errors import (
-    CodeExpired,
-    CodeRefused,
-    EnrollmentMessageRefused,
-    JoinRefused,
-    NotTheAuthority,
-    SignatureError,
-)
+from ca.errors import CodeRefused, EnrollmentMessageRefused, EnrollmentRefused, JoinRefused, SignatureError
 from ca.keys.signing import KeySigner, Profile, Signer, require_p256
 from ca.names import MAX_NAME
 from ca.svid import MAX_REQUEST
@@ -122,7 +115,7 @@ class InvitationCode:
     def check_time(self, now: int) -> None:
         """Return if the code has not expired; the authority decides that by its own clock."""
         if now > self.expires:
-            raise CodeExpired(
+            raise CodeRefused(
                 f"the invitation expired {now - self.expires} s ago",
                 "check this computer's clock; for another: rossec ca invite PATTERN",
             )
@@ -225,7 +218,7 @@ def check_live(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: byt
     try:
         _LIVE.check(data, key, [transcript_hash])
     except SignatureError as error:
-        raise NotTheAuthority(
+        raise EnrollmentRefused(
             f"the peer does not have the key of the authority's node: {error}",
             "possible attacker in between: find out who answers at that address",
         ) from error

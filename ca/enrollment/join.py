@@ -37,7 +37,6 @@ from ca.errors import (
     JoinBusy,
     JoinRefused,
     JoinWaiting,
-    NotTheAuthority,
     RequestRefused,
 )
 from ca.keys.signing import Signer
@@ -366,7 +365,7 @@ class NodeJoin:
     def _verify(self, message: Welcome, now: int) -> None:
         # Check the hash first: a root that is not the code's is not parsed.
         if not compare_digest(sha256(message.root).digest(), self._code.root):
-            raise NotTheAuthority(
+            raise EnrollmentRefused(
                 "another authority answers at the address of the invitation",
                 "is the invitation of this site? find out who answers there",
             )
@@ -383,7 +382,7 @@ class NodeJoin:
     def _named(self, message: Named, _: int) -> None:
         name = check_name(message.name)
         if is_reserved(name) or not pattern_covers(self._code.pattern, name):
-            raise NotTheAuthority(
+            raise EnrollmentRefused(
                 f"the peer gives the name {name}, which the invitation does not allow",
                 "the authority gives none outside of it: find out who answers at that address",
             )
@@ -419,13 +418,13 @@ def _live_identity(anchor: TrustAnchor, chain: tuple[bytes, ...], now: int) -> I
     try:
         found = anchor.verify(chain, now)
     except (CertificateExpired, CertificateNotYetValid) as error:
-        raise NotTheAuthority(f"the authority's node cannot be verified: {error}", _CLOCK) from error
+        raise EnrollmentRefused(f"the authority's node cannot be verified: {error}", _CLOCK) from error
     except CAError as error:
-        raise NotTheAuthority(
+        raise EnrollmentRefused(
             f"the peer is not the authority: {error}", "find out who answers at that address"
         ) from error
     if found.name != AUTHORITY or found.wildcard:
-        raise NotTheAuthority(
+        raise EnrollmentRefused(
             f"the peer is {found.name}, a node of this site, and not its authority",
             "it may be an attack: find out who answers at that address",
         )

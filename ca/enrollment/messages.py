@@ -11,7 +11,7 @@ from typing import Final, TypeAlias, TypeVar
 from ca.certificates import TrustAnchor
 from ca.encoding import Value, decode, encode
 from ca.enrollment import NONCE_SIZE
-from ca.errors import CAError, EncodingError, EnrollmentMessageRefused, OfferRefused
+from ca.errors import CAError, EncodingError, EnrollmentMessageRefused, EnrollmentRefused
 from ca.svid import IdentityRequest
 
 VERSION: Final = 1
@@ -167,10 +167,10 @@ def check_issued(root: bytes, chain: Sequence[bytes], own: IdentityRequest, now:
         anchor = TrustAnchor.load(root)
         identity = anchor.verify(chain, now)
     except CAError as error:
-        raise OfferRefused(f"invalid offer: {error}", error.hint) from error
+        raise EnrollmentRefused(f"invalid offer: {error}", error.hint) from error
     if identity.thumbprint != own.thumbprint:
-        raise OfferRefused("an identity for another key")
+        raise EnrollmentRefused("an identity for another key")
     offered = (identity.domain, identity.name, identity.wildcard)
     if offered != (own.domain, own.name, own.wildcard):
-        raise OfferRefused("an identity for another name than the one asked for")
+        raise EnrollmentRefused("an identity for another name than the one asked for")
     return anchor

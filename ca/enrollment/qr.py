@@ -17,7 +17,7 @@ from typing import Final
 
 import segno
 
-from ca.errors import CardRefused, CodeExpired, CodeRefused
+from ca.errors import CardRefused, CodeRefused
 
 PREFIX: Final = "ROSSEC:"
 MAX_TEXT: Final = 512
@@ -75,7 +75,7 @@ class Code:
     def check_time(self, now: int) -> None:
         # Return if the code has not expired; a label code does not expire.
         if self.secret and now > self.expires:
-            raise CodeExpired(f"the code expired {now - self.expires} s ago", "have the node show a new one")
+            raise CodeRefused(f"the code expired {now - self.expires} s ago", "have the node show a new one")
 
 
 def label_code(request: bytes) -> str:

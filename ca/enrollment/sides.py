@@ -36,15 +36,12 @@ from ca.enrollment.messages import (
 )
 from ca.enrollment.qr import Code
 from ca.errors import (
-    AcknowledgementRefused,
     ConflictingOffer,
-    DigitsRefused,
     EncodingError,
     EnrollmentExpired,
     EnrollmentLocked,
     EnrollmentOver,
     EnrollmentRefused,
-    OfferRefused,
     RequestSwapped,
     SignatureError,
 )
@@ -128,13 +125,13 @@ def _open(profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey) -> obje
     try:
         return profile.open(data, key, limit=_MAX_STATEMENT)
     except (SignatureError, EncodingError) as error:
-        raise AcknowledgementRefused(
+        raise EnrollmentRefused(
             f"the answer is not signed by the node: {error}", "possible attacker in between: start again"
         ) from error
 
 
-def _replayed() -> AcknowledgementRefused:
-    return AcknowledgementRefused(
+def _replayed() -> EnrollmentRefused:
+    return EnrollmentRefused(
         "the node's answer is for another offer",
         "it was replayed, or there was a second offer: do not confirm at the node, start again",
     )
@@ -241,7 +238,7 @@ class NodeEnrollment:
             raise EnrollmentOver("this was confirmed already")
         if digits != pending.digits:  # not secret: they can be computed from the messages
             self._bad_digits += 1
-            error = DigitsRefused(
+            error = EnrollmentRefused(
                 "these are not the digits of the offer of this node",
                 "possible attacker in between: if the authority shows these digits, do not continue",
             )
@@ -320,7 +317,7 @@ class NodeEnrollment:
         transcript_hash = self._transcript(offer)
         if not self._secret:
             if offer.tag:
-                raise OfferRefused("an offer with a tag, but the code is a label")
+                raise EnrollmentRefused("an offer with a tag, but the code is a label")
         elif not verify_tag(self._secret, transcript_hash, offer.tag):
             # A wrong tag must not disturb an offer that waits for confirmation.
             self._bad_tags += self.state is _S.SHOWING
@@ -328,7 +325,7 @@ class NodeEnrollment:
                 error = EnrollmentLocked(f"{MAX_BAD_TAGS} offers without the code's secret", _RESTART_HINT)
                 self.stop(error)
                 raise error
-            raise OfferRefused("the sender of the offer has not read the code")
+            raise EnrollmentRefused("the sender of the offer has not read the code")
         return transcript_hash
 
 
@@ -454,7 +451,7 @@ class AuthorityEnrollment:
 
     def _acknowledged_again(self, message: Acknowledgement, _: int) -> None:
         if message.statement != self._statement:
-            raise AcknowledgementRefused("a second, different answer of the node", "start again")
+            raise EnrollmentRefused("a second, different answer of the node", "start again")
 
     def _done(self, message: Done, _: int) -> None:
         if self.state is _A.ACKNOWLEDGED:  # in ENROLLED, an invalid one changes nothing

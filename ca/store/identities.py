@@ -15,8 +15,6 @@ from typing import NamedTuple
 
 from ca.errors import (
     InvitationRefused,
-    KeyChanged,
-    NameContested,
     NameCovered,
     RenewalRefused,
     RequestClosed,
@@ -171,7 +169,7 @@ class IdentityTable:
                     "there is a copy of the node: revoke the name, and enroll the node again",
                 )
         elif replace_key is None and set(known) - {thumbprint}:
-            raise KeyChanged(
+            raise StoreError(
                 f"{name} has an identity with another key until it expires",
                 f"if the node was set up again: --replace-key {name}; otherwise deny the request",
             )
@@ -276,7 +274,7 @@ class RequestTable:
             row = self.get(digest)
             for other in self.open(now):
                 if other.name == row.name and other.thumbprint != row.thumbprint:
-                    raise NameContested(
+                    raise StoreError(
                         f"two different keys request the name {row.name}",
                         f"compare fingerprints, then deny the other: rossec ca deny {other.digest.hex()[:8]}",
                     )

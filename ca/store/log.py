@@ -17,15 +17,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from ca.approvals.passkeys import Approval, ApprovalVerifier, Passkey, counter_of, to_approve
 from ca.approvals.statement import Statement, StatementKind
 from ca.domains.trust import verify_domains
-from ca.errors import (
-    ApprovalOutdated,
-    ApprovalOver,
-    ApprovalUsed,
-    CAError,
-    LogDamaged,
-    PasskeyUnknown,
-    StoreError,
-)
+from ca.errors import ApprovalOver, ApprovalRefused, CAError, LogDamaged, StoreError
 from ca.revocation.merkle import Tree, root_of
 from ca.store import database
 from ca.store.database import Database, append_entry
@@ -284,7 +276,7 @@ class PasskeyTable:
         for passkey in self.active():
             if passkey.id == id:
                 return passkey
-        raise PasskeyUnknown(
+        raise ApprovalRefused(
             "this passkey is not registered here, or was removed", "register the phone: rossec console phone"
         )
 
@@ -339,9 +331,9 @@ class ApprovalTable:
             statement = ApprovalVerifier([passkey], [(passkey.id, last)]).verify(approval)
             size, restored = statement.log_size, self._log.last_restore()
             if self._log.root_at(size) != statement.log_root or size <= restored:
-                raise ApprovalOutdated("the record was restored or replaced since it was shown", _AGAIN)
+                raise ApprovalRefused("the record was restored or replaced since it was shown", _AGAIN)
             if self._rows("WHERE id = ?", approval.id):
-                raise ApprovalUsed("this was approved already", _AGAIN)
+                raise ApprovalRefused("this was approved already", _AGAIN)
             db.execute("INSERT INTO approval VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", approval)
             detail = f"{StatementKind(approval.kind).name.lower()} {approval.id.hex()}"
             append_entry(db, approval.at, "approval", passkey.name, detail, digest_of(approval))

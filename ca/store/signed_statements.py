@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from ca.certificates import Identity
 from ca.domains.trust import ForeignDomain
-from ca.errors import DomainUnknown, StoreError, ThingChanged, ThingUnknown
+from ca.errors import DomainUnknown, StoreError
 from ca.store.database import Database, append_entry
 from ca.store.values import digest_of
 from ca.things.constrained_nodes import ThingStatement, peek_statement
@@ -169,9 +169,7 @@ class ThingTable:
     def get(self, name: str, now: int) -> ThingRow:
         found = self._rows(f"WHERE name = ? AND {_IN_FORCE} ORDER BY rowid", name, now)
         if not found:
-            raise ThingUnknown(
-                f"no statement about a thing {name} is in force", "see: rossec ca things --all"
-            )
+            raise StoreError(f"no statement about a thing {name} is in force", "see: rossec ca things --all")
         return found[-1]
 
     def last(self, name: str) -> ThingRow:
@@ -179,7 +177,7 @@ class ThingTable:
         alive = "WHERE name = ? AND id NOT IN (SELECT entry FROM revocation) ORDER BY rowid"
         found = self._rows(alive, name)
         if not found:
-            raise ThingUnknown(f"there is no thing {name}", "see: rossec ca things --all")
+            raise StoreError(f"there is no thing {name}", "see: rossec ca things --all")
         return found[-1]
 
     def revoked(self) -> list[ThingRow]:
@@ -205,15 +203,15 @@ def check_things_apart(known: ThingStatement, new: ThingStatement) -> None:
         return
     if known.name == new.name:
         what = "another border router" if same_thing else "another key"
-        raise ThingChanged(
+        raise StoreError(
             f"{new.name} has a statement in force with {what}", f"if that one is to end: --replace {new.name}"
         )
     if same_thing:
-        raise ThingChanged(
+        raise StoreError(
             f"this key is that of {known.name}", f"if the thing was renamed: --replace {known.name}"
         )
     if (known.border, known.credential.kid) == (new.border, new.credential.kid):
-        raise ThingChanged(
+        raise StoreError(
             f"{known.name} has the same kid {known.credential.kid.hex()} at this border router",
             f"give one of the two another kid, or --replace {known.name}",
         )
