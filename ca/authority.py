@@ -6,14 +6,13 @@ given is read before the key signs it: of the bytes of a TBSCertificate (RFC 528
 the two forms that an authority issues are accepted, for its own trust domain and issuer.
 """
 
-from datetime import UTC, datetime
 from typing import Final, NamedTuple
 
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import NameOID
 
 from ca import svid
+from ca.builder import begin, common_name
 from ca.certificates import (
     BACKDATE,
     Identity,
@@ -113,12 +112,12 @@ class Authority:
                 "only a root can make one, and roots of older versions cannot",
             )
         _check_serial(serial)
-        start, end = self._period(now, lifetime)
-        builder = _authority(key, serial, start, end, self.anchor.domain, below=0)
+        period, issuer = self._period(now, lifetime), self.anchor
+        builder = _authority(key, issuer.subject, serial, period, issuer.domain, below=0)
         return svid.sign(
-            builder.issuer_name(self.anchor.subject)
-            .add_extension(policy(may_enroll=may_enroll), critical=False)
-            .add_extension(_issuer_key(self.anchor.public_key), critical=False),
+            builder.add_extension(policy(may_enroll=may_enroll), critical=False).add_extension(
+                _issuer_key(issuer.public_key), critical=False
+            ),
             self.signer,
         )
 
@@ -133,14 +132,10 @@ class Authority:
         wildcard: bool,
     ) -> bytes:
         _check_serial(serial)
-        start, end = self._period(now, lifetime)
         uri = svid.alternative_name(spiffe_id(self.anchor.domain, name))
+        period = self._period(now, lifetime)
         builder = (
-            _builder(key, serial, start, end)
-            .subject_name(x509.Name([]))
-            .issuer_name(self.issuer.subject)
-            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-            .add_extension(_usage(authority=False), critical=True)
+            begin(key, x509.Name([]), self.issuer.subject, serial, period)
             # Critical because the subject is empty (RFC 5280 section 4.1.2.6).
             .add_extension(uri, critical=True)
             .add_extension(_issuer_key(self.issuer.public_key), critical=False)
@@ -172,18 +167,21 @@ def create_root(signer: Signer, domain: str, *, now: int, serial: int) -> bytes:
     check_domain(domain)
     _check_serial(serial)
     key = require_p256(signer.public_key)
-    builder = _authority(key, serial, now - BACKDATE, now + ROOT_LIFETIME, domain, below=1)
-    return svid.sign(builder.issuer_name(_subject_name(key)), signer)
+    period = now - BACKDATE, now + ROOT_LIFETIME
+    return svid.sign(_authority(key, _subject_name(key), serial, period, domain, below=1), signer)
 
 
 def _authority(
-    key: ec.EllipticCurvePublicKey, serial: int, start: int, end: int, domain: str, *, below: int
+    key: ec.EllipticCurvePublicKey,
+    issuer: x509.Name,
+    serial: int,
+    period: tuple[int, int],
+    domain: str,
+    *,
+    below: int,
 ) -> x509.CertificateBuilder:
     return (
-        _builder(key, serial, start, end)
-        .subject_name(_subject_name(key))
-        .add_extension(x509.BasicConstraints(ca=True, path_length=below), critical=True)
-        .add_extension(_usage(authority=True), critical=True)
+        begin(key, _subject_name(key), issuer, serial, period, below=below)
         .add_extension(svid.alternative_name(f"{SCHEME}{domain}"), critical=False)
         .add_extension(x509.SubjectKeyIdentifier(_key_identifier(key)), critical=False)
     )
@@ -191,7 +189,7 @@ def _authority(
 
 def _subject_name(key: ec.EllipticCurvePublicKey) -> x509.Name:
     # A name that differs for every key, so that a foreign issuer is recognized by its name.
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"rossec {thumbprint(key)[:8].hex()}")])
+    return common_name(f"rossec {thumbprint(key)[:8].hex()}")
 
 
 def _key_identifier(key: ec.EllipticCurvePublicKey) -> bytes:
@@ -206,30 +204,6 @@ def _issuer_key(key: ec.EllipticCurvePublicKey) -> x509.AuthorityKeyIdentifier:
 def _check_serial(serial: int) -> None:
     if not 0 < serial < _SERIAL_LIMIT:
         raise CAError("a serial is a positive number of 128 bits", "use secrets.randbits(128)")
-
-
-def _builder(key: ec.EllipticCurvePublicKey, serial: int, start: int, end: int) -> x509.CertificateBuilder:
-    return (
-        x509.CertificateBuilder()
-        .serial_number(serial)
-        .public_key(key)
-        .not_valid_before(datetime.fromtimestamp(start, UTC))
-        .not_valid_after(datetime.fromtimestamp(end, UTC))
-    )
-
-
-def _usage(*, authority: bool) -> x509.KeyUsage:
-    return x509.KeyUsage(
-        digital_signature=not authority,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        key_cert_sign=authority,
-        crl_sign=authority,
-        encipher_only=False,
-        decipher_only=False,
-    )
 
 
 class UnsignedCertificate(NamedTuple):

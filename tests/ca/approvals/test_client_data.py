@@ -53,9 +53,7 @@ def test_another_challenge_or_page_is_refused(fields: dict[str, Any], message: s
 @pytest.mark.parametrize("field", sorted(RIGHT))
 def test_a_missing_field_is_refused(field: str) -> None:
     fields = {name: value for name, value in RIGHT.items() if name != field}
-    with pytest.raises(
-        ApprovalRefused, match=r"the passkey (was not used|signed something else|was used at)"
-    ):
+    with pytest.raises(ApprovalRefused, match=r"the passkey (was not|was used at|signed something else)"):
         check(json.dumps(fields).encode())
 
 
