@@ -9,7 +9,7 @@ signed statement. The tables have all transitions; any other message changes not
 """
 
 import hmac
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from hashlib import sha256
@@ -27,11 +27,12 @@ from ca.enrollment.messages import (
     Done,
     EnrollmentOffer,
     Fetch,
+    Machine,
     Message,
     Reason,
     check_issued,
+    check_nonce,
     read,
-    transition,
     write,
 )
 from ca.enrollment.qr import Code
@@ -172,7 +173,7 @@ class Pending:
     acknowledgement: bytes
 
 
-class NodeEnrollment:
+class NodeEnrollment(Machine[NodeState]):
     def __init__(
         self,
         signer: Signer,
@@ -192,8 +193,8 @@ class NodeEnrollment:
         """
         if len(secret) not in {0, qr.SECRET_SIZE} or len(contribution) != NONCE_SIZE:
             raise EnrollmentRefused("an enrollment needs 16 octets of each random value")
+        super().__init__(_S.SHOWING, NODE_TABLE)
         self.request = check_request(csr, domain, wildcard=wildcard)
-        self.state = _S.SHOWING
         self.end_reason: EnrollmentRefused | None = None
         self.expires = expires
         self._signer = signer
@@ -221,12 +222,7 @@ class NodeEnrollment:
         """Process one message; returns the answers. On an error the connection must be closed."""
         self.tick(now)
         self._check_not_over()
-        message = read(data)
-        method, followers = transition(NODE_TABLE, self.state, message)
-        action: Callable[[Message, int], list[bytes]] = getattr(self, method)
-        before = self.state
-        answers = action(message, now)
-        assert self.state in {before, *followers}  # noqa: S101 - the table is the truth
+        answers: list[bytes] = self._take(read(data), now)
         return answers
 
     def confirm(self, digits: str, now: int) -> Pending:
@@ -353,11 +349,11 @@ AUTHORITY_TABLE: Final[dict[tuple[_A, type[Message]], tuple[str, tuple[_A, ...]]
 }
 
 
-class AuthorityEnrollment:
+class AuthorityEnrollment(Machine[AuthorityState]):
     """One enrollment of the node whose code was read; used once."""
 
     def __init__(self, code: Code, domain: str, *, wildcard: bool = False) -> None:
-        self.state = _A.FETCHING
+        super().__init__(_A.FETCHING, AUTHORITY_TABLE)
         self.digits = ""
         self._code = code
         self._domain = domain
@@ -381,19 +377,16 @@ class AuthorityEnrollment:
     def receive(self, data: bytes, now: int) -> None:
         """Process one message of the node."""
         self.tick(now)
-        message = read(data)
-        method, followers = transition(AUTHORITY_TABLE, self.state, message)
-        action: Callable[[Message, int], None] = getattr(self, method)
-        before = self.state
-        action(message, now)
-        assert self.state in {before, *followers}  # noqa: S101 - the table is the truth
+        self._take(read(data), now)
 
     def approve(self, now: int) -> None:
         self.tick(now)
-        self._move(_A.COMPARED, _A.APPROVED)
+        self._require(_A.COMPARED)
+        self.state = _A.APPROVED
 
     def deny(self) -> None:
-        self._move(_A.COMPARED, _A.OVER)
+        self._require(_A.COMPARED)
+        self.state = _A.OVER
 
     def offer(self, chain: Sequence[bytes], root: bytes, nonce: bytes, now: int) -> bytes:
         """Return the offer to send, and to send again unchanged when the connection breaks.
@@ -407,9 +400,9 @@ class AuthorityEnrollment:
         offered = (identity.domain, identity.name, identity.wildcard, identity.thumbprint)
         if offered != ours:
             raise EnrollmentRefused("the certificate is not the one that was asked for")
-        if len(nonce) != NONCE_SIZE:
-            raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
-        self._move(_A.APPROVED, _A.OFFERED)
+        check_nonce(nonce)
+        self._require(_A.APPROVED)
+        self.state = _A.OFFERED
         self.deadline = now + WINDOW
         self._transcript = transcript(self.csr, chain, root, nonce)
         secret = self._code.secret
@@ -423,11 +416,6 @@ class AuthorityEnrollment:
         if self.deadline and now > self.deadline:
             self.state = _A.OVER
             raise EnrollmentExpired("the enrollment was not finished in time", "show a new code on the node")
-
-    def _move(self, begin: AuthorityState, end: AuthorityState) -> None:
-        if self.state is not begin:
-            raise EnrollmentOver(f"not possible in state {self.state.value!r}")
-        self.state = end
 
     def _compare(self, message: Delivery, _: int) -> None:
         # Check the hash first: a request that does not match the code is not parsed.

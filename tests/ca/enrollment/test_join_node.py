@@ -8,7 +8,6 @@ import pytest
 from ca.enrollment.invitation import InvitationCode
 from ca.enrollment.join import (
     NODE_TABLE,
-    NODE_WITHOUT_MESSAGE,
     AuthorityJoin,
     AuthorityJoinState,
     ClaimMessage,
@@ -329,6 +328,14 @@ def test_the_states_are_those_of_the_specification() -> None:
     for states, section in ((NodeJoinState, node), (AuthorityJoinState, authority)):
         found = set(re.findall(r"\b[A-Z]{4,}\b", section)) - {"MUST", "SHOULD", "FALSE"}
         assert found == {state.name for state in states}
+
+
+# The transitions that no message causes.
+NODE_WITHOUT_MESSAGE = (
+    (NodeJoinState.WELCOMED, NodeJoinState.CLAIMED, "claim()"),
+    (NodeJoinState.WELCOMED, NodeJoinState.PROVED, "join()"),
+    (NodeJoinState.NAMED, NodeJoinState.PROVED, "join()"),
+)
 
 
 def test_every_state_is_reached() -> None:
