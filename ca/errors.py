@@ -218,7 +218,3 @@ class ApprovalRefused(CAError):
 
 class ApprovalOver(ApprovalRefused):
     """An approval that is unknown, or was carried out or ended already."""
-
-
-class ConsoleExtraMissing(ApprovalRefused):
-    """The library that reads passkeys is not installed."""

@@ -155,8 +155,13 @@ class ForeignDomain:
             raise DomainsRefused(f"domain {self.domain} admits no name, or too many patterns")
         for pattern in self.admitted:
             check_pattern(pattern)
-        for rules in (self.exported, self.imported):
-            _check_rules(rules or ())
+        for rules in (self.exported or (), self.imported or ()):
+            if len(rules) > MAX_RULES:
+                raise DomainsRefused(f"more than {MAX_RULES} exports or imports of one domain")
+            for pattern, rights in rules:
+                check_pattern(pattern)
+                if type(rights) is not int or not 0 < rights <= ALL_RIGHTS:
+                    raise DomainsRefused(f"unknown or no right on {pattern}")
         whole = is_number(self.fresh) and is_number(self.until)
         if not (whole and LEAST_FRESH <= self.fresh <= MOST_FRESH and self.until > 0):
             raise DomainsRefused(
@@ -322,15 +327,6 @@ def _rules(value: Any) -> tuple[NameRights, ...]:
             case _:
                 raise DomainsRefused("an export or import of a domain is not [pattern, rights]")
     return tuple(rules)
-
-
-def _check_rules(rules: tuple[NameRights, ...]) -> None:
-    if len(rules) > MAX_RULES:
-        raise DomainsRefused(f"more than {MAX_RULES} exports or imports of one domain")
-    for pattern, rights in rules:
-        check_pattern(pattern)
-        if type(rights) is not int or not 0 < rights <= ALL_RIGHTS:
-            raise DomainsRefused(f"unknown or no right on {pattern}")
 
 
 def _check_sorted(items: list[Any]) -> None:

@@ -97,7 +97,10 @@ def _walk(path: Path) -> Iterator[tuple[Path, os.stat_result, bool]]:
 def _check_owner(path: Path, status: os.stat_result) -> None:
     if status.st_uid in {os.geteuid(), 0}:
         return
-    owner, word = _user(status.st_uid)
+    try:
+        owner = word = pwd.getpwuid(status.st_uid).pw_name
+    except KeyError:
+        owner, word = f"user {status.st_uid}", f"'#{status.st_uid}'"
     if os.geteuid() == 0:
         raise PathRefused(
             f"{path} belongs to {owner}, who could change what root trusts here",
@@ -110,22 +113,19 @@ def _check_owner(path: Path, status: os.stat_result) -> None:
 
 
 def _check_writers(path: Path, status: os.stat_result) -> None:
-    others = status.st_mode & stat.S_IWOTH
-    group = status.st_mode & stat.S_IWGRP
-    if others or (group and not _is_private_group(path, status)):
+    is_safe = not status.st_mode & stat.S_IWOTH
+    if is_safe and status.st_mode & stat.S_IWGRP:
+        try:
+            os.getxattr(path, _ACL)
+            is_safe = False  # with an ACL, the group bits are its mask
+        except OSError:
+            is_safe = _is_user_private_group(status.st_gid, status.st_uid)
+    if not is_safe:
         if status.st_mode & stat.S_ISVTX:
             raise PathRefused(f"{path} can be written by others", "use a directory of yours in it")
         raise PathRefused(
             f"{path} can be written by others", f"check its content; if it was not changed: chmod go-w {path}"
         )
-
-
-def _is_private_group(path: Path, status: os.stat_result) -> bool:
-    try:
-        os.getxattr(path, _ACL)
-    except OSError:
-        return _is_user_private_group(status.st_gid, status.st_uid)
-    return False  # with an ACL, the group bits are its mask
 
 
 @lru_cache(maxsize=64)
@@ -137,11 +137,3 @@ def _is_user_private_group(group: int, owner: int) -> bool:
     members, names = set(found.gr_mem), {name, "root"}
     belong = {user.pw_name for user in pwd.getpwall() if user.pw_gid == group and user.pw_uid}
     return found.gr_name == name and members | belong <= names
-
-
-def _user(number: int) -> tuple[str, str]:
-    try:
-        name = pwd.getpwuid(number).pw_name
-    except KeyError:
-        return f"user {number}", f"'#{number}'"
-    return name, name

@@ -51,7 +51,16 @@ def generate() -> ec.EllipticCurvePrivateKey:
 
 
 def write_private(path: Path, key: ec.EllipticCurvePrivateKey, passphrase: str | None = None) -> None:
-    pem = _to_pem(key, passphrase)
+    if passphrase is None:
+        pem = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    elif not passphrase:
+        raise PassphraseRefused("the passphrase is empty", "choose one, or ask for none explicitly")
+    else:
+        plain = key.private_bytes(Encoding.DER, PrivateFormat.PKCS8, NoEncryption())
+        salt, iv = secrets.token_bytes(passphrases.SALT_SIZE), secrets.token_bytes(passphrases.IV_SIZE)
+        text = base64.b64encode(passphrases.encrypt(plain, passphrase.encode(), salt=salt, iv=iv))
+        lines = [text[start : start + 64] for start in range(0, len(text), 64)]
+        pem = b"\n".join([_ENCRYPTED, *lines, _END, b""])
     try:
         descriptor = os.open(path, _CREATE, 0o600)
     except FileExistsError:
@@ -109,18 +118,6 @@ def _open(pem: bytes, passphrase: str) -> PrivateKeyTypes:
     encrypted = base64.b64decode(b"".join(text.split()), validate=True)
     passphrases.check_cost(encrypted)
     return load_der_private_key(encrypted, passphrase.encode())
-
-
-def _to_pem(key: ec.EllipticCurvePrivateKey, passphrase: str | None) -> bytes:
-    if passphrase is None:
-        return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-    if not passphrase:
-        raise PassphraseRefused("the passphrase is empty", "choose one, or ask for none explicitly")
-    plain = key.private_bytes(Encoding.DER, PrivateFormat.PKCS8, NoEncryption())
-    salt, iv = secrets.token_bytes(passphrases.SALT_SIZE), secrets.token_bytes(passphrases.IV_SIZE)
-    text = base64.b64encode(passphrases.encrypt(plain, passphrase.encode(), salt=salt, iv=iv))
-    lines = [text[start : start + 64] for start in range(0, len(text), 64)]
-    return b"\n".join([_ENCRYPTED, *lines, _END, b""])
 
 
 def _read(path: Path) -> bytes:

@@ -234,9 +234,7 @@ class Profile:
             and data.startswith(_SIGNATURE_HEAD, end)
         ):
             return body, data[-2 * _COORDINATE :]
-        return self._split_by_decoding(data, limit)
-
-    def _split_by_decoding(self, data: bytes, limit: int) -> tuple[bytes, bytes]:
+        # Not that form: decoded, only to say what is wrong with it.
         if data[:1] != _SIGN1_TAG:
             raise SignatureError("not a COSE_Sign1 statement")
         match decode(data[1:], limit=limit):

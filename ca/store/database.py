@@ -194,17 +194,21 @@ def fault(path: Path, error: sqlite3.Error) -> StoreError:
         return RecordUnusable(f"{path} is damaged: {error}", "restore it from a backup, with --list")
     if code == sqlite3.SQLITE_CONSTRAINT:
         return StoreError(f"the record refuses the entry: {error}")
-    if code in {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN} and _is_full(path.parent):
-        code = sqlite3.SQLITE_FULL
+    if code in {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN}:  # said of a full disk too
+        with suppress(OSError):
+            found = os.statvfs(path.parent)
+            if found.f_bavail * found.f_frsize < _MIN_FREE:
+                code = sqlite3.SQLITE_FULL
     what, hint = _FAULTS.get(code, (f"{error}, nothing was changed", "run the command again"))
     return RecordUnusable(f"{path} cannot be used: {what}", hint)
 
 
-def _is_full(directory: Path) -> bool:
-    with suppress(OSError):
-        found = os.statvfs(directory)
-        return found.f_bavail * found.f_frsize < _MIN_FREE
-    return False
+@contextmanager
+def _faults(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise fault(path, error) from error
 
 
 def create(db: sqlite3.Connection) -> None:
@@ -279,10 +283,8 @@ class Database:
         except OSError as error:
             raise StoreError(f"cannot create {path}: {error.strerror}") from error
         database = cls(_connect(path), path)
-        try:
+        with _faults(path):
             _configure(database.connection)
-        except sqlite3.Error as error:
-            raise fault(path, error) from error
         with database.transaction() as db:
             create(db)
         return database
@@ -326,10 +328,8 @@ class Database:
 
     def snapshot(self) -> bytes:
         """The whole file as of this moment, also while others write."""
-        try:
+        with _faults(self._path):
             return self.connection.serialize()
-        except sqlite3.Error as error:
-            raise fault(self._path, error) from error
 
     def logged(self, what: str, clause: str = "ORDER BY rowid", *values: object) -> list[Any]:
         """The rows about which log entries of the kind `what` are, with the columns of the digest."""
@@ -344,11 +344,9 @@ class Database:
 
     def check(self) -> None:
         """Return if the file is undamaged and has only the triggers and views of rossec."""
-        try:
+        with _faults(self._path):
             check_no_foreign_objects(self.connection)
             found = self.connection.execute("PRAGMA quick_check").fetchall()
-        except sqlite3.Error as error:
-            raise fault(self._path, error) from error
         if found != [("ok",)]:
             raise StoreError(f"{self._path} is damaged: {found[0][0]}", "restore another backup")
 
@@ -358,7 +356,7 @@ class Database:
 
         A nested one is rolled back alone if it fails, and committed with the outer one.
         """
-        try:
+        with _faults(self._path):
             begin, commit, rollback = _SAVEPOINT if self.connection.in_transaction else _TRANSACTION
             self.connection.execute(begin)
             try:
@@ -378,8 +376,6 @@ class Database:
                     for statement in rollback:
                         self.connection.execute(statement)
                 raise
-        except sqlite3.Error as error:
-            raise fault(self._path, error) from error
 
     @contextmanager
     def read_transaction(self) -> Iterator[None]:
@@ -395,12 +391,10 @@ class Database:
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    try:
+    with _faults(path):
         return sqlite3.connect(
             f"{path.absolute().as_uri()}?mode=rw", timeout=BUSY_TIMEOUT, isolation_level=None, uri=True
         )
-    except sqlite3.Error as error:
-        raise fault(path, error) from error
 
 
 def _configure(db: sqlite3.Connection) -> None:

@@ -109,9 +109,11 @@ class Store:
                     f"rossec ca renew --expired {name}, then on its machine: rossec node install"
                     f" FILE; its key and its grants are kept",
                 )
+            near = closest(name, {row.name for row in self.identities.all()} - {name})
+            meant = "" if near is None else f"did you mean {near}? else "
             raise StoreError(
                 f"{name} has no valid identity here",
-                f"{self._meant(name)}first enroll it: rossec node request {name}, then"
+                f"{meant}first enroll it: rossec node request {name}, then"
                 " rossec ca sign FILE; where an intermediate enrolled or renewed it:"
                 " rossec ca import NODE.pem"
                 if certified == name
@@ -137,10 +139,6 @@ class Store:
         if not rows or rows[-1].thumbprint in self.revoked_entries():
             return None
         return rows[-1]
-
-    def _meant(self, name: str) -> str:
-        near = closest(name, {row.name for row in self.identities.all()} - {name})
-        return "" if near is None else f"did you mean {near}? else "
 
     def add_grant(self, row: GrantRow, now: int, rules: str = "") -> None:
         """Record a grant before it is delivered; `rules`: those of the policy it came from."""

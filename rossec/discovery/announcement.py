@@ -54,25 +54,22 @@ class Announcement:
     seq: int  # counts the announcements of one instance
     issued: int  # issued, max_age: seconds; it is valid until `issued + max_age`
     max_age: int = MAX_AGE
-    # of its graph, a hint to ask it now; None: it does not say, as masters before rossec knew several of
-    # them, whose nodes refuse an announcement that has one
-    version: int | None = None
+    version: int = 0  # of its graph, a hint to ask it now
 
 
 def sign(signer: Signer, chain: tuple[bytes, ...], announcement: Announcement) -> bytes:
     _check(announcement)
     certificates: list[Value] = [*chain]
-    version: dict[int | str, Value] = {} if announcement.version is None else {_VERSION: announcement.version}
     data = PROFILE.sign(
         signer,
         {
-            **version,
             _IAT: announcement.issued,
             _MAX_AGE: announcement.max_age,
             _HOST: announcement.host,
             _PORT: announcement.port,
             _INSTANCE: announcement.instance,
             _SEQ: announcement.seq,
+            _VERSION: announcement.version,
             _CHAIN: certificates,
         },
     )
@@ -132,12 +129,10 @@ def _read(payload: Value) -> tuple[Announcement, list[bytes]]:
             -70012: int() as port,
             -70013: bytes() as instance,
             -70014: int() as seq,
+            -70015: int() as version,
             33: list() as items,
             **rest,
-        } if rest.keys() <= {_VERSION}:
-            version = rest.get(_VERSION)
-            if version is not None and not isinstance(version, int):
-                raise AnnouncementRefused("the announcement's version is no number")
+        } if not rest:
             announcement = Announcement(host, port, instance, seq, issued, max_age, version)
         case _:
             raise AnnouncementRefused("the announcement has missing or unknown fields")
@@ -149,7 +144,7 @@ def _read(payload: Value) -> tuple[Announcement, list[bytes]]:
 
 
 def _check(announcement: Announcement) -> None:
-    version = 0 if announcement.version is None else announcement.version
+    version = announcement.version
     numbers = (version, announcement.port, announcement.seq, announcement.issued, announcement.max_age)
     if any(isinstance(number, bool) or number < 0 for number in numbers):
         raise AnnouncementRefused("a number in the announcement is out of range")
