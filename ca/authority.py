@@ -1,9 +1,7 @@
 """The authority: creates a trust domain's root, and issues certificates to its nodes.
 
-It issues exactly what a request shows (name and key) and nothing the approver did not see; a
-wildcard tail only if the approver asks for it. Time and randomness are arguments. What a signer is
-given is read before the key signs it: of the bytes of a TBSCertificate (RFC 5280 section 4.1) only
-the two forms that an authority issues are accepted, for its own trust domain and issuer.
+It issues exactly what a request shows (name and key) and nothing the approver did not see. Time and
+randomness are arguments. What a signer is given is read before the key signs it (`read_unsigned`).
 """
 
 from typing import Final, NamedTuple
@@ -32,7 +30,7 @@ DAY: Final = 86_400
 LIFETIME: Final = 30 * DAY
 MAX_LIFETIME: Final = 366 * DAY
 ROOT_LIFETIME: Final = 3650 * DAY
-_SERIAL_LIMIT: Final = 1 << 128
+_SERIAL_LIMIT: Final = 1 << 128  # RFC 5280 section 4.1.2.2 allows 20 octets; 16 random ones never collide
 
 # AlgorithmIdentifier: ecdsa-with-SHA256, without parameters (RFC 5758 section 3.2).
 _ECDSA_WITH_SHA256: Final = bytes.fromhex("300a06082a8648ce3d040302")
@@ -47,7 +45,6 @@ class Authority:
     """
 
     def __init__(self, signer: Signer, certificate: bytes, intermediate: bytes | None = None) -> None:
-        """Combine the key with the root's certificate (DER), or with an intermediate's below it."""
         self.anchor = TrustAnchor.load(certificate)
         self.issuer: TrustAnchor | Intermediate = self.anchor
         self.chain: tuple[bytes, ...] = ()
@@ -81,11 +78,12 @@ class Authority:
                 "this intermediate may renew identities, not enroll nodes",
                 "enroll at the root, or make an intermediate that may enroll",
             )
+        # A wildcard tail is the approver's word: one that only the request asks for is refused.
         request = check_request(csr, self.anchor.domain, wildcard=wildcard)
         return self._issue(request.name, request.public_key, now, serial, lifetime, wildcard=wildcard)
 
     def renew(self, renewal: Renewal, *, now: int, serial: int, lifetime: int = LIFETIME) -> bytes:
-        """Return the successor (DER) of an identity, with at most the same lifetime."""
+        # Never longer than before: who once got a day does not make a year of it by renewals.
         key, longest = renewal.request.public_key, min(lifetime, renewal.max_lifetime)
         return self.reissue(renewal.identity, key, now=now, serial=serial, lifetime=longest)
 
@@ -98,14 +96,13 @@ class Authority:
         serial: int,
         lifetime: int = LIFETIME,
     ) -> bytes:
-        """Return a successor (DER) of `identity` for `key`; the caller has authorized it."""
         return self._issue(identity.name, key, now, serial, lifetime, wildcard=identity.wildcard)
 
     def issue_intermediate(
         self, csr: bytes, *, now: int, serial: int, may_enroll: bool, lifetime: int
     ) -> bytes:
-        """Return the certificate (DER) of an intermediate; `may_enroll` sets its policy."""
         key = check_intermediate_request(csr, self.anchor.domain)
+        # An intermediate has path length 0: what it signed as an authority, no node would take.
         if not self.is_root or self.anchor.path_length == 0:
             raise CAError(
                 "this authority may have no intermediates",
@@ -213,9 +210,12 @@ class UnsignedCertificate(NamedTuple):
 
 def read_unsigned(content: bytes, issuer: x509.Name, domain: str) -> UnsignedCertificate:
     """Read a TBSCertificate (DER) that `issuer`, an authority of `domain`, is to sign."""
+    # Of a TBSCertificate (RFC 5280 section 4.1) only the two forms that an authority issues are accepted: the
+    # process that holds the key does not sign whatever the process before it, which talks to strangers, says.
     # Completed with an empty signature, it is parsed as every certificate is.
     certificate = svid.parse(der(SEQUENCE, content, _ECDSA_WITH_SHA256, _NO_SIGNATURE))
     found = svid.certificate_signature(certificate, issuer)
+    # Parsers may skip what they do not know: these are the very bytes that will be signed.
     if found is None or found.content != content:
         raise CertificateRefused("a certificate of another issuer, algorithm or form")
     svid.key_of(certificate)

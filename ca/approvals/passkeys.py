@@ -1,10 +1,8 @@
 """Passkeys: their registration, their assertions, and the approvals that are recorded with them. Pure.
 
-The order of checks is that of Web Authentication section 7.2: type, challenge, origin, no embedding
-page, RP id, user present, user verified, counter, signature. Only ES256 is accepted. A passkey that
-is synchronized between devices always has the counter 0: what stops a replay is the id of a
-statement, which the record takes once. Everything that convinced the service is kept: whoever has
-the record and trusts its passkeys can check later that every act was approved by a touch.
+The order of checks is that of Web Authentication section 7.2. Only ES256 is accepted. Everything that
+convinced the service is kept: whoever has the record and trusts its passkeys can check later that
+every act was approved by a touch.
 """
 
 import base64
@@ -54,7 +52,9 @@ class Ceremony(StrEnum):
 
 
 def check_client_data(data: bytes, ceremony: Ceremony, challenge: bytes, origin: str) -> None:
+    # Web Authentication section 7.2: the type, the challenge, the origin, no embedding page.
     value = _parse(data)
+    # A registration must not serve as an approval, nor the other way round.
     if value.get("type") != ceremony:
         raise ApprovalRefused(f"the passkey was not used for {ceremony}", "try again on the page")
     if value.get("challenge") != base64url(challenge):
@@ -66,6 +66,7 @@ def check_client_data(data: bytes, ceremony: Ceremony, challenge: bytes, origin:
             f"the passkey was used at {str(found)[:80]!a} instead of {origin}",
             "open the console by its own address, and register the phone there",
         )
+    # In a frame of another page a person sees what that page wants.
     if value.get("crossOrigin", False) is not False or "topOrigin" in value:
         raise ApprovalRefused(
             "the passkey was used inside another page", "open the console in a tab of its own"
@@ -123,6 +124,7 @@ class AuthenticatorData(NamedTuple):
             raise ApprovalRefused(
                 f"the passkey does not belong to {rp_id}", "register this phone at this console"
             )
+        # Verified too: whoever finds a phone that is not locked must not approve with it.
         if not (self.flags & _PRESENT and self.flags & _VERIFIED):
             raise ApprovalRefused(
                 "the passkey was used without a finger, face or PIN",
@@ -169,6 +171,8 @@ def verify(assertion: Assertion, passkey: Passkey, challenge: bytes, counter: in
     check_client_data(assertion.client_data, Ceremony.GET, challenge, passkey.origin)
     data = AuthenticatorData.read(assertion.authenticator_data)
     data.check(passkey.rp_id)
+    # A passkey that is synchronized between devices always has the counter 0: what stops a replay then is the
+    # id of the statement, which the record takes once.
     if (data.counter or counter) and data.counter <= counter:
         raise ApprovalRefused(
             f"the counter of the passkey {passkey.name!a} is {data.counter} and was {counter}",
@@ -251,7 +255,6 @@ def register(
 
 
 def to_approve(passkey: Passkey) -> NewPasskey:
-    """What another phone approves when it adds `passkey`."""
     return NewPasskey(passkey.id, sha256(passkey.cose_key).digest(), passkey.name)
 
 
@@ -279,7 +282,6 @@ class Approval(NamedTuple):
 
     @classmethod
     def of(cls, statement: Statement, payload: bytes, assertion: Assertion, at: int) -> Self:
-        """The approval of `statement` by `assertion`, not verified."""
         kind, data = int(statement.kind), statement.to_bytes()
         return cls(statement.id, kind, statement.subject, data, payload, *assertion, at)
 
@@ -311,7 +313,6 @@ class ApprovalVerifier:
         self._passkeys[passkey.id] = passkey
 
     def verify(self, approval: Approval) -> Statement:
-        """The statement that this approval approves."""
         statement = approval.read()
         passkey = self._passkeys.get(approval.passkey)
         if passkey is None:

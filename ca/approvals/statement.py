@@ -2,8 +2,7 @@
 
 One statement has one encoding (deterministic CBOR), and one id that is used once: a signature is
 for one act. Each kind says all that the act gives away, directly or as the SHA-256 of a payload
-that is kept with the approval. Numbers of kinds and orders of fields are never used again for
-another meaning: the record is verified by them for ever (`docs/spec/approvals.md`).
+that is kept with the approval (`docs/spec/approvals.md`).
 """
 
 from collections.abc import Callable, Mapping
@@ -29,6 +28,7 @@ _HINT: Final = "ask again: the statement may come from another version of rossec
 class StatementKind(IntEnum):
     """What is approved. `FOREIGN_DOMAIN` is reserved: nothing asks for it yet."""
 
+    # Numbers, and orders of fields, never get another meaning: the record is verified by them for ever.
     ENROLL = 1
     GRANT = 2
     POLICY = 3
@@ -191,6 +191,7 @@ class Statement(NamedTuple):
 
     def to_bytes(self) -> bytes:
         _check(self)
+        # The head of the log: what was approved before a restore says nothing about the record after it.
         log: Value = [self.log_size, self.log_root]
         head: list[Value] = [VERSION, int(self.kind), self.id, self.domain, self.made, self.until]
         fields: list[Value] = [*self.what]

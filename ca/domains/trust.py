@@ -1,10 +1,8 @@
 """Foreign trust domains: their cards, the signed list of them, and whom a node trusts to name somebody.
 
-A card is signed by the root key in it: it proves that its maker has the key, and nothing about who
-that is, so the fingerprint is compared over another way. The list is the own authority's, ordered
-as the revocation list: the higher (epoch, seq) wins, an older one is refused. The domain in a leaf
-is a lookup key only: exactly one root is tried. What a foreign root says counts for the names that
-the list admits and for nothing else; its wildcard tails are not honoured. docs/spec/domains.md
+The list is the own authority's, ordered as the revocation list: the higher (epoch, seq) wins, an
+older one is refused. What a foreign root says counts for the names that the list admits and for
+nothing else. docs/spec/domains.md
 """
 
 import re
@@ -100,7 +98,8 @@ def sign_card(signer: Signer, card: Card) -> bytes:
 
 
 def open_card(data: bytes, now: int) -> Card:
-    """Verify a card by the root in it, and read it."""
+    # Signed by the root key in it: that proves that its maker has the key, and nothing about who that is, so a
+    # person compares the fingerprint over another way.
     try:
         card = _read_card(CARD.peek(data, limit=MAX_CARD))  # the key to verify with is in it
         CARD.open(data, card.anchor.public_key, limit=MAX_CARD)
@@ -256,6 +255,7 @@ def _check_own(domains: DomainList, own_domain: str, own_key: bytes) -> None:
     for each in domains.domains:
         if each.domain == own_domain:
             raise DomainsRefused("the list of foreign domains names the own one", "rossec domain list")
+        # Its nodes would be strangers by one name and own nodes by the other.
         if to_coordinates(each.anchor.public_key) == own_key:
             raise DomainsRefused(f"the root of {each.domain} is this authority's own key")
 
@@ -340,8 +340,8 @@ class ListedDomain:
     anchor: TrustAnchor
 
     def verify(self, chain: Sequence[bytes], now: int) -> Identity:
-        """The identity of a node of this domain, under its alias."""
         entry = self.entry
+        # 1. This side still trusts the domain; 2. the chain is of its root; 3. this side admits the name.
         if now >= entry.until:
             raise NotAdmitted(f"the trust in domain {entry.label} has ended", ADMIT_HINT)
         identity = self.anchor.verify(chain, now)
@@ -351,6 +351,7 @@ class ListedDomain:
             alias = alias_of(entry.label, identity.name)
         except NameRefused as error:
             raise NotAdmitted(f"a foreign node has no alias here: {error}") from error
+        # A tail of theirs is not honoured: it would admit names that nobody here has listed.
         return replace(
             identity,
             name=alias,
@@ -401,6 +402,7 @@ class Anchors:
         new, held = open_domains(data, self.own), self._snapshot
         if new.number < self._floor:
             raise DomainsRefused("an older list of domains than one seen before", "find the sender")
+        # The same number twice: two authorities have one key, or its record went back.
         if held.current is not None and new.number == held.current.number and data != held.data:
             raise DomainsRefused(
                 "there are two different lists of domains with one number",
@@ -425,7 +427,8 @@ class Anchors:
         if not held.by_domain or not chain:
             return self.own.verify(chain, now)
         try:
-            domain = svid.claimed_domain(svid.parse(chain[0]))  # not trusted: it selects the root to try
+            # Not trusted: it selects the one root that is tried, so no root can speak for another's domain.
+            domain = svid.claimed_domain(svid.parse(chain[0]))
         except CertificateRefused:
             domain = ""
         if domain == self.own.domain or domain not in held.by_domain:

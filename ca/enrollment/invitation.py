@@ -98,7 +98,6 @@ class InvitationCode:
 
     @cached_property
     def signer(self) -> KeySigner:
-        """The key derived from the secret and the root's hash."""
         info = encode([_KEY, self.root])
         octets = HKDF(SHA256(), _KEY_OCTETS, salt=None, info=info).derive(self.secret)
         scalar = int.from_bytes(octets) % (_ORDER - 1) + 1
@@ -309,7 +308,6 @@ class JoinRequest:
         return cls(data[:ID_SIZE], data[ID_SIZE:_SIZES], asked, data[csr:], proof, data[metadata:csr])
 
     def verify(self, point: bytes) -> None:
-        """Return if it was made with the secret of the invitation whose key is `point`."""
         key = public_key(point)
         check_proof(self.proof, key, self.transcript, self.csr, self.name, self.metadata)
 
@@ -342,5 +340,4 @@ class JoinClaim:
         return cls(data[:ID_SIZE], transcript, data[metadata:], data[_CLAIM_HEAD:metadata])
 
     def verify(self, point: bytes) -> None:
-        """Return if it was made with the secret of the invitation whose key is `point`."""
         check_claim(self.proof, public_key(point), self.transcript, self.metadata)

@@ -97,15 +97,11 @@ class ClaimMessage:
 
 @dataclass(frozen=True)
 class Named:
-    """Authority to node: the name that the rules give for its metadata."""
-
     name: str
 
 
 @dataclass(frozen=True)
 class Issued:
-    """Authority to node: its certificate, and an intermediate's if there is one (DER)."""
-
     chain: tuple[bytes, ...]
 
 
@@ -118,8 +114,6 @@ class WaitingMessage:
 
 @dataclass(frozen=True)
 class RefusedMessage:
-    """Authority to node: no."""
-
     reason: RefuseReason
 
 
@@ -251,7 +245,6 @@ class NodeJoin(Machine[NodeJoinState]):
 
     @property
     def name(self) -> str:
-        """The name that the authority's rules gave, within the invitation."""
         if not self._name:
             raise EnrollmentOver("the authority has given no name")
         return self._name
@@ -264,7 +257,6 @@ class NodeJoin(Machine[NodeJoinState]):
         return self._identity
 
     def receive(self, data: bytes, now: int) -> None:
-        """Process one message of the authority; a refusal ends the session."""
         try:
             self._take(read(data), now)
         except CAError:

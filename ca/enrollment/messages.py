@@ -38,15 +38,11 @@ class Fetch:
 
 @dataclass(frozen=True)
 class Delivery:
-    """Node to authority: the request, a CSR in DER."""
-
     csr: bytes
 
 
 @dataclass(frozen=True)
 class EnrollmentOffer:
-    """Authority to node: the node's identity and its trust anchor."""
-
     chain: tuple[bytes, ...]  # the node's certificate and at most one intermediate (DER)
     root: bytes
     nonce: bytes
@@ -65,8 +61,6 @@ class Done:
 
 @dataclass(frozen=True)
 class Abort:
-    """Either side: ends the enrollment."""
-
     reason: Reason
 
 

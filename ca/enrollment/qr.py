@@ -83,7 +83,6 @@ def label_code(request: bytes) -> str:
 
 
 def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> str:
-    """Text of a code that also carries a one-time `secret`, its expiry and the node's address."""
     if len(secret) != SECRET_SIZE or not 0 < len(address) <= _MAX_ADDRESS or not address.isascii():
         raise CodeRefused(
             "a screen code needs 16 bytes of secret and an address of 1 to 64 ASCII characters",

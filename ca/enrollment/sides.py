@@ -163,8 +163,6 @@ NODE_TABLE: Final[dict[tuple[_S, type[Message]], tuple[str, tuple[_S, ...]]]] = 
 
 @dataclass(frozen=True)
 class Pending:
-    """A valid offer to be confirmed by a person."""
-
     chain: tuple[bytes, ...]  # DER
     root: bytes  # DER
     anchor: TrustAnchor  # the root as it will be trusted
@@ -213,7 +211,6 @@ class NodeEnrollment(Machine[NodeState]):
 
     @property
     def pending(self) -> Pending:
-        """The offer that was acknowledged."""
         if self._pending is None:
             raise EnrollmentOver("there is no offer to confirm", "first, at the authority: enroll")
         return self._pending
@@ -350,8 +347,6 @@ AUTHORITY_TABLE: Final[dict[tuple[_A, type[Message]], tuple[str, tuple[_A, ...]]
 
 
 class AuthorityEnrollment(Machine[AuthorityState]):
-    """One enrollment of the node whose code was read; used once."""
-
     def __init__(self, code: Code, domain: str, *, wildcard: bool = False) -> None:
         super().__init__(_A.FETCHING, AUTHORITY_TABLE)
         self.digits = ""
@@ -375,7 +370,6 @@ class AuthorityEnrollment(Machine[AuthorityState]):
         return self._request
 
     def receive(self, data: bytes, now: int) -> None:
-        """Process one message of the node."""
         self.tick(now)
         self._take(read(data), now)
 
@@ -410,7 +404,6 @@ class AuthorityEnrollment(Machine[AuthorityState]):
         return write(EnrollmentOffer(tuple(chain), root, nonce, proof))
 
     def tick(self, now: int) -> None:
-        """Check the deadline at `now`."""
         if self.state in {_A.ENROLLED, _A.OVER}:
             return
         if self.deadline and now > self.deadline:

@@ -1,11 +1,8 @@
 """Owner and mode of files and directories that are trusted without a signature. Does I/O.
 
 A file is trusted only if it belongs to the user rossec runs as, or to root, and no other user can
-write it; it is opened first, and the open file is checked. The same holds for its directory and all
-above it, through every symbolic link; one above may be writable by others if it is sticky, as /tmp
-is (stat(2) S_ISVTX). OpenSSH does the same (StrictModes, sshd_config(5)). A user private group
-counts as its owner, as on systems with umask 002. Root is held to the same: files in a user's
-directory were written by that user.
+write it. The same holds for its directory and all above it, through every symbolic link. OpenSSH
+does the same (StrictModes, sshd_config(5)).
 """
 
 import grp
@@ -32,6 +29,8 @@ def check_directory(path: Path) -> None:
     """
     for part, status, is_last in _walk(path):
         _check_owner(part, status)
+        # One above may be writable by others if it is sticky, as /tmp is (stat(2) S_ISVTX): nobody else can
+        # then rename or remove what is in it.
         is_sticky = status.st_mode & stat.S_ISVTX
         if stat.S_ISDIR(status.st_mode) and (is_last or not is_sticky):
             _check_writers(part, status)
@@ -61,6 +60,7 @@ def open_trusted(path: Path, *, link: bool = False) -> int:
     check_directory(path.parent)
     if not link and path.is_symlink():
         raise PathRefused(f"{path} is a symbolic link", "put the file itself there")
+    # Opened first, and the open file is checked: the path may name another one a moment later.
     descriptor = os.open(path, _READ | (0 if link else os.O_NOFOLLOW))
     try:
         check_file(path, os.fstat(descriptor))
@@ -101,6 +101,7 @@ def _check_owner(path: Path, status: os.stat_result) -> None:
         owner = word = pwd.getpwuid(status.st_uid).pw_name
     except KeyError:
         owner, word = f"user {status.st_uid}", f"'#{status.st_uid}'"
+    # Root is held to the same: files in a user's directory were written by that user.
     if os.geteuid() == 0:
         raise PathRefused(
             f"{path} belongs to {owner}, who could change what root trusts here",
@@ -134,6 +135,7 @@ def _is_user_private_group(group: int, owner: int) -> bool:
         found, name = grp.getgrgid(group), pwd.getpwuid(owner).pw_name
     except KeyError:
         return False
+    # A group with its owner alone counts as the owner, as on systems with umask 002.
     members, names = set(found.gr_mem), {name, "root"}
     belong = {user.pw_name for user in pwd.getpwall() if user.pw_gid == group and user.pw_uid}
     return found.gr_name == name and members | belong <= names

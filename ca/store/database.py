@@ -1,10 +1,8 @@
 """The database file of the authority's record: SQLite, private to its owner, durable transactions.
 
-All tables but that of requests for identities are append-only: triggers refuse every change. Such a
-request follows `ca.store.values.TRANSITIONS`, also by triggers, and is deleted at its end. Every
-table in `LOGGED_TABLES` has its rows in the log. A foreign, damaged or missing file is refused
-without changing it. What is read to decide a change must be read inside `transaction`, which
-excludes every other command until it is made.
+All tables but that of requests for identities are append-only. Every table in `LOGGED_TABLES` has its
+rows in the log. A foreign, damaged or missing file is refused without changing it. What is read to
+decide a change must be read inside `transaction`, which excludes every other command until then.
 """
 
 import os
@@ -161,6 +159,7 @@ _TABLES: Final = (
         not_before INTEGER NOT NULL, expires INTEGER NOT NULL, at INTEGER NOT NULL
     ) STRICT""",
 )
+# Triggers stop mistakes, ours too; who owns the file can drop them, and is found by the log's signed heads.
 _NO_CHANGE: Final = """
 CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
 BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;
@@ -263,6 +262,7 @@ def append_entry(
     db: sqlite3.Connection, at: int, what: str, subject: str, detail: str, digest: bytes
 ) -> None:
     """Append an entry to the log, inside the transaction of the change it describes."""
+    # With the tree's peaks in each entry, an append costs the same for the first and the millionth.
     last = db.execute("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1").fetchone()
     number, peaks = (0, b"") if last is None else (last[0] + 1, last[1])
     entry = LogEntry(number, at, what, subject, detail, digest)
@@ -360,6 +360,7 @@ class Database:
             begin, commit, rollback = _SAVEPOINT if self.connection.in_transaction else _TRANSACTION
             self.connection.execute(begin)
             try:
+                # A restore puts another file in this place: what is written here would be lost.
                 try:
                     found = self._path.stat()
                 except OSError:
@@ -398,5 +399,7 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 def _configure(db: sqlite3.Connection) -> None:
+    # FULL: what was signed is on the disk before it is given out. No schema is trusted: a function in it would
+    # run here with the rights of the authority.
     for pragma in ("journal_mode = WAL", "synchronous = FULL", "trusted_schema = OFF"):
         db.execute(f"PRAGMA {pragma}")

@@ -85,7 +85,6 @@ class Replay:
         }
 
     def take(self, entry: LogEntry) -> None:
-        """Do what `entry` says."""
         step = self._steps.get(entry.what)
         if step is None:
             return

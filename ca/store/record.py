@@ -41,7 +41,6 @@ class Store:
 
     @classmethod
     def create(cls, path: Path) -> Self:
-        """Create a new, empty record, readable only by its owner."""
         return cls(Database.create(path))
 
     @classmethod

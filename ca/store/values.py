@@ -1,11 +1,9 @@
 """The rows of the authority's record as values, the life of a request, and the log as a Merkle tree.
 
-A request for an identity is pending, then approved or denied, then issued: a person approves, the
-authority issues, and both are recorded separately, as Kubernetes does. An entry of the log is one
+A request for an identity is pending, then approved or denied, then issued. An entry of the log is one
 action; its leaf is the deterministic CBOR of all its fields, and `digest` binds it to its row. The
-tree's peaks are stored with each entry, so that a difference is found where it is. The *head* is
-the authority's signature over size and root: triggers prevent mistakes, but only a head stored
-elsewhere prevents the file's owner from rewriting the log.
+*head* is the authority's signature over size and root: only one stored elsewhere prevents the file's
+owner from rewriting the log.
 """
 
 import hashlib
@@ -92,6 +90,7 @@ class RequestState(StrEnum):
         )
 
 
+# A person approves, the authority issues, and both are recorded separately, as Kubernetes does.
 TRANSITIONS: Final[dict[RequestState, frozenset[RequestState]]] = {
     RequestState.PENDING: frozenset({RequestState.APPROVED, RequestState.DENIED}),
     RequestState.APPROVED: frozenset({RequestState.ISSUED, RequestState.DENIED}),
@@ -184,6 +183,7 @@ def check_entries(rows: Iterable[tuple[LogEntry, bytes]]) -> merkle.Tree:
     for position, (entry, recorded) in enumerate(rows):
         if entry.number != position:
             raise LogDamaged(f"log entry {position} is missing", _HINT)
+        # The peaks are stored with each entry, so that a difference is found where it is.
         peaks = extend_peaks(peaks, entry)
         if peaks != recorded:
             raise LogDamaged(f"log entry {position} was changed", _HINT)

@@ -46,8 +46,6 @@ _OTHER: Final = "other reasons"
 
 @dataclass(frozen=True)
 class Announcement:
-    """Where a master listens."""
-
     host: str  # its name or address, as for ROS clients
     port: int  # its TCP port
     instance: bytes  # 8 random bytes, new at every start
@@ -230,7 +228,6 @@ class Candidate:
         return self.announcement.issued + self.announcement.max_age
 
     def age(self, clock: float) -> float:
-        """Seconds since the last announcement."""
         return max(0.0, clock - self.heard[-1][1])
 
     def sent(self, clock: float) -> int:
@@ -245,7 +242,6 @@ class Candidate:
         return last - first + 1 + max(0, missed)
 
     def loss(self, clock: float) -> float:
-        """The share of these announcements that did not arrive, 0 to 1."""
         return 1 - len(self.heard) / self.sent(clock)
 
     def quality(self, clock: float) -> tuple[bool, float, float, str]:

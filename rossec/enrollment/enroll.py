@@ -305,7 +305,6 @@ def code_in_file(path: Path, stdin: BinaryIO) -> str:
 
 
 def code_in(data: bytes) -> str:
-    """As `code_in_file`, for the bytes of the picture."""
     if len(data) > MAX_FILE:
         raise ConfigurationError(f"the picture has more than {MAX_FILE} bytes", CLOSER)
     try:

@@ -62,8 +62,6 @@ async def no_names(_: JoinClaim) -> NameAnswer:
 
 
 class JoinServer:
-    """The join port of an authority."""
-
     def __init__(
         self,
         identity: Callable[[], LiveIdentity],  # of `/ca` as of now; it is renewed while this runs
