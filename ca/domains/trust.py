@@ -98,7 +98,7 @@ def sign_card(signer: Signer, card: Card) -> bytes:
 
 
 def open_card(data: bytes, now: int) -> Card:
-    # Signed by the root key in it: that proves that its maker has the key, and nothing about who that is, so a
+    # Signed by the root key in it: that proves that its maker has the key, and nothing about who that is. A
     # person compares the fingerprint over another way.
     try:
         card = _read_card(CARD.peek(data, limit=MAX_CARD))  # the key to verify with is in it

@@ -1,11 +1,8 @@
 """What lets nodes join: the code of an invitation, the tag that holds it, and the proofs of its secret.
 
-The code names the root by its hash, so a node knows the authority before it trusts anything. Its
-secret never leaves it: both sides derive a P-256 key from it, the authority keeps the public half.
-The transcript binds the invitation, a fresh nonce of each side and the authority's certificates;
-`/ca` signs it, the node signs it with its request, and neither signs what the other chooses.
-Requests and claims come from strangers: their octets are cut, not parsed, and nothing in them is
-looked at before the proof over their hashes is verified.
+The code names the root by its hash, so a node knows the authority before it trusts anything. `/ca`
+signs the transcript, the node signs it with its request. Requests and claims come from strangers:
+nothing in them is looked at before the proof over their hashes is verified.
 """
 
 import base64
@@ -98,6 +95,8 @@ class InvitationCode:
 
     @cached_property
     def signer(self) -> KeySigner:
+        # The secret never leaves the code: the authority keeps the public half, so a copy of its record lets
+        # nobody join. The root is in it: one secret at two authorities is two keys.
         info = encode([_KEY, self.root])
         octets = HKDF(SHA256(), _KEY_OCTETS, salt=None, info=info).derive(self.secret)
         scalar = int.from_bytes(octets) % (_ORDER - 1) + 1
@@ -205,6 +204,7 @@ def read(data: bytes) -> InvitationCode:
 def transcript(
     invitation: bytes, node_nonce: bytes, own_nonce: bytes, chain: Sequence[bytes], root: bytes
 ) -> bytes:
+    # The invitation, a fresh nonce of each side, the certificates: neither signs what the other chooses.
     certificates: list[Value] = [_digest(certificate) for certificate in chain]
     return _digest(encode([_CONTEXT, invitation, node_nonce, own_nonce, certificates, _digest(root)]))
 
@@ -299,6 +299,7 @@ class JoinRequest:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
+        # The octets are cut, not parsed: this is what the process with the key gets from the one without.
         name = _HEAD + int.from_bytes(data[_SIZES : _SIZES + 2])
         metadata = name + int.from_bytes(data[_SIZES + 2 : _SIZES + 3])
         csr = metadata + int.from_bytes(data[_SIZES + 3 : _HEAD])

@@ -1,8 +1,7 @@
 """A join, sans-IO: from the code of an invitation to an identity; both sides and their messages.
 
-The node says nothing of itself before the peer has shown that it is the authority *now*: a leaf for
-`/ca` under the root that the code names, whose key signed a transcript with this node's nonce. Then
-it proves the secret and sends its request, once a session. The authority's side talks to strangers:
+The node says nothing of itself before the peer has shown that it is the authority *now*. Then it
+proves the secret and sends its request, once a session. The authority's side talks to strangers:
 it has no record and not the authority's key, hands the request on and sends what it is given. A
 message that is not in the tables ends the session.
 """
@@ -53,6 +52,7 @@ class WaitReason(IntEnum):
 class RefuseReason(IntEnum):
     """Why a join was refused. A peer that did not prove the secret is told REFUSED or BUSY."""
 
+    # One word for both: a stranger does not learn which invitations there are.
     REFUSED = 1  # no such invitation, or the proof is wrong
     ENDED = 2  # it has expired, was ended or is used up
     NAME = 3  # it does not allow the name
@@ -290,13 +290,14 @@ class NodeJoin(Machine[NodeJoinState]):
         return write(Join(name, csr, proof, metadata))
 
     def _verify(self, message: Welcome, now: int) -> None:
-        # Check the hash first: a root that is not the code's is not parsed.
+        # 1. The hash first: a root that is not the code's is not parsed.
         if not compare_digest(sha256(message.root).digest(), self._code.root):
             raise EnrollmentRefused(
                 "another authority answers at the address of the invitation",
                 "is the invitation of this site? find out who answers there",
             )
         anchor = TrustAnchor.load(message.root)
+        # 2. A chain to that root, for `/ca`: every node has one, none but the authority's is taken.
         try:
             live = anchor.verify(message.chain, now)
         except (CertificateExpired, CertificateNotYetValid) as error:
@@ -305,13 +306,12 @@ class NodeJoin(Machine[NodeJoinState]):
             raise EnrollmentRefused(
                 f"the peer is not the authority: {error}", "find out who answers at that address"
             ) from error
-        # Every node has a chain to that root; none but `/ca` is taken.
         if live.name != AUTHORITY or live.wildcard:
             raise EnrollmentRefused(
                 f"the peer is {live.name}, a node of this site, and not its authority",
                 "it may be an attack: find out who answers at that address",
             )
-        # Signed now: its transcript has this node's nonce, so nothing recorded serves.
+        # 3. Signed now: its transcript has this node's nonce, so nothing recorded serves.
         transcript_hash = invitation.transcript(
             self._code.id, self._nonce, message.nonce, message.chain, message.root
         )
@@ -320,6 +320,7 @@ class NodeJoin(Machine[NodeJoinState]):
         self.state = _S.WELCOMED
 
     def _named(self, message: Named, _: int) -> None:
+        # The code is what a person gave this node: the rules of a server may narrow it, not widen it.
         name = check_name(message.name)
         if is_reserved(name) or not pattern_covers(self._code.pattern, name):
             raise EnrollmentRefused(

@@ -209,6 +209,7 @@ def check_issued(root: bytes, chain: Sequence[bytes], own: IdentityRequest, now:
         identity = anchor.verify(chain, now)
     except CAError as error:
         raise EnrollmentRefused(f"invalid offer: {error}", error.hint) from error
+    # The key first: an identity of the right name for another key would be somebody else's.
     if identity.thumbprint != own.thumbprint:
         raise EnrollmentRefused("an identity for another key")
     offered = (identity.domain, identity.name, identity.wildcard)

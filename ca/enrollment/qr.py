@@ -2,9 +2,8 @@
 
 A code authenticates a request that is sent over an untrusted network: it holds the request's
 SHA-256. A *label code* holds nothing else and may be printed. A *screen code* adds a one-time
-secret, its expiry, and the address the request can be fetched from. The text is `ROSSEC:` + base45
-(RFC 9285) of fixed binary, so that it stays in the QR alphanumeric mode; it is never a URL, which
-a phone's camera app would open. The code of a card holds the card's digest.
+secret, its expiry, and the address the request can be fetched from. The code of a card holds the
+card's digest.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,6 +18,8 @@ import segno
 
 from ca.errors import CardRefused, CodeRefused
 
+# `ROSSEC:` and base45 (RFC 9285) of fixed binary stay in the QR alphanumeric mode. It is never a URL, which a
+# phone's camera app would open.
 PREFIX: Final = "ROSSEC:"
 MAX_TEXT: Final = 512
 SECRET_SIZE: Final = 16

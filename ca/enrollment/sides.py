@@ -1,11 +1,9 @@
 """An enrollment, sans-IO: the node's side, the authority's side, and what both compute.
 
-The transcript binds request, certificates, trust anchor and a fresh nonce: nothing signed here can
-be replayed or taken for another statement, and no peer chooses the octets that a node signs. The
-node answers *one* valid offer, which has no effect until a person has confirmed it there; a second
-one means that another party has the code, and both are dropped. Everything the authority gets is
-checked against the code, which came from the node itself; the node is enrolled when it says so in a
-signed statement. The tables have all transitions; any other message changes nothing.
+The node answers *one* valid offer, which has no effect until a person has confirmed it there.
+Everything the authority gets is checked against the code, which came from the node itself; the node
+is enrolled when it says so in a signed statement. A message that is not in the tables changes
+nothing. docs/spec/enrollment.md has the steps.
 """
 
 import hmac
@@ -76,6 +74,8 @@ _ABORTS: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
 
 
 def transcript(csr: bytes, chain: Sequence[bytes], root: bytes, nonce: bytes) -> bytes:
+    # Request, certificates, anchor and a fresh nonce: nothing signed over it can be replayed or taken for
+    # another statement, and no peer chooses the octets that a node signs.
     certificates = [_digest(certificate) for certificate in chain]
     return _digest(encode([_CONTEXT, _digest(csr), [*certificates], _digest(root), nonce]))
 
@@ -264,6 +264,8 @@ class NodeEnrollment(Machine[NodeState]):
         return [write(Delivery(self._csr))]
 
     def _check_first_offer(self, offer: EnrollmentOffer, now: int) -> list[bytes]:
+        # 1. The sender has read the code; 2. it is the identity asked for; 3. only then is the contribution
+        # revealed, from which both sides compute the digits.
         transcript_hash = self._check_tag(offer)
         anchor = check_issued(offer.root, offer.chain, self.request, now)
         self._pending = Pending(
@@ -280,6 +282,7 @@ class NodeEnrollment(Machine[NodeState]):
     def _compare(self, offer: EnrollmentOffer, now: int) -> list[bytes]:
         if self._is_pending_offer(offer):
             return [self._acknowledged()]
+        # A second valid offer: another party has the code, and nobody knows which. Both are dropped.
         self._check_tag(offer)
         check_issued(offer.root, offer.chain, self.request, now)
         error = ConflictingOffer(
@@ -389,6 +392,7 @@ class AuthorityEnrollment(Machine[AuthorityState]):
         are 16 fresh random octets.
         """
         self.tick(now)
+        # The authority checks its own work: what a person approved is what is sent.
         identity, request = TrustAnchor.load(root).verify(chain, now), self.request
         ours = (request.domain, request.name, request.wildcard, request.thumbprint)
         offered = (identity.domain, identity.name, identity.wildcard, identity.thumbprint)
@@ -412,7 +416,7 @@ class AuthorityEnrollment(Machine[AuthorityState]):
 
     def _compare(self, message: Delivery, _: int) -> None:
         # Check the hash first: a request that does not match the code is not parsed.
-        self.state = _A.OVER
+        self.state = _A.OVER  # whatever is raised below
         if not self._code.matches(message.csr):
             raise RequestSwapped(
                 "the request is not the one the code was made for",

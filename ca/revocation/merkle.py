@@ -1,7 +1,7 @@
 """Merkle trees as in Certificate Transparency: roots, and short proofs that a verifier can check.
 
-RFC 6962 section 2.1 defines the hashes, RFC 9162 section 2.1 the verification. This module only knows hashes: the meaning of
-a leaf, and the signature and age of a root, are the callers'. An *inclusion* proof shows that a
+RFC 6962 section 2.1 defines the hashes, RFC 9162 section 2.1 the verification. The meaning of a
+leaf, and the signature and age of a root, are the callers'. An *inclusion* proof shows that a
 leaf is at an index; with sorted leaves, the proofs of two adjacent leaves show that an entry
 between them is absent. A *consistency* proof shows that a tree extends an older one. Verification
 raises on failure.
@@ -18,8 +18,8 @@ MAX_PROOF: Final = 64  # hashes: enough for a tree of 2^63 leaves
 EMPTY_ROOT: Final = hashlib.sha256().digest()
 
 
-# The prefixes separate leaves from inner nodes (RFC 6962 section 2.1): else an inner node could be given out as
-# a leaf, and an entry that nobody wrote be proved.
+# The prefixes separate leaves from inner nodes (RFC 6962 section 2.1): else an inner node could be given
+# out as a leaf, and an entry that nobody wrote be proved.
 def leaf_hash(data: bytes) -> bytes:
     return hashlib.sha256(b"\0" + data).digest()
 

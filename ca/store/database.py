@@ -399,7 +399,7 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 def _configure(db: sqlite3.Connection) -> None:
-    # FULL: what was signed is on the disk before it is given out. No schema is trusted: a function in it would
-    # run here with the rights of the authority.
+    # FULL: what was signed is on the disk before it is given out. No schema is trusted: a function in it
+    # would run here with the rights of the authority.
     for pragma in ("journal_mode = WAL", "synchronous = FULL", "trusted_schema = OFF"):
         db.execute(f"PRAGMA {pragma}")

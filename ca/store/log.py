@@ -1,10 +1,8 @@
 """The log in the authority's record, its audit, and what persons approved: passkeys and approvals.
 
-`audit` trusts no stored hash: it computes the tree from the entries, compares every row with its
-log entry, replays the requests, the approvals, the foreign domains and the things, and checks each
-signed head. A passkey that has ended never comes back. A statement is approved once, by a passkey
-that was active then, and names a true head of this log from after the last restore: one from before
-says nothing about the record as it is now. An approval waits until one entry says how it ended.
+A passkey that has ended never comes back. A statement is approved once, by a passkey that was active
+then, and names a true head of this log from after the last restore. An approval waits until one
+entry says how it ended.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -115,7 +113,7 @@ class Replay:
         self._verifier.add_passkey(passkey)
 
     def _end_passkey(self, entry: LogEntry, row: Row) -> None:
-        _require(row[0] in self._passkeys, entry)
+        _require(row[0] in self._passkeys, entry)  # a phone ends once, and never comes back
         self._passkeys.discard(row[0])
 
     def _approve(self, entry: LogEntry, row: Row) -> None:
@@ -148,6 +146,7 @@ class Replay:
 
     def _list_domains(self, entry: LogEntry, row: Row) -> None:
         epoch, seq, data = row
+        # Each list has the terms that were accepted then, and a number above that of the one before.
         listed = verify_domains(data, self._key)
         _require(self._list < (epoch, seq) == listed.number, entry)
         self._list = listed.number
@@ -158,6 +157,7 @@ class Replay:
     def _state_thing(self, entry: LogEntry, found_row: Row) -> None:
         row = ThingRow(*found_row)
         found = verify_statement(row.data, self._key, domain=peek_statement(row.data).domain)
+        # The columns are what commands look things up by: they say what was signed.
         said = (found.id, found.name, found.not_before, found.expires)
         _require(said == (row.id, row.name, row.not_before, row.expires), entry)
         self._things = {id: known for id, known in self._things.items() if known.expires > entry.at}  # noqa: A001
@@ -221,7 +221,7 @@ class AuthorityLog:
     def audit(self, key: ec.EllipticCurvePublicKey, *more: bytes) -> Head:
         # `key` is the authority's; `more` are heads stored elsewhere.
         with self._database.read_transaction():  # another command may be writing
-            # 1. The tree is computed, and no entry differs from it.
+            # 1. No stored hash is trusted: the tree is computed, and no entry differs from it.
             query = "SELECT number, at, what, subject, detail, digest, peaks FROM log ORDER BY number"
             stored = [(LogEntry(*row[:-1]), row[-1]) for row in self._database.rows(query)]
             tree, entries = check_entries(stored), [entry for entry, _ in stored]
@@ -257,6 +257,7 @@ class PasskeyTable:
 
     def add(self, passkey: Passkey) -> None:
         with self._database.transaction() as db:
+            # A person names the phone that is to be removed: two of one name would be a trap.
             if any(known.name == passkey.name for known in self.active()):
                 raise StoreError(
                     f"there is a passkey called {passkey.name!a}",
@@ -328,9 +329,11 @@ class ApprovalTable:
             passkey = self._passkeys.get(approval.passkey)
             last = max(counter, self.counter(passkey.id))
             statement = ApprovalVerifier([passkey], [(passkey.id, last)]).verify(approval)
+            # What was shown before a restore says nothing about the record as it is now.
             size, restored = statement.log_size, self._log.last_restore()
             if self._log.root_at(size) != statement.log_root or size <= restored:
                 raise ApprovalRefused("the record was restored or replaced since it was shown", _AGAIN)
+            # In the same transaction: of two browsers with one statement one is refused.
             if self._rows("WHERE id = ?", approval.id):
                 raise ApprovalRefused("this was approved already", _AGAIN)
             db.execute("INSERT INTO approval VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", approval)

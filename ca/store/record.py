@@ -59,8 +59,7 @@ class Store:
         """Record an identity before it is delivered.
 
         `request` is the digest of the approved request it answers, or of the renewal; `replace_key`
-        and `renews` allow another key (`ca.store.identities`). The key that `replace_key` replaces
-        is revoked in the same transaction: no crash leaves two keys for one name.
+        and `renews` allow another key (`ca.store.identities`).
         """
         with self.transaction() as db:
             self.identities.check_names(row.name, row.thumbprint, now, row.covers)
@@ -73,6 +72,7 @@ class Store:
             if request is not None and renews is None:
                 self.requests.mark_issued(db, request, now)
             self.identities.add(db, row, now, request)
+            # In the same transaction: no crash leaves two keys for one name.
             if replace_key is not None:
                 for key in sorted(self.unrevoked_keys(row.name, now) - {row.thumbprint}):
                     _revoke(db, key, f"{row.name} has a new key", now)

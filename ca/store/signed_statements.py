@@ -1,10 +1,8 @@
 """Foreign domains and constrained things in the authority's record.
 
 Each acceptance of a domain and each change of its terms is a row, and the newest row counts until
-an end refers to it. Nothing accepted goes from the record: a label is not given to another domain
-while a grant that names it can live. Whoever has another root key is another domain. Of the
-statements about things in force, one name is one thing and one credential is one thing; at one
-border router, so is one kid.
+an end refers to it. Of the statements about things in force, one name is one thing and one
+credential is one thing; at one border router, so is one kid.
 """
 
 from typing import NamedTuple
@@ -123,6 +121,7 @@ def check_domains_apart(known: DomainRow, domain: str, label: str, root: bytes) 
     same = (known.domain == domain, known.label == label, known.root == root)
     if all(same) or not any(same):
         return
+    # Whoever has another root key is another domain, and perhaps somebody who would like to be that one.
     if known.domain == domain and known.root != root:
         raise StoreError(
             f"domain {domain} has another root key than before",
@@ -210,6 +209,7 @@ def check_things_apart(known: ThingStatement, new: ThingStatement) -> None:
         raise StoreError(
             f"this key is that of {known.name}", f"if the thing was renamed: --replace {known.name}"
         )
+    # A handshake names the key by its kid alone, so the router could not tell the two apart.
     if (known.border, known.credential.kid) == (new.border, new.credential.kid):
         raise StoreError(
             f"{known.name} has the same kid {known.credential.kid.hex()} at this border router",

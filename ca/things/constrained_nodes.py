@@ -228,8 +228,8 @@ class ThingStatement:
 
     @property
     def id(self) -> bytes:
-        # Without the signature, as a grant's id: ECDSA has many for one content, and each would be another entry
-        # of the revocation list.
+        # Without the signature, as a grant's id: ECDSA has many for one content, and each would be another
+        # entry of the revocation list.
         return hashlib.sha256(_ID_PREFIX + encode(_claims(self))).digest()[:ID_SIZE]
 
     def check_time(self, now: int) -> None:

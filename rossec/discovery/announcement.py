@@ -2,8 +2,7 @@
 
 An announcement carries the certificate chain that verifies it, so that a new node needs only its
 trust anchor. It gives the address of the master, nothing more: the peer there still has to
-authenticate in the handshake. Cheap checks come first: size, form, age, duplicates; only then is a
-signature verified, within a budget. A forger can only cause probes that fail.
+authenticate in the handshake, so a forger can only cause probes that fail.
 """
 
 from collections import Counter, OrderedDict, deque
@@ -172,6 +171,7 @@ class Budget:
         self._totals = {known: TokenBucket(total, total) for known in (True, False)}
 
     def spend(self, source: Hashable, cost: int, clock: float, *, known_chain: bool) -> None:
+        # A flood from one address, or from many, must not keep out a master that was heard before.
         buckets = (
             [self._verified[source]]
             if source in self._verified
@@ -271,9 +271,11 @@ class Candidates:
         `now` is since the epoch, `clock` of a monotonic clock.
         """
         try:
+            # 1. Cheap checks first: size, form, age, duplicates.
             claim = read_claim(data, now)
             if (claim.announcement.instance, claim.announcement.seq, source.link) in self._seen:
                 return None
+            # 2. Only then signatures, within a budget: of the chain, of the announcement.
             identity = self._identity(claim, source, now, clock)
             announcement = claim.verify(identity)
             self._budget.note_verified(source)
@@ -281,7 +283,8 @@ class Candidates:
             if len(self._seen) > _SEEN:
                 self._seen.popitem(last=False)
             key = identity.thumbprint
-            # Sequence numbers only rise, and a new instance is later than the previous one.
+            # 3. A recorded one points to where the master was: sequence numbers only rise, and a new instance
+            # is later than the previous one.
             newest = self._newest.get(key)
             if newest is not None:
                 same = newest.instance == announcement.instance
@@ -314,6 +317,7 @@ class Candidates:
             return identity
         self._budget.spend(source, 1 + len(claim.chain), clock, known_chain=False)
         identity = claim.verify_chain(self._anchor, self._revoked, now)
+        # For a minute: a chain that ends or is revoked meanwhile gives an address, which the handshake refuses.
         self._chains[claim.chain] = identity, clock + _CHAIN_LIFE
         if len(self._chains) > MAX_CANDIDATES:
             self._chains.popitem(last=False)

@@ -91,6 +91,7 @@ class MulticastSocket:
 
     def send(self, data: bytes) -> int:
         sent = 0
+        # Once for each link: a group of link-local scope leaves by one alone (RFC 4291 section 2.7).
         for index, _ in socket.if_nameindex():
             with suppress(OSError):  # down, or without IPv6
                 self._socket.sendto(data, (GROUP, self._port, 0, index))
@@ -130,6 +131,7 @@ async def announce(
             f"the master at {uri} cannot be announced: only this host reaches it",
             "set ROS_IP or ROS_HOSTNAME to an address of the network",
         )
+    # New at every start: the sequence numbers begin again with it.
     instance = secrets.token_bytes(INSTANCE_SIZE)
     group = MulticastSocket(listen=False)
     was_sent = True
@@ -269,6 +271,7 @@ def trusted(home: Path, identity: str | NodeHome | None) -> tuple[TrustAnchor, f
             nodes = [NodeHome.find(home, check_name(identity))]
         case _:
             nodes = [identity]
+    # Two authorities here: whose master it is, only the person knows.
     anchors = {anchor.thumbprint: anchor for anchor in map(_anchor, nodes)}
     if not anchors:
         raise ConfigurationError(
