@@ -22,13 +22,22 @@ from ca.enrollment.invitation import (
     JoinClaim,
     JoinRequest,
 )
-from ca.enrollment.messages import NONCE, Codec, Machine, chain, check_issued, check_nonce, octets, text
+from ca.enrollment.messages import (
+    NONCE,
+    Codec,
+    Machine,
+    chain,
+    check_issued,
+    check_nonce,
+    given,
+    octets,
+    text,
+)
 from ca.errors import (
     CAError,
     CertificateExpired,
     CertificateNotYetValid,
     EnrollmentMessageRefused,
-    EnrollmentOver,
     EnrollmentRefused,
     JoinBusy,
     JoinRefused,
@@ -239,22 +248,16 @@ class NodeJoin(Machine[NodeJoinState]):
     @property
     def anchor(self) -> TrustAnchor:
         """The authority's root, once the peer is verified; not trusted before the identity is."""
-        if self._anchor is None:
-            raise EnrollmentOver("the authority is not verified yet")
-        return self._anchor
+        return given(self._anchor, "the authority is not verified yet")
 
     @property
     def name(self) -> str:
-        if not self._name:
-            raise EnrollmentOver("the authority has given no name")
-        return self._name
+        return given(self._name or None, "the authority has given no name")
 
     @property
     def identity(self) -> JoinedIdentity:
         """What to write to the disk, in the state JOINED."""
-        if self._identity is None:
-            raise EnrollmentOver("the node has not joined")
-        return self._identity
+        return given(self._identity, "the node has not joined")
 
     def receive(self, data: bytes, now: int) -> None:
         try:
@@ -396,16 +399,12 @@ class AuthorityJoin(Machine[AuthorityJoinState]):
     @property
     def claim(self) -> JoinClaim:
         """The claim to be named; nothing of it is verified."""
-        if self._claim is None:
-            raise EnrollmentOver("there is no claim")
-        return self._claim
+        return given(self._claim, "there is no claim")
 
     @property
     def request(self) -> JoinRequest:
         """The request to be decided; nothing of it is verified."""
-        if self._request is None:
-            raise EnrollmentOver("there is no request yet")
-        return self._request
+        return given(self._request, "there is no request yet")
 
     def receive(self, data: bytes) -> bytes | None:
         """Process one message of a node; returns what to send, or None: see `claim`, `request`."""

@@ -196,6 +196,12 @@ class Machine(Generic[_State]):
             raise EnrollmentOver(f"not possible in state {self.state.value!r}")
 
 
+def given(value: _Message | None, missing: str, hint: str = "") -> _Message:
+    if value is None:
+        raise EnrollmentOver(missing, hint)
+    return value
+
+
 def check_nonce(nonce: bytes) -> bytes:
     if len(nonce) != NONCE_SIZE:
         raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")

@@ -30,6 +30,7 @@ from ca.enrollment.messages import (
     Reason,
     check_issued,
     check_nonce,
+    given,
     read,
     write,
 )
@@ -211,9 +212,7 @@ class NodeEnrollment(Machine[NodeState]):
 
     @property
     def pending(self) -> Pending:
-        if self._pending is None:
-            raise EnrollmentOver("there is no offer to confirm", "first, at the authority: enroll")
-        return self._pending
+        return given(self._pending, "there is no offer to confirm", "first, at the authority: enroll")
 
     def receive(self, data: bytes, now: int) -> list[bytes]:
         """Process one message; returns the answers. On an error the connection must be closed."""
@@ -368,9 +367,7 @@ class AuthorityEnrollment(Machine[AuthorityState]):
     @property
     def request(self) -> IdentityRequest:
         """The request: checked against the code, with proof of possession."""
-        if self._request is None:
-            raise EnrollmentOver("there is no request yet")
-        return self._request
+        return given(self._request, "there is no request yet")
 
     def receive(self, data: bytes, now: int) -> None:
         self.tick(now)

@@ -317,7 +317,7 @@ class Candidates:
             return identity
         self._budget.spend(source, 1 + len(claim.chain), clock, known_chain=False)
         identity = claim.verify_chain(self._anchor, self._revoked, now)
-        # For a minute: a chain that ends or is revoked meanwhile gives an address, which the handshake refuses.
+        # For a minute: one that ends or is revoked meanwhile gives an address, and the handshake refuses it.
         self._chains[claim.chain] = identity, clock + _CHAIN_LIFE
         if len(self._chains) > MAX_CANDIDATES:
             self._chains.popitem(last=False)

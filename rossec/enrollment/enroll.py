@@ -177,8 +177,8 @@ def _abort(error: EnrollmentRefused) -> bytes:
 async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.Server:
     async def call(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            # The same user, or root. The digits are not secret, but confirming them activates a trust anchor: so
-            # this never goes over the network.
+            # The same user, or root. The digits are not secret, but confirming them activates a trust anchor:
+            # so this never goes over the network.
             if unix_peer(writer.get_extra_info("socket")).user in {0, os.getuid()}:
                 async with asyncio.timeout(_PATIENCE):
                     request = json.loads(await reader.readline())

@@ -117,8 +117,8 @@ class JoinServer:
     async def _decided(
         self, decide: Callable[[_Asked], Awaitable[_Answer]], asked: _Asked
     ) -> _Answer | RefusedMessage:
-        # Few of one invitation at a time, so that no code keeps the others out. What cannot be decided is BUSY: the
-        # node comes again, and gets the same answer to the same request.
+        # Few of one invitation at a time, so that no code keeps the others out. What cannot be decided is
+        # BUSY: the node comes again, and gets the same answer to the same request.
         try:
             async with asyncio.timeout(DECISION), self._turns.turn(asked.invitation):
                 return await decide(asked)
