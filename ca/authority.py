@@ -1,19 +1,16 @@
 """The authority: creates a trust domain's root, and issues certificates to its nodes.
 
-It issues exactly what a request shows (name and key) and nothing the approver did not see; a
-wildcard tail only if the approver asks for it. Time and randomness are arguments. What a signer is
-given is read before the key signs it: of the bytes of a TBSCertificate (RFC 5280 section 4.1) only
-the two forms that an authority issues are accepted, for its own trust domain and issuer.
+It issues exactly what a request shows (name and key) and nothing the approver did not see. Time and
+randomness are arguments. What a signer is given is read before the key signs it (`read_unsigned`).
 """
 
-from datetime import UTC, datetime
 from typing import Final, NamedTuple
 
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import NameOID
 
 from ca import svid
+from ca.builder import begin, common_name
 from ca.certificates import (
     BACKDATE,
     Identity,
@@ -23,7 +20,7 @@ from ca.certificates import (
     check_intermediate_request,
     policy,
 )
-from ca.errors import CertificateRefused, IssueRefused, NameRefused
+from ca.errors import CAError, CertificateRefused, NameRefused
 from ca.keys.passphrases import SEQUENCE, der
 from ca.keys.signing import Signer, require_p256, thumbprint
 from ca.names import SCHEME, check_domain, check_wildcard, parse_spiffe_id, spiffe_id
@@ -33,7 +30,7 @@ DAY: Final = 86_400
 LIFETIME: Final = 30 * DAY
 MAX_LIFETIME: Final = 366 * DAY
 ROOT_LIFETIME: Final = 3650 * DAY
-_SERIAL_LIMIT: Final = 1 << 128
+_SERIAL_LIMIT: Final = 1 << 128  # RFC 5280 section 4.1.2.2 allows 20 octets; 16 random ones never collide
 
 # AlgorithmIdentifier: ecdsa-with-SHA256, without parameters (RFC 5758 section 3.2).
 _ECDSA_WITH_SHA256: Final = bytes.fromhex("300a06082a8648ce3d040302")
@@ -48,7 +45,6 @@ class Authority:
     """
 
     def __init__(self, signer: Signer, certificate: bytes, intermediate: bytes | None = None) -> None:
-        """Combine the key with the root's certificate (DER), or with an intermediate's below it."""
         self.anchor = TrustAnchor.load(certificate)
         self.issuer: TrustAnchor | Intermediate = self.anchor
         self.chain: tuple[bytes, ...] = ()
@@ -58,7 +54,7 @@ class Authority:
             found = self.anchor.read_intermediate(intermediate)
             self.issuer, self.chain, self.may_enroll = found, (intermediate,), found.may_enroll
         if thumbprint(signer.public_key) != self.issuer.thumbprint:
-            raise IssueRefused(
+            raise CAError(
                 "the authority's certificate belongs to another key",
                 "restore ca.key and ca.pem from the same backup",
             )
@@ -78,15 +74,16 @@ class Authority:
         anonymous nodes (`ca.names.covers`), whether the request asks for that or not.
         """
         if not self.may_enroll:
-            raise IssueRefused(
+            raise CAError(
                 "this intermediate may renew identities, not enroll nodes",
                 "enroll at the root, or make an intermediate that may enroll",
             )
+        # A wildcard tail is the approver's word: one that only the request asks for is refused.
         request = check_request(csr, self.anchor.domain, wildcard=wildcard)
         return self._issue(request.name, request.public_key, now, serial, lifetime, wildcard=wildcard)
 
     def renew(self, renewal: Renewal, *, now: int, serial: int, lifetime: int = LIFETIME) -> bytes:
-        """Return the successor (DER) of an identity, with at most the same lifetime."""
+        # Never longer than before: who once got a day does not make a year of it by renewals.
         key, longest = renewal.request.public_key, min(lifetime, renewal.max_lifetime)
         return self.reissue(renewal.identity, key, now=now, serial=serial, lifetime=longest)
 
@@ -99,26 +96,25 @@ class Authority:
         serial: int,
         lifetime: int = LIFETIME,
     ) -> bytes:
-        """Return a successor (DER) of `identity` for `key`; the caller has authorized it."""
         return self._issue(identity.name, key, now, serial, lifetime, wildcard=identity.wildcard)
 
     def issue_intermediate(
         self, csr: bytes, *, now: int, serial: int, may_enroll: bool, lifetime: int
     ) -> bytes:
-        """Return the certificate (DER) of an intermediate; `may_enroll` sets its policy."""
         key = check_intermediate_request(csr, self.anchor.domain)
+        # An intermediate has path length 0: what it signed as an authority, no node would take.
         if not self.is_root or self.anchor.path_length == 0:
-            raise IssueRefused(
+            raise CAError(
                 "this authority may have no intermediates",
                 "only a root can make one, and roots of older versions cannot",
             )
         _check_serial(serial)
-        start, end = self._period(now, lifetime)
-        builder = _authority(key, serial, start, end, self.anchor.domain, below=0)
+        period, issuer = self._period(now, lifetime), self.anchor
+        builder = _authority(key, issuer.subject, serial, period, issuer.domain, below=0)
         return svid.sign(
-            builder.issuer_name(self.anchor.subject)
-            .add_extension(policy(may_enroll=may_enroll), critical=False)
-            .add_extension(_issuer_key(self.anchor.public_key), critical=False),
+            builder.add_extension(policy(may_enroll=may_enroll), critical=False).add_extension(
+                _issuer_key(issuer.public_key), critical=False
+            ),
             self.signer,
         )
 
@@ -133,14 +129,10 @@ class Authority:
         wildcard: bool,
     ) -> bytes:
         _check_serial(serial)
-        start, end = self._period(now, lifetime)
         uri = svid.alternative_name(spiffe_id(self.anchor.domain, name))
+        period = self._period(now, lifetime)
         builder = (
-            _builder(key, serial, start, end)
-            .subject_name(x509.Name([]))
-            .issuer_name(self.issuer.subject)
-            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-            .add_extension(_usage(authority=False), critical=True)
+            begin(key, x509.Name([]), self.issuer.subject, serial, period)
             # Critical because the subject is empty (RFC 5280 section 4.1.2.6).
             .add_extension(uri, critical=True)
             .add_extension(_issuer_key(self.issuer.public_key), critical=False)
@@ -154,14 +146,14 @@ class Authority:
 
     def _period(self, now: int, lifetime: int) -> tuple[int, int]:
         if not 0 < lifetime <= MAX_LIFETIME:
-            raise IssueRefused(
+            raise CAError(
                 f"a lifetime of {lifetime} s where 1 to {MAX_LIFETIME} are allowed",
                 "certificates are renewed instead: the default is 30 days",
             )
         first = max(self.issuer.not_before, self.anchor.not_before)
         last = min(self.issuer.not_after, self.anchor.not_after)
         if not first <= now <= last:
-            raise IssueRefused(
+            raise CAError(
                 "the authority's own certificate is not valid now",
                 "check this computer's clock; an expired authority must be replaced by a new one",
             )
@@ -172,18 +164,21 @@ def create_root(signer: Signer, domain: str, *, now: int, serial: int) -> bytes:
     check_domain(domain)
     _check_serial(serial)
     key = require_p256(signer.public_key)
-    builder = _authority(key, serial, now - BACKDATE, now + ROOT_LIFETIME, domain, below=1)
-    return svid.sign(builder.issuer_name(_subject_name(key)), signer)
+    period = now - BACKDATE, now + ROOT_LIFETIME
+    return svid.sign(_authority(key, _subject_name(key), serial, period, domain, below=1), signer)
 
 
 def _authority(
-    key: ec.EllipticCurvePublicKey, serial: int, start: int, end: int, domain: str, *, below: int
+    key: ec.EllipticCurvePublicKey,
+    issuer: x509.Name,
+    serial: int,
+    period: tuple[int, int],
+    domain: str,
+    *,
+    below: int,
 ) -> x509.CertificateBuilder:
     return (
-        _builder(key, serial, start, end)
-        .subject_name(_subject_name(key))
-        .add_extension(x509.BasicConstraints(ca=True, path_length=below), critical=True)
-        .add_extension(_usage(authority=True), critical=True)
+        begin(key, _subject_name(key), issuer, serial, period, below=below)
         .add_extension(svid.alternative_name(f"{SCHEME}{domain}"), critical=False)
         .add_extension(x509.SubjectKeyIdentifier(_key_identifier(key)), critical=False)
     )
@@ -191,7 +186,7 @@ def _authority(
 
 def _subject_name(key: ec.EllipticCurvePublicKey) -> x509.Name:
     # A name that differs for every key, so that a foreign issuer is recognized by its name.
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"rossec {thumbprint(key)[:8].hex()}")])
+    return common_name(f"rossec {thumbprint(key)[:8].hex()}")
 
 
 def _key_identifier(key: ec.EllipticCurvePublicKey) -> bytes:
@@ -205,31 +200,7 @@ def _issuer_key(key: ec.EllipticCurvePublicKey) -> x509.AuthorityKeyIdentifier:
 
 def _check_serial(serial: int) -> None:
     if not 0 < serial < _SERIAL_LIMIT:
-        raise IssueRefused("a serial is a positive number of 128 bits", "use secrets.randbits(128)")
-
-
-def _builder(key: ec.EllipticCurvePublicKey, serial: int, start: int, end: int) -> x509.CertificateBuilder:
-    return (
-        x509.CertificateBuilder()
-        .serial_number(serial)
-        .public_key(key)
-        .not_valid_before(datetime.fromtimestamp(start, UTC))
-        .not_valid_after(datetime.fromtimestamp(end, UTC))
-    )
-
-
-def _usage(*, authority: bool) -> x509.KeyUsage:
-    return x509.KeyUsage(
-        digital_signature=not authority,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        key_cert_sign=authority,
-        crl_sign=authority,
-        encipher_only=False,
-        decipher_only=False,
-    )
+        raise CAError("a serial is a positive number of 128 bits", "use secrets.randbits(128)")
 
 
 class UnsignedCertificate(NamedTuple):
@@ -239,9 +210,12 @@ class UnsignedCertificate(NamedTuple):
 
 def read_unsigned(content: bytes, issuer: x509.Name, domain: str) -> UnsignedCertificate:
     """Read a TBSCertificate (DER) that `issuer`, an authority of `domain`, is to sign."""
+    # Of a TBSCertificate (RFC 5280 section 4.1) only the two forms that an authority issues are accepted: the
+    # process that holds the key does not sign whatever the process before it, which talks to strangers, says.
     # Completed with an empty signature, it is parsed as every certificate is.
     certificate = svid.parse(der(SEQUENCE, content, _ECDSA_WITH_SHA256, _NO_SIGNATURE))
     found = svid.certificate_signature(certificate, issuer)
+    # Parsers may skip what they do not know: these are the very bytes that will be signed.
     if found is None or found.content != content:
         raise CertificateRefused("a certificate of another issuer, algorithm or form")
     svid.key_of(certificate)

@@ -1,10 +1,7 @@
 """Certificates: from untrusted bytes to the verified identity of a peer, or a refusal.
 
 The form is the X.509-SVID of SPIFFE without its options (`ca.svid`), issued by the trust anchor or
-by one intermediate. A chain is one or two certificates in this order: there is no path building,
-where verifiers have most of their bugs. The signature is checked before any content is trusted;
-size before parsing. A valid identity requests its successor without operator action: the CSR proves
-possession of the new key, the old key's signature around it the right to the name.
+by one intermediate. A valid identity requests its successor without operator action.
 """
 
 from collections import OrderedDict
@@ -254,6 +251,7 @@ class TrustAnchor:
 
     def verify(self, chain: Sequence[bytes], now: int) -> Identity:
         """Return the identity of `chain`: a leaf, or a leaf and its intermediate, as DER."""
+        # 1. One or two certificates in this order. No path is built: there verifiers have most of their bugs.
         match chain:
             case [leaf]:
                 issuer: TrustAnchor | Intermediate = self
@@ -264,7 +262,9 @@ class TrustAnchor:
                     f"a chain of {len(chain)} certificates where one or two are expected",
                     "send the node's certificate and its intermediate's, if it has one",
                 )
+        # 2. The signature, before anything in the leaf is trusted.
         identity = self._identity(leaf, issuer)
+        # 3. The times: of the authority first, for whose end the remedy is another one.
         self.check_time(now)
         check_time(
             f"certificate of {identity.name}",
@@ -273,6 +273,7 @@ class TrustAnchor:
             now,
             f"where its authority is: {way_back(identity.name)}",
         )
+        # 4. It ends with its intermediate, and is revoked with it.
         if issuer is self:
             return identity
         end = min(identity.not_after, issuer.not_after)
@@ -290,7 +291,6 @@ class TrustAnchor:
         return read_intermediate(certificate, der, self.domain)
 
     def check_intermediate(self, der: bytes, now: int) -> Intermediate:
-        """Return the intermediate in `der`, if it is valid at `now`."""
         found = self.read_intermediate(der)
         check_time(
             "intermediate's certificate",
@@ -311,6 +311,7 @@ class TrustAnchor:
         )
 
     def _foreign(self, what: str, certificate: x509.Certificate) -> ForeignCertificate:
+        # What it claims to be is only said to a person: two sites of one name are a common mistake.
         text = f"the {what} is not signed by the authority of trust domain {self.domain!r}"
         hint = "enroll the node with this authority, or use the ca.pem that fits"
         try:
@@ -373,7 +374,6 @@ def to_pem(*certificates: bytes) -> bytes:
 
 
 def from_pem(data: bytes) -> tuple[bytes, ...]:
-    """Return the DER certificates of a PEM bundle, in its order; at least one."""
     if len(data) > _MAX_PEM:
         raise CertificateRefused(
             f"{len(data)} bytes of PEM where at most {_MAX_PEM} are allowed",
@@ -449,7 +449,8 @@ def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[by
         raise RenewalRefused(
             f"the renewal is not signed by {identity.name}: {error}", "renew on the node that has the key"
         ) from error
-    # 2. The old identity counts, now, and asks for its own name.
+    # 2. The old identity counts, now, and asks for its own name. The CSR proves possession of the new key,
+    # the old key's signature around it the right to the name.
     for key in identity.keys:
         check(key, now)
     if not now - MAX_AGE <= issued <= now + MAX_AGE:
@@ -460,7 +461,7 @@ def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[by
             f"{identity.name} requests the identity of {request.name}",
             "a node renews its own name; for another one it must be enrolled",
         )
-    # 3. At least half of its lifetime is over.
+    # 3. At least half of its lifetime is over: a node in a loop does not fill the record.
     began = signed_at(identity.not_before, identity.not_after)
     half = began + (identity.not_after - began) // 2
     if now < half:

@@ -1,9 +1,7 @@
 """Strict deterministic CBOR (RFC 8949): one value, one encoding, nothing else accepted.
 
-`cbor2` decodes; the strict checks are here. A value is accepted only if encoding it again gives
-the same bytes. Map keys are sorted length-first (RFC 8949 section 4.2.3), floats take their
-shortest form. Tags are refused before `cbor2` interprets them (its decoder of tag 35 would compile
-an attacker's regular expression).
+`cbor2` decodes; the strict checks are here. Map keys are sorted length-first (RFC 8949 section 4.2.3),
+floats take their shortest form.
 """
 
 import math
@@ -30,7 +28,8 @@ _LEAVES: Final = (str, bytes, float, type(None))
 # By the bytes an integer needs: additional information, and the bytes it is encoded in.
 _HEADS: Final = ((24, 1), (24, 1), (25, 2), *2 * ((26, 4),), *4 * ((27, 8),))
 
-# The tags cbor2 6 decodes by itself; every other one reaches `tag_hook`.
+# Tags are refused before `cbor2` interprets them: its decoder of tag 35 would compile an attacker's regular
+# expression. The tags cbor2 6 decodes by itself; every other one reaches `tag_hook`.
 _BUILT_IN_TAGS: Final = (
     *range(6),
     25,
@@ -98,6 +97,7 @@ def decode_sequence(data: bytes, *, limit: int = MAX_SIZE) -> list[Value]:
     stream = BytesIO(data)
     while stream.tell() < len(data):
         items.append(_decode_item(stream))
+    # One value, one encoding: else two readers could see two statements in what one key signed.
     if b"".join(map(encode, items)) != data:
         raise EncodingError("CBOR that is not in its deterministic form")
     return items

@@ -64,10 +64,6 @@ class RequestRefused(CAError):
     """A certificate request that asks for anything but one name for one proven key."""
 
 
-class IssueRefused(CAError):
-    """The authority may not issue this: its own validity, the serial or the lifetime forbids it."""
-
-
 class CertificateRefused(CAError):
     """A certificate that is malformed or not of the one form rossec accepts."""
 
@@ -128,10 +124,6 @@ class CodeRefused(CAError):
     """A text that is not an enrollment code."""
 
 
-class CodeExpired(CodeRefused):
-    """An enrollment code that has expired."""
-
-
 class EnrollmentRefused(CAError):
     """An enrollment that cannot continue."""
 
@@ -142,10 +134,6 @@ class EnrollmentMessageRefused(EnrollmentRefused):
 
 class RequestSwapped(EnrollmentRefused):
     """The received request is not the one the code was made for."""
-
-
-class OfferRefused(EnrollmentRefused):
-    """An offer that is not for this node, or whose sender has not read its code."""
 
 
 class ConflictingOffer(EnrollmentRefused):
@@ -164,10 +152,6 @@ class EnrollmentOver(EnrollmentRefused):
     """The enrollment has already ended, or the other side ended it."""
 
 
-class NotTheAuthority(EnrollmentRefused):
-    """The peer at the address of an invitation is not the authority that made it."""
-
-
 class JoinRefused(EnrollmentRefused):
     """The authority does not let this node join by this invitation."""
 
@@ -178,14 +162,6 @@ class JoinBusy(JoinRefused):
 
 class JoinWaiting(EnrollmentRefused):
     """The authority is locked, or a person has to approve: the same request may be sent again."""
-
-
-class AcknowledgementRefused(EnrollmentRefused):
-    """The node's answer is not signed by its key, or not for this offer."""
-
-
-class DigitsRefused(EnrollmentRefused):
-    """The two sides do not show the same six digits."""
 
 
 class InvitationRefused(EnrollmentRefused):
@@ -204,20 +180,8 @@ class DomainUnknown(StoreError):
     """No foreign domain is trusted under this label."""
 
 
-class ThingChanged(StoreError):
-    """A thing that has another name, key or border router than its statement in force says."""
-
-
-class ThingUnknown(StoreError):
-    """There is no statement in force about a thing of this name."""
-
-
 class NameCovered(StoreError):
     """A name covered by a valid identity with another key, or that would cover its name."""
-
-
-class KeyChanged(StoreError):
-    """A name that has a valid identity with one key requests a certificate for another key."""
 
 
 class ProofRefused(CAError):
@@ -236,10 +200,6 @@ class TooManyRequests(RequestClosed):
     """So many requests wait for an answer that no other is recorded."""
 
 
-class NameContested(StoreError):
-    """Two keys request one name, and neither request has been denied."""
-
-
 class RenewalRefused(CAError):
     """A renewal that is not signed by the identity it renews, or is not due."""
 
@@ -256,53 +216,5 @@ class ApprovalRefused(CAError):
     """Root of why a passkey's approval, or the passkey, is refused."""
 
 
-class StatementRefused(ApprovalRefused):
-    """A statement to be approved that is malformed, or whose payload is another."""
-
-
-class AssertionMalformed(ApprovalRefused):
-    """What a browser sent for a passkey is too large or not of the form of WebAuthn."""
-
-
-class OtherChallenge(ApprovalRefused):
-    """A passkey signed another statement, or for another purpose."""
-
-
-class OtherOrigin(ApprovalRefused):
-    """A passkey was used at another page, or belongs to another console."""
-
-
-class NotVerified(ApprovalRefused):
-    """A passkey was used without a finger, face or PIN."""
-
-
-class PasskeyCloned(ApprovalRefused):
-    """A passkey's counter did not increase: the assertion is old, or there is a copy of the key."""
-
-
-class AssertionForged(ApprovalRefused):
-    """An assertion that the recorded key of the passkey did not sign."""
-
-
-class PasskeyRefused(ApprovalRefused):
-    """A passkey that cannot be registered."""
-
-
-class PasskeyUnknown(ApprovalRefused):
-    """A passkey that is not recorded, or has ended."""
-
-
-class ApprovalUsed(ApprovalRefused):
-    """A statement that was approved before: it is used once."""
-
-
-class ApprovalOutdated(ApprovalRefused):
-    """An approval that came too late, or is about a record that was restored since."""
-
-
 class ApprovalOver(ApprovalRefused):
     """An approval that is unknown, or was carried out or ended already."""
-
-
-class ConsoleExtraMissing(ApprovalRefused):
-    """The library that reads passkeys is not installed."""

@@ -1,9 +1,7 @@
 """Names: the syntax of node names, trust domains and SPIFFE IDs, patterns over them, and aliases.
 
-A node name is an absolute ROS name (`/robot1/camera`), unique in its trust domain (`home`). All are
-ASCII, so there is exactly one spelling: nothing is escaped, folded or normalised. Patterns compare
-whole segments, so `/a` never covers `/ab` (the prefix confusion of ROSRV); relative and private
-(`~`) names are refused. An identity with a wildcard tail also covers `/rviz_...`, the form of
+A node name is an absolute ROS name (`/robot1/camera`), unique in its trust domain (`home`); relative
+and private (`~`) names are refused. An identity with a wildcard tail also covers `/rviz_...`, the form of
 anonymous nodes. `/remote/<label>/...` is the local alias of a name of another domain: it is on no
 wire, in no grant of the origin, and cannot be enrolled. `/gateway/<label>/...` is what a gateway
 serves of it, a name of the own domain (docs/decisions/0035).
@@ -29,6 +27,7 @@ AUTHORITY: Final = "/ca"  # the authority's own node
 MASTER: Final = "/master"  # a domain's first master; others are `/master/<segment>`
 RELAY: Final = "/relay"  # a domain's first relay; others are `/relay/<segment>`
 GATEWAY: Final = "/gateway"  # a domain's first gateway; others are `/gateway/<segment>`
+# ASCII, so there is exactly one spelling: nothing is escaped, folded or normalised.
 _NAME: Final = re.compile(r"(?:/[A-Za-z][A-Za-z0-9_]*)+")
 _SEGMENT: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _TAIL: Final = re.compile(r"_[A-Za-z0-9_]+")
@@ -137,12 +136,10 @@ def is_master_name(name: str) -> bool:
 
 
 def is_relay_name(name: str) -> bool:
-    """Whether a relay is certified for `name`: `/relay`, or `/relay` and one segment."""
     return _is_at(RELAY, name)
 
 
 def is_gateway(name: str) -> bool:
-    """Whether a gateway is certified for `name`: `/gateway`, or `/gateway` and one segment."""
     return _is_at(GATEWAY, name)
 
 
@@ -191,7 +188,6 @@ def check_pattern(text: str) -> str:
 
 
 def check_tail_pattern(text: str) -> str:
-    """Return `text` if it is a pattern, or a tail pattern."""
     base, mark, rest = text.partition(TAIL)
     if not mark:
         return check_pattern(text)
@@ -230,6 +226,7 @@ def pattern_covers(pattern: str, name: str) -> bool:
     check_name(name)
     if "*" not in pattern and TAIL not in pattern:
         return pattern == name
+    # Whole segments are compared, so `/a` never covers `/ab` (the prefix confusion of ROSRV).
     segments = _segments(name)
     return len(segments) in _match_ends(_segments(pattern), segments)
 
@@ -304,6 +301,7 @@ def check_label(text: str) -> str:
 
 def alias_of(label: str, name: str) -> str:
     """The local name of `name`, an absolute name of the origin `label`."""
+    # Else two masters that follow each other would pass a name round and round, longer each time.
     if is_alias(check_name(name)):
         raise NameRefused(f"{name} is an alias at the origin itself", "a name travels one hop")
     return check_name(f"{_PREFIX}{check_label(label)}{name}")
@@ -340,7 +338,6 @@ def refuse_alias(name: str) -> str:
 
 
 def display_name(domain_label: str, name: str) -> str:
-    """For people: `hospital:/robot/pose`; a name of the own domain (label empty) as it is."""
     return f"{domain_label}:{name}" if domain_label else name
 
 
@@ -363,7 +360,6 @@ def local_name(text: str) -> str:
 
 
 def local_pattern(text: str) -> str:
-    """The pattern of local names of what a person wrote: `hospital:/rounds/*` is one of aliases."""
     label, colon, pattern = text.partition(":")
     if not colon:
         return check_pattern(text)

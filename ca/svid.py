@@ -1,10 +1,7 @@
 """The form of rossec's certificates and requests: X.509-SVIDs of SPIFFE with every freedom removed.
 
 Each function checks one part and refuses every other form; trust and validity times are checked by
-`ca.certificates`. `cryptography` parses lazily, so a malformed part may be found at any access:
-each access converts its exceptions into ours. A request is a PKCS#10 CSR in the one form that
-`build_request` writes: anything more (CA:TRUE, a second name) is refused, never silently dropped, so
-that the approver sees everything it contains.
+`ca.certificates`. A request is a PKCS#10 CSR in the one form that `build_request` writes.
 """
 
 import hashlib
@@ -57,10 +54,13 @@ _EXTENSION_REQUEST: Final = x509.ObjectIdentifier("1.2.840.113549.1.9.14")
 _HINT: Final = "make the request on the node with `rossec node request`"
 
 
+# `cryptography` parses lazily, so a malformed part may be found at any access: each access below converts
+# its exceptions into ours.
 _Extension = TypeVar("_Extension", bound=x509.ExtensionType)
 
 
 def parse(der: bytes) -> x509.Certificate:
+    # Size before parsing: a stranger sent it.
     if len(der) > MAX_CERTIFICATE:
         raise CertificateRefused(
             f"a certificate of {len(der)} bytes where at most {MAX_CERTIFICATE} are allowed"
@@ -107,6 +107,7 @@ class CertificateSignature(NamedTuple):
 def certificate_signature(certificate: x509.Certificate, issuer: x509.Name) -> CertificateSignature | None:
     """The signature, if the issuer and the algorithm are the expected ones; else None."""
     try:
+        # The name is compared only to say whose certificate it is not: the signature decides.
         if certificate.issuer != issuer:
             return None
         if certificate.signature_algorithm_oid != SignatureAlgorithmOID.ECDSA_WITH_SHA256:
@@ -131,7 +132,6 @@ def key_of(certificate: x509.Certificate) -> ec.EllipticCurvePublicKey:
 
 
 def validity(certificate: x509.Certificate) -> tuple[int, int]:
-    """First and last second of validity."""
     try:
         start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
     except PARSE_ERRORS as error:
@@ -159,6 +159,7 @@ def check_leaf(extensions: x509.Extensions) -> None:
     constraints = _critical(extensions, x509.BasicConstraints)
     if constraints is None or constraints.ca:
         raise CertificateRefused("the certificate has no critical basic constraints with CA false")
+    # A leaf that may sign certificates would be an authority without saying so (X509-SVID section 4.3).
     if _usages(extensions) != {"digital_signature"}:
         raise CertificateRefused("the certificate's key usage is not digital signature only")
 
@@ -186,7 +187,6 @@ def check_intermediate(extensions: x509.Extensions) -> None:
 
 
 def path_length(extensions: x509.Extensions) -> int | None:
-    """The path length constraint; None: there is none."""
     constraints = _critical(extensions, x509.BasicConstraints)
     return 0 if constraints is None else constraints.path_length
 
@@ -269,8 +269,6 @@ def _malformed(error: Exception) -> NoReturn:
 
 @dataclass(frozen=True)
 class IdentityRequest:
-    """A verified request."""
-
     domain: str
     name: str
     public_key: ec.EllipticCurvePublicKey
@@ -351,6 +349,8 @@ def proven_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePubli
 
 
 def requested_name(request: x509.CertificateSigningRequest) -> tuple[str, bool]:
+    # Anything more than asked for (CA:TRUE, a second name) is refused, never silently dropped: the approver
+    # sees everything that is in it.
     if len(request.subject.rdns) > 0:
         raise RequestRefused("the request asks for a subject", _HINT)
     if [attribute.oid for attribute in request.attributes] != [_EXTENSION_REQUEST]:

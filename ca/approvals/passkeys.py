@@ -1,10 +1,8 @@
 """Passkeys: their registration, their assertions, and the approvals that are recorded with them. Pure.
 
-The order of checks is that of Web Authentication section 7.2: type, challenge, origin, no embedding
-page, RP id, user present, user verified, counter, signature. Only ES256 is accepted. A passkey that
-is synchronized between devices always has the counter 0: what stops a replay is the id of a
-statement, which the record takes once. Everything that convinced the service is kept: whoever has
-the record and trusts its passkeys can check later that every act was approved by a touch.
+The order of checks is that of Web Authentication section 7.2. Only ES256 is accepted. Everything that
+convinced the service is kept: whoever has the record and trusts its passkeys can check later that
+every act was approved by a touch.
 """
 
 import base64
@@ -21,20 +19,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 
 from ca.approvals.statement import MAX_CREDENTIAL, NewPasskey, Statement
 from ca.encoding import decode, encode
-from ca.errors import (
-    ApprovalOutdated,
-    AssertionForged,
-    AssertionMalformed,
-    ConsoleExtraMissing,
-    EncodingError,
-    NotVerified,
-    OtherChallenge,
-    OtherOrigin,
-    PasskeyCloned,
-    PasskeyRefused,
-    PasskeyUnknown,
-    StatementRefused,
-)
+from ca.errors import ApprovalRefused, EncodingError
 
 MAX_CLIENT_DATA: Final = 4096
 
@@ -67,20 +52,25 @@ class Ceremony(StrEnum):
 
 
 def check_client_data(data: bytes, ceremony: Ceremony, challenge: bytes, origin: str) -> None:
+    # Web Authentication section 7.2: the type, the challenge, the origin, no embedding page.
     value = _parse(data)
+    # A registration must not serve as an approval, nor the other way round.
     if value.get("type") != ceremony:
-        raise OtherChallenge(f"the passkey was not used for {ceremony}", "try again on the page")
+        raise ApprovalRefused(f"the passkey was not used for {ceremony}", "try again on the page")
     if value.get("challenge") != base64url(challenge):
-        raise OtherChallenge(
+        raise ApprovalRefused(
             "the passkey signed something else", "look at the page again: what it shows may have changed"
         )
     if (found := value.get("origin")) != origin:
-        raise OtherOrigin(
+        raise ApprovalRefused(
             f"the passkey was used at {str(found)[:80]!a} instead of {origin}",
             "open the console by its own address, and register the phone there",
         )
+    # In a frame of another page a person sees what that page wants.
     if value.get("crossOrigin", False) is not False or "topOrigin" in value:
-        raise OtherOrigin("the passkey was used inside another page", "open the console in a tab of its own")
+        raise ApprovalRefused(
+            "the passkey was used inside another page", "open the console in a tab of its own"
+        )
 
 
 def base64url(data: bytes) -> str:
@@ -111,8 +101,8 @@ def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not JSON")
 
 
-def _malformed(what: str) -> AssertionMalformed:
-    return AssertionMalformed(f"the browser sent {what}", _HINT)
+def _malformed(what: str) -> ApprovalRefused:
+    return ApprovalRefused(f"the browser sent {what}", _HINT)
 
 
 class AuthenticatorData(NamedTuple):
@@ -123,19 +113,20 @@ class AuthenticatorData(NamedTuple):
     @classmethod
     def read(cls, data: bytes) -> "AuthenticatorData":
         if not _FIXED_SIZE <= len(data) <= MAX_AUTHENTICATOR_DATA:
-            raise AssertionMalformed(f"{len(data)} bytes of authenticator data", _HINT)
+            raise ApprovalRefused(f"{len(data)} bytes of authenticator data", _HINT)
         found = cls(data[:32], data[32], int.from_bytes(data[33:_FIXED_SIZE]))
         if (len(data) > _FIXED_SIZE) != bool(found.flags & _MORE):
-            raise AssertionMalformed("authenticator data of another length than it says", _HINT)
+            raise ApprovalRefused("authenticator data of another length than it says", _HINT)
         return found
 
     def check(self, rp_id: str) -> None:
         if self.rp_id_hash != sha256(rp_id.encode()).digest():
-            raise OtherOrigin(
+            raise ApprovalRefused(
                 f"the passkey does not belong to {rp_id}", "register this phone at this console"
             )
+        # Verified too: whoever finds a phone that is not locked must not approve with it.
         if not (self.flags & _PRESENT and self.flags & _VERIFIED):
-            raise NotVerified(
+            raise ApprovalRefused(
                 "the passkey was used without a finger, face or PIN",
                 "set up a screen lock on the device, then try again",
             )
@@ -150,9 +141,9 @@ def read_key(cose_key: bytes) -> ec.EllipticCurvePublicKey:
             ):
                 return ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), b"\x04" + x + y)
             case _:
-                raise AssertionMalformed("the device's key is not an ES256 key", _HINT)
+                raise ApprovalRefused("the device's key is not an ES256 key", _HINT)
     except (EncodingError, ValueError) as error:
-        raise AssertionMalformed("the device's key is not a key of P-256", _HINT) from error
+        raise ApprovalRefused("the device's key is not a key of P-256", _HINT) from error
 
 
 class Passkey(NamedTuple):
@@ -176,22 +167,24 @@ class Assertion(NamedTuple):
 def verify(assertion: Assertion, passkey: Passkey, challenge: bytes, counter: int) -> int:
     """The passkey's counter, if it signed `challenge` and its counter was `counter` before."""
     if assertion.credential != passkey.id:
-        raise PasskeyUnknown("the assertion is of another passkey", "use the one you registered")
+        raise ApprovalRefused("the assertion is of another passkey", "use the one you registered")
     check_client_data(assertion.client_data, Ceremony.GET, challenge, passkey.origin)
     data = AuthenticatorData.read(assertion.authenticator_data)
     data.check(passkey.rp_id)
+    # A passkey that is synchronized between devices always has the counter 0: what stops a replay then is the
+    # id of the statement, which the record takes once.
     if (data.counter or counter) and data.counter <= counter:
-        raise PasskeyCloned(
+        raise ApprovalRefused(
             f"the counter of the passkey {passkey.name!a} is {data.counter} and was {counter}",
             "if it was used once only, somebody has a copy: remove it, and register a new one",
         )
     if len(assertion.signature) > MAX_SIGNATURE:
-        raise AssertionMalformed(f"a signature of {len(assertion.signature)} bytes", _HINT)
+        raise ApprovalRefused(f"a signature of {len(assertion.signature)} bytes", _HINT)
     signed = assertion.authenticator_data + sha256(assertion.client_data).digest()
     try:
         read_key(passkey.cose_key).verify(assertion.signature, signed, ec.ECDSA(SHA256()))
     except InvalidSignature:
-        raise AssertionForged(
+        raise ApprovalRefused(
             f"the passkey {passkey.name!a} did not sign this",
             "if you touched it, register it again; else somebody else sent this",
         ) from None
@@ -237,40 +230,37 @@ def register(
     check_client_data(registration.client_data, Ceremony.CREATE, challenge.digest, challenge.origin)
     attestation = registration.attestation
     if len(attestation) > MAX_ATTESTATION:
-        raise AssertionMalformed(f"{len(attestation)} bytes of attestation", _REGISTRATION_HINT)
+        raise ApprovalRefused(f"{len(attestation)} bytes of attestation", _REGISTRATION_HINT)
     try:  # browsers encode this object in different orders, so a library parses it
         from fido2 import webauthn  # noqa: PLC0415  (an extra)
     except ImportError:
-        raise ConsoleExtraMissing(
-            "passkeys need the package fido2", "pip install 'rossec[console]'"
-        ) from None
+        raise ApprovalRefused("passkeys need the package fido2", "pip install 'rossec[console]'") from None
     # No attestation is asked for, and one that comes is not read: it would say who made the device.
     try:
         data = webauthn.AttestationObject(attestation).auth_data
     except _MALFORMED as error:
-        raise AssertionMalformed("an attestation of an unknown form", _REGISTRATION_HINT) from error
+        raise ApprovalRefused("an attestation of an unknown form", _REGISTRATION_HINT) from error
     AuthenticatorData.read(bytes(data)).check(challenge.rp_id)
     found = data.credential_data
     if found is None or not 0 < len(found.credential_id) <= MAX_CREDENTIAL:
-        raise PasskeyRefused("the device made no passkey", _REGISTRATION_HINT)
+        raise ApprovalRefused("the device made no passkey", _REGISTRATION_HINT)
     name = check_passkey_name(name)
     try:
         key = encode(dict(found.public_key))  # in one form, not as it came
     except (EncodingError, TypeError) as error:
-        raise AssertionMalformed("the device's key is of an unknown form", _REGISTRATION_HINT) from error
+        raise ApprovalRefused("the device's key is of an unknown form", _REGISTRATION_HINT) from error
     read_key(key)
     aaguid, rp_id, origin = bytes(found.aaguid), challenge.rp_id, challenge.origin
     return Passkey(found.credential_id, name, key, aaguid, rp_id, origin, approval, at)
 
 
 def to_approve(passkey: Passkey) -> NewPasskey:
-    """What another phone approves when it adds `passkey`."""
     return NewPasskey(passkey.id, sha256(passkey.cose_key).digest(), passkey.name)
 
 
 def check_passkey_name(name: str) -> str:
     if not name.strip() or len(name) > MAX_NAME or not name.isprintable():
-        raise PasskeyRefused(
+        raise ApprovalRefused(
             f"the name of a phone has 1 to {MAX_NAME} printable characters", "for example: Ann's phone"
         )
     return name
@@ -292,7 +282,6 @@ class Approval(NamedTuple):
 
     @classmethod
     def of(cls, statement: Statement, payload: bytes, assertion: Assertion, at: int) -> Self:
-        """The approval of `statement` by `assertion`, not verified."""
         kind, data = int(statement.kind), statement.to_bytes()
         return cls(statement.id, kind, statement.subject, data, payload, *assertion, at)
 
@@ -304,10 +293,10 @@ class Approval(NamedTuple):
         """The statement, if the other fields agree with it. Signatures: see `ApprovalVerifier`."""
         statement = Statement.from_bytes(self.statement)
         if (self.id, self.kind, self.subject) != (statement.id, int(statement.kind), statement.subject):
-            raise StatementRefused("the approval is recorded with another's statement", "")
+            raise ApprovalRefused("the approval is recorded with another's statement", "")
         statement.check_payload(self.payload)
         if not statement.made <= self.at <= statement.until:
-            raise ApprovalOutdated(
+            raise ApprovalRefused(
                 "the approval did not come in time", "look at the page again, and approve that"
             )
         return statement
@@ -324,11 +313,10 @@ class ApprovalVerifier:
         self._passkeys[passkey.id] = passkey
 
     def verify(self, approval: Approval) -> Statement:
-        """The statement that this approval approves."""
         statement = approval.read()
         passkey = self._passkeys.get(approval.passkey)
         if passkey is None:
-            raise PasskeyUnknown("the passkey of this approval is not known", "is it registered?")
+            raise ApprovalRefused("the passkey of this approval is not known", "is it registered?")
         last = self._counters.get(passkey.id, 0)
         self._counters[passkey.id] = verify(approval.assertion, passkey, statement.challenge, last)
         return statement

@@ -2,8 +2,7 @@
 
 One statement has one encoding (deterministic CBOR), and one id that is used once: a signature is
 for one act. Each kind says all that the act gives away, directly or as the SHA-256 of a payload
-that is kept with the approval. Numbers of kinds and orders of fields are never used again for
-another meaning: the record is verified by them for ever (`docs/spec/approvals.md`).
+that is kept with the approval (`docs/spec/approvals.md`).
 """
 
 from collections.abc import Callable, Mapping
@@ -12,7 +11,7 @@ from hashlib import sha256
 from typing import Final, NamedTuple, Self, TypeAlias
 
 from ca.encoding import Value, decode, encode, is_number
-from ca.errors import EncodingError, StatementRefused
+from ca.errors import ApprovalRefused, EncodingError
 from ca.names import MASTER, is_master_name
 
 VERSION: Final = "rossec-approval-v1"
@@ -29,6 +28,7 @@ _HINT: Final = "ask again: the statement may come from another version of rossec
 class StatementKind(IntEnum):
     """What is approved. `FOREIGN_DOMAIN` is reserved: nothing asks for it yet."""
 
+    # Numbers, and orders of fields, never get another meaning: the record is verified by them for ever.
     ENROLL = 1
     GRANT = 2
     POLICY = 3
@@ -191,6 +191,7 @@ class Statement(NamedTuple):
 
     def to_bytes(self) -> bytes:
         _check(self)
+        # The head of the log: what was approved before a restore says nothing about the record after it.
         log: Value = [self.log_size, self.log_root]
         head: list[Value] = [VERSION, int(self.kind), self.id, self.domain, self.made, self.until]
         fields: list[Value] = [*self.what]
@@ -201,7 +202,7 @@ class Statement(NamedTuple):
         try:
             value = decode(data, limit=MAX_STATEMENT)
         except EncodingError as error:
-            raise StatementRefused(f"this is not a statement: {error}", _HINT) from error
+            raise ApprovalRefused(f"this is not a statement: {error}", _HINT) from error
         match value:
             case [
                 str(version),
@@ -214,13 +215,13 @@ class Statement(NamedTuple):
                 [*fields],
             ] if version == VERSION:
                 if isinstance(kind, bool) or kind not in _FORMS:  # True equals 1, and is encoded otherwise
-                    raise StatementRefused("a statement of an unknown kind", _HINT)
+                    raise ApprovalRefused("a statement of an unknown kind", _HINT)
                 what = _what(StatementKind(kind), fields)
                 found = cls(StatementKind(kind), id_, domain, made, until, size, root, what)
                 _check(found)
                 return found
             case _:
-                raise StatementRefused("this is not a statement of a known form", _HINT)
+                raise ApprovalRefused("this is not a statement of a known form", _HINT)
 
     @property
     def challenge(self) -> bytes:
@@ -234,9 +235,9 @@ class Statement(NamedTuple):
         """Return if `payload` is the one whose digest was approved; without a digest, it is empty."""
         digest = self._field(_FORMS[self.kind].payload)
         if len(payload) > MAX_PAYLOAD:
-            raise StatementRefused("the payload of the approval is too large", "approve less")
+            raise ApprovalRefused("the payload of the approval is too large", "approve less")
         if payload != b"" if digest is None else sha256(payload).digest() != digest:
-            raise StatementRefused(
+            raise ApprovalRefused(
                 "what was approved is not what was shown", "look at it again, and approve that"
             )
 
@@ -253,14 +254,14 @@ def _what(kind: StatementKind, fields: list[Value]) -> What:
     if form.default is not None and len(fields) == len(form.fields) - 1:
         fields = [*fields, form.default]
     elif len(fields) != len(form.fields) or (fields and fields[-1] == form.default):
-        raise StatementRefused(f"a statement of kind {kind} with {len(fields)} fields", _HINT)
+        raise ApprovalRefused(f"a statement of kind {kind} with {len(fields)} fields", _HINT)
     return form.build(*fields)
 
 
 def _check(statement: Statement) -> None:
     form = _FORMS[statement.kind]
     if type(statement.what) is not form.build:
-        raise StatementRefused(f"a statement of kind {statement.kind} about another", _HINT)
+        raise ApprovalRefused(f"a statement of kind {statement.kind} about another", _HINT)
     head = (
         (_is_id, statement.id),
         (_is_name, statement.domain),
@@ -268,6 +269,6 @@ def _check(statement: Statement) -> None:
         *((is_number, each) for each in (statement.made, statement.until, statement.log_size)),
     )
     if not all(check(field) for check, field in (*zip(form.fields, statement.what, strict=True), *head)):
-        raise StatementRefused("a field of the statement is not of its form", _HINT)
+        raise ApprovalRefused("a field of the statement is not of its form", _HINT)
     if not statement.made < statement.until <= statement.made + LIFETIME:
-        raise StatementRefused(f"a statement is valid for at most {LIFETIME} seconds", _HINT)
+        raise ApprovalRefused(f"a statement is valid for at most {LIFETIME} seconds", _HINT)

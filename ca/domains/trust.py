@@ -1,10 +1,8 @@
 """Foreign trust domains: their cards, the signed list of them, and whom a node trusts to name somebody.
 
-A card is signed by the root key in it: it proves that its maker has the key, and nothing about who
-that is, so the fingerprint is compared over another way. The list is the own authority's, ordered
-as the revocation list: the higher (epoch, seq) wins, an older one is refused. The domain in a leaf
-is a lookup key only: exactly one root is tried. What a foreign root says counts for the names that
-the list admits and for nothing else; its wildcard tails are not honoured. docs/spec/domains.md
+The list is the own authority's, ordered as the revocation list: the higher (epoch, seq) wins, an
+older one is refused. What a foreign root says counts for the names that the list admits and for
+nothing else. docs/spec/domains.md
 """
 
 import re
@@ -100,7 +98,8 @@ def sign_card(signer: Signer, card: Card) -> bytes:
 
 
 def open_card(data: bytes, now: int) -> Card:
-    """Verify a card by the root in it, and read it."""
+    # Signed by the root key in it: that proves that its maker has the key, and nothing about who that is. A
+    # person compares the fingerprint over another way.
     try:
         card = _read_card(CARD.peek(data, limit=MAX_CARD))  # the key to verify with is in it
         CARD.open(data, card.anchor.public_key, limit=MAX_CARD)
@@ -155,8 +154,13 @@ class ForeignDomain:
             raise DomainsRefused(f"domain {self.domain} admits no name, or too many patterns")
         for pattern in self.admitted:
             check_pattern(pattern)
-        for rules in (self.exported, self.imported):
-            _check_rules(rules or ())
+        for rules in (self.exported or (), self.imported or ()):
+            if len(rules) > MAX_RULES:
+                raise DomainsRefused(f"more than {MAX_RULES} exports or imports of one domain")
+            for pattern, rights in rules:
+                check_pattern(pattern)
+                if type(rights) is not int or not 0 < rights <= ALL_RIGHTS:
+                    raise DomainsRefused(f"unknown or no right on {pattern}")
         whole = is_number(self.fresh) and is_number(self.until)
         if not (whole and LEAST_FRESH <= self.fresh <= MOST_FRESH and self.until > 0):
             raise DomainsRefused(
@@ -251,6 +255,7 @@ def _check_own(domains: DomainList, own_domain: str, own_key: bytes) -> None:
     for each in domains.domains:
         if each.domain == own_domain:
             raise DomainsRefused("the list of foreign domains names the own one", "rossec domain list")
+        # Its nodes would be strangers by one name and own nodes by the other.
         if to_coordinates(each.anchor.public_key) == own_key:
             raise DomainsRefused(f"the root of {each.domain} is this authority's own key")
 
@@ -324,15 +329,6 @@ def _rules(value: Any) -> tuple[NameRights, ...]:
     return tuple(rules)
 
 
-def _check_rules(rules: tuple[NameRights, ...]) -> None:
-    if len(rules) > MAX_RULES:
-        raise DomainsRefused(f"more than {MAX_RULES} exports or imports of one domain")
-    for pattern, rights in rules:
-        check_pattern(pattern)
-        if type(rights) is not int or not 0 < rights <= ALL_RIGHTS:
-            raise DomainsRefused(f"unknown or no right on {pattern}")
-
-
 def _check_sorted(items: list[Any]) -> None:
     if any(first >= second for first, second in pairwise(items)):
         raise DomainsRefused("the list of domains is not sorted, or has an entry twice")
@@ -344,8 +340,8 @@ class ListedDomain:
     anchor: TrustAnchor
 
     def verify(self, chain: Sequence[bytes], now: int) -> Identity:
-        """The identity of a node of this domain, under its alias."""
         entry = self.entry
+        # 1. This side still trusts the domain; 2. the chain is of its root; 3. this side admits the name.
         if now >= entry.until:
             raise NotAdmitted(f"the trust in domain {entry.label} has ended", ADMIT_HINT)
         identity = self.anchor.verify(chain, now)
@@ -355,6 +351,7 @@ class ListedDomain:
             alias = alias_of(entry.label, identity.name)
         except NameRefused as error:
             raise NotAdmitted(f"a foreign node has no alias here: {error}") from error
+        # A tail of theirs is not honoured: it would admit names that nobody here has listed.
         return replace(
             identity,
             name=alias,
@@ -405,6 +402,7 @@ class Anchors:
         new, held = open_domains(data, self.own), self._snapshot
         if new.number < self._floor:
             raise DomainsRefused("an older list of domains than one seen before", "find the sender")
+        # The same number twice: two authorities have one key, or its record went back.
         if held.current is not None and new.number == held.current.number and data != held.data:
             raise DomainsRefused(
                 "there are two different lists of domains with one number",
@@ -429,7 +427,8 @@ class Anchors:
         if not held.by_domain or not chain:
             return self.own.verify(chain, now)
         try:
-            domain = svid.claimed_domain(svid.parse(chain[0]))  # not trusted: it selects the root to try
+            # Not trusted: it selects the one root that is tried, so no root can speak for another's domain.
+            domain = svid.claimed_domain(svid.parse(chain[0]))
         except CertificateRefused:
             domain = ""
         if domain == self.own.domain or domain not in held.by_domain:

@@ -1,11 +1,8 @@
 """What lets nodes join: the code of an invitation, the tag that holds it, and the proofs of its secret.
 
-The code names the root by its hash, so a node knows the authority before it trusts anything. Its
-secret never leaves it: both sides derive a P-256 key from it, the authority keeps the public half.
-The transcript binds the invitation, a fresh nonce of each side and the authority's certificates;
-`/ca` signs it, the node signs it with its request, and neither signs what the other chooses.
-Requests and claims come from strangers: their octets are cut, not parsed, and nothing in them is
-looked at before the proof over their hashes is verified.
+The code names the root by its hash, so a node knows the authority before it trusts anything. `/ca`
+signs the transcript, the node signs it with its request. Requests and claims come from strangers:
+nothing in them is looked at before the proof over their hashes is verified.
 """
 
 import base64
@@ -24,14 +21,7 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from ca.encoding import Value, encode
-from ca.errors import (
-    CodeExpired,
-    CodeRefused,
-    EnrollmentMessageRefused,
-    JoinRefused,
-    NotTheAuthority,
-    SignatureError,
-)
+from ca.errors import CodeRefused, EnrollmentMessageRefused, EnrollmentRefused, JoinRefused, SignatureError
 from ca.keys.signing import KeySigner, Profile, Signer, require_p256
 from ca.names import MAX_NAME
 from ca.svid import MAX_REQUEST
@@ -105,7 +95,8 @@ class InvitationCode:
 
     @cached_property
     def signer(self) -> KeySigner:
-        """The key derived from the secret and the root's hash."""
+        # The secret never leaves the code: the authority keeps the public half, so a copy of its record lets
+        # nobody join. The root is in it: one secret at two authorities is two keys.
         info = encode([_KEY, self.root])
         octets = HKDF(SHA256(), _KEY_OCTETS, salt=None, info=info).derive(self.secret)
         scalar = int.from_bytes(octets) % (_ORDER - 1) + 1
@@ -122,7 +113,7 @@ class InvitationCode:
     def check_time(self, now: int) -> None:
         """Return if the code has not expired; the authority decides that by its own clock."""
         if now > self.expires:
-            raise CodeExpired(
+            raise CodeRefused(
                 f"the invitation expired {now - self.expires} s ago",
                 "check this computer's clock; for another: rossec ca invite PATTERN",
             )
@@ -213,6 +204,7 @@ def read(data: bytes) -> InvitationCode:
 def transcript(
     invitation: bytes, node_nonce: bytes, own_nonce: bytes, chain: Sequence[bytes], root: bytes
 ) -> bytes:
+    # The invitation, a fresh nonce of each side, the certificates: neither signs what the other chooses.
     certificates: list[Value] = [_digest(certificate) for certificate in chain]
     return _digest(encode([_CONTEXT, invitation, node_nonce, own_nonce, certificates, _digest(root)]))
 
@@ -225,7 +217,7 @@ def check_live(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: byt
     try:
         _LIVE.check(data, key, [transcript_hash])
     except SignatureError as error:
-        raise NotTheAuthority(
+        raise EnrollmentRefused(
             f"the peer does not have the key of the authority's node: {error}",
             "possible attacker in between: find out who answers at that address",
         ) from error
@@ -307,6 +299,7 @@ class JoinRequest:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
+        # The octets are cut, not parsed: this is what the process with the key gets from the one without.
         name = _HEAD + int.from_bytes(data[_SIZES : _SIZES + 2])
         metadata = name + int.from_bytes(data[_SIZES + 2 : _SIZES + 3])
         csr = metadata + int.from_bytes(data[_SIZES + 3 : _HEAD])
@@ -316,7 +309,6 @@ class JoinRequest:
         return cls(data[:ID_SIZE], data[ID_SIZE:_SIZES], asked, data[csr:], proof, data[metadata:csr])
 
     def verify(self, point: bytes) -> None:
-        """Return if it was made with the secret of the invitation whose key is `point`."""
         key = public_key(point)
         check_proof(self.proof, key, self.transcript, self.csr, self.name, self.metadata)
 
@@ -349,5 +341,4 @@ class JoinClaim:
         return cls(data[:ID_SIZE], transcript, data[metadata:], data[_CLAIM_HEAD:metadata])
 
     def verify(self, point: bytes) -> None:
-        """Return if it was made with the secret of the invitation whose key is `point`."""
         check_claim(self.proof, public_key(point), self.transcript, self.metadata)

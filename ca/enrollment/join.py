@@ -1,23 +1,19 @@
 """A join, sans-IO: from the code of an invitation to an identity; both sides and their messages.
 
-The node says nothing of itself before the peer has shown that it is the authority *now*: a leaf for
-`/ca` under the root that the code names, whose key signed a transcript with this node's nonce. Then
-it proves the secret and sends its request, once a session. The authority's side talks to strangers:
-it has no record and not the authority's key, hands the request on and sends what it is given. The
-tables have all transitions; any other message ends the session. Message numbers continue those of
-an enrollment, so that no message of one mode is one of the other.
+The node says nothing of itself before the peer has shown that it is the authority *now*. Then it
+proves the secret and sends its request, once a session. The authority's side talks to strangers:
+it has no record and not the authority's key, hands the request on and sends what it is given. A
+message that is not in the tables ends the session.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from hashlib import sha256
 from hmac import compare_digest
 from typing import Final, TypeAlias
 
-from ca.certificates import Identity, TrustAnchor
-from ca.encoding import Value, encode
-from ca.enrollment import NONCE_SIZE, invitation
+from ca.certificates import TrustAnchor
+from ca.enrollment import invitation
 from ca.enrollment.invitation import (
     ID_SIZE,
     MAX_METADATA,
@@ -26,18 +22,26 @@ from ca.enrollment.invitation import (
     JoinClaim,
     JoinRequest,
 )
-from ca.enrollment.messages import VERSION, check_issued, fields_of, read_chain, read_fields, transition
+from ca.enrollment.messages import (
+    NONCE,
+    Codec,
+    Machine,
+    chain,
+    check_issued,
+    check_nonce,
+    given,
+    octets,
+    text,
+)
 from ca.errors import (
     CAError,
     CertificateExpired,
     CertificateNotYetValid,
     EnrollmentMessageRefused,
-    EnrollmentOver,
     EnrollmentRefused,
     JoinBusy,
     JoinRefused,
     JoinWaiting,
-    NotTheAuthority,
     RequestRefused,
 )
 from ca.keys.signing import Signer
@@ -57,6 +61,7 @@ class WaitReason(IntEnum):
 class RefuseReason(IntEnum):
     """Why a join was refused. A peer that did not prove the secret is told REFUSED or BUSY."""
 
+    # One word for both: a stranger does not learn which invitations there are.
     REFUSED = 1  # no such invitation, or the proof is wrong
     ENDED = 2  # it has expired, was ended or is used up
     NAME = 3  # it does not allow the name
@@ -101,15 +106,11 @@ class ClaimMessage:
 
 @dataclass(frozen=True)
 class Named:
-    """Authority to node: the name that the rules give for its metadata."""
-
     name: str
 
 
 @dataclass(frozen=True)
 class Issued:
-    """Authority to node: its certificate, and an intermediate's if there is one (DER)."""
-
     chain: tuple[bytes, ...]
 
 
@@ -122,8 +123,6 @@ class WaitingMessage:
 
 @dataclass(frozen=True)
 class RefusedMessage:
-    """Authority to node: no."""
-
     reason: RefuseReason
 
 
@@ -132,66 +131,20 @@ NameAnswer: TypeAlias = Named | RefusedMessage
 JoinMessage: TypeAlias = Hello | Welcome | Join | ClaimMessage | Named | JoinAnswer
 
 
-# They continue those of an enrollment.
-_KINDS: Final = (Hello, Welcome, Join, Issued, WaitingMessage, RefusedMessage, ClaimMessage, Named)
-_NUMBERS: Final[dict[type[JoinMessage], int]] = {kind: number for number, kind in enumerate(_KINDS, 7)}
-
-
-def write(message: JoinMessage) -> bytes:
-    fields = fields_of(message)
-    if isinstance(message, Join) and not message.metadata:
-        fields.pop()
-    return encode([VERSION, _NUMBERS[type(message)], *fields])
-
-
-def read(data: bytes) -> JoinMessage:
-    message = _message(read_fields(data))
-    if message is None or write(message) != data:  # True == 1, but it has another encoding
-        raise EnrollmentMessageRefused("not a message of a join")
-    return message
-
-
-def _message(fields: Value) -> JoinMessage | None:
-    match fields:
-        case [1, 7, bytes() as invitation, bytes() as nonce] if len(invitation) == ID_SIZE:
-            return Hello(invitation, nonce) if len(nonce) == NONCE_SIZE else None
-        case [1, 8, bytes() as nonce, [*items], bytes() as root, bytes() as statement]:
-            chain = read_chain(items)
-            if chain and len(nonce) == NONCE_SIZE and len(statement) <= MAX_STATEMENT:
-                return Welcome(nonce, chain, root, statement)
-        case [1, 9, str() as name, bytes() as csr, bytes() as proof]:
-            return _fitting(Join(name, csr, proof))
-        case [1, 9, str() as name, bytes() as csr, bytes() as proof, bytes() as metadata]:
-            return _fitting(Join(name, csr, proof, metadata))
-        case [1, 13, bytes() as metadata, bytes() as proof]:
-            fits = 0 < len(metadata) <= MAX_METADATA and len(proof) <= MAX_STATEMENT
-            return ClaimMessage(metadata, proof) if fits else None
-        case _:
-            pass
-    return _answer(fields)
-
-
-def _answer(fields: Value) -> JoinAnswer | Named | None:
-    match fields:
-        case [1, 10, [*items]]:
-            return None if (issued := read_chain(items)) is None else Issued(issued)
-        case [1, 11, int() as reason] if reason in frozenset(WaitReason):
-            return WaitingMessage(WaitReason(reason))
-        case [1, 12, int() as reason] if reason in frozenset(RefuseReason):
-            return RefusedMessage(RefuseReason(reason))
-        case [1, 14, str() as name] if len(name) <= MAX_NAME:
-            return Named(name)
-    return None
-
-
-def _fitting(join: Join) -> Join | None:
-    fits = (
-        len(join.name) <= MAX_NAME
-        and len(join.csr) <= MAX_REQUEST
-        and len(join.proof) <= MAX_STATEMENT
-        and len(join.metadata) <= MAX_METADATA
-    )
-    return join if fits else None
+# Their numbers continue those of an enrollment, so that no message of one mode is one of the other.
+_CODEC: Final = Codec[JoinMessage](
+    "a join",
+    7,
+    (Hello, octets(ID_SIZE, ID_SIZE), NONCE),
+    (Welcome, NONCE, chain, octets(), octets(MAX_STATEMENT)),
+    (Join, text(MAX_NAME), octets(MAX_REQUEST), octets(MAX_STATEMENT), octets(MAX_METADATA)),
+    (Issued, chain),
+    (WaitingMessage, WaitReason),
+    (RefusedMessage, RefuseReason),
+    (ClaimMessage, octets(MAX_METADATA, least=1), octets(MAX_STATEMENT)),
+    (Named, text(MAX_NAME)),
+)
+write, read = _CODEC.write, _CODEC.read
 
 
 WAITING: Final = {
@@ -266,12 +219,6 @@ NODE_TABLE: Final[dict[tuple[_S, type[JoinMessage]], tuple[str, tuple[_S, ...]]]
     (_S.PROVED, WaitingMessage): ("_waiting", (_S.WAITING,)),
     (_S.PROVED, RefusedMessage): ("_refused", (_S.OVER,)),
 }
-NODE_WITHOUT_MESSAGE: Final = (
-    (_S.WELCOMED, _S.CLAIMED, "claim()"),
-    (_S.WELCOMED, _S.PROVED, "join()"),
-    (_S.NAMED, _S.PROVED, "join()"),
-)
-"""The transitions that no message causes."""
 
 
 @dataclass(frozen=True)
@@ -283,13 +230,11 @@ class JoinedIdentity:
     anchor: TrustAnchor
 
 
-class NodeJoin:
+class NodeJoin(Machine[NodeJoinState]):
     def __init__(self, code: InvitationCode, nonce: bytes) -> None:
-        if len(nonce) != NONCE_SIZE:
-            raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
-        self.state = _S.GREETING
+        super().__init__(_S.GREETING, NODE_TABLE)
         self._code = code
-        self._nonce = nonce
+        self._nonce = check_nonce(nonce)
         self._transcript = b""
         self._anchor: TrustAnchor | None = None
         self._request: IdentityRequest | None = None
@@ -303,36 +248,24 @@ class NodeJoin:
     @property
     def anchor(self) -> TrustAnchor:
         """The authority's root, once the peer is verified; not trusted before the identity is."""
-        if self._anchor is None:
-            raise EnrollmentOver("the authority is not verified yet")
-        return self._anchor
+        return given(self._anchor, "the authority is not verified yet")
 
     @property
     def name(self) -> str:
-        """The name that the authority's rules gave, within the invitation."""
-        if not self._name:
-            raise EnrollmentOver("the authority has given no name")
-        return self._name
+        return given(self._name or None, "the authority has given no name")
 
     @property
     def identity(self) -> JoinedIdentity:
         """What to write to the disk, in the state JOINED."""
-        if self._identity is None:
-            raise EnrollmentOver("the node has not joined")
-        return self._identity
+        return given(self._identity, "the node has not joined")
 
     def receive(self, data: bytes, now: int) -> None:
-        """Process one message of the authority; a refusal ends the session."""
         try:
-            message = read(data)
-            method, followers = transition(NODE_TABLE, self.state, message)
-            action: Callable[[JoinMessage, int], None] = getattr(self, method)
-            action(message, now)
+            self._take(read(data), now)
         except CAError:
             if self.state is not _S.WAITING:
                 self.state = _S.OVER
             raise
-        assert self.state in followers  # noqa: S101 - the table is the truth
 
     def claim(self, metadata: bytes) -> bytes:
         """Ask which name the authority's rules give for `metadata`, of 1 to 4096 octets."""
@@ -359,20 +292,29 @@ class NodeJoin:
         self.state = _S.PROVED
         return write(Join(name, csr, proof, metadata))
 
-    def _require(self, *states: NodeJoinState) -> None:
-        if self.state not in states:
-            raise EnrollmentOver(f"not possible in state {self.state.value!r}")
-
     def _verify(self, message: Welcome, now: int) -> None:
-        # Check the hash first: a root that is not the code's is not parsed.
+        # 1. The hash first: a root that is not the code's is not parsed.
         if not compare_digest(sha256(message.root).digest(), self._code.root):
-            raise NotTheAuthority(
+            raise EnrollmentRefused(
                 "another authority answers at the address of the invitation",
                 "is the invitation of this site? find out who answers there",
             )
         anchor = TrustAnchor.load(message.root)
-        # Every node has a chain to that root; none but `/ca` is taken.
-        live = _live_identity(anchor, message.chain, now)
+        # 2. A chain to that root, for `/ca`: every node has one, none but the authority's is taken.
+        try:
+            live = anchor.verify(message.chain, now)
+        except (CertificateExpired, CertificateNotYetValid) as error:
+            raise EnrollmentRefused(f"the authority's node cannot be verified: {error}", _CLOCK) from error
+        except CAError as error:
+            raise EnrollmentRefused(
+                f"the peer is not the authority: {error}", "find out who answers at that address"
+            ) from error
+        if live.name != AUTHORITY or live.wildcard:
+            raise EnrollmentRefused(
+                f"the peer is {live.name}, a node of this site, and not its authority",
+                "it may be an attack: find out who answers at that address",
+            )
+        # 3. Signed now: its transcript has this node's nonce, so nothing recorded serves.
         transcript_hash = invitation.transcript(
             self._code.id, self._nonce, message.nonce, message.chain, message.root
         )
@@ -381,9 +323,10 @@ class NodeJoin:
         self.state = _S.WELCOMED
 
     def _named(self, message: Named, _: int) -> None:
+        # The code is what a person gave this node: the rules of a server may narrow it, not widen it.
         name = check_name(message.name)
         if is_reserved(name) or not pattern_covers(self._code.pattern, name):
-            raise NotTheAuthority(
+            raise EnrollmentRefused(
                 f"the peer gives the name {name}, which the invitation does not allow",
                 "the authority gives none outside of it: find out who answers at that address",
             )
@@ -415,23 +358,6 @@ def _checked(metadata: bytes) -> bytes:
     return metadata
 
 
-def _live_identity(anchor: TrustAnchor, chain: tuple[bytes, ...], now: int) -> Identity:
-    try:
-        found = anchor.verify(chain, now)
-    except (CertificateExpired, CertificateNotYetValid) as error:
-        raise NotTheAuthority(f"the authority's node cannot be verified: {error}", _CLOCK) from error
-    except CAError as error:
-        raise NotTheAuthority(
-            f"the peer is not the authority: {error}", "find out who answers at that address"
-        ) from error
-    if found.name != AUTHORITY or found.wildcard:
-        raise NotTheAuthority(
-            f"the peer is {found.name}, a node of this site, and not its authority",
-            "it may be an attack: find out who answers at that address",
-        )
-    return found
-
-
 class AuthorityJoinState(Enum):
     GREETING = "waiting for a node"
     WELCOMED = "waiting for the request"
@@ -449,12 +375,6 @@ AUTHORITY_TABLE: Final[dict[tuple[_A, type[JoinMessage]], tuple[str, tuple[_A, .
     (_A.WELCOMED, Join): ("_accept", (_A.DECIDING, _A.OVER)),
     (_A.NAMED, Join): ("_accept", (_A.DECIDING, _A.OVER)),
 }
-AUTHORITY_WITHOUT_MESSAGE: Final = (
-    (_A.NAMING, _A.NAMED, "name()"),
-    (_A.NAMING, _A.ANSWERED, "name()"),
-    (_A.DECIDING, _A.ANSWERED, "answer()"),
-)
-"""The transitions that no message causes."""
 
 
 @dataclass(frozen=True)
@@ -466,14 +386,12 @@ class LiveIdentity:
     root: bytes
 
 
-class AuthorityJoin:
+class AuthorityJoin(Machine[AuthorityJoinState]):
     def __init__(self, identity: LiveIdentity, nonce: bytes) -> None:
-        if len(nonce) != NONCE_SIZE:
-            raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
-        self.state = _A.GREETING
+        super().__init__(_A.GREETING, AUTHORITY_TABLE)
         self.invitation = b""
         self._identity = identity
-        self._nonce = nonce
+        self._nonce = check_nonce(nonce)
         self._transcript = b""
         self._request: JoinRequest | None = None
         self._claim: JoinClaim | None = None
@@ -481,40 +399,31 @@ class AuthorityJoin:
     @property
     def claim(self) -> JoinClaim:
         """The claim to be named; nothing of it is verified."""
-        if self._claim is None:
-            raise EnrollmentOver("there is no claim")
-        return self._claim
+        return given(self._claim, "there is no claim")
 
     @property
     def request(self) -> JoinRequest:
         """The request to be decided; nothing of it is verified."""
-        if self._request is None:
-            raise EnrollmentOver("there is no request yet")
-        return self._request
+        return given(self._request, "there is no request yet")
 
     def receive(self, data: bytes) -> bytes | None:
         """Process one message of a node; returns what to send, or None: see `claim`, `request`."""
         try:
-            message = read(data)
-            method, followers = transition(AUTHORITY_TABLE, self.state, message)
-            sent: bytes | None = getattr(self, method)(message)
+            sent: bytes | None = self._take(read(data))
         except EnrollmentRefused:
             self.state = _A.OVER
             raise
-        assert self.state in followers  # noqa: S101 - the table is the truth
         return sent
 
     def name(self, answer: NameAnswer) -> bytes:
         """The answer to the claim; after a refusal the connection is closed."""
-        if self.state is not _A.NAMING:
-            raise EnrollmentOver(f"not possible in state {self.state.value!r}")
+        self._require(_A.NAMING)
         self.state = _A.NAMED if isinstance(answer, Named) else _A.ANSWERED
         return write(answer)
 
     def answer(self, answer: JoinAnswer) -> bytes:
         """The last message; the connection is closed after it."""
-        if self.state is not _A.DECIDING:
-            raise EnrollmentOver(f"not possible in state {self.state.value!r}")
+        self._require(_A.DECIDING)
         self.state = _A.ANSWERED
         return write(answer)
 

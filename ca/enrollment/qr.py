@@ -2,9 +2,8 @@
 
 A code authenticates a request that is sent over an untrusted network: it holds the request's
 SHA-256. A *label code* holds nothing else and may be printed. A *screen code* adds a one-time
-secret, its expiry, and the address the request can be fetched from. The text is `ROSSEC:` + base45
-(RFC 9285) of fixed binary, so that it stays in the QR alphanumeric mode; it is never a URL, which
-a phone's camera app would open. The code of a card holds the card's digest.
+secret, its expiry, and the address the request can be fetched from. The code of a card holds the
+card's digest.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,8 +16,10 @@ from typing import Final
 
 import segno
 
-from ca.errors import CardRefused, CodeExpired, CodeRefused
+from ca.errors import CardRefused, CodeRefused
 
+# `ROSSEC:` and base45 (RFC 9285) of fixed binary stay in the QR alphanumeric mode. It is never a URL, which a
+# phone's camera app would open.
 PREFIX: Final = "ROSSEC:"
 MAX_TEXT: Final = 512
 SECRET_SIZE: Final = 16
@@ -75,7 +76,7 @@ class Code:
     def check_time(self, now: int) -> None:
         # Return if the code has not expired; a label code does not expire.
         if self.secret and now > self.expires:
-            raise CodeExpired(f"the code expired {now - self.expires} s ago", "have the node show a new one")
+            raise CodeRefused(f"the code expired {now - self.expires} s ago", "have the node show a new one")
 
 
 def label_code(request: bytes) -> str:
@@ -83,7 +84,6 @@ def label_code(request: bytes) -> str:
 
 
 def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> str:
-    """Text of a code that also carries a one-time `secret`, its expiry and the node's address."""
     if len(secret) != SECRET_SIZE or not 0 < len(address) <= _MAX_ADDRESS or not address.isascii():
         raise CodeRefused(
             "a screen code needs 16 bytes of secret and an address of 1 to 64 ASCII characters",

@@ -1,15 +1,13 @@
 """An enrollment, sans-IO: the node's side, the authority's side, and what both compute.
 
-The transcript binds request, certificates, trust anchor and a fresh nonce: nothing signed here can
-be replayed or taken for another statement, and no peer chooses the octets that a node signs. The
-node answers *one* valid offer, which has no effect until a person has confirmed it there; a second
-one means that another party has the code, and both are dropped. Everything the authority gets is
-checked against the code, which came from the node itself; the node is enrolled when it says so in a
-signed statement. The tables have all transitions; any other message changes nothing.
+The node answers *one* valid offer, which has no effect until a person has confirmed it there.
+Everything the authority gets is checked against the code, which came from the node itself; the node
+is enrolled when it says so in a signed statement. A message that is not in the tables changes
+nothing. docs/spec/enrollment.md has the steps.
 """
 
 import hmac
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from hashlib import sha256
@@ -27,24 +25,23 @@ from ca.enrollment.messages import (
     Done,
     EnrollmentOffer,
     Fetch,
+    Machine,
     Message,
     Reason,
     check_issued,
+    check_nonce,
+    given,
     read,
-    transition,
     write,
 )
 from ca.enrollment.qr import Code
 from ca.errors import (
-    AcknowledgementRefused,
     ConflictingOffer,
-    DigitsRefused,
     EncodingError,
     EnrollmentExpired,
     EnrollmentLocked,
     EnrollmentOver,
     EnrollmentRefused,
-    OfferRefused,
     RequestSwapped,
     SignatureError,
 )
@@ -78,6 +75,8 @@ _ABORTS: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
 
 
 def transcript(csr: bytes, chain: Sequence[bytes], root: bytes, nonce: bytes) -> bytes:
+    # Request, certificates, anchor and a fresh nonce: nothing signed over it can be replayed or taken for
+    # another statement, and no peer chooses the octets that a node signs.
     certificates = [_digest(certificate) for certificate in chain]
     return _digest(encode([_CONTEXT, _digest(csr), [*certificates], _digest(root), nonce]))
 
@@ -128,13 +127,13 @@ def _open(profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey) -> obje
     try:
         return profile.open(data, key, limit=_MAX_STATEMENT)
     except (SignatureError, EncodingError) as error:
-        raise AcknowledgementRefused(
+        raise EnrollmentRefused(
             f"the answer is not signed by the node: {error}", "possible attacker in between: start again"
         ) from error
 
 
-def _replayed() -> AcknowledgementRefused:
-    return AcknowledgementRefused(
+def _replayed() -> EnrollmentRefused:
+    return EnrollmentRefused(
         "the node's answer is for another offer",
         "it was replayed, or there was a second offer: do not confirm at the node, start again",
     )
@@ -165,8 +164,6 @@ NODE_TABLE: Final[dict[tuple[_S, type[Message]], tuple[str, tuple[_S, ...]]]] = 
 
 @dataclass(frozen=True)
 class Pending:
-    """A valid offer to be confirmed by a person."""
-
     chain: tuple[bytes, ...]  # DER
     root: bytes  # DER
     anchor: TrustAnchor  # the root as it will be trusted
@@ -175,7 +172,7 @@ class Pending:
     acknowledgement: bytes
 
 
-class NodeEnrollment:
+class NodeEnrollment(Machine[NodeState]):
     def __init__(
         self,
         signer: Signer,
@@ -195,8 +192,8 @@ class NodeEnrollment:
         """
         if len(secret) not in {0, qr.SECRET_SIZE} or len(contribution) != NONCE_SIZE:
             raise EnrollmentRefused("an enrollment needs 16 octets of each random value")
+        super().__init__(_S.SHOWING, NODE_TABLE)
         self.request = check_request(csr, domain, wildcard=wildcard)
-        self.state = _S.SHOWING
         self.end_reason: EnrollmentRefused | None = None
         self.expires = expires
         self._signer = signer
@@ -215,21 +212,13 @@ class NodeEnrollment:
 
     @property
     def pending(self) -> Pending:
-        """The offer that was acknowledged."""
-        if self._pending is None:
-            raise EnrollmentOver("there is no offer to confirm", "first, at the authority: enroll")
-        return self._pending
+        return given(self._pending, "there is no offer to confirm", "first, at the authority: enroll")
 
     def receive(self, data: bytes, now: int) -> list[bytes]:
         """Process one message; returns the answers. On an error the connection must be closed."""
         self.tick(now)
         self._check_not_over()
-        message = read(data)
-        method, followers = transition(NODE_TABLE, self.state, message)
-        action: Callable[[Message, int], list[bytes]] = getattr(self, method)
-        before = self.state
-        answers = action(message, now)
-        assert self.state in {before, *followers}  # noqa: S101 - the table is the truth
+        answers: list[bytes] = self._take(read(data), now)
         return answers
 
     def confirm(self, digits: str, now: int) -> Pending:
@@ -241,7 +230,7 @@ class NodeEnrollment:
             raise EnrollmentOver("this was confirmed already")
         if digits != pending.digits:  # not secret: they can be computed from the messages
             self._bad_digits += 1
-            error = DigitsRefused(
+            error = EnrollmentRefused(
                 "these are not the digits of the offer of this node",
                 "possible attacker in between: if the authority shows these digits, do not continue",
             )
@@ -274,6 +263,8 @@ class NodeEnrollment:
         return [write(Delivery(self._csr))]
 
     def _check_first_offer(self, offer: EnrollmentOffer, now: int) -> list[bytes]:
+        # 1. The sender has read the code; 2. it is the identity asked for; 3. only then is the contribution
+        # revealed, from which both sides compute the digits.
         transcript_hash = self._check_tag(offer)
         anchor = check_issued(offer.root, offer.chain, self.request, now)
         self._pending = Pending(
@@ -290,6 +281,7 @@ class NodeEnrollment:
     def _compare(self, offer: EnrollmentOffer, now: int) -> list[bytes]:
         if self._is_pending_offer(offer):
             return [self._acknowledged()]
+        # A second valid offer: another party has the code, and nobody knows which. Both are dropped.
         self._check_tag(offer)
         check_issued(offer.root, offer.chain, self.request, now)
         error = ConflictingOffer(
@@ -320,7 +312,7 @@ class NodeEnrollment:
         transcript_hash = self._transcript(offer)
         if not self._secret:
             if offer.tag:
-                raise OfferRefused("an offer with a tag, but the code is a label")
+                raise EnrollmentRefused("an offer with a tag, but the code is a label")
         elif not verify_tag(self._secret, transcript_hash, offer.tag):
             # A wrong tag must not disturb an offer that waits for confirmation.
             self._bad_tags += self.state is _S.SHOWING
@@ -328,7 +320,7 @@ class NodeEnrollment:
                 error = EnrollmentLocked(f"{MAX_BAD_TAGS} offers without the code's secret", _RESTART_HINT)
                 self.stop(error)
                 raise error
-            raise OfferRefused("the sender of the offer has not read the code")
+            raise EnrollmentRefused("the sender of the offer has not read the code")
         return transcript_hash
 
 
@@ -356,11 +348,9 @@ AUTHORITY_TABLE: Final[dict[tuple[_A, type[Message]], tuple[str, tuple[_A, ...]]
 }
 
 
-class AuthorityEnrollment:
-    """One enrollment of the node whose code was read; used once."""
-
+class AuthorityEnrollment(Machine[AuthorityState]):
     def __init__(self, code: Code, domain: str, *, wildcard: bool = False) -> None:
-        self.state = _A.FETCHING
+        super().__init__(_A.FETCHING, AUTHORITY_TABLE)
         self.digits = ""
         self._code = code
         self._domain = domain
@@ -377,26 +367,20 @@ class AuthorityEnrollment:
     @property
     def request(self) -> IdentityRequest:
         """The request: checked against the code, with proof of possession."""
-        if self._request is None:
-            raise EnrollmentOver("there is no request yet")
-        return self._request
+        return given(self._request, "there is no request yet")
 
     def receive(self, data: bytes, now: int) -> None:
-        """Process one message of the node."""
         self.tick(now)
-        message = read(data)
-        method, followers = transition(AUTHORITY_TABLE, self.state, message)
-        action: Callable[[Message, int], None] = getattr(self, method)
-        before = self.state
-        action(message, now)
-        assert self.state in {before, *followers}  # noqa: S101 - the table is the truth
+        self._take(read(data), now)
 
     def approve(self, now: int) -> None:
         self.tick(now)
-        self._move(_A.COMPARED, _A.APPROVED)
+        self._require(_A.COMPARED)
+        self.state = _A.APPROVED
 
     def deny(self) -> None:
-        self._move(_A.COMPARED, _A.OVER)
+        self._require(_A.COMPARED)
+        self.state = _A.OVER
 
     def offer(self, chain: Sequence[bytes], root: bytes, nonce: bytes, now: int) -> bytes:
         """Return the offer to send, and to send again unchanged when the connection breaks.
@@ -405,14 +389,15 @@ class AuthorityEnrollment:
         are 16 fresh random octets.
         """
         self.tick(now)
+        # The authority checks its own work: what a person approved is what is sent.
         identity, request = TrustAnchor.load(root).verify(chain, now), self.request
         ours = (request.domain, request.name, request.wildcard, request.thumbprint)
         offered = (identity.domain, identity.name, identity.wildcard, identity.thumbprint)
         if offered != ours:
             raise EnrollmentRefused("the certificate is not the one that was asked for")
-        if len(nonce) != NONCE_SIZE:
-            raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
-        self._move(_A.APPROVED, _A.OFFERED)
+        check_nonce(nonce)
+        self._require(_A.APPROVED)
+        self.state = _A.OFFERED
         self.deadline = now + WINDOW
         self._transcript = transcript(self.csr, chain, root, nonce)
         secret = self._code.secret
@@ -420,21 +405,15 @@ class AuthorityEnrollment:
         return write(EnrollmentOffer(tuple(chain), root, nonce, proof))
 
     def tick(self, now: int) -> None:
-        """Check the deadline at `now`."""
         if self.state in {_A.ENROLLED, _A.OVER}:
             return
         if self.deadline and now > self.deadline:
             self.state = _A.OVER
             raise EnrollmentExpired("the enrollment was not finished in time", "show a new code on the node")
 
-    def _move(self, begin: AuthorityState, end: AuthorityState) -> None:
-        if self.state is not begin:
-            raise EnrollmentOver(f"not possible in state {self.state.value!r}")
-        self.state = end
-
     def _compare(self, message: Delivery, _: int) -> None:
         # Check the hash first: a request that does not match the code is not parsed.
-        self.state = _A.OVER
+        self.state = _A.OVER  # whatever is raised below
         if not self._code.matches(message.csr):
             raise RequestSwapped(
                 "the request is not the one the code was made for",
@@ -454,7 +433,7 @@ class AuthorityEnrollment:
 
     def _acknowledged_again(self, message: Acknowledgement, _: int) -> None:
         if message.statement != self._statement:
-            raise AcknowledgementRefused("a second, different answer of the node", "start again")
+            raise EnrollmentRefused("a second, different answer of the node", "start again")
 
     def _done(self, message: Done, _: int) -> None:
         if self.state is _A.ACKNOWLEDGED:  # in ENROLLED, an invalid one changes nothing

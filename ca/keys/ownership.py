@@ -1,11 +1,8 @@
 """Owner and mode of files and directories that are trusted without a signature. Does I/O.
 
 A file is trusted only if it belongs to the user rossec runs as, or to root, and no other user can
-write it; it is opened first, and the open file is checked. The same holds for its directory and all
-above it, through every symbolic link; one above may be writable by others if it is sticky, as /tmp
-is (stat(2) S_ISVTX). OpenSSH does the same (StrictModes, sshd_config(5)). A user private group
-counts as its owner, as on systems with umask 002. Root is held to the same: files in a user's
-directory were written by that user.
+write it. The same holds for its directory and all above it, through every symbolic link. OpenSSH
+does the same (StrictModes, sshd_config(5)).
 """
 
 import grp
@@ -32,6 +29,8 @@ def check_directory(path: Path) -> None:
     """
     for part, status, is_last in _walk(path):
         _check_owner(part, status)
+        # One above may be writable by others if it is sticky, as /tmp is (stat(2) S_ISVTX): nobody else can
+        # then rename or remove what is in it.
         is_sticky = status.st_mode & stat.S_ISVTX
         if stat.S_ISDIR(status.st_mode) and (is_last or not is_sticky):
             _check_writers(part, status)
@@ -61,6 +60,7 @@ def open_trusted(path: Path, *, link: bool = False) -> int:
     check_directory(path.parent)
     if not link and path.is_symlink():
         raise PathRefused(f"{path} is a symbolic link", "put the file itself there")
+    # Opened first, and the open file is checked: the path may name another one a moment later.
     descriptor = os.open(path, _READ | (0 if link else os.O_NOFOLLOW))
     try:
         check_file(path, os.fstat(descriptor))
@@ -97,7 +97,11 @@ def _walk(path: Path) -> Iterator[tuple[Path, os.stat_result, bool]]:
 def _check_owner(path: Path, status: os.stat_result) -> None:
     if status.st_uid in {os.geteuid(), 0}:
         return
-    owner, word = _user(status.st_uid)
+    try:
+        owner = word = pwd.getpwuid(status.st_uid).pw_name
+    except KeyError:
+        owner, word = f"user {status.st_uid}", f"'#{status.st_uid}'"
+    # Root is held to the same: files in a user's directory were written by that user.
     if os.geteuid() == 0:
         raise PathRefused(
             f"{path} belongs to {owner}, who could change what root trusts here",
@@ -110,22 +114,19 @@ def _check_owner(path: Path, status: os.stat_result) -> None:
 
 
 def _check_writers(path: Path, status: os.stat_result) -> None:
-    others = status.st_mode & stat.S_IWOTH
-    group = status.st_mode & stat.S_IWGRP
-    if others or (group and not _is_private_group(path, status)):
+    is_safe = not status.st_mode & stat.S_IWOTH
+    if is_safe and status.st_mode & stat.S_IWGRP:
+        try:
+            os.getxattr(path, _ACL)
+            is_safe = False  # with an ACL, the group bits are its mask
+        except OSError:
+            is_safe = _is_user_private_group(status.st_gid, status.st_uid)
+    if not is_safe:
         if status.st_mode & stat.S_ISVTX:
             raise PathRefused(f"{path} can be written by others", "use a directory of yours in it")
         raise PathRefused(
             f"{path} can be written by others", f"check its content; if it was not changed: chmod go-w {path}"
         )
-
-
-def _is_private_group(path: Path, status: os.stat_result) -> bool:
-    try:
-        os.getxattr(path, _ACL)
-    except OSError:
-        return _is_user_private_group(status.st_gid, status.st_uid)
-    return False  # with an ACL, the group bits are its mask
 
 
 @lru_cache(maxsize=64)
@@ -134,14 +135,7 @@ def _is_user_private_group(group: int, owner: int) -> bool:
         found, name = grp.getgrgid(group), pwd.getpwuid(owner).pw_name
     except KeyError:
         return False
+    # A group with its owner alone counts as the owner, as on systems with umask 002.
     members, names = set(found.gr_mem), {name, "root"}
     belong = {user.pw_name for user in pwd.getpwall() if user.pw_gid == group and user.pw_uid}
     return found.gr_name == name and members | belong <= names
-
-
-def _user(number: int) -> tuple[str, str]:
-    try:
-        name = pwd.getpwuid(number).pw_name
-    except KeyError:
-        return f"user {number}", f"'#{number}'"
-    return name, name

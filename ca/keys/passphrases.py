@@ -1,10 +1,7 @@
 """Encryption under a passphrase: a private key as PBES2 (scrypt, AES-256-CBC), an authority's backup.
 
-`cryptography` reads this form of key but cannot write it: its `BestAvailableEncryption` is PBKDF2
-with 2048 iterations, 4 ms a guess; here it is half a second. A key file says itself what trying a
-passphrase costs, so that is read and bounded first. A backup is scrypt (RFC 7914), then AES-256-GCM
-over one deterministic CBOR map from file names to contents. Its names are restricted: an untrusted
-one cannot write outside the directory it is restored to.
+A backup is scrypt (RFC 7914), then AES-256-GCM over one deterministic CBOR map from file names to
+contents.
 """
 
 import re
@@ -50,6 +47,8 @@ def encrypt(private_key_info: bytes, passphrase: bytes, *, salt: bytes, iv: byte
 
     `salt` and `iv` are 16 random bytes each, never used before.
     """
+    # `cryptography` reads this form but cannot write it: its `BestAvailableEncryption` is PBKDF2 with 2048
+    # iterations, 4 ms a guess; here a guess takes half a second.
     key = Scrypt(salt=salt, length=_KEY_SIZE, n=_N, r=_R, p=_P).derive(passphrase)
     parameters = der(SEQUENCE, der(_OCTETS, salt), *map(_integer, (_N, _R, _P, _KEY_SIZE)))
     derivation = der(SEQUENCE, _OID_SCRYPT, parameters)
@@ -63,6 +62,8 @@ def encrypt(private_key_info: bytes, passphrase: bytes, *, salt: bytes, iv: byte
 
 
 def check_cost(encrypted: bytes) -> None:
+    # A key file says itself what trying a passphrase costs, so that is read and bounded first: hours, or all
+    # memory, would be the price of opening somebody else's file.
     body = _only(encrypted, SEQUENCE)
     algorithm, secret = _read(body, SEQUENCE)
     _only(secret, _OCTETS)
@@ -169,6 +170,8 @@ def _read_files(plain: bytes) -> dict[str, bytes]:
 
 
 def _check_names(files: Mapping[str, bytes]) -> None:
+    # An untrusted name must not write outside the directory it is restored to, nor where SQLite would apply
+    # it as a journal; and no name is both a file and a directory.
     parts = [name.split("/") for name in files]
     directories = {"/".join(each[:end]) for each in parts for end in range(1, len(each))}
     directories.update(_DIRECTORIES)

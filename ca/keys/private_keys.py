@@ -1,9 +1,7 @@
 """Private keys, in files and in PKCS#11 tokens. Does I/O and uses system randomness.
 
-A file is PKCS#8 in PEM, created with mode 0600 and O_EXCL, never overwritten, never printed. A key
-that other users of the host can read is refused, as by ssh: it must be assumed to be copied. A key
-in a token is used without reading it, and named by a URI of RFC 7512,
-`pkcs11:token=T;object=O?module-path=/path/to.so`; a PIN in it is refused, as URIs get into logs.
+A file is PKCS#8 in PEM, never overwritten, never printed. A key in a token is used without reading it,
+and named by a URI of RFC 7512, `pkcs11:token=T;object=O?module-path=/path/to.so`.
 """
 
 import base64
@@ -51,8 +49,18 @@ def generate() -> ec.EllipticCurvePrivateKey:
 
 
 def write_private(path: Path, key: ec.EllipticCurvePrivateKey, passphrase: str | None = None) -> None:
-    pem = _to_pem(key, passphrase)
+    if passphrase is None:
+        pem = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    elif not passphrase:
+        raise PassphraseRefused("the passphrase is empty", "choose one, or ask for none explicitly")
+    else:
+        plain = key.private_bytes(Encoding.DER, PrivateFormat.PKCS8, NoEncryption())
+        salt, iv = secrets.token_bytes(passphrases.SALT_SIZE), secrets.token_bytes(passphrases.IV_SIZE)
+        text = base64.b64encode(passphrases.encrypt(plain, passphrase.encode(), salt=salt, iv=iv))
+        lines = [text[start : start + 64] for start in range(0, len(text), 64)]
+        pem = b"\n".join([_ENCRYPTED, *lines, _END, b""])
     try:
+        # The mode is given at creation: with a chmod afterwards it would be readable for a moment.
         descriptor = os.open(path, _CREATE, 0o600)
     except FileExistsError:
         raise KeyRefused(
@@ -65,6 +73,7 @@ def write_private(path: Path, key: ec.EllipticCurvePrivateKey, passphrase: str |
             file.write(pem)
             file.flush()
             os.fsync(file.fileno())
+        # The name too must survive a power failure: the identity for this key is asked for next.
         directory = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
             os.fsync(directory)
@@ -111,18 +120,6 @@ def _open(pem: bytes, passphrase: str) -> PrivateKeyTypes:
     return load_der_private_key(encrypted, passphrase.encode())
 
 
-def _to_pem(key: ec.EllipticCurvePrivateKey, passphrase: str | None) -> bytes:
-    if passphrase is None:
-        return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-    if not passphrase:
-        raise PassphraseRefused("the passphrase is empty", "choose one, or ask for none explicitly")
-    plain = key.private_bytes(Encoding.DER, PrivateFormat.PKCS8, NoEncryption())
-    salt, iv = secrets.token_bytes(passphrases.SALT_SIZE), secrets.token_bytes(passphrases.IV_SIZE)
-    text = base64.b64encode(passphrases.encrypt(plain, passphrase.encode(), salt=salt, iv=iv))
-    lines = [text[start : start + 64] for start in range(0, len(text), 64)]
-    return b"\n".join([_ENCRYPTED, *lines, _END, b""])
-
-
 def _read(path: Path) -> bytes:
     ownership.check_directory(path.parent)
     try:
@@ -139,6 +136,7 @@ def _read(path: Path) -> bytes:
         # Check the opened file, not the path, which may have been replaced meanwhile.
         if not stat.S_ISREG(status.st_mode):
             raise KeyRefused(f"{path} is not a regular file", "name the file of the private key")
+        # As by ssh: a key that others can read must be assumed to be copied.
         if status.st_mode & 0o077:
             raise KeyRefused(
                 f"{path} can be read or written by others",
@@ -160,7 +158,6 @@ class KeyUri:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read a URI."""
         path, _, query = text.removeprefix(SCHEME).partition("?")
         path_fields, query_fields = _fields(path, ";"), _fields(query, "&")
         if "pin-value" in query_fields:
@@ -193,7 +190,6 @@ class TokenSigner:
 
     @classmethod
     def open(cls, uri: KeyUri, pin: str) -> Self:
-        """Log in and find the key."""
         session = _session(uri, pin)
         pkcs11 = _library()
         try:
@@ -205,6 +201,7 @@ class TokenSigner:
             raise TokenRefused(
                 f"the token {uri.token} has no usable key {uri.object}{_reason(error)}", _LIST_HINT
             ) from error
+        # A token is there so that the key cannot be copied; this one can be.
         if extractable:
             raise KeyRefused(f"the key {uri.object} is extractable from its token", "create one that is not")
         wrong = f"the key {uri.object} is not a P-256 key", "make one with rossec ca init DOMAIN"
@@ -218,7 +215,6 @@ class TokenSigner:
 
     @classmethod
     def create(cls, uri: KeyUri, pin: str) -> Self:
-        """Generate a new key in the token."""
         session = _session(uri, pin)
         pkcs11 = _library()
         from pkcs11.util.ec import encode_named_curve_parameters  # noqa: PLC0415  (an extra)
@@ -246,7 +242,6 @@ class TokenSigner:
         return cls.open(uri, pin)
 
     def sign(self, message: bytes) -> bytes:
-        """ES256 over `message`: 64 bytes, r || s (RFC 9053 section 2.1)."""
         pkcs11 = _library()
         try:
             # CKM_ECDSA takes the digest: the token need not support hashing.

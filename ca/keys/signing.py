@@ -4,7 +4,7 @@ Keys are identified by their COSE thumbprint (RFC 9679): grants, lists and logs 
 to one of its certificates. A renewed certificate keeps its grants, a revoked key loses all. A
 `Signer` signs and does not expose the key, be it in a file or in a token. A statement type is a
 `Profile`: its protected header is one constant, compared byte for byte, so algorithm, type and
-version cannot be negotiated, confused or extended. Trust is not decided here.
+version cannot be negotiated, confused or extended.
 """
 
 import hashlib
@@ -46,7 +46,6 @@ _HEAD_SIZES: Final = {0x58: 2, 0x59: 3, 0x5A: 5}  # bytes; shorter strings have 
 
 
 def require_p256(key: object) -> ec.EllipticCurvePublicKey:
-    """Return `key` if it is a P-256 public key."""
     if not isinstance(key, ec.EllipticCurvePublicKey) or not isinstance(key.curve, ec.SECP256R1):
         raise KeyRefused("the key is not a P-256 key", "create the key with `rossec node request`")
     return key
@@ -66,12 +65,10 @@ def thumbprint_of(coordinates: bytes) -> bytes:
 
 
 def to_coordinates(key: ec.EllipticCurvePublicKey) -> bytes:
-    """Return x and y of a P-256 key, 64 octets."""
     return require_p256(key).public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)[1:]
 
 
 def from_coordinates(data: bytes) -> ec.EllipticCurvePublicKey:
-    """Return the P-256 key with the coordinates x and y, 64 octets."""
     if len(data) != 2 * _COORDINATE:
         raise KeyRefused("a key of a wrong length where x and y are expected")
     try:
@@ -92,8 +89,6 @@ class Signer(Protocol):
 
 
 class KeySigner:
-    """A `Signer` for a P-256 key in memory."""
-
     __slots__ = ("_key",)
 
     def __init__(self, key: ec.EllipticCurvePrivateKey) -> None:
@@ -104,7 +99,6 @@ class KeySigner:
         return self._key.public_key()
 
     def sign(self, message: bytes) -> bytes:
-        """ES256 over `message`: 64 bytes, r || s (RFC 9053 section 2.1)."""
         r, s = decode_dss_signature(self._key.sign(message, _ECDSA))
         return r.to_bytes(_COORDINATE) + s.to_bytes(_COORDINATE)
 
@@ -208,6 +202,7 @@ class Profile:
 
     def check(self, data: bytes, key: ec.EllipticCurvePublicKey, payload: Value) -> None:
         """Return if `data` states exactly `payload`, signed by `key`; nothing of it is decoded."""
+        # The expected statement is made and compared: the payload of a stranger is never parsed.
         body = encode(payload)
         text = head(_BYTES, len(body)) + body
         statement = self._frame + text + _SIGNATURE_HEAD
@@ -234,9 +229,7 @@ class Profile:
             and data.startswith(_SIGNATURE_HEAD, end)
         ):
             return body, data[-2 * _COORDINATE :]
-        return self._split_by_decoding(data, limit)
-
-    def _split_by_decoding(self, data: bytes, limit: int) -> tuple[bytes, bytes]:
+        # Not that form: decoded, only to say what is wrong with it.
         if data[:1] != _SIGN1_TAG:
             raise SignatureError("not a COSE_Sign1 statement")
         match decode(data[1:], limit=limit):

@@ -1,11 +1,9 @@
 """The signed statements of revocation, their bytes, and proofs of single entries.
 
 The authority signs the *list*: everything revoked, numbered by (epoch, seq), valid for some weeks.
-The master signs the *timestamp*: "the list with this digest was the newest at this time", valid
-for at most 30 seconds (the snapshot and timestamp roles of TUF): a stolen master key can delay
-revocations but not undo one. Where the entries are too many, the authority signs a Merkle *tree*
-over them instead, sorted, and the master proves that an entry is present, or absent because it
-would be between two adjacent leaves: it can hide nothing, and a node asks for what it needs.
+The master signs the *timestamp*: "the list with this digest was the newest at this time" (the
+snapshot and timestamp roles of TUF). Where the entries are too many, the authority signs a Merkle
+*tree* over them instead, sorted, and the master proves that an entry is present, or absent.
 """
 
 import hashlib
@@ -27,6 +25,8 @@ DIGEST_SIZE: Final = 32
 MAX_ENTRIES: Final = 4096  # for more entries the authority signs a tree
 MAX_LIST: Final = MAX_ENTRIES * (THUMBPRINT_SIZE + 2) + 512
 MAX_TIMESTAMP: Final = 512
+# Seconds. A stolen master key can delay revocations by so much, and not undo one; a node whose master is
+# down is refused after it.
 MAX_AGE: Final = 30
 
 LIST_PROFILE: Final = Profile("rossec-revocation+cwt")
@@ -107,6 +107,7 @@ def open_list(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList:
     match _open(LIST_PROFILE, data, ca_key, MAX_LIST):
         case {4: exp, 6: iat, -70001: epoch, -70002: seq, -70003: list() as items, **rest} if not rest:
             entries = [check_entry(item) for item in items]
+            # Sorted, without doubles: one list has one encoding, and so one digest in timestamps.
             if any(first >= second for first, second in pairwise(entries)):
                 raise RevocationRefused("the entries of the revocation list are not sorted")
             epoch, seq, iat, exp = map(_number, (epoch, seq, iat, exp))
@@ -228,7 +229,6 @@ def sign_tree(signer: Signer, tree: RevocationTree) -> bytes:
 
 
 def open_tree(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationTree:
-    """Verify and read a tree; its age is not checked here."""
     try:
         value = TREE.open(data, ca_key, limit=MAX_TREE)
     except (SignatureError, EncodingError) as error:
@@ -282,8 +282,6 @@ def _entry(data: bytes, position: int) -> tuple[bytes, int]:
 
 
 class TreeEntries:
-    """All entries of a tree; creates the proofs."""
-
     def __init__(self, entries: Collection[bytes]) -> None:
         self._entries = sorted({check_entry(entry) for entry in entries})
         self._tree = Tree(self._entries)
@@ -333,7 +331,6 @@ class TreeEntries:
             raise RevocationRefused(*_NOT_THOSE)
 
     def prove(self, entry: bytes) -> bytes:
-        """The proof that `entry` is in the tree, or that it is not."""
         position = bisect_left(self._entries, entry)
         if position < len(self._entries) and self._entries[position] == entry:
             indexes = [position]
@@ -349,6 +346,8 @@ def is_revoked(tree: RevocationTree, entry: bytes, proof: bytes) -> bool:
         raise RevocationRefused(f"not a proof: {error}") from error
     if not isinstance(parts, list):
         raise RevocationRefused("a proof is a list of leaves")
+    # With sorted leaves, an entry is absent if it lies before the first one, behind the last one, or between
+    # two neighbours: the master can hide nothing.
     match [_leaf(tree, part) for part in parts]:
         case [(_, leaf)] if leaf == entry:
             return True

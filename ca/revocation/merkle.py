@@ -1,8 +1,7 @@
 """Merkle trees as in Certificate Transparency: roots, and short proofs that a verifier can check.
 
-RFC 6962 section 2.1 defines the hashes (the prefixes 0x00 and 0x01 separate leaves from inner
-nodes), RFC 9162 section 2.1 the verification. This module only knows hashes: the meaning of
-a leaf, and the signature and age of a root, are the callers'. An *inclusion* proof shows that a
+RFC 6962 section 2.1 defines the hashes, RFC 9162 section 2.1 the verification. The meaning of a
+leaf, and the signature and age of a root, are the callers'. An *inclusion* proof shows that a
 leaf is at an index; with sorted leaves, the proofs of two adjacent leaves show that an entry
 between them is absent. A *consistency* proof shows that a tree extends an older one. Verification
 raises on failure.
@@ -19,6 +18,8 @@ MAX_PROOF: Final = 64  # hashes: enough for a tree of 2^63 leaves
 EMPTY_ROOT: Final = hashlib.sha256().digest()
 
 
+# The prefixes separate leaves from inner nodes (RFC 6962 section 2.1): else an inner node could be given
+# out as a leaf, and an entry that nobody wrote be proved.
 def leaf_hash(data: bytes) -> bytes:
     return hashlib.sha256(b"\0" + data).digest()
 
@@ -48,19 +49,16 @@ class Tree:
         self._levels.append([digest])
 
     def root(self, size: int | None = None) -> bytes:
-        """The root over the first `size` leaves, by default over all."""
         size = self._size(size)
         return self._hash(0, size) if size else EMPTY_ROOT
 
     def inclusion(self, index: int, size: int | None = None) -> list[bytes]:
-        """The proof that leaf `index` is in the tree of the first `size` leaves."""
         size = self._size(size)
         if not 0 <= index < size:
             raise ProofRefused(f"there is no leaf {index} in a tree of {size}")
         return self._path(index, 0, size)
 
     def consistency(self, first: int, second: int | None = None) -> list[bytes]:
-        """The proof that the tree of `second` leaves extends the one of `first`."""
         second = self._size(second)
         if not 0 < first <= second:
             raise ProofRefused(f"a tree of {second} leaves does not extend one of {first}")

@@ -1,11 +1,9 @@
 """The revocations this node knows of its own domain and of the listed ones, and whether they are fresh.
 
 The state fails closed: without a list, without a confirmation, after its maximum age, after the
-list's own expiry, or on a clock that was set back, `check` refuses. It only moves forward, also
-over a restart: the caller persists the list *before* it takes effect (CVE-2025-2888 in tough was
-that order reversed) and passes its number as `floor`. A foreign list counts for the nodes and
-grants of that domain and for nothing else, the own one for every key. Clock and disk are the
-caller's; whoever shares a state between threads locks it.
+list's own expiry, or on a clock that was set back, `check` refuses. A foreign list counts for the
+nodes and grants of that domain and for nothing else, the own one for every key. Clock and disk are
+the caller's; whoever shares a state between threads locks it.
 """
 
 from collections.abc import Callable, Sequence
@@ -110,7 +108,6 @@ class Revocations:
         self._absent.add(entry)
 
     def set_entries(self, tree_entries: TreeEntries) -> None:
-        """Set all entries of the current tree: no proofs are needed any more."""
         if not isinstance(self.current, RevocationTree):
             raise RevocationRefused("entries of a tree, but there is no tree")
         tree_entries.check(self.current)
@@ -126,12 +123,15 @@ class Revocations:
         list is applied too: what it revokes stays revoked, and `check` refuses everything else. A
         new list needs a new confirmation. With a tree, what was known to be revoked stays so.
         """
+        # 1. Verified, and not older than what was seen before: also over a restart, by the saved `floor`.
         revocations = open_statement(data, self._key)
         self.check_number(revocations)
         if data == self.data:
             return frozenset()
+        # 2. On the disk before it takes effect (CVE-2025-2888 in tough was that order reversed).
         if persist is not None:
             persist(data)
+        # 3. In force. What is known to be revoked stays so: a tree says nothing of single entries.
         self._complete = isinstance(revocations, RevocationList)
         entries = revocations.entries if isinstance(revocations, RevocationList) else self.entries
         added = entries - self.entries
@@ -152,10 +152,12 @@ class Revocations:
             )
         if timestamp.max_age > MAX_AGE:
             raise RevocationRefused("the timestamp claims to be valid for too long")
+        # From the future it would count for longer than its maximum age.
         if timestamp.issued > now + SKEW:
             raise ClocksDisagree("the timestamp is from the future", "check both clocks")
         if self._end(timestamp) < now:
             raise ClocksDisagree("the timestamp is too old", "check both clocks")
+        # The newer one counts, unless it is from a future that a clock set back has made of it.
         if self._confirmed is None or not (timestamp.issued <= self._confirmed.issued <= now + SKEW):
             self._confirmed = timestamp
 
@@ -165,8 +167,10 @@ class Revocations:
 
     def check(self, entry: bytes, now: int) -> None:
         """Return if `entry` (a grant id or key thumbprint) is known not to be revoked."""
+        # 1. Revoked is revoked, however old the list is.
         if check_entry(entry) in self.entries:
             raise Revoked(f"{entry.hex()} is revoked", "ask the authority's operator for the reason")
+        # 2. With a tree, absence needs a proof: it is noted, so that the caller can ask the master for one.
         unproved = not self._complete and entry not in self._absent
         if unproved and len(self._unproved) < MAX_PROOFS:
             self._unproved[entry] = None
@@ -175,7 +179,6 @@ class Revocations:
             raise RevocationsStale(f"no proof received yet that {entry.hex()} is not revoked", _STALE)
 
     def check_fresh(self, now: int) -> None:
-        """Return if the current list is confirmed and valid at `now`."""
         if self.current is None:
             raise RevocationsStale(NO_LIST_YET, _STALE)
         if now >= self.current.expires:
@@ -200,6 +203,7 @@ class Revocations:
                 f"revocation list {_text(new.number)} is older than {_text(self.floor)}",
                 "an old list was replayed: find out which peer sent it",
             )
+        # Two lists of one number: a copy of the authority's key or record signs, and no order is right.
         if self.current is not None and new.number == self.current.number and new != self.current:
             raise RollbackRefused(
                 f"there are two different revocation lists {_text(new.number)}",
@@ -264,15 +268,17 @@ class Standing:
         listed, held = self._listed(domain), self._held(domain)
         if held is None:
             raise _not_listed(domain)
+        # 1. The list: what it revokes counts even when the timestamp is not accepted.
         added: frozenset[bytes] = frozenset()
         if revocations:
             added = held.revocations.update(revocations, now, persist)
         if not timestamp:
             raise RevocationsStale(f"no word of {listed.entry.label}'s master", _SILENT)
-        # The master that signed it need not be admitted as a peer.
+        # 2. The master that signed the timestamp need not be admitted as a peer, but is that domain's.
         master = listed.anchor.verify(chain, now)
         if not is_master_name(master.name) or master.wildcard:
             raise NotAdmitted(f"{listed.entry.label}:{master.name} is no master, and confirms no revocations")
+        # 3. Neither side has revoked it: a stolen master key must not confirm the list before its own end.
         for key in master.keys:
             for each in (self.own, held.revocations):
                 with suppress(RevocationsStale):  # the timestamp may end it
@@ -287,7 +293,6 @@ class Standing:
         return added
 
     def check(self, domain: str, entry: bytes, now: int) -> None:
-        """Return if `entry` is known not to be revoked by the authority of `domain`."""
         if domain == self.anchors.own.domain:
             self.own.check(entry, now)
             return

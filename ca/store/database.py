@@ -1,23 +1,20 @@
 """The database file of the authority's record: SQLite, private to its owner, durable transactions.
 
-All tables but that of requests for identities are append-only: triggers refuse every change. Such a
-request follows `ca.store.values.TRANSITIONS`, also by triggers, and is deleted at its end. Every
-table in `LOGGED_TABLES` has its rows in the log. A foreign, damaged or missing file is refused
-without changing it, an older version is brought up and loses nothing. What is read to decide a
-change must be read inside `transaction`, which excludes every other command until it is made.
+All tables but that of requests for identities are append-only. Every table in `LOGGED_TABLES` has its
+rows in the log. A foreign, damaged or missing file is refused without changing it. What is read to
+decide a change must be read inside `transaction`, which excludes every other command until then.
 """
 
 import os
-import re
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, Self
 
-from ca.errors import LogDamaged, RecordUnusable, StoreError
+from ca.errors import RecordUnusable, StoreError
 from ca.keys import ownership
-from ca.store.values import TRANSITIONS, LogEntry, RequestState, digest_of, extend_peaks
+from ca.store.values import TRANSITIONS, LogEntry, RequestState, extend_peaks
 
 _FULL_HINT: Final = "make room and run the command again; do not restore a backup"
 _MIN_FREE: Final = 128 * 1024  # bytes of free space that SQLite needs to open a record
@@ -39,7 +36,7 @@ _FAULTS: Final[dict[int, tuple[str, str]]] = {
 }
 
 APPLICATION_ID: Final = 0x524F5343  # "ROSC"
-VERSION: Final = 6
+VERSION: Final = 6  # of the schema; 1 to 5 were those of development versions, which nobody brings up
 _RESTORE_HINT: Final = "restore a backup of your own, and find out who made this one"
 _APPROVAL: Final = (
     "id, kind, subject, statement, payload, passkey, client_data, authenticator_data, signature, at"
@@ -67,7 +64,7 @@ LOGGED_TABLES: Final = {
     "thing": ("thing", "id, name, border, data, not_before, expires"),
 }
 
-VERSION_1: Final = (  # unchanged since version 1
+_TABLES: Final = (
     """CREATE TABLE certificate (
         serial BLOB PRIMARY KEY, name TEXT NOT NULL, thumbprint BLOB NOT NULL, der BLOB NOT NULL,
         not_before INTEGER NOT NULL, not_after INTEGER NOT NULL, at INTEGER NOT NULL
@@ -83,8 +80,6 @@ VERSION_1: Final = (  # unchanged since version 1
         epoch INTEGER NOT NULL, seq INTEGER NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL,
         PRIMARY KEY (epoch, seq)
     ) STRICT""",
-)
-VERSION_2: Final = (
     """CREATE TABLE log (
         number INTEGER PRIMARY KEY, at INTEGER NOT NULL, what TEXT NOT NULL, subject TEXT NOT NULL,
         detail TEXT NOT NULL, digest BLOB NOT NULL, peaks BLOB NOT NULL
@@ -100,8 +95,6 @@ VERSION_2: Final = (
     """CREATE TABLE answer (
         request BLOB PRIMARY KEY, serial BLOB NOT NULL UNIQUE, at INTEGER NOT NULL
     ) STRICT""",
-)
-VERSION_3: Final = (
     """CREATE TABLE grant_request (
         id BLOB PRIMARY KEY, name TEXT NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL
     ) STRICT""",
@@ -124,8 +117,6 @@ VERSION_3: Final = (
     """CREATE TABLE invitation_end (
         invitation BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL
     ) STRICT""",
-)
-VERSION_4: Final = (
     """CREATE TABLE passkey (
         id BLOB PRIMARY KEY, name TEXT NOT NULL, cose_key BLOB NOT NULL, aaguid BLOB NOT NULL,
         rp_id TEXT NOT NULL, origin TEXT NOT NULL, approval BLOB NOT NULL, at INTEGER NOT NULL
@@ -145,8 +136,6 @@ VERSION_4: Final = (
     """CREATE TABLE approval_end (
         approval BLOB PRIMARY KEY, state TEXT NOT NULL, result TEXT NOT NULL, at INTEGER NOT NULL
     ) STRICT""",
-)
-VERSION_5: Final = (
     # Each acceptance, and each change of its terms, is a row: the newest one of a domain counts.
     """CREATE TABLE foreign_domain (
         number INTEGER PRIMARY KEY, domain TEXT NOT NULL, label TEXT NOT NULL,
@@ -164,16 +153,13 @@ VERSION_5: Final = (
         thumbprint BLOB NOT NULL, root BLOB NOT NULL, name TEXT NOT NULL, der BLOB NOT NULL UNIQUE,
         at INTEGER NOT NULL
     ) STRICT""",
-)
-VERSION_6: Final = (
     # Statements about constrained things; `border` is the name of the router that serves it.
     """CREATE TABLE thing (
         id BLOB PRIMARY KEY, name TEXT NOT NULL, border TEXT NOT NULL, data BLOB NOT NULL,
         not_before INTEGER NOT NULL, expires INTEGER NOT NULL, at INTEGER NOT NULL
     ) STRICT""",
 )
-_TABLES: Final = (*VERSION_1, *VERSION_2, *VERSION_3, *VERSION_4, *VERSION_5, *VERSION_6)
-_MIGRATIONS: Final = {4: VERSION_4, 5: VERSION_5, 6: VERSION_6}  # that only add tables
+# Triggers stop mistakes, ours too; who owns the file can drop them, and is found by the log's signed heads.
 _NO_CHANGE: Final = """
 CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
 BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;
@@ -192,9 +178,6 @@ CREATE TRIGGER csr_moves BEFORE UPDATE OF state, reason, changed, replaces, wild
 WHEN (OLD.state || '>' || NEW.state) NOT IN ({allowed})
 BEGIN SELECT RAISE(ABORT, 'a request does not go this way'); END;
 """
-_SET: Final = re.compile(r"in \(([^()]*)\)")
-
-_OF_VERSION_1: Final = ("certificate", "grant", "revocation", "list")  # kinds of log entries
 
 BUSY_TIMEOUT: Final = 30.0  # seconds; other commands hold the lock for milliseconds
 # The statements that begin, commit and roll back a transaction, and a nested one.
@@ -210,23 +193,34 @@ def fault(path: Path, error: sqlite3.Error) -> StoreError:
         return RecordUnusable(f"{path} is damaged: {error}", "restore it from a backup, with --list")
     if code == sqlite3.SQLITE_CONSTRAINT:
         return StoreError(f"the record refuses the entry: {error}")
-    if code in {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN} and _is_full(path.parent):
-        code = sqlite3.SQLITE_FULL
+    if code in {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN}:  # said of a full disk too
+        with suppress(OSError):
+            found = os.statvfs(path.parent)
+            if found.f_bavail * found.f_frsize < _MIN_FREE:
+                code = sqlite3.SQLITE_FULL
     what, hint = _FAULTS.get(code, (f"{error}, nothing was changed", "run the command again"))
     return RecordUnusable(f"{path} cannot be used: {what}", hint)
 
 
-def _is_full(directory: Path) -> bool:
-    with suppress(OSError):
-        found = os.statvfs(directory)
-        return found.f_bavail * found.f_frsize < _MIN_FREE
-    return False
+@contextmanager
+def _faults(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise fault(path, error) from error
 
 
 def create(db: sqlite3.Connection) -> None:
-    _create_tables(db, _TABLES)
-    for statement in request_triggers():
+    for statement in _TABLES:
         db.execute(statement)
+        kind, name = statement.split()[1:3]
+        if kind == "TABLE" and name != "csr":  # requests for identities change, and end
+            for verb in ("UPDATE", "DELETE"):
+                db.execute(_NO_CHANGE.format(table=name, verb=verb))
+    transitions = [f"'{old}>{new}'" for old, following in TRANSITIONS.items() for new in sorted(following)]
+    db.execute(_NEW_REQUEST)
+    db.execute(_REQUEST_IMMUTABLE)
+    db.execute(_REQUEST_TRANSITIONS.format(allowed=", ".join(transitions)))
     db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     db.execute(f"PRAGMA user_version = {VERSION}")
 
@@ -247,22 +241,9 @@ def check_no_foreign_objects(db: sqlite3.Connection) -> None:
         raise StoreError(f"the record lacks {min(missing)}", _RESTORE_HINT)
 
 
-def _objects(db: sqlite3.Connection) -> dict[str, tuple[str, str, str]]:
+def _objects(db: sqlite3.Connection) -> dict[str, tuple[str, str, list[str]]]:
     rows = db.execute("SELECT name, type, tbl_name, sql FROM sqlite_master WHERE sql IS NOT NULL")
-    return {name: (kind, table, _canonical(text)) for name, kind, table, text in rows}
-
-
-def _canonical(text: str) -> str:
-    # A statement in canonical form: whitespace, case, quotes and IF NOT EXISTS do not matter.
-    # Nor does the order of a set: until 0.1.0 that of `csr_moves` differed in each process.
-    words = text.lower().replace('"', "").replace("if not exists ", "").replace(";", " ").split()
-    return _SET.sub(lambda found: str(sorted(found[1].split(", "))), " ".join(words))
-
-
-def version(db: sqlite3.Connection) -> int:
-    """The schema version of this file; 0 if it is not a record."""
-    (number,) = db.execute("PRAGMA user_version").fetchone()
-    return int(number)
+    return {name: (kind, table, text.split()) for name, kind, table, text in rows}
 
 
 def check(db: sqlite3.Connection) -> None:
@@ -281,100 +262,11 @@ def append_entry(
     db: sqlite3.Connection, at: int, what: str, subject: str, detail: str, digest: bytes
 ) -> None:
     """Append an entry to the log, inside the transaction of the change it describes."""
+    # With the tree's peaks in each entry, an append costs the same for the first and the millionth.
     last = db.execute("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1").fetchone()
     number, peaks = (0, b"") if last is None else (last[0] + 1, last[1])
     entry = LogEntry(number, at, what, subject, detail, digest)
     db.execute("INSERT INTO log VALUES (?, ?, ?, ?, ?, ?, ?)", (*entry, extend_peaks(peaks, entry)))
-
-
-def _create_tables(db: sqlite3.Connection, statements: Sequence[str]) -> None:
-    for statement in (*statements, *append_only_triggers(append_only(statements))):
-        db.execute(statement)
-
-
-def append_only(statements: Sequence[str]) -> list[str]:
-    """The tables among these that never change: all but that of requests for identities."""
-    made = [statement.split()[1:3] for statement in statements]
-    return [name for kind, name in made if kind == "TABLE" and name != "csr"]
-
-
-def append_only_triggers(tables: Iterable[str]) -> Iterator[str]:
-    for table in tables:
-        for verb in ("UPDATE", "DELETE"):
-            yield _NO_CHANGE.format(table=table, verb=verb)
-
-
-def request_triggers() -> tuple[str, str, str]:
-    transitions = ", ".join(
-        f"'{old}>{new}'" for old, following in TRANSITIONS.items() for new in sorted(following)
-    )
-    return _NEW_REQUEST, _REQUEST_IMMUTABLE, _REQUEST_TRANSITIONS.format(allowed=transitions)
-
-
-def migrate(db: sqlite3.Connection) -> None:
-    for new in range(version(db) + 1, VERSION + 1):
-        if new == 2:
-            _to_version_2(db)
-        elif new == 3:
-            _to_version_3(db)
-        else:
-            _create_tables(db, _MIGRATIONS[new])
-        (at,) = db.execute("SELECT coalesce(max(at), 0) FROM log").fetchone()
-        append_entry(db, at, "migrated", "record", f"{new - 1} to {new}", b"")
-        db.execute(f"PRAGMA user_version = {new}")
-
-
-def _to_version_2(db: sqlite3.Connection) -> None:
-    # It made a tree of the log.
-    old = db.execute("SELECT at, what, subject, detail FROM log ORDER BY number").fetchall()
-    db.execute("DROP TABLE log")  # and its triggers with it
-    if _has_table(db, "request"):  # requests for grants: the name is not theirs any more
-        db.execute("ALTER TABLE request RENAME TO grant_request")
-    _create_tables(db, VERSION_2)
-    for statement in request_triggers():
-        db.execute(statement)
-    rows: dict[str, Iterator[Any]] = {}
-    for what in _OF_VERSION_1:
-        table, columns = LOGGED_TABLES[what]
-        rows[what] = iter(db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall())  # noqa: S608  (constants)
-    for number, (at, what, subject, detail) in enumerate(old):
-        row = next(rows.get(what, iter(())), None)
-        if row is None:
-            raise LogDamaged(
-                f"line {number} of the log is about a {what} that is not recorded",
-                "restore a backup, and find out who changed the record",
-            )
-        append_entry(db, at, what, subject, detail, digest_of(row))
-
-
-def _to_version_3(db: sqlite3.Connection) -> None:
-    # It took the requests for grants and their answers into the log, which until then were tables of their
-    # own, and knows which grants came from a policy: those signed before count as made by hand.
-    requests = _taken(db, "grant_request", "id, name, data, at")
-    decisions = _taken(db, "decision", "request, right, pattern, answer, reason, at")
-    _create_tables(db, VERSION_3)
-    for row in requests:
-        db.execute("INSERT INTO grant_request VALUES (?, ?, ?, ?)", row)
-        append_entry(db, row[3], "grant request", row[1], row[0].hex(), digest_of(row))
-    names = {row[0]: row[1] for row in requests}
-    for row in decisions:
-        db.execute("INSERT INTO decision VALUES (?, ?, ?, ?, ?, ?)", row)
-        subject = names.get(row[0], "")
-        append_entry(db, row[5], "decision", subject, f"{row[3]} {row[2]}", digest_of(row))
-
-
-def _taken(db: sqlite3.Connection, table: str, columns: str) -> list[tuple[Any, ...]]:
-    # The rows of a table that may not be there, oldest first; the table is dropped.
-    if not _has_table(db, table):
-        return []
-    rows = db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall()  # noqa: S608  (constants)
-    db.execute(f"DROP TABLE {table}")  # and its triggers with it
-    return rows
-
-
-def _has_table(db: sqlite3.Connection, name: str) -> bool:
-    query = "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = ?"
-    return db.execute(query, (name,)).fetchone() is not None
 
 
 class Database:
@@ -391,10 +283,8 @@ class Database:
         except OSError as error:
             raise StoreError(f"cannot create {path}: {error.strerror}") from error
         database = cls(_connect(path), path)
-        try:
+        with _faults(path):
             _configure(database.connection)
-        except sqlite3.Error as error:
-            raise fault(path, error) from error
         with database.transaction() as db:
             create(db)
         return database
@@ -412,12 +302,20 @@ class Database:
             ownership.check_trusted(path)
         database = cls(_connect(path), path)
         try:
-            _check_kind(database.connection, path)
-            _configure(database.connection)
-            if version(database.connection) != VERSION:
-                with database.transaction() as db:
-                    migrate(db)
-            check(database.connection)
+            # Before any PRAGMA is set: a database of another program must not be changed.
+            db = database.connection
+            (application,) = db.execute("PRAGMA application_id").fetchone()
+            (version,) = db.execute("PRAGMA user_version").fetchone()
+            if application == APPLICATION_ID and version > VERSION:
+                raise StoreError(
+                    f"{path} was written by a newer version of rossec",
+                    "use that version; to go back, move the directory away and restore the backup from"
+                    " before the update: rossec ca restore FILE --list FILE",
+                )
+            if (application, version) != (APPLICATION_ID, VERSION):
+                raise StoreError(f"{path} is not a record of rossec", "restore it from a backup")
+            _configure(db)
+            check(db)
         except (sqlite3.Error, StoreError) as error:
             database.close()
             if isinstance(error, StoreError):
@@ -430,10 +328,8 @@ class Database:
 
     def snapshot(self) -> bytes:
         """The whole file as of this moment, also while others write."""
-        try:
+        with _faults(self._path):
             return self.connection.serialize()
-        except sqlite3.Error as error:
-            raise fault(self._path, error) from error
 
     def logged(self, what: str, clause: str = "ORDER BY rowid", *values: object) -> list[Any]:
         """The rows about which log entries of the kind `what` are, with the columns of the digest."""
@@ -448,11 +344,9 @@ class Database:
 
     def check(self) -> None:
         """Return if the file is undamaged and has only the triggers and views of rossec."""
-        try:
+        with _faults(self._path):
             check_no_foreign_objects(self.connection)
             found = self.connection.execute("PRAGMA quick_check").fetchall()
-        except sqlite3.Error as error:
-            raise fault(self._path, error) from error
         if found != [("ok",)]:
             raise StoreError(f"{self._path} is damaged: {found[0][0]}", "restore another backup")
 
@@ -462,10 +356,11 @@ class Database:
 
         A nested one is rolled back alone if it fails, and committed with the outer one.
         """
-        try:
+        with _faults(self._path):
             begin, commit, rollback = _SAVEPOINT if self.connection.in_transaction else _TRANSACTION
             self.connection.execute(begin)
             try:
+                # A restore puts another file in this place: what is written here would be lost.
                 try:
                     found = self._path.stat()
                 except OSError:
@@ -482,8 +377,6 @@ class Database:
                     for statement in rollback:
                         self.connection.execute(statement)
                 raise
-        except sqlite3.Error as error:
-            raise fault(self._path, error) from error
 
     @contextmanager
     def read_transaction(self) -> Iterator[None]:
@@ -499,27 +392,14 @@ class Database:
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    try:
+    with _faults(path):
         return sqlite3.connect(
             f"{path.absolute().as_uri()}?mode=rw", timeout=BUSY_TIMEOUT, isolation_level=None, uri=True
         )
-    except sqlite3.Error as error:
-        raise fault(path, error) from error
-
-
-def _check_kind(db: sqlite3.Connection, path: Path) -> None:
-    # Before any PRAGMA is set: a database of another program must not be changed.
-    (application,) = db.execute("PRAGMA application_id").fetchone()
-    if application == APPLICATION_ID and version(db) > VERSION:
-        raise StoreError(
-            f"{path} was written by a newer version of rossec",
-            "use that version; to go back, move the directory away and restore the backup from"
-            " before the update: rossec ca restore FILE --list FILE",
-        )
-    if application != APPLICATION_ID or version(db) < 1:
-        raise StoreError(f"{path} is not a record of rossec", "restore it from a backup")
 
 
 def _configure(db: sqlite3.Connection) -> None:
+    # FULL: what was signed is on the disk before it is given out. No schema is trusted: a function in it
+    # would run here with the rights of the authority.
     for pragma in ("journal_mode = WAL", "synchronous = FULL", "trusted_schema = OFF"):
         db.execute(f"PRAGMA {pragma}")

@@ -2,9 +2,7 @@
 
 A name keeps its key. Another key is accepted in three cases only: the name has no valid identity;
 the operator gives the name again (`replace_key`); or the newest valid key itself signs the renewal
-(`renews`). A renewal by an older key comes from a copy or a restored disk and is refused. Of two
-keys that request one name at the same time neither is approved until the other is denied. A use of
-an invitation is one identity for one new name, recorded in the transaction that issues it.
+(`renews`). A use of an invitation is one identity for one new name.
 """
 
 import hashlib
@@ -15,8 +13,6 @@ from typing import NamedTuple
 
 from ca.errors import (
     InvitationRefused,
-    KeyChanged,
-    NameContested,
     NameCovered,
     RenewalRefused,
     RequestClosed,
@@ -164,14 +160,15 @@ class IdentityTable:
         known = [row.thumbprint for row in self.valid(name, now)]
         if renews is not None:
             self.check_not_revoked(name, renews)
-            # Refuse older keys; an authority without a record of the name (an intermediate) cannot.
+            # An older key is that of a copy or a restored disk. An authority without a record of the name (an
+            # intermediate) cannot tell.
             if known and known[-1] != renews:
                 raise RenewalRefused(
                     f"{name} was renewed already, by another key",
                     "there is a copy of the node: revoke the name, and enroll the node again",
                 )
         elif replace_key is None and set(known) - {thumbprint}:
-            raise KeyChanged(
+            raise StoreError(
                 f"{name} has an identity with another key until it expires",
                 f"if the node was set up again: --replace-key {name}; otherwise deny the request",
             )
@@ -226,6 +223,7 @@ class RequestTable:
                     f"see: rossec ca show {request.name}; for another: rossec ca renew {request.name}",
                 )
             waiting = self.open(now)
+            # Who has an invitation must not keep out those that a person enrolls by hand.
             joining = sum(row.source.startswith(JOINING) for row in waiting)
             full = source.startswith(JOINING) and joining >= MAX_JOINING
             if full or len(waiting) >= MAX_OPEN:
@@ -274,9 +272,10 @@ class RequestTable:
         # `wildcard`: the identity shall cover anonymous nodes too, whatever the request says.
         with self._database.transaction():
             row = self.get(digest)
+            # One of two requests for a name may be an attacker's: a person denies that one first.
             for other in self.open(now):
                 if other.name == row.name and other.thumbprint != row.thumbprint:
-                    raise NameContested(
+                    raise StoreError(
                         f"two different keys request the name {row.name}",
                         f"compare fingerprints, then deny the other: rossec ca deny {other.digest.hex()[:8]}",
                     )
@@ -368,6 +367,7 @@ class InvitationTable:
         self._database = database
 
     def add(self, row: InvitationRow) -> None:
+        # Nodes name an invitation by its id before they prove the key: they must not come apart.
         if hashlib.sha256(row.key).digest() != row.id:
             raise ValueError("the id of an invitation is the hash of its key")
         values = (*row[:4], int(row.wildcard), *row[5:])
@@ -395,6 +395,7 @@ class InvitationTable:
 
     def take(self, use: InvitationUse) -> None:
         # To be called inside the transaction that issues the identity.
+        # A request that was issued and lost on its way is asked again, and takes no second use.
         row, taken = self.get(use.invitation), self.uses(use.invitation)
         if any(known.request == use.request for known in taken):
             return

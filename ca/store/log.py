@@ -1,34 +1,25 @@
 """The log in the authority's record, its audit, and what persons approved: passkeys and approvals.
 
-`audit` trusts no stored hash: it computes the tree from the entries, compares every row with its
-log entry, replays the requests, the approvals, the foreign domains and the things, and checks each
-signed head. A passkey that has ended never comes back. A statement is approved once, by a passkey
-that was active then, and names a true head of this log from after the last restore: one from before
-says nothing about the record as it is now. An approval waits until one entry says how it ended.
+A passkey that has ended never comes back. A statement is approved once, by a passkey that was active
+then, and names a true head of this log from after the last restore. An approval waits until one
+entry says how it ended.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from enum import StrEnum
-from itertools import starmap, zip_longest
+from itertools import zip_longest
 from typing import Any, Final, NamedTuple
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.approvals.passkeys import Approval, ApprovalVerifier, Passkey, counter_of, to_approve
 from ca.approvals.statement import Statement, StatementKind
-from ca.errors import (
-    ApprovalOutdated,
-    ApprovalOver,
-    ApprovalRefused,
-    ApprovalUsed,
-    LogDamaged,
-    PasskeyUnknown,
-    StoreError,
-)
+from ca.domains.trust import verify_domains
+from ca.errors import ApprovalOver, ApprovalRefused, CAError, LogDamaged, StoreError
 from ca.revocation.merkle import Tree, root_of
 from ca.store import database
 from ca.store.database import Database, append_entry
-from ca.store.signed_statements import KIND, KINDS, replay_domains, replay_things
+from ca.store.signed_statements import DomainRow, ThingRow, check_domains_apart, check_things_apart
 from ca.store.values import (
     REPLAY_HINT,
     TRANSITIONS,
@@ -40,75 +31,144 @@ from ca.store.values import (
     digest_of,
     leaf,
     open_head,
-    replay,
-    require,
     split_peaks,
 )
+from ca.things.constrained_nodes import ThingStatement, peek_statement, verify_statement
 
 RESTORED: Final = "restored"
 Row = tuple[Any, ...]
 
-COLLECTED = "collected"
-_OF_APPROVALS: Final = ("passkey", "passkey ended", "approval", "approval ended")
-
-_STATES = frozenset(RequestState)
-
+COLLECTED: Final = "collected"
+# Kinds of entries whose rows say more than the entry: they are read again with it.
+REPLAYED: Final = (
+    *("passkey", "passkey ended", "approval", "approval ended"),
+    *("domain", "domain ended", "domain list", "thing"),
+)
 _AGAIN = "look at the page again, and approve that"
 
 
-def replay_approvals(entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], tree: Tree) -> None:
-    replay(entries, _ApprovalReplay(rows, tree).steps, ApprovalRefused)
+class Replay:
+    """Does again what the log says, entry by entry: what could not have been done was not done.
 
+    `rows` are those beside the entries, by kind: a row of each entry, as the audit has compared before.
+    """
 
-class _ApprovalReplay:
-    def __init__(self, rows: Mapping[str, Iterable[Row]], tree: Tree) -> None:
+    def __init__(self, rows: Mapping[str, Iterable[Row]], tree: Tree, key: ec.EllipticCurvePublicKey) -> None:
+        self.states: dict[bytes, RequestState] = {}  # of the requests that were not collected
+        self._rows = {what: iter(found) for what, found in rows.items()}
         self._tree = tree
-        self._passkeys = starmap(Passkey, rows["passkey"])
-        self._passkey_ends: Iterator[Row] = iter(rows["passkey ended"])
-        self._approvals = starmap(Approval, rows["approval"])
-        self._ends: Iterator[Row] = iter(rows["approval ended"])
-        self._active: set[bytes] = set()
+        self._key = key
+        self._passkeys: set[bytes] = set()  # the active ones
+        self._verifier = ApprovalVerifier(())
         self._approved: dict[bytes, Statement] = {}
         self._waiting: set[bytes] = set()
         self._restored = -1
-        self._verifier = ApprovalVerifier(())
-        self.steps: Mapping[str, Callable[[LogEntry], None]] = {
+        self._domains: dict[str, DomainRow] = {}  # the trusted ones
+        self._list = (0, 0)  # number of the last list of them
+        self._things: dict[str, ThingStatement] = {}  # those in force, by their id
+
+        self._steps: dict[str, Callable[[LogEntry, Row], object]] = {
+            **dict.fromkeys(RequestState, self._move_request),
+            COLLECTED: lambda entry, _: self.states.pop(entry.digest, None),
             RESTORED: self._restore,
             "passkey": self._add_passkey,
             "passkey ended": self._end_passkey,
             "approval": self._approve,
-            "approval ended": self._end,
+            "approval ended": self._end_approval,
+            "domain": self._accept_domain,
+            "domain ended": self._end_domain,
+            "domain list": self._list_domains,
+            "thing": self._state_thing,
+            "revocation": lambda entry, _: self._things.pop(entry.subject, None),
         }
 
-    def _restore(self, entry: LogEntry) -> None:
+    def take(self, entry: LogEntry) -> None:
+        step = self._steps.get(entry.what)
+        if step is None:
+            return
+        try:
+            step(entry, next(self._rows[entry.what]) if entry.what in self._rows else ())
+        except LogDamaged:
+            raise
+        except CAError as error:
+            raise LogDamaged(f"log entry {entry.number}: {error}", REPLAY_HINT) from error
+
+    def _move_request(self, entry: LogEntry, _: Row) -> None:
+        state, current = RequestState(entry.what), self.states.get(entry.digest)
+        if not (state is RequestState.PENDING if current is None else state in TRANSITIONS[current]):
+            raise LogDamaged(
+                f"log entry {entry.number} is not an allowed transition of a request", REPLAY_HINT
+            )
+        self.states[entry.digest] = state
+
+    def _restore(self, entry: LogEntry, _: Row) -> None:
         self._restored = entry.number
 
-    def _add_passkey(self, entry: LogEntry) -> None:
-        passkey = next(self._passkeys)
-        if passkey.approval:
+    def _add_passkey(self, entry: LogEntry, row: Row) -> None:
+        passkey = Passkey(*row)
+        if passkey.approval:  # by another phone; without one it was added at the terminal
             by = self._approved.get(passkey.approval)
-            require(by is not None and by.what == to_approve(passkey), entry)
-        self._active.add(passkey.id)
+            _require(by is not None and by.what == to_approve(passkey), entry)
+        self._passkeys.add(passkey.id)
         self._verifier.add_passkey(passkey)
 
-    def _end_passkey(self, entry: LogEntry) -> None:
-        ended = next(self._passkey_ends)[0]
-        require(ended in self._active, entry)
-        self._active.discard(ended)
+    def _end_passkey(self, entry: LogEntry, row: Row) -> None:
+        _require(row[0] in self._passkeys, entry)  # a phone ends once, and never comes back
+        self._passkeys.discard(row[0])
 
-    def _approve(self, entry: LogEntry) -> None:
-        approval = next(self._approvals)
-        require(approval.passkey in self._active, entry)
+    def _approve(self, entry: LogEntry, row: Row) -> None:
+        approval = Approval(*row)
+        _require(approval.passkey in self._passkeys, entry)
         statement = self._verifier.verify(approval)
-        require(self._restored < statement.log_size <= entry.number, entry)
-        require(self._tree.root(statement.log_size) == statement.log_root, entry)
+        # What a person saw was this log: a head of it, from after the last restore.
+        _require(self._restored < statement.log_size <= entry.number, entry)
+        _require(self._tree.root(statement.log_size) == statement.log_root, entry)
         self._approved[approval.id] = statement
         self._waiting.add(approval.id)
 
-    def _end(self, entry: LogEntry) -> None:
-        ended = next(self._ends)[0]
-        require(ended in self._waiting, entry)
-        self._waiting.discard(ended)
+    def _end_approval(self, entry: LogEntry, row: Row) -> None:
+        _require(row[0] in self._waiting, entry)
+        self._waiting.discard(row[0])
+
+    def _accept_domain(self, entry: LogEntry, found_row: Row) -> None:
+        row = DomainRow(*found_row)
+        terms = row.read()
+        found = terms.domain, terms.label, terms.anchor.thumbprint
+        _require(found == (row.domain, row.label, row.root), entry)
+        for known in self._domains.values():
+            check_domains_apart(known, *found)
+        self._domains[row.domain] = row
+
+    def _end_domain(self, entry: LogEntry, row: Row) -> None:
+        ended = [each.domain for each in self._domains.values() if each.number == row[0]]
+        _require(len(ended) == 1, entry)
+        del self._domains[ended[0]]
+
+    def _list_domains(self, entry: LogEntry, row: Row) -> None:
+        epoch, seq, data = row
+        # Each list has the terms that were accepted then, and a number above that of the one before.
+        listed = verify_domains(data, self._key)
+        _require(self._list < (epoch, seq) == listed.number, entry)
+        self._list = listed.number
+        for each in listed.domains:
+            known = self._domains.get(each.domain)
+            _require(known is not None and known.terms == each.terms, entry)
+
+    def _state_thing(self, entry: LogEntry, found_row: Row) -> None:
+        row = ThingRow(*found_row)
+        found = verify_statement(row.data, self._key, domain=peek_statement(row.data).domain)
+        # The columns are what commands look things up by: they say what was signed.
+        said = (found.id, found.name, found.not_before, found.expires)
+        _require(said == (row.id, row.name, row.not_before, row.expires), entry)
+        self._things = {id: known for id, known in self._things.items() if known.expires > entry.at}  # noqa: A001
+        for known in self._things.values():
+            check_things_apart(known, found)
+        self._things[row.id.hex()] = found
+
+
+def _require(holds: bool, entry: LogEntry) -> None:
+    if not holds:
+        raise LogDamaged(f"log entry {entry.number} says {entry.what}, which cannot be", REPLAY_HINT)
 
 
 class AuthorityLog:
@@ -161,22 +221,27 @@ class AuthorityLog:
     def audit(self, key: ec.EllipticCurvePublicKey, *more: bytes) -> Head:
         # `key` is the authority's; `more` are heads stored elsewhere.
         with self._database.read_transaction():  # another command may be writing
-            # 1. The tree is computed, and no entry differs from it.
+            # 1. No stored hash is trusted: the tree is computed, and no entry differs from it.
             query = "SELECT number, at, what, subject, detail, digest, peaks FROM log ORDER BY number"
             stored = [(LogEntry(*row[:-1]), row[-1]) for row in self._database.rows(query)]
             tree, entries = check_entries(stored), [entry for entry, _ in stored]
             # 2. Every row has its entry, and the other way round.
             for what in database.LOGGED_TABLES:
-                self._check_rows(what, [entry for entry in entries if entry.what == what])
+                of_kind = [each for each in entries if each.what == what]
+                for row, entry in zip_longest(self._database.logged(what), of_kind):
+                    if entry is None:
+                        raise LogDamaged(f"a {what} is recorded that is not in the log", REPLAY_HINT)
+                    if row is None or digest_of(row) != entry.digest:
+                        raise LogDamaged(
+                            f"the {what} of log entry {entry.number} is missing or was changed", REPLAY_HINT
+                        )
             # 3. What was done one after the other was allowed.
-            states = _request_states(entries)
-            rows = self._database.rows("SELECT digest, state, der FROM csr")
-            found = {bytes(digest): RequestState(state) for digest, state, _ in rows}
-            if found != states:
+            done = Replay({what: self._database.logged(what) for what in REPLAYED}, tree, key)
+            for entry in entries:
+                done.take(entry)
+            requests = self._database.rows("SELECT digest, state FROM csr")
+            if {bytes(digest): RequestState(state) for digest, state in requests} != done.states:
                 raise LogDamaged("the states of the requests differ from the log", REPLAY_HINT)
-            replay_approvals(entries, {what: self._database.logged(what) for what in _OF_APPROVALS}, tree)
-            replay_domains(entries, {what: self._database.logged(what) for what in KINDS}, key)
-            replay_things(entries, self._database.logged(KIND), key)
             # 4. Each signed head is of this tree.
             newest = Head(0, root_of(()), 0)
             for data in (*self.heads(), *more):
@@ -185,32 +250,6 @@ class AuthorityLog:
                 newest = max(newest, head, key=lambda each: each.size)
             return newest
 
-    def _check_rows(self, what: str, entries: list[LogEntry]) -> None:
-        for row, entry in zip_longest(self._database.logged(what), entries):
-            if entry is None:
-                raise LogDamaged(f"a {what} is recorded that is not in the log", REPLAY_HINT)
-            if row is None or digest_of(row) != entry.digest:
-                raise LogDamaged(
-                    f"the {what} of log entry {entry.number} is missing or was changed", REPLAY_HINT
-                )
-
-
-def _request_states(entries: list[LogEntry]) -> dict[bytes, RequestState]:
-    # The states of all requests that were not collected, from the log.
-    states: dict[bytes, RequestState] = {}
-    for entry in entries:
-        current = states.get(entry.digest)
-        if entry.what == COLLECTED and current is not None:
-            del states[entry.digest]
-        elif entry.what in _STATES:
-            state = RequestState(entry.what)
-            if not (state is RequestState.PENDING if current is None else state in TRANSITIONS[current]):
-                raise LogDamaged(
-                    f"log entry {entry.number} is not an allowed transition of a request", REPLAY_HINT
-                )
-            states[entry.digest] = state
-    return states
-
 
 class PasskeyTable:
     def __init__(self, database: Database) -> None:
@@ -218,6 +257,7 @@ class PasskeyTable:
 
     def add(self, passkey: Passkey) -> None:
         with self._database.transaction() as db:
+            # A person names the phone that is to be removed: two of one name would be a trap.
             if any(known.name == passkey.name for known in self.active()):
                 raise StoreError(
                     f"there is a passkey called {passkey.name!a}",
@@ -236,7 +276,7 @@ class PasskeyTable:
         for passkey in self.active():
             if passkey.id == id:
                 return passkey
-        raise PasskeyUnknown(
+        raise ApprovalRefused(
             "this passkey is not registered here, or was removed", "register the phone: rossec console phone"
         )
 
@@ -289,11 +329,13 @@ class ApprovalTable:
             passkey = self._passkeys.get(approval.passkey)
             last = max(counter, self.counter(passkey.id))
             statement = ApprovalVerifier([passkey], [(passkey.id, last)]).verify(approval)
+            # What was shown before a restore says nothing about the record as it is now.
             size, restored = statement.log_size, self._log.last_restore()
             if self._log.root_at(size) != statement.log_root or size <= restored:
-                raise ApprovalOutdated("the record was restored or replaced since it was shown", _AGAIN)
+                raise ApprovalRefused("the record was restored or replaced since it was shown", _AGAIN)
+            # In the same transaction: of two browsers with one statement one is refused.
             if self._rows("WHERE id = ?", approval.id):
-                raise ApprovalUsed("this was approved already", _AGAIN)
+                raise ApprovalRefused("this was approved already", _AGAIN)
             db.execute("INSERT INTO approval VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", approval)
             detail = f"{StatementKind(approval.kind).name.lower()} {approval.id.hex()}"
             append_entry(db, approval.at, "approval", passkey.name, detail, digest_of(approval))

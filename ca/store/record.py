@@ -41,12 +41,10 @@ class Store:
 
     @classmethod
     def create(cls, path: Path) -> Self:
-        """Create a new, empty record, readable only by its owner."""
         return cls(Database.create(path))
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open an existing record; an older version is migrated first."""
         return cls(Database.open(path))
 
     def add_certificate(
@@ -61,8 +59,7 @@ class Store:
         """Record an identity before it is delivered.
 
         `request` is the digest of the approved request it answers, or of the renewal; `replace_key`
-        and `renews` allow another key (`ca.store.identities`). The key that `replace_key` replaces
-        is revoked in the same transaction: no crash leaves two keys for one name.
+        and `renews` allow another key (`ca.store.identities`).
         """
         with self.transaction() as db:
             self.identities.check_names(row.name, row.thumbprint, now, row.covers)
@@ -75,6 +72,7 @@ class Store:
             if request is not None and renews is None:
                 self.requests.mark_issued(db, request, now)
             self.identities.add(db, row, now, request)
+            # In the same transaction: no crash leaves two keys for one name.
             if replace_key is not None:
                 for key in sorted(self.unrevoked_keys(row.name, now) - {row.thumbprint}):
                     _revoke(db, key, f"{row.name} has a new key", now)
@@ -110,9 +108,11 @@ class Store:
                     f"rossec ca renew --expired {name}, then on its machine: rossec node install"
                     f" FILE; its key and its grants are kept",
                 )
+            near = closest(name, {row.name for row in self.identities.all()} - {name})
+            meant = "" if near is None else f"did you mean {near}? else "
             raise StoreError(
                 f"{name} has no valid identity here",
-                f"{self._meant(name)}first enroll it: rossec node request {name}, then"
+                f"{meant}first enroll it: rossec node request {name}, then"
                 " rossec ca sign FILE; where an intermediate enrolled or renewed it:"
                 " rossec ca import NODE.pem"
                 if certified == name
@@ -138,10 +138,6 @@ class Store:
         if not rows or rows[-1].thumbprint in self.revoked_entries():
             return None
         return rows[-1]
-
-    def _meant(self, name: str) -> str:
-        near = closest(name, {row.name for row in self.identities.all()} - {name})
-        return "" if near is None else f"did you mean {near}? else "
 
     def add_grant(self, row: GrantRow, now: int, rules: str = "") -> None:
         """Record a grant before it is delivered; `rules`: those of the policy it came from."""

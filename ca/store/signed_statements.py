@@ -1,34 +1,23 @@
-"""Foreign domains and constrained things in the authority's record, and the audit of both.
+"""Foreign domains and constrained things in the authority's record.
 
 Each acceptance of a domain and each change of its terms is a row, and the newest row counts until
-an end refers to it. Nothing accepted goes from the record: a label is not given to another domain
-while a grant that names it can live. Whoever has another root key is another domain. Of the
-statements about things in force, one name is one thing and one credential is one thing; at one
-border router, so is one kid. The audit replays both from the log, in the order of their entries:
-the record cannot be made to hold what the authority would not have signed, or to deny what it did.
+an end refers to it. Of the statements about things in force, one name is one thing and one
+credential is one thing; at one border router, so is one kid.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, Final, NamedTuple
-
-from cryptography.hazmat.primitives.asymmetric import ec
+from typing import NamedTuple
 
 from ca.certificates import Identity
-from ca.domains.trust import ForeignDomain, verify_domains
-from ca.errors import CAError, DomainUnknown, StoreError, ThingChanged, ThingUnknown
+from ca.domains.trust import ForeignDomain
+from ca.errors import DomainUnknown, StoreError
 from ca.store.database import Database, append_entry
-from ca.store.values import LogEntry, digest_of, replay, require
-from ca.things.constrained_nodes import ThingStatement, peek_statement, verify_statement
+from ca.store.values import digest_of
+from ca.things.constrained_nodes import ThingStatement, peek_statement
 
 _NEWEST = "number IN (SELECT max(number) FROM foreign_domain GROUP BY domain)"
 _NOT_ENDED = "number NOT IN (SELECT number FROM foreign_domain_end)"
 
-KINDS: Final = ("domain", "domain ended", "domain list")
-Row = tuple[Any, ...]
-
 _IN_FORCE = "expires > ? AND id NOT IN (SELECT entry FROM revocation)"
-
-KIND: Final = "thing"
 
 
 class DomainRow(NamedTuple):
@@ -132,6 +121,7 @@ def check_domains_apart(known: DomainRow, domain: str, label: str, root: bytes) 
     same = (known.domain == domain, known.label == label, known.root == root)
     if all(same) or not any(same):
         return
+    # Whoever has another root key is another domain, and perhaps somebody who would like to be that one.
     if known.domain == domain and known.root != root:
         raise StoreError(
             f"domain {domain} has another root key than before",
@@ -146,49 +136,6 @@ def check_domains_apart(known: DomainRow, domain: str, label: str, root: bytes) 
         f"domain {known.domain} has the same root key",
         "one authority has one domain: ask them which one it is",
     )
-
-
-def replay_domains(
-    entries: Iterable[LogEntry], rows: Mapping[str, Iterable[Row]], key: ec.EllipticCurvePublicKey
-) -> None:
-    replay(entries, _DomainReplay(rows, key).steps, CAError)
-
-
-class _DomainReplay:
-    def __init__(self, rows: Mapping[str, Iterable[Row]], key: ec.EllipticCurvePublicKey) -> None:
-        self._key = key
-        self._rows: dict[str, Iterator[Row]] = {kind: iter(rows[kind]) for kind in KINDS}
-        self._trusted: dict[str, DomainRow] = {}  # by domain
-        self._last = (0, 0)
-        self.steps: Mapping[str, Callable[[LogEntry], None]] = {
-            "domain": self._accept,
-            "domain ended": self._end,
-            "domain list": self._list,
-        }
-
-    def _accept(self, entry: LogEntry) -> None:
-        row = DomainRow(*next(self._rows["domain"]))
-        terms = row.read()
-        found = terms.domain, terms.label, terms.anchor.thumbprint
-        require(found == (row.domain, row.label, row.root), entry)
-        for known in self._trusted.values():
-            check_domains_apart(known, *found)
-        self._trusted[row.domain] = row
-
-    def _end(self, entry: LogEntry) -> None:
-        number = next(self._rows["domain ended"])[0]
-        ended = [row for row in self._trusted.values() if row.number == number]
-        require(len(ended) == 1, entry)
-        del self._trusted[ended[0].domain]
-
-    def _list(self, entry: LogEntry) -> None:
-        epoch, seq, data = next(self._rows["domain list"])
-        listed = verify_domains(data, self._key)
-        require(self._last < (epoch, seq) == listed.number, entry)
-        self._last = listed.number
-        for each in listed.domains:
-            known = self._trusted.get(each.domain)
-            require(known is not None and known.terms == each.terms, entry)
 
 
 class ThingRow(NamedTuple):
@@ -221,9 +168,7 @@ class ThingTable:
     def get(self, name: str, now: int) -> ThingRow:
         found = self._rows(f"WHERE name = ? AND {_IN_FORCE} ORDER BY rowid", name, now)
         if not found:
-            raise ThingUnknown(
-                f"no statement about a thing {name} is in force", "see: rossec ca things --all"
-            )
+            raise StoreError(f"no statement about a thing {name} is in force", "see: rossec ca things --all")
         return found[-1]
 
     def last(self, name: str) -> ThingRow:
@@ -231,7 +176,7 @@ class ThingTable:
         alive = "WHERE name = ? AND id NOT IN (SELECT entry FROM revocation) ORDER BY rowid"
         found = self._rows(alive, name)
         if not found:
-            raise ThingUnknown(f"there is no thing {name}", "see: rossec ca things --all")
+            raise StoreError(f"there is no thing {name}", "see: rossec ca things --all")
         return found[-1]
 
     def revoked(self) -> list[ThingRow]:
@@ -248,7 +193,7 @@ class ThingTable:
             append_entry(db, now, "thing", row.name, row.id.hex(), digest_of(row))
 
     def _rows(self, clause: str, *values: object) -> list[ThingRow]:
-        return [ThingRow(*row) for row in self._database.logged(KIND, clause, *values)]
+        return [ThingRow(*row) for row in self._database.logged("thing", clause, *values)]
 
 
 def check_things_apart(known: ThingStatement, new: ThingStatement) -> None:
@@ -257,34 +202,16 @@ def check_things_apart(known: ThingStatement, new: ThingStatement) -> None:
         return
     if known.name == new.name:
         what = "another border router" if same_thing else "another key"
-        raise ThingChanged(
+        raise StoreError(
             f"{new.name} has a statement in force with {what}", f"if that one is to end: --replace {new.name}"
         )
     if same_thing:
-        raise ThingChanged(
+        raise StoreError(
             f"this key is that of {known.name}", f"if the thing was renamed: --replace {known.name}"
         )
+    # A handshake names the key by its kid alone, so the router could not tell the two apart.
     if (known.border, known.credential.kid) == (new.border, new.credential.kid):
-        raise ThingChanged(
+        raise StoreError(
             f"{known.name} has the same kid {known.credential.kid.hex()} at this border router",
             f"give one of the two another kid, or --replace {known.name}",
         )
-
-
-def replay_things(entries: Iterable[LogEntry], rows: Iterable[Row], key: ec.EllipticCurvePublicKey) -> None:
-    made, in_force = iter(rows), dict[str, ThingStatement]()
-
-    def take(entry: LogEntry) -> None:
-        row = ThingRow(*next(made))
-        found = verify_statement(row.data, key, domain=peek_statement(row.data).domain)
-        said = (found.id, found.name, found.not_before, found.expires)
-        require(said == (row.id, row.name, row.not_before, row.expires), entry)
-        for number, known in list(in_force.items()):
-            if known.expires <= entry.at:
-                del in_force[number]
-            else:
-                check_things_apart(known, found)
-        in_force[row.id.hex()] = found
-
-    steps = {KIND: take, "revocation": lambda entry: in_force.pop(entry.subject, None)}
-    replay(entries, steps, CAError)

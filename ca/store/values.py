@@ -1,15 +1,13 @@
 """The rows of the authority's record as values, the life of a request, and the log as a Merkle tree.
 
-A request for an identity is pending, then approved or denied, then issued: a person approves, the
-authority issues, and both are recorded separately, as Kubernetes does. An entry of the log is one
+A request for an identity is pending, then approved or denied, then issued. An entry of the log is one
 action; its leaf is the deterministic CBOR of all its fields, and `digest` binds it to its row. The
-tree's peaks are stored with each entry, so that a difference is found where it is. The *head* is
-the authority's signature over size and root: triggers prevent mistakes, but only a head stored
-elsewhere prevents the file's owner from rewriting the log.
+*head* is the authority's signature over size and root: only one stored elsewhere prevents the file's
+owner from rewriting the log.
 """
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, NamedTuple, NoReturn
@@ -18,7 +16,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca import names, svid
 from ca.encoding import encode, is_number
-from ca.errors import CAError, EncodingError, LogDamaged, RequestClosed, SignatureError, StoreError
+from ca.errors import EncodingError, LogDamaged, RequestClosed, SignatureError, StoreError
 from ca.keys.signing import Profile, Signer
 from ca.revocation import merkle
 from ca.revocation.merkle import HASH_SIZE
@@ -92,6 +90,7 @@ class RequestState(StrEnum):
         )
 
 
+# A person approves, the authority issues, and both are recorded separately, as Kubernetes does.
 TRANSITIONS: Final[dict[RequestState, frozenset[RequestState]]] = {
     RequestState.PENDING: frozenset({RequestState.APPROVED, RequestState.DENIED}),
     RequestState.APPROVED: frozenset({RequestState.ISSUED, RequestState.DENIED}),
@@ -184,6 +183,7 @@ def check_entries(rows: Iterable[tuple[LogEntry, bytes]]) -> merkle.Tree:
     for position, (entry, recorded) in enumerate(rows):
         if entry.number != position:
             raise LogDamaged(f"log entry {position} is missing", _HINT)
+        # The peaks are stored with each entry, so that a difference is found where it is.
         peaks = extend_peaks(peaks, entry)
         if peaks != recorded:
             raise LogDamaged(f"log entry {position} was changed", _HINT)
@@ -198,23 +198,6 @@ def check_head(tree: merkle.Tree, head: Head) -> None:
         )
     if tree.root(head.size) != head.root:
         raise LogDamaged(f"the first {head.size} entries of the log are not those that were signed", _HINT)
-
-
-def replay(
-    entries: Iterable[LogEntry], steps: Mapping[str, Callable[[LogEntry], object]], refused: type[CAError]
-) -> None:
-    """Take the steps for the entries of these kinds, in their order; none may be refused."""
-    for entry in entries:
-        if (step := steps.get(entry.what)) is not None:
-            try:
-                step(entry)
-            except refused as error:
-                raise LogDamaged(f"log entry {entry.number}: {error}", REPLAY_HINT) from error
-
-
-def require(holds: bool, entry: LogEntry) -> None:
-    if not holds:
-        raise LogDamaged(f"log entry {entry.number} says {entry.what}, which cannot be", REPLAY_HINT)
 
 
 def sign_head(signer: Signer, head: Head) -> bytes:

@@ -1,11 +1,9 @@
 """Constrained things: how one proves who it is, and what the authority says of it.
 
-A thing keeps its credential in flash, for years and under names it does not know. So a CCS (RFC
-8392 claims with a COSE_Key, RFC 9528 section 3.5.2) is taken as the thing has it, for its bytes
-enter the handshake, but only in the one deterministic form. A border router serves a thing only by
-the authority's statement, which names the router's own key. Its id lies on the revocation list and
-has no signature in it, as a grant's (`grants.document`). Of two statements about a name the one with
-the later `nbf` counts; the authority revokes those that it replaces. docs/spec/things.md
+A thing keeps its credential in flash, for years and under names it does not know: a CCS (RFC 8392
+claims with a COSE_Key, RFC 9528 section 3.5.2). A border router serves a thing only by the
+authority's statement. Of two statements about a name the one with the later `nbf` counts; the
+authority revokes those that it replaces. docs/spec/things.md
 """
 
 import hashlib
@@ -134,6 +132,7 @@ def read_ccs(data: bytes) -> ThingKey:
         value = decode(data, limit=MAX_CCS)
     except EncodingError as error:
         raise ThingRefused(f"not a credential of a thing: {error}", _HINT) from None
+    # Taken as the thing has it, for its bytes enter the handshake; but only in the one deterministic form.
     match value:
         case {8: confirmation, **rest} if rest.keys() <= {_SUB}:
             subject = rest.get(_SUB, "")
@@ -229,6 +228,8 @@ class ThingStatement:
 
     @property
     def id(self) -> bytes:
+        # Without the signature, as a grant's id: ECDSA has many for one content, and each would be another
+        # entry of the revocation list.
         return hashlib.sha256(_ID_PREFIX + encode(_claims(self))).digest()[:ID_SIZE]
 
     def check_time(self, now: int) -> None:
@@ -245,6 +246,7 @@ class ThingStatement:
 
 def check_thing_name(name: str) -> str:
     check_name(name)
+    # Nodes trust the holders of reserved names, and a border router holds those of its things.
     if is_reserved(name) or is_alias(name):
         raise ThingRefused(f"{name} cannot be the name of a thing", "choose another, as /things/lamp")
     return name

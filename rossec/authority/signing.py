@@ -28,7 +28,7 @@ from ca.errors import (
     RecordUnusable,
     RequestClosed,
     RevocationRefused,
-    ThingUnknown,
+    StoreError,
     TokenRefused,
 )
 from ca.keys.signing import Signer, to_coordinates
@@ -251,7 +251,7 @@ def replaced_by(
     for former in sorted(replaced):
         ids = store.things.ids(former, now)
         if not ids:
-            raise ThingUnknown(f"no statement about {former} is in force", "leave --replace out")
+            raise StoreError(f"no statement about {former} is in force", "leave --replace out")
         entries |= ids
         if former != name or store.things.get(former, now).read().border != border:
             entries |= store.unrevoked_keys(former, now)

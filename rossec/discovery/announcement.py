@@ -2,8 +2,7 @@
 
 An announcement carries the certificate chain that verifies it, so that a new node needs only its
 trust anchor. It gives the address of the master, nothing more: the peer there still has to
-authenticate in the handshake. Cheap checks come first: size, form, age, duplicates; only then is a
-signature verified, within a budget. A forger can only cause probes that fail.
+authenticate in the handshake, so a forger can only cause probes that fail.
 """
 
 from collections import Counter, OrderedDict, deque
@@ -46,33 +45,28 @@ _OTHER: Final = "other reasons"
 
 @dataclass(frozen=True)
 class Announcement:
-    """Where a master listens."""
-
     host: str  # its name or address, as for ROS clients
     port: int  # its TCP port
     instance: bytes  # 8 random bytes, new at every start
     seq: int  # counts the announcements of one instance
     issued: int  # issued, max_age: seconds; it is valid until `issued + max_age`
     max_age: int = MAX_AGE
-    # of its graph, a hint to ask it now; None: it does not say, as masters before rossec knew several of
-    # them, whose nodes refuse an announcement that has one
-    version: int | None = None
+    version: int = 0  # of its graph, a hint to ask it now
 
 
 def sign(signer: Signer, chain: tuple[bytes, ...], announcement: Announcement) -> bytes:
     _check(announcement)
     certificates: list[Value] = [*chain]
-    version: dict[int | str, Value] = {} if announcement.version is None else {_VERSION: announcement.version}
     data = PROFILE.sign(
         signer,
         {
-            **version,
             _IAT: announcement.issued,
             _MAX_AGE: announcement.max_age,
             _HOST: announcement.host,
             _PORT: announcement.port,
             _INSTANCE: announcement.instance,
             _SEQ: announcement.seq,
+            _VERSION: announcement.version,
             _CHAIN: certificates,
         },
     )
@@ -132,12 +126,10 @@ def _read(payload: Value) -> tuple[Announcement, list[bytes]]:
             -70012: int() as port,
             -70013: bytes() as instance,
             -70014: int() as seq,
+            -70015: int() as version,
             33: list() as items,
             **rest,
-        } if rest.keys() <= {_VERSION}:
-            version = rest.get(_VERSION)
-            if version is not None and not isinstance(version, int):
-                raise AnnouncementRefused("the announcement's version is no number")
+        } if not rest:
             announcement = Announcement(host, port, instance, seq, issued, max_age, version)
         case _:
             raise AnnouncementRefused("the announcement has missing or unknown fields")
@@ -149,7 +141,7 @@ def _read(payload: Value) -> tuple[Announcement, list[bytes]]:
 
 
 def _check(announcement: Announcement) -> None:
-    version = 0 if announcement.version is None else announcement.version
+    version = announcement.version
     numbers = (version, announcement.port, announcement.seq, announcement.issued, announcement.max_age)
     if any(isinstance(number, bool) or number < 0 for number in numbers):
         raise AnnouncementRefused("a number in the announcement is out of range")
@@ -179,6 +171,7 @@ class Budget:
         self._totals = {known: TokenBucket(total, total) for known in (True, False)}
 
     def spend(self, source: Hashable, cost: int, clock: float, *, known_chain: bool) -> None:
+        # A flood from one address, or from many, must not keep out a master that was heard before.
         buckets = (
             [self._verified[source]]
             if source in self._verified
@@ -235,7 +228,6 @@ class Candidate:
         return self.announcement.issued + self.announcement.max_age
 
     def age(self, clock: float) -> float:
-        """Seconds since the last announcement."""
         return max(0.0, clock - self.heard[-1][1])
 
     def sent(self, clock: float) -> int:
@@ -250,7 +242,6 @@ class Candidate:
         return last - first + 1 + max(0, missed)
 
     def loss(self, clock: float) -> float:
-        """The share of these announcements that did not arrive, 0 to 1."""
         return 1 - len(self.heard) / self.sent(clock)
 
     def quality(self, clock: float) -> tuple[bool, float, float, str]:
@@ -280,9 +271,11 @@ class Candidates:
         `now` is since the epoch, `clock` of a monotonic clock.
         """
         try:
+            # 1. Cheap checks first: size, form, age, duplicates.
             claim = read_claim(data, now)
             if (claim.announcement.instance, claim.announcement.seq, source.link) in self._seen:
                 return None
+            # 2. Only then signatures, within a budget: of the chain, of the announcement.
             identity = self._identity(claim, source, now, clock)
             announcement = claim.verify(identity)
             self._budget.note_verified(source)
@@ -290,7 +283,8 @@ class Candidates:
             if len(self._seen) > _SEEN:
                 self._seen.popitem(last=False)
             key = identity.thumbprint
-            # Sequence numbers only rise, and a new instance is later than the previous one.
+            # 3. A recorded one points to where the master was: sequence numbers only rise, and a new instance
+            # is later than the previous one.
             newest = self._newest.get(key)
             if newest is not None:
                 same = newest.instance == announcement.instance
@@ -323,6 +317,7 @@ class Candidates:
             return identity
         self._budget.spend(source, 1 + len(claim.chain), clock, known_chain=False)
         identity = claim.verify_chain(self._anchor, self._revoked, now)
+        # For a minute: one that ends or is revoked meanwhile gives an address, and the handshake refuses it.
         self._chains[claim.chain] = identity, clock + _CHAIN_LIFE
         if len(self._chains) > MAX_CANDIDATES:
             self._chains.popitem(last=False)

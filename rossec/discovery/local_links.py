@@ -16,14 +16,13 @@ import struct
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import replace
 from itertools import count, islice
 from pathlib import Path
 from typing import Final
 
 from ca.certificates import TrustAnchor
 from ca.errors import CAError
-from ca.names import MASTER, check_name
+from ca.names import check_name
 from rossec import clock
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.discovery.announcement import (
@@ -92,6 +91,7 @@ class MulticastSocket:
 
     def send(self, data: bytes) -> int:
         sent = 0
+        # Once for each link: a group of link-local scope leaves by one alone (RFC 4291 section 2.7).
         for index, _ in socket.if_nameindex():
             with suppress(OSError):  # down, or without IPv6
                 self._socket.sendto(data, (GROUP, self._port, 0, index))
@@ -122,12 +122,7 @@ def _is_local(address: str, ancillary: list[tuple[int, int, bytes]]) -> bool:
 
 
 async def announce(
-    credentials: Credentials,
-    uri: str,
-    *,
-    name: str = MASTER,
-    version: Callable[[], int] = lambda: 0,
-    period: float = PERIOD,
+    credentials: Credentials, uri: str, *, version: Callable[[], int] = lambda: 0, period: float = PERIOD
 ) -> None:
     """Announce the master at `uri` until cancelled; `version`: of its graph now, counts up."""
     host, port = parse_uri(uri, "the master's URI")
@@ -136,18 +131,15 @@ async def announce(
             f"the master at {uri} cannot be announced: only this host reaches it",
             "set ROS_IP or ROS_HOSTNAME to an address of the network",
         )
+    # New at every start: the sequence numbers begin again with it.
     instance = secrets.token_bytes(INSTANCE_SIZE)
     group = MulticastSocket(listen=False)
     was_sent = True
     try:
         for seq in count():
-            announcement = Announcement(host, port, instance, seq, clock.now())
-            versioned = replace(announcement, version=version() % (1 << 31))
-            # Nodes of rossec before there were several masters refuse the version; for them `/master`
-            # sends the same once more without it, with the same number: a duplicate to others.
-            forms = (versioned, announcement) if name == MASTER else (versioned,)
-            links = [group.send(sign(credentials.signer, credentials.chain, form)) for form in forms]
-            sent = any(links)
+            now, hint = clock.now(), version() % (1 << 31)
+            said = Announcement(host, port, instance, seq, now, version=hint)
+            sent = group.send(sign(credentials.signer, credentials.chain, said)) > 0
             if sent is not was_sent:
                 _log.warning("announcing on %s", "the links again" if sent else "no link: all down")
             was_sent = sent
@@ -171,10 +163,24 @@ async def find(
             if not found and candidates.best(clock.now(), time.monotonic()) is not None:
                 end, found = time.monotonic() + settle, True
     ranked = candidates.ranked(clock.now(), time.monotonic())
-    reached = [one for one in ranked if one.rtt is not None]
-    if not reached:
-        raise _not_found(candidates)
-    return reached
+    if reached := [one for one in ranked if one.rtt is not None]:
+        return reached
+    if ranked:
+        where = ", ".join(f"{host} port {port}" for host, port in ranked[0].endpoints)
+        raise MasterNotFound(
+            f"a master announces itself, but nothing answers at {printable(where)}",
+            "is a firewall between? its TCP port must be open",
+        )
+    if candidates.refused:
+        why, times = candidates.refused.most_common(1)[0]
+        raise MasterNotFound(
+            f"no master of this trust domain was found, but {times} times: {printable(why)}",
+            "set ROS_MASTER_URI to the master of this domain",
+        )
+    raise MasterNotFound(
+        "no master announces itself on the links of this host",
+        "start it with `rossec master --announce`, or set ROS_MASTER_URI",
+    )
 
 
 @contextlib.asynccontextmanager
@@ -217,26 +223,6 @@ async def _probe(candidates: Candidates, candidate: Candidate) -> None:
         candidates.probed(candidate, (host, port), time.monotonic() - begun)
         writer.close()
         return
-
-
-def _not_found(candidates: Candidates) -> MasterNotFound:
-    heard = candidates.ranked(clock.now(), time.monotonic())
-    if heard:
-        where = ", ".join(f"{host} port {port}" for host, port in heard[0].endpoints)
-        return MasterNotFound(
-            f"a master announces itself, but nothing answers at {printable(where)}",
-            "is a firewall between? its TCP port must be open",
-        )
-    if candidates.refused:
-        why, times = candidates.refused.most_common(1)[0]
-        return MasterNotFound(
-            f"no master of this trust domain was found, but {times} times: {printable(why)}",
-            "set ROS_MASTER_URI to the master of this domain",
-        )
-    return MasterNotFound(
-        "no master announces itself on the links of this host",
-        "start it with `rossec master --announce`, or set ROS_MASTER_URI",
-    )
 
 
 async def discover_master(
@@ -285,6 +271,7 @@ def trusted(home: Path, identity: str | NodeHome | None) -> tuple[TrustAnchor, f
             nodes = [NodeHome.find(home, check_name(identity))]
         case _:
             nodes = [identity]
+    # Two authorities here: whose master it is, only the person knows.
     anchors = {anchor.thumbprint: anchor for anchor in map(_anchor, nodes)}
     if not anchors:
         raise ConfigurationError(

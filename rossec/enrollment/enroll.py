@@ -3,10 +3,8 @@ in a picture.
 
 Callers are unauthenticated: a limited number at a time, each with a deadline; a message that is refused ends
 its connection, and is reported to the person in one line. `rossec node confirm` reaches the waiting `rossec
-node enroll` by a socket in the node's directory, as the same user (or root): the digits are not secret, but
-confirming them activates a trust anchor, so this never goes over the network. The authority connects twice,
-as a person decides between the request and the offer; a broken connection is made again, with exactly the
-same offer, until the offer expires.
+node enroll` by a socket in the node's directory. The authority connects twice, as a person decides between
+the request and the offer.
 """
 
 import asyncio
@@ -100,6 +98,7 @@ class WaitingNode:
             pending = self.core.confirm(digits, self._clock())
             activate(pending)
         except BaseException as error:
+            # Confirmed and not on the disk: the node has no identity, and must not say that it is enrolled.
             if self.core.state is NodeState.CONFIRMED:
                 self.core.stop(EnrollmentOver(f"the identity could not be written: {error}"))
             self._state_changed()
@@ -178,6 +177,8 @@ def _abort(error: EnrollmentRefused) -> bytes:
 async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.Server:
     async def call(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
+            # The same user, or root. The digits are not secret, but confirming them activates a trust anchor:
+            # so this never goes over the network.
             if unix_peer(writer.get_extra_info("socket")).user in {0, os.getuid()}:
                 async with asyncio.timeout(_PATIENCE):
                     request = json.loads(await reader.readline())
@@ -273,6 +274,7 @@ async def deliver(
     while failures < _TRIES:
         try:
             async with sessions.connected(host, port, _AUTHORITY_PATIENCE) as (reader, writer):
+                # Exactly the same offer each time: another one would be a second party to the node.
                 sessions.send(writer, offer)
                 shown = core.digits
                 while core.state is not AuthorityState.ENROLLED:
@@ -285,6 +287,7 @@ async def deliver(
                 return
         except (OSError, EOFError, TimeoutError, EnrollmentMessageRefused):
             core.tick(clock())
+            # What got on counts anew: a person may take minutes while the line breaks now and then.
             failures, state = (failures + 1 if core.state is state else 0), core.state
             await asyncio.sleep(RETRY_DELAY)
     raise NotDelivered(
@@ -305,7 +308,6 @@ def code_in_file(path: Path, stdin: BinaryIO) -> str:
 
 
 def code_in(data: bytes) -> str:
-    """As `code_in_file`, for the bytes of the picture."""
     if len(data) > MAX_FILE:
         raise ConfigurationError(f"the picture has more than {MAX_FILE} bytes", CLOSER)
     try:

@@ -1,12 +1,10 @@
 """Joining by an invitation: the port of the authority, whose requests are decided elsewhere, and the node
 that connects.
 
-The port runs in a process without the authority's key. A session has one deadline until its request is there;
-a limited number are open at a time, in all and from one address, and few requests of one invitation are
-decided at a time, so that no code and no host keeps the others out. A session that breaks the protocol is
-closed and reported in one line; a stranger is told nothing but a reason. If a request cannot be decided, the
-node is told to come again: it then gets the same answer. A connection that breaks, or an authority that is
-busy, is tried again a few times, with the same request; a refusal is not.
+The port runs in a process without the authority's key. A limited number of sessions are open at a time, in
+all and from one address. A session that breaks the protocol is closed and reported in one line; a stranger is
+told nothing but a reason. A connection that breaks, or an authority that is busy, is tried again a few times,
+with the same request; a refusal is not.
 """
 
 import asyncio
@@ -62,8 +60,6 @@ async def no_names(_: JoinClaim) -> NameAnswer:
 
 
 class JoinServer:
-    """The join port of an authority."""
-
     def __init__(
         self,
         identity: Callable[[], LiveIdentity],  # of `/ca` as of now; it is renewed while this runs
@@ -111,6 +107,7 @@ class JoinServer:
     async def _receive(
         self, core: AuthorityJoin, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
     ) -> None:
+        # One deadline for all of it: octet by octet, a stranger would hold a place for hours.
         async with asyncio.timeout(self._patience):
             while core.state not in {_S.NAMING, _S.DECIDING}:
                 sent = core.receive(await sessions.receive(reader))
@@ -120,6 +117,8 @@ class JoinServer:
     async def _decided(
         self, decide: Callable[[_Asked], Awaitable[_Answer]], asked: _Asked
     ) -> _Answer | RefusedMessage:
+        # Few of one invitation at a time, so that no code keeps the others out. What cannot be decided is
+        # BUSY: the node comes again, and gets the same answer to the same request.
         try:
             async with asyncio.timeout(DECISION), self._turns.turn(asked.invitation):
                 return await decide(asked)
@@ -192,6 +191,7 @@ async def _tried(code: InvitationCode, session: Callable[[], Awaitable[_T]]) -> 
                     f"no authority answers at {code.address}",
                     "is `rossec ca serve` running there, and on the same network?",
                 ) from error
+        # Spread: a fleet that was switched on at once does not come back at once.
         await asyncio.sleep(delay * (1 + secrets.randbelow(1000) / 1000))
         delay *= 2
 

@@ -1,8 +1,6 @@
 """The process that decodes a picture (`python -I -m rossec.enrollment.scanner`): bytes in, one line out.
 
-Pictures are untrusted, and the cost of decoding one is not bounded by its size: a few kilobytes full of
-finder patterns take a minute. So it runs in a process of its own (`rossec.enrollment.enroll` starts it and
-waits a limited time), with limits of the kernel on memory and processor time.
+`rossec.enrollment.enroll` starts it and waits a limited time.
 """
 
 import io
@@ -35,7 +33,9 @@ def texts(data: bytes) -> list[str]:
     if len(data) > MAX_FILE:
         raise ConfigurationError(f"the picture has more than {MAX_FILE} bytes", CLOSER)
     try:
+        # Named formats: Pillow has some forty parsers, each of which an attacker could choose.
         opened = Image.open(io.BytesIO(data), formats=_FORMATS)
+        # The header says the size; nothing is decoded before it is known.
         if opened.width * opened.height > MAX_PIXELS:
             raise ConfigurationError("the picture has too many pixels", "make it smaller")
         image = opened.convert("L")
@@ -49,6 +49,8 @@ def texts(data: bytes) -> list[str]:
 
 
 def main() -> int:
+    # Pictures are untrusted, and the cost of decoding one is not bounded by its size: a few kilobytes full of
+    # finder patterns take a minute. No core: it would hold what a camera saw.
     _limit(resource.RLIMIT_AS, MEMORY)
     _limit(resource.RLIMIT_CPU, SECONDS)
     _limit(resource.RLIMIT_CORE, 0)

@@ -1,8 +1,6 @@
 """Frames of the enrollment on asyncio streams, and a port for them that is open to strangers.
 
-A limited number of sessions are open at a time, in all and by address. A session counts until its socket is
-closed; one that has ended and whose peer does not close is evicted first, so that idle sockets keep nobody
-out (`rossec.net.limits`).
+A limited number of sessions are open at a time, in all and by address (`rossec.net.limits`).
 """
 
 import asyncio
@@ -86,6 +84,7 @@ class SessionServer:
             slot.close = writer.transport.abort
             try:
                 await self._serve(reader, writer, address)
+                # It counts until its socket is closed, but is evicted first: idle sockets keep nobody out.
                 slot.linger()
                 writer.close()
                 await wait_closed(writer)

@@ -6,12 +6,10 @@ to no other authority (pathlen 0), for TLS servers alone. P-256: what every TLS 
 """
 
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from ipaddress import ip_address
 from typing import Final, Self
 
 from cryptography import x509
-from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import (
     Encoding,
@@ -19,8 +17,9 @@ from cryptography.hazmat.primitives.serialization import (
     PrivateFormat,
     load_pem_private_key,
 )
-from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from ca.builder import tls_authority, tls_server
+from ca.certificates import BACKDATE
 from rossec.errors import ConfigurationError
 from rossec.overlay import router_settings
 from rossec.overlay.documents import MAX_LOCATORS, check_locator, is_texts, read_document, write_document
@@ -29,9 +28,7 @@ from rossec.overlay.router_settings import ROUTER_NAME, Seats
 DAY: Final = 86400
 LIFETIME: Final = 20 * 365 * DAY  # every seat file has it: a new authority means new files for all
 LEAF_LIFETIME: Final = 365 * DAY
-BACKDATE: Final = 3600  # seconds; clocks of hosts differ
 _ROOT: Final = "rossec routers"
-_SERVER: Final = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
 _DAMAGED: Final = "put back a copy of the directory, or remove it and give out new seats"
 
 MAX_SHARE_FILE: Final = 2 * router_settings.MAX_SEATS_FILE
@@ -49,15 +46,7 @@ class RouterAuthority:
 
     @classmethod
     def create(cls, key: ec.EllipticCurvePrivateKey, *, now: int, serial: int) -> Self:
-        builder = (
-            _builder(key.public_key(), _ROOT, serial, now - BACKDATE, now + LIFETIME)
-            .issuer_name(_subject(_ROOT))
-            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-            .add_extension(_usage(authority=True), critical=True)
-            .add_extension(_SERVER, critical=False)
-            .add_extension(_key_identifier(key), critical=False)
-        )
-        return cls(key, builder.sign(key, hashes.SHA256()))
+        return cls(key, tls_authority(key, _ROOT, serial, (now - BACKDATE, now + LIFETIME)))
 
     @classmethod
     def load(cls, key: bytes, certificate: bytes) -> Self:
@@ -80,18 +69,9 @@ class RouterAuthority:
         end = int(self.certificate.not_valid_after_utc.timestamp())
         if not int(self.certificate.not_valid_before_utc.timestamp()) <= now < end:
             raise ConfigurationError("the routers' authority is not valid now", "check the clock")
-        builder = (
-            _builder(key, ROUTER_NAME, serial, now - BACKDATE, min(now + LEAF_LIFETIME, end))
-            .issuer_name(self.certificate.subject)
-            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-            .add_extension(_usage(authority=False), critical=True)
-            .add_extension(x509.SubjectAlternativeName(map(_general, hosts)), critical=False)
-            .add_extension(_SERVER, critical=False)
-            .add_extension(
-                x509.AuthorityKeyIdentifier(_key_identifier(self.key).digest, None, None), critical=False
-            )
-        )
-        return builder.sign(self.key, hashes.SHA256()).public_bytes(Encoding.PEM)
+        period, names = (now - BACKDATE, min(now + LEAF_LIFETIME, end)), map(_general, hosts)
+        made = tls_server(self.key, self.certificate.subject, key, ROUTER_NAME, names, serial, period)
+        return made.public_bytes(Encoding.PEM)
 
     def is_current(self, certificate: bytes, key: bytes, hosts: tuple[str, ...], *, now: int) -> bool:
         # One that has less than a third of its time left is not.
@@ -126,41 +106,6 @@ def _general(host: str) -> x509.GeneralName:
         return x509.IPAddress(ip_address(host))
     except ValueError:
         return x509.DNSName(host)
-
-
-def _builder(
-    key: ec.EllipticCurvePublicKey, subject: str, serial: int, start: int, end: int
-) -> x509.CertificateBuilder:
-    return (
-        x509.CertificateBuilder()
-        .serial_number(serial)
-        .public_key(key)
-        .subject_name(_subject(subject))
-        .not_valid_before(datetime.fromtimestamp(start, UTC))
-        .not_valid_after(datetime.fromtimestamp(end, UTC))
-    )
-
-
-def _subject(text: str) -> x509.Name:
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, text)])
-
-
-def _key_identifier(key: ec.EllipticCurvePrivateKey) -> x509.SubjectKeyIdentifier:
-    return x509.SubjectKeyIdentifier.from_public_key(key.public_key())
-
-
-def _usage(*, authority: bool) -> x509.KeyUsage:
-    return x509.KeyUsage(
-        digital_signature=not authority,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        key_cert_sign=authority,
-        crl_sign=authority,
-        encipher_only=False,
-        decipher_only=False,
-    )
 
 
 @dataclass(frozen=True)

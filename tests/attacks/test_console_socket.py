@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import HintedError, OtherChallenge
+from ca.errors import ApprovalRefused, HintedError
 from rossec.authority.console.access import ConsoleAccess
 from rossec.authority.console.client import ConsoleClient
 from rossec.authority.console.messages import (
@@ -25,6 +25,7 @@ from rossec.authority.console.messages import (
 from rossec.authority.console.phone_codes import MAX_FAILURES
 from rossec.authority.keyservice import messages
 from rossec.errors import KeyMessageRefused, KeyServiceFailed, PhoneCodeRefused
+from tests.support import refusal_texts
 from tests.support.commands import PASSPHRASE
 from tests.support.consolework import ConsoleWork, ask
 from tests.support.passkeys import ORIGIN, RP_ID, Passkey
@@ -234,5 +235,5 @@ def test_a_clock_that_stands_makes_no_code_last(tmp_path: Path) -> None:
         ask(access, "redeem", code)
     site.seconds += 200
     fresh, answer = access.phone_code("a person"), phone.register(asked.challenge)
-    with pytest.raises(OtherChallenge):
+    with pytest.raises(ApprovalRefused, match=refusal_texts.OTHER_CHALLENGE):
         ask(access, "add-passkey", asked.id, fresh, "late", *answer)

@@ -28,14 +28,7 @@ from ca.enrollment.messages import (
     write,
 )
 from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeState
-from ca.errors import (
-    AcknowledgementRefused,
-    ConflictingOffer,
-    EnrollmentOver,
-    EnrollmentRefused,
-    RequestRefused,
-    RequestSwapped,
-)
+from ca.errors import ConflictingOffer, EnrollmentOver, EnrollmentRefused, RequestRefused, RequestSwapped
 from rossec.enrollment import enroll
 from tests.ca.test_requests import CA_TRUE, SAN, crafted
 from tests.support.enrolling import Robot, WaitingRobot, clock, fresh
@@ -155,7 +148,7 @@ async def test_a_swapped_authority_and_a_label() -> None:
 
     with (
         WaitingRobot(robot_, label=True, person=lambda _: None) as robot,
-        pytest.raises(AcknowledgementRefused, match="for another offer"),
+        pytest.raises(EnrollmentRefused, match="for another offer"),
     ):
         await enrolled_through(robot, swap)
     assert robot.trusted == []
@@ -183,7 +176,7 @@ async def test_a_swapped_authority_and_a_replayed_answer() -> None:
 
     with (
         WaitingRobot(robot_, label=True, person=lambda _: None) as robot,
-        pytest.raises(AcknowledgementRefused, match="for another offer"),
+        pytest.raises(EnrollmentRefused, match="for another offer"),
     ):
         await enrolled_through(robot, swap)
     assert robot.trusted == []

@@ -29,12 +29,13 @@ from ca.enrollment.join import (
     write,
 )
 from ca.enrollment.messages import frame, length
-from ca.errors import JoinRefused, NotTheAuthority, OfferRefused
+from ca.errors import EnrollmentRefused, JoinRefused
 from ca.store.record import Store
 from rossec.authority import invitations
 from rossec.authority.signing import SigningAuthority
 from rossec.enrollment import join, sessions
 from rossec.enrollment.join import JoinServer
+from tests.support import refusal_texts
 from tests.support.joining import HOUR, JoinSite, asked, fresh, issued, refusal
 from tests.support.pki import NOW, new_signer
 
@@ -166,7 +167,7 @@ async def test_an_enrolled_node_that_plays_the_authority_gets_nothing(home: Join
 
     fake = JoinServer(lambda: LiveIdentity(own.signer, own.chain, home.root), harvest)
     async with home.serving(fake):
-        with pytest.raises(NotTheAuthority, match="a node of this site"):
+        with pytest.raises(EnrollmentRefused, match="a node of this site"):
             await join.join(home.invite(), lambda _: asked("/fleet/a"), clock)
     assert harvested == []
 
@@ -176,7 +177,7 @@ async def test_a_copied_certificate_and_a_recorded_welcome_are_not_live(home: Jo
     true = home.identity()
     fake = JoinServer(lambda: replace(true, signer=new_signer()), home.admit)
     async with home.serving(fake):
-        with pytest.raises(NotTheAuthority, match="does not have the key"):
+        with pytest.raises(EnrollmentRefused, match="does not have the key"):
             await join.join(home.invite(), lambda _: asked("/fleet/a"), clock)
     async with between(home, lambda message: message) as seen:
         code = home.invite(uses=2)
@@ -190,7 +191,7 @@ async def test_a_copied_certificate_and_a_recorded_welcome_are_not_live(home: Jo
     server = await asyncio.start_server(replay, "127.0.0.1", 0)
     async with server:
         where = f"127.0.0.1:{server.sockets[0].getsockname()[1]}"
-        with pytest.raises(NotTheAuthority, match="does not have the key"):
+        with pytest.raises(EnrollmentRefused, match="does not have the key"):
             await join.join(replace(code, address=where), lambda _: asked("/fleet/a"), clock)
 
 
@@ -206,7 +207,7 @@ async def test_an_answer_that_is_not_the_authoritys_is_not_taken(home: JoinSite,
             return Issued(chain) if isinstance(message, Issued) else message
 
         async with between(home, swap):
-            with pytest.raises(OfferRefused):
+            with pytest.raises(EnrollmentRefused, match=refusal_texts.OFFER_REFUSED):
                 await join.join(home.invite(), lambda _: csr, clock)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ca.encoding import encode
-from ca.errors import LogDamaged, StoreError, ThingChanged, ThingOutdated, ThingRefused
+from ca.errors import LogDamaged, StoreError, ThingOutdated, ThingRefused
 from ca.keys import passphrases
 from ca.keys.signing import Profile
 from ca.store.record import Store
@@ -14,6 +14,7 @@ from ca.things.constrained_nodes import THING, ThingSecret, open_statement, read
 from rossec.authority.backup import back_up
 from rossec.home import NodeHome
 from rossec.saved_statements import ThingFiles
+from tests.support import refusal_texts
 from tests.support.commands import Shell
 from tests.support.pki import new_signer
 from tests.support.thingoffice import ATTIC, BORDER, DAY, LAMP, PASSPHRASE, Office
@@ -116,7 +117,7 @@ def test_another_things_name_key_or_kid(office: Office) -> None:
         {"name": "/things/door", "border": ATTIC},
         {"name": "/things/door", "credential": replace(mallory, kid=b"\x2b")},
     ):
-        with pytest.raises(ThingChanged):
+        with pytest.raises(StoreError, match=refusal_texts.THING_CHANGED):
             office.sign(**changes)
     with pytest.raises(StoreError):  # the name's identity, with another key
         office.sign(request=office.request(), identity_lifetime=DAY)

@@ -33,8 +33,7 @@ def test_one_root(kind: type[errors.HintedError]) -> None:
         (errors.CertificateNotYetValid, errors.CertificateRefused),
         (errors.RollbackRefused, errors.RevocationRefused),
         (errors.PassphraseRefused, errors.KeyRefused),
-        (errors.KeyChanged, errors.StoreError),
-        (errors.CodeExpired, errors.CodeRefused),
+        (errors.LogDamaged, errors.StoreError),
     ],
 )
 def test_leaves_can_be_caught_together(leaf: type[errors.CAError], parent: type[errors.CAError]) -> None:

@@ -33,7 +33,6 @@ from rossec.authority.renewals import renew
 from rossec.authority.signing import SigningAuthority
 from tests.support import approving
 from tests.support.killing import run_killed
-from tests.support.oldstore import write_version_1
 from tests.support.passkeys import Passkey
 from tests.support.things import LAMP, again, row_of
 from tests.vectors.make_domains import ENTRY
@@ -161,10 +160,6 @@ def check_renamed(directory: Path) -> None:
         assert len(store.things.in_force(NOW)) == min(len(names), 1)
 
 
-def migrate(authority: SigningAuthority, _: Path) -> None:
-    assert authority.store.log.entries()[-1].what == "migrated"
-
-
 SCENARIOS: dict[str, Scenario] = {
     "issue": issue,
     "deny": deny,
@@ -175,7 +170,6 @@ SCENARIOS: dict[str, Scenario] = {
     "approve": approve,
     "trust": trust,
     "rename": rename,
-    "migrate": migrate,
 }
 
 
@@ -225,8 +219,7 @@ def run(name: str, base: Path, work: Path) -> Counter[str]:
         check_trusted(directory)
         check_renamed(directory)
         assert _count(directory) == total, "doing it again did not complete it"
-        if name != "migrate":  # the old database has no list
-            check_listed(directory)
+        check_listed(directory)
         assert recorded in {None, _newest(directory)}, "a second identity for one request"
         shutil.rmtree(directory)
         if died is None:
@@ -246,11 +239,9 @@ def _newest(directory: Path) -> bytes:
 
 
 def main(work: Path) -> None:
-    base, old = work / "base", work / "old"
+    base = work / "base"
     prepare(base)
-    old.mkdir()
-    write_version_1(old / "ca.db")
-    deaths = {name: run(name, old if name == "migrate" else base, work) for name in SCENARIOS}
+    deaths = {name: run(name, base, work) for name in SCENARIOS}
     print(json.dumps(deaths))  # noqa: T201
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from ca.approvals.passkeys import Assertion, Challenge, Passkey, Purpose, Registration, register, verify
 from ca.encoding import Value
-from ca.errors import OtherOrigin, PasskeyUnknown
+from ca.errors import ApprovalRefused
 from ca.store.record import Store
 from rossec import clock
 from rossec.authority.console.messages import LoginChallenge, PhoneView, check_page, to_value
@@ -58,7 +58,7 @@ class ConsoleAccess:
         with self._store() as store:
             found = [each for each in store.passkeys.active() if each.origin == origin]
         if not found:
-            raise PasskeyUnknown(
+            raise ApprovalRefused(
                 f"no phone was registered at {origin[:80]!a}", "register one: rossec console phone"
             )
         challenge = self._make(Purpose.LOGIN, origin, found[0].rp_id)
@@ -133,7 +133,7 @@ class ConsoleAccess:
 def check_bound(known: list[Passkey], origin: str, rp_id: str) -> None:
     for each in known:
         if (each.origin, each.rp_id) != (origin, rp_id):
-            raise OtherOrigin(
+            raise ApprovalRefused(
                 f"the phones here belong to {each.origin}, not to {origin}",
                 "open the console there; after rossec console --rename all register anew",
             )

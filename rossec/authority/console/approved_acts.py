@@ -30,7 +30,7 @@ from ca.approvals.statement import (
 )
 from ca.authority import MAX_LIFETIME
 from ca.certificates import check_intermediate_request, to_pem
-from ca.errors import HintedError, PasskeyUnknown, RequestClosed, StoreError
+from ca.errors import ApprovalRefused, HintedError, RequestClosed, StoreError
 from ca.keys.signing import thumbprint
 from ca.names import is_master_name
 from ca.store.log import ApprovalState
@@ -222,7 +222,7 @@ class PasskeyAct(ApprovedAct):
             passkey = self._proposals.get(shown.id)
             if to_approve(passkey) == what:
                 return shown.id, passkey
-        raise PasskeyUnknown("this phone does not wait any more", "propose it again")
+        raise ApprovalRefused("this phone does not wait any more", "propose it again")
 
 
 class InvitationAct(ApprovedAct):

@@ -21,14 +21,7 @@ from typing import Final, NamedTuple, TypeVar
 from ca.approvals.passkeys import Approval, Assertion
 from ca.approvals.statement import ID_SIZE, LIFETIME, Statement, StatementKind, What
 from ca.encoding import Value
-from ca.errors import (
-    ApprovalOutdated,
-    ApprovalOver,
-    HintedError,
-    PasskeyUnknown,
-    RecordUnusable,
-    TokenRefused,
-)
+from ca.errors import ApprovalOver, ApprovalRefused, HintedError, RecordUnusable, TokenRefused
 from ca.store.log import ApprovalState
 from ca.store.record import Store
 from ca.store.values import DAY
@@ -153,10 +146,10 @@ class Statements:
             taken = [table.pop(number) for table in self._shown.values()]
         found = next(filter(None, taken), None)
         if found is None:
-            raise ApprovalOutdated("this is not waiting for a touch, or not any more", _HINT)
+            raise ApprovalRefused("this is not waiting for a touch, or not any more", _HINT)
         statement = found.prepared.statement
         if not statement.made <= now <= statement.until:
-            raise ApprovalOutdated("the touch came too late, or the clock was set", _HINT)
+            raise ApprovalRefused("the touch came too late, or the clock was set", _HINT)
         return found.prepared
 
     def _drop_old(self) -> None:
@@ -245,7 +238,7 @@ class Approving:
             with closing(service.home.store()) as store:
                 phones = store.passkeys.active()
                 if not phones:
-                    raise PasskeyUnknown(
+                    raise ApprovalRefused(
                         "there is no phone that could approve this",
                         "set one up with a code from the terminal: rossec console phone",
                     )

@@ -34,7 +34,7 @@ from urllib.parse import urlsplit
 from ca.approvals import statement as kinds
 from ca.approvals.statement import Statement
 from ca.encoding import Value, decode
-from ca.errors import EncodingError, PasskeyRefused
+from ca.errors import ApprovalRefused, EncodingError
 from ca.names import MASTER
 from grants import document
 from grants.errors import GrantError
@@ -76,13 +76,13 @@ _DOMAIN: Final = re.compile(rf"{_LABEL}(\.{_LABEL})*")
 def check_page(origin: str, rp_id: str) -> None:
     host = _host(origin)
     if host is None:
-        raise PasskeyRefused(
+        raise ApprovalRefused(
             f"{origin[:80]!a} is no address of a console", "https://NAME, or http://localhost"
         )
     if not _DOMAIN.fullmatch(rp_id) or _is_address(rp_id):
-        raise PasskeyRefused(f"passkeys cannot belong to {rp_id[:80]!a}", "open the console by a name")
+        raise ApprovalRefused(f"passkeys cannot belong to {rp_id[:80]!a}", "open the console by a name")
     if host != rp_id and not host.endswith(f".{rp_id}"):
-        raise PasskeyRefused(
+        raise ApprovalRefused(
             f"a page at {host} has no passkeys of {rp_id}", "open the console by its own name"
         )
 

@@ -19,7 +19,7 @@ from typing import Final, NamedTuple
 
 from ca.approvals.passkeys import Challenge, Passkey, Purpose
 from ca.encoding import decode, encode
-from ca.errors import OtherChallenge, PasskeyUnknown
+from ca.errors import ApprovalRefused
 from rossec import clock
 from rossec.authority.console import messages
 from rossec.authority.console.messages import Proposal
@@ -90,8 +90,8 @@ class LoginChallenges:
         return hmac.digest(self._key, said, "sha256")
 
 
-def _other() -> OtherChallenge:
-    return OtherChallenge("this was answered before, or took too long", "open the page again")
+def _other() -> ApprovalRefused:
+    return ApprovalRefused("this was answered before, or took too long", "open the page again")
 
 
 CODE_LIFETIME: Final = 120.0  # seconds
@@ -230,7 +230,7 @@ class Proposals:
             self._drop_old()
             found = self._proposed.get(number)
         if found is None:
-            raise PasskeyUnknown(
+            raise ApprovalRefused(
                 "this phone does not wait to be approved, or not any more",
                 "make a new link, and open it on that phone",
             )

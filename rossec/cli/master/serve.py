@@ -147,9 +147,7 @@ async def _start(server: MasterServer) -> None:
 async def _announce(server: MasterServer, home: NodeHome) -> None:
     from rossec.discovery.local_links import announce  # noqa: PLC0415 - carried when it is used
 
-    await announce(
-        home.credentials(), server.uri, name=home.name, version=lambda: server.state.registry.version
-    )
+    await announce(home.credentials(), server.uri, version=lambda: server.state.registry.version)
 
 
 def _commands(server: MasterServer, mesh: Mesh) -> Mapping[str, Any]:

@@ -10,7 +10,6 @@ has the console open).
 """
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import lru_cache
 from hashlib import sha256
 from importlib import resources
@@ -18,18 +17,17 @@ from ipaddress import IPv4Address, IPv6Address, ip_network
 from typing import Final, Self
 
 from cryptography import x509
-from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
-from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from ca.builder import common_name, tls_authority, tls_server
+from ca.certificates import BACKDATE
 from rossec import clock
 from rossec.errors import ConfigurationError
 
 DAY: Final = 86400
 LIFETIME: Final = 365 * DAY
 LEAF_LIFETIME: Final = 90 * DAY
-BACKDATE: Final = 3600  # seconds; clocks of phones differ
 SOON: Final = 30 * DAY  # seconds before its end in which a person is told
 _PAIRS: Final = 16  # of the fingerprint in a line, as phones break it
 # Eight words of the PGP list would be 64 bits, which somebody with much hardware could match; BIP-39's have
@@ -38,7 +36,6 @@ COUNT: Final = 8
 _BITS: Final = 11
 _MAX_COMMON_NAME: Final = 64  # RFC 5280 appendix A: ub-common-name
 _EVERY: Final = (ip_network("0.0.0.0/0"), ip_network("::/0"))
-_SERVER: Final = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
 _LEAF: Final = "rossec console"
 _RENEW: Final = "make a new one: rossec console tls --renew"
 
@@ -68,17 +65,10 @@ class TlsAuthority:
 
         `serial` is 127 random bits.
         """
-        subject = _subject(f"rossec console {name}"[:_MAX_COMMON_NAME])
-        builder = (
-            _builder(key.public_key(), subject, serial, now - BACKDATE, now + LIFETIME)
-            .issuer_name(subject)
-            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-            .add_extension(_usage(authority=True), critical=True)
-            .add_extension(_constraints(name, address), critical=True)
-            .add_extension(_SERVER, critical=False)
-            .add_extension(_key_identifier(key), critical=False)
-        )
-        return cls.load(key, _sign(builder, key))
+        period = now - BACKDATE, now + LIFETIME
+        text, limits = f"rossec console {name}"[:_MAX_COMMON_NAME], _constraints(name, address)
+        made = tls_authority(key, text, serial, period, limits)
+        return cls.load(key, made.public_bytes(Encoding.DER))
 
     @classmethod
     def load(cls, key: ec.EllipticCurvePrivateKey, data: bytes) -> Self:
@@ -111,17 +101,9 @@ class TlsAuthority:
         names: list[x509.GeneralName] = [x509.DNSName(self.name)]
         if address is not None and address == self.address:
             names.append(x509.IPAddress(address))
-        issuer = x509.AuthorityKeyIdentifier(_key_identifier(self.key).digest, None, None)
-        builder = (
-            _builder(key, _subject(_LEAF), serial, start, end)
-            .issuer_name(x509.load_der_x509_certificate(self.data).subject)
-            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-            .add_extension(_usage(authority=False), critical=True)
-            .add_extension(x509.SubjectAlternativeName(names), critical=False)
-            .add_extension(_SERVER, critical=False)
-            .add_extension(issuer, critical=False)
-        )
-        return _sign(builder, self.key)
+        issuer = x509.load_der_x509_certificate(self.data).subject
+        made = tls_server(self.key, issuer, key, _LEAF, names, serial, (start, end))
+        return made.public_bytes(Encoding.DER)
 
     def check_time(self, now: int) -> None:
         if now > self.not_after:
@@ -137,7 +119,7 @@ def _constraints(name: str, address: Address | None) -> x509.NameConstraints:
     # that verifiers know has one, and addresses, which have two sizes, are excluded besides.
     permitted: list[x509.GeneralName] = [
         x509.DNSName(name),
-        x509.DirectoryName(_subject(_LEAF)),
+        x509.DirectoryName(common_name(_LEAF)),
         x509.RFC822Name(name),
         x509.UniformResourceIdentifier(name),
     ]
@@ -146,45 +128,6 @@ def _constraints(name: str, address: Address | None) -> x509.NameConstraints:
         permitted.append(x509.IPAddress(ip_network(address)))
         excluded = [each for each in excluded if each.value.version != address.version]
     return x509.NameConstraints(permitted, excluded)
-
-
-def _builder(
-    key: ec.EllipticCurvePublicKey, subject: x509.Name, serial: int, start: int, end: int
-) -> x509.CertificateBuilder:
-    return (
-        x509.CertificateBuilder()
-        .serial_number(serial)
-        .public_key(key)
-        .subject_name(subject)
-        .not_valid_before(datetime.fromtimestamp(start, UTC))
-        .not_valid_after(datetime.fromtimestamp(end, UTC))
-    )
-
-
-def _sign(builder: x509.CertificateBuilder, key: ec.EllipticCurvePrivateKey) -> bytes:
-    return builder.sign(key, hashes.SHA256()).public_bytes(Encoding.DER)
-
-
-def _subject(text: str) -> x509.Name:
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, text)])
-
-
-def _key_identifier(key: ec.EllipticCurvePrivateKey) -> x509.SubjectKeyIdentifier:
-    return x509.SubjectKeyIdentifier.from_public_key(key.public_key())
-
-
-def _usage(*, authority: bool) -> x509.KeyUsage:
-    return x509.KeyUsage(
-        digital_signature=not authority,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        key_cert_sign=authority,
-        crl_sign=authority,
-        encipher_only=False,
-        decipher_only=False,
-    )
 
 
 def in_hex(certificate: bytes) -> str:

@@ -5,7 +5,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.approvals.passkeys import MAX_AUTHENTICATOR_DATA, AuthenticatorData, read_key
 from ca.encoding import encode
-from ca.errors import AssertionMalformed, NotVerified, OtherOrigin
+from ca.errors import ApprovalRefused
 from tests.support.passkeys import AT, BE, BS, ED, RP_ID, UP, UV, Passkey
 
 PARTY = hashlib.sha256(RP_ID.encode()).digest()
@@ -24,12 +24,12 @@ def test_the_fixed_beginning_is_read() -> None:
 @pytest.mark.parametrize("flags", [0, UP, UV, BE | BS | ED | AT | UV])
 def test_a_user_who_was_not_verified_is_refused(flags: int) -> None:
     more = b"x" if flags & (AT | ED) else b""
-    with pytest.raises(NotVerified, match="without a finger, face or PIN"):
+    with pytest.raises(ApprovalRefused, match="without a finger, face or PIN"):
         AuthenticatorData.read(data(flags, more)).check(RP_ID)
 
 
 def test_another_relying_party_is_refused() -> None:
-    with pytest.raises(OtherOrigin, match=r"does not belong to rossec\.local"):
+    with pytest.raises(ApprovalRefused, match=r"does not belong to rossec\.local"):
         AuthenticatorData.read(data()).check("rossec.local")
 
 
@@ -43,7 +43,7 @@ def test_another_relying_party_is_refused() -> None:
     ],
 )
 def test_data_of_another_length_is_refused(wrong: bytes) -> None:
-    with pytest.raises(AssertionMalformed, match="authenticator data"):
+    with pytest.raises(ApprovalRefused, match="authenticator data"):
         AuthenticatorData.read(wrong)
 
 
@@ -71,10 +71,10 @@ X, Y = NUMBERS.x.to_bytes(32), NUMBERS.y.to_bytes(32)
     ],
 )
 def test_any_other_key_is_refused(key: object) -> None:
-    with pytest.raises(AssertionMalformed, match="the device's key is not"):
+    with pytest.raises(ApprovalRefused, match="the device's key is not"):
         read_key(encode(key))  # type: ignore[arg-type]
 
 
 def test_a_key_that_is_not_deterministic_is_refused() -> None:
-    with pytest.raises(AssertionMalformed, match="not a key of P-256"):
+    with pytest.raises(ApprovalRefused, match="not a key of P-256"):
         read_key(Passkey().cose_key + b"\0")

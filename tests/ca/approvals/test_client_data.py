@@ -4,7 +4,7 @@ from typing import Any
 import pytest
 
 from ca.approvals.passkeys import MAX_CLIENT_DATA, Ceremony, base64url, check_client_data
-from ca.errors import AssertionMalformed, OtherChallenge, OtherOrigin
+from ca.errors import ApprovalRefused
 
 CHALLENGE = bytes(range(32))
 ORIGIN = "http://localhost:7411"
@@ -27,35 +27,33 @@ def test_base64url_has_no_padding() -> None:
 
 
 @pytest.mark.parametrize(
-    ("fields", "error", "message"),
+    ("fields", "message"),
     [
-        ({"type": "webauthn.create"}, OtherChallenge, "not used for webauthn.get"),
-        ({"type": None}, OtherChallenge, "not used for webauthn.get"),
-        ({"challenge": base64url(bytes(32))}, OtherChallenge, "signed something else"),
-        ({"challenge": base64url(CHALLENGE) + "="}, OtherChallenge, "signed something else"),
-        ({"challenge": 1}, OtherChallenge, "signed something else"),
-        ({"origin": "http://localhost"}, OtherOrigin, "'http://localhost' instead of http://loc"),
-        ({"origin": ORIGIN + "/"}, OtherOrigin, "instead of"),
-        ({"origin": "https://localhost:7411"}, OtherOrigin, "instead of"),
-        ({"origin": [ORIGIN]}, OtherOrigin, "instead of"),
-        ({"origin": "\x1b[2J" + "x" * 999}, OtherOrigin, r"'\\x1b\[2Jx{76}' instead"),
-        ({"crossOrigin": True}, OtherOrigin, "inside another page"),
-        ({"crossOrigin": None}, OtherOrigin, "inside another page"),
-        ({"crossOrigin": 0}, OtherOrigin, "inside another page"),
-        ({"topOrigin": ORIGIN}, OtherOrigin, "inside another page"),
+        ({"type": "webauthn.create"}, "not used for webauthn.get"),
+        ({"type": None}, "not used for webauthn.get"),
+        ({"challenge": base64url(bytes(32))}, "signed something else"),
+        ({"challenge": base64url(CHALLENGE) + "="}, "signed something else"),
+        ({"challenge": 1}, "signed something else"),
+        ({"origin": "http://localhost"}, "'http://localhost' instead of http://loc"),
+        ({"origin": ORIGIN + "/"}, "instead of"),
+        ({"origin": "https://localhost:7411"}, "instead of"),
+        ({"origin": [ORIGIN]}, "instead of"),
+        ({"origin": "\x1b[2J" + "x" * 999}, r"'\\x1b\[2Jx{76}' instead"),
+        ({"crossOrigin": True}, "inside another page"),
+        ({"crossOrigin": None}, "inside another page"),
+        ({"crossOrigin": 0}, "inside another page"),
+        ({"topOrigin": ORIGIN}, "inside another page"),
     ],
 )
-def test_another_challenge_or_page_is_refused(
-    fields: dict[str, Any], error: type[Exception], message: str
-) -> None:
-    with pytest.raises(error, match=message):
+def test_another_challenge_or_page_is_refused(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(ApprovalRefused, match=message):
         check(json.dumps({**RIGHT, **fields}).encode())
 
 
 @pytest.mark.parametrize("field", sorted(RIGHT))
 def test_a_missing_field_is_refused(field: str) -> None:
     fields = {name: value for name, value in RIGHT.items() if name != field}
-    with pytest.raises((OtherChallenge, OtherOrigin)):
+    with pytest.raises(ApprovalRefused, match=r"the passkey (was not|was used at|signed something else)"):
         check(json.dumps(fields).encode())
 
 
@@ -81,6 +79,6 @@ TEXT = json.dumps(RIGHT)
     ],
 )
 def test_what_is_not_strict_json_is_refused(data: bytes) -> None:
-    with pytest.raises(AssertionMalformed, match="the browser sent") as error:
+    with pytest.raises(ApprovalRefused, match="the browser sent") as error:
         check(data)
     assert error.value.hint == "try again, or with another browser"

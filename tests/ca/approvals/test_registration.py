@@ -16,15 +16,8 @@ from ca.approvals.passkeys import (
 )
 from ca.approvals.statement import NewPasskey
 from ca.encoding import encode
-from ca.errors import (
-    ApprovalRefused,
-    AssertionMalformed,
-    ConsoleExtraMissing,
-    NotVerified,
-    OtherChallenge,
-    OtherOrigin,
-    PasskeyRefused,
-)
+from ca.errors import ApprovalRefused
+from tests.support import refusal_texts
 from tests.support.approving import NOW, registered
 from tests.support.passkeys import AT, GET, ORIGIN, RP_ID, UP, UV, Passkey
 
@@ -63,18 +56,18 @@ def test_an_attestation_may_have_another_order() -> None:
 @pytest.mark.parametrize(
     ("changes", "error"),
     [
-        ({"kind": GET}, OtherChallenge),
-        ({"challenge": bytes(32)}, OtherChallenge),
-        ({"challenge": CHALLENGE._replace(purpose=Purpose.LOGIN).digest}, OtherChallenge),
-        ({"origin": "https://evil.example"}, OtherOrigin),
-        ({"cross_origin": True}, OtherOrigin),
-        ({"rp_id": "evil.example"}, OtherOrigin),
-        ({"flags": UP | AT}, NotVerified),
-        ({"flags": UV | AT}, NotVerified),
+        ({"kind": GET}, refusal_texts.OTHER_CHALLENGE),
+        ({"challenge": bytes(32)}, refusal_texts.OTHER_CHALLENGE),
+        ({"challenge": CHALLENGE._replace(purpose=Purpose.LOGIN).digest}, refusal_texts.OTHER_CHALLENGE),
+        ({"origin": "https://evil.example"}, refusal_texts.OTHER_ORIGIN),
+        ({"cross_origin": True}, refusal_texts.OTHER_ORIGIN),
+        ({"rp_id": "evil.example"}, refusal_texts.OTHER_ORIGIN),
+        ({"flags": UP | AT}, refusal_texts.NOT_VERIFIED),
+        ({"flags": UV | AT}, refusal_texts.NOT_VERIFIED),
     ],
 )
-def test_each_check_refuses_by_its_own_error(changes: dict[str, Any], error: type[ApprovalRefused]) -> None:
-    with pytest.raises(error):
+def test_each_check_refuses_by_its_own_error(changes: dict[str, Any], error: str) -> None:
+    with pytest.raises(ApprovalRefused, match=error):
         register(made(**changes), CHALLENGE, "phone", NOW)
 
 
@@ -84,7 +77,7 @@ def attestation(data: bytes) -> Registration:
 
 
 def test_data_without_a_passkey_is_refused() -> None:
-    with pytest.raises(PasskeyRefused, match="made no passkey"):
+    with pytest.raises(ApprovalRefused, match="made no passkey"):
         register(attestation(DEVICE.authenticator_data(UP | UV)), CHALLENGE, "phone", NOW)
 
 
@@ -92,7 +85,7 @@ def test_data_without_a_passkey_is_refused() -> None:
 def test_a_credential_id_of_an_impossible_length_is_refused(size: int) -> None:
     device = Passkey()
     device.id = bytes(size)
-    with pytest.raises(PasskeyRefused, match="made no passkey"):
+    with pytest.raises(ApprovalRefused, match="made no passkey"):
         register(made(device), CHALLENGE, "phone", NOW)
 
 
@@ -107,7 +100,7 @@ def test_a_credential_id_of_an_impossible_length_is_refused(size: int) -> None:
 )
 def test_a_key_that_is_not_es256_is_refused(key: dict[int | str, Any]) -> None:
     data = DEVICE.authenticator_data(UP | UV | AT) + bytes(16) + (2).to_bytes(2) + b"id"
-    with pytest.raises(AssertionMalformed, match="the device's key is not"):
+    with pytest.raises(ApprovalRefused, match="the device's key is not"):
         register(attestation(data + encode(key)), CHALLENGE, "phone", NOW)
 
 
@@ -116,7 +109,7 @@ def test_every_truncated_attestation_is_refused() -> None:
     for size in range(len(whole)):
         with pytest.raises(ApprovalRefused):
             register(Registration(client_data, whole[:size]), CHALLENGE, "phone", NOW)
-    with pytest.raises(AssertionMalformed):
+    with pytest.raises(ApprovalRefused, match=refusal_texts.ASSERTION_MALFORMED):
         register(Registration(client_data, whole + b"\0"), CHALLENGE, "phone", NOW)
 
 
@@ -124,19 +117,19 @@ def test_every_truncated_attestation_is_refused() -> None:
     "wrong", [b"", b"\x00", b"\xa0", b"\x80", b"\xbb" + b"\xff" * 8, b"\x81" * 9999, b"\xff" * 99]
 )
 def test_an_attestation_of_another_form_is_refused(wrong: bytes) -> None:
-    with pytest.raises(AssertionMalformed, match="unknown form"):
+    with pytest.raises(ApprovalRefused, match="unknown form"):
         register(Registration(made().client_data, wrong), CHALLENGE, "phone", NOW)
 
 
 def test_a_large_attestation_is_refused_before_it_is_parsed() -> None:
     wrong = Registration(made().client_data, bytes(MAX_ATTESTATION + 1))
-    with pytest.raises(AssertionMalformed, match="bytes of attestation"):
+    with pytest.raises(ApprovalRefused, match="bytes of attestation"):
         register(wrong, CHALLENGE, "phone", NOW)
 
 
 @pytest.mark.parametrize("name", ["", "  ", "a\nb", "\x1b[2J", "x" * 65, "a\u202eb"])
 def test_a_name_is_read_on_one_line(name: str) -> None:
-    with pytest.raises(PasskeyRefused, match="1 to 64 printable") as error:
+    with pytest.raises(ApprovalRefused, match="1 to 64 printable") as error:
         register(made(), CHALLENGE, name, NOW)
     assert error.value.hint == "for example: Ann's phone"
     assert check_passkey_name("Zoë's 電話") == "Zoë's 電話"
@@ -144,7 +137,7 @@ def test_a_name_is_read_on_one_line(name: str) -> None:
 
 def test_without_the_library_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "fido2", None)
-    with pytest.raises(ConsoleExtraMissing, match="need the package fido2") as error:
+    with pytest.raises(ApprovalRefused, match="need the package fido2") as error:
         register(made(), CHALLENGE, "phone", NOW)
     assert error.value.hint == "pip install 'rossec[console]'"
 

@@ -23,7 +23,8 @@ from ca.approvals.statement import (
     StatementKind,
 )
 from ca.encoding import Value, decode, encode
-from ca.errors import StatementRefused
+from ca.errors import ApprovalRefused
+from tests.support import refusal_texts
 from tests.support.approving import NOW, WHATS, state
 
 digests = st.binary(min_size=32, max_size=32)
@@ -67,7 +68,7 @@ def test_the_first_master_is_left_out_as_before_there_were_others() -> None:
     assert Statement.from_bytes(first).what == RevokeMaster("stolen", "/master")
     others: tuple[list[Value], ...] = (["stolen", "/master"], ["stolen", "/robot"], ["stolen", ""], [])
     for fields in others:
-        with pytest.raises(StatementRefused):
+        with pytest.raises(ApprovalRefused, match=refusal_texts.STATEMENT_REFUSED):
             Statement.from_bytes(encode([*head[:-1], fields]))
 
 
@@ -90,7 +91,7 @@ def test_another_byte_is_another_challenge_or_no_statement(statement: Statement,
     encoded[data.draw(st.integers(0, len(encoded) - 1))] ^= data.draw(st.integers(1, 255))
     try:
         found = Statement.from_bytes(bytes(encoded))
-    except StatementRefused:
+    except ApprovalRefused:
         return
     assert found != statement
     assert found.challenge != statement.challenge
@@ -114,12 +115,12 @@ def test_the_challenge_is_the_digest_of_the_encoding() -> None:
 def test_a_truncated_or_longer_statement_is_refused(size: int) -> None:
     encoded = state(WHATS[StatementKind.ENROLL]).to_bytes()
     for data in (encoded[:size], encoded + bytes(abs(size) or 1)):
-        with pytest.raises(StatementRefused, match="not a statement"):
+        with pytest.raises(ApprovalRefused, match="not a statement"):
             Statement.from_bytes(data)
 
 
 def test_a_large_statement_is_refused_before_it_is_parsed() -> None:
-    with pytest.raises(StatementRefused, match=f"at most {MAX_STATEMENT} are allowed"):
+    with pytest.raises(ApprovalRefused, match=f"at most {MAX_STATEMENT} are allowed"):
         Statement.from_bytes(bytes(MAX_STATEMENT + 1))
 
 
@@ -166,7 +167,7 @@ GRANT = [b"r" * 16, bytes(32)]
     ],
 )
 def test_anything_else_is_refused(value: Any) -> None:
-    with pytest.raises(StatementRefused):
+    with pytest.raises(ApprovalRefused, match=refusal_texts.STATEMENT_REFUSED):
         Statement.from_bytes(encode(value))
 
 
@@ -182,7 +183,7 @@ def test_anything_else_is_refused(value: Any) -> None:
     ],
 )
 def test_what_is_no_statement_is_not_written(statement: Statement) -> None:
-    with pytest.raises(StatementRefused):
+    with pytest.raises(ApprovalRefused, match=refusal_texts.STATEMENT_REFUSED):
         statement.to_bytes()
 
 
@@ -200,13 +201,13 @@ def test_a_payload_is_the_one_of_the_digest(kind: StatementKind) -> None:
     if kind in fields:
         what = type(what)(**{**what._asdict(), fields[kind]: digest})
         state(what).check_payload(payload)
-        with pytest.raises(StatementRefused, match="not what was shown"):
+        with pytest.raises(ApprovalRefused, match="not what was shown"):
             state(what).check_payload(b"")
     else:
         state(what).check_payload(b"")
-        with pytest.raises(StatementRefused, match="not what was shown"):
+        with pytest.raises(ApprovalRefused, match="not what was shown"):
             state(what).check_payload(payload)
-    with pytest.raises(StatementRefused, match="too large"):
+    with pytest.raises(ApprovalRefused, match="too large"):
         state(what).check_payload(bytes(MAX_PAYLOAD + 1))
 
 

@@ -4,7 +4,6 @@ from ca.enrollment import qr, sides
 from ca.enrollment.messages import Abort, Acknowledgement, Delivery, Done, Fetch, Reason, read, write
 from ca.enrollment.sides import AUTHORITY_TABLE, AuthorityEnrollment, AuthorityState
 from ca.errors import (
-    AcknowledgementRefused,
     ConflictingOffer,
     EnrollmentExpired,
     EnrollmentMessageRefused,
@@ -113,7 +112,7 @@ def test_the_answer_of_another_key() -> None:
     authority, offer = offered(node, SITE)
     node.receive(offer, NOW)
     statement = sides.sign_acknowledgement(new_signer(), node.pending.transcript, fresh())
-    with pytest.raises(AcknowledgementRefused, match="not signed by the node"):
+    with pytest.raises(EnrollmentRefused, match="not signed by the node"):
         authority.receive(write(Acknowledgement(statement)), NOW)
     assert authority.state is AuthorityState.OVER
 
@@ -125,7 +124,7 @@ def test_a_replayed_answer() -> None:
     _, offer = offered(first, SITE)
     (recorded,) = first.receive(offer, NOW)
     later, _ = offered(robot.enrollment(), SITE)
-    with pytest.raises(AcknowledgementRefused, match="for another offer"):
+    with pytest.raises(EnrollmentRefused, match="for another offer"):
         later.receive(recorded, NOW)
     assert later.state is AuthorityState.OVER
     assert later.digits == ""
@@ -138,11 +137,11 @@ def test_a_replayed_last_word() -> None:
     first.confirm(authority.digits, NOW)
     (recorded,) = first.activated()
     later, _ = acknowledged(robot.enrollment(), SITE)
-    with pytest.raises(AcknowledgementRefused, match="for another offer"):
+    with pytest.raises(EnrollmentRefused, match="for another offer"):
         later.receive(recorded, NOW)
     assert later.state is AuthorityState.OVER
     authority.receive(recorded, NOW)
-    with pytest.raises(AcknowledgementRefused, match="not signed by the node"):
+    with pytest.raises(EnrollmentRefused, match="not signed by the node"):
         authority.receive(write(Done(b"no")), NOW)
     assert authority.state is AuthorityState.ENROLLED
 
@@ -164,7 +163,7 @@ def test_a_second_different_answer() -> None:
     node = Robot().enrollment()
     authority, _ = acknowledged(node, SITE)
     other = sides.sign_acknowledgement(new_signer(), node.pending.transcript, fresh())
-    with pytest.raises(AcknowledgementRefused, match="a second, different answer"):
+    with pytest.raises(EnrollmentRefused, match="a second, different answer"):
         authority.receive(write(Acknowledgement(other)), NOW)
     assert authority.digits == node.pending.digits
 

@@ -1,7 +1,7 @@
 import pytest
 
 from ca.enrollment.messages import check_issued
-from ca.errors import OfferRefused
+from ca.errors import EnrollmentRefused
 from ca.svid import build_request, check_request
 from tests.support.pki import DAY, NOW, Site, new_signer
 
@@ -31,5 +31,5 @@ def test_its_own_identity() -> None:
     ],
 )
 def test_any_other_is_refused(root: bytes, chain: list[bytes], now: int, error: str) -> None:
-    with pytest.raises(OfferRefused, match=error):
+    with pytest.raises(EnrollmentRefused, match=error):
         check_issued(root, chain, OWN, now)

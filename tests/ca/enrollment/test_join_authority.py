@@ -3,7 +3,6 @@ import pytest
 from ca.enrollment import invitation
 from ca.enrollment.join import (
     AUTHORITY_TABLE,
-    AUTHORITY_WITHOUT_MESSAGE,
     AuthorityJoin,
     AuthorityJoinState,
     ClaimMessage,
@@ -134,6 +133,14 @@ def test_one_claim_a_session_and_a_refused_one_ends_it() -> None:
 def test_a_nonce_has_its_size() -> None:
     with pytest.raises(EnrollmentRefused):
         AuthorityJoin(LiveIdentity(SIGNER, (b"leaf",), b"root"), b"")
+
+
+# The transitions that no message causes.
+AUTHORITY_WITHOUT_MESSAGE = (
+    (AuthorityJoinState.NAMING, AuthorityJoinState.NAMED, "name()"),
+    (AuthorityJoinState.NAMING, AuthorityJoinState.ANSWERED, "name()"),
+    (AuthorityJoinState.DECIDING, AuthorityJoinState.ANSWERED, "answer()"),
+)
 
 
 def test_every_state_is_reached() -> None:

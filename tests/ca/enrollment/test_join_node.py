@@ -8,7 +8,6 @@ import pytest
 from ca.enrollment.invitation import InvitationCode
 from ca.enrollment.join import (
     NODE_TABLE,
-    NODE_WITHOUT_MESSAGE,
     AuthorityJoin,
     AuthorityJoinState,
     ClaimMessage,
@@ -36,8 +35,6 @@ from ca.errors import (
     JoinRefused,
     JoinWaiting,
     NameRefused,
-    NotTheAuthority,
-    OfferRefused,
     RequestRefused,
 )
 from ca.keys.signing import KeySigner
@@ -118,7 +115,7 @@ IMPOSTORS = impostors()
 def test_a_peer_that_is_not_the_live_authority_gets_nothing(which: str) -> None:
     own, error = IMPOSTORS[which]
     node = NodeJoin(CODE, fresh())
-    with pytest.raises(NotTheAuthority, match=error):
+    with pytest.raises(EnrollmentRefused, match=error):
         node.receive(welcomed(node, own), NOW)
     assert node.state is NodeJoinState.OVER
     with pytest.raises(EnrollmentOver):
@@ -129,7 +126,7 @@ def test_a_peer_that_is_not_the_live_authority_gets_nothing(which: str) -> None:
 
 def test_an_authority_whose_identity_has_expired() -> None:
     node = NodeJoin(CODE, fresh())
-    with pytest.raises(NotTheAuthority, match=r"cannot be verified: .* expired") as caught:
+    with pytest.raises(EnrollmentRefused, match=r"cannot be verified: .* expired") as caught:
         node.receive(welcomed(node), NOW + 31 * 86400)
     assert "this computer's clock" in caught.value.hint, "it is the node that may be wrong"
 
@@ -137,20 +134,20 @@ def test_an_authority_whose_identity_has_expired() -> None:
 def test_a_recorded_welcome_is_not_live() -> None:
     first, second = NodeJoin(CODE, fresh()), NodeJoin(CODE, fresh())
     recorded = welcomed(first)
-    with pytest.raises(NotTheAuthority, match="does not have the key"):
+    with pytest.raises(EnrollmentRefused, match="does not have the key"):
         second.receive(recorded, NOW)
 
 
 def test_a_welcome_for_another_invitation_is_not_live() -> None:
     nonce = fresh()
     first, second = NodeJoin(replace(CODE, secret=b"1" * 16), nonce), NodeJoin(CODE, nonce)
-    with pytest.raises(NotTheAuthority, match="does not have the key"):
+    with pytest.raises(EnrollmentRefused, match="does not have the key"):
         second.receive(welcomed(first), NOW)
 
 
 def test_a_root_that_is_not_parsed_before_its_hash() -> None:
     node = NodeJoin(CODE, fresh())
-    with pytest.raises(NotTheAuthority, match="another authority"):
+    with pytest.raises(EnrollmentRefused, match="another authority"):
         node.receive(write(Welcome(fresh(), (b"c",), b"rubbish", b"s")), NOW)
 
 
@@ -166,7 +163,7 @@ def test_a_root_that_is_not_parsed_before_its_hash() -> None:
 )
 def test_only_its_own_identity_is_taken(chain: tuple[bytes, ...], error: str) -> None:
     node = proved()
-    with pytest.raises(OfferRefused, match=error):
+    with pytest.raises(EnrollmentRefused, match=error):
         node.receive(write(Issued(chain)), NOW)
     assert node.state is NodeJoinState.OVER
     with pytest.raises(EnrollmentOver):
@@ -240,7 +237,7 @@ def test_a_node_takes_the_name_that_the_authority_gives() -> None:
 @pytest.mark.parametrize("name", ["/other", "/fleet/a/b", "/fleet", "/ca", "/master", "/relay"])
 def test_a_name_that_the_invitation_does_not_allow_is_not_taken(name: str) -> None:
     node = claimed()
-    with pytest.raises(NotTheAuthority, match=f"the name {name}, which"):
+    with pytest.raises(EnrollmentRefused, match=f"the name {name}, which"):
         node.receive(write(Named(name)), NOW)
     assert node.state is NodeJoinState.OVER
 
@@ -331,6 +328,14 @@ def test_the_states_are_those_of_the_specification() -> None:
     for states, section in ((NodeJoinState, node), (AuthorityJoinState, authority)):
         found = set(re.findall(r"\b[A-Z]{4,}\b", section)) - {"MUST", "SHOULD", "FALSE"}
         assert found == {state.name for state in states}
+
+
+# The transitions that no message causes.
+NODE_WITHOUT_MESSAGE = (
+    (NodeJoinState.WELCOMED, NodeJoinState.CLAIMED, "claim()"),
+    (NodeJoinState.WELCOMED, NodeJoinState.PROVED, "join()"),
+    (NodeJoinState.NAMED, NodeJoinState.PROVED, "join()"),
+)
 
 
 def test_every_state_is_reached() -> None:

@@ -13,8 +13,9 @@ from ca.enrollment.invitation import (
     sign_proof,
     transcript,
 )
-from ca.errors import JoinRefused, NotTheAuthority
+from ca.errors import EnrollmentRefused, JoinRefused
 from ca.keys.signing import Profile
+from tests.support import refusal_texts
 from tests.support.pki import new_signer
 
 ID, ONE, TWO = bytes(32), b"1" * 16, b"2" * 16
@@ -55,7 +56,7 @@ def test_the_authority_is_live_in_one_join() -> None:
         (b"", KEY.public_key, AGREED),
         (sign_proof(KEY, AGREED, b"csr", "/a"), KEY.public_key, AGREED),
     ):
-        with pytest.raises(NotTheAuthority):
+        with pytest.raises(EnrollmentRefused, match=refusal_texts.NOT_THE_AUTHORITY):
             check_live(data, key, about)
 
 

@@ -5,16 +5,15 @@ from ca.enrollment.messages import Abort, Acknowledgement, Done, EnrollmentOffer
 from ca.enrollment.sides import MAX_BAD_DIGITS, MAX_BAD_TAGS, NODE_TABLE, NodeEnrollment, NodeState
 from ca.errors import (
     ConflictingOffer,
-    DigitsRefused,
     EnrollmentExpired,
     EnrollmentLocked,
     EnrollmentMessageRefused,
     EnrollmentOver,
     EnrollmentRefused,
-    OfferRefused,
     RequestRefused,
 )
 from ca.svid import build_request
+from tests.support import refusal_texts
 from tests.support.enrolling import ADDRESS, WINDOW, Robot, acknowledged, fresh, offered, scanned
 from tests.support.pki import NOW, Site, new_signer
 
@@ -126,7 +125,7 @@ def test_five_bad_tags_lock_the_code() -> None:
     _, offer = offered(node, SITE)
     bad = forged(offer)
     for _ in range(MAX_BAD_TAGS - 1):
-        with pytest.raises(OfferRefused, match="has not read the code"):
+        with pytest.raises(EnrollmentRefused, match="has not read the code"):
             node.receive(bad, NOW)
     with pytest.raises(EnrollmentLocked, match="5 offers without the code's secret"):
         node.receive(bad, NOW)
@@ -144,7 +143,7 @@ def test_bad_tags_do_not_disturb_an_offer_that_waits() -> None:
     node = Robot().enrollment()
     authority, offer = acknowledged(node, SITE)
     for _ in range(2 * MAX_BAD_TAGS):
-        with pytest.raises(OfferRefused, match="has not read the code"):
+        with pytest.raises(EnrollmentRefused, match="has not read the code"):
             node.receive(forged(offer), NOW)
     assert node.confirm(authority.digits, NOW).digits == authority.digits
 
@@ -152,14 +151,14 @@ def test_bad_tags_do_not_disturb_an_offer_that_waits() -> None:
 def test_an_offer_without_a_tag_is_not_for_a_screen_code() -> None:
     node = Robot().enrollment()
     _, offer = offered(node, SITE)
-    with pytest.raises(OfferRefused, match="has not read the code"):
+    with pytest.raises(EnrollmentRefused, match="has not read the code"):
         node.receive(forged(offer, b""), NOW)
 
 
 def test_an_offer_with_a_tag_is_not_for_a_label() -> None:
     node = Robot().enrollment(label=True)
     _, offer = offered(node, SITE)
-    with pytest.raises(OfferRefused, match="an offer with a tag"):
+    with pytest.raises(EnrollmentRefused, match="an offer with a tag"):
         node.receive(forged(offer), NOW)
 
 
@@ -174,11 +173,11 @@ def test_an_identity_for_somebody_else() -> None:
     node = robot.enrollment(label=True)
     for csr, message in ((namesake.csr, "for another key"), (other.csr, "for another name")):
         leaf = SITE.authority.issue(csr, now=NOW, serial=3)
-        with pytest.raises(OfferRefused, match=message):
+        with pytest.raises(EnrollmentRefused, match=message):
             node.receive(crafted(robot, (leaf,), SITE.root), NOW)
     elsewhere = Site.create("lab")
     leaf = elsewhere.authority.issue(build_request(robot.signer, "lab", robot.name), now=NOW, serial=3)
-    with pytest.raises(OfferRefused, match="for another name"):
+    with pytest.raises(EnrollmentRefused, match="for another name"):
         node.receive(crafted(robot, (leaf,), elsewhere.root), NOW)
     assert node.state is NodeState.SHOWING
 
@@ -192,7 +191,7 @@ def test_a_wildcard_tail_is_given_to_who_asked_for_it() -> None:
             SITE.authority.issue(each.csr, now=NOW, serial=3, wildcard=each.wildcard)
             for each in (robot, namesake)
         )
-        with pytest.raises(OfferRefused, match="for another name"):
+        with pytest.raises(EnrollmentRefused, match="for another name"):
             node.receive(crafted(robot, (other,), SITE.root), NOW)
         assert node.receive(crafted(robot, (given,), SITE.root), NOW)
 
@@ -208,10 +207,10 @@ def test_certificates_that_do_not_hold() -> None:
         ((b"x",), SITE.root),
         ((SITE.root,), SITE.root),
     ):
-        with pytest.raises(OfferRefused, match="invalid offer"):
+        with pytest.raises(EnrollmentRefused, match="invalid offer"):
             node.receive(crafted(robot, chain, root), NOW)
     expired = SITE.authority.issue(robot.csr, now=NOW, serial=3, lifetime=1)
-    with pytest.raises(OfferRefused, match="expired"):
+    with pytest.raises(EnrollmentRefused, match="expired"):
         node.receive(crafted(robot, (expired,), SITE.root), NOW + 10)
 
 
@@ -237,7 +236,7 @@ def test_three_wrong_digits() -> None:
     node = Robot().enrollment()
     authority, _ = acknowledged(node, SITE)
     for _ in range(MAX_BAD_DIGITS):
-        with pytest.raises(DigitsRefused, match="not the digits") as caught:
+        with pytest.raises(EnrollmentRefused, match="not the digits") as caught:
             node.confirm(wrong(authority.digits), NOW)
         assert "possible attacker in between" in caught.value.hint
     with pytest.raises(EnrollmentOver, match="over: these are not the digits"):
@@ -275,7 +274,7 @@ def test_a_node_signs_nothing_a_peer_chose() -> None:
     node = robot.enrollment(label=True)
     for payload in (b"pay the attacker", SITE.root, bytes(32)):
         offer = crafted(robot, (payload,), payload)
-        with pytest.raises(OfferRefused):
+        with pytest.raises(EnrollmentRefused, match=refusal_texts.OFFER_REFUSED):
             node.receive(offer, NOW)
     assert recorder.signed == []
     authority, _ = acknowledged(node, SITE)

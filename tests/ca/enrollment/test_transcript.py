@@ -5,7 +5,7 @@ import pytest
 
 from ca.encoding import encode
 from ca.enrollment import sides as t
-from ca.errors import AcknowledgementRefused
+from ca.errors import EnrollmentRefused
 from tests.support.pki import new_signer
 
 CSR, LEAF, MIDDLE, ROOT, NONCE = b"csr", b"leaf", b"middle", b"root", bytes(16)
@@ -54,27 +54,27 @@ def test_the_digits_as_specified() -> None:
 def test_an_acknowledgement_is_about_one_offer() -> None:
     statement = t.sign_acknowledgement(SIGNER, AGREED, CONTRIBUTION)
     assert t.open_acknowledgement(statement, SIGNER.public_key, AGREED) == CONTRIBUTION
-    with pytest.raises(AcknowledgementRefused, match="for another offer") as caught:
+    with pytest.raises(EnrollmentRefused, match="for another offer") as caught:
         t.open_acknowledgement(statement, SIGNER.public_key, bytes(32))
     assert "do not confirm" in caught.value.hint
-    with pytest.raises(AcknowledgementRefused, match="not signed by the node"):
+    with pytest.raises(EnrollmentRefused, match="not signed by the node"):
         t.open_acknowledgement(statement, new_signer().public_key, AGREED)
-    with pytest.raises(AcknowledgementRefused, match="not signed by the node"):
+    with pytest.raises(EnrollmentRefused, match="not signed by the node"):
         t.open_acknowledgement(b"\xa0", SIGNER.public_key, AGREED)
     short = t.sign_acknowledgement(SIGNER, AGREED, b"c")
-    with pytest.raises(AcknowledgementRefused, match="for another offer"):
+    with pytest.raises(EnrollmentRefused, match="for another offer"):
         t.open_acknowledgement(short, SIGNER.public_key, AGREED)
 
 
 def test_the_last_word_is_about_one_offer() -> None:
     statement = t.sign_done(SIGNER, AGREED)
     t.check_done(statement, SIGNER.public_key, AGREED)
-    with pytest.raises(AcknowledgementRefused, match="for another offer"):
+    with pytest.raises(EnrollmentRefused, match="for another offer"):
         t.check_done(statement, SIGNER.public_key, bytes(32))
 
 
 def test_one_statement_is_never_taken_for_the_other() -> None:
-    with pytest.raises(AcknowledgementRefused, match="not a statement of kind"):
+    with pytest.raises(EnrollmentRefused, match="not a statement of kind"):
         t.check_done(t.sign_acknowledgement(SIGNER, AGREED, CONTRIBUTION), SIGNER.public_key, AGREED)
-    with pytest.raises(AcknowledgementRefused, match="not a statement of kind"):
+    with pytest.raises(EnrollmentRefused, match="not a statement of kind"):
         t.open_acknowledgement(t.sign_done(SIGNER, AGREED), SIGNER.public_key, AGREED)

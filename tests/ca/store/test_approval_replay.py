@@ -12,7 +12,7 @@ from ca.approvals.passkeys import Approval, to_approve
 from ca.approvals.statement import GrantStatement, StatementKind
 from ca.errors import LogDamaged
 from ca.store import database
-from ca.store.log import RESTORED, ApprovalState, replay_approvals
+from ca.store.log import RESTORED, ApprovalState
 from ca.store.record import Store
 from ca.store.values import digest_of
 from tests.support import passkeys
@@ -137,10 +137,3 @@ def test_an_end_of_what_never_was_is_found(store: Store, what: str, row: tuple[A
     write(store, what, row)
     with pytest.raises(LogDamaged, match=f"log entry 1 says {what}, which cannot be"):
         audited(store)
-
-
-def test_a_log_without_approvals_needs_none() -> None:
-    rows: dict[str, list[Any]] = {
-        what: [] for what in ("passkey", "passkey ended", "approval", "approval ended")
-    }
-    replay_approvals([], rows, tree=None)  # type: ignore[arg-type]  # never asked

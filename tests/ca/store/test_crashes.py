@@ -7,18 +7,7 @@ from pathlib import Path
 
 import pytest
 
-SCENARIOS = {
-    "issue",
-    "deny",
-    "collect",
-    "revoke",
-    "renew",
-    "replace",
-    "approve",
-    "trust",
-    "rename",
-    "migrate",
-}
+SCENARIOS = {"issue", "deny", "collect", "revoke", "renew", "replace", "approve", "trust", "rename"}
 
 
 @pytest.mark.timeout(300)  # some 310 processes: seconds on an idle machine, minutes on a busy one

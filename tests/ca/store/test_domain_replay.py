@@ -12,8 +12,9 @@ import pytest
 from ca.domains.trust import DomainList, ForeignDomain, sign_domains
 from ca.errors import LogDamaged
 from ca.keys.signing import KeySigner
+from ca.revocation.merkle import Tree
+from ca.store.log import Replay
 from ca.store.record import Store
-from ca.store.signed_statements import KINDS, replay_domains
 from ca.store.values import LogEntry
 from tests.support.domains import foreign
 from tests.support.pki import NOW, Site, new_signer
@@ -130,15 +131,16 @@ def test_an_end_without_a_beginning_and_a_label_twice(record: Record) -> None:
         "domain list": [],
     }
 
-    def entries(*kinds: str) -> list[LogEntry]:
-        return [LogEntry(number, NOW, kind, "", "", b"") for number, kind in enumerate(kinds)]
+    def replay_domains(*kinds: str) -> None:
+        done = Replay(rows, Tree(), key)
+        for number, kind in enumerate(kinds):
+            done.take(LogEntry(number, NOW, kind, "", "", b""))
 
-    replay_domains(entries("domain"), rows, key)
+    replay_domains("domain")
     with pytest.raises(LogDamaged, match="the label hospital is that of domain"):
-        replay_domains(entries("domain", "domain"), rows, key)
+        replay_domains("domain", "domain")
     with pytest.raises(LogDamaged, match="domain ended, which cannot be"):
-        replay_domains(entries("domain", "domain ended"), rows, key)
-    replay_domains(entries("issued", "grant"), {kind: [] for kind in KINDS}, key)
+        replay_domains("domain", "domain ended")
 
 
 def test_a_changed_row_is_found_by_its_digest(record: Record) -> None:

@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import KeyChanged, RenewalRefused, StoreError
+from ca.errors import RenewalRefused, StoreError
 from ca.store.record import Store
 from ca.store.values import CertificateRow
+from tests.support import refusal_texts
 from tests.support.pki import DAY, NOW
 
 OLD, NEW, THIRD = (bytes([number]) * 32 for number in range(3))
@@ -49,7 +50,7 @@ def test_a_renewal_of_a_revoked_key_is_none(store: Store) -> None:
 
 def test_after_a_renewal_both_keys_are_known(store: Store) -> None:
     store.add_certificate(row(2, NEW), NOW, renews=OLD)
-    with pytest.raises(KeyChanged):
+    with pytest.raises(StoreError, match=refusal_texts.KEY_CHANGED):
         store.add_certificate(row(3, THIRD), NOW)
     store.add_certificate(row(3, THIRD), NOW, replace_key="/a")
 

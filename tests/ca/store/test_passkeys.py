@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import LogDamaged, PasskeyUnknown, StoreError
+from ca.errors import ApprovalRefused, LogDamaged, StoreError
 from ca.store.record import Store
-from tests.support import passkeys
+from tests.support import passkeys, refusal_texts
 from tests.support.approving import NOW, PASSKEY, registered
 from tests.support.pki import new_signer
 
@@ -39,7 +39,7 @@ def test_passkeys_are_recorded_as_given(store: Store) -> None:
 
 def test_an_unknown_passkey_is_refused(store: Store) -> None:
     for call in (lambda: store.passkeys.get(b"unknown"), lambda: store.passkeys.end(b"unknown", "", NOW)):
-        with pytest.raises(PasskeyUnknown, match="is not registered here, or was removed") as error:
+        with pytest.raises(ApprovalRefused, match="is not registered here, or was removed") as error:
             call()
         assert error.value.hint == "register the phone: rossec console phone"
 
@@ -52,7 +52,7 @@ def test_a_passkey_that_has_ended_never_comes_back(store: Store) -> None:
         lambda: store.passkeys.get(PASSKEY.id),
         lambda: store.passkeys.end(PASSKEY.id, "again", NOW),
     ):
-        with pytest.raises(PasskeyUnknown):
+        with pytest.raises(ApprovalRefused, match=refusal_texts.PASSKEY_UNKNOWN):
             call()
     with pytest.raises(StoreError, match="refuses the entry"):
         store.passkeys.add(PASSKEY)

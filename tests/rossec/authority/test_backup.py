@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from ca.errors import (
+    ApprovalRefused,
     BackupRefused,
     LogDamaged,
-    PasskeyUnknown,
     PassphraseRefused,
     RecordUnusable,
     RevocationRefused,
@@ -24,7 +24,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
 from rossec.authority.keyservice.client import LOCK, service_lock
 from rossec.errors import ConfigurationError
-from tests.support import approving, passkeys
+from tests.support import approving, passkeys, refusal_texts
 from tests.support.commands import PASSPHRASE, Shell, refused
 
 NOW = int(time.time())
@@ -83,7 +83,7 @@ def test_a_restore_ends_passkeys_and_what_waits(home: AuthorityHome, tmp_path: P
         assert store.passkeys.ended() == {device.id: "restored from a backup"}
         assert store.approvals.waiting() == []
         assert store.approvals.ends()[waits.id].state == "failed"
-        with pytest.raises(PasskeyUnknown):
+        with pytest.raises(ApprovalRefused, match=refusal_texts.PASSKEY_UNKNOWN):
             store.approvals.add(late)
         store.passkeys.add(approving.registered(passkeys.Passkey(), "again", NOW))
         store.log.audit(restored.own_key())

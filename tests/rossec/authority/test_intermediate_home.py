@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import from_pem, to_pem
-from ca.errors import CertificateNotYetValid, IssueRefused
+from ca.errors import CAError, CertificateNotYetValid
 from rossec.authority import renewals
 from rossec.authority.home import AuthorityHome
 from rossec.authority.renewals import sign_intermediate
@@ -49,7 +49,7 @@ def test_another_key_another_root_and_another_time_are_refused(site: Site, tmp_p
     request = renewals.begin(tmp_path, "home", PASSPHRASE)
     bundle = signed(site, request)
     elsewhere = renewals.begin(tmp_path / "host", "home", PASSPHRASE)
-    with pytest.raises(IssueRefused, match="belongs to another key"):
+    with pytest.raises(CAError, match="belongs to another key"):
         renewals.install(tmp_path, signed(site, elsewhere), PASSPHRASE, NOW)
     with pytest.raises(CertificateNotYetValid):
         renewals.install(tmp_path, bundle, PASSPHRASE, NOW - DAY)

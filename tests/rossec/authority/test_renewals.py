@@ -5,7 +5,7 @@ import pytest
 
 from ca.authority import Authority
 from ca.certificates import build_intermediate_request, from_pem, sign_renewal, to_pem
-from ca.errors import KeyChanged, RenewalRefused, RequestClosed, Revoked, StoreError
+from ca.errors import RenewalRefused, RequestClosed, Revoked, StoreError
 from ca.keys.private_keys import generate
 from ca.keys.signing import KeySigner
 from ca.store.record import Store
@@ -24,6 +24,7 @@ from rossec.authority.renewals import (
 from rossec.authority.signing import OWN_NODE, SigningAuthority
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
+from tests.support import refusal_texts
 from tests.support.site import Site
 
 NOW, DAY = 1_800_000_000, 86_400
@@ -244,7 +245,7 @@ def test_another_key_is_imported_only_by_name(site: Site) -> None:
     _, host = below(site, may_enroll=True)
     old = site.identity("/elsewhere").thumbprint
     bundle = imported(host)
-    with pytest.raises(KeyChanged):
+    with pytest.raises(StoreError, match=refusal_texts.KEY_CHANGED):
         import_identity(site.authority, bundle, NOW)
     assert import_identity(site.authority, bundle, NOW, {"/elsewhere"})[1]
     assert old in site.authority.store.revoked_entries()

@@ -15,7 +15,6 @@ from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority import requests
 from rossec.authority.requests import GrantRequestStore
 from rossec.errors import ConfigurationError
-from tests.support.oldstore import write_version_1
 
 NOW = 1_800_000_000
 NODE = KeySigner(ec.generate_private_key(ec.SECP256R1()))
@@ -85,11 +84,3 @@ def test_files_are_laid_and_found(path: Path) -> None:
         requests.read_request(laid)
     with pytest.raises(ConfigurationError, match="there is no"):
         requests.read_request(path / "absent")
-
-
-def test_an_inbox_in_an_older_record_stays(tmp_path: Path) -> None:
-    write_version_1(tmp_path / "ca.db")
-    box = opened(tmp_path)
-    box.add(ASKED, DATA, NOW)
-    Store.open(tmp_path / "ca.db").close()
-    assert [asked.requested for asked in opened(tmp_path).unanswered()] == list(RIGHTS)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import build_intermediate_request, from_pem
-from ca.errors import KeyChanged, PassphraseRefused, RequestClosed, StoreError
+from ca.errors import PassphraseRefused, RequestClosed, StoreError
 from ca.keys import private_keys
 from ca.keys.signing import KeySigner
 from ca.revocation.lists import open_list
@@ -26,6 +26,7 @@ from rossec.authority.session import StatementCall
 from rossec.errors import AuthorityLocked, ConfigurationError, NotDelivered
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
+from tests.support import refusal_texts
 from tests.support.keyservice import running_service
 
 NOW, DAY = 1_800_000_000, 86_400
@@ -167,7 +168,7 @@ def test_a_replaced_key_is_to_be_published(office: Office) -> None:
     service, old = office.service, office.robot.identity(NOW).thumbprint
     office.robot.path.rename(office.root / "lost")
     asked = office.csr("/robot")
-    with pytest.raises(KeyChanged):
+    with pytest.raises(StoreError, match=refusal_texts.KEY_CHANGED):
         office.issue(asked)
     assert (service.has_revoked, service.has_signed_list) == (False, False)
     office.issue(asked, "/robot")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import ThingUnknown
+from ca.errors import StoreError
 from rossec.authority.console.grant_requests import keys_of
 from rossec.authority.signing import (
     EXPIRED,
@@ -73,5 +73,5 @@ def test_what_is_replaced(office: Office) -> None:
     assert replaced_by(store, LAMP, attic, only, office.now) == both
     assert replaced_by(store, "/things/light", lamp.border, only, office.now) == both
     assert replaced_by(store, LAMP, attic, frozenset(), office.now) == frozenset()
-    with pytest.raises(ThingUnknown, match="no statement about /things/fan is in force"):
+    with pytest.raises(StoreError, match="no statement about /things/fan is in force"):
         replaced_by(store, LAMP, attic, frozenset({"/things/fan"}), office.now)

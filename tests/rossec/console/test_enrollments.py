@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 import pytest
 
 from ca.enrollment import qr
-from ca.errors import CodeExpired, CodeRefused, EnrollmentOver
+from ca.errors import CodeRefused, EnrollmentOver
 from rossec.authority.console import messages
 from rossec.authority.console.messages import ApprovalOutcome
 from rossec.console.enrollments import (
@@ -20,6 +20,7 @@ from rossec.console.enrollments import (
 )
 from rossec.errors import ConfigurationError, EnrollmentUnknown, TooManyEnrollments
 from tests.rossec.console.test_enrollment import Service
+from tests.support import refusal_texts
 from tests.support.enrolling import NAME, Robot, WaitingRobot, clock
 
 
@@ -87,7 +88,7 @@ async def test_a_label_needs_the_address_of_its_node(table: Table) -> None:
 async def test_a_code_that_has_expired_begins_nothing(table: Table) -> None:
     enrollments, _ = table
     node = Robot().enrollment(now=clock() - 1000)
-    with pytest.raises(CodeExpired):
+    with pytest.raises(CodeRefused, match=refusal_texts.CODE_EXPIRED):
         enrollments.begin(node.code("127.0.0.1:9"))
     with pytest.raises(CodeRefused):
         enrollments.begin("https://example.org")

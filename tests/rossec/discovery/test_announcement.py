@@ -16,6 +16,7 @@ GOOD: dict[int | str, Value] = {
     -70012: 11311,
     -70013: b"instance",
     -70014: 0,
+    -70015: 0,
 }
 
 

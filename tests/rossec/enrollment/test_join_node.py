@@ -16,7 +16,7 @@ from ca.enrollment.join import (
     WaitingMessage,
     WaitReason,
 )
-from ca.errors import JoinBusy, JoinRefused, JoinWaiting, NotTheAuthority
+from ca.errors import EnrollmentRefused, JoinBusy, JoinRefused, JoinWaiting
 from rossec.enrollment import join
 from rossec.enrollment.join import JoinServer
 from rossec.errors import ConfigurationError, PeerUnreachable
@@ -170,7 +170,7 @@ async def test_another_authority_at_the_address(home: JoinSite, tmp_path: Path) 
     other = JoinSite(tmp_path / "other")
     async with other.serving():
         home.address = other.address
-        with pytest.raises(NotTheAuthority, match="another authority"):
+        with pytest.raises(EnrollmentRefused, match="another authority"):
             await join.join(home.invite(), lambda _: asked("/fleet/a"), clock)
 
 

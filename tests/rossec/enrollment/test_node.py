@@ -7,9 +7,10 @@ import pytest
 from ca.enrollment import qr
 from ca.enrollment.messages import Abort, Fetch, Message, Reason, frame, read, write
 from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeEnrollment, NodeState, Pending
-from ca.errors import ConflictingOffer, DigitsRefused, EnrollmentExpired, EnrollmentLocked, EnrollmentOver
+from ca.errors import ConflictingOffer, EnrollmentExpired, EnrollmentLocked, EnrollmentOver, EnrollmentRefused
 from rossec.enrollment import sessions
 from rossec.enrollment.enroll import WaitingNode
+from tests.support import refusal_texts
 from tests.support.enrolling import WINDOW, Robot, fresh
 from tests.support.pki import NOW, Site
 
@@ -246,7 +247,7 @@ async def test_an_identity_that_cannot_be_written_is_not_trusted() -> None:
         def full(_: Pending) -> None:
             raise OSError("no space left on device")
 
-        with pytest.raises(DigitsRefused):
+        with pytest.raises(EnrollmentRefused, match=refusal_texts.DIGITS_REFUSED):
             stage.node.confirm("no", full)
         with pytest.raises(OSError, match="no space"):
             stage.node.confirm(authority.digits, full)

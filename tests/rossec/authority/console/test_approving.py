@@ -5,10 +5,11 @@ from pathlib import Path
 import pytest
 
 from ca.approvals.statement import Statement, StatementKind
-from ca.errors import ApprovalOutdated, ApprovalOver, NotVerified, PasskeyUnknown, RequestClosed
+from ca.errors import ApprovalOver, ApprovalRefused, RequestClosed
 from rossec.authority.console.approving import KINDS, WAITS
 from rossec.authority.console.messages import PREPARED
 from rossec.errors import KeyServiceRefused
+from tests.support import refusal_texts
 from tests.support.consoleacts import DAY, NOW, Acts
 
 
@@ -71,15 +72,15 @@ def test_a_signature_that_cannot_be_audited_waits(acts: Acts) -> None:
 
 def test_without_a_phone_nothing_is_prepared(acts: Acts) -> None:
     acts.removals.remove_phone(acts.phone.id, "lost")
-    with pytest.raises(PasskeyUnknown, match="no phone that could approve"):
+    with pytest.raises(ApprovalRefused, match="no phone that could approve"):
         acts.asks()
 
 
 def test_a_statement_is_used_up_by_a_wrong_touch_too(acts: Acts) -> None:
     prepared = acts.asks()
-    with pytest.raises(NotVerified):
+    with pytest.raises(ApprovalRefused, match=refusal_texts.NOT_VERIFIED):
         acts.touch(prepared, flags=1)
-    with pytest.raises(ApprovalOutdated, match="not waiting for a touch"):
+    with pytest.raises(ApprovalRefused, match="not waiting for a touch"):
         acts.touch(prepared)
     assert acts.enroll("/other").state == "done"
 

@@ -2,8 +2,9 @@
 
 import pytest
 
-from ca.errors import PasskeyRefused
+from ca.errors import ApprovalRefused
 from rossec.authority.console.messages import check_page
+from tests.support import refusal_texts
 
 
 @pytest.mark.parametrize(
@@ -49,6 +50,6 @@ def test_check_page_allows_its_own_name(origin: str, rp_id: str) -> None:
     ],
 )
 def test_check_page_refuses_everything_else(origin: str, rp_id: str) -> None:
-    with pytest.raises(PasskeyRefused) as caught:
+    with pytest.raises(ApprovalRefused, match=refusal_texts.PASSKEY_REFUSED) as caught:
         check_page(origin, rp_id)
     assert caught.value.hint

@@ -3,7 +3,7 @@
 import pytest
 
 from ca.approvals.passkeys import Passkey
-from ca.errors import PasskeyUnknown
+from ca.errors import ApprovalRefused
 from rossec.authority.console.phone_codes import MAX_PROPOSALS, PROPOSAL_LIFETIME, Proposals, digits_of
 from rossec.errors import KeyServiceRefused
 
@@ -30,7 +30,7 @@ def test_a_proposal_waits_until_it_is_dropped_or_over() -> None:
     time[0] += 1
     assert proposals.all() == ()
     for gone in (first, second):
-        with pytest.raises(PasskeyUnknown, match="does not wait"):
+        with pytest.raises(ApprovalRefused, match="does not wait"):
             proposals.get(gone.id)
 
 

@@ -5,12 +5,13 @@ from pathlib import Path
 import pytest
 
 from ca.enrollment.invitation import parse
-from ca.errors import HintedError, OtherOrigin, PasskeyUnknown, PatternRefused
+from ca.errors import ApprovalRefused, HintedError, PatternRefused
 from rossec.authority.console.approved_acts import CODES_KEPT, MAX_CODES
 from rossec.authority.console.messages import Proposal
 from rossec.authority.console.phone_codes import PROPOSAL_LIFETIME
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from rossec.ros.names import MASTER
+from tests.support import refusal_texts
 from tests.support.approving import registered
 from tests.support.consoleacts import DAY, JOIN_ADDRESS, Acts
 from tests.support.passkeys import Passkey
@@ -50,7 +51,7 @@ def test_another_proposal_than_the_approved_one_is_not_added(acts: Acts) -> None
     acts.elapsed += 1
     with pytest.raises(HintedError):
         acts.touch(prepared)
-    with pytest.raises(PasskeyUnknown):
+    with pytest.raises(ApprovalRefused, match=refusal_texts.PASSKEY_UNKNOWN):
         acts.prepare("passkey", bytes(16))
     with acts.store() as store:
         assert [each.name for each in store.passkeys.all()] == ["Ann's phone"]
@@ -60,7 +61,7 @@ def test_a_proposal_that_ended_before_its_touch_is_not_added(acts: Acts) -> None
     proposal = propose(acts, Passkey())
     prepared = acts.prepare("passkey", proposal.id)
     acts.access.proposed.drop(proposal.id)
-    with pytest.raises(PasskeyUnknown, match="does not wait any more"):
+    with pytest.raises(ApprovalRefused, match="does not wait any more"):
         acts.touch(prepared)
 
 
@@ -68,7 +69,7 @@ def test_a_phone_of_another_page_than_the_others_is_not_added(acts: Acts) -> Non
     """It was proposed before all phones were removed and the console got another name."""
     other = registered(Passkey(), "Eve's phone", acts.now)._replace(origin="https://eve.example")
     proposal = acts.access.proposed.add(other, acts.now)
-    with pytest.raises(OtherOrigin):
+    with pytest.raises(ApprovalRefused, match=refusal_texts.OTHER_ORIGIN):
         acts.approve("passkey", proposal.id)
     with acts.store() as store:
         assert [each.name for each in store.passkeys.all()] == ["Ann's phone"]

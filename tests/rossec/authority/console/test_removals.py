@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import HintedError, InvitationRefused, PasskeyUnknown, RequestClosed, StoreError
+from ca.errors import ApprovalRefused, HintedError, InvitationRefused, RequestClosed, StoreError
 from ca.revocation.lists import RevocationList
 from ca.revocation.trust_status import open_statement
 from rossec.authority.console.grant_requests import MAX_REASON, UNSIGNED
@@ -14,6 +14,7 @@ from rossec.authority.invitations import invite, source
 from rossec.authority.requests import GrantRequestStore
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from rossec.ros.names import MASTER
+from tests.support import refusal_texts
 from tests.support.consoleacts import DAY, Acts
 
 
@@ -128,7 +129,7 @@ def test_an_ended_join_code_takes_with_it_what_waits_because_of_it(acts: Acts) -
 
 def test_a_phone_is_removed_once(acts: Acts) -> None:
     acts.removals.remove_phone(acts.phone.id, "lost")
-    with pytest.raises(PasskeyUnknown):
+    with pytest.raises(ApprovalRefused, match=refusal_texts.PASSKEY_UNKNOWN):
         acts.removals.remove_phone(acts.phone.id, "lost")
 
 

@@ -3,10 +3,11 @@
 import pytest
 
 from ca.approvals.statement import Enroll, RevokeMaster, Statement, StatementKind
-from ca.errors import ApprovalOutdated
+from ca.errors import ApprovalRefused
 from rossec.authority.console import messages
 from rossec.authority.console.approving import MAX_OF_KIND, PreparedStatement, Statements
 from rossec.errors import KeyServiceRefused
+from tests.support import refusal_texts
 from tests.support.approving import NOW, WHATS, state
 
 
@@ -38,7 +39,7 @@ def test_a_statement_is_taken_once(statements: Statements) -> None:
     assert isinstance(found.statement.what, Enroll)
     assert found == (statement, b"payload", ("arguments",))
     for number in (statement.id, bytes(16)):
-        with pytest.raises(ApprovalOutdated, match="not waiting"):
+        with pytest.raises(ApprovalRefused, match="not waiting"):
             statements.take(number, NOW)
 
 
@@ -49,18 +50,18 @@ def test_it_ends_by_both_clocks(statements: Statements, time: Time) -> None:
     time.elapsed = 0.0
     for at in (NOW - 1, NOW + 301):
         statement = add(statements)
-        with pytest.raises(ApprovalOutdated, match="too late, or the clock was set"):
+        with pytest.raises(ApprovalRefused, match="too late, or the clock was set"):
             statements.take(statement.id, at)
     statement = add(statements)
     time.elapsed = 300.0
-    with pytest.raises(ApprovalOutdated, match="not waiting"):
+    with pytest.raises(ApprovalRefused, match="not waiting"):
         statements.take(statement.id, NOW)
 
 
 def test_there_are_few_of_each_kind_and_the_oldest_goes(statements: Statements) -> None:
     other = add(statements, 1000, StatementKind.REVOKE_MASTER)
     made = [add(statements, number) for number in range(MAX_OF_KIND + 1)]
-    with pytest.raises(ApprovalOutdated):
+    with pytest.raises(ApprovalRefused, match=refusal_texts.APPROVAL_OUTDATED):
         statements.take(made[0].id, NOW)
     assert all(statements.take(each.id, NOW) for each in made[1:])
     assert isinstance(statements.take(other.id, NOW).statement.what, RevokeMaster)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import IssueRefused, PassphraseRefused
+from ca.errors import CAError, PassphraseRefused
 from ca.keys import private_keys
 from rossec.authority.home import AUDIT_FILE, AuthorityHome
 from rossec.authority.keyservice import process as module
@@ -22,6 +22,7 @@ from rossec.authority.keyservice.process import (
 )
 from rossec.errors import KeyServiceRefused
 from rossec.host.audit import audit_written
+from tests.support import refusal_texts
 from tests.support.commands import PASSPHRASE
 
 NOW = 1_800_000_000
@@ -39,7 +40,7 @@ def test_a_key_of_another_certificate_is_refused(home: AuthorityHome) -> None:
     (home.path / "ca.key").unlink()
     private_keys.write_private(home.path / "ca.key", private_keys.generate(), PASSPHRASE)
     operations = operations_of(home, lambda _: None)
-    with pytest.raises(IssueRefused):
+    with pytest.raises(CAError, match=refusal_texts.ISSUE_REFUSED):
         operations.unlock(PASSPHRASE, 60, "a test")
     assert operations.held.remaining() is None
 
