@@ -21,7 +21,7 @@ from rossec.cli.shared import options, rules
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as, read_token
 from rossec.errors import ConfigurationError, ProposedNameRefused
-from rossec.host.runner import READY, STOPPING, notify, stop_on_signals, until_first_ends
+from rossec.host.runner import stop_on_signals, until_stopped
 from rossec.namespace import topic_names
 from rossec.namespace.topic_names import CALLS, CHILDREN, DEADLINE, SECONDS, SERVICE, TopicNames
 from rossec.naming.examine import MetadataReport, examine
@@ -184,6 +184,4 @@ async def _serve(environment: Environment, name: str, sheet: bytes, *, as_json: 
             SERVICE, topic_names.service_type(), names.answer, concurrency=CALLS, deadline=DEADLINE
         )
         say_json({"ready": node.name}) if as_json else say(f"{node.name} provides {SERVICE}")
-        notify(READY, environment.variables)
-        await until_first_ends(stop.wait(), node.wait_ended())
-        notify(STOPPING, environment.variables)
+        await until_stopped(stop, environment.variables, node.wait_ended())

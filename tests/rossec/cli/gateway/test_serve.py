@@ -15,6 +15,7 @@ from grants.model import Right
 from rossec.cli.gateway import serve
 from rossec.cli.shared.context import Environment
 from rossec.errors import ConfigurationError, MasterNotFound
+from rossec.host import runner
 from rossec.ros.names import parse_uri
 from tests.support.commands import Shell, refused
 from tests.support.discovered import Searches
@@ -139,7 +140,7 @@ def test_a_gateway_waits_for_a_master_that_is_not_announced_yet(
     site = Site(tmp_path / "site")
     site.enroll("/gateway")
     searches.result = MasterNotFound("no master announces itself", "start it")
-    monkeypatch.setattr(serve, "AGAIN_AFTER", 0.01)
+    monkeypatch.setattr(runner, "AGAIN_AFTER", 0.01)
     made: list[int] = []
 
     async def end_after_the_third(*given: Any, **more: Any) -> Any:
