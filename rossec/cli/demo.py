@@ -14,6 +14,7 @@ from click.core import ParameterSource
 from ca.enrollment import qr
 from rossec.cli.console.serve import check_libraries
 from rossec.cli.shared import context
+from rossec.cli.shared.options import PATH, option
 from rossec.console.listening import listen
 from rossec.console.options import PORT, ConsoleOptions, read_options
 from rossec.demo import steps
@@ -46,7 +47,7 @@ _LIBRARIES = ("aiocoap", "lakers")
 
 
 @click.command()
-@click.option("--keep", type=click.Path(path_type=Path), help="new directory to leave everything in")
+@option("--keep", "new directory to leave everything in", type=PATH)
 @click.pass_context
 def demo(called: click.Context, keep: Path | None) -> None:
     """Show the main job: enroll, grant, filter, refuse, revoke. Needs no ROS, ends by itself."""

@@ -10,6 +10,7 @@ import click
 
 from rossec.cli.shared import context
 from rossec.cli.shared.context import Environment, LazyGroup
+from rossec.cli.shared.options import flag
 from rossec.terminal import printable
 
 _TABLE: Final = {
@@ -45,7 +46,7 @@ _TABLE: Final = {
 
 @click.group(cls=LazyGroup, table=_TABLE, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="rossec", prog_name="rossec", message="%(prog)s %(version)s")
-@click.option("--verbose", "-v", is_flag=True, help="log what happens")
+@flag("--verbose -v", "log what happens")
 def rossec(verbose: bool) -> None:
     """Security and access grants for ROS 1."""
     handler = logging.StreamHandler(sys.stderr)

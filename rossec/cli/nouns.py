@@ -7,6 +7,7 @@ import click
 
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, LazyGroup
+from rossec.cli.shared.options import PATH, flag, option
 
 _CA: Final = {
     "approve": "ca.enroll:approve",
@@ -138,8 +139,8 @@ def intermediate() -> None:
 
 
 @click.group(cls=LazyGroup, table=_LOG, invoke_without_command=True)
-@click.option("--last", type=click.IntRange(1), help="only the newest so many entries")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@option("--last", "only the newest so many entries", type=click.IntRange(1))
+@flag("--json in_json", "one line of JSON")
 @click.pass_context
 def log(context: click.Context, last: int | None, in_json: bool) -> None:
     """Show everything the authority did, oldest first."""
@@ -151,8 +152,8 @@ def log(context: click.Context, last: int | None, in_json: bool) -> None:
 
 
 @click.group(cls=LazyGroup, table=_INVITATIONS, invoke_without_command=True)
-@click.option("--all", "everything", is_flag=True, help="also those that have ended")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@flag("--all everything", "also those that have ended")
+@flag("--json in_json", "one line of JSON")
 @click.pass_context
 def invitations(context: click.Context, everything: bool, in_json: bool) -> None:
     """Show the invitations that can be used, and who joined by them."""
@@ -179,11 +180,11 @@ def policy() -> None:
 
 
 @click.group(cls=LazyGroup, table=_PRIVACY, invoke_without_command=True)
-@click.option("--node", help="only what this node sees")
-@click.option("--field", help="only fields with this in their path")
-@click.option("--held", is_flag=True, help="what is granted now, instead of what the policy allows")
-@click.option("--html", type=click.Path(path_type=Path), help="write a page to this file")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@option("--node", "only what this node sees")
+@option("--field", "only fields with this in their path")
+@flag("--held", "what is granted now, instead of what the policy allows")
+@option("--html", "write a page to this file", type=PATH)
+@flag("--json as_json", "one line of JSON")
 @options.policy
 @click.pass_context
 def privacy(

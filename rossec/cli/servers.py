@@ -8,6 +8,7 @@ from click.core import ParameterSource
 
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, LazyGroup, pass_environment
+from rossec.cli.shared.options import FOLDER, NEW_FILE, flag, option
 from rossec.console.options import HAND_OUT_PORT, PORT
 
 _MASTER: Final = {
@@ -54,41 +55,27 @@ _PORT: Final = 5683
 
 
 @click.group(cls=LazyGroup, table=_MASTER, invoke_without_command=True)
-@click.option(
-    "--port", "-p", type=click.IntRange(0, 65535), help="instead of the one in ROS_MASTER_URI; 0 for any"
-)
-@click.option("--json", "as_json", is_flag=True, help="say the address as a line of JSON")
-@click.option(
+@option("--port -p", "instead of the one in ROS_MASTER_URI; 0 for any", type=click.IntRange(0, 65535))
+@flag("--json as_json", "say the address as a line of JSON")
+@option(
     "--complaints",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="denial log: append each missing right, for: rossec policy learn --from-log FILE",
+    "denial log: append each missing right, for: rossec policy learn --from-log FILE",
+    type=NEW_FILE,
 )
-@click.option(
-    "--renew-identities",
-    is_flag=True,
-    help="with the intermediate of this host; without, the authority's service renews them",
+@flag(
+    "--renew-identities", "with the intermediate of this host; without, the authority's service renews them"
 )
 @passphrase.option
-@click.option(
-    "--config",
-    "config_file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="a configuration file; the other options prevail over it",
+@option("--config config_file", "a configuration file; the other options prevail over it", type=NEW_FILE)
+@option("--log", "form of the log on stderr", type=click.Choice(["text", "json"]))
+@flag("--admin", "open the local port of an administrator")
+@option(
+    "--name=NAME name", "which of the domain's masters: /master, or /master/kitchen; instead of ROSSEC_MASTER"
 )
-@click.option("--log", type=click.Choice(["text", "json"]), help="form of the log on stderr")
-@click.option("--admin", is_flag=True, help="open the local port of an administrator")
-@click.option(
-    "--name",
-    "name",
-    metavar="NAME",
-    help="which of the domain's masters: /master, or /master/kitchen; instead of ROSSEC_MASTER",
-)
-@click.option("--follow-announced", is_flag=True, help="follow every announced master of the own domain")
-@click.option("--announce", is_flag=True, help="announce the master on the local links")
-@click.option("--metrics", type=click.IntRange(0, 65535), help="serve Prometheus on this port of loopback")
-@click.option(
-    "--post-quantum", metavar="POLICY", help="off, prefer or require; instead of ROSSEC_POST_QUANTUM"
-)
+@flag("--follow-announced", "follow every announced master of the own domain")
+@flag("--announce", "announce the master on the local links")
+@option("--metrics", "serve Prometheus on this port of loopback", type=click.IntRange(0, 65535))
+@option("--post-quantum=POLICY", "off, prefer or require; instead of ROSSEC_POST_QUANTUM")
 @pass_environment
 @click.pass_context
 def master(
@@ -126,23 +113,21 @@ def master(
 
 
 @click.group(cls=LazyGroup, table=_CONSOLE, invoke_without_command=True)
-@click.option("--lan", is_flag=True, help="for phones on the network: https, an authority of its own")
-@click.option("--name", metavar="NAME", help="what browsers call it; --lan: HOSTNAME.local")
-@click.option("--rename", is_flag=True, help="another name or port: every phone is set up anew")
-@click.option(
-    "--hand-out", is_flag=True, help=f"hand its certificate out at port {HAND_OUT_PORT}, for ten minutes"
-)
-@click.option("--tls-cert", "tls_certificate", type=_FILE, help="certificate chain of a real NAME")
-@click.option("--tls-key", type=_FILE, help="its private key; both are read again when renewed")
-@click.option("--unix", "unix_path", type=_FILE, metavar="PATH", help="for a proxy on this host")
-@click.option("--origin", metavar="URL", help="of the proxy: https://NAME")
-@click.option("--proxy-user", metavar="NAME", help="whose proxy may connect; by default your own")
-@click.option("--read-only", is_flag=True, help="only show: for a screen on the wall")
-@click.option("--preview", is_flag=True, help="pictures of real messages, as the node /console")
-@click.option("--port", type=click.IntRange(1, 65535), help=f"where it listens; default {PORT}")
-@click.option("--demo", "is_demo", is_flag=True, help="show the demo's home, and leave nothing")
-@click.option("--log", type=click.Choice(["text", "json"]), default="text", help="form of the log")
-@click.option("--json", "as_json", is_flag=True, help="say that it is ready as a line of JSON")
+@flag("--lan", "for phones on the network: https, an authority of its own")
+@option("--name=NAME", "what browsers call it; --lan: HOSTNAME.local")
+@flag("--rename", "another name or port: every phone is set up anew")
+@flag("--hand-out", f"hand its certificate out at port {HAND_OUT_PORT}, for ten minutes")
+@option("--tls-cert tls_certificate", "certificate chain of a real NAME", type=_FILE)
+@option("--tls-key", "its private key; both are read again when renewed", type=_FILE)
+@option("--unix=PATH unix_path", "for a proxy on this host", type=_FILE)
+@option("--origin=URL", "of the proxy: https://NAME")
+@option("--proxy-user=NAME", "whose proxy may connect; by default your own")
+@flag("--read-only", "only show: for a screen on the wall")
+@flag("--preview", "pictures of real messages, as the node /console")
+@option("--port", f"where it listens; default {PORT}", type=click.IntRange(1, 65535))
+@flag("--demo is_demo", "show the demo's home, and leave nothing")
+@option("--log", "form of the log", type=click.Choice(["text", "json"]), default="text")
+@flag("--json as_json", "say that it is ready as a line of JSON")
 @click.pass_context
 def console(
     context: click.Context, /, *, log: str, as_json: bool, rename: bool, is_demo: bool, **options: object
@@ -168,8 +153,8 @@ def console(
 
 
 @click.group(cls=LazyGroup, table=_PHONES, invoke_without_command=True)
-@click.option("--all", "everything", is_flag=True, help="also those that were removed")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--all everything", "also those that were removed")
+@flag("--json as_json", "one line of JSON")
 @click.pass_context
 def phones(context: click.Context, everything: bool, as_json: bool) -> None:
     """Show the phones that can approve."""
@@ -199,36 +184,25 @@ def _misplaced(_: click.Context, option: click.Parameter, value: Any) -> None:
 
 
 @click.group(cls=GatewayGroup, table=_GATEWAY, invoke_without_command=True)
-@click.option(
+@option(
     "--from",
+    "serve these topics of the domain LABEL, by the names there; may be repeated",
     metavar="LABEL PATTERN...",
     expose_value=False,
     callback=_misplaced,
-    help="serve these topics of the domain LABEL, by the names there; may be repeated",
 )
-@click.option(
-    "--rate",
-    metavar="N",
-    expose_value=False,
-    callback=_misplaced,
-    help="at most N messages a second of each of them",
-)
-@click.option(
+@option("--rate=N", "at most N messages a second of each of them", expose_value=False, callback=_misplaced)
+@flag(
     "--newest",
-    is_flag=True,
+    "of messages that wait for a slow line, send only the newest",
     expose_value=False,
     callback=_misplaced,
-    help="of messages that wait for a slow line, send only the newest",
 )
-@click.option(
-    "--compress", is_flag=True, expose_value=False, callback=_misplaced, help="send them compressed"
+@flag("--compress", "send them compressed", expose_value=False, callback=_misplaced)
+@option(
+    "--name=NAME", "which of the domain's gateways: /gateway, or /gateway/attic; instead of ROSSEC_GATEWAY"
 )
-@click.option(
-    "--name",
-    metavar="NAME",
-    help="which of the domain's gateways: /gateway, or /gateway/attic; instead of ROSSEC_GATEWAY",
-)
-@click.option("--json", "as_json", is_flag=True, help="say that it runs as a line of JSON")
+@flag("--json as_json", "say that it runs as a line of JSON")
 @pass_environment
 @click.pass_context
 def gateway(context: click.Context, environment: Environment, name: str | None, *, as_json: bool) -> None:
@@ -256,25 +230,18 @@ def gateway(context: click.Context, environment: Environment, name: str | None, 
 
 
 @click.group(cls=LazyGroup, table=_RELAY, invoke_without_command=True)
-@click.option(
-    "--doors",
-    metavar="ADDRESS",
+@option(
+    "--doors=ADDRESS",
+    "listen here for nodes of other hosts of this site; default: loopback, for this user",
     default="",
-    help="listen here for nodes of other hosts of this site; default: loopback, for this user",
 )
-@click.option(
-    "--seat",
-    "seat_file",
-    metavar="FILE",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="the routers and the seat there, instead of what `rossec relay seat` keeps",
+@option(
+    "--seat=FILE seat_file",
+    "the routers and the seat there, instead of what `rossec relay seat` keeps",
+    type=NEW_FILE,
 )
-@click.option(
-    "--name",
-    metavar="NAME",
-    help="which of the domain's relays: /relay, or /relay/attic; instead of ROSSEC_RELAY",
-)
-@click.option("--json", "as_json", is_flag=True, help="say that it runs as a line of JSON")
+@option("--name=NAME", "which of the domain's relays: /relay, or /relay/attic; instead of ROSSEC_RELAY")
+@flag("--json as_json", "say that it runs as a line of JSON")
 @pass_environment
 @click.pass_context
 def relay(
@@ -305,33 +272,25 @@ def relay(
 
 
 @click.group(cls=LazyGroup, table=_ROUTER, invoke_without_command=True)
-@click.option(
-    "--home",
-    "directory",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="the router's directory, by default `router` in ROSSEC_HOME",
-)
-@click.option(
-    "--listen",
-    metavar="LOCATOR",
+@option("--home directory", "the router's directory, by default `router` in ROSSEC_HOME", type=FOLDER)
+@option(
+    "--listen=LOCATOR",
+    "where it listens, tls/[::]:7447 by default; also quic/ and tcp/; may be repeated",
     multiple=True,
-    help="where it listens, tls/[::]:7447 by default; also quic/ and tcp/; may be repeated",
 )
-@click.option(
-    "--join",
-    metavar="LOCATOR",
+@option(
+    "--join=LOCATOR",
+    "another router of this operator, tls/other.example.org:7447; may be repeated",
     multiple=True,
-    help="another router of this operator, tls/other.example.org:7447; may be repeated",
 )
-@click.option(
-    "--host",
-    metavar="NAME",
+@option(
+    "--host=NAME",
+    "name or address by which relays reach it, for its certificate; may be repeated",
     multiple=True,
-    help="name or address by which relays reach it, for its certificate; may be repeated",
 )
-@click.option("--open", "is_open", is_flag=True, help="let in everybody, without seats")
-@click.option("--print-config", is_flag=True, help="print it for a stock zenohd, and end")
-@click.option("--json", "as_json", is_flag=True, help="say where it listens as a line of JSON")
+@flag("--open is_open", "let in everybody, without seats")
+@flag("--print-config", "print it for a stock zenohd, and end")
+@flag("--json as_json", "say where it listens as a line of JSON")
 @pass_environment
 @click.pass_context
 def router(
@@ -377,11 +336,11 @@ def seats() -> None:
 
 
 @click.group(cls=LazyGroup, table=_BORDER, invoke_without_command=True)
-@click.option("--as", "router", metavar="NAME", default="/border", show_default=True, help="its name")
-@click.option("--listen", "host", metavar="ADDRESS", default="::", help="where; :: is everywhere")
-@click.option("--port", default=_PORT, show_default=True, help="UDP port; 0 for any")
-@click.option("--json", "as_json", is_flag=True, help="say where it listens as a line of JSON")
-@click.option("--demo", "is_demo", is_flag=True, help="show it, with a lamp, in a home of its own")
+@option("--as=NAME router", "its name", default="/border", show_default=True)
+@option("--listen=ADDRESS host", "where; :: is everywhere", default="::")
+@option("--port", "UDP port; 0 for any", default=_PORT, show_default=True)
+@flag("--json as_json", "say where it listens as a line of JSON")
+@flag("--demo is_demo", "show it, with a lamp, in a home of its own")
 @pass_environment
 @click.pass_context
 def border(

@@ -9,7 +9,7 @@ import click
 from ca.names import display_name
 from rossec.cli.relay.sites import RELAY_SOCKET, relay_files
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import flag, json_result
 from rossec.environment import missing_node, own_gateway, own_master
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -17,15 +17,15 @@ from rossec.master.operation.admin import send_command
 from rossec.terminal import note, printable, record, say, say_json
 
 PERIOD: Final = 1.0  # seconds between two questions
-as_json = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
-watch = click.option("--watch", is_flag=True, help="show it again whenever it changes, until Ctrl-C")
+as_json = flag("--json as_json", "one line of JSON")
+watch = flag("--watch", "show it again whenever it changes, until Ctrl-C")
 Answer = dict[str, Any]
 ADMIN_SOCKET: Final = "admin.sock"
 _SHOWN: Final = 8  # topics of a site; with --json a thousand
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+@flag("--json as_json", "a line of JSON")
 @pass_environment
 def master_status(environment: Environment, as_json: bool) -> None:
     """Show the status of the running master; it must have been started with --admin."""
@@ -56,7 +56,7 @@ def stop_master(environment: Environment) -> None:
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+@flag("--json as_json", "a line of JSON")
 @watch
 @pass_environment
 def federation_status(environment: Environment, *, as_json: bool, watch: bool) -> None:

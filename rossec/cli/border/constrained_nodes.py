@@ -21,9 +21,8 @@ from ca.things.constrained_nodes import (
 )
 from rossec import files
 from rossec.authority.home import format_fingerprint
-from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.cli.shared.options import FILE, NEW_FILE, Batch, flag, json_result, option, unique
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -33,21 +32,15 @@ from rossec.terminal import fail, note, printable, record, say, say_json, say_pi
 BORDER: Final = "/border"
 _MAX_CREDENTIAL: Final = 4096
 _MAX_BUNDLE: Final = 64 * 1024
-as_border = click.option(
-    "--as", "router", metavar="NAME", default=BORDER, show_default=True, help="the border router"
-)
-as_json_option = click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+as_border = option("--as=NAME router", "the border router", default=BORDER, show_default=True)
+as_json_option = flag("--json as_json", "a line of JSON")
 
 
 @click.command()
 @click.argument("name")
-@click.option("--key", "ccs", type=options.FILE, help="the thing's credential: a CCS, as CBOR")
-@click.option("--psk", is_flag=True, help="it has no curves: make a secret for it")
-@click.option(
-    "--secret-out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="write the secret for the thing to this new file, and do not show it",
-)
+@option("--key ccs", "the thing's credential: a CCS, as CBOR", type=FILE)
+@flag("--psk", "it has no curves: make a secret for it")
+@option("--secret-out", "write the secret for the thing to this new file, and do not show it", type=NEW_FILE)
 @as_border
 @json_result(secret=True)
 @pass_environment
@@ -103,8 +96,8 @@ def _secret(things: ThingFiles, name: str, out: Path | None) -> Path:
 
 
 @click.command()
-@click.argument("statement", type=options.FILE)
-@click.argument("bundle", type=options.FILE, required=False)
+@click.argument("statement", type=FILE)
+@click.argument("bundle", type=FILE, required=False)
 @as_border
 @json_result()
 @pass_environment
@@ -133,7 +126,7 @@ def install(environment: Environment, statement: Path, bundle: Path | None, rout
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@click.argument("file", type=NEW_FILE)
 @as_border
 @json_result()
 @pass_environment
@@ -158,10 +151,8 @@ def credential(environment: Environment, file: Path, router: str) -> None:
 
 
 @click.command()
-@click.argument("credentials", nargs=-1, required=True, type=options.FILE)
-@click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="HTML file to print"
-)
+@click.argument("credentials", nargs=-1, required=True, type=FILE)
+@option("--out", "HTML file to print", type=NEW_FILE, required=True)
 @json_result()
 def labels(credentials: tuple[Path, ...], out: Path) -> None:
     """Write a sheet of labels for the things with these CREDENTIALS, 24 to a page.

@@ -29,7 +29,7 @@ from rossec.cli.ca.invite import policy_lines
 from rossec.cli.ca.sign import read_request, warn_of_wildcard, write_identity
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, ask_yes_no, now, pass_environment, reraise_interrupt
-from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.cli.shared.options import FILE, PATH, Batch, flag, json_result, option, unique
 from rossec.cli.shared.service import (
     give_outright,
     pass_service,
@@ -48,8 +48,8 @@ _DENIED: Final = "denied at the authority"
 
 
 @click.command()
-@click.option("--all", "everything", is_flag=True, help="also those that were answered")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--all everything", "also those that were answered")
+@flag("--json as_json", "one line of JSON")
 @pass_environment
 def requests(environment: Environment, everything: bool, as_json: bool) -> None:
     """Show the requests for an identity that have no answer yet."""
@@ -86,7 +86,7 @@ def _summary(row: RequestRow) -> dict[str, object]:
 @sign.identity_lifetime
 @sign.replace_key()
 @sign.anonymous
-@click.option("--out", type=click.Path(path_type=Path), help="write the identity to this new file")
+@option("--out", "write the identity to this new file", type=PATH)
 @options.master_uri
 @json_result()
 @pass_service
@@ -156,7 +156,7 @@ def _enrollment_status(store: Store, row: RequestRow) -> str:
 
 @click.command()
 @click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
-@click.option("--reason", default="", help="why, for the record")
+@option("--reason", "why, for the record", default="")
 @json_result()
 @pass_environment
 def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) -> None:
@@ -178,16 +178,14 @@ def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) ->
 @click.command()
 @click.argument("code", required=False)
 @options.image
-@click.option(
-    "--csr", "csr_file", type=options.FILE, help="no code: this request, whose fingerprint you have compared"
-)
-@click.option("--address", "given_address", help="where the node waits, for a label: host, or host:port")
+@option("--csr csr_file", "no code: this request, whose fingerprint you have compared", type=FILE)
+@option("--address given_address", "where the node waits, for a label: host, or host:port")
 @sign.identity_lifetime
 @sign.replace_key()
 @sign.anonymous
-@click.option("--later", is_flag=True, help="only record the request; decide with: rossec ca approve")
+@flag("--later", "only record the request; decide with: rossec ca approve")
 @options.master_uri
-@click.option("--yes", is_flag=True, help="do not ask")
+@flag("--yes", "do not ask")
 @json_result()
 @pass_service
 def enroll(

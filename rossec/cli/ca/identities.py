@@ -22,7 +22,17 @@ from rossec.authority.service import AuthorityService
 from rossec.authority.signing import OWN_NODE
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import Batch, json_result, unique, working
+from rossec.cli.shared.options import (
+    FILE,
+    NEW_FILE,
+    Batch,
+    duration,
+    flag,
+    json_result,
+    option,
+    unique,
+    working,
+)
 from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
@@ -35,8 +45,8 @@ _MAX_HEAD = 4096
 
 
 @click.command("list")
-@click.option("--all", "everything", is_flag=True, help="also what is replaced, expired or revoked")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@flag("--all everything", "also what is replaced, expired or revoked")
+@flag("--json in_json", "one line of JSON")
 @pass_environment
 def list_(environment: Environment, everything: bool, in_json: bool) -> None:
     """List the identities that are valid now."""
@@ -102,7 +112,7 @@ def line(row: CertificateRow, state: str) -> str:
 
 @click.command()
 @click.argument("name", required=False)
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@flag("--json in_json", "one line of JSON")
 @pass_environment
 def show(environment: Environment, name: str | None, in_json: bool) -> None:
     """Show the authority, or everything about the node NAME."""
@@ -126,11 +136,9 @@ def show(environment: Environment, name: str | None, in_json: bool) -> None:
 
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
-@options.duration(
-    "--for", "lifetime", days=MAX_LIFETIME // DAY, default="30d", text="how long the new identity lasts"
-)
-@click.option("--expired", is_flag=True, help="also one that is over: it keeps its key, and so its grants")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
+@duration("--for lifetime", "how long the new identity lasts", days=MAX_LIFETIME // DAY, default="30d")
+@flag("--expired", "also one that is over: it keeps its key, and so its grants")
+@option("--out", "where to write it", type=NEW_FILE)
 @json_result()
 @pass_service
 def renew(
@@ -207,11 +215,10 @@ def publish(service: AuthorityService) -> None:
 
 
 @click.command()
-@click.option(
-    "--list",
-    "older",
-    type=options.FILE,
-    help="first revoke what this list revokes: a node's, from before a restore that lacked it",
+@option(
+    "--list older",
+    "first revoke what this list revokes: a node's, from before a restore that lacked it",
+    type=FILE,
 )
 @options.entries
 @options.master_uri
@@ -235,17 +242,13 @@ def refresh(service: AuthorityService, older: Path | None, entries: Path | None)
 
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
-@click.option("--reason", default="", help="why, for the record")
-@click.option(
-    "--certificate",
-    type=options.FILE,
-    help="of a node of another domain: revoke the key in this node.pem, and no other",
+@option("--reason", "why, for the record", default="")
+@option(
+    "--certificate", "of a node of another domain: revoke the key in this node.pem, and no other", type=FILE
 )
-@click.option(
-    "--thing",
-    "of_thing",
-    is_flag=True,
-    help="revoke what is said of the thing NAME; the node that stands for it keeps its identity",
+@flag(
+    "--thing of_thing",
+    "revoke what is said of the thing NAME; the node that stands for it keeps its identity",
 )
 @options.master_uri
 @json_result()
@@ -310,8 +313,8 @@ def _revoke_node(service: AuthorityService, name: str, reason: str, certificate:
 
 @click.command()
 @click.argument("invitation_ids", metavar="INVITATION_ID...", nargs=-1, required=True)
-@click.option("--and-nodes", is_flag=True, help="also revoke every node that joined by it")
-@click.option("--reason", default=_REASON, help="why, for the record")
+@flag("--and-nodes", "also revoke every node that joined by it")
+@option("--reason", "why, for the record", default=_REASON)
 @options.master_uri
 @json_result()
 @pass_service
@@ -356,14 +359,8 @@ def revoke_invitations(
 
 
 @click.command()
-@click.option(
-    "--head",
-    "heads",
-    multiple=True,
-    type=options.FILE,
-    help="a signed head kept elsewhere (rossec ca log head)",
-)
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@option("--head heads", "a signed head kept elsewhere (rossec ca log head)", multiple=True, type=FILE)
+@flag("--json in_json", "one line of JSON")
 @pass_environment
 def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> None:
     """Recompute the whole log and compare it with the record and with every signed head.
@@ -389,7 +386,7 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
 
 
 @click.command()
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="write it here")
+@option("--out", "write it here", type=NEW_FILE)
 @json_result()
 @pass_service
 def head(service: AuthorityService, out: Path | None) -> None:
@@ -407,8 +404,8 @@ def head(service: AuthorityService, out: Path | None) -> None:
 
 
 @click.command()
-@click.option("--entry", type=click.IntRange(0), help="prove that this entry is in the log")
-@click.option("--since", type=options.FILE, help="prove that the log continues this signed head")
+@option("--entry", "prove that this entry is in the log", type=click.IntRange(0))
+@option("--since", "prove that the log continues this signed head", type=FILE)
 @pass_environment
 def prove(environment: Environment, entry: int | None, since: Path | None) -> None:
     """Print a proof, as JSON, against the newest signed head (RFC 6962)."""

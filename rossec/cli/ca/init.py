@@ -9,7 +9,7 @@ from ca.keys.private_keys import KeyUri
 from rossec.authority.home import AuthorityHome, check_new, enroll_here, fingerprint
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import flag, json_result, option
 from rossec.clock import format_time
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
@@ -18,8 +18,8 @@ from rossec.terminal import record, say
 
 @click.command()
 @click.argument("domain")
-@click.option("--key", "uri", metavar="URI", help="make the key in a token: pkcs11:token=T;object=O")
-@click.option("--master", "with_master", is_flag=True, help="enroll /master here too")
+@option("--key=URI uri", "make the key in a token: pkcs11:token=T;object=O")
+@flag("--master with_master", "enroll /master here too")
 @passphrase.option
 @json_result()
 @pass_environment

@@ -17,10 +17,9 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import MAX_USES, invite
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.authority.policyfile import PolicyFile, place
-from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import own_address
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import NEW_FILE, duration, flag, json_result, option
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
@@ -31,23 +30,18 @@ _MAX_DAYS: Final = 30
 
 @click.command("invite")
 @click.argument("pattern")
-@click.option(
+@option(
     "--uses",
+    "so many nodes may join, each with a new name",
     type=click.IntRange(1, MAX_USES),
     default=1,
     show_default=True,
-    help="so many nodes may join, each with a new name",
 )
-@options.duration("--for", "lasts", days=_MAX_DAYS, default="1h", text="how long it can be used")
-@click.option("--anonymous", is_flag=True, help="for anonymous nodes too: NAME and NAME_*")
-@click.option("--qr", "picture", is_flag=True, help="also show it as a picture, on stderr")
-@click.option(
-    "--ndef",
-    "tag",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="also write it to this new file, for an NFC tag (NDEF)",
-)
-@click.option("--address", "given", help="where nodes reach `rossec ca serve`, instead of the address found")
+@duration("--for lasts", "how long it can be used", days=_MAX_DAYS, default="1h")
+@flag("--anonymous", "for anonymous nodes too: NAME and NAME_*")
+@flag("--qr picture", "also show it as a picture, on stderr")
+@option("--ndef tag", "also write it to this new file, for an NFC tag (NDEF)", type=NEW_FILE)
+@option("--address given", "where nodes reach `rossec ca serve`, instead of the address found")
 @json_result(secret=True)
 @pass_environment
 def command(

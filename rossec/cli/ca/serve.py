@@ -28,7 +28,7 @@ from rossec.authority.keyservice.process import (
 from rossec.cli.shared import options, passphrase, rules
 from rossec.cli.shared.context import Environment, UnlockTime, pass_environment
 from rossec.cli.shared.master import master_at, own_address
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import FILE, PATH, flag, json_result, option
 from rossec.clock import format_duration
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
@@ -47,49 +47,40 @@ _PAUSE = 0.1
 
 
 @click.command()
-@click.option(
-    "--unlock-for",
-    "seconds",
+@option(
+    "--unlock-for seconds",
+    "how long the key is held; 0: while it runs",
     type=UnlockTime(MAX_UNLOCKED),
     default="15m",
     show_default=True,
-    help="how long the key is held; 0: while it runs",
 )
-@click.option("--locked", is_flag=True, help="start without the key: rossec ca unlock")
-@click.option(
-    "--join-address",
-    metavar="HOST:PORT",
+@flag("--locked", "start without the key: rossec ca unlock")
+@option(
+    "--join-address=HOST:PORT",
+    "where nodes with an invitation join; *: every address of this host",
     default=f"{ANY}:{JOIN_PORT}",
     show_default=True,
-    help="where nodes with an invitation join; *: every address of this host",
 )
-@click.option("--no-network", is_flag=True, help="only serve the commands of this host")
-@click.option("--apply", "applies", is_flag=True, help="put the policy in force, and keep it so")
-@click.option(
-    "--renewals/--no-renewals",
-    "renews",
+@flag("--no-network", "only serve the commands of this host")
+@flag("--apply applies", "put the policy in force, and keep it so")
+@option(
+    "--renewals/--no-renewals renews",
+    "renew the identities of nodes that are enrolled, before they end (the default)",
     default=True,
-    help="renew the identities of nodes that are enrolled, before they end (the default)",
 )
 @options.policy
-@click.option(
-    "--rules",
-    "rules_path",
-    type=options.FILE,
-    metavar="FILE",
-    help="name nodes that join with metadata by these rules; without, none is named",
+@option(
+    "--rules=FILE rules_path",
+    "name nodes that join with metadata by these rules; without, none is named",
+    type=FILE,
 )
 @options.master_uri
-@click.option("--console-user", metavar="NAME", help="another user whose console may show this authority")
-@click.option(
-    "--console-socket",
-    "console_socket_path",
-    type=click.Path(path_type=Path),
-    metavar="PATH",
-    help="where the console finds it; for --console-user",
+@option("--console-user=NAME", "another user whose console may show this authority")
+@option(
+    "--console-socket=PATH console_socket_path", "where the console finds it; for --console-user", type=PATH
 )
-@click.option("--log", type=click.Choice(["text", "json"]), default="text", help="form of the log")
-@click.option("--json", "as_json", is_flag=True, help="say that it is ready as a line of JSON")
+@option("--log", "form of the log", type=click.Choice(["text", "json"]), default="text")
+@flag("--json as_json", "say that it is ready as a line of JSON")
 @passphrase.option
 @pass_environment
 def serve(
@@ -218,13 +209,12 @@ def describe_remaining(remaining: int | None) -> str:
 
 
 @click.command()
-@click.option(
-    "--for",
-    "seconds",
+@option(
+    "--for seconds",
+    "how long the key is held; 0: while the service runs",
     type=UnlockTime(MAX_UNLOCKED),
     default="15m",
     show_default=True,
-    help="how long the key is held; 0: while the service runs",
 )
 @passphrase.option
 @json_result()
@@ -269,7 +259,7 @@ def lock(environment: Environment) -> None:
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--json as_json", "one line of JSON")
 @pass_environment
 def status(environment: Environment, as_json: bool) -> None:
     """Show whether the authority's service runs, and whether it holds the key."""

@@ -21,7 +21,7 @@ from rossec.authority.service import AuthorityService, SignedThing, ThingOrder
 from rossec.authority.signing import IN_FORCE, OTHER_KEY, ThingState, states
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
-from rossec.cli.shared.options import Batch, json_result
+from rossec.cli.shared.options import FILE, NEW_FILE, Batch, duration, flag, json_result, option
 from rossec.cli.shared.service import (
     give_outright,
     pass_service,
@@ -33,12 +33,10 @@ from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.terminal import printable, record, say, say_json
 
-identity_lifetime = options.duration(
-    "--for", "lifetime", days=MAX_LIFETIME // DAY, default="30d", text="how long the identity lasts"
+identity_lifetime = duration(
+    "--for lifetime", "how long the identity lasts", days=MAX_LIFETIME // DAY, default="30d"
 )
-anonymous = click.option(
-    "--anonymous", is_flag=True, help="for anonymous nodes too: /rviz also as /rviz_1234_1700000000000"
-)
+anonymous = flag("--anonymous", "for anonymous nodes too: /rviz also as /rviz_1234_1700000000000")
 _MAX_REQUEST: Final = 16 * 1024
 _MAX_BUNDLE = 64 * 1024
 _MAX_DAYS: Final = 3650
@@ -48,23 +46,21 @@ _SHOWN: Final = (IN_FORCE, OTHER_KEY)
 
 
 def replace_key(*, multiple: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    return click.option(
-        "--replace-key",
-        "replaced",
+    return option(
+        "--replace-key=NAME replaced",
+        "let the known name NAME come with another key; revokes the old one",
         multiple=multiple,
-        metavar="NAME",
-        help="let the known name NAME come with another key; revokes the old one",
     )
 
 
 @click.command()
-@click.argument("requests", nargs=-1, required=True, type=options.FILE)
-@click.option("--code", "codes", multiple=True, help="text of the QR code the node shows; one per request")
+@click.argument("requests", nargs=-1, required=True, type=FILE)
+@option("--code codes", "text of the QR code the node shows; one per request", multiple=True)
 @identity_lifetime
 @replace_key(multiple=True)
 @anonymous
 @options.master_uri
-@click.option("--yes", is_flag=True, help="do not ask")
+@flag("--yes", "do not ask")
 @json_result()
 @pass_service
 def sign(
@@ -169,15 +165,15 @@ def request_intermediate(environment: Environment, domain: str, passphrase_file:
 
 
 @click.command()
-@click.argument("request", type=options.FILE)
-@click.option(
+@click.argument("request", type=FILE)
+@option(
     "--may",
+    "renew identities that exist, or enroll new nodes as well",
     required=True,
     type=click.Choice(["renew", "enroll"]),
-    help="renew identities that exist, or enroll new nodes as well",
 )
-@options.duration("--for", "lifetime", days=MAX_LIFETIME // DAY, default="90d", text="how long it may sign")
-@click.option("--yes", is_flag=True, help="do not ask")
+@duration("--for lifetime", "how long it may sign", days=MAX_LIFETIME // DAY, default="90d")
+@flag("--yes", "do not ask")
 @json_result()
 @pass_service
 def sign_intermediate(service: AuthorityService, request: Path, may: str, lifetime: int, yes: bool) -> None:
@@ -199,7 +195,7 @@ def sign_intermediate(service: AuthorityService, request: Path, may: str, lifeti
 
 
 @click.command()
-@click.argument("bundle", type=options.FILE)
+@click.argument("bundle", type=FILE)
 @passphrase.option
 @json_result()
 @pass_environment
@@ -214,10 +210,10 @@ def install_intermediate(environment: Environment, bundle: Path, passphrase_file
 
 
 @click.command("import")
-@click.argument("bundles", nargs=-1, required=True, type=options.FILE)
+@click.argument("bundles", nargs=-1, required=True, type=FILE)
 @replace_key(multiple=True)
 @options.master_uri
-@click.option("--yes", is_flag=True, help="do not ask")
+@flag("--yes", "do not ask")
 @json_result()
 @pass_service
 def import_(
@@ -255,34 +251,23 @@ def _show_identity(home: AuthorityHome, path: Path, identity: Identity) -> None:
 
 @click.command()
 @click.argument("name")
-@click.option("--border", metavar="NAME", help="the border router that serves it")
-@click.option("--key", "ccs", type=options.FILE, help="its credential: a CCS, as CBOR")
-@click.option(
-    "--psk",
-    "description",
-    type=options.FILE,
-    help="what `rossec border add NAME --psk` wrote about its secret",
-)
-@click.option("--renew", is_flag=True, help="say the same again")
-@click.option("--request", type=options.FILE, help="sign this request, of the node that stands for it, too")
-@click.option("--code", help="text of the code on the thing's label")
-@click.option(
-    "--replace",
-    "replaced",
+@option("--border=NAME", "the border router that serves it")
+@option("--key ccs", "its credential: a CCS, as CBOR", type=FILE)
+@option("--psk description", "what `rossec border add NAME --psk` wrote about its secret", type=FILE)
+@flag("--renew", "say the same again")
+@option("--request", "sign this request, of the node that stands for it, too", type=FILE)
+@option("--code", "text of the code on the thing's label")
+@option(
+    "--replace=NAME replaced",
+    "end what is said of NAME: it was renamed or moved, or its device is another one",
     multiple=True,
-    metavar="NAME",
-    help="end what is said of NAME: it was renamed or moved, or its device is another one",
 )
-@options.duration("--for", "lifetime", days=_MAX_DAYS, default="365d", text="how long this is so")
-@options.duration(
-    "--identity-for",
-    "identity_lifetime",
-    days=MAX_LIFETIME // DAY,
-    default="30d",
-    text="how long the identity lasts",
+@duration("--for lifetime", "how long this is so", days=_MAX_DAYS, default="365d")
+@duration(
+    "--identity-for identity_lifetime", "how long the identity lasts", days=MAX_LIFETIME // DAY, default="30d"
 )
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
-@click.option("--yes", is_flag=True, help="do not ask")
+@option("--out", "where to write it", type=NEW_FILE)
+@flag("--yes", "do not ask")
 @options.master_uri
 @json_result()
 @pass_service
@@ -380,8 +365,8 @@ def _hand_over(
 
 
 @click.command()
-@click.option("--all", "everything", is_flag=True, help="also what is renewed, expired or revoked")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@flag("--all everything", "also what is renewed, expired or revoked")
+@flag("--json in_json", "one line of JSON")
 @pass_environment
 def things(environment: Environment, everything: bool, in_json: bool) -> None:
     """List the things that are stated now, with their border routers."""

@@ -17,7 +17,7 @@ from rossec.authority.console.phone_codes import CODE_LIFETIME
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import flag, json_result, option
 from rossec.clock import format_time
 from rossec.console.listening import read_address
 from rossec.console.options import LOCALHOST, MAX_PHONE_NAME
@@ -28,9 +28,9 @@ _PERIOD: Final = 0.5  # seconds between two looks at the record
 
 
 @click.command()
-@click.option("--name", default="", help="what the phone will be called; it can be changed there")
-@click.option("--no-wait", is_flag=True, help="do not wait until the phone is set up")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON; does not wait")
+@option("--name", "what the phone will be called; it can be changed there", default="")
+@flag("--no-wait", "do not wait until the phone is set up")
+@flag("--json as_json", "one line of JSON; does not wait")
 @pass_environment
 def phone(environment: Environment, name: str, no_wait: bool, as_json: bool) -> None:
     """Show a one-time code that logs in a phone, and can set it up to approve.
@@ -94,7 +94,7 @@ def _wait(home: AuthorityHome, known: dict[bytes, str]) -> str:
 
 @click.command()
 @click.argument("name")
-@click.option("--reason", default="", help="why, for the record")
+@option("--reason", "why, for the record", default="")
 @json_result()
 @pass_environment
 def remove(environment: Environment, name: str, reason: str) -> None:
@@ -113,8 +113,8 @@ def remove(environment: Environment, name: str, reason: str) -> None:
 
 
 @click.command()
-@click.option("--verify", is_flag=True, help="recompute every signature, with the whole log")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--verify", "recompute every signature, with the whole log")
+@flag("--json as_json", "one line of JSON")
 @pass_environment
 def approvals(environment: Environment, verify: bool, as_json: bool) -> None:
     """Show who approved what at the console, oldest first, and what came of it.

@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.options import flag, option
 from rossec.console.options import ConsoleOptions, check_name, read_options
 from rossec.console.tls import certificates
 from rossec.console.tls.own_authority import as_json as described
@@ -15,9 +16,9 @@ from rossec.terminal import say, say_json
 
 
 @click.command()
-@click.option("--renew", is_flag=True, help="make a new one, which every phone must install anew")
-@click.option("--name", help="DNS name of this host for --renew; by default as before")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--renew", "make a new one, which every phone must install anew")
+@option("--name", "DNS name of this host for --renew; by default as before")
+@flag("--json as_json", "one line of JSON")
 @pass_environment
 def tls(environment: Environment, renew: bool, name: str | None, as_json: bool) -> None:
     """Show the console's own TLS authority (--lan): its fingerprint, in words and hex.

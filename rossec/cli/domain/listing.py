@@ -10,13 +10,14 @@ from rossec.authority.domain_operations import find_row, living_grants
 from rossec.authority.home import AuthorityHome
 from rossec.cli.domain import trust
 from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.options import flag
 from rossec.clock import format_time
 from rossec.terminal import printable, say, say_json
 
 
 @click.command("list")
-@click.option("--all", "everything", is_flag=True, help="also those that were removed")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@flag("--all everything", "also those that were removed")
+@flag("--json in_json", "one line of JSON")
 @pass_environment
 def list_(environment: Environment, everything: bool, in_json: bool) -> None:
     """List the foreign domains that are trusted."""
@@ -38,7 +39,7 @@ def list_(environment: Environment, everything: bool, in_json: bool) -> None:
 
 @click.command()
 @click.argument("label")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@flag("--json in_json", "one line of JSON")
 @pass_environment
 def show(environment: Environment, label: str, in_json: bool) -> None:
     """Show how far the domain LABEL is trusted."""

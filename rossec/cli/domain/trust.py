@@ -30,7 +30,7 @@ from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import confirm, now
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import FILE, NEW_FILE, flag, json_result, option
 from rossec.cli.shared.service import pass_service, publish_list
 from rossec.clock import format_time
 from rossec.enrollment.enroll import code_in_file
@@ -45,31 +45,23 @@ MAX_DAYS: Final = 10 * 366
 _RIGHTS: Final = {right.label: right for right in Right} | {"all": ALL_RIGHTS}
 _RULE: Final = "'/robot/** subscribe', '/door/open call'; or everything, or nothing"
 _UNITS: Final = ((86400, "d"), (3600, "h"), (60, "m"))
-admit = click.option(
-    "--admit",
-    multiple=True,
-    metavar="PATTERN",
-    help="nodes of it that may connect; its masters and relays may as well",
+admit = option(
+    "--admit=PATTERN", "nodes of it that may connect; its masters and relays may as well", multiple=True
 )
 
 
 @click.command()
-@click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), help="write it here, instead of DOMAIN.card"
-)
-@click.option(
-    "--names",
+@option("--out", "write it here, instead of DOMAIN.card", type=NEW_FILE)
+@option(
+    "--names=PATTERN",
+    "your nodes that shall be admitted there",
     multiple=True,
-    metavar="PATTERN",
     default=("/**",),
     show_default=True,
-    help="your nodes that shall be admitted there",
 )
-@click.option("--at", "masters", multiple=True, metavar="URI", help="where they reach your master")
-@options.duration(
-    "--for", "lifetime", days=MAX_CARD_LIFETIME // 86400, default="7d", text="how long it can be accepted"
-)
-@click.option("--qr", "picture", is_flag=True, help="also show its code as a picture, on stderr")
+@option("--at=URI masters", "where they reach your master", multiple=True)
+@options.duration("--for lifetime", "how long it can be accepted", days=MAX_CARD_LIFETIME // 86400, default="7d")
+@flag("--qr picture", "also show its code as a picture, on stderr")
 @json_result()
 @pass_service
 def card(
@@ -101,37 +93,35 @@ def card(
 
 def lifetime(default: str | None) -> Callable[..., Any]:
     text = "how long it is trusted, from now on"
-    return options.duration("--for", "lifetime", days=MAX_DAYS, default=default, text=text)
+    return options.duration("--for lifetime", text, days=MAX_DAYS, default=default)
 
 
 def fresh(default: str | None) -> Callable[..., Any]:
     text = "how old its last word on its revocations may be"
-    return options.duration("--fresh", days=MOST_FRESH // 86400, default=default, text=text)
+    return options.duration("--fresh", text, days=MOST_FRESH // 86400, default=default)
 
 
 def rules(command: Callable[..., Any]) -> Callable[..., Any]:
-    for option, name, what in (
-        ("--import", "imported", "taken from it into the graph here"),
-        ("--export", "exported", "shown to it, where grants allow it too"),
+    for name, what in (
+        ("--import=RULE imported", "taken from it into the graph here"),
+        ("--export=RULE exported", "shown to it, where grants allow it too"),
     ):
-        command = click.option(
-            option, name, multiple=True, metavar="RULE", help=f"{what}: PATTERN RIGHT[,RIGHT]"
-        )(command)
+        command = option(name, f"{what}: PATTERN RIGHT[,RIGHT]", multiple=True)(command)
     return command
 
 
 @click.command()
-@click.argument("card", type=options.FILE)
-@click.option("--as", "label", help="what it is called here, for example hospital")
+@click.argument("card", type=FILE)
+@option("--as label", "what it is called here, for example hospital")
 @admit
 @fresh("1h")
 @lifetime("365d")
 @rules
-@click.option("--code", help="the code that its authority shows (rossec domain card)")
+@option("--code", "the code that its authority shows (rossec domain card)")
 @options.image
-@click.option("--fingerprint", "expected", help="the fingerprint that its authority has told you")
+@option("--fingerprint expected", "the fingerprint that its authority has told you")
 @options.master_uri
-@click.option("--yes", is_flag=True, help="do not ask")
+@flag("--yes", "do not ask")
 @json_result()
 @pass_service
 def accept(
@@ -326,7 +316,7 @@ def publish_domains(service: AuthorityService) -> None:
 @lifetime(None)
 @rules
 @options.master_uri
-@click.option("--yes", is_flag=True, help="do not ask")
+@flag("--yes", "do not ask")
 @json_result()
 @pass_service
 def limit(
@@ -371,8 +361,8 @@ def limit(
 
 @click.command()
 @click.argument("label")
-@click.option("--reason", default="", help="why, for the record")
-@click.option("--revoke-grants", is_flag=True, help="also revoke every grant that was signed for its nodes")
+@option("--reason", "why, for the record", default="")
+@flag("--revoke-grants", "also revoke every grant that was signed for its nodes")
 @options.master_uri
 @json_result()
 @pass_service

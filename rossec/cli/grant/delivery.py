@@ -16,7 +16,7 @@ from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import holder_home, open_held, read_token
-from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.cli.shared.options import FILE, Batch, duration, flag, json_result, option, unique
 from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish, say_deposited, service_of
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError, NotDelivered
@@ -31,7 +31,7 @@ DAY: Final = 86400
 
 @click.command("list")
 @click.argument("nodes", metavar="[NODE]...", nargs=-1)
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--json as_json", "one line of JSON")
 @options.master_uri
 @pass_environment
 def list_(environment: Environment, nodes: tuple[str, ...], as_json: bool, master_uri: str | None) -> None:
@@ -134,7 +134,7 @@ def deliver(environment: Environment, master_uri: str | None) -> None:
 
 
 @click.command()
-@click.argument("file", type=options.FILE)
+@click.argument("file", type=FILE)
 @json_result()
 def show(file: Path) -> None:
     """Show what the grant in FILE allows; its signature is not checked."""
@@ -168,7 +168,7 @@ def _facts(content: Grant) -> dict[str, object]:
 
 
 @click.command()
-@click.argument("grant_files", metavar="FILE...", nargs=-1, required=True, type=options.FILE)
+@click.argument("grant_files", metavar="FILE...", nargs=-1, required=True, type=FILE)
 @json_result()
 @pass_environment
 def install(environment: Environment, grant_files: tuple[Path, ...]) -> None:
@@ -190,7 +190,7 @@ def install(environment: Environment, grant_files: tuple[Path, ...]) -> None:
 
 @click.command()
 @click.argument("grant_ids", metavar="GRANT_ID...", nargs=-1, required=True)
-@click.option("--reason", default="", help="why, for the record")
+@option("--reason", "why, for the record", default="")
 @options.master_uri
 @json_result()
 @pass_service
@@ -214,28 +214,20 @@ def revoke(service: AuthorityService, grant_ids: tuple[str, ...], reason: str) -
 
 
 @click.command()
-@options.duration(
-    "--for",
-    "lifetime",
-    days=MAX_DELEGATION // DAY,
-    default="90d",
-    text="how long the master may renew grants",
-)
-@options.duration(
+@duration("--for lifetime", "how long the master may renew grants", days=MAX_DELEGATION // DAY, default="90d")
+@duration(
     "--ticket",
+    "how long a renewed grant holds before it is renewed again; at least a minute",
     days=MAX_TICKET // DAY,
     default="8h",
-    text="how long a renewed grant holds before it is renewed again; at least a minute",
 )
-@click.option(
-    "--to",
-    "master",
-    metavar="NAME",
+@option(
+    "--to=NAME master",
+    "which of the domain's masters; give its address with --master",
     default=MASTER,
     show_default=True,
-    help="which of the domain's masters; give its address with --master",
 )
-@click.option("--withdraw", is_flag=True, help="revoke what was delegated before instead")
+@flag("--withdraw", "revoke what was delegated before instead")
 @options.master_uri
 @json_result()
 @pass_service

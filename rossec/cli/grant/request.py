@@ -21,7 +21,7 @@ from rossec.authority.service import AuthorityService
 from rossec.cli.grant.sign import own_pattern
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import Batch, add_entry, json_result, unique
+from rossec.cli.shared.options import FILE, FOLDER, PATH, Batch, add_entry, flag, json_result, option, unique
 from rossec.cli.shared.service import deliver_grant, deliver_grants, pass_service, service_of
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
@@ -34,15 +34,15 @@ _ASKABLE = ("publish", "subscribe", "call", "provide", "param-get", "param-set",
 def _right_options(command: Callable[..., Any]) -> Callable[..., Any]:
     for label in reversed(_ASKABLE):
         text = f"ask for the right {label} on NAME; may be repeated"
-        command = click.option(f"--{label}", multiple=True, metavar="NAME", help=text)(command)
+        command = option(f"--{label}", text, multiple=True, metavar="NAME")(command)
     return command
 
 
 @click.command()
 @click.argument("node")
 @_right_options
-@click.option("--why", required=True, help="the reason, for the person or policy that decides")
-@click.option("--out", type=click.Path(path_type=Path), help="write the request to this new file")
+@option("--why", "the reason, for the person or policy that decides", required=True)
+@option("--out", "write the request to this new file", type=PATH)
 @json_result()
 @pass_environment
 def request(
@@ -84,8 +84,8 @@ def request(
 
 
 @click.command()
-@click.argument("request_files", nargs=-1, type=options.FILE)
-@click.option("--out-dir", type=click.Path(path_type=Path, file_okay=False), help="write grants here too")
+@click.argument("request_files", nargs=-1, type=FILE)
+@option("--out-dir", "write grants here too", type=FOLDER)
 @options.policy
 @options.master_uri
 @json_result()
@@ -117,7 +117,7 @@ def decide(
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--json as_json", "one line of JSON")
 @options.policy
 @pass_environment
 def pending(environment: Environment, as_json: bool, policy_path: Path | None) -> None:
@@ -145,9 +145,9 @@ def pending(environment: Environment, as_json: bool, policy_path: Path | None) -
 
 @click.command()
 @click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
-@click.option("--approximate", "coarse", metavar="FILTER", help="only through this filter")
-@click.option("--today", "only_today", is_flag=True, help="only until midnight")
-@click.option("--out-dir", type=click.Path(path_type=Path, file_okay=False), help="write the grant here too")
+@option("--approximate=FILTER coarse", "only through this filter")
+@flag("--today only_today", "only until midnight")
+@option("--out-dir", "write the grant here too", type=FOLDER)
 @options.policy
 @options.master_uri
 @json_result()

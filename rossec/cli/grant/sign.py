@@ -41,7 +41,7 @@ from rossec.authority.signing import CLOCK_SKEW
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment
 from rossec.cli.shared.master import read_token
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import FILE, PATH, duration, flag, json_result, option
 from rossec.cli.shared.service import deliver_grant, pass_service, remind_to_publish
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
@@ -76,80 +76,56 @@ def _once(_context: click.Context, _parameter: click.Parameter, given: tuple[Any
 
 
 _RESTRICTING: Final = (
-    click.option("--graph", is_flag=True, help="may see the whole ROS graph"),
-    click.option(
-        "--type",
-        "type_name",
-        multiple=True,
-        callback=_once,
-        metavar="PKG/TYPE",
-        help="message type of the restrictions",
-    ),
-    click.option("--clear", multiple=True, metavar="FIELD", help="clear this field"),
-    click.option("--round", "rounds", multiple=True, metavar="FIELD=STEP", help="round this field"),
-    click.option(
-        "--clamp", "clamps", multiple=True, metavar="FIELD=LOW:HIGH", help="keep this field in a range"
-    ),
-    click.option(
-        "--rate",
-        type=float,
-        multiple=True,
-        callback=_once,
-        metavar="HZ",
-        help="at most so many messages a second",
-    ),
-    click.option(
-        "--preset",
-        "preset_name",
+    flag("--graph", "may see the whole ROS graph"),
+    option("--type=PKG/TYPE type_name", "message type of the restrictions", multiple=True, callback=_once),
+    option("--clear=FIELD", "clear this field", multiple=True),
+    option("--round=FIELD=STEP rounds", "round this field", multiple=True),
+    option("--clamp=FIELD=LOW:HIGH clamps", "keep this field in a range", multiple=True),
+    option("--rate=HZ", "at most so many messages a second", type=float, multiple=True, callback=_once),
+    option(
+        "--preset preset_name",
+        "restrictions for a usual wish; see `rossec grant presets`",
         type=click.Choice(list(PRESETS)),
         multiple=True,
         callback=_once,
-        help="restrictions for a usual wish; see `rossec grant presets`",
     ),
-    click.option(
-        "--when", multiple=True, metavar="CONDITION", help="only messages and times for which this holds"
-    ),
+    option("--when=CONDITION", "only messages and times for which this holds", multiple=True),
 )
 
 
 def rights(command: Callable[..., Any]) -> Callable[..., Any]:
     for right, help_text in reversed(_RIGHTS.items()):
-        command = click.option(f"--{right.label}", multiple=True, metavar="PATTERN", help=help_text)(command)
+        command = option(f"--{right.label}", help_text, multiple=True, metavar="PATTERN")(command)
     return command
 
 
 def permission_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add every option for rights and their restrictions; `read_permissions` takes what they say."""
-    for option in reversed(_RESTRICTING):
-        command = option(command)
+    for add in reversed(_RESTRICTING):
+        command = add(command)
     return rights(command)
 
 
 @click.command()
 @click.argument("node")
 @permission_options
-@options.duration("--for", "lifetime", days=MAX_DAYS, default="7d", text="how long it holds")
-@click.option(
-    "--renew-until",
-    "renewal",
+@duration("--for lifetime", "how long it holds", days=MAX_DAYS, default="7d")
+@option(
+    "--renew-until=DURATION renewal",
+    "how long the master may renew it; see: rossec master delegate",
     type=Duration(MAX_DAYS),
     default=0,
-    metavar="DURATION",
-    help="how long the master may renew it; see: rossec master delegate",
 )
-@click.option(
-    "--may-narrow",
+@option(
+    "--may-narrow=N",
+    "how often it may be handed on, restricted further; see: rossec grant narrow",
     type=click.IntRange(0, MAX_NARROWINGS),
     default=0,
-    metavar="N",
-    help="how often it may be handed on, restricted further; see: rossec grant narrow",
 )
-@click.option(
-    "--certificate",
-    type=options.FILE,
-    help="the certificate of a node of another domain: its node.pem, without its key",
+@option(
+    "--certificate", "the certificate of a node of another domain: its node.pem, without its key", type=FILE
 )
-@click.option("--out", type=click.Path(path_type=Path), help="also write the grant to this new file")
+@option("--out", "also write the grant to this new file", type=PATH)
 @options.master_uri
 @json_result()
 @pass_service
@@ -365,34 +341,25 @@ def presets() -> None:
 
 
 @click.command()
-@click.argument("file", type=options.FILE)
-@click.option("--as", "own", required=True, metavar="NODE", help="the node that holds the grant")
-@click.option(
-    "--to",
-    "certificate",
+@click.argument("file", type=FILE)
+@option("--as=NODE own", "the node that holds the grant", required=True)
+@option(
+    "--to=CERTIFICATE certificate",
+    "the certificate of the node that gets the right: its node.pem",
     required=True,
-    type=options.FILE,
-    metavar="CERTIFICATE",
-    help="the certificate of the node that gets the right: its node.pem",
+    type=FILE,
 )
 @permission_options
-@options.duration(
-    "--for",
-    "lifetime",
+@duration(
+    "--for lifetime",
+    "how long it holds; never longer than the grant in FILE",
     days=MAX_NARROWED_DAYS,
     default="8h",
-    text="how long it holds; never longer than the grant in FILE",
 )
-@click.option(
-    "--may-narrow",
-    type=click.IntRange(0),
-    default=0,
-    metavar="N",
-    help="how often the other node may hand it on in its turn",
+@option(
+    "--may-narrow=N", "how often the other node may hand it on in its turn", type=click.IntRange(0), default=0
 )
-@click.option(
-    "--out", type=click.Path(path_type=Path), required=True, help="write the token to this new file"
-)
+@option("--out", "write the token to this new file", type=PATH, required=True)
 @json_result()
 @pass_environment
 def narrow(

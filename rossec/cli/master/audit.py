@@ -6,6 +6,7 @@ import click
 
 from ca.keys.signing import thumbprint
 from rossec.cli.shared.context import Environment, pass_environment
+from rossec.cli.shared.options import NEW_FILE, flag, option
 from rossec.clock import format_time
 from rossec.environment import own_master
 from rossec.errors import ConfigurationError
@@ -21,13 +22,13 @@ _MOST_SHOWN = 20
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="the lines as they are")
-@click.option("--since", type=click.IntRange(0), help="seconds since the epoch")
-@click.option("--verify", "verified", is_flag=True, help="check that nothing was changed")
-@click.option("--after", metavar="HASH", help="the last hash of the parts before, which are gone")
-@click.option("--key", metavar="HEX", help="thumbprint of the key the master had then")
-@click.option("--ca", "of_authority", is_flag=True, help="the audit of `rossec ca serve` instead")
-@click.argument("files", nargs=-1, type=click.Path(path_type=Path, dir_okay=False))
+@flag("--json as_json", "the lines as they are")
+@option("--since", "seconds since the epoch", type=click.IntRange(0))
+@flag("--verify verified", "check that nothing was changed")
+@option("--after=HASH", "the last hash of the parts before, which are gone")
+@option("--key=HEX", "thumbprint of the key the master had then")
+@flag("--ca of_authority", "the audit of `rossec ca serve` instead")
+@click.argument("files", nargs=-1, type=NEW_FILE)
 @pass_environment
 def audit(
     environment: Environment,

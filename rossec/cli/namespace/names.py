@@ -19,8 +19,8 @@ from xml.sax.saxutils import quoteattr
 import click
 
 from rossec import files
-from rossec.cli.shared import options, rules
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared import rules
+from rossec.cli.shared.options import FILE, NEW_FILE, OLD_FOLDER, flag, json_result, option
 from rossec.errors import ConfigurationError, MetadataRefused, RossecError
 from rossec.namespace import topic_names
 from rossec.namespace.launch_file import (
@@ -47,14 +47,8 @@ _DIRNAME: Final = b"$(dirname)"
 
 
 @click.command("launch")
-@click.argument("source", metavar="IN.launch", type=options.FILE)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    required=True,
-    metavar="OUT",
-    help="the new file; one that exists is not overwritten",
-)
+@click.argument("source", metavar="IN.launch", type=FILE)
+@option("--out=OUT", "the new file; one that exists is not overwritten", type=NEW_FILE, required=True)
 @rules.option
 @json_result()
 def launch(source: Path, out: Path, rules_path: Path | None) -> None:
@@ -183,16 +177,12 @@ class _Reader:
 
 
 @click.command()
-@click.argument("meta", type=options.FILE)
-@click.option("--topic", metavar="TOPIC", help="the name of this topic of the node")
-@click.option("--service", metavar="SERVICE", help="the name of this service of the node")
+@click.argument("meta", type=FILE)
+@option("--topic=TOPIC", "the name of this topic of the node")
+@option("--service=SERVICE", "the name of this service of the node")
 @rules.option
-@click.option(
-    "--thesis-defaults",
-    is_flag=True,
-    help="unknown-group instead of unknown_group, as in the thesis; ROS has no such names",
-)
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--thesis-defaults", "unknown-group instead of unknown_group, as in the thesis; ROS has no such names")
+@flag("--json as_json", "one line of JSON")
 def show_name(
     meta: Path,
     topic: str | None,
@@ -236,9 +226,7 @@ def show_rules() -> None:
 
 
 @click.command()
-@click.argument(
-    "directory", metavar="DIRECTORY", type=click.Path(path_type=Path, exists=True, file_okay=False)
-)
+@click.argument("directory", metavar="DIRECTORY", type=OLD_FOLDER)
 @json_result()
 def messages(directory: Path) -> None:
     """Write the package rossec_namespace into DIRECTORY: the type of the service.

@@ -17,9 +17,10 @@ from grants.policy.model import Effect, Policy, Subject
 from grants.token import peek
 from rossec import files
 from rossec.authority.policyfile import PolicyFile
-from rossec.cli.shared import options, rules
+from rossec.cli.shared import rules
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as, read_token
+from rossec.cli.shared.options import FILE, flag, option
 from rossec.errors import ConfigurationError, ProposedNameRefused
 from rossec.host.runner import stop_on_signals, until_stopped
 from rossec.namespace import topic_names
@@ -41,30 +42,15 @@ _DIRECTORY: Final = click.Path(path_type=Path, exists=True, file_okay=False)
 
 
 @click.command()
-@click.argument("rules", type=options.FILE)
-@click.option(
-    "--meta",
-    "directory",
-    metavar="DIR",
-    required=True,
+@click.argument("rules", type=FILE)
+@option("--meta=DIR directory", f"metadata of nodes, files {METADATA_SUFFIX}", required=True, type=_DIRECTORY)
+@option("--policy=FILE policy_path", "report names on which this policy gives their node nothing", type=FILE)
+@option(
+    "--grants=DIR grants_path",
+    "report names on which no grant in DIR (files *.grant) gives their node anything",
     type=_DIRECTORY,
-    help=f"metadata of nodes, files {METADATA_SUFFIX}",
 )
-@click.option(
-    "--policy",
-    "policy_path",
-    metavar="FILE",
-    type=options.FILE,
-    help="report names on which this policy gives their node nothing",
-)
-@click.option(
-    "--grants",
-    "grants_path",
-    metavar="DIR",
-    type=_DIRECTORY,
-    help="report names on which no grant in DIR (files *.grant) gives their node anything",
-)
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--json as_json", "one line of JSON")
 def check(
     rules: Path, directory: Path, policy_path: Path | None, grants_path: Path | None, as_json: bool
 ) -> None:
@@ -160,9 +146,9 @@ class Coverage:
 
 
 @click.command()
-@click.option("--as", "name", metavar="NAME", default="/namespace", show_default=True, help="identity to use")
+@option("--as=NAME name", "identity to use", default="/namespace", show_default=True)
 @rules.option
-@click.option("--json", "as_json", is_flag=True, help="say that it runs as a line of JSON")
+@flag("--json as_json", "say that it runs as a line of JSON")
 @pass_environment
 def serve(environment: Environment, name: str, rules_path: Path | None, *, as_json: bool) -> None:
     """Answer nodes that ask which name a topic or service of theirs gets. Ends with Ctrl-C.

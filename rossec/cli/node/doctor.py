@@ -40,6 +40,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.channel.opening import post_quantum
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import REVOCATIONS, anew, find_master, is_of_revoked, open_held, revoked_text
+from rossec.cli.shared.options import flag
 from rossec.clock import format_duration, format_time
 from rossec.environment import OWN_MASTER, missing_nodes, nodes_in, own_master
 from rossec.errors import ChannelError, ConfigurationError
@@ -68,8 +69,8 @@ Check = Callable[[Environment, NodeHome], Iterator[Outcome]]
 
 @click.command()
 @click.argument("names", metavar="[NODE]...", nargs=-1)
-@click.option("--offline", is_flag=True, help="do not ask the master")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--offline", "do not ask the master")
+@flag("--json as_json", "one line of JSON")
 @pass_environment
 def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_json: bool) -> None:
     """Check the set-up of NODE on this machine: identity, grants, master, what is plain.

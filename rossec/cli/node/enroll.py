@@ -26,10 +26,10 @@ from ca.names import check_name, is_reserved, pattern_covers
 from ca.svid import check_request
 from rossec import files
 from rossec.authority.home import fingerprint, format_fingerprint
-from rossec.cli.shared import options, rules
+from rossec.cli.shared import rules
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment, reraise_interrupt
 from rossec.cli.shared.master import own_address
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import FILE, PATH, flag, json_result, option
 from rossec.cli.shared.passphrase import read_lines
 from rossec.clock import format_time
 from rossec.enrollment import enroll as enrollment_control
@@ -52,14 +52,14 @@ _QUESTION: Final = "the line of `rossec ca invite` (it is not shown)"
 
 @click.command()
 @click.argument("name")
-@click.option("--domain", default="home", show_default=True, help="trust domain of the authority")
-@click.option("--anonymous", is_flag=True, help="for anonymous nodes too: NAME and NAME_*")
-@click.option("--label", is_flag=True, help="wait for an authority that read the printed label")
-@click.option("--address", "host", help="the address in the code, instead of the one found")
-@click.option("--port", type=click.IntRange(0, 65535), help="listen here [any; a label's is 11317]")
-@click.option("--for", "window", type=Duration(1), help="with --label: wait so long [15m]")
-@click.option("--png", type=click.Path(path_type=Path), help="write the code to this PNG file too")
-@click.option("--svg", type=click.Path(path_type=Path), help="write the code to this SVG file too")
+@option("--domain", "trust domain of the authority", default="home", show_default=True)
+@flag("--anonymous", "for anonymous nodes too: NAME and NAME_*")
+@flag("--label", "wait for an authority that read the printed label")
+@option("--address host", "the address in the code, instead of the one found")
+@option("--port", "listen here [any; a label's is 11317]", type=click.IntRange(0, 65535))
+@option("--for window", "with --label: wait so long [15m]", type=Duration(1))
+@option("--png", "write the code to this PNG file too", type=PATH)
+@option("--svg", "write the code to this SVG file too", type=PATH)
 @json_result()
 @pass_environment
 def enroll(
@@ -226,7 +226,7 @@ def confirms(answer: str, digits: str) -> bool:
 @click.command()
 @click.argument("name")
 @click.argument("digits", nargs=-1)
-@click.option("--yes", is_flag=True, help="without DIGITS: do not ask, as a button that was pressed")
+@flag("--yes", "without DIGITS: do not ask, as a button that was pressed")
 @json_result()
 @pass_environment
 def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: bool) -> None:
@@ -259,8 +259,8 @@ def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: b
 
 @click.command()
 @click.argument("names", nargs=-1, required=True)
-@click.option("--domain", default="home", show_default=True, help="trust domain of the authority")
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="HTML file to print")
+@option("--domain", "trust domain of the authority", default="home", show_default=True)
+@option("--out", "HTML file to print", type=PATH, required=True)
 @json_result()
 @pass_environment
 def labels(environment: Environment, names: tuple[str, ...], domain: str, out: Path) -> None:
@@ -279,19 +279,12 @@ def labels(environment: Environment, names: tuple[str, ...], domain: str, out: P
 
 
 @click.command("join")
-@click.option(
-    "--file",
-    "path",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    help="read the code from this file: the line, or an NFC tag (NDEF)",
-)
-@click.option("--name", help="the node's name, if the invitation is for more than one")
-@click.option(
-    "--meta",
-    "meta_path",
-    type=options.FILE,
-    metavar="FILE",
-    help="the node's metadata: take the name that the authority's rules give for them",
+@option("--file path", "read the code from this file: the line, or an NFC tag (NDEF)", type=FILE)
+@option("--name", "the node's name, if the invitation is for more than one")
+@option(
+    "--meta=FILE meta_path",
+    "the node's metadata: take the name that the authority's rules give for them",
+    type=FILE,
 )
 @json_result()
 @pass_environment

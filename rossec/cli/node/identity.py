@@ -8,9 +8,9 @@ from ca.certificates import Identity, TrustAnchor
 from ca.enrollment import qr
 from rossec import files
 from rossec.authority.home import fingerprint, format_fingerprint
-from rossec.cli.shared import options, rules
+from rossec.cli.shared import rules
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
-from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.cli.shared.options import FILE, PATH, Batch, flag, json_result, option, unique
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -21,14 +21,12 @@ _MAX_BUNDLE = 64 * 1024
 
 @click.command()
 @click.argument("names", metavar="[NAME]...", nargs=-1)
-@click.option("--domain", default="home", show_default=True, help="trust domain of the authority")
-@click.option("--anonymous", is_flag=True, help="for anonymous nodes too: /rviz also as /rviz_17")
-@click.option(
-    "--meta",
-    "meta_path",
-    type=options.FILE,
-    metavar="FILE",
-    help="take the name that rules give for the metadata there, instead of NAME",
+@option("--domain", "trust domain of the authority", default="home", show_default=True)
+@flag("--anonymous", "for anonymous nodes too: /rviz also as /rviz_17")
+@option(
+    "--meta=FILE meta_path",
+    "take the name that rules give for the metadata there, instead of NAME",
+    type=FILE,
 )
 @rules.option
 @json_result()
@@ -74,9 +72,9 @@ def _names(given: tuple[str, ...], meta_path: Path | None, rules_path: Path | No
 
 @click.command()
 @click.argument("name")
-@click.option("--text", is_flag=True, help="only the text in the code, to paste")
-@click.option("--svg", type=click.Path(path_type=Path), help="write the code to this SVG file")
-@click.option("--png", type=click.Path(path_type=Path), help="write the code to this PNG file")
+@flag("--text", "only the text in the code, to paste")
+@option("--svg", "write the code to this SVG file", type=PATH)
+@option("--png", "write the code to this PNG file", type=PATH)
 @json_result()
 @pass_environment
 def code(environment: Environment, name: str, text: bool, svg: Path | None, png: Path | None) -> None:
@@ -93,8 +91,8 @@ def code(environment: Environment, name: str, text: bool, svg: Path | None, png:
 
 
 @click.command()
-@click.argument("bundles", metavar="BUNDLE...", nargs=-1, required=True, type=options.FILE)
-@click.option("--yes", is_flag=True, help="do not ask")
+@click.argument("bundles", metavar="BUNDLE...", nargs=-1, required=True, type=FILE)
+@flag("--yes", "do not ask")
 @json_result()
 @pass_environment
 def install(environment: Environment, bundles: tuple[Path, ...], yes: bool) -> None:
@@ -131,7 +129,7 @@ def _read(bundle: Path) -> bytes:
 
 @click.command()
 @click.argument("name")
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+@flag("--json as_json", "a line of JSON")
 @pass_environment
 def show(environment: Environment, name: str, as_json: bool) -> None:
     """Show the identity of NAME and how many grants it holds."""

@@ -39,7 +39,7 @@ from rossec.cli.policy.check import count
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
 from rossec.cli.shared.master import find_master, master_as
-from rossec.cli.shared.options import json_result, working
+from rossec.cli.shared.options import PATH, flag, json_result, option, working
 from rossec.cli.shared.service import deliver_grants, pass_service, publish_list, remind_to_publish
 from rossec.errors import ConfigurationError, NotDelivered, PolicyContradicted
 from rossec.home import NodeHome
@@ -52,9 +52,9 @@ _CHOICES = {"a": "allow", "c": "allow coarsely", "g": "allow beside it too", "d"
 
 
 @click.command()
-@click.option("--from-graph", "node", metavar="NODE", help="as this node ask the running master")
-@click.option("--from-log", "log", type=_FILE, help="from this denial log (rossec master --complaints FILE)")
-@click.option("--out", type=click.Path(path_type=Path), help="write here instead of the policy")
+@option("--from-graph=NODE node", "as this node ask the running master")
+@option("--from-log log", "from this denial log (rossec master --complaints FILE)", type=_FILE)
+@option("--out", "write here instead of the policy", type=PATH)
 @options.policy
 @json_result()
 @pass_environment
@@ -142,7 +142,7 @@ def _count_own(read: PolicyFile) -> int:
 
 
 @click.command()
-@click.option("--from-log", "log", type=_FILE, required=True, help="what to go through")
+@option("--from-log log", "what to go through", type=_FILE, required=True)
 @options.policy
 @pass_environment
 def review(environment: Environment, log: Path, policy_path: Path | None) -> None:
@@ -193,13 +193,13 @@ def _prompt_for_filter(read: PolicyFile) -> str:
 
 @click.command()
 @options.policy
-@click.option("--node", "names", multiple=True, metavar="NAME", help="only for this node")
-@click.option("--dry-run", is_flag=True, help="only show the difference")
-@click.option("--prune", is_flag=True, help="revoke grants made by hand against a denial, too")
-@click.option("--renew", is_flag=True, help="sign anew what has less than a third of its time left")
+@option("--node=NAME names", "only for this node", multiple=True)
+@flag("--dry-run", "only show the difference")
+@flag("--prune", "revoke grants made by hand against a denial, too")
+@flag("--renew", "sign anew what has less than a third of its time left")
 @options.master_uri
-@click.option("--yes", is_flag=True, help="do not ask")
-@click.option("--json", "as_json", is_flag=True, help="the difference as one line of JSON")
+@flag("--yes", "do not ask")
+@flag("--json as_json", "the difference as one line of JSON")
 @pass_service
 def apply(
     service: AuthorityService,
@@ -266,7 +266,7 @@ def _carry_out(service: AuthorityService, plan: PolicyPlan, *, yes: bool, as_jso
 
 @click.command("opt-out")
 @click.argument("name")
-@click.option("--node", "is_node", is_flag=True, help="NAME is a node, enrolled or not")
+@flag("--node is_node", "NAME is a node, enrolled or not")
 @options.master_uri
 @options.policy
 @json_result()

@@ -21,21 +21,21 @@ from grants.policy.wanted import Withheld
 from rossec import files
 from rossec.authority.policyfile import PolicyFile, PolicyPlan, parse_policy, place
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import PATH, flag, json_result, option
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.participant.host_types import layout_of
 from rossec.terminal import fail, note, printable, record, say, say_block, say_json
 
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
-_JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+_JSON = flag("--json as_json", "one line of JSON")
 _NAMED = 3  # nodes of one line
 _NONE = "no rule allows it any more"
 
 
 @click.command()
-@click.argument("file", required=False, type=click.Path(path_type=Path))
-@click.option("--robot", default="home", help="its name, for people  [default: home]")
+@click.argument("file", required=False, type=PATH)
+@option("--robot", "its name, for people  [default: home]", default="home")
 @json_result()
 @pass_environment
 def init(environment: Environment, file: Path | None, robot: str) -> None:
@@ -57,7 +57,7 @@ def init(environment: Environment, file: Path | None, robot: str) -> None:
 
 @click.command("import-sros2")
 @click.argument("xml", type=_FILE)
-@click.option("--out", type=click.Path(path_type=Path), help="write the policy to this new file")
+@option("--out", "write the policy to this new file", type=PATH)
 def import_(xml: Path, out: Path | None) -> None:
     """Turn the SROS2 policy in XML into one of rossec.
 
@@ -197,7 +197,7 @@ def count(number: int, what: str) -> str:
 
 @click.command()
 @click.argument("file", required=False, type=_FILE)
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--json as_json", "one line of JSON")
 @pass_environment
 def test(environment: Environment, file: Path | None, as_json: bool) -> None:
     """Run the tests in the policy FILE: what must stay true of it.

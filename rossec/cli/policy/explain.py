@@ -27,6 +27,7 @@ from rossec.authority.policyfile import PolicyFile, place, read_policy
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.messages import fill, flat, parse_message, stamp_now
+from rossec.cli.shared.options import FILE, flag, option
 from rossec.clock import format_time as clock_format_time
 from rossec.errors import ConfigurationError
 from rossec.participant.host_types import layout_of
@@ -41,13 +42,12 @@ _NO_KEY = bytes(32)
 @click.argument("node")
 @click.argument("right")
 @click.argument("name")
-@click.option(
-    "--message",
-    "message_file",
-    type=options.FILE,
-    help="try it on this message: YAML as in rostopic (.yaml), or its serialized bytes",
+@option(
+    "--message message_file",
+    "try it on this message: YAML as in rostopic (.yaml), or its serialized bytes",
+    type=FILE,
 )
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--json as_json", "one line of JSON")
 @options.policy
 @pass_environment
 def explain(

@@ -25,7 +25,7 @@ from grants.policy.privacy import Trial, TrialOutcome
 from rossec.authority.policyfile import PolicyFile, parse_policy, place, read_policy
 from rossec.cli.policy.explain import changes, subject_of
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import working
+from rossec.cli.shared.options import flag, option, working
 from rossec.errors import ConfigurationError, MessageError
 from rossec.ros.tcpros import MESSAGE_LIMIT
 from rossec.terminal import note, printable, say, say_json
@@ -68,11 +68,11 @@ class Tally:
 
 
 @click.command()
-@click.option("--policy", "new", type=_FILE, required=True, help="the policy to try")
-@click.option("--old", type=_FILE, help="compare with this; by default the one in force, if any")
-@click.option("--bag", type=_FILE, required=True, help="a bag of ROS 1")
-@click.option("--node", "nodes", multiple=True, help="only as this receiver sees it")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@option("--policy new", "the policy to try", type=_FILE, required=True)
+@option("--old", "compare with this; by default the one in force, if any", type=_FILE)
+@option("--bag", "a bag of ROS 1", type=_FILE, required=True)
+@option("--node nodes", "only as this receiver sees it", multiple=True)
+@flag("--json as_json", "one line of JSON")
 @pass_environment
 def simulate(
     environment: Environment, new: Path, old: Path | None, bag: Path, nodes: tuple[str, ...], as_json: bool

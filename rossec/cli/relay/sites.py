@@ -17,9 +17,8 @@ from ca.errors import CAError, DomainsRefused
 from ca.names import MASTER, check_label, display_name
 from rossec import files
 from rossec.authority.local_list import LocalList
-from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.cli.shared.options import FILE, Batch, flag, json_result, option, unique
 from rossec.environment import own_master, own_relay
 from rossec.errors import ConfigurationError
 from rossec.federation.settings import SiteFile, SiteSettings, checked_sites
@@ -38,11 +37,10 @@ pass_home = click.make_pass_decorator(RouterHome)
 
 @click.command()
 @click.argument("label")
-@click.option(
-    "--domain",
-    metavar="DOMAIN-LABEL",
+@option(
+    "--domain=DOMAIN-LABEL",
+    "only a relay of this trusted domain may use it; '' for the own domain",
     default=None,
-    help="only a relay of this trusted domain may use it; '' for the own domain",
 )
 @pass_environment
 def card(environment: Environment, label: str, domain: str | None) -> None:
@@ -101,7 +99,7 @@ def _new_box() -> str:
 
 @click.command()
 @click.argument("label")
-@click.argument("file", type=options.FILE)
+@click.argument("file", type=FILE)
 @json_result()
 @pass_environment
 def add_relay(environment: Environment, label: str, file: Path) -> None:
@@ -173,7 +171,7 @@ def _forget(label: str, peers: dict[str, Peer]) -> None:
 
 
 @click.command("list")
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each")
+@flag("--json as_json", "a line of JSON for each")
 @pass_environment
 def list_relays(environment: Environment, *, as_json: bool) -> None:
     """List the relays of other sites, as cards have named them."""
@@ -188,7 +186,7 @@ def list_relays(environment: Environment, *, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("file", type=options.FILE)
+@click.argument("file", type=FILE)
 @json_result()
 @pass_environment
 def seat(environment: Environment, file: Path) -> None:
@@ -208,17 +206,13 @@ def seat(environment: Environment, file: Path) -> None:
 
 def _reached(command: Callable[..., Any]) -> Callable[..., Any]:
     # Options of what makes a seat file: where the router is found, if it was not told yet.
-    listen = click.option(
-        "--listen",
-        metavar="LOCATOR",
+    listen = option(
+        "--listen=LOCATOR",
+        "where this router will listen, if it never ran yet; as of rossec router",
         multiple=True,
-        help="where this router will listen, if it never ran yet; as of rossec router",
     )
-    host = click.option(
-        "--host",
-        metavar="NAME",
-        multiple=True,
-        help="name or address by which relays reach this router; may be repeated",
+    host = option(
+        "--host=NAME", "name or address by which relays reach this router; may be repeated", multiple=True
     )
     return host(listen(command))
 
@@ -264,7 +258,7 @@ def show_account(home: RouterHome, name: str, host: tuple[str, ...], listen: tup
 
 
 @click.command("list")
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+@flag("--json as_json", "a line of JSON")
 @pass_home
 def list_accounts(home: RouterHome, *, as_json: bool) -> None:
     """List the seats."""
@@ -311,7 +305,7 @@ def share(home: RouterHome) -> None:
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False, allow_dash=True))
-@click.option("--host", metavar="NAME", multiple=True, help="as of rossec router")
+@option("--host=NAME", "as of rossec router", multiple=True)
 @json_result()
 @pass_home
 def take(home: RouterHome, file: Path, host: tuple[str, ...]) -> None:
@@ -335,26 +329,13 @@ def _read(file: Path) -> bytes:
 
 @click.command()
 @click.argument("uri", required=False, default="")
-@click.option("--as", "label", metavar="LABEL", required=True, help="what it is called here")
-@click.option(
-    "--name",
-    "master",
-    metavar="NAME",
-    default=MASTER,
-    show_default=True,
-    help="the name that master is certified for",
+@option("--as=LABEL label", "what it is called here", required=True)
+@option("--name=NAME master", "the name that master is certified for", default=MASTER, show_default=True)
+@option(
+    "--domain=LABEL", "the label of its foreign domain, if that is not the site's own label", default=None
 )
-@click.option(
-    "--domain",
-    metavar="LABEL",
-    default=None,
-    help="the label of its foreign domain, if that is not the site's own label",
-)
-@click.option(
-    "--via",
-    metavar="PEER",
-    default="",
-    help="instead of a URI: the site that the relay of this site knows by this label",
+@option(
+    "--via=PEER", "instead of a URI: the site that the relay of this site knows by this label", default=""
 )
 @json_result()
 @pass_environment
@@ -444,7 +425,7 @@ def _find(sites: dict[str, SiteSettings], label: str) -> SiteSettings:
 @click.command()
 @click.argument("label")
 @click.argument("pattern")
-@click.option("--remove", "removing", is_flag=True, help="mirror it no longer")
+@flag("--remove removing", "mirror it no longer")
 @json_result()
 @pass_environment
 def param(environment: Environment, label: str, pattern: str, *, removing: bool) -> None:
@@ -467,7 +448,7 @@ def param(environment: Environment, label: str, pattern: str, *, removing: bool)
 
 
 @click.command("list")
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each")
+@flag("--json as_json", "a line of JSON for each")
 @pass_environment
 def list_sites(environment: Environment, *, as_json: bool) -> None:
     """List the masters to follow, as `rossec federation add` has them.

@@ -15,15 +15,15 @@ from rossec.cli.ros.topic import run_until_node_ends
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as
 from rossec.cli.shared.messages import fill, parse_arguments, parse_message, plain, render, stamp_now
-from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.cli.shared.options import FILE, Batch, flag, json_result, option, unique
 from rossec.errors import ConfigurationError
 from rossec.node import Node, register_service_type, service_type
 from rossec.participant.handshakes import caller_here, text
 from rossec.terminal import json_text, printable, record, say, say_block, say_json
 
-_AS = click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
+_AS = option("--as=NODE node", "identity to use", required=True)
 T = TypeVar("T")
-_JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+_JSON = flag("--json as_json", "one line of JSON")
 
 
 @click.command("list")
@@ -91,18 +91,14 @@ def type_of_service(environment: Environment, name: str, node: str) -> None:
 @click.argument("name")
 @click.argument("content", nargs=-1)
 @_AS
-@click.option("--type", "type_name", metavar="PKG/TYPE", help="instead of asking the provider")
-@click.option(
-    "--definition",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    help="the .srv file of that type, unless it is a standard one",
-)
-@click.option(
+@option("--type=PKG/TYPE type_name", "instead of asking the provider")
+@option("--definition", "the .srv file of that type, unless it is a standard one", type=FILE)
+@option(
     "--timeout",
+    "seconds to wait for the answer",
     type=click.FloatRange(min=0, min_open=True),
     default=60.0,
     show_default=True,
-    help="seconds to wait for the answer",
 )
 @_JSON
 @pass_environment

@@ -17,7 +17,7 @@ from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.cli.completion import values
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import calls_as, find_master, master_at
-from rossec.cli.shared.options import json_result, working
+from rossec.cli.shared.options import flag, json_result, option, working
 from rossec.discovery.local_links import PATIENCE, masters, uri_of
 from rossec.errors import AnswerMalformed, AnswerRefused, ConfigurationError
 from rossec.home import NodeHome
@@ -29,8 +29,8 @@ from rossec.terminal import note, printable, record, say, say_json
 UNKNOWN = "unknown type"  # as rostopic has it
 T = TypeVar("T")
 Names = Mapping[str, tuple[str, ...]]
-as_node = click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
-as_json = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+as_node = option("--as=NODE node", "identity to use", required=True)
+as_json = flag("--json as_json", "one line of JSON")
 _NAMESPACE = click.argument("namespace", required=False)
 PAUSE: Final = 1.0  # seconds until the first reconnection
 MAX_PAUSE: Final = 30.0  # seconds between later reconnections at most
@@ -40,9 +40,9 @@ _HEADINGS: Final = {"publisher": "published by", "subscriber": "subscribed by"}
 @click.command("list")
 @_NAMESPACE
 @as_node
-@click.option("--verbose", "-v", is_flag=True, help="with types, and how many nodes")
-@click.option("--publishers", "-p", is_flag=True, help="only what is published")
-@click.option("--subscribers", "-s", is_flag=True, help="only what is subscribed to")
+@flag("--verbose -v", "with types, and how many nodes")
+@flag("--publishers -p", "only what is published")
+@flag("--subscribers -s", "only what is subscribed to")
 @as_json
 @pass_environment
 def list_topics(
@@ -324,9 +324,9 @@ def _say(heading: str, names: list[str], state: SystemState | None) -> None:
 
 
 @click.command()
-@click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
-@click.option("--watch", is_flag=True, help="go on, and say what changes; ends with Ctrl-C")
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each answer")
+@option("--as=NODE node", "identity to use", required=True)
+@flag("--watch", "go on, and say what changes; ends with Ctrl-C")
+@flag("--json as_json", "a line of JSON for each answer")
 @pass_environment
 def graph(environment: Environment, node: str, watch: bool, as_json: bool) -> None:
     """Show the graph, as far as NODE may see it.
@@ -422,15 +422,15 @@ def describe(facts: frozenset[Fact]) -> list[str]:
 
 
 @click.command()
-@click.option("--as", "identity", metavar="NAME", help="the node whose master is looked for")
-@click.option(
+@option("--as=NAME identity", "the node whose master is looked for")
+@option(
     "--seconds",
+    "how long to wait for the first",
     type=click.FloatRange(0.1, 600),
     default=PATIENCE,
     show_default=True,
-    help="how long to wait for the first",
 )
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each")
+@flag("--json as_json", "a line of JSON for each")
 @pass_environment
 def discover(environment: Environment, identity: str | None, seconds: float, as_json: bool) -> None:
     """Look for the masters of this trust domain, the best link first.

@@ -13,7 +13,6 @@ import click
 from ca.names import local_name, shown
 from rossec import files
 from rossec.cli.ros.graph import as_node
-from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as
 from rossec.cli.shared.messages import (
@@ -27,6 +26,7 @@ from rossec.cli.shared.messages import (
     render,
     stamp_now,
 )
+from rossec.cli.shared.options import FILE, flag, option
 from rossec.errors import ConfigurationError, MessageError
 from rossec.node import Node, Publisher
 from rossec.node.subscriber import RawSource, Subscriber
@@ -40,10 +40,8 @@ Arrived = tuple[RawSource, bytes]
 Show = Callable[[Message], None]
 MAX_FILE: Final = 4 * 1024 * 1024  # as much YAML as is read
 PERIOD: Final = 1.0  # seconds between two lines
-_WINDOW = click.option(
-    "--window", "-w", type=click.IntRange(min=2), help="of the last N messages only", metavar="N"
-)
-_COUNT = click.option("--count", "-n", type=click.IntRange(min=1), help="end after N lines")
+_WINDOW = option("--window -w=N", "of the last N messages only", type=click.IntRange(min=2))
+_COUNT = option("--count -n", "end after N lines", type=click.IntRange(min=1))
 Add = Callable[[float, int], None]
 
 
@@ -51,10 +49,10 @@ Add = Callable[[float, int], None]
 @click.argument("name")
 @click.argument("type_name", metavar="[TYPE]", required=False)
 @as_node
-@click.option("--count", "-n", type=click.IntRange(min=1), help="end after this many messages")
-@click.option("--noarr", is_flag=True, help="without lists, which may be long")
-@click.option("--nostr", is_flag=True, help="without text")
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each message, with all")
+@option("--count -n", "end after this many messages", type=click.IntRange(min=1))
+@flag("--noarr", "without lists, which may be long")
+@flag("--nostr", "without text")
+@flag("--json as_json", "a line of JSON for each message, with all")
 @pass_environment
 def echo(
     environment: Environment,
@@ -206,22 +204,19 @@ def readable(claimed: Definition) -> MessageType:
 @click.argument("type_name", metavar="TYPE")
 @click.argument("content", nargs=-1)
 @as_node
-@click.option(
-    "--rate",
-    "-r",
+@option(
+    "--rate -r",
+    "messages per second",
     type=click.FloatRange(min=0, min_open=True),
     default=1.0,
     show_default=True,
-    help="messages per second",
 )
-@click.option("--count", "-n", type=click.IntRange(min=1), help="end after this many messages")
-@click.option("--once", "-1", is_flag=True, help="publish one message and end")
-@click.option(
-    "--file",
-    "-f",
-    "file",
-    type=options.FILE,
-    help="the messages in FILE in turn, each behind a line ---, as `rossec topic echo` prints them",
+@option("--count -n", "end after this many messages", type=click.IntRange(min=1))
+@flag("--once -1", "publish one message and end")
+@option(
+    "--file -f file",
+    "the messages in FILE in turn, each behind a line ---, as `rossec topic echo` prints them",
+    type=FILE,
 )
 @pass_environment
 def pub(

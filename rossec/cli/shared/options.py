@@ -5,13 +5,14 @@ Keys of results are documented in docs/spec/results.md.
 
 import contextlib
 import functools
+import re
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import click
 
@@ -22,25 +23,43 @@ from rossec.terminal import FACTS, TEMPORARY, fail, printable, say_json, say_sec
 
 MAX_PEM: Final = 64 * 1024
 FILE: Final = click.Path(path_type=Path, exists=True, dir_okay=False)
-policy = click.option(
-    "--policy",
-    "policy_path",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="this policy, instead of ca/policy.yaml in ROSSEC_HOME",
+NEW_FILE: Final = click.Path(path_type=Path, dir_okay=False)
+FOLDER: Final = click.Path(path_type=Path, file_okay=False)
+OLD_FOLDER: Final = click.Path(path_type=Path, exists=True, file_okay=False)
+PATH: Final = click.Path(path_type=Path)
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+def option(flags: str, text: str, **settings: Any) -> Callable[[_F], _F]:
+    """An option, as `"--list=FILE newest"`: its flags, what help calls its value, the argument of the command."""
+    value = re.search(r"=(\S+)", flags)
+    if value is not None:
+        flags, settings["metavar"] = flags.replace(value[0], "", 1), value[1]
+    return click.option(*flags.split(), help=text, **settings)
+
+
+def flag(flags: str, text: str, **settings: Any) -> Callable[[_F], _F]:
+    """An option without a value."""
+    return option(flags, text, is_flag=True, **settings)
+
+
+def duration(flags: str, text: str, *, days: int, default: str | None) -> Callable[[_F], _F]:
+    return option(flags, text, type=Duration(days), default=default, show_default=True)
+
+
+policy = option(
+    "--policy policy_path", "this policy, instead of ca/policy.yaml in ROSSEC_HOME", type=NEW_FILE
 )
-master_uri = click.option(
-    "--master",
-    "master_uri",
-    metavar="URI",
-    help="master to notify, instead of ROS_MASTER_URI; discover: finds it",
+master_uri = option(
+    "--master=URI master_uri", "master to notify, instead of ROS_MASTER_URI; discover: finds it"
 )
-image = click.option(
+image = option(
     "--image",
+    "read the code from this picture; - is standard input",
     type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
-    help="read the code from this picture; - is standard input",
 )
-entries = click.option(
-    "--entries", type=FILE, help="of that list where it is a tree; by default revocations.entries beside it"
+entries = option(
+    "--entries", "of that list where it is a tree; by default revocations.entries beside it", type=FILE
 )
 HELP = "the result as one line of JSON"
 AFTER: Final = 1.0  # seconds
@@ -48,15 +67,11 @@ _WIDTH: Final = 72  # one line, on every terminal
 _CLEAR: Final = "\r\x1b[K"
 
 
-def duration(*names: str, days: int, default: str | None, text: str) -> Callable[..., Any]:
-    return click.option(*names, type=Duration(days), default=default, show_default=True, help=text)
-
-
 def json_result(*, secret: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Add `--json` to a command that records facts; `secret`: others must not read them."""
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        @click.option("--json", "in_json", is_flag=True, help=HELP)
+        @flag("--json in_json", HELP)
         @functools.wraps(command)
         def run(*given: Any, in_json: bool, **values: Any) -> Any:
             if not in_json:

@@ -15,6 +15,7 @@ import click
 
 from rossec.cli.shared import options
 from rossec.cli.shared.context import reraise_interrupt
+from rossec.cli.shared.options import FILE
 from rossec.errors import ConfigurationError
 
 _MORE: Final = "the code goes on, or Enter to end: "
@@ -23,10 +24,8 @@ _LINE: Final = 4096  # octets; a terminal gives no longer ones
 CREDENTIAL: Final = "rossec-ca-passphrase"
 MINIMUM: Final = 12
 _MAX_FILE: Final = 4096
-option = click.option(
-    "--passphrase-file",
-    type=options.FILE,
-    help="read the passphrase of the authority's key from this file (first line)",
+option = options.option(
+    "--passphrase-file", "read the passphrase of the authority's key from this file (first line)", type=FILE
 )
 
 
