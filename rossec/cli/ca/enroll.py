@@ -15,7 +15,6 @@ from ca.enrollment.messages import Delivery, write
 from ca.enrollment.sides import AuthorityEnrollment, group_digits
 from ca.errors import HintedError
 from ca.names import spiffe_id
-from ca.store.record import Store
 from ca.store.values import OPEN, RequestRow, RequestState
 from ca.svid import MAX_REQUEST
 from grants.policy.model import Subject
@@ -29,7 +28,7 @@ from rossec.cli.ca.invite import policy_lines
 from rossec.cli.ca.sign import read_request, warn_of_wildcard, write_identity
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, ask_yes_no, now, pass_environment, reraise_interrupt
-from rossec.cli.shared.options import FILE, PATH, Batch, flag, json_result, option, unique
+from rossec.cli.shared.options import FILE, PATH, Batch, flag, json_result, option, say_result, unique
 from rossec.cli.shared.service import (
     give_outright,
     pass_service,
@@ -41,7 +40,7 @@ from rossec.clock import format_time
 from rossec.enrollment.enroll import code_in_file, deliver, fetch
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
-from rossec.terminal import printable, record, say, say_json
+from rossec.terminal import printable, record, say
 
 Destination = tuple[str, int]
 _DENIED: Final = "denied at the authority"
@@ -58,14 +57,15 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
     at = now()
     store.requests.collect(at)
     rows = [row for row in store.requests.all(at) if everything or row.state in OPEN]
-    if as_json:
-        say_json([_summary(row) for row in rows])
-        return
-    for row in rows:
-        say(f"{row.digest.hex()[:8]}  {row.state}  {row.name}  {printable(row.source)}")
-        say(f"  fingerprint {format_fingerprint(row.thumbprint)}  until {format_time(row.expires)}")
-    if not rows:
-        say("no open requests")
+    lines = (line for row in rows for line in _lines(row)) if rows else ["no open requests"]
+    say_result(as_json, [_summary(row) for row in rows], lines)
+
+
+def _lines(row: RequestRow) -> list[str]:
+    return [
+        f"{row.digest.hex()[:8]}  {row.state}  {row.name}  {printable(row.source)}",
+        f"  fingerprint {format_fingerprint(row.thumbprint)}  until {format_time(row.expires)}",
+    ]
 
 
 def _summary(row: RequestRow) -> dict[str, object]:
@@ -135,23 +135,21 @@ def show_request(service: AuthorityService, row: RequestRow, *, wildcard: bool) 
     say(f"  from {printable(row.source)}")
     if wildcard:
         warn_of_wildcard(row.name)
-    say(f"  {_enrollment_status(home.store(), row)}")
+    # A name whose key changes is what an impostor would look like: it is said before all else.
+    known = home.store().identities.valid(row.name, now())
+    until = format_time(known[-1].not_after) if known else ""
+    if any(each.thumbprint != row.thumbprint for each in known):
+        say(f"  WARNING: {row.name} is enrolled with ANOTHER KEY until {until}")
+    elif known:
+        say(f"  {row.name} is enrolled with this key until {until}")
+    elif row.state is not RequestState.PENDING:
+        say(f"  the request was {row.state} {format_time(row.changed)}")
+    else:
+        say(f"  {row.name} is new here")
     subject = Subject(row.name, row.thumbprint, wildcard)
     path = place(service.rossec_home, None)
     for line in policy_lines(path, lambda policy: projected_grants(policy, subject), "it", "this name"):
         say(f"  {line}")
-
-
-def _enrollment_status(store: Store, row: RequestRow) -> str:
-    known = store.identities.valid(row.name, now())
-    if any(each.thumbprint != row.thumbprint for each in known):
-        until = format_time(known[-1].not_after)
-        return f"WARNING: {row.name} is enrolled with ANOTHER KEY until {until}"
-    if known:
-        return f"{row.name} is enrolled with this key until {format_time(known[-1].not_after)}"
-    if row.state is not RequestState.PENDING:
-        return f"the request was {row.state} {format_time(row.changed)}"
-    return f"{row.name} is new here"
 
 
 @click.command()
@@ -211,13 +209,22 @@ def enroll(
     Exit codes: 0 enrolled, 1 refused, 2 wrong usage, 3 signed here but the node did not say that it
     is enrolled, or the master was unreachable; 130 interrupted.
     """
+    # 1. The code, and where its node waits.
     domain = service.home.domain
     found = _read_code(code, image, csr_file)
     destination = _destination(found, given_address, csr_file)
+    # 2. The request that the code is of.
     core = AuthorityEnrollment(found, domain, wildcard=anonymous)
-    _fetch_request(core, csr_file, destination)
-    row = service.identities.add_request(core.request, core.csr, _source(found, csr_file, destination))
+    if csr_file is not None:
+        core.receive(write(Delivery(read_request(csr_file, MAX_REQUEST))), now())
+    else:
+        assert destination is not None  # noqa: S101 - a code without an address was refused
+        asyncio.run(fetch(core, *destination, now))
+    source = "a screen code" if found.secret else "a label" if csr_file is None else "a file"
+    source += "" if destination is None else f" at {addresses.join(*destination)}"
+    row = service.identities.add_request(core.request, core.csr, source)
     record(name=row.name, request=row.digest.hex(), state="pending")
+    # 3. A person decides, who sees all of it.
     show_request(service, row, wildcard=core.request.wildcard)
     if later:
         say(f"recorded; decide with: rossec ca approve {row.digest.hex()[:8]}, or deny")
@@ -226,6 +233,7 @@ def enroll(
         service.identities.deny_request(row, _DENIED)
         record(state="denied")
         raise ConfigurationError("denied", "to ask again the node needs a new request")
+    # 4. The identity, which is recorded before it is delivered: what was signed can be revoked.
     core.approve(now())
     bundle = service.identities.issue(
         row.der, lifetime, replace_key=replaced, wildcard=core.request.wildcard, source=row.source
@@ -268,7 +276,7 @@ def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> q
             found = qr.parse(code)
         case (None, Path(), None):
             found = qr.parse(code_in_file(image, sys.stdin.buffer))
-        case (None, None, Path()):
+        case (None, None, Path()):  # its fingerprint was compared: it has no time
             return qr.Code(sha256(read_request(csr_file, MAX_REQUEST)).digest())
         case _:
             raise click.UsageError("give a code, or --image, or --csr: one of them")
@@ -284,16 +292,3 @@ def _destination(code: qr.Code, given_address: str | None, csr_file: Path | None
     raise ConfigurationError(
         "a label does not say where its node is", "add --address HOST, as the node shows it"
     )
-
-
-def _fetch_request(core: AuthorityEnrollment, csr_file: Path | None, destination: Destination | None) -> None:
-    if csr_file is not None:
-        core.receive(write(Delivery(read_request(csr_file, MAX_REQUEST))), now())
-        return
-    assert destination is not None  # noqa: S101 - a code without an address was refused
-    asyncio.run(fetch(core, *destination, now))
-
-
-def _source(code: qr.Code, csr_file: Path | None, destination: Destination | None) -> str:
-    kind = "a screen code" if code.secret else "a label" if csr_file is None else "a file"
-    return kind if destination is None else f"{kind} at {addresses.join(*destination)}"

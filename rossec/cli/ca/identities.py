@@ -11,6 +11,7 @@ from ca.authority import DAY, MAX_LIFETIME
 from ca.certificates import renew_at
 from ca.errors import HintedError
 from ca.names import is_alias, local_name, shown
+from ca.revocation.lists import RevocationList
 from ca.store.record import Store
 from ca.store.values import CertificateRow, leaf, open_head
 from rossec import files, terminal
@@ -30,6 +31,7 @@ from rossec.cli.shared.options import (
     flag,
     json_result,
     option,
+    say_result,
     unique,
     working,
 )
@@ -164,8 +166,12 @@ def renew(
                 record(expires=expires)
                 say(f"renewed {name} until {format_time(expires)}")
             else:
-                target = _renew(service, name, lifetime, out, expired=expired)
-                carried += [] if _install(service, name, target) else [target]
+                bundle = service.identities.renew(name, lifetime, expired=expired)
+                target = out or Path(f"{name.lstrip('/').replace('/', '.')}.pem")
+                files.replace(target, bundle, 0o644)
+                record(file=str(target))
+                say(f"renewed {name}: {target}")
+                carried += [] if _install(service, name, bundle) else [target]
     if carried:
         listed = " ".join(map(str, carried))
         say(f"next, on {_ITS[len(carried) > 1]}: rossec node install {listed}")
@@ -173,21 +179,12 @@ def renew(
     batch.finish()
 
 
-def _renew(service: AuthorityService, name: str, lifetime: int, out: Path | None, *, expired: bool) -> Path:
-    bundle = service.identities.renew(name, lifetime, expired=expired)
-    target = out or Path(f"{name.lstrip('/').replace('/', '.')}.pem")
-    files.replace(target, bundle, 0o644)
-    record(file=str(target))
-    say(f"renewed {name}: {target}")
-    return target
-
-
-def _install(service: AuthorityService, name: str, bundle: Path) -> bool:
+def _install(service: AuthorityService, name: str, bundle: bytes) -> bool:
     home = NodeHome.of(service.rossec_home, name)
     if not (home.path / "node.pem").exists():
         return False
     try:
-        home.install(bundle.read_bytes(), now())
+        home.install(bundle, now())
     except (HintedError, OSError) as error:  # of another key, or of another user
         note(f"not installed in {home.path}: {error}")
         return False
@@ -273,42 +270,39 @@ def revoke(
     batch = Batch(len(names), "name")
     for name in names:
         with batch.item(name):
-            say(
-                _revoke_thing(service, name, reason)
-                if of_thing
-                else _revoke_node(service, name, reason, certificate)
-            )
+            if of_thing:
+                listed, count = service.things.revoke(name, reason)
+                record(statements=count, list=listed.seq)
+                said = f"the thing {name}, {count} statement"
+            else:
+                listed, count = _revoke_node(service, name, reason, certificate)
+                record(keys=count, list=listed.seq)
+                said = f"{shown(local_name(name))}, {count} key"
+            say(f"revoked {said}{'s' * (count != 1)} (list {listed.seq})")
     if batch.done:
         publish_list(service)
     batch.finish()
 
 
-def _revoke_thing(service: AuthorityService, name: str, reason: str) -> str:
-    listed, count = service.things.revoke(name, reason)
-    record(statements=count, list=listed.seq)
-    return f"revoked the thing {name}, {count} statement{'s' * (count != 1)} (list {listed.seq})"
-
-
-def _revoke_node(service: AuthorityService, name: str, reason: str, certificate: Path | None) -> str:
+def _revoke_node(
+    service: AuthorityService, name: str, reason: str, certificate: Path | None
+) -> tuple[RevocationList, int]:
     local = local_name(name)
     if is_alias(local):
         pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
-        listed, count = service.domains.revoke_foreigner(local, reason, pem)
-    elif certificate is not None:
+        return service.domains.revoke_foreigner(local, reason, pem)
+    if certificate is not None:
         raise ConfigurationError(
             f"{name} is a node of this domain, whose keys are in the record",
             "--certificate is for nodes of other domains: LABEL:/NAME",
         )
-    else:
-        listed, count = service.identities.revoke(name, reason)
-        for intermediate in service.identities.intermediates():
-            note(
-                f"{intermediate} may have certified other keys for {shown(local)}, which are not"
-                " in this record: rossec ca import NODE.pem and revoke again, or revoke"
-                f" {intermediate}"
-            )
-    record(keys=count, list=listed.seq)
-    return f"revoked {shown(local)}, {count} key{'s' * (count != 1)} (list {listed.seq})"
+    revoked = service.identities.revoke(name, reason)
+    for intermediate in service.identities.intermediates():
+        note(
+            f"{intermediate} may have certified other keys for {shown(local)}, which are not in this record:"
+            f" rossec ca import NODE.pem and revoke again, or revoke {intermediate}"
+        )
+    return revoked
 
 
 @click.command()
@@ -435,14 +429,9 @@ def show_invitations(environment: Environment, *, everything: bool, in_json: boo
     at = now()
     with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
         found = [each for each in invitations(store) if everything or each.state(at) == "open"]
-    if in_json:
-        say_json([_summary(each, at) for each in found])
-        return
-    for each in found:
-        for line in _lines(each, at):
-            say(line)
-    if not found:
-        say("no invitations" if everything else "no open invitations")
+    none = "no invitations" if everything else "no open invitations"
+    lines = (line for each in found for line in _lines(each, at)) if found else [none]
+    say_result(in_json, [_summary(each, at) for each in found], lines)
 
 
 def _summary(each: InvitationStatus, at: int) -> dict[str, object]:
@@ -474,9 +463,6 @@ def _lines(each: InvitationStatus, at: int) -> list[str]:
 def show_log(environment: Environment, last: int | None, *, in_json: bool) -> None:
     """Show the newest `last` entries, by default all."""
     entries = AuthorityHome.at(environment.home).store().log.entries()[-(last or 0) :]
-    if in_json:
-        say_json([({**entry._asdict(), "digest": entry.digest.hex()}) for entry in entries])
-        return
-    for entry in entries:
-        words = [str(entry.number), format_time(entry.at), entry.what, entry.subject, entry.detail]
-        say(printable("  ".join(filter(None, words))))
+    words = ((str(one.number), format_time(one.at), one.what, one.subject, one.detail) for one in entries)
+    lines = (printable("  ".join(filter(None, each))) for each in words)
+    say_result(in_json, [{**entry._asdict(), "digest": entry.digest.hex()} for entry in entries], lines)

@@ -28,14 +28,14 @@ from rossec.authority.keyservice.process import (
 from rossec.cli.shared import options, passphrase, rules
 from rossec.cli.shared.context import Environment, UnlockTime, pass_environment
 from rossec.cli.shared.master import master_at, own_address
-from rossec.cli.shared.options import FILE, PATH, flag, json_result, option
+from rossec.cli.shared.options import FILE, PATH, flag, json_result, option, say_result
 from rossec.clock import format_duration
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
 from rossec.host.addresses import JOIN_PORT
 from rossec.host.audit import AUDIT, audit_written
 from rossec.host.local_sockets import UnixPeer
-from rossec.host.runner import READY, STOPPING, log_as_json, notify, stop_on_signals, until_first_ends
+from rossec.host.runner import log_as_json, stop_on_signals, until_first_ends, until_stopped
 from rossec.host.sandbox import protect_memory
 from rossec.ros import names
 from rossec.terminal import record, say, say_json
@@ -56,7 +56,7 @@ _PAUSE = 0.1
 )
 @flag("--locked", "start without the key: rossec ca unlock")
 @option(
-    "--join-address=HOST:PORT",
+    "--join-address=HOST:PORT join_address",
     "where nodes with an invitation join; *: every address of this host",
     default=f"{ANY}:{JOIN_PORT}",
     show_default=True,
@@ -119,7 +119,7 @@ def serve(
     where = serving.place(home.path, console_socket_path, console_user)
     options_of_face = FrontEndOptions(join_address, uri, log)
     with ExitStack() as stack:
-        protect_memory()
+        protect_memory()  # first: from here on no core dump and no debugger has the key
         stack.enter_context(service_lock(home.path))
         audit = stack.enter_context(audit_written(home.path / AUDIT_FILE, home.node().signer()))
         face = None if no_network else FrontEndProcess(home, options_of_face, environment.variables)
@@ -127,7 +127,7 @@ def serve(
         network = None
         if face is not None:
             stack.callback(face.close)
-            face.spawn()  # before there is a key
+            face.spawn()  # before there is a key: what it inherits, whoever breaks into it has
             network = NetworkWork(
                 environment.home,
                 operations,
@@ -141,9 +141,15 @@ def serve(
             secret = passphrase.read(passphrase_file, environment.variables)
             operations.unlock(secret, seconds, OPERATOR)
             del secret
+
+        def admit(peer: UnixPeer) -> None:
+            # Neither the front end nor the console may use the socket of the commands: it signs.
+            if face is not None:
+                face.admit(peer)
+            console.peers.refuse(peer)
+
         reached = partial(_join_address, environment, join_address, face)
         console = Console(where, environment.home, operations, network, policy_path, reached)
-        admit = partial(_admit, console, face)
         process = KeyServiceProcess(home, operations, admit, console.access.phone_code)
         asyncio.run(_serve(environment, home, process, console, face, network, as_json=as_json))
 
@@ -155,12 +161,6 @@ def _join_address(environment: Environment, given: str, face: FrontEndProcess | 
         )
     host = addresses.split(given.replace(ANY, "localhost", 1), JOIN_PORT)[0]
     return addresses.join(own_address(environment) if given.startswith(ANY) else host, face.port)
-
-
-def _admit(console: Console, face: FrontEndProcess | None, peer: UnixPeer) -> None:
-    if face is not None:
-        face.admit(peer)
-    console.peers.refuse(peer)
 
 
 async def _serve(
@@ -175,7 +175,7 @@ async def _serve(
 ) -> None:
     audit, stop = logging.getLogger(AUDIT), stop_on_signals()
 
-    async def until_stopped() -> None:
+    async def until_signal() -> None:
         port = None if face is None else await face.started()
         remaining = process.operations.held.remaining()
         if as_json:
@@ -185,16 +185,14 @@ async def _serve(
             say(f"authority of {home.domain}: {describe_remaining(remaining)}")
             if port:
                 say(f"nodes join at port {port}: rossec ca invite PATTERN")
-        notify(READY, environment.variables)
-        await stop.wait()
-        notify(STOPPING, environment.variables)
+        await until_stopped(stop, environment.variables)
 
     try:
         await process.start()
         await console.socket.start()
         audit.info("the service began")
         work = network.run() if network else console.rounds.run()
-        await until_first_ends(until_stopped(), process.watch_time(), work)
+        await until_first_ends(until_signal(), process.watch_time(), work)
     finally:
         await console.socket.close()
         await process.close()
@@ -264,13 +262,10 @@ def lock(environment: Environment) -> None:
 def status(environment: Environment, as_json: bool) -> None:
     """Show whether the authority's service runs, and whether it holds the key."""
     client = KeyServiceClient.find(AuthorityHome.at(environment.home).path)
-    found = None
-    if client is not None:
-        with closing(client):
-            found = client.status()
-    if as_json:
-        say_json({"running": False} if found is None else {"running": True, **found})
-    elif found is None:
-        say(f"no service runs, each command asks for the passphrase; {_START}")
-    else:
-        say(_describe(found))
+    if client is None:
+        text = f"no service runs, each command asks for the passphrase; {_START}"
+        say_result(as_json, {"running": False}, [text])
+        return
+    with closing(client):
+        found = client.status()
+    say_result(as_json, {"running": True, **found}, [_describe(found)])

@@ -8,7 +8,7 @@ from typing import Any, Final
 import click
 
 from ca.authority import DAY, MAX_LIFETIME
-from ca.certificates import Identity, check_intermediate_request, from_pem
+from ca.certificates import check_intermediate_request, from_pem
 from ca.enrollment import qr
 from ca.keys.signing import thumbprint
 from ca.names import check_wildcard, spiffe_id
@@ -21,7 +21,7 @@ from rossec.authority.service import AuthorityService, SignedThing, ThingOrder
 from rossec.authority.signing import IN_FORCE, OTHER_KEY, ThingState, states
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
-from rossec.cli.shared.options import FILE, NEW_FILE, Batch, duration, flag, json_result, option
+from rossec.cli.shared.options import FILE, NEW_FILE, Batch, duration, flag, json_result, option, say_result
 from rossec.cli.shared.service import (
     give_outright,
     pass_service,
@@ -31,7 +31,7 @@ from rossec.cli.shared.service import (
 )
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
-from rossec.terminal import printable, record, say, say_json
+from rossec.terminal import printable, record, say
 
 identity_lifetime = duration(
     "--for lifetime", "how long the identity lasts", days=MAX_LIFETIME // DAY, default="30d"
@@ -81,20 +81,23 @@ def sign(
     home, batch = service.home, Batch(len(requests))
     read = [(path, read_request(path)) for path in requests]
     if codes:
-        _check_codes(codes, [data for _, data in read])
+        parsed = [qr.parse(text) for text in codes]
+        for code in parsed:
+            code.check_time(now())
+        unmatched = [data for _, data in read if not any(code.matches(data) for code in parsed)]
+        if unmatched or len(parsed) != len(read):
+            raise ConfigurationError(
+                "a request does not fit the codes: it was changed on its way, or is another node's",
+                "scan the code again from the screen of the node itself",
+            )
     checked: list[tuple[Path, bytes, str]] = []
     for path, data in read:
         with batch.item(path, last=False):
             request = check_request(data, home.domain, wildcard=anonymous)
-            code_checked = bool(codes)
-            how = (
-                "its code fits"
-                if code_checked
-                else "no code was checked: compare the fingerprint with the one the node shows"
-            )
+            compare = "no code was checked: compare the fingerprint with the one the node shows"
             say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
             say(f"  fingerprint {format_fingerprint(request.thumbprint)}")
-            say(f"  {how}")
+            say(f"  {'its code fits' if codes else compare}")
             if anonymous:
                 warn_of_wildcard(request.name)
             checked.append((path, data, request.name))
@@ -114,18 +117,6 @@ def sign(
                 give_outright(service, name)
         publish_if_revoked(service)
     batch.finish()
-
-
-def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
-    parsed = [qr.parse(text) for text in codes]
-    for code in parsed:
-        code.check_time(now())
-    unmatched = [data for data in requests if not any(code.matches(data) for code in parsed)]
-    if unmatched or len(parsed) != len(requests):
-        raise ConfigurationError(
-            "a request does not fit the codes: it was changed on its way, or is another node's",
-            "scan the code again from the screen of the node itself",
-        )
 
 
 def warn_of_wildcard(name: str) -> None:
@@ -228,7 +219,11 @@ def import_(
     for path in bundles:
         with batch.item(path, last=False):
             data = files.read(path, _MAX_BUNDLE)
-            _show_identity(home, path, home.anchor().verify(from_pem(data)[:-1], now()))
+            identity = home.anchor().verify(from_pem(data)[:-1], now())
+            say(f"{identity.name} of {home.domain} until {format_time(identity.not_after)} ({path})")
+            say(f"  fingerprint {format_fingerprint(identity.thumbprint)}")
+            for issuer in identity.issuers:
+                say(f"  signed by intermediate/{issuer.hex()[:16]}")
             found.append((path, data))
     if found:
         confirm(f"import {len(found)} of them?", yes=yes)
@@ -240,13 +235,6 @@ def import_(
                 say(f"{'imported' if new else 'known already:'} {identity.name}")
         publish_if_revoked(service)
     batch.finish()
-
-
-def _show_identity(home: AuthorityHome, path: Path, identity: Identity) -> None:
-    say(f"{identity.name} of {home.domain} until {format_time(identity.not_after)} ({path})")
-    say(f"  fingerprint {format_fingerprint(identity.thumbprint)}")
-    for issuer in identity.issuers:
-        say(f"  signed by intermediate/{issuer.hex()[:16]}")
 
 
 @click.command()
@@ -285,22 +273,33 @@ def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given:
         if given["border"] is None:
             raise ConfigurationError("which border router serves it?", "give --border NAME")
         request: Path | None = given["request"]
+        match given["ccs"], given["description"]:
+            case Path() as ccs, None:
+                credential: Credential = read_ccs(files.read(ccs, _MAX_CREDENTIAL))
+            case None, Path() as description:
+                credential = read_description(files.read(description, _MAX_CREDENTIAL))
+            case _:
+                raise ConfigurationError("a thing has a key or a secret", _ONE)
         order = ThingOrder(
             name,
             given["border"],
-            _credential(given["ccs"], given["description"]),
+            credential,
             given["lifetime"],
             frozenset(given["replaced"]),
             b"" if request is None else files.read(request, _MAX_REQUEST),
             given["identity_lifetime"],
         )
-        checked = _check_code(given["code"], order.credential)
+        if given["code"] is not None and not qr.parse(given["code"]).matches(described(credential)):
+            raise ConfigurationError(
+                "the code on the label is not that of this credential",
+                "take the credential from the thing again, or scan the label of this thing",
+            )
         what = "key" if isinstance(order.credential, ThingKey) else "secret"
         say(f"{printable(order.name)} at the border router {printable(order.border)}")
         say(f"  {what} {format_fingerprint(order.credential.thumbprint)}")
         say(f"  kid {order.credential.kid.hex()}")
-        how = "the code of its label fits" if checked else "no code was checked: compare with its label"
-        say(f"  {how}")
+        compare = "no code was checked: compare with its label"
+        say(f"  {compare if given['code'] is None else 'the code of its label fits'}")
         if order.request:
             asked = check_request(order.request, service.home.domain)
             say(f"  and an identity for its node, fingerprint {format_fingerprint(asked.thumbprint)}")
@@ -313,27 +312,6 @@ def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given:
         publish_list(service)
     else:
         remind_to_publish(service)
-
-
-def _credential(ccs: Path | None, description: Path | None) -> Credential:
-    match ccs, description:
-        case Path(), None:
-            return read_ccs(files.read(ccs, _MAX_CREDENTIAL))
-        case None, Path():
-            return read_description(files.read(description, _MAX_CREDENTIAL))
-        case _:
-            raise ConfigurationError("a thing has a key or a secret", _ONE)
-
-
-def _check_code(code: str | None, credential: Credential) -> bool:
-    if code is None:
-        return False
-    if not qr.parse(code).matches(described(credential)):
-        raise ConfigurationError(
-            "the code on the label is not that of this credential",
-            "take the credential from the thing again, or scan the label of this thing",
-        )
-    return True
 
 
 def described(credential: Credential) -> bytes:
@@ -372,13 +350,7 @@ def things(environment: Environment, everything: bool, in_json: bool) -> None:
     """List the things that are stated now, with their border routers."""
     with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
         found = [each for each in states(store, now()) if everything or each.state in _SHOWN]
-    if in_json:
-        say_json([_summary(each) for each in found])
-        return
-    for each in found:
-        say(_line(each))
-    if not found:
-        say("no things")
+    say_result(in_json, [_summary(each) for each in found], map(_line, found) if found else ["no things"])
 
 
 def _summary(each: ThingState) -> dict[str, object]:

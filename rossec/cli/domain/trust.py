@@ -60,7 +60,9 @@ admit = option(
     show_default=True,
 )
 @option("--at=URI masters", "where they reach your master", multiple=True)
-@options.duration("--for lifetime", "how long it can be accepted", days=MAX_CARD_LIFETIME // 86400, default="7d")
+@options.duration(
+    "--for lifetime", "how long it can be accepted", days=MAX_CARD_LIFETIME // 86400, default="7d"
+)
 @flag("--qr picture", "also show its code as a picture, on stderr")
 @json_result()
 @pass_service

@@ -16,13 +16,13 @@ from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import holder_home, open_held, read_token
-from rossec.cli.shared.options import FILE, Batch, duration, flag, json_result, option, unique
+from rossec.cli.shared.options import FILE, Batch, duration, flag, json_result, option, say_result, unique
 from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish, say_deposited, service_of
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError, NotDelivered
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
-from rossec.terminal import note, printable, record, say, say_json
+from rossec.terminal import note, printable, record, say
 
 _OVER = ("expired", "revoked")
 _STATES = {"held": "held", "fetched": "delivered", "waiting": "waiting", "": "undelivered"}
@@ -56,12 +56,15 @@ def list_(environment: Environment, nodes: tuple[str, ...], as_json: bool, maste
     }
     if not all(states.values()):
         _complete(service, grants, states)
-    grants.sort(key=lambda grant: _place(grant, states[grant.id]))
-    if as_json:
-        say_json([_summary(grant, revoked, states[grant.id]) for grant in grants])
-        return
-    for grant in grants:
-        say(_line(grant, states[grant.id]))
+
+    def place(grant: Grant) -> tuple[object, ...]:
+        over = states[grant.id] in _OVER
+        return is_alias(grant.subject), grant.subject, over, -grant.expires, -grant.not_before, grant.id
+
+    grants.sort(key=place)
+    rows = [(grant, states[grant.id]) for grant in grants]
+    documents = [_summary(grant, revoked, state) for grant, state in rows]
+    say_result(as_json, documents, (_line(grant, state) for grant, state in rows))
 
 
 def _complete(service: AuthorityService, grants: list[Grant], states: dict[bytes, str]) -> None:
@@ -79,11 +82,6 @@ def _complete(service: AuthorityService, grants: list[Grant], states: dict[bytes
             states[grant.id] = "delivered"
     if reason and "unknown" in states.values():
         note(f"whether nodes have their grants is unknown: {reason}")
-
-
-def _place(grant: Grant, state: str) -> tuple[object, ...]:
-    foreign = is_alias(grant.subject)
-    return foreign, grant.subject, state in _OVER, -grant.expires, -grant.not_before, grant.id
 
 
 def _summary(grant: Grant, revoked: frozenset[bytes], state: str) -> dict[str, object]:

@@ -1,7 +1,7 @@
 """`rossec grant request | decide | pending | approve | deny`: nodes request grants."""
 
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +21,23 @@ from rossec.authority.service import AuthorityService
 from rossec.cli.grant.sign import own_pattern
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import FILE, FOLDER, PATH, Batch, add_entry, flag, json_result, option, unique
+from rossec.cli.shared.options import (
+    FILE,
+    FOLDER,
+    PATH,
+    Batch,
+    add_entry,
+    flag,
+    json_result,
+    option,
+    say_result,
+    unique,
+)
 from rossec.cli.shared.service import deliver_grant, deliver_grants, pass_service, service_of
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.terminal import note, printable, record, say, say_json
+from rossec.terminal import note, printable, record, say
 
 _ASKABLE = ("publish", "subscribe", "call", "provide", "param-get", "param-set", "graph")
 
@@ -103,10 +114,8 @@ def decide(
     denied = len(decided.denied)
     record(allowed=decided.allowed, denied=denied, waiting=decided.waiting)
     for stored, reason in decided.denied:
-        node, wanted = stored.request.node, stored.requested
-        label, name = wanted.right.label, wanted.pattern
-        facts = {"node": node, "right": label, "name": name, "reason": reason}
-        add_entry("denials", facts)
+        node, label, name = stored.request.node, stored.requested.right.label, stored.requested.pattern
+        add_entry("denials", {"node": node, "right": label, "name": name, "reason": reason})
         say(f"denied {shown(node)} {label} {shown(name)}: {printable(reason)}")
         say(f"  what would change it: rossec explain {shown(node)} {label} {in_shell(shown(name))}")
     counts = [f"{decided.allowed} allowed", f"{decided.waiting} for you"]
@@ -125,22 +134,19 @@ def pending(environment: Environment, as_json: bool, policy_path: Path | None) -
     service = service_of(environment)
     policy = _collected(service, policy_path)
     prompts = service.policy.pending(policy)
-    if as_json:
-        say_json([_summary(item) for item in prompts])
-        return
-    for item in prompts:
-        stored = item.stored
-        say(f"{stored.short_id}  {stored.request.node} wants to {stored.requested}")
-        say(f'  it says: "{printable(stored.request.why)}"')
-        for rule in item.verdict.rules:
-            say(f"  {rule.reason}")
-        for line in restriction_lines(item.verdict):
-            say(f"  {line}")
-        until = stored.at + policy.policy.defaults.prompt_timeout
-        say(f"  denied, unless you answer by {format_time(until)}")
-        say(f"  rossec grant approve {stored.short_id} [--approximate FILTER] [--today], or deny")
-    if not prompts:
-        say("no open requests")
+
+    def lines() -> Iterator[str]:
+        for item in prompts:
+            stored = item.stored
+            yield f"{stored.short_id}  {stored.request.node} wants to {stored.requested}"
+            yield f'  it says: "{printable(stored.request.why)}"'
+            yield from (f"  {rule.reason}" for rule in item.verdict.rules)
+            yield from (f"  {line}" for line in restriction_lines(item.verdict))
+            until = stored.at + policy.policy.defaults.prompt_timeout
+            yield f"  denied, unless you answer by {format_time(until)}"
+            yield f"  rossec grant approve {stored.short_id} [--approximate FILTER] [--today], or deny"
+
+    say_result(as_json, [_summary(item) for item in prompts], lines() if prompts else ["no open requests"])
 
 
 @click.command()
@@ -219,8 +225,7 @@ def _deliver(
 ) -> Sequence[RefusedDeposit]:
     for draft, data in signed:
         number = document.grant_id(data).hex()
-        facts = {"id": number, "node": draft.subject, "expires": draft.expires}
-        add_entry("grants", facts)
+        add_entry("grants", {"id": number, "node": draft.subject, "expires": draft.expires})
         say(f"grant {number} for {draft.subject} until {format_time(draft.expires)}")
         for permission in draft.permissions:
             say(f"  may {permission.rights.label} {permission.pattern}")

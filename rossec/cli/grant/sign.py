@@ -22,16 +22,7 @@ from grants.conditions.compile import compile_condition
 from grants.errors import ConditionRefused, FilterRefused, GrantMalformed, GrantNotHeld, NarrowingNotAllowed
 from grants.filters.compile import PRESETS, compile_filter, preset
 from grants.filters.layout import parse
-from grants.model import (
-    MAX_NARROWINGS,
-    Draft,
-    Grant,
-    Permission,
-    Restriction,
-    Right,
-    check_time,
-    filter_rules,
-)
+from grants.model import MAX_NARROWINGS, Draft, Permission, Restriction, Right, check_time, filter_rules
 from grants.policy.names import NODE, check_rule_pattern, resolve
 from grants.token import pack_chain, peek, sign_narrowing
 from rossec import files
@@ -167,7 +158,12 @@ def sign(
         )
     if out is not None:
         check_new(out)
-    wanted = for_node(said, name, lambda: _has_suffix(service, name))
+
+    def has_suffix() -> bool:
+        with contextlib.closing(service.home.store()) as store:
+            return not is_alias(name) and store.valid_certificate(name, now()).wildcard
+
+    wanted = for_node(said, name, has_suffix)
     permissions = read_permissions(wanted)
     pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
     draft, data = service.grants.sign(name, permissions, lifetime, renewal, may_narrow, pem)
@@ -220,11 +216,6 @@ def own_pattern(text: str, node: str, *, tail: bool) -> str:
     return found
 
 
-def _has_suffix(service: AuthorityService, name: str) -> bool:
-    with contextlib.closing(service.home.store()) as store:
-        return not is_alias(name) and store.valid_certificate(name, now()).wildcard
-
-
 def permissions(
     wanted: Mapping[Right, tuple[str, ...]], *, graph: bool, restricted: list[Restriction]
 ) -> tuple[Permission, ...]:
@@ -258,35 +249,29 @@ def rules(
     clear: tuple[str, ...], rounds: tuple[str, ...], clamps: tuple[str, ...]
 ) -> dict[str, dict[str, object]]:
     given: list[tuple[str, dict[str, object]]] = [(path, {"clear": True}) for path in clear]
-    given += [(path, {"round": {"step": step}}) for path, step in map(_rounding, rounds)]
-    given += [(path, {"clamp": {"low": low, "high": high}}) for path, low, high in map(_clamping, clamps)]
+    for text in rounds:
+        path, _, step = text.partition("=")
+        try:
+            given.append((path, {"round": {"step": float(step)}}))
+        except ValueError:
+            raise ConfigurationError(
+                f"--round {text} has no step", "for example --round pose.position=2.0"
+            ) from None
+    for text in clamps:
+        path, _, limits = text.partition("=")
+        low, _, high = limits.partition(":")
+        try:
+            given.append((path, {"clamp": {"low": _number(low), "high": _number(high)}}))
+        except ValueError:
+            raise ConfigurationError(
+                f"--clamp {text} has no range", "for example --clamp ranges=0.5:10"
+            ) from None
     for path, times in Counter(path for path, _ in given).items():
         if times > 1:
             raise ConfigurationError(
                 f"{path}: {times} filters for one field", "one of --clear, --round and --clamp"
             )
     return dict(given)
-
-
-def _rounding(text: str) -> tuple[str, float]:
-    path, _, step = text.partition("=")
-    try:
-        return path, float(step)
-    except ValueError:
-        raise ConfigurationError(
-            f"--round {text} has no step", "for example --round pose.position=2.0"
-        ) from None
-
-
-def _clamping(text: str) -> tuple[str, float, float]:
-    path, _, limits = text.partition("=")
-    low, _, high = limits.partition(":")
-    try:
-        return path, _number(low), _number(high)
-    except ValueError:
-        raise ConfigurationError(
-            f"--clamp {text} has no range", "for example --clamp ranges=0.5:10"
-        ) from None
 
 
 def _number(text: str) -> float:
@@ -407,7 +392,13 @@ def narrow(
         permissions=read_permissions(said),
         may_narrow=may_narrow,
     )
-    _check_useful(draft, held)
+    # A right on one name that FILE does not give is a mistake; of patterns nobody can say.
+    for permission in draft.permissions:
+        for right in permission.rights if "*" not in permission.pattern else ():
+            if not held.covers(right, permission.pattern):
+                raise ConfigurationError(
+                    f"the grant gives no {right.label} on {permission.pattern}", "see: rossec grant show FILE"
+                )
     packed = pack_chain(token, [sign_narrowing(home.signer(), draft, held)])
     if len(packed) > MAX_PRESENTED - _OVERHEAD:
         raise GrantMalformed(
@@ -424,15 +415,3 @@ def _receiver(home: NodeHome, path: Path, at: int) -> Identity:
     anchor = home.anchor()
     chain = [each for each in from_pem(pem) if each != anchor.certificate]
     return anchor.verify(chain, at)
-
-
-def _check_useful(draft: Draft, held: Grant) -> None:
-    # A right on one name that FILE does not give is a mistake; of patterns nobody can say.
-    for permission in draft.permissions:
-        if "*" in permission.pattern:
-            continue
-        for right in permission.rights:
-            if not held.covers(right, permission.pattern):
-                raise ConfigurationError(
-                    f"the grant gives no {right.label} on {permission.pattern}", "see: rossec grant show FILE"
-                )

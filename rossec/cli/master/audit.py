@@ -45,18 +45,27 @@ def audit(
     With --ca: what the authority's service signed, and for whom. FILES are the audit in the order
     of its parts, by default the one that is written now.
     """
-    writer, usual = _usual(environment, of_authority=of_authority)
-    paths = files or (usual,)
+    if of_authority:
+        from rossec.authority.home import AUDIT_FILE, AuthorityHome  # noqa: PLC0415 - not for a master
+
+        authority = AuthorityHome.at(environment.home)
+        writer, usual = authority.node(), authority.path / AUDIT_FILE
+    else:
+        writer = NodeHome.of(environment.home, own_master(environment.variables))
+        usual = writer.path / AUDIT
     entries: list[audits.Entry] = []
-    for path in paths:
-        found, damaged = _read_entries(path, 1 if verified else _MOST_DAMAGED)
+    for path in files or (usual,):
+        missing = ConfigurationError(f"there is no {path}", "has the master run here? with --ca: the service")
+        with open_text(path, missing) as file:
+            most = 1 if verified else _MOST_DAMAGED
+            found, damaged = audits.read_entries(lines(file, audits.LINE_LIMIT + 2), most)
         if damaged and verified:
             raise ConfigurationError(f"line {damaged[0]} of {path} is damaged", "compare a backup")
         _note_damage(path, damaged)
         entries += found
     last = audits.verify(entries, after) if verified else ""
     if verified and entries:
-        known = _key_of(writer) if key is None else _parse_thumbprint(key)
+        known = _key(writer, key)
         if remark := check_beginning(entries[0], known, after):
             note(remark)
     for entry in entries:
@@ -66,31 +75,13 @@ def audit(
         note(f"nothing was changed in {len(entries)} lines; the last is {last}")
 
 
-def _usual(environment: Environment, *, of_authority: bool) -> tuple[NodeHome, Path]:
-    if not of_authority:
-        node = NodeHome.of(environment.home, own_master(environment.variables))
-        return node, node.path / AUDIT
-    from rossec.authority.home import AUDIT_FILE, AuthorityHome  # noqa: PLC0415 - not for a master
-
-    authority = AuthorityHome.at(environment.home)
-    return authority.node(), authority.path / AUDIT_FILE
-
-
-def _key_of(home: NodeHome) -> bytes | None:
-    return thumbprint(home.signer().public_key) if (home.path / "node.key").exists() else None
-
-
-def _parse_thumbprint(text: str) -> bytes:
+def _key(home: NodeHome, given: str | None) -> bytes | None:
+    if given is None:
+        return thumbprint(home.signer().public_key) if (home.path / "node.key").exists() else None
     try:
-        return bytes.fromhex(text)
+        return bytes.fromhex(given)
     except ValueError:
-        raise ConfigurationError(f"{text!a} is not a thumbprint", "64 hexadecimal digits") from None
-
-
-def _read_entries(path: Path, most: int) -> tuple[list[audits.Entry], list[int]]:
-    missing = ConfigurationError(f"there is no {path}", "has the master run here? with --ca: the service")
-    with open_text(path, missing) as file:
-        return audits.read_entries(lines(file, audits.LINE_LIMIT + 2), most)
+        raise ConfigurationError(f"{given!a} is not a thumbprint", "64 hexadecimal digits") from None
 
 
 def _note_damage(path: Path, damaged: list[int]) -> None:

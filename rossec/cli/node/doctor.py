@@ -20,7 +20,6 @@ import click
 
 from ca import svid
 from ca.certificates import Identity, TrustAnchor, signed_at
-from ca.domains.trust import DomainList
 from ca.errors import (
     CertificateExpired,
     CertificateNotYetValid,
@@ -80,7 +79,8 @@ def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_j
     homes, unfinished = [NodeHome.find(environment.home, name) for name in names], list[str]()
     if not homes:
         homes, unfinished = _all(environment)
-    findings = [finding for home in homes for finding in _examine(environment, home, offline=offline)]
+    checks = _CHECKS if offline else {**_CHECKS, "master": _master}
+    findings = [finding for home in homes for finding in _examine(environment, home, checks)]
     plain = list(_plain(environment))
     if as_json:
         say_json(
@@ -94,7 +94,7 @@ def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_j
     failed = {(finding.node, finding.check) for finding in findings if not finding.ok}
     if failed:
         said = {(finding.text, finding.hint) for finding in findings if not finding.ok}
-        of = f"{len(failed)} of {len(homes) * len(_checks(offline=offline))} checks"
+        of = f"{len(failed)} of {len(homes) * len(checks)} checks"
         causes = "for one cause" if len(said) == 1 else f"for {len(said)} causes"
         raise ConfigurationError(f"{of} failed" + f", {causes}" * (len(said) < len(failed)), "see above")
 
@@ -121,25 +121,18 @@ class DoctorFinding:
     hint: str = ""
 
 
-def _examine(environment: Environment, home: NodeHome, *, offline: bool) -> Iterator[DoctorFinding]:
-    for name, check in _checks(offline=offline).items():
+def _examine(
+    environment: Environment, home: NodeHome, checks: Mapping[str, Check]
+) -> Iterator[DoctorFinding]:
+    for name, check in checks.items():
         try:
             for found in check(environment, home):
-                yield _finding(home, name, found)
+                hint = "" if isinstance(found, str) else found.hint
+                yield DoctorFinding(home.name, name, isinstance(found, str), str(found), hint)
         except HintedError as error:
-            yield _finding(home, name, error)
+            yield DoctorFinding(home.name, name, False, str(error), error.hint)
             if isinstance(error, IdentityRevoked):
                 return  # nobody talks to it: whatever else would be said has this cause
-
-
-def _checks(*, offline: bool) -> dict[str, Check]:
-    checks: dict[str, Check] = {
-        "identity": _identity,
-        "address": lambda environment, _: check_own_address(environment.variables),
-        "grants": _grants,
-        "domains": lambda environment, home: check_domains(environment.home, home, now()),
-    }
-    return checks if offline else {**checks, "master": _master}
 
 
 def _identity(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
@@ -168,8 +161,12 @@ def known_revocations(home: Path, node: NodeHome) -> dict[bytes, str]:
     for place in (node, NodeHome.of(home, MASTER)):
         for entry in _listed(place, anchor):
             found.setdefault(entry, f"the list in {place.path}")
-    for entry in _recorded_revocations(home, anchor):
-        found[entry] = f"the authority's record in {home / 'ca'}"
+    with suppress(HintedError):
+        authority = AuthorityHome.at(home)
+        # An intermediate below the node's authority records only what it signed itself.
+        if authority.anchor().thumbprint == anchor.thumbprint and not authority.is_intermediate:
+            with closing(authority.store()) as store:
+                found |= dict.fromkeys(store.revoked_entries(), f"the authority's record in {home / 'ca'}")
     return found
 
 
@@ -186,16 +183,6 @@ def _listed(place: NodeHome, anchor: TrustAnchor) -> Iterator[bytes]:
             listing = TreeEntries.read(entries)
             listing.check(statement)
             yield from listing.entries
-
-
-def _recorded_revocations(home: Path, anchor: TrustAnchor) -> frozenset[bytes]:
-    # Of the authority itself, if it is the node's and not an intermediate below it.
-    with suppress(HintedError):
-        authority = AuthorityHome.at(home)
-        if authority.anchor().thumbprint == anchor.thumbprint and not authority.is_intermediate:
-            with closing(authority.store()) as store:
-                return store.revoked_entries()
-    return frozenset()
 
 
 class IdentityRevoked(ConfigurationError):
@@ -278,7 +265,11 @@ def _label(home: NodeHome, grant: Grant) -> str:
 
 def check_domains(home: Path, node: NodeHome, now: int) -> Iterator[str]:
     anchor = node.anchor()
-    held, newest = DomainFiles(node, anchor).anchors().current, _newest_domains(home, anchor)
+    held, newest = DomainFiles(node, anchor).anchors().current, None
+    with suppress(HintedError):
+        authority = AuthorityHome.at(home)
+        if authority.anchor().thumbprint == anchor.thumbprint and (listed := authority.domain_list()):
+            newest = listed[1]
     for each in () if held is None else held.domains:
         ended = "" if now < each.until else ", which is over"
         until = format_time(each.until)
@@ -295,31 +286,30 @@ def check_domains(home: Path, node: NodeHome, now: int) -> Iterator[str]:
         )
 
 
-def _newest_domains(home: Path, anchor: TrustAnchor) -> DomainList | None:
-    with suppress(HintedError):
-        authority = AuthorityHome.at(home)
-        if authority.anchor().thumbprint == anchor.thumbprint:
-            found = authority.domain_list()
-            return None if found is None else found[1]
-    return None
+_CHECKS: Final[dict[str, Check]] = {
+    "identity": _identity,
+    "address": lambda environment, _: check_own_address(environment.variables),
+    "grants": _grants,
+    "domains": lambda environment, home: check_domains(environment.home, home, now()),
+}
 
 
 def _master(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
     if home.name == own_master(environment.variables):  # it would meet its own certificate
         yield "the master of this host: rossec master status"
         return
-    yield from asyncio.run(_ask_master(environment, home))
 
+    async def ask() -> list[Outcome]:
+        found = list[Outcome]()
+        try:
+            usable, _ = _open_grants(environment, home)
+            async for outcome in check_master(environment, home, usable):
+                found.append(outcome)
+        except HintedError as error:
+            found.append(error)
+        return found
 
-async def _ask_master(environment: Environment, home: NodeHome) -> list[Outcome]:
-    found = list[Outcome]()
-    try:
-        usable, _ = _open_grants(environment, home)
-        async for outcome in check_master(environment, home, usable):
-            found.append(outcome)
-    except HintedError as error:
-        found.append(error)
-    return found
+    yield from asyncio.run(ask())
 
 
 async def check_master(
@@ -480,12 +470,6 @@ def _nodes(state: object) -> list[str]:
             return list(dict.fromkeys(map(str, nodes)))
         case _:
             return []
-
-
-def _finding(home: NodeHome, check: str, found: Outcome) -> DoctorFinding:
-    if isinstance(found, str):
-        return DoctorFinding(home.name, check, True, found)
-    return DoctorFinding(home.name, check, False, str(found), found.hint)
 
 
 def _plain(environment: Environment) -> tuple[str, ...]:

@@ -331,7 +331,16 @@ def _code(path: Path | None, stdin: BinaryIO) -> InvitationCode:
         return _parsed(files.read(path, _MAX_INPUT))
     if not sys.stdin.isatty():
         return _parsed(stdin.read(_MAX_INPUT + 1))
-    typed = read_lines(_QUESTION, _is_whole)
+
+    def is_whole(typed: str) -> bool:
+        # A mail or a chat may have broken the line of the code.
+        try:
+            invitation.parse(typed)
+        except CodeRefused:
+            return False
+        return True
+
+    typed = read_lines(_QUESTION, is_whole)
     if not typed.strip():
         raise ConfigurationError("no code was given", "paste the line, or give --file")
     return invitation.parse(typed)
@@ -346,15 +355,6 @@ def _parsed(data: bytes) -> InvitationCode:
         raise CodeRefused(
             "this is not the code of an invitation", "give the line of `rossec ca invite`"
         ) from None
-
-
-def _is_whole(typed: str) -> bool:
-    # Whether what was pasted so far is a code: a mail or a chat may have broken its line.
-    try:
-        invitation.parse(typed)
-    except CodeRefused:
-        return False
-    return True
 
 
 def _name(code: InvitationCode, given: str | None) -> str:

@@ -4,17 +4,17 @@ from pathlib import Path
 
 import click
 
-from ca.certificates import Identity, TrustAnchor
+from ca.certificates import TrustAnchor
 from ca.enrollment import qr
 from rossec import files
 from rossec.authority.home import fingerprint, format_fingerprint
 from rossec.cli.shared import rules
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
-from rossec.cli.shared.options import FILE, PATH, Batch, flag, json_result, option, unique
+from rossec.cli.shared.options import FILE, PATH, Batch, flag, json_result, option, say_result, unique
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.terminal import record, say, say_json, say_picture
+from rossec.terminal import record, say, say_picture
 
 _MAX_BUNDLE = 64 * 1024
 
@@ -135,25 +135,21 @@ def show(environment: Environment, name: str, as_json: bool) -> None:
     """Show the identity of NAME and how many grants it holds."""
     home = NodeHome.of(environment.home, name)
     identity = home.identity(now())
-    if as_json:
-        say_json(_shown(home, identity))
-        return
-    say(f"{identity.name} of {identity.domain} until {format_time(identity.not_after)}")
-    if identity.wildcard:
-        say(f"also for anonymous nodes, {identity.name}_*")
-    say(f"fingerprint {format_fingerprint(identity.thumbprint)}")
-    count = len(home.grants())
-    say(f"{count} {'grant' if count == 1 else 'grants'} in {home.path}")
-
-
-def _shown(home: NodeHome, identity: Identity) -> dict[str, object]:
-    return {
+    count, end = len(home.grants()), identity.not_after
+    document = {
         "name": identity.name,
         "domain": identity.domain,
         "anonymous": identity.wildcard,
         "not_before": identity.not_before,
-        "not_after": identity.not_after,
+        "not_after": end,
         "key": identity.thumbprint.hex(),
-        "grants": len(home.grants()),
+        "grants": count,
         "path": str(home.path),
     }
+    lines = [
+        f"{identity.name} of {identity.domain} until {format_time(end)}",
+        *([f"also for anonymous nodes, {identity.name}_*"] if identity.wildcard else []),
+        f"fingerprint {format_fingerprint(identity.thumbprint)}",
+        f"{count} {'grant' if count == 1 else 'grants'} in {home.path}",
+    ]
+    say_result(as_json, document, lines)

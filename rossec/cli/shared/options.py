@@ -3,14 +3,13 @@
 Keys of results are documented in docs/spec/results.md.
 """
 
-import contextlib
 import functools
 import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -19,7 +18,7 @@ import click
 from ca.errors import HintedError, RecordUnusable
 from rossec.cli.shared.context import Duration
 from rossec.errors import ConfigurationError
-from rossec.terminal import FACTS, TEMPORARY, fail, printable, say_json, say_secret, to_json
+from rossec.terminal import FACTS, TEMPORARY, fail, printable, say, say_json, say_secret, to_json
 
 MAX_PEM: Final = 64 * 1024
 FILE: Final = click.Path(path_type=Path, exists=True, dir_okay=False)
@@ -31,7 +30,7 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 
 def option(flags: str, text: str, **settings: Any) -> Callable[[_F], _F]:
-    """An option, as `"--list=FILE newest"`: its flags, what help calls its value, the argument of the command."""
+    """An option, as `"--list=FILE newest"`: its flags, what help calls its value, the command's argument."""
     value = re.search(r"=(\S+)", flags)
     if value is not None:
         flags, settings["metavar"] = flags.replace(value[0], "", 1), value[1]
@@ -107,6 +106,15 @@ def _print(found: dict[str, Any], *, secret: bool) -> None:
     say_secret(to_json(found)) if secret else say_json(found)
 
 
+def say_result(as_json: bool, document: object, lines: Iterable[str]) -> None:
+    """Print a result: for programs as one line of JSON, for people its `lines`."""
+    if as_json:
+        say_json(document)
+        return
+    for line in lines:
+        say(line)
+
+
 class Batch:
     """The results of `total` names or files: one that is refused does not stop the others.
 
@@ -122,6 +130,7 @@ class Batch:
 
     @property
     def done(self) -> bool:
+        """Whether one or more of them were."""
         return self._failed < self._total
 
     @contextmanager
@@ -170,7 +179,7 @@ def unique(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-@contextlib.contextmanager
+@contextmanager
 def working(what: str, *, quiet: bool = False) -> Iterator[None]:
     """Say `what` while the body runs, which asks for nothing; `quiet`: do not (`--json`).
 
@@ -217,6 +226,6 @@ class _Line:
             self._shown = False
 
     def _write(self, text: str) -> None:
-        with contextlib.suppress(OSError, ValueError):  # the terminal is gone
+        with suppress(OSError, ValueError):  # the terminal is gone
             sys.stderr.write(text)
             sys.stderr.flush()
