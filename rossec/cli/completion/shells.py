@@ -13,7 +13,7 @@ import os
 import shlex
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
@@ -170,13 +170,17 @@ class OutlineTable:
 
 
 def completed(
-    name: str, place: str, load: Callable[[], click.Command], table: OutlineTable | None = None
+    name: str,
+    place: str,
+    load: Callable[[], click.Command],
+    arguments: Iterable[str] = (),
+    table: OutlineTable | None = None,
 ) -> click.Command:
     """The command `name` at `place`, to be completed: made of its outline, a group as it is."""
     found = outline(place, load, table)
     if "params" not in found:
         return load()
-    return command_of(name, found, [*map(_values, kinds_of(place, found))])
+    return command_of(name, found, [*map(_values, kinds_of(place, arguments, found))])
 
 
 def outline(place: str, load: Callable[[], click.Command], table: OutlineTable | None = None) -> Outline:

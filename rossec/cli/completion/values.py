@@ -38,68 +38,7 @@ _WHOLE: Final = 1000  # no help line is cut
 Read = Callable[[Any], Iterator[object]]  # of `sources.Sources`
 FREE: Final = "free"  # nothing to offer: a new name, a pattern, a value
 COMMAND: Final = "command"
-# The kinds of the arguments that are text, in their order, of each command that takes some. Options mean the
-# same in all commands, but for those in `_OTHERWISE`.
-ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {
-    "border.constrained_nodes:forget": ("thing",),
-    "border.constrained_nodes:add": (FREE,),
-    "ca.enroll:enroll": (FREE,),
-    "ca.identities:renew": ("recorded node",),
-    "ca.identities:show": ("recorded node",),
-    "ca.init:init": (FREE,),
-    "ca.sign:request_intermediate": (FREE,),
-    "ca.identities:revoke_invitations": ("invitation",),
-    "ca.invite:command": (FREE,),
-    "ca.enroll:approve": ("request",),
-    "ca.enroll:deny": ("request",),
-    "ca.identities:revoke": ("recorded node or thing",),
-    "ca.sign:thing": ("thing",),
-    "console.phones:remove": ("phone",),
-    "domain.trust:limit": ("domain",),
-    "domain.trust:remove": ("domain",),
-    "domain.listing:show": ("domain",),
-    "relay.sites:add_site": (FREE,),
-    "relay.sites:param": ("domain", FREE),
-    "relay.sites:remove_site": ("domain",),
-    "grant.delivery:list_": ("node",),
-    "grant.request:request": ("own node",),
-    "grant.request:approve": ("grant request",),
-    "grant.request:deny": ("grant request",),
-    "grant.sign:sign": ("node",),
-    "grant.delivery:revoke": ("grant",),
-    "node.doctor:doctor": ("own node",),
-    "node.enroll:confirm": ("own node", FREE),
-    "node.enroll:enroll": ("own node",),
-    "node.enroll:labels": ("own node",),
-    "node.identity:code": ("own node",),
-    "node.identity:request": (FREE,),
-    "node.identity:show": ("own node",),
-    "node.sidecar:run": (COMMAND,),
-    "ros.graph:node_info": ("running node",),
-    "policy.explain:explain": ("node", "right", "topic or service"),
-    "policy.apply:opt_out": ("node",),
-    "relay.sites:add_relay": (FREE,),
-    "relay.sites:card": (FREE,),
-    "relay.sites:remove_relay": (FREE,),
-    "ros.calls:delete_param": (FREE,),
-    "ros.calls:get_param": (FREE,),
-    "ros.calls:list_params": (FREE,),
-    "ros.calls:set_param": (FREE, FREE),
-    "ros.calls:call": ("service", FREE),
-    "ros.calls:service_info": ("service",),
-    "ros.calls:type_of_service": ("service",),
-    "ros.topic:echo": ("topic", "message type"),
-    "ros.topic:pub": ("topic", "message type", FREE),
-    "ros.graph:find_topics": ("message type",),
-    "ros.graph:topic_info": ("topic",),
-    "ros.graph:list_topics": (FREE,),
-    "ros.graph:type_of_topic": ("topic",),
-    "ros.topic:bw": ("topic",),
-    "ros.topic:hz": ("topic",),
-    "relay.sites:add_account": (FREE,),
-    "relay.sites:remove_account": (FREE,),
-    "relay.sites:show_account": (FREE,),
-}
+# Options mean the same in all commands, but for those in `_OTHERWISE`.
 OPTIONS: Final = {
     "--as": "own node",
     "--border": "recorded node",
@@ -260,20 +199,14 @@ def _made_type(outline: Outline) -> click.ParamType[Any]:
     return click.STRING
 
 
-def kinds_of(place: str, outline: Outline) -> list[str]:
-    arguments = iter(ARGUMENTS.get(place, ()))
-    return [
-        _kind_of_option(place, each["opts"])
-        if "opts" in each
-        else next(arguments, FREE)
-        if each.get("text")
-        else FREE
-        for each in outline["params"]
-    ]
+def kinds_of(place: str, arguments: Iterable[str], outline: Outline) -> list[str]:
+    """The kind of each param; `arguments` are those of the arguments that are text, in their order."""
+    left = iter(arguments)
 
+    def kind(param: Outline) -> str:
+        if "opts" not in param:
+            return next(left, FREE) if param.get("text") else FREE
+        found = (_OTHERWISE.get((place, each)) or OPTIONS.get(each) for each in param["opts"])
+        return next(filter(None, found), FREE)
 
-def _kind_of_option(place: str, opts: list[str]) -> str:
-    for option in opts:
-        if found := _OTHERWISE.get((place, option)) or OPTIONS.get(option):
-            return found
-    return FREE
+    return list(map(kind, outline["params"]))

@@ -20,7 +20,7 @@ from rossec.authority.policyfile import PolicyFile
 from rossec.cli.shared import rules
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as, read_token
-from rossec.cli.shared.options import FILE, flag, option
+from rossec.cli.shared.options import FILE, OLD_FOLDER, flag, option
 from rossec.errors import ConfigurationError, ProposedNameRefused
 from rossec.host.runner import stop_on_signals, until_stopped
 from rossec.namespace import topic_names
@@ -38,17 +38,16 @@ SUFFIX: Final = "*.grant"
 _NO_KEY: Final = bytes(32)
 METADATA_SUFFIX: Final = "*.xml"
 MAX_FILES: Final = 1024
-_DIRECTORY: Final = click.Path(path_type=Path, exists=True, file_okay=False)
 
 
 @click.command()
 @click.argument("rules", type=FILE)
-@option("--meta=DIR directory", f"metadata of nodes, files {METADATA_SUFFIX}", required=True, type=_DIRECTORY)
+@option("--meta=DIR directory", f"metadata of nodes, files {METADATA_SUFFIX}", required=True, type=OLD_FOLDER)
 @option("--policy=FILE policy_path", "report names on which this policy gives their node nothing", type=FILE)
 @option(
     "--grants=DIR grants_path",
     "report names on which no grant in DIR (files *.grant) gives their node anything",
-    type=_DIRECTORY,
+    type=OLD_FOLDER,
 )
 @flag("--json as_json", "one line of JSON")
 def check(

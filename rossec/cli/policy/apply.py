@@ -39,7 +39,7 @@ from rossec.cli.policy.check import count
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
 from rossec.cli.shared.master import find_master, master_as
-from rossec.cli.shared.options import PATH, flag, json_result, option, working
+from rossec.cli.shared.options import FILE, PATH, flag, json_result, option, working
 from rossec.cli.shared.service import deliver_grants, pass_service, publish_list, remind_to_publish
 from rossec.errors import ConfigurationError, NotDelivered, PolicyContradicted
 from rossec.home import NodeHome
@@ -47,13 +47,12 @@ from rossec.participant.host_types import layout_of
 from rossec.ros.names import PRESENT_GRANTS
 from rossec.terminal import note, record, say, say_json
 
-_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 _CHOICES = {"a": "allow", "c": "allow coarsely", "g": "allow beside it too", "d": "deny", "s": "skip"}
 
 
 @click.command()
 @option("--from-graph=NODE node", "as this node ask the running master")
-@option("--from-log log", "from this denial log (rossec master --complaints FILE)", type=_FILE)
+@option("--from-log log", "from this denial log (rossec master --complaints FILE)", type=FILE)
 @option("--out", "write here instead of the policy", type=PATH)
 @options.policy
 @json_result()
@@ -142,7 +141,7 @@ def _count_own(read: PolicyFile) -> int:
 
 
 @click.command()
-@option("--from-log log", "what to go through", type=_FILE, required=True)
+@option("--from-log log", "what to go through", type=FILE, required=True)
 @options.policy
 @pass_environment
 def review(environment: Environment, log: Path, policy_path: Path | None) -> None:

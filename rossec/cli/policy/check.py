@@ -21,13 +21,12 @@ from grants.policy.wanted import Withheld
 from rossec import files
 from rossec.authority.policyfile import PolicyFile, PolicyPlan, parse_policy, place
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import PATH, flag, json_result, option
+from rossec.cli.shared.options import FILE, PATH, flag, json_result, option
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.participant.host_types import layout_of
 from rossec.terminal import fail, note, printable, record, say, say_block, say_json
 
-_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 _JSON = flag("--json as_json", "one line of JSON")
 _NAMED = 3  # nodes of one line
 _NONE = "no rule allows it any more"
@@ -56,7 +55,7 @@ def init(environment: Environment, file: Path | None, robot: str) -> None:
 
 
 @click.command("import-sros2")
-@click.argument("xml", type=_FILE)
+@click.argument("xml", type=FILE)
 @option("--out", "write the policy to this new file", type=PATH)
 def import_(xml: Path, out: Path | None) -> None:
     """Turn the SROS2 policy in XML into one of rossec.
@@ -81,7 +80,7 @@ def import_(xml: Path, out: Path | None) -> None:
 
 
 @click.command()
-@click.argument("file", required=False, type=_FILE)
+@click.argument("file", required=False, type=FILE)
 @_JSON
 @pass_environment
 def check(environment: Environment, file: Path | None, as_json: bool) -> None:
@@ -170,7 +169,7 @@ def _rule_row(rule: PolicyRule) -> dict[str, object]:
 
 
 @click.command()
-@click.argument("file", required=False, type=_FILE)
+@click.argument("file", required=False, type=FILE)
 @_JSON
 @pass_environment
 def lint(environment: Environment, file: Path | None, as_json: bool) -> None:
@@ -196,7 +195,7 @@ def count(number: int, what: str) -> str:
 
 
 @click.command()
-@click.argument("file", required=False, type=_FILE)
+@click.argument("file", required=False, type=FILE)
 @flag("--json as_json", "one line of JSON")
 @pass_environment
 def test(environment: Environment, file: Path | None, as_json: bool) -> None:

@@ -25,12 +25,11 @@ from grants.policy.privacy import Trial, TrialOutcome
 from rossec.authority.policyfile import PolicyFile, parse_policy, place, read_policy
 from rossec.cli.policy.explain import changes, subject_of
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import flag, option, working
+from rossec.cli.shared.options import FILE, flag, option, working
 from rossec.errors import ConfigurationError, MessageError
 from rossec.ros.tcpros import MESSAGE_LIMIT
 from rossec.terminal import note, printable, say, say_json
 
-_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 # What the reader of bags raises for wrong bytes, few of which it checks first.
 _BROKEN = (
     ReaderError,
@@ -68,9 +67,9 @@ class Tally:
 
 
 @click.command()
-@option("--policy new", "the policy to try", type=_FILE, required=True)
-@option("--old", "compare with this; by default the one in force, if any", type=_FILE)
-@option("--bag", "a bag of ROS 1", type=_FILE, required=True)
+@option("--policy new", "the policy to try", type=FILE, required=True)
+@option("--old", "compare with this; by default the one in force, if any", type=FILE)
+@option("--bag", "a bag of ROS 1", type=FILE, required=True)
 @option("--node nodes", "only as this receiver sees it", multiple=True)
 @flag("--json as_json", "one line of JSON")
 @pass_environment

@@ -169,11 +169,17 @@ def _usage_hint(error: click.ClickException) -> str:
 
 
 class LazyCommand(click.Command):
-    """A command that is listed: its name, and the place in `rossec.cli` it is imported from."""
+    """A command that is listed: its name, and the place in `rossec.cli` it is imported from.
 
-    def __init__(self, name: str, place: str) -> None:
+    Attributes:
+        arguments: which names complete those of its arguments that are text, in their order (the kinds of
+            `rossec.cli.completion.values`).
+    """
+
+    def __init__(self, name: str, place: str, *arguments: str) -> None:
         super().__init__(name)
         self.place = place
+        self.arguments = arguments
 
     def get_short_help_str(self, limit: int = 45) -> str:  # noqa: ARG002 - as the base has it
         """The first sentence of its help, whole: the list wraps it, click would cut it."""
@@ -188,12 +194,12 @@ class LazyCommand(click.Command):
 
 
 class LazyGroup(click.Group):
-    """A group made from a table of names and places, see `LazyCommand`."""
+    """A group made from a table: for each name a place, or one with its arguments, see `LazyCommand`."""
 
-    def __init__(self, *args: Any, table: Mapping[str, str], **kwargs: Any) -> None:
+    def __init__(self, *args: Any, table: Mapping[str, str | tuple[str, ...]], **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        for name, place in table.items():
-            self.add_command(LazyCommand(name, place))
+        for name, listed in table.items():
+            self.add_command(LazyCommand(name, *([listed] if isinstance(listed, str) else listed)))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -203,6 +209,7 @@ class LazyGroup(click.Group):
             if ctx.resilient_parsing:  # for completion, whatever it needs to know of the command
                 from rossec.cli.completion.shells import completed  # noqa: PLC0415
 
-                return name, completed(command.name or "", command.place, command.load), rest
+                found = completed(command.name or "", command.place, command.load, command.arguments)
+                return name, found, rest
             command = command.load()
         return name, command, rest
