@@ -160,23 +160,18 @@ def labels(credentials: tuple[Path, ...], out: Path) -> None:
     A credential is a CCS, or what `rossec border add NAME --psk` wrote about a secret. A label
     holds no secret: its code names the credential, for `rossec ca thing NAME --code CODE`.
     """
-    made = [_label(path, files.read(path, _MAX_CREDENTIAL)) for path in credentials]
+    made = []
+    for path in credentials:
+        data = files.read(path, _MAX_CREDENTIAL)
+        try:
+            found: Credential = read_description(data)
+        except ThingRefused:
+            found = read_ccs(data)
+        name = (found.subject if isinstance(found, ThingKey) else "") or path.stem
+        made.append(Label(printable(name), format_fingerprint(found.thumbprint), qr.label_code(data)))
     files.replace(out, sheet(made).encode(), 0o644)
     record(names=[each.name for each in made], file=str(out))
     say(f"{len(made)} label{'s' * (len(made) != 1)} in {out}: print it without scaling")
-
-
-def _label(path: Path, data: bytes) -> Label:
-    found = _read(data)
-    name = (found.subject if isinstance(found, ThingKey) else "") or path.stem
-    return Label(printable(name), format_fingerprint(found.thumbprint), qr.label_code(data))
-
-
-def _read(data: bytes) -> Credential:
-    try:
-        return read_description(data)
-    except ThingRefused:
-        return read_ccs(data)
 
 
 @click.command("list")
@@ -188,19 +183,11 @@ def list_(environment: Environment, router: str, *, as_json: bool) -> None:
     loaded = ThingFiles(_home(environment, router)).load()
     found = sorted(loaded.statements.values(), key=lambda each: each.name)
     if as_json:
-        say_json(
-            {
-                "things": [
-                    {
-                        "name": each.name,
-                        "kind": each.kind,
-                        "kid": each.credential.kid.hex(),
-                        "expires": each.expires,
-                    }
-                    for each in found
-                ]
-            }
-        )
+        rows = [
+            {"name": each.name, "kind": each.kind, "kid": each.credential.kid.hex(), "expires": each.expires}
+            for each in found
+        ]
+        say_json({"things": rows})
         return
     for each in found:
         kind = "key" if isinstance(each.credential, ThingKey) else "secret"

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final
 
 from rossec.authority.console.messages import SOCKET
 from rossec.authority.home import AuthorityHome
-from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.cli.console.phones import login_address, running_service, show_code
 from rossec.cli.shared.context import Environment, now
 from rossec.console.listening import only_console, write_address
@@ -49,7 +48,8 @@ def serve(
     endpoint = read_options(options, socket.gethostname())
     home = AuthorityHome.at(environment.home)
     if not endpoint.read_only:  # nobody approves there
-        check_origin(endpoint, _origins_of_phones(home), rename=rename)
+        with closing(home.store()) as store:
+            check_origin(endpoint, {each.origin for each in store.passkeys.active()}, rename=rename)
     setup = prepare_tls(endpoint, home.path / DIRECTORY, now(), rename=rename)
     with closing(running_service(home)) as client, _ending(home, environment, endpoint):
         web = WebOptions(settings_for(endpoint, home.domain), home.path / SOCKET, log)
@@ -57,7 +57,16 @@ def serve(
         def ready() -> None:
             if not endpoint.read_only:  # the codes of `rossec console phone` are for the other one
                 write_address(home.path, endpoint.origin)
-            _say_ready(client, endpoint, setup, as_json=as_json)
+            address = login_address(endpoint.origin, client.phone_code())
+            if as_json:
+                about = (
+                    {} if setup is None or setup.authority is None else {"tls": described(setup.authority)}
+                )
+                say_json({"ready": endpoint.origin, "login": address, "process": os.getpid(), **about})
+            else:
+                _say_authority(endpoint, setup)
+                show_code(address)
+                say(f"the console is at {endpoint.origin}; Ctrl-C ends it")
             notify(READY, environment.variables)
 
         certificates = None if setup is None else renewed_from(setup.source, now)
@@ -71,11 +80,6 @@ def _preview(environment: Environment) -> "PreviewProcess":
 
     check_enrolled(environment.home)
     return PreviewProcess({**environment.variables, "ROSSEC_HOME": str(environment.home)})
-
-
-def _origins_of_phones(home: AuthorityHome) -> set[str]:
-    with closing(home.store()) as store:
-        return {passkey.origin for passkey in store.passkeys.active()}
 
 
 @contextmanager
@@ -101,23 +105,15 @@ def _handing_out(
         yield
 
 
-def _say_ready(
-    client: KeyServiceClient, endpoint: ConsoleEndpoint, setup: TlsSetup | None, *, as_json: bool
-) -> None:
-    address = login_address(endpoint.origin, client.phone_code())
-    authority = None if setup is None else setup.authority
-    if as_json:
-        about = {} if authority is None else {"tls": described(authority)}
-        say_json({"ready": endpoint.origin, "login": address, "process": os.getpid(), **about})
+def _say_authority(endpoint: ConsoleEndpoint, setup: TlsSetup | None) -> None:
+    # What a person needs whose phone does not trust it yet.
+    if setup is None or setup.authority is None:
         return
-    if authority is not None:  # what a person needs whose phone does not trust it yet
-        for line in describe(authority, now()):
-            say(line)
-        if endpoint.hand_out:
-            say("for ten minutes a phone gets the certificate, and how to install it, at")
-            say(f"    http://{endpoint.name}:{HAND_OUT_PORT}/")
-            say_block("compare the fingerprint before you trust it: that page is not protected\n")
-        else:
-            say("a phone that does not trust it yet: start with --hand-out")
-    show_code(address)
-    say(f"the console is at {endpoint.origin}; Ctrl-C ends it")
+    for line in describe(setup.authority, now()):
+        say(line)
+    if not endpoint.hand_out:
+        say("a phone that does not trust it yet: start with --hand-out")
+        return
+    say("for ten minutes a phone gets the certificate, and how to install it, at")
+    say(f"    http://{endpoint.name}:{HAND_OUT_PORT}/")
+    say_block("compare the fingerprint before you trust it: that page is not protected\n")

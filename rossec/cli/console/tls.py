@@ -6,13 +6,12 @@ from pathlib import Path
 import click
 
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import flag, option
+from rossec.cli.shared.options import flag, option, say_result
 from rossec.console.options import ConsoleOptions, check_name, read_options
 from rossec.console.tls import certificates
 from rossec.console.tls.own_authority import as_json as described
 from rossec.console.tls.own_authority import describe
 from rossec.errors import ConfigurationError
-from rossec.terminal import say, say_json
 
 
 @click.command()
@@ -32,13 +31,8 @@ def tls(environment: Environment, renew: bool, name: str | None, as_json: bool) 
         authority = certificates.renew(directory, _name(directory, name), certificates.first_address(), now())
     else:
         authority = certificates.open_authority(directory)
-    if as_json:
-        say_json(described(authority))
-        return
-    for line in describe(authority, now()):
-        say(line)
-    if renew:
-        say("install it on every phone: rossec console --lan --hand-out")
+    install = ["install it on every phone: rossec console --lan --hand-out"] if renew else []
+    say_result(as_json, described(authority), [*describe(authority, now()), *install])
 
 
 def _name(directory: Path, given: str | None) -> str:

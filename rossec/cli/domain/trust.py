@@ -153,7 +153,12 @@ def accept(
     if code is not None:
         check_code(code, data)
     found = open_card(data, now())
-    _check_fingerprint(found, expected)
+    shown = format_fingerprint(found.anchor.thumbprint)
+    if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
+        raise ConfigurationError(
+            f"the fingerprint of the card is {shown}",
+            "it is another authority's: ask yours for its card again, and trust no other",
+        )
     domain = ForeignDomain(
         found.anchor.domain,
         _label(home, found, label),
@@ -185,15 +190,6 @@ def accept(
         note(printable(f"your master follows theirs: rossec federation add {uri} --as {domain.label}"))
     note(f"its nodes may do nothing yet: rossec grant sign {domain.label}:/NODE --certificate FILE")
     publish_domains(service)
-
-
-def _check_fingerprint(card: Card, expected: str | None) -> None:
-    shown = format_fingerprint(card.anchor.thumbprint)
-    if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
-        raise ConfigurationError(
-            f"the fingerprint of the card is {shown}",
-            "it is another authority's: ask yours for its card again, and trust no other",
-        )
 
 
 def _label(home: AuthorityHome, card: Card, given: str | None) -> str:

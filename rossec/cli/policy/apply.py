@@ -39,13 +39,13 @@ from rossec.cli.policy.check import count
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
 from rossec.cli.shared.master import find_master, master_as
-from rossec.cli.shared.options import FILE, PATH, flag, json_result, option, working
+from rossec.cli.shared.options import FILE, PATH, flag, json_result, option, say_result, working
 from rossec.cli.shared.service import deliver_grants, pass_service, publish_list, remind_to_publish
 from rossec.errors import ConfigurationError, NotDelivered, PolicyContradicted
 from rossec.home import NodeHome
 from rossec.participant.host_types import layout_of
 from rossec.ros.names import PRESENT_GRANTS
-from rossec.terminal import note, record, say, say_json
+from rossec.terminal import note, record, say
 
 _CHOICES = {"a": "allow", "c": "allow coarsely", "g": "allow beside it too", "d": "deny", "s": "skip"}
 
@@ -69,7 +69,17 @@ def learn(
         raise ConfigurationError("nothing to learn from", "add --from-graph or --from-log")
     seen = _read_log(log) if log is not None else []
     if node is not None:
-        seen += _with_certified_names(environment, asyncio.run(_observe_graph(environment, node)))
+        observed = asyncio.run(_observe_graph(environment, node))
+        if (environment.home / "ca" / "ca.pem").exists():
+            # An anonymous node has another name at each start: a rule is for the one it is certified for.
+            with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
+                certified, at = store.identities.certified_name, now()
+                named = (
+                    replace(each, node=certified(each.node, at), name=own_form(each.node, each.name))
+                    for each in observed
+                )
+                observed = list(dict.fromkeys(named))
+        seen += observed
     read = _existing(place(environment.home, policy_path))
     text, rules = learn_from(read.text, read.decider, seen, _day())
     if out is None:
@@ -92,21 +102,6 @@ def learn(
 def _read_log(path: Path) -> list[Observation]:
     with path.open(encoding="utf-8", errors="replace") as file:
         return from_log(files.lines(file, MAX_LINE + 2))
-
-
-def _with_certified_names(environment: Environment, seen: list[Observation]) -> list[Observation]:
-    if not (environment.home / "ca" / "ca.pem").exists():
-        return seen
-    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
-        named = (
-            replace(
-                item,
-                node=store.identities.certified_name(item.node, now()),
-                name=own_form(item.node, item.name),
-            )
-            for item in seen
-        )
-        return list(dict.fromkeys(named))
 
 
 async def _observe_graph(environment: Environment, node: str) -> list[Observation]:
@@ -151,24 +146,23 @@ def review(environment: Environment, log: Path, policy_path: Path | None) -> Non
     for seen in _read_log(log):
         item = learnable(seen)
         if item is not None and learn_from(read.text, read.decider, [item], _day())[1]:
-            read = _ask_about(read, item)
+            say(f"{item.node} wants to {item.right.label} {item.name}")
+            question = ", ".join(f"[{letter}] {words}" for letter, words in _CHOICES.items())
+            answer = click.prompt(question, type=click.Choice(list(_CHOICES)), default="s", err=True)
+            if answer != "s":
+                read = read.replace(add_rules(read.text, [_rule_of(read, item, answer)]))
     total = _count_own(read)
     say(f"{count(total - before, 'new rule')}, {total} in {read.path}")
 
 
-def _ask_about(read: PolicyFile, item: Observation) -> PolicyFile:
-    say(f"{item.node} wants to {item.right.label} {item.name}")
-    question = ", ".join(f"[{letter}] {words}" for letter, words in _CHOICES.items())
-    answer = click.prompt(question, type=click.Choice(list(_CHOICES)), default="s", err=True)
-    if answer == "s":
-        return read
-    rule = _rule_of(read, item, answer)
-    return read.replace(add_rules(read.text, [rule]))
-
-
 def _rule_of(read: PolicyFile, item: Observation, answer: str) -> NewRule:
     name = item.name.rsplit("/", 1)[0] + "/*" if answer == "g" else item.name
-    chosen = _prompt_for_filter(read) if answer == "c" else None
+    chosen = None
+    if answer == "c":
+        chosen = click.prompt("through which filter of the policy?", err=True)
+        if chosen not in read.policy.filters:
+            hint = suggest(chosen, read.policy.filters)
+            raise ConfigurationError(f"no filter {chosen!r} in {read.path}", hint)
     effect = "deny" if answer == "d" else "allow"
     prefix = f"{'no' if effect == 'deny' else 'reviewed'}-{item.node[1:].replace('/', '-')}"
     return NewRule(
@@ -180,14 +174,6 @@ def _rule_of(read: PolicyFile, item: Observation, answer: str) -> NewRule:
         {item.name: item.type} if item.type not in ("", "*") else {},
         chosen,
     )
-
-
-def _prompt_for_filter(read: PolicyFile) -> str:
-    name: str = click.prompt("through which filter of the policy?", err=True)
-    if name not in read.policy.filters:
-        hint = suggest(name, read.policy.filters)
-        raise ConfigurationError(f"no filter {name!r} in {read.path}", hint)
-    return name
 
 
 @click.command()
@@ -225,11 +211,7 @@ def apply(
     policy = read_policy(service.rossec_home, policy_path, signs=True)
     with working("comparing the policy with the grants in force", quiet=as_json):
         plan = service.policy.plan(policy, names or None, renew_due=renew, prune=prune)
-    if as_json:
-        say_json(check.as_json(plan))
-    else:
-        for line in check.lines(plan):
-            say(line)
+    say_result(as_json, check.as_json(plan), check.lines(plan))
     leaks = [item for item in lint(policy.policy, layout_of) if item.is_leak]
     if leaks:
         command = shlex.join(["rossec", "policy", "lint", *([str(policy_path)] if policy_path else [])])

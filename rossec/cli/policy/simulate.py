@@ -25,10 +25,10 @@ from grants.policy.privacy import Trial, TrialOutcome
 from rossec.authority.policyfile import PolicyFile, parse_policy, place, read_policy
 from rossec.cli.policy.explain import changes, subject_of
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import FILE, flag, option, working
+from rossec.cli.shared.options import FILE, flag, option, say_result, working
 from rossec.errors import ConfigurationError, MessageError
 from rossec.ros.tcpros import MESSAGE_LIMIT
-from rossec.terminal import note, printable, say, say_json
+from rossec.terminal import note, printable
 
 # What the reader of bags raises for wrong bytes, few of which it checks first.
 _BROKEN = (
@@ -82,16 +82,18 @@ def simulate(
     """
     read = PolicyFile.read(new)
     before = PolicyFile.read(old) if old is not None else _in_force(environment)
-    receivers = _receivers(environment, nodes, before.policy, read.policy)
+    if nodes:
+        receivers = [subject_of(environment, node) for node in nodes]
+    else:
+        receivers = receivers_in(before.policy, read.policy)
     with working("reading the bag", quiet=as_json):
         found = run(bag, receivers, (before.decider, read.decider))
-    if as_json:
-        say_json([_row(key, tallies) for key, tallies in found.items()])
-        return
-    for (topic, receiver), tallies in found.items():
-        _say(topic, receiver, *tallies)
-    if not found:
-        say("the bag holds nothing for these receivers")
+    lines = (line for (topic, who), tallies in found.items() for line in _lines(topic, who, *tallies))
+    document = [
+        {"topic": topic, "receiver": who, "old": vars(old), "new": vars(new)}
+        for (topic, who), (old, new) in found.items()
+    ]
+    say_result(as_json, document, lines if found else ["the bag holds nothing for these receivers"])
 
 
 def _in_force(environment: Environment) -> PolicyFile:
@@ -162,9 +164,8 @@ def _layout(connection: Any) -> Layout | None:
     return layout
 
 
-def _receivers(environment: Environment, nodes: tuple[str, ...], *policies: Policy) -> list[Subject]:
-    if nodes:
-        return [subject_of(environment, node) for node in nodes]
+def receivers_in(*policies: Policy) -> list[Subject]:
+    """A node for each way in which rules about subscribing name one."""
     found = {
         who.sample
         for policy in policies
@@ -182,18 +183,12 @@ def _example(kind: str, before: bytes, after: bytes) -> list[str]:
         return ["a type not known here: changed, but not shown"]
 
 
-def _say(topic: str, receiver: str, old: Tally, new: Tally) -> None:
+def _lines(topic: str, receiver: str, old: Tally, new: Tally) -> Iterator[str]:
     total = old.admitted + old.withheld
-    say(f"{topic} -> {receiver}: {old.admitted} of {total} admitted before, {new.admitted} after")
+    yield f"{topic} -> {receiver}: {old.admitted} of {total} admitted before, {new.admitted} after"
     for when, tally in (("before", old), ("after", new)):
         if tally.reason:
-            say(f"  withheld {when}: {tally.reason}")
+            yield f"  withheld {when}: {tally.reason}"
     if new.example and new.example != old.example:
-        say("  a message after:")
-    for line in new.example if new.example != old.example else []:
-        say(f"    {line}")
-
-
-def _row(key: tuple[str, str], tallies: tuple[Tally, Tally]) -> dict[str, object]:
-    old, new = (vars(tally) for tally in tallies)
-    return {"topic": key[0], "receiver": key[1], "old": old, "new": new}
+        yield "  a message after:"
+        yield from (f"    {line}" for line in new.example)

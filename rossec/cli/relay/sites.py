@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from operator import methodcaller
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import click
 
@@ -18,7 +18,7 @@ from ca.names import MASTER, check_label, display_name
 from rossec import files
 from rossec.authority.local_list import LocalList
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import FILE, Batch, flag, json_result, option, unique
+from rossec.cli.shared.options import FILE, Batch, flag, json_result, option, say_result, unique
 from rossec.environment import own_master, own_relay
 from rossec.errors import ConfigurationError
 from rossec.federation.settings import SiteFile, SiteSettings, checked_sites
@@ -32,6 +32,7 @@ from rossec.terminal import note, printable, record, say, say_json, say_secret
 
 RELAY_SOCKET: Final = "admin.sock"
 _LISTED = "at the authority: rossec domain accept CARD; then the master has the list, and the relay"
+_Known = TypeVar("_Known", Peer, SiteSettings)
 pass_home = click.make_pass_decorator(RouterHome)
 
 
@@ -52,11 +53,11 @@ def card(environment: Environment, label: str, domain: str | None) -> None:
     store = relay_files(environment)
     own = store.home.anchor().domain
     routers = store.routers()
-    if domain:
-        _check_listed(known_domains(environment, store.home), domain)
+    if domain and known_domains(environment, store.home).listed(domain) is None:
+        raise ConfigurationError(f"no trusted domain is called {domain[:40]!a}", _LISTED)
 
     def put(peers: dict[str, Peer]) -> None:
-        peer = peers.setdefault(label, Peer(check_label(label), _new_box(), domain))
+        peer = peers.setdefault(label, Peer(check_label(label), secrets.token_hex(BOX), domain))
         if domain is None or domain == peer.domain:
             return
         if peer.is_complete:
@@ -76,11 +77,6 @@ def relay_files(environment: Environment) -> RelayFiles:
     return RelayFiles(NodeHome.of(environment.home, own_relay(environment.variables)))
 
 
-def _check_listed(anchors: Anchors, label: str) -> None:
-    if anchors.listed(label) is None:
-        raise ConfigurationError(f"no trusted domain is called {label[:40]!a}", _LISTED)
-
-
 def known_domains(environment: Environment, home: NodeHome) -> Anchors:
     """The newest list of domains on this host: of the relay, its master, or the authority."""
     anchors = Anchors(home.anchor())
@@ -91,10 +87,6 @@ def known_domains(environment: Environment, home: NodeHome) -> Anchors:
             with suppress(DomainsRefused):  # of another authority, or older than one of the others
                 anchors.update(data)
     return anchors
-
-
-def _new_box() -> str:
-    return secrets.token_hex(BOX)
 
 
 @click.command()
@@ -110,7 +102,12 @@ def add_relay(environment: Environment, label: str, file: Path) -> None:
     """
     store = relay_files(environment)
     found = RelayCard.read(files.read(file, MAX_CARD))
-    domain = _label_of(known_domains(environment, store.home), found)
+    anchors, domain = known_domains(environment, store.home), ""
+    if found.domain != anchors.own.domain:
+        listed = anchors.listed_domain(found.domain)
+        if listed is None:
+            raise ConfigurationError(f"the card is of domain {found.domain}, not trusted here", _LISTED)
+        domain = listed.entry.label
     if not domain and found.relay == store.home.name:
         raise ConfigurationError(
             f"this is the card of {found.relay}, the relay of this host itself",
@@ -118,7 +115,7 @@ def add_relay(environment: Environment, label: str, file: Path) -> None:
         )
 
     def put(peers: dict[str, Peer]) -> None:
-        peer = peers.get(label) or Peer(check_label(label), _new_box())
+        peer = peers.get(label) or Peer(check_label(label), secrets.token_hex(BOX))
         if peer.domain is not None and peer.domain != domain:
             raise ConfigurationError(
                 f"the card is of domain {found.domain}, and {label} is to be of"
@@ -135,15 +132,6 @@ def add_relay(environment: Environment, label: str, file: Path) -> None:
     note(f"it needs this relay's card too: rossec relay card {label} > FILE, and there: add")
 
 
-def _label_of(anchors: Anchors, found: RelayCard) -> str:
-    if found.domain == anchors.own.domain:
-        return ""
-    listed = anchors.listed_domain(found.domain)
-    if listed is None:
-        raise ConfigurationError(f"the card is of domain {found.domain}, not trusted here", _LISTED)
-    return listed.entry.label
-
-
 @click.command()
 @click.argument("labels", metavar="LABEL...", nargs=-1, required=True)
 @json_result()
@@ -157,17 +145,21 @@ def remove_relay(environment: Environment, labels: tuple[str, ...]) -> None:
     batch = Batch(len(labels), "name")
     for label in labels:
         with batch.item(label):
-            relay_files(environment).change(partial(_forget, label))
+            relay_files(environment).change(partial(_take_out, label, "peer"))
             say(f"{label} is linked with no longer")
     batch.finish()
 
 
-def _forget(label: str, peers: dict[str, Peer]) -> None:
-    if label not in peers:
-        raise ConfigurationError(
-            f"there is no peer {label[:40]!a}", f"there are: {', '.join(sorted(peers)) or 'none'}"
-        )
-    del peers[label]
+def _take_out(label: str, what: str, known: dict[str, _Known]) -> None:
+    _find(known, label, what)
+    del known[label]
+
+
+def _find(known: dict[str, _Known], label: str, what: str) -> _Known:
+    if label not in known:
+        there = ", ".join(sorted(known)) or "none"
+        raise ConfigurationError(f"there is no {what} {label[:40]!a}", f"there are: {there}")
+    return known[label]
 
 
 @click.command("list")
@@ -229,17 +221,9 @@ def add_account(home: RouterHome, name: str, host: tuple[str, ...], listen: tupl
     """
     check_seat(name)
     home.prepare()
-    _check_reached(home, host, listen)
-    home.change_seats(lambda found: found.add(name, new_password()))
-    _print_file(home, name)
-
-
-def _check_reached(home: RouterHome, host: tuple[str, ...], listen: tuple[str, ...]) -> None:
     home.tell(hosts=host, listen=listen)
-    home.settings().locators  # noqa: B018 - raises
-
-
-def _print_file(home: RouterHome, name: str) -> None:
+    home.settings().locators  # noqa: B018 - raises: before there is a seat whose file nobody could use
+    home.change_seats(lambda found: found.add(name, new_password()))
     say_secret(home.seat_file(name).write().decode().rstrip())
 
 
@@ -253,8 +237,8 @@ def show_account(home: RouterHome, name: str, host: tuple[str, ...], listen: tup
     NAME is `open` for a router that was started with --open.
     """
     home.prepare()
-    _check_reached(home, host, listen)
-    _print_file(home, name)
+    home.tell(hosts=host, listen=listen)
+    say_secret(home.seat_file(name).write().decode().rstrip())
 
 
 @click.command("list")
@@ -263,12 +247,8 @@ def show_account(home: RouterHome, name: str, host: tuple[str, ...], listen: tup
 def list_accounts(home: RouterHome, *, as_json: bool) -> None:
     """List the seats."""
     names = home.seats().names
-    if as_json:
-        say_json({"seats": list(names)})
-        return
-    for name in names:
-        say(name)
-    if not names:
+    say_result(as_json, {"seats": list(names)}, names)
+    if not names and not as_json:
         note("nobody has a seat: rossec router seats add NAME > NAME.seat")
 
 
@@ -314,17 +294,15 @@ def take(home: RouterHome, file: Path, host: tuple[str, ...]) -> None:
     That is its authority, its seats and its address. FILE is - for standard input. A router that
     runs here takes the seats over within a second.
     """
-    home.take(Share.read(_read(file)))
+    if str(file) == "-":
+        data = sys.stdin.buffer.read(MAX_SHARE_FILE + 1)
+    else:
+        missing = ConfigurationError(f"there is no {file}", "it is made by: rossec router share")
+        data = files.read_own(file, MAX_SHARE_FILE, missing, link=True)
+    home.take(Share.read(data))
     home.tell(hosts=host)
     record(seats=list(home.seats().names), joins=list(home.settings().join))
     say(f"seats: {', '.join(home.seats().names) or 'none'}; joins {', '.join(home.settings().join)}")
-
-
-def _read(file: Path) -> bytes:
-    if str(file) == "-":
-        return sys.stdin.buffer.read(MAX_SHARE_FILE + 1)
-    missing = ConfigurationError(f"there is no {file}", "it is made by: rossec router share")
-    return files.read_own(file, MAX_SHARE_FILE, missing, link=True)
 
 
 @click.command()
@@ -404,22 +382,9 @@ def remove_site(environment: Environment, labels: tuple[str, ...]) -> None:
     batch = Batch(len(labels), "name")
     for label in labels:
         with batch.item(label):
-            SiteFile(_home(environment).path).change(partial(_unfollow, label))
+            SiteFile(_home(environment).path).change(partial(_take_out, label, "site"))
             say(f"{label} is followed no longer")
     batch.finish()
-
-
-def _unfollow(label: str, sites: dict[str, SiteSettings]) -> None:
-    _find(sites, label)
-    del sites[label]
-
-
-def _find(sites: dict[str, SiteSettings], label: str) -> SiteSettings:
-    if label not in sites:
-        raise ConfigurationError(
-            f"there is no site {label[:40]!a}", f"there are: {', '.join(sorted(sites)) or 'none'}"
-        )
-    return sites[label]
 
 
 @click.command()
@@ -436,7 +401,7 @@ def param(environment: Environment, label: str, pattern: str, *, removing: bool)
     """
 
     def change(sites: dict[str, SiteSettings]) -> None:
-        site = _find(sites, label)
+        site = _find(sites, label, "site")
         patterns = [each for each in site.parameters if each != pattern]
         if removing and len(patterns) == len(site.parameters):
             raise ConfigurationError(f"{pattern} of {label} is not mirrored", "rossec federation list")

@@ -15,7 +15,7 @@ from rossec.cli.ros.topic import run_until_node_ends
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as
 from rossec.cli.shared.messages import fill, parse_arguments, parse_message, plain, render, stamp_now
-from rossec.cli.shared.options import FILE, Batch, flag, json_result, option, unique
+from rossec.cli.shared.options import FILE, Batch, flag, json_result, option, say_result, unique
 from rossec.errors import ConfigurationError
 from rossec.node import Node, register_service_type, service_type
 from rossec.participant.handshakes import caller_here, text
@@ -33,11 +33,7 @@ _JSON = flag("--json as_json", "one line of JSON")
 def list_services(environment: Environment, node: str, as_json: bool) -> None:
     """List the services that NODE may see."""
     known = _run(environment, node, lambda running: running.services.known())
-    if as_json:
-        say_json(known)
-        return
-    for name in sorted(known):
-        say(printable(shown(name)))
+    say_result(as_json, known, (printable(shown(name)) for name in sorted(known)))
 
 
 def _run(environment: Environment, node: str, work: Callable[[Node], Awaitable[T]]) -> T:
@@ -65,11 +61,7 @@ def service_info(environment: Environment, name: str, node: str, as_json: bool) 
     found = {"node": caller, "uri": uri, "type": text(fields, "type"), "md5sum": text(fields, "md5sum")}
     if caller != provider.name:
         found["identity"] = provider.name
-    if as_json:
-        say_json(found)
-        return
-    for key, value in found.items():
-        say(f"{key}: {printable(shown(value))}")
+    say_result(as_json, found, (f"{key}: {printable(shown(value))}" for key, value in found.items()))
 
 
 @click.command("type")
@@ -113,38 +105,22 @@ def call(
     as_json: bool,
 ) -> None:
     """Call the service NAME with CONTENT (YAML, as in rosservice) and print the answer."""
-    content_fields = parse_arguments(content)
+    content_fields, service = parse_arguments(content), local_name(name)
     if definition is not None:
-        _register_definition(type_name, definition)
-    asyncio.run(_call(environment, name, content_fields, node, type_name, timeout, as_json))
-
-
-def _register_definition(type_name: str | None, definition: Path) -> None:
-    if type_name is None:
-        raise ConfigurationError("a definition without its name", "give --type PKG/TYPE as well")
-    try:
-        content = definition.read_text()
-    except UnicodeDecodeError:
-        raise ConfigurationError(f"{definition} is not text", "give a .srv file") from None
-    register_service_type(type_name, content)
-
-
-async def _call(
-    environment: Environment,
-    name: str,
-    content_fields: object,
-    node: str,
-    type_name: str | None,
-    timeout: float,  # noqa: ASYNC109 - as the option
-    as_json: bool,
-) -> None:
-    name = local_name(name)
-    async with node_as(environment, node) as running:
         if type_name is None:
-            fields, _ = await running.services.probe(running.settings.resolve(name))
-            type_name = text(fields, "type")
-        service_type(type_name)
-        client = running.client(name, type_name, deadline=timeout)
+            raise ConfigurationError("a definition without its name", "give --type PKG/TYPE as well")
+        try:
+            register_service_type(type_name, definition.read_text())
+        except UnicodeDecodeError:
+            raise ConfigurationError(f"{definition} is not text", "give a .srv file") from None
+
+    async def work(running: Node) -> None:
+        kind = type_name
+        if kind is None:
+            fields, _ = await running.services.probe(running.settings.resolve(service))
+            kind = text(fields, "type")
+        service_type(kind)  # refuses a type that is not known here, before anything is sent
+        client = running.client(service, kind, deadline=timeout)
         request = client.create()
         fill(request, content_fields, stamp_now())
 
@@ -157,6 +133,8 @@ async def _call(
 
         await run_until_node_ends(running, answer())
 
+    _run(environment, node, work)
+
 
 @click.command("list")
 @click.argument("namespace", default="/")
@@ -168,11 +146,7 @@ def list_params(environment: Environment, namespace: str, node: str, as_json: bo
     names = _run(environment, node, lambda running: running.params.names())
     prefix = local_name(namespace).rstrip("/") + "/"
     found = sorted(name for name in names if f"{name}/".startswith(prefix))
-    if as_json:
-        say_json(found)
-        return
-    for name in found:
-        say(printable(shown(name)))
+    say_result(as_json, found, (printable(shown(name)) for name in found))
 
 
 @click.command()
@@ -186,8 +160,10 @@ def get_param(environment: Environment, name: str, node: str, as_json: bool) -> 
     value = _run(environment, node, lambda running: running.params.get(key))
     if as_json:
         say_json(_encodable(value))
+    elif isinstance(value, str):
+        say_block(printable(value))
     else:
-        say_block(_readable(value))
+        say_block(json_text(_encodable(value), 2 if isinstance(value, dict) else None))
 
 
 def _encodable(value: object) -> object:
@@ -202,12 +178,6 @@ def _encodable(value: object) -> object:
             return value
         case _:
             return str(value)
-
-
-def _readable(value: object) -> str:
-    if isinstance(value, str):
-        return printable(value)
-    return json_text(_encodable(value), 2 if isinstance(value, dict) else None)
 
 
 @click.command("set")

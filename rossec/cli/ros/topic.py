@@ -28,6 +28,7 @@ from rossec.cli.shared.messages import (
 )
 from rossec.cli.shared.options import FILE, flag, option
 from rossec.errors import ConfigurationError, MessageError
+from rossec.host.runner import until_first_ends
 from rossec.node import Node, Publisher
 from rossec.node.subscriber import RawSource, Subscriber
 from rossec.participant.definitions import Definition
@@ -79,20 +80,17 @@ def echo(
         say_block(render(message, hidden=hidden))
         say("---")
 
-    asyncio.run(_echo(environment, name, type_name, node, count, show))
+    async def listen() -> None:
+        if type_name is None:
+            async with listening(environment, name, node) as (running, arrivals):
+                await run_until_node_ends(running, _print(_read(arrivals), count, show))
+            return
+        async with node_as(environment, node) as running:
+            subscriber = await running.subscriber(local_name(name), type_name)
+            async with watched(subscriber):
+                await run_until_node_ends(running, _print(subscriber, count, show))
 
-
-async def _echo(
-    environment: Environment, name: str, type_name: str | None, node: str, count: int | None, show: Show
-) -> None:
-    if type_name is None:
-        async with listening(environment, name, node) as (running, arrivals):
-            await run_until_node_ends(running, _print(_read(arrivals), count, show))
-        return
-    async with node_as(environment, node) as running:
-        subscriber = await running.subscriber(local_name(name), type_name)
-        async with watched(subscriber):
-            await run_until_node_ends(running, _print(subscriber, count, show))
+    asyncio.run(listen())
 
 
 class Arrivals:
@@ -155,15 +153,7 @@ async def run_until_node_ends(node: Node, work: Coroutine[Any, Any, None]) -> No
 
     Both tasks have ended when this returns, also after Ctrl-C: the node is closed next.
     """
-    tasks = [asyncio.ensure_future(node.wait_ended()), asyncio.ensure_future(work)]
-    try:
-        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-    for task in done:
-        await task
+    await until_first_ends(node.wait_ended(), work)
 
 
 async def _print(messages: AsyncIterable[Message], count: int | None, show: Show) -> None:
@@ -238,7 +228,14 @@ def pub(
     contents = _contents(content, file)
     messages = Messages(message_type(type_name), contents)
     ends = 1 if once else len(contents) if file is not None and count is None else count
-    asyncio.run(_pub(environment, name, messages, node, 1 / rate, ends))
+
+    async def work() -> None:
+        async with node_as(environment, node) as running:
+            publisher = await running.publisher(local_name(name), messages.kind.name)
+            note(f"waiting for a subscriber of {publisher.topic}")
+            await run_until_node_ends(running, _publish(publisher, messages, 1 / rate, ends))
+
+    asyncio.run(work())
 
 
 def _contents(content: tuple[str, ...], file: Path | None) -> list[object]:
@@ -271,15 +268,6 @@ class Messages:
         return message
 
 
-async def _pub(
-    environment: Environment, name: str, messages: Messages, node: str, period: float, count: int | None
-) -> None:
-    async with node_as(environment, node) as running:
-        publisher = await running.publisher(local_name(name), messages.kind.name)
-        note(f"waiting for a subscriber of {publisher.topic}")
-        await run_until_node_ends(running, _publish(publisher, messages, period, count))
-
-
 async def _publish(publisher: Publisher, messages: Messages, period: float, count: int | None) -> None:
     await publisher.wait_for_subscribers()
     sent = 0
@@ -298,15 +286,18 @@ async def _publish(publisher: Publisher, messages: Messages, period: float, coun
 def hz(environment: Environment, name: str, node: str, window: int | None, count: int | None) -> None:
     """Show how often messages of the topic NAME arrive, as NODE may see them."""
     rates = RateWindow(window)
-    asyncio.run(_watch(environment, name, node, lambda now, _: rates.add(now), rates.describe, count))
+    _watch(environment, name, node, lambda now, _: rates.add(now), rates.describe, count)
 
 
-async def _watch(
+def _watch(
     environment: Environment, name: str, node: str, add: Add, describe: Callable[[], str], count: int | None
 ) -> None:
-    async with listening(environment, name, node) as (running, arrivals):
-        note(f"subscribed to [{name}]")
-        await run_until_node_ends(running, _count_and_say(arrivals, add, describe, count))
+    async def watch() -> None:
+        async with listening(environment, name, node) as (running, arrivals):
+            note(f"subscribed to [{name}]")
+            await run_until_node_ends(running, _count_and_say(arrivals, add, describe, count))
+
+    asyncio.run(watch())
 
 
 async def _count_and_say(
@@ -338,7 +329,4 @@ def bw(environment: Environment, name: str, node: str, window: int | None, count
     """Show how many bytes of the topic NAME arrive, as NODE may see them."""
     sizes = SizeWindow(window or 100)  # rostopic's
 
-    def describe() -> str:
-        return sizes.describe(time.monotonic())
-
-    asyncio.run(_watch(environment, name, node, sizes.add, describe, count))
+    _watch(environment, name, node, sizes.add, lambda: sizes.describe(time.monotonic()), count)
