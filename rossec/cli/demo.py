@@ -81,19 +81,17 @@ def show_console_demo(called: click.Context, options: ConsoleOptions) -> None:
     for sock in listen(read_options(options, "localhost")):
         sock.close()
     run = partial(context.run, called.find_root().command)
+
+    async def play(demo: DemoEnvironment) -> None:
+        others: list[DemoEnvironment] = []
+        try:
+            await until_first_ends(_show(demo, options.port or PORT, others), stop_on_signals().wait())
+        finally:
+            for each in others:
+                await each.stop_all()
+
     with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
-        asyncio.run(_play(Path(directory), run, options.port or PORT))
-
-
-async def _play(directory: Path, run: Run, port: int) -> None:
-    stop = stop_on_signals()
-    demo = DemoEnvironment(directory, StepPrinter(sys.stdout.write), {"ROS_IP": "127.0.0.1"}, run)
-    others: list[DemoEnvironment] = []
-    try:
-        await until_first_ends(_show(demo, port, others), stop.wait())
-    finally:
-        for each in (*others, demo):
-            await each.stop_all()
+        asyncio.run(_run(Path(directory), run, play))
 
 
 async def _show(demo: DemoEnvironment, port: int, others: list[DemoEnvironment]) -> None:

@@ -176,7 +176,7 @@ def policy() -> None:
 @option("--field", "only fields with this in their path")
 @flag("--held", "what is granted now, instead of what the policy allows")
 @option("--html", "write a page to this file", type=PATH)
-@flag("--json as_json", "one line of JSON")
+@options.as_json
 @options.policy
 @click.pass_context
 def privacy(

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import click
 
-from rossec.cli.shared import passphrase
+from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, LazyGroup, pass_environment
 from rossec.cli.shared.options import NEW_FILE, PATH, flag, option
 from rossec.console.options import HAND_OUT_PORT, PORT
@@ -124,7 +124,7 @@ def console(
 
 @click.group(cls=LazyGroup, table=_PHONES, invoke_without_command=True)
 @flag("--all everything", "also those that were removed")
-@flag("--json as_json", "one line of JSON")
+@options.as_json
 @click.pass_context
 def phones(context: click.Context, everything: bool, as_json: bool) -> None:
     """Show the phones that can approve."""

@@ -8,16 +8,16 @@ import click
 
 from ca.names import display_name
 from rossec.cli.relay.sites import RELAY_SOCKET, relay_files
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.options import flag, json_result
 from rossec.environment import missing_node, own_gateway, own_master
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.master.operation.admin import send_command
-from rossec.terminal import note, printable, record, say, say_json
+from rossec.terminal import note, printable, say, say_json
 
 PERIOD: Final = 1.0  # seconds between two questions
-as_json = flag("--json as_json", "one line of JSON")
 watch = flag("--watch", "show it again whenever it changes, until Ctrl-C")
 Answer = dict[str, Any]
 ADMIN_SOCKET: Final = "admin.sock"
@@ -46,13 +46,11 @@ def _home(environment: Environment) -> NodeHome:
 
 
 @click.command()
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def stop_master(environment: Environment) -> None:
     """Stop the running master in order; it must have been started with --admin."""
     send_command(_home(environment).path / ADMIN_SOCKET, "stop")
-    record(stopping=True)
-    say("the master ends")
+    say("the master ends", stopping=True)
 
 
 @click.command()
@@ -116,7 +114,7 @@ def _without_figures(answer: Answer) -> list[str]:
 
 
 @click.command()
-@as_json
+@options.as_json
 @watch
 @pass_environment
 def gateway_status(environment: Environment, *, as_json: bool, watch: bool) -> None:
@@ -192,7 +190,7 @@ def _gateway_lines(answer: Answer) -> list[str]:
 
 
 @click.command()
-@as_json
+@options.as_json
 @watch
 @pass_environment
 def relay_status(environment: Environment, *, as_json: bool, watch: bool) -> None:

@@ -42,8 +42,7 @@ as_json_option = flag("--json as_json", "a line of JSON")
 @flag("--psk", "it has no curves: make a secret for it")
 @option("--secret-out", "write the secret for the thing to this new file, and do not show it", type=NEW_FILE)
 @as_border
-@json_result(secret=True)
-@pass_environment
+@json_result(pass_environment, secret=True)
 def add(
     environment: Environment, name: str, ccs: Path | None, psk: bool, secret_out: Path | None, router: str
 ) -> None:
@@ -66,8 +65,7 @@ def add(
         option = f"--psk {_secret(ThingFiles(home), name, secret_out)}"
     node = NodeHome.of(environment.home, name)
     csr = node.label_request(domain)
-    record(name=name, file=str(node.request_path))
-    say(f"request of {name}: {node.request_path}")
+    say(f"request of {name}: {node.request_path}", name=name, file=str(node.request_path))
     say(f"fingerprint {format_fingerprint(check_request(csr, domain).thumbprint)}")
     request = f"--request {node.request_path}"
     say(f"next, at the authority: rossec ca thing {name} --border {router} {option} {request}")
@@ -85,8 +83,7 @@ def _secret(things: ThingFiles, name: str, out: Path | None) -> Path:
     described = things.describe_secret(name, known)
     if out is not None:
         files.create(out, f"{text}\n".encode())
-        record(secret_file=str(out))
-        say(f"secret of {name}: {out}")
+        say(f"secret of {name}: {out}", secret_file=str(out))
     else:
         note("whoever sees this can speak as the thing; it is not shown again")
         record(secret=text)
@@ -99,8 +96,7 @@ def _secret(things: ThingFiles, name: str, out: Path | None) -> Path:
 @click.argument("statement", type=FILE)
 @click.argument("bundle", type=FILE, required=False)
 @as_border
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def install(environment: Environment, statement: Path, bundle: Path | None, router: str) -> None:
     """Install what the authority signed about a thing: STATEMENT, and the identity in BUNDLE.
 
@@ -116,11 +112,9 @@ def install(environment: Environment, statement: Path, bundle: Path | None, rout
                 f"{bundle} is of another authority than that of {router}", "take the right file"
             )
         node.install(pem, now())
-        record(identity=node.name, domain=anchor.domain)
-        say(f"{node.name} is enrolled in {anchor.domain}")
+        say(f"{node.name} is enrolled in {anchor.domain}", identity=node.name, domain=anchor.domain)
     found = ThingFiles(home).install(files.read(statement, MAX_STATEMENT))
-    record(name=found.name, expires=found.expires)
-    say(f"{found.name} is served until {format_time(found.expires)}")
+    say(f"{found.name} is served until {format_time(found.expires)}", name=found.name, expires=found.expires)
     if not (NodeHome.of(environment.home, found.name).path / "node.pem").exists():
         note(f"the node {found.name} has no identity here yet: rossec node install FILE")
 
@@ -128,8 +122,7 @@ def install(environment: Environment, statement: Path, bundle: Path | None, rout
 @click.command()
 @click.argument("file", type=NEW_FILE)
 @as_border
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def credential(environment: Environment, file: Path, router: str) -> None:
     """Write the router's credential for its things to FILE: they know it by this key.
 
@@ -243,8 +236,7 @@ def needs_extra() -> ConfigurationError:
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
 @as_border
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def forget(environment: Environment, names: tuple[str, ...], router: str) -> None:
     """Forget the thing NAME: its statement and its secret are removed here.
 

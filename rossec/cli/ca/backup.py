@@ -19,8 +19,7 @@ from rossec.terminal import note, printable, record, say
 @click.command()
 @click.argument("file", type=NEW_FILE)
 @passphrase.option
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def backup(environment: Environment, file: Path, passphrase_file: Path | None) -> None:
     """Write the authority into the new file FILE, encrypted under its passphrase.
 
@@ -70,8 +69,7 @@ def backup(environment: Environment, file: Path, passphrase_file: Path | None) -
     type=FILE,
 )
 @passphrase.option
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def restore(
     environment: Environment,
     file: Path,

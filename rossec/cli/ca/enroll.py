@@ -48,7 +48,7 @@ _DENIED: Final = "denied at the authority"
 
 @click.command()
 @flag("--all everything", "also those that were answered")
-@flag("--json as_json", "one line of JSON")
+@options.as_json
 @pass_environment
 def requests(environment: Environment, everything: bool, as_json: bool) -> None:
     """Show the requests for an identity that have no answer yet."""
@@ -88,8 +88,7 @@ def _summary(row: RequestRow) -> dict[str, object]:
 @sign.anonymous
 @option("--out", "write the identity to this new file", type=PATH)
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def approve(
     service: AuthorityService,
     request_ids: tuple[str, ...],
@@ -120,8 +119,7 @@ def approve(
             say(f"approved {row.name}")
             if out is not None:
                 files.create(out, bundle, 0o644)
-                record(file=str(out))
-                say(f"signed: {out}; at the node: rossec node install {out.name}")
+                say(f"signed: {out}; at the node: rossec node install {out.name}", file=str(out))
             give_outright(service, row.name)
     publish_if_revoked(service)
     batch.finish()
@@ -154,9 +152,8 @@ def show_request(service: AuthorityService, row: RequestRow, *, wildcard: bool) 
 
 @click.command()
 @click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
-@option("--reason", "why, for the record", default="")
-@json_result()
-@pass_environment
+@options.reason
+@json_result(pass_environment)
 def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) -> None:
     """Deny the request REQUEST_ID (or its beginning).
 
@@ -168,8 +165,7 @@ def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) ->
         with batch.item(request_id):
             row = service.identities.request(request_id)
             service.identities.deny_request(row, reason)
-            record(name=row.name)
-            say(f"denied {row.name}")
+            say(f"denied {row.name}", name=row.name)
     batch.finish()
 
 
@@ -183,9 +179,8 @@ def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) ->
 @sign.anonymous
 @flag("--later", "only record the request; decide with: rossec ca approve")
 @options.master_uri
-@flag("--yes", "do not ask")
-@json_result()
-@pass_service
+@options.yes
+@json_result(pass_service)
 def enroll(
     service: AuthorityService,
     code: str | None,
@@ -242,8 +237,7 @@ def enroll(
     if destination is None:
         assert csr_file is not None  # noqa: S101 - without an address there is a file
         target = write_identity(csr_file, bundle)
-        record(file=str(target))
-        say(f"signed: {target}; at the node: rossec node install {target.name}")
+        say(f"signed: {target}; at the node: rossec node install {target.name}", file=str(target))
     else:
         try:
             *chain, root = from_pem(bundle)
@@ -252,8 +246,7 @@ def enroll(
         except HintedError:
             remind_to_publish(service)
             raise
-        record(state="enrolled")
-        say(f"enrolled {row.name}")
+        say(f"enrolled {row.name}", state="enrolled")
     give_outright(service, row.name)
     publish_if_revoked(service)
 

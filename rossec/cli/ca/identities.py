@@ -141,8 +141,7 @@ def show(environment: Environment, name: str | None, in_json: bool) -> None:
 @duration("--for lifetime", "how long the new identity lasts", days=MAX_LIFETIME // DAY, default="30d")
 @flag("--expired", "also one that is over: it keeps its key, and so its grants")
 @option("--out", "where to write it", type=NEW_FILE)
-@json_result()
-@pass_service
+@json_result(pass_service)
 def renew(
     service: AuthorityService, names: tuple[str, ...], lifetime: int, expired: bool, out: Path | None
 ) -> None:
@@ -163,14 +162,12 @@ def renew(
         with batch.item(name):
             if name == OWN_NODE:
                 expires = service.identities.renew_own_node()
-                record(expires=expires)
-                say(f"renewed {name} until {format_time(expires)}")
+                say(f"renewed {name} until {format_time(expires)}", expires=expires)
             else:
                 bundle = service.identities.renew(name, lifetime, expired=expired)
                 target = out or Path(f"{name.lstrip('/').replace('/', '.')}.pem")
                 files.replace(target, bundle, 0o644)
-                record(file=str(target))
-                say(f"renewed {name}: {target}")
+                say(f"renewed {name}: {target}", file=str(target))
                 carried += [] if _install(service, name, bundle) else [target]
     if carried:
         listed = " ".join(map(str, carried))
@@ -188,15 +185,13 @@ def _install(service: AuthorityService, name: str, bundle: bytes) -> bool:
     except (HintedError, OSError) as error:  # of another key, or of another user
         note(f"not installed in {home.path}: {error}")
         return False
-    record(installed=str(home.path))
-    say(f"installed in {home.path}")
+    say(f"installed in {home.path}", installed=str(home.path))
     return True
 
 
 @click.command()
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def publish(service: AuthorityService) -> None:
     """Give the newest revocation list to the master.
 
@@ -207,8 +202,7 @@ def publish(service: AuthorityService) -> None:
         service.complete_list()
     record(published=False)
     service.publish()
-    record(published=True)
-    say("the master has the newest list")
+    say("the master has the newest list", published=True)
 
 
 @click.command()
@@ -219,8 +213,7 @@ def publish(service: AuthorityService) -> None:
 )
 @options.entries
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def refresh(service: AuthorityService, older: Path | None, entries: Path | None) -> None:
     """Sign the revocation list anew, before it expires, and give it to the master.
 
@@ -239,7 +232,7 @@ def refresh(service: AuthorityService, older: Path | None, entries: Path | None)
 
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
-@option("--reason", "why, for the record", default="")
+@options.reason
 @option(
     "--certificate", "of a node of another domain: revoke the key in this node.pem, and no other", type=FILE
 )
@@ -248,8 +241,7 @@ def refresh(service: AuthorityService, older: Path | None, entries: Path | None)
     "revoke what is said of the thing NAME; the node that stands for it keeps its identity",
 )
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def revoke(
     service: AuthorityService, names: tuple[str, ...], reason: str, certificate: Path | None, of_thing: bool
 ) -> None:
@@ -310,8 +302,7 @@ def _revoke_node(
 @flag("--and-nodes", "also revoke every node that joined by it")
 @option("--reason", "why, for the record", default=_REASON)
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def revoke_invitations(
     service: AuthorityService, invitation_ids: tuple[str, ...], and_nodes: bool, reason: str
 ) -> None:
@@ -328,8 +319,7 @@ def revoke_invitations(
             with contextlib.closing(service.home.store()) as store:
                 found = find(store, invitation_id)
                 denied = end(store, found, reason, now())
-            record(invitation=found.row.id.hex(), denied=denied)
-            say(f"invitation {found.short_id} is ended")
+            say(f"invitation {found.short_id} is ended", invitation=found.row.id.hex(), denied=denied)
             if denied:
                 say(f"denied {denied} request{'s' * (denied != 1)} that waited")
             ended.append(found)
@@ -381,8 +371,7 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
 
 @click.command()
 @option("--out", "write it here", type=NEW_FILE)
-@json_result()
-@pass_service
+@json_result(pass_service)
 def head(service: AuthorityService, out: Path | None) -> None:
     """Sign the state of the log, to be kept elsewhere."""
     data = service.sign_head()
@@ -393,8 +382,7 @@ def head(service: AuthorityService, out: Path | None) -> None:
         say(base64.b64encode(data).decode())
         return
     files.replace(out, data, 0o644)
-    record(file=str(out))
-    say(f"head of {size} entries: {out}")
+    say(f"head of {size} entries: {out}", file=str(out))
 
 
 @click.command()

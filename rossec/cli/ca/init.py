@@ -21,8 +21,7 @@ from rossec.terminal import record, say
 @option("--key=URI uri", "make the key in a token: pkcs11:token=T;object=O")
 @flag("--master with_master", "enroll /master here too")
 @passphrase.option
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def init(
     environment: Environment, domain: str, uri: str | None, with_master: bool, passphrase_file: Path | None
 ) -> None:
@@ -42,8 +41,7 @@ def init(
         secret = passphrase.read(passphrase_file, environment.variables)
     home = AuthorityHome.create(environment.home, domain, secret, now(), token)
     found = fingerprint(home.anchor())
-    record(domain=domain, path=str(home.path), fingerprint=found)
-    say(f"authority of {domain} in {home.path}")
+    say(f"authority of {domain} in {home.path}", domain=domain, path=str(home.path), fingerprint=found)
     say(f"fingerprint {found}")
     if with_master:
         authority = home.unlock(secret)

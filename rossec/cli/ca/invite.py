@@ -42,8 +42,7 @@ _MAX_DAYS: Final = 30
 @flag("--qr picture", "also show it as a picture, on stderr")
 @option("--ndef tag", "also write it to this new file, for an NFC tag (NDEF)", type=NEW_FILE)
 @option("--address given", "where nodes reach `rossec ca serve`, instead of the address found")
-@json_result(secret=True)
-@pass_environment
+@json_result(pass_environment, secret=True)
 def command(
     environment: Environment,
     pattern: str,

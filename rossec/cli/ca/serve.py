@@ -38,7 +38,7 @@ from rossec.host.local_sockets import UnixPeer
 from rossec.host.runner import log_as_json, stop_on_signals, until_first_ends, until_stopped
 from rossec.host.sandbox import protect_memory
 from rossec.ros import names
-from rossec.terminal import record, say, say_json
+from rossec.terminal import say, say_json
 
 OPERATOR = "the operator who started it"
 _START = "start it with: rossec ca serve"
@@ -215,8 +215,7 @@ def describe_remaining(remaining: int | None) -> str:
     show_default=True,
 )
 @passphrase.option
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def unlock(environment: Environment, seconds: int, passphrase_file: Path | None) -> None:
     """Give the running service the passphrase: it holds the key from now on, for a time.
 
@@ -225,8 +224,7 @@ def unlock(environment: Environment, seconds: int, passphrase_file: Path | None)
     with closing(_running(environment, wait=_STARTING)) as client:
         secret = passphrase.read(passphrase_file, environment.variables)
         found = client.unlock(secret, seconds)
-        record(**found)
-        say(_describe(found))
+        say(_describe(found), **found)
 
 
 def _running(environment: Environment, wait: float = 0) -> KeyServiceClient:
@@ -246,18 +244,16 @@ def _describe(found: dict[str, Value]) -> str:
 
 
 @click.command()
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def lock(environment: Environment) -> None:
     """Let the running service drop the key at once."""
     with closing(_running(environment)) as client:
         found = client.lock()
-        record(**found)
-        say(_describe(found))
+        say(_describe(found), **found)
 
 
 @click.command()
-@flag("--json as_json", "one line of JSON")
+@options.as_json
 @pass_environment
 def status(environment: Environment, as_json: bool) -> None:
     """Show whether the authority's service runs, and whether it holds the key."""

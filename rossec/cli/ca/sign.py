@@ -60,9 +60,8 @@ def replace_key(*, multiple: bool = False) -> Callable[[Callable[..., Any]], Cal
 @replace_key(multiple=True)
 @anonymous
 @options.master_uri
-@flag("--yes", "do not ask")
-@json_result()
-@pass_service
+@options.yes
+@json_result(pass_service)
 def sign(
     service: AuthorityService,
     requests: tuple[Path, ...],
@@ -112,8 +111,7 @@ def sign(
                     data, lifetime, replace_key=key, wildcard=anonymous, source="file"
                 )
                 target = write_identity(path, bundle)
-                record(name=name, identity=str(target))
-                say(f"signed {name}: {target}")
+                say(f"signed {name}: {target}", name=name, identity=str(target))
                 give_outright(service, name)
         publish_if_revoked(service)
     batch.finish()
@@ -142,8 +140,7 @@ def write_identity(request: Path, bundle: bytes) -> Path:
 @click.command()
 @click.argument("domain")
 @passphrase.option
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def request_intermediate(environment: Environment, domain: str, passphrase_file: Path | None) -> None:
     """On the host: make its key and a request, to carry to the root of DOMAIN."""
     secret = passphrase.choose(passphrase_file, environment.variables)
@@ -164,9 +161,8 @@ def request_intermediate(environment: Environment, domain: str, passphrase_file:
     type=click.Choice(["renew", "enroll"]),
 )
 @duration("--for lifetime", "how long it may sign", days=MAX_LIFETIME // DAY, default="90d")
-@flag("--yes", "do not ask")
-@json_result()
-@pass_service
+@options.yes
+@json_result(pass_service)
 def sign_intermediate(service: AuthorityService, request: Path, may: str, lifetime: int, yes: bool) -> None:
     """At the root: sign REQUEST of a host, and set what it may do."""
     domain = service.home.domain
@@ -179,8 +175,7 @@ def sign_intermediate(service: AuthorityService, request: Path, may: str, lifeti
     name, bundle = service.identities.sign_intermediate(data, may_enroll=may == "enroll", lifetime=lifetime)
     target = request.with_suffix(".pem")
     files.replace(target, bundle, 0o644)
-    record(name=name, file=str(target), key=thumbprint(key).hex(), may=may)
-    say(f"signed {name}: {target}")
+    say(f"signed {name}: {target}", name=name, file=str(target), key=thumbprint(key).hex(), may=may)
     say(f"to revoke it, with all it signed: rossec ca revoke {name}")
     remind_to_publish(service)
 
@@ -188,25 +183,22 @@ def sign_intermediate(service: AuthorityService, request: Path, may: str, lifeti
 @click.command()
 @click.argument("bundle", type=FILE)
 @passphrase.option
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def install_intermediate(environment: Environment, bundle: Path, passphrase_file: Path | None) -> None:
     """On the host: install BUNDLE, which the root signed."""
     data = files.read(bundle, _MAX_REQUEST)
     secret = passphrase.read(passphrase_file, environment.variables)
     found = renewals.install(environment.home, data, secret, now())
     powers = "renew and enroll" if found.may_enroll else "renew"
-    record(may=powers, expires=found.not_after)
-    say(f"this host may {powers} until {format_time(found.not_after)}")
+    say(f"this host may {powers} until {format_time(found.not_after)}", may=powers, expires=found.not_after)
 
 
 @click.command("import")
 @click.argument("bundles", nargs=-1, required=True, type=FILE)
 @replace_key(multiple=True)
 @options.master_uri
-@flag("--yes", "do not ask")
-@json_result()
-@pass_service
+@options.yes
+@json_result(pass_service)
 def import_(
     service: AuthorityService, bundles: tuple[Path, ...], replaced: tuple[str, ...], yes: bool
 ) -> None:
@@ -231,8 +223,7 @@ def import_(
         for path, data in found:
             with batch.item(path):
                 identity, new = service.identities.import_bundle(data, replaced)
-                record(name=identity.name, new=new)
-                say(f"{'imported' if new else 'known already:'} {identity.name}")
+                say(f"{'imported' if new else 'known already:'} {identity.name}", name=identity.name, new=new)
         publish_if_revoked(service)
     batch.finish()
 
@@ -255,10 +246,9 @@ def import_(
     "--identity-for identity_lifetime", "how long the identity lasts", days=MAX_LIFETIME // DAY, default="30d"
 )
 @option("--out", "where to write it", type=NEW_FILE)
-@flag("--yes", "do not ask")
+@options.yes
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given: Any) -> None:
     """State that the thing NAME has this key or secret, and which border router serves it.
 
@@ -329,12 +319,10 @@ def _hand_over(
     say(f"signed {name} until {format_time(statement.expires)}: {target}")
     bundle = target if request is None else write_identity(request, signed.bundle)
     if request is not None:
-        record(identity=str(bundle))
-        say(f"signed its identity: {bundle}")
+        say(f"signed its identity: {bundle}", identity=str(bundle))
     path = service.things.store(signed.data, signed.bundle)
     if path is not None:
-        record(border=str(path))
-        say(f"given to its border router in {path}")
+        say(f"given to its border router in {path}", border=str(path))
     else:
         more = "" if request is None else f" {bundle}"
         say(f"next, on its border router: rossec border install {target}{more}")

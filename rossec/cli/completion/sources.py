@@ -89,7 +89,9 @@ class Sources:
                 yield entry.removesuffix(".grant")[:_SHORT] if entry.endswith(".grant") else None
 
     def types(self, folder: str) -> Iterator[object]:
-        for share in _package_paths(self._variables):
+        given = self._variables.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+        places = dict.fromkeys([*given, "/opt/ros/noetic/share", "/usr/share"])
+        for share in (Path(path) for path in places if path[:1] == "/"):
             for package in _entries(share):
                 for entry in _entries(share / package / folder):
                     if entry.endswith(f".{folder}"):
@@ -101,12 +103,6 @@ class Sources:
             with contextlib.suppress(OSError):
                 text = Path(place, *_STORE).read_text(errors="replace")
                 yield from map("/".join, _TYPE.findall(text))
-
-
-def _package_paths(variables: Mapping[str, str]) -> Iterator[Path]:
-    given = variables.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-    places = dict.fromkeys([*given, "/opt/ros/noetic/share", "/usr/share"])
-    yield from (Path(path) for path in places if path[:1] == "/")
 
 
 def _entries(directory: Path) -> list[str]:

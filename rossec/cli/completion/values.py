@@ -141,7 +141,13 @@ def outline_of(command: click.Command) -> Outline:
 
 
 def _param(param: click.Parameter) -> Outline:
-    found: Outline = {"name": param.name, "nargs": param.nargs} | _type(param.type)
+    found: Outline = {"name": param.name, "nargs": param.nargs}
+    if isinstance(param.type, click.Choice):
+        found["choices"] = [str(each) for each in param.type.choices]
+    elif isinstance(param.type, click.Path):
+        found["path"] = _FILES[param.type.dir_okay and not param.type.file_okay]
+    else:
+        found["text"] = param.type.name == "text"
     if isinstance(param, click.Option):
         found |= {
             "opts": list(param.opts),
@@ -151,14 +157,6 @@ def _param(param: click.Parameter) -> Outline:
             "help": param.help or "",
         }
     return found
-
-
-def _type(kind: click.ParamType[Any]) -> Outline:
-    if isinstance(kind, click.Choice):
-        return {"choices": [str(each) for each in kind.choices]}
-    if isinstance(kind, click.Path):
-        return {"path": _FILES[kind.dir_okay and not kind.file_okay]}
-    return {"text": kind.name == "text"}
 
 
 def command_of(name: str, outline: Outline, values: Sequence[Values | None]) -> click.Command:
@@ -172,7 +170,11 @@ def command_of(name: str, outline: Outline, values: Sequence[Values | None]) -> 
 
 
 def _parameter(outline: Outline, complete: Values | None) -> click.Parameter:
-    kind = _made_type(outline)
+    kind: click.ParamType[Any] = click.STRING
+    if "choices" in outline:
+        kind = click.Choice(outline["choices"])
+    elif "path" in outline:
+        kind = click.Path(file_okay=outline["path"] == "file", dir_okay=True)
     if "opts" not in outline:
         return click.Argument(
             [outline["name"]], nargs=outline["nargs"], type=kind, required=False, shell_complete=complete
@@ -189,14 +191,6 @@ def _parameter(outline: Outline, complete: Values | None) -> click.Parameter:
         help=outline["help"],
         shell_complete=complete,
     )
-
-
-def _made_type(outline: Outline) -> click.ParamType[Any]:
-    if "choices" in outline:
-        return click.Choice(outline["choices"])
-    if "path" in outline:
-        return click.Path(file_okay=outline["path"] == "file", dir_okay=True)
-    return click.STRING
 
 
 def kinds_of(place: str, arguments: Iterable[str], outline: Outline) -> list[str]:

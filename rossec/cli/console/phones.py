@@ -15,13 +15,14 @@ from rossec.authority.console.messages import sentence
 from rossec.authority.console.phone_codes import CODE_LIFETIME
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import KeyServiceClient
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.options import flag, json_result, option, say_result
 from rossec.clock import format_time
 from rossec.console.listening import read_address
 from rossec.console.options import LOCALHOST, MAX_PHONE_NAME
 from rossec.errors import ConfigurationError
-from rossec.terminal import printable, record, say, say_json, say_picture
+from rossec.terminal import printable, say, say_json, say_picture
 
 _PERIOD: Final = 0.5  # seconds between two looks at the record
 
@@ -90,9 +91,8 @@ def show_code(address: str) -> None:
 
 @click.command()
 @click.argument("name")
-@option("--reason", "why, for the record", default="")
-@json_result()
-@pass_environment
+@options.reason
+@json_result(pass_environment)
 def remove(environment: Environment, name: str, reason: str) -> None:
     """Let the phone NAME approve nothing any more, also not what still waits for the key."""
     with closing(AuthorityHome.at(environment.home).store()) as store:
@@ -102,15 +102,14 @@ def remove(environment: Environment, name: str, reason: str) -> None:
         before = len(store.approvals.waiting())
         store.remove_passkey(found[0].id, reason, now())
         ended = before - len(store.approvals.waiting())
-    record(name=name, ended=ended)
-    say(f"{printable(name)} can approve nothing any more")
+    say(f"{printable(name)} can approve nothing any more", name=name, ended=ended)
     if ended:
         say(f"what it approved and was not done yet comes to nothing: {ended}")
 
 
 @click.command()
 @flag("--verify", "recompute every signature, with the whole log")
-@flag("--json as_json", "one line of JSON")
+@options.as_json
 @pass_environment
 def approvals(environment: Environment, verify: bool, as_json: bool) -> None:
     """Show who approved what at the console, oldest first, and what came of it.

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.options import flag, option, say_result
 from rossec.console.options import ConsoleOptions, check_name, read_options
@@ -17,7 +18,7 @@ from rossec.errors import ConfigurationError
 @click.command()
 @flag("--renew", "make a new one, which every phone must install anew")
 @option("--name", "DNS name of this host for --renew; by default as before")
-@flag("--json as_json", "one line of JSON")
+@options.as_json
 @pass_environment
 def tls(environment: Environment, renew: bool, name: str | None, as_json: bool) -> None:
     """Show the console's own TLS authority (--lan): its fingerprint, in words and hex.

@@ -64,8 +64,7 @@ admit = option(
     "--for lifetime", "how long it can be accepted", days=MAX_CARD_LIFETIME // 86400, default="7d"
 )
 @flag("--qr picture", "also show its code as a picture, on stderr")
-@json_result()
-@pass_service
+@json_result(pass_service)
 def card(
     service: AuthorityService,
     out: Path | None,
@@ -123,9 +122,8 @@ def rules(command: Callable[..., Any]) -> Callable[..., Any]:
 @options.image
 @option("--fingerprint expected", "the fingerprint that its authority has told you")
 @options.master_uri
-@flag("--yes", "do not ask")
-@json_result()
-@pass_service
+@options.yes
+@json_result(pass_service)
 def accept(
     service: AuthorityService,
     card: Path,
@@ -303,8 +301,7 @@ def _rules_json(given: tuple[NameRights, ...] | None) -> list[dict[str, Any]] | 
 def publish_domains(service: AuthorityService) -> None:
     record(published=False)
     service.publish_domains()
-    record(published=True)
-    say("the master has the new list of domains")
+    say("the master has the new list of domains", published=True)
 
 
 @click.command()
@@ -314,9 +311,8 @@ def publish_domains(service: AuthorityService) -> None:
 @lifetime(None)
 @rules
 @options.master_uri
-@flag("--yes", "do not ask")
-@json_result()
-@pass_service
+@options.yes
+@json_result(pass_service)
 def limit(
     service: AuthorityService,
     label: str,
@@ -352,18 +348,16 @@ def limit(
         say(printable(line))
     confirm("trust it so far?", yes=yes)
     listed = service.domains.limit(label, **changes)
-    record(**as_json(new), list=listed.seq)
-    say(f"changed (list of domains {listed.seq})")
+    say(f"changed (list of domains {listed.seq})", **as_json(new), list=listed.seq)
     publish_domains(service)
 
 
 @click.command()
 @click.argument("label")
-@option("--reason", "why, for the record", default="")
+@options.reason
 @flag("--revoke-grants", "also revoke every grant that was signed for its nodes")
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def remove(service: AuthorityService, label: str, reason: str, revoke_grants: bool) -> None:
     """Trust the domain LABEL no more, and cut its connections.
 

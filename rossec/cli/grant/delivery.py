@@ -31,7 +31,7 @@ DAY: Final = 86400
 
 @click.command("list")
 @click.argument("nodes", metavar="[NODE]...", nargs=-1)
-@flag("--json as_json", "one line of JSON")
+@options.as_json
 @options.master_uri
 @pass_environment
 def list_(environment: Environment, nodes: tuple[str, ...], as_json: bool, master_uri: str | None) -> None:
@@ -116,8 +116,7 @@ def _line(grant: Grant, state: str) -> str:
 
 @click.command()
 @options.master_uri
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def deliver(environment: Environment, master_uri: str | None) -> None:
     """Deposit every grant in force that the master does not have.
 
@@ -167,8 +166,7 @@ def _facts(content: Grant) -> dict[str, object]:
 
 @click.command()
 @click.argument("grant_files", metavar="FILE...", nargs=-1, required=True, type=FILE)
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def install(environment: Environment, grant_files: tuple[Path, ...]) -> None:
     """Give the grant in FILE, or the chain, to its node, on the node's machine.
 
@@ -181,17 +179,15 @@ def install(environment: Environment, grant_files: tuple[Path, ...]) -> None:
             home = holder_home(environment.home, peek(data))
             content = open_held(home, data, now())
             home.add_grant(content.id, data)
-            record(grant=content.id.hex(), node=home.name)
-            say(f"{home.name} holds grant {content.id.hex()}")
+            say(f"{home.name} holds grant {content.id.hex()}", grant=content.id.hex(), node=home.name)
     batch.finish()
 
 
 @click.command()
 @click.argument("grant_ids", metavar="GRANT_ID...", nargs=-1, required=True)
-@option("--reason", "why, for the record", default="")
+@options.reason
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def revoke(service: AuthorityService, grant_ids: tuple[str, ...], reason: str) -> None:
     """Revoke the grant GRANT_ID (or the beginning of it) and notify the master at once.
 
@@ -204,8 +200,7 @@ def revoke(service: AuthorityService, grant_ids: tuple[str, ...], reason: str) -
     for grant_id in ids:
         with batch.item(grant_id):
             listed, entry = service.grants.revoke(grant_id, reason)
-            record(grant=entry.hex(), list=listed.seq)
-            say(f"revoked {entry.hex()} (list {listed.seq})")
+            say(f"revoked {entry.hex()} (list {listed.seq})", grant=entry.hex(), list=listed.seq)
     if batch.done:
         publish_list(service)
     batch.finish()
@@ -227,8 +222,7 @@ def revoke(service: AuthorityService, grant_ids: tuple[str, ...], reason: str) -
 )
 @flag("--withdraw", "revoke what was delegated before instead")
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def delegate(service: AuthorityService, lifetime: int, ticket: int, master: str, withdraw: bool) -> None:
     """Let the master renew grants, unchanged and up to their caps, while the authority is away.
 
@@ -254,6 +248,5 @@ def delegate(service: AuthorityService, lifetime: int, ticket: int, master: str,
     record(master=master, id=delegation.id.hex(), expires=delegation.expires, published=False)
     say(f"{master} may renew grants until {until} (delegation {delegation.id.hex()})")
     service.grants.deliver_delegation(delegation, call)
-    record(published=True)
-    say("the master has the delegation")
+    say("the master has the delegation", published=True)
     remind_to_publish(service)

@@ -54,8 +54,7 @@ def _right_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @_right_options
 @option("--why", "the reason, for the person or policy that decides", required=True)
 @option("--out", "write the request to this new file", type=PATH)
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def request(
     environment: Environment, /, node: str, why: str, out: Path | None, **named: tuple[str, ...]
 ) -> None:
@@ -76,17 +75,14 @@ def request(
     )
     asked = GrantRequest(identity.domain, identity.name, now(), secrets.token_bytes(16), requested, why)
     data = sign_request(home.credentials().signer, asked)
-    record(request=asked.id.hex(), node=asked.node)
-    say(f"request {asked.id.hex()} of {asked.node}")
+    say(f"request {asked.id.hex()} of {asked.node}", request=asked.id.hex(), node=asked.node)
     authority = environment.home / "ca"
     if out is not None:
         files.create(out, data, 0o644)
-        record(file=str(out))
-        say(f"written to {out}; at the authority: rossec grant decide {out}")
+        say(f"written to {out}; at the authority: rossec grant decide {out}", file=str(out))
     elif (authority / "ca.pem").exists():
         requests.put_in_inbox(authority, asked, data)
-        record(inbox=True)
-        say("put into the authority's inbox; there: rossec grant decide")
+        say("put into the authority's inbox; there: rossec grant decide", inbox=True)
         if not place(environment.home, None).exists():
             sign = grant_command(asked.node, [(each.right, each.pattern) for each in requested])
             note(f"there is no policy that decides it: {sign}; or begin one: rossec policy init")
@@ -99,8 +95,7 @@ def request(
 @option("--out-dir", "write grants here too", type=FOLDER)
 @options.policy
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def decide(
     service: AuthorityService, request_files: tuple[Path, ...], out_dir: Path | None, policy_path: Path | None
 ) -> None:
@@ -126,7 +121,7 @@ def decide(
 
 
 @click.command()
-@flag("--json as_json", "one line of JSON")
+@options.as_json
 @options.policy
 @pass_environment
 def pending(environment: Environment, as_json: bool, policy_path: Path | None) -> None:
@@ -156,8 +151,7 @@ def pending(environment: Environment, as_json: bool, policy_path: Path | None) -
 @option("--out-dir", "write the grant here too", type=FOLDER)
 @options.policy
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def approve(
     service: AuthorityService,
     request_ids: tuple[str, ...],
@@ -189,8 +183,7 @@ def approve(
 @click.command()
 @click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
 @options.policy
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def deny(environment: Environment, request_ids: tuple[str, ...], policy_path: Path | None) -> None:
     """Deny the request REQUEST_ID (or the beginning of it).
 

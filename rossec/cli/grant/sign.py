@@ -118,8 +118,7 @@ def permission_options(command: Callable[..., Any]) -> Callable[..., Any]:
 )
 @option("--out", "also write the grant to this new file", type=PATH)
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def sign(
     service: AuthorityService,
     /,
@@ -345,8 +344,7 @@ def presets() -> None:
     "--may-narrow=N", "how often the other node may hand it on in its turn", type=click.IntRange(0), default=0
 )
 @option("--out", "write the token to this new file", type=PATH, required=True)
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def narrow(
     environment: Environment,
     /,

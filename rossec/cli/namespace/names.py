@@ -19,7 +19,7 @@ from xml.sax.saxutils import quoteattr
 import click
 
 from rossec import files
-from rossec.cli.shared import rules
+from rossec.cli.shared import options, rules
 from rossec.cli.shared.options import FILE, NEW_FILE, OLD_FOLDER, flag, json_result, option
 from rossec.errors import ConfigurationError, MetadataRefused, RossecError
 from rossec.namespace import topic_names
@@ -182,7 +182,7 @@ class _Reader:
 @option("--service=SERVICE", "the name of this service of the node")
 @rules.option
 @flag("--thesis-defaults", "unknown-group instead of unknown_group, as in the thesis; ROS has no such names")
-@flag("--json as_json", "one line of JSON")
+@options.as_json
 def show_name(
     meta: Path,
     topic: str | None,
@@ -235,5 +235,4 @@ def messages(directory: Path) -> None:
     directory may be the `src` of a catkin workspace.
     """
     written = str(topic_names.write(directory))
-    record(path=written)
-    say(printable(written))
+    say(printable(written), path=written)

@@ -17,7 +17,7 @@ from grants.policy.model import Effect, Policy, Subject
 from grants.token import peek
 from rossec import files
 from rossec.authority.policyfile import PolicyFile
-from rossec.cli.shared import rules
+from rossec.cli.shared import options, rules
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as, read_token
 from rossec.cli.shared.options import FILE, OLD_FOLDER, flag, option
@@ -49,7 +49,7 @@ MAX_FILES: Final = 1024
     "report names on which no grant in DIR (files *.grant) gives their node anything",
     type=OLD_FOLDER,
 )
-@flag("--json as_json", "one line of JSON")
+@options.as_json
 def check(
     rules: Path, directory: Path, policy_path: Path | None, grants_path: Path | None, as_json: bool
 ) -> None:
@@ -126,22 +126,14 @@ class Coverage:
 
     def __call__(self, node: str, kind: NameKind, name: str) -> bool:
         held = [grant for grant in self._grants if covers(grant.subject, node, wildcard=True)]
+        covered = bool(held) if kind is NameKind.NODE else Reach.of(held).covers_any(RIGHTS[kind], name)
+        if covered or self._decider is None:
+            return covered
+        subjects = [Subject(node, key) for key in self._keys]
         if kind is NameKind.NODE:
-            return bool(held) or any(map(self._has_rules, self._subjects(node)))
-        return Reach.of(held).covers_any(RIGHTS[kind], name) or any(
-            self._allows(subject, right, name) for subject in self._subjects(node) for right in RIGHTS[kind]
-        )
-
-    def _subjects(self, node: str) -> list[Subject]:
-        return [Subject(node, key) for key in self._keys]
-
-    def _has_rules(self, subject: Subject) -> bool:
-        return self._decider is not None and bool(self._decider.rules_of(subject))
-
-    def _allows(self, subject: Subject, right: Right, name: str) -> bool:
-        if self._decider is None:
-            return False
-        return self._decider.decide(subject, right, name).effect is not Effect.DENY
+            return any(self._decider.rules_of(subject) for subject in subjects)
+        verdicts = (self._decider.decide(who, right, name) for who in subjects for right in RIGHTS[kind])
+        return any(verdict.effect is not Effect.DENY for verdict in verdicts)
 
 
 @click.command()

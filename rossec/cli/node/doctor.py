@@ -37,6 +37,7 @@ from grants.request import in_shell
 from rossec import clock, files
 from rossec.authority.home import AuthorityHome
 from rossec.channel.opening import post_quantum
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import REVOCATIONS, anew, find_master, is_of_revoked, open_held, revoked_text
 from rossec.cli.shared.options import flag
@@ -69,7 +70,7 @@ Check = Callable[[Environment, NodeHome], Iterator[Outcome]]
 @click.command()
 @click.argument("names", metavar="[NODE]...", nargs=-1)
 @flag("--offline", "do not ask the master")
-@flag("--json as_json", "one line of JSON")
+@options.as_json
 @pass_environment
 def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_json: bool) -> None:
     """Check the set-up of NODE on this machine: identity, grants, master, what is plain.

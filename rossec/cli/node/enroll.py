@@ -26,7 +26,7 @@ from ca.names import check_name, is_reserved, pattern_covers
 from ca.svid import check_request
 from rossec import files
 from rossec.authority.home import fingerprint, format_fingerprint
-from rossec.cli.shared import rules
+from rossec.cli.shared import options, rules
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment, reraise_interrupt
 from rossec.cli.shared.master import own_address
 from rossec.cli.shared.options import FILE, PATH, flag, json_result, option
@@ -52,7 +52,7 @@ _QUESTION: Final = "the line of `rossec ca invite` (it is not shown)"
 
 @click.command()
 @click.argument("name")
-@option("--domain", "trust domain of the authority", default="home", show_default=True)
+@options.domain
 @flag("--anonymous", "for anonymous nodes too: NAME and NAME_*")
 @flag("--label", "wait for an authority that read the printed label")
 @option("--address host", "the address in the code, instead of the one found")
@@ -60,8 +60,7 @@ _QUESTION: Final = "the line of `rossec ca invite` (it is not shown)"
 @option("--for window", "with --label: wait so long [15m]", type=Duration(1))
 @option("--png", "write the code to this PNG file too", type=PATH)
 @option("--svg", "write the code to this SVG file too", type=PATH)
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def enroll(
     environment: Environment,
     name: str,
@@ -227,8 +226,7 @@ def confirms(answer: str, digits: str) -> bool:
 @click.argument("name")
 @click.argument("digits", nargs=-1)
 @flag("--yes", "without DIGITS: do not ask, as a button that was pressed")
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: bool) -> None:
     """Confirm that the authority shows DIGITS for NAME, whose enrollment waits in another process.
 
@@ -253,16 +251,14 @@ def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: b
     if _DIGITS.fullmatch(given) is None:
         raise ConfigurationError("the authority shows six digits", f"rossec node confirm {name} 123 456")
     enrollment_control.ask(home.path, {"do": "confirm", "digits": given})
-    record(name=name)
-    say(f"{name} is enrolled")
+    say(f"{name} is enrolled", name=name)
 
 
 @click.command()
 @click.argument("names", nargs=-1, required=True)
-@option("--domain", "trust domain of the authority", default="home", show_default=True)
+@options.domain
 @option("--out", "HTML file to print", type=PATH, required=True)
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def labels(environment: Environment, names: tuple[str, ...], domain: str, out: Path) -> None:
     """Write a sheet of labels for the nodes NAMES, 24 to a page; makes keys that are missing.
 
@@ -286,8 +282,7 @@ def labels(environment: Environment, names: tuple[str, ...], domain: str, out: P
     "the node's metadata: take the name that the authority's rules give for them",
     type=FILE,
 )
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def join_domain(
     environment: Environment, path: Path | None, name: str | None, meta_path: Path | None
 ) -> None:
@@ -309,8 +304,7 @@ def join_domain(
         name = asyncio.run(ask_name(code, metadata, now))
     home = NodeHome.of(environment.home, _name(code, name))
     if _is_enrolled(home, code):
-        record(name=home.name, joined=False)
-        say(f"{home.name} is enrolled already")
+        say(f"{home.name} is enrolled already", name=home.name, joined=False)
         return
     if not (home.path / "node.key").exists():
         code.check_time(now())  # a second run may be late: its request may have its answer

@@ -8,7 +8,7 @@ from ca.certificates import TrustAnchor
 from ca.enrollment import qr
 from rossec import files
 from rossec.authority.home import fingerprint, format_fingerprint
-from rossec.cli.shared import rules
+from rossec.cli.shared import options, rules
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
 from rossec.cli.shared.options import FILE, PATH, Batch, flag, json_result, option, say_result, unique
 from rossec.clock import format_time
@@ -21,7 +21,7 @@ _MAX_BUNDLE = 64 * 1024
 
 @click.command()
 @click.argument("names", metavar="[NAME]...", nargs=-1)
-@option("--domain", "trust domain of the authority", default="home", show_default=True)
+@options.domain
 @flag("--anonymous", "for anonymous nodes too: /rviz also as /rviz_17")
 @option(
     "--meta=FILE meta_path",
@@ -29,8 +29,7 @@ _MAX_BUNDLE = 64 * 1024
     type=FILE,
 )
 @rules.option
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def request(
     environment: Environment,
     names: tuple[str, ...],
@@ -75,8 +74,7 @@ def _names(given: tuple[str, ...], meta_path: Path | None, rules_path: Path | No
 @flag("--text", "only the text in the code, to paste")
 @option("--svg", "write the code to this SVG file", type=PATH)
 @option("--png", "write the code to this PNG file", type=PATH)
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def code(environment: Environment, name: str, text: bool, svg: Path | None, png: Path | None) -> None:
     """Show the QR code of NAME's request, for the authority to scan."""
     payload = qr.label_code(NodeHome.of(environment.home, name).request())
@@ -92,9 +90,8 @@ def code(environment: Environment, name: str, text: bool, svg: Path | None, png:
 
 @click.command()
 @click.argument("bundles", metavar="BUNDLE...", nargs=-1, required=True, type=FILE)
-@flag("--yes", "do not ask")
-@json_result()
-@pass_environment
+@options.yes
+@json_result(pass_environment)
 def install(environment: Environment, bundles: tuple[Path, ...], yes: bool) -> None:
     """Install the signed identity in BUNDLE, and trust the authority that signed it.
 
@@ -117,8 +114,7 @@ def install(environment: Environment, bundles: tuple[Path, ...], yes: bool) -> N
                 if now_in_it.thumbprint != anchor.thumbprint:
                     raise ConfigurationError("the file has changed meanwhile", "copy it here again")
                 home.install(data, now())
-                record(name=home.name, domain=anchor.domain)
-                say(f"{home.name} is enrolled in {anchor.domain}")
+                say(f"{home.name} is enrolled in {anchor.domain}", name=home.name, domain=anchor.domain)
     batch.finish()
 
 

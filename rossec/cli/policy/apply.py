@@ -55,8 +55,7 @@ _CHOICES = {"a": "allow", "c": "allow coarsely", "g": "allow beside it too", "d"
 @option("--from-log log", "from this denial log (rossec master --complaints FILE)", type=FILE)
 @option("--out", "write here instead of the policy", type=PATH)
 @options.policy
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def learn(
     environment: Environment, node: str | None, log: Path | None, out: Path | None, policy_path: Path | None
 ) -> None:
@@ -183,7 +182,7 @@ def _rule_of(read: PolicyFile, item: Observation, answer: str) -> NewRule:
 @flag("--prune", "revoke grants made by hand against a denial, too")
 @flag("--renew", "sign anew what has less than a third of its time left")
 @options.master_uri
-@flag("--yes", "do not ask")
+@options.yes
 @flag("--json as_json", "the difference as one line of JSON")
 @pass_service
 def apply(
@@ -250,8 +249,7 @@ def _carry_out(service: AuthorityService, plan: PolicyPlan, *, yes: bool, as_jso
 @flag("--node is_node", "NAME is a node, enrolled or not")
 @options.master_uri
 @options.policy
-@json_result()
-@pass_service
+@json_result(pass_service)
 def opt_out(service: AuthorityService, name: str, is_node: bool, policy_path: Path | None) -> None:
     """Show the topic NAME to no node; or, when NAME is a node, show that node no topic.
 

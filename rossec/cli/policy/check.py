@@ -20,14 +20,14 @@ from grants.policy.sros2 import MAX_SIZE, described, import_sros2
 from grants.policy.wanted import Withheld
 from rossec import files
 from rossec.authority.policyfile import PolicyFile, PolicyPlan, parse_policy, place
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.options import FILE, PATH, flag, json_result, option, say_result
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.participant.host_types import layout_of
-from rossec.terminal import fail, note, printable, record, say, say_block, say_json
+from rossec.terminal import fail, note, printable, say, say_block, say_json
 
-_JSON = flag("--json as_json", "one line of JSON")
 _NAMED = 3  # nodes of one line
 _NONE = "no rule allows it any more"
 
@@ -35,8 +35,7 @@ _NONE = "no rule allows it any more"
 @click.command()
 @click.argument("file", required=False, type=PATH)
 @option("--robot", "its name, for people  [default: home]", default="home")
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def init(environment: Environment, file: Path | None, robot: str) -> None:
     """Write the commented beginning of a policy to FILE, which must not exist.
 
@@ -50,8 +49,7 @@ def init(environment: Environment, file: Path | None, robot: str) -> None:
     text = beginning(robot)
     parse_policy(text, str(path))
     files.create(path, text.encode(), 0o644)
-    record(file=str(path))
-    say(f"{path} is begun; write rules, then: rossec policy check {path}")
+    say(f"{path} is begun; write rules, then: rossec policy check {path}", file=str(path))
 
 
 @click.command("import-sros2")
@@ -81,7 +79,7 @@ def import_(xml: Path, out: Path | None) -> None:
 
 @click.command()
 @click.argument("file", required=False, type=FILE)
-@_JSON
+@options.as_json
 @pass_environment
 def check(environment: Environment, file: Path | None, as_json: bool) -> None:
     """Check the policy in FILE: its form, its words, conditions and filters, and its tests."""
@@ -167,7 +165,7 @@ def _rule_row(rule: PolicyRule) -> dict[str, object]:
 
 @click.command()
 @click.argument("file", required=False, type=FILE)
-@_JSON
+@options.as_json
 @pass_environment
 def lint(environment: Environment, file: Path | None, as_json: bool) -> None:
     """Warn of what the policy in FILE allows unwisely, such as a hidden value that still leaks."""

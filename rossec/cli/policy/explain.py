@@ -28,7 +28,7 @@ from rossec.authority.policyfile import PolicyFile, place, read_policy
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.messages import fill, flat, parse_message, stamp_now
-from rossec.cli.shared.options import FILE, flag, option, say_result
+from rossec.cli.shared.options import FILE, option, say_result
 from rossec.clock import format_time as clock_format_time
 from rossec.errors import ConfigurationError
 from rossec.participant.host_types import layout_of
@@ -48,7 +48,7 @@ _NO_KEY = bytes(32)
     "try it on this message: YAML as in rostopic (.yaml), or its serialized bytes",
     type=FILE,
 )
-@flag("--json as_json", "one line of JSON")
+@options.as_json
 @options.policy
 @pass_environment
 def explain(

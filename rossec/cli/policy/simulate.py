@@ -24,8 +24,9 @@ from grants.policy.model import Policy, Subject
 from grants.policy.privacy import Trial, TrialOutcome
 from rossec.authority.policyfile import PolicyFile, parse_policy, place, read_policy
 from rossec.cli.policy.explain import changes, subject_of
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import FILE, flag, option, say_result, working
+from rossec.cli.shared.options import FILE, option, say_result, working
 from rossec.errors import ConfigurationError, MessageError
 from rossec.ros.tcpros import MESSAGE_LIMIT
 from rossec.terminal import note, printable
@@ -71,7 +72,7 @@ class Tally:
 @option("--old", "compare with this; by default the one in force, if any", type=FILE)
 @option("--bag", "a bag of ROS 1", type=FILE, required=True)
 @option("--node nodes", "only as this receiver sees it", multiple=True)
-@flag("--json as_json", "one line of JSON")
+@options.as_json
 @pass_environment
 def simulate(
     environment: Environment, new: Path, old: Path | None, bag: Path, nodes: tuple[str, ...], as_json: bool

@@ -92,8 +92,7 @@ def known_domains(environment: Environment, home: NodeHome) -> Anchors:
 @click.command()
 @click.argument("label")
 @click.argument("file", type=FILE)
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def add_relay(environment: Environment, label: str, file: Path) -> None:
     """Take the card in FILE of another site's relay, and call it LABEL.
 
@@ -127,15 +126,13 @@ def add_relay(environment: Environment, label: str, file: Path) -> None:
         peers[label] = replace(peer, domain=domain, relay=found.relay, mailbox=found.mailbox)
 
     store.change(put)
-    record(label=label, domain=domain, relay=found.relay)
-    say(f"{label} is {store.peers()[label].shown}")
+    say(f"{label} is {store.peers()[label].shown}", label=label, domain=domain, relay=found.relay)
     note(f"it needs this relay's card too: rossec relay card {label} > FILE, and there: add")
 
 
 @click.command()
 @click.argument("labels", metavar="LABEL...", nargs=-1, required=True)
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def remove_relay(environment: Environment, labels: tuple[str, ...]) -> None:
     """Link with LABEL no longer: its links end at once.
 
@@ -179,8 +176,7 @@ def list_relays(environment: Environment, *, as_json: bool) -> None:
 
 @click.command()
 @click.argument("file", type=FILE)
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def seat(environment: Environment, file: Path) -> None:
     """Keep the seat FILE that the operator of the routers made.
 
@@ -254,8 +250,7 @@ def list_accounts(home: RouterHome, *, as_json: bool) -> None:
 
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
-@json_result()
-@pass_home
+@json_result(pass_home)
 def remove_account(home: RouterHome, names: tuple[str, ...]) -> None:
     """Take the seat NAME away; a router that runs cuts its relay off within a second.
 
@@ -286,8 +281,7 @@ def share(home: RouterHome) -> None:
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False, allow_dash=True))
 @option("--host=NAME", "as of rossec router", multiple=True)
-@json_result()
-@pass_home
+@json_result(pass_home)
 def take(home: RouterHome, file: Path, host: tuple[str, ...]) -> None:
     """Take over FILE of `share` here, and join that router.
 
@@ -315,8 +309,7 @@ def take(home: RouterHome, file: Path, host: tuple[str, ...]) -> None:
 @option(
     "--via=PEER", "instead of a URI: the site that the relay of this site knows by this label", default=""
 )
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def add_site(
     environment: Environment, uri: str, label: str, master: str, domain: str | None, via: str
 ) -> None:
@@ -371,8 +364,7 @@ def _foreign(home: NodeHome, label: str) -> str:
 
 @click.command()
 @click.argument("labels", metavar="LABEL...", nargs=-1, required=True)
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def remove_site(environment: Environment, labels: tuple[str, ...]) -> None:
     """Follow LABEL no longer: its names go at once.
 
@@ -391,8 +383,7 @@ def remove_site(environment: Environment, labels: tuple[str, ...]) -> None:
 @click.argument("label")
 @click.argument("pattern")
 @flag("--remove removing", "mirror it no longer")
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def param(environment: Environment, label: str, pattern: str, *, removing: bool) -> None:
     """Mirror the parameters of LABEL that match PATTERN, read-only.
 

@@ -12,10 +12,11 @@ import click
 from ca.certificates import Identity
 from ca.names import local_name, shown
 from rossec.cli.ros.topic import run_until_node_ends
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as
 from rossec.cli.shared.messages import fill, parse_arguments, parse_message, plain, render, stamp_now
-from rossec.cli.shared.options import FILE, Batch, flag, json_result, option, say_result, unique
+from rossec.cli.shared.options import FILE, Batch, json_result, option, say_result, unique
 from rossec.errors import ConfigurationError
 from rossec.node import Node, register_service_type, service_type
 from rossec.participant.handshakes import caller_here, text
@@ -23,12 +24,11 @@ from rossec.terminal import json_text, printable, record, say, say_block, say_js
 
 _AS = option("--as=NODE node", "identity to use", required=True)
 T = TypeVar("T")
-_JSON = flag("--json as_json", "one line of JSON")
 
 
 @click.command("list")
 @_AS
-@_JSON
+@options.as_json
 @pass_environment
 def list_services(environment: Environment, node: str, as_json: bool) -> None:
     """List the services that NODE may see."""
@@ -47,7 +47,7 @@ def _run(environment: Environment, node: str, work: Callable[[Node], Awaitable[T
 @click.command()
 @click.argument("name")
 @_AS
-@_JSON
+@options.as_json
 @pass_environment
 def service_info(environment: Environment, name: str, node: str, as_json: bool) -> None:
     """Show which node provides the service NAME, where, and its type."""
@@ -67,16 +67,14 @@ def service_info(environment: Environment, name: str, node: str, as_json: bool) 
 @click.command("type")
 @click.argument("name")
 @_AS
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def type_of_service(environment: Environment, name: str, node: str) -> None:
     """Print the type of the service NAME."""
     service = local_name(name)
     fields, _ = _run(
         environment, node, lambda running: running.services.probe(running.settings.resolve(service))
     )
-    record(service=service, type=text(fields, "type"))
-    say(printable(text(fields, "type")))
+    say(printable(text(fields, "type")), service=service, type=text(fields, "type"))
 
 
 @click.command()
@@ -92,7 +90,7 @@ def type_of_service(environment: Environment, name: str, node: str) -> None:
     default=60.0,
     show_default=True,
 )
-@_JSON
+@options.as_json
 @pass_environment
 def call(
     environment: Environment,
@@ -139,7 +137,7 @@ def call(
 @click.command("list")
 @click.argument("namespace", default="/")
 @_AS
-@_JSON
+@options.as_json
 @pass_environment
 def list_params(environment: Environment, namespace: str, node: str, as_json: bool) -> None:
     """List the parameters that NODE may read, of all or of one NAMESPACE."""
@@ -152,7 +150,7 @@ def list_params(environment: Environment, namespace: str, node: str, as_json: bo
 @click.command()
 @click.argument("name")
 @_AS
-@_JSON
+@options.as_json
 @pass_environment
 def get_param(environment: Environment, name: str, node: str, as_json: bool) -> None:
     """Print the parameter NAME, or a namespace with all in it."""
@@ -184,8 +182,7 @@ def _encodable(value: object) -> object:
 @click.argument("name")
 @click.argument("values", metavar="VALUE", nargs=-1, required=True)
 @_AS
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def set_param(environment: Environment, name: str, values: tuple[str, ...], node: str) -> None:
     """Set the parameter NAME to VALUE (YAML, as in rosparam)."""
     if len(values) > 1:
@@ -206,8 +203,7 @@ def set_param(environment: Environment, name: str, values: tuple[str, ...], node
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
 @_AS
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def delete_param(environment: Environment, names: tuple[str, ...], node: str) -> None:
     """Unset the parameter NAME and everything below it."""
     keys = unique([local_name(name) for name in names])

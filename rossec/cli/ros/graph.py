@@ -15,6 +15,7 @@ from ca.errors import CertificateExpired, HintedError
 from ca.names import is_alias, local_name, shown
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.cli.completion import values
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import calls_as, find_master, master_at
 from rossec.cli.shared.options import flag, json_result, option, say_result, working
@@ -30,7 +31,6 @@ UNKNOWN = "unknown type"  # as rostopic has it
 T = TypeVar("T")
 Names = Mapping[str, tuple[str, ...]]
 as_node = option("--as=NODE node", "identity to use", required=True)
-as_json = flag("--json as_json", "one line of JSON")
 _NAMESPACE = click.argument("namespace", required=False)
 PAUSE: Final = 1.0  # seconds until the first reconnection
 MAX_PAUSE: Final = 30.0  # seconds between later reconnections at most
@@ -43,7 +43,7 @@ _HEADINGS: Final = {"publisher": "published by", "subscriber": "subscribed by"}
 @flag("--verbose -v", "with types, and how many nodes")
 @flag("--publishers -p", "only what is published")
 @flag("--subscribers -s", "only what is subscribed to")
-@as_json
+@options.as_json
 @pass_environment
 def list_topics(
     environment: Environment,
@@ -180,7 +180,7 @@ def note_hidden(node: str) -> None:
 @click.command()
 @click.argument("name")
 @as_node
-@as_json
+@options.as_json
 @pass_environment
 def topic_info(environment: Environment, name: str, node: str, as_json: bool) -> None:
     """Show the type of the topic NAME and the nodes that publish and subscribe to it."""
@@ -231,8 +231,7 @@ def addresses(environment: Environment, node: str, names: list[str]) -> dict[str
 @click.command("type")
 @click.argument("name")
 @as_node
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def type_of_topic(environment: Environment, name: str, node: str) -> None:
     """Print the type of the topic NAME."""
     state = system_state(environment, node)
@@ -241,15 +240,13 @@ def type_of_topic(environment: Environment, name: str, node: str) -> None:
         raise ConfigurationError(
             f"nobody has said the type of {name}", "it is known once somebody publishes it"
         )
-    record(topic=absolute(name), type=kind)
-    say(printable(kind))
+    say(printable(kind), topic=absolute(name), type=kind)
 
 
 @click.command()
 @click.argument("type_name", metavar="TYPE")
 @as_node
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def find_topics(environment: Environment, type_name: str, node: str) -> None:
     """List the topics whose messages are of TYPE."""
     state = system_state(environment, node)
@@ -261,7 +258,7 @@ def find_topics(environment: Environment, type_name: str, node: str) -> None:
 
 @click.command("list")
 @as_node
-@as_json
+@options.as_json
 @pass_environment
 def list_nodes(environment: Environment, node: str, as_json: bool) -> None:
     """List the running nodes that NODE may see."""
@@ -274,7 +271,7 @@ def list_nodes(environment: Environment, node: str, as_json: bool) -> None:
 @click.command()
 @click.argument("name")
 @as_node
-@as_json
+@options.as_json
 @pass_environment
 def node_info(environment: Environment, name: str, node: str, as_json: bool) -> None:
     """Show what the running node NAME publishes, subscribes to and provides."""

@@ -152,20 +152,14 @@ def _report(error: click.ClickException) -> int:
     if isinstance(error, click.exceptions.NoArgsIsHelpError):
         click.echo(error.format_message())
         return USAGE
-    usage = isinstance(error, click.UsageError)
-    fail(_plain(error.format_message()), _usage_hint(error) if usage else "")
-    return USAGE if usage else REFUSED
-
-
-def _plain(message: str) -> str:
-    line = " ".join(message.split())
-    return (line[:1].lower() + line[1:]).rstrip(".")
-
-
-def _usage_hint(error: click.ClickException) -> str:
-    context = getattr(error, "ctx", None)
-    path = context.command_path if context is not None else "rossec"
-    return f"see: {path} --help"
+    line = " ".join(error.format_message().split())
+    text = (line[:1].lower() + line[1:]).rstrip(".")
+    if not isinstance(error, click.UsageError):
+        fail(text)
+        return REFUSED
+    path = "rossec" if error.ctx is None else error.ctx.command_path
+    fail(text, f"see: {path} --help")
+    return USAGE
 
 
 class LazyCommand(click.Command):

@@ -134,7 +134,15 @@ def _list(values: list[Any], indent: int, hidden: Kinds) -> str:
 def _scalar(value: object) -> str:
     if isinstance(value, str):
         return quoted(value)
-    return _float(value) if isinstance(value, float) else str(value)
+    if not isinstance(value, float):
+        return str(value)
+    # YAML 1.1 reads `1e-05` and `nan` as text: it must come back as the number it was.
+    if math.isnan(value):
+        return ".nan"
+    if math.isinf(value):
+        return ".inf" if value > 0 else "-.inf"
+    text = repr(value)
+    return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
 
 def quoted(text: str) -> str:
@@ -145,15 +153,6 @@ def quoted(text: str) -> str:
     for character, name in (("\n", "\\n"), ("\t", "\\t"), ("\r", "\\r")):
         escaped = escaped.replace(character, name)
     return f'"{printable(escaped)}"'
-
-
-def _float(value: float) -> str:
-    if math.isnan(value):
-        return ".nan"
-    if math.isinf(value):
-        return ".inf" if value > 0 else "-.inf"
-    text = repr(value)
-    return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
 
 def fill(message: Message, content: object, now: int = 0) -> None:
@@ -317,19 +316,15 @@ def parse_arguments(texts: Sequence[str]) -> object:
 
     Without arguments every field stays zero.
     """
-    _refuse_split(texts)
-    values = [parse_message(text) for text in texts]
-    if len(values) == 1 and isinstance(values[0], dict):
-        return values[0]
-    return values or {}
-
-
-def _refuse_split(texts: Sequence[str]) -> None:
     if len(texts) > 1 and any(_unclosed(text) for text in texts) and not _unclosed(" ".join(texts)):
         raise ConfigurationError(
             f"the shell made {len(texts)} words of the message",
             f"put it in single quotes: {shlex.quote(' '.join(texts))}",
         )
+    values = [parse_message(text) for text in texts]
+    if len(values) == 1 and isinstance(values[0], dict):
+        return values[0]
+    return values or {}
 
 
 def _unclosed(text: str) -> bool:

@@ -60,23 +60,34 @@ image = option(
 entries = option(
     "--entries", "of that list where it is a tree; by default revocations.entries beside it", type=FILE
 )
+as_json = flag("--json as_json", "one line of JSON")
+yes = flag("--yes", "do not ask")
+reason = option("--reason", "why, for the record", default="")
+domain = option("--domain", "trust domain of the authority", default="home", show_default=True)
 HELP = "the result as one line of JSON"
 AFTER: Final = 1.0  # seconds
 _WIDTH: Final = 72  # one line, on every terminal
 _CLEAR: Final = "\r\x1b[K"
 
 
-def json_result(*, secret: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Add `--json` to a command that records facts; `secret`: others must not read them."""
+def json_result(
+    give: Callable[[Callable[..., Any]], Callable[..., Any]] | None = None, *, secret: bool = False
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Add `--json` to a command that records facts; `secret`: others must not read them.
+
+    `give` passes it what it works with: the environment, the authority.
+    """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        inner = command if give is None else give(command)
+
         @flag("--json in_json", HELP)
-        @functools.wraps(command)
+        @functools.wraps(inner)
         def run(*given: Any, in_json: bool, **values: Any) -> Any:
             if not in_json:
-                return command(*given, **values)
+                return inner(*given, **values)
             with document(secret=secret):
-                return command(*given, **values)
+                return inner(*given, **values)
 
         return run
 

@@ -91,8 +91,7 @@ def publish_if_revoked(service: AuthorityService) -> None:
     Else print a note if one was signed anew.
     """
     if service.has_revoked:
-        record(replaced_key_revoked=True)
-        say("the replaced key is revoked")
+        say("the replaced key is revoked", replaced_key_revoked=True)
         publish_list(service)
         return
     if not service.has_signed_domains:
@@ -108,8 +107,7 @@ def publish_if_revoked(service: AuthorityService) -> None:
 def publish_list(service: AuthorityService) -> None:
     record(published=False)
     service.publish()
-    record(published=True)
-    say("the master has the new list")
+    say("the master has the new list", published=True)
 
 
 def remind_to_publish(service: AuthorityService) -> None:
@@ -122,8 +120,7 @@ def deliver_grant(service: AuthorityService, data: bytes, out: Path | None) -> S
     if out is None:
         return deliver_grants(service, [data])
     files.create(out, data, 0o644)
-    record(file=str(out))
-    say(f"written to {out}")
+    say(f"written to {out}", file=str(out))
     if (path := service.grants.store(data)) is not None:
         add_entry("given", {"node": document.peek(data).subject, "path": str(path)})
         say(f"given to {document.peek(data).subject} in {path}")
