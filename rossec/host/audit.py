@@ -198,10 +198,8 @@ class AuditFile(logging.Handler):
                 self._append(with_hash(mark(self._signer, self._last, at), self._last))
             self._append(with_hash({**entry, "before": self._last}, self._last))
             self._torn, self.is_failing = 0, False
-        except (
-            OSError,
-            PathRefused,
-        ) as error:  # a full disk must not end the master; the first failure is logged
+        except (OSError, PathRefused) as error:
+            # A full disk must not end the master; a line for every denial would fill the log instead.
             if not self.is_failing:
                 _log.error("the audit cannot be written: %s; the lines before are intact", error)
             self.is_failing = True

@@ -26,6 +26,16 @@ def run(environment: Environment, name: str, host: str, port: int, *, as_json: b
         stop = stop_on_signals()
         key = StaticKey(ThingFiles(home).router_key())
         router = BorderRouter(home.name, key, await with_master(environment, home), host, port)
+
+        async def write_status() -> None:
+            while True:
+                try:
+                    status = border_router.describe_status(router, clock.now())
+                    border_router.write_status(home.path, status)
+                except NotWritten as error:  # a full disk ends no thing
+                    note(str(error))
+                await asyncio.sleep(border_router.STATUS_PERIOD)
+
         try:
             await router.start()
             address, count = router.server.address, len(router.roster)
@@ -35,7 +45,7 @@ def run(environment: Environment, name: str, host: str, port: int, *, as_json: b
                 say(f"border router {home.name} at {address[0]} port {address[1]} (UDP), {count} things")
                 if not count:
                     note("add things: rossec border add NAME --key FILE")
-            await until_stopped(stop, environment.variables, router.wait_ended(), _write_status(router))
+            await until_stopped(stop, environment.variables, router.wait_ended(), write_status())
         finally:
             await router.close()
             (home.path / border_router.STATUS_FILE).unlink(missing_ok=True)
@@ -44,14 +54,3 @@ def run(environment: Environment, name: str, host: str, port: int, *, as_json: b
     with process_lock(home.path / "border.lock", busy):
         raise_descriptor_limit()
         asyncio.run(serve())
-
-
-async def _write_status(router: BorderRouter) -> None:
-    while True:
-        try:
-            border_router.write_status(
-                router.node.home.path, border_router.describe_status(router, clock.now())
-            )
-        except NotWritten as error:
-            note(str(error))
-        await asyncio.sleep(border_router.STATUS_PERIOD)

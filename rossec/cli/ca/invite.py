@@ -61,7 +61,12 @@ def command(
     """
     home, at = AuthorityHome.at(environment.home), now()
     # `host:port` of the join port; where only a host is given, the service knows its port.
-    where = addresses.join(*addresses.split(given or own_address(environment), _join_port(home)))
+    port: object = None
+    if (client := KeyServiceClient.find(home.path)) is not None:
+        with closing(client):
+            port = client.status().get("join_port")
+    port = port if isinstance(port, int) and port else addresses.JOIN_PORT
+    where = addresses.join(*addresses.split(given or own_address(environment), port))
     if tag is not None and tag.exists():
         raise ConfigurationError(f"{tag} exists and is not overwritten", "name a new file")
     names = check_pattern(pattern)
@@ -78,15 +83,6 @@ def command(
         note_picture(qr.terminal(code.text()))
     record(id=code.id.hex(), pattern=code.pattern, address=code.address, until=code.expires, code=code.text())
     say_secret(code.text())
-
-
-def _join_port(home: AuthorityHome) -> int:
-    client = KeyServiceClient.find(home.path)
-    if client is None:
-        return addresses.JOIN_PORT
-    with closing(client):
-        port = client.status().get("join_port")
-    return port if isinstance(port, int) and port else addresses.JOIN_PORT
 
 
 def _describe(code: InvitationCode, uses: int, policy: list[str]) -> None:

@@ -1,9 +1,8 @@
 """`rossec grant request | decide | pending | approve | deny`: nodes request grants."""
 
 import secrets
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -18,7 +17,7 @@ from rossec.authority.approvals import PendingApproval, verdict_change
 from rossec.authority.grant_operations import RefusedDeposit, SignedGrant, require_delivered
 from rossec.authority.policyfile import PolicyFile, place, read_policy
 from rossec.authority.service import AuthorityService
-from rossec.cli.grant.sign import own_pattern
+from rossec.cli.grant.sign import own_pattern, right_options
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.options import (
@@ -42,16 +41,9 @@ from rossec.terminal import note, printable, record, say
 _ASKABLE = ("publish", "subscribe", "call", "provide", "param-get", "param-set", "graph")
 
 
-def _right_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    for label in reversed(_ASKABLE):
-        text = f"ask for the right {label} on NAME; may be repeated"
-        command = option(f"--{label}", text, multiple=True, metavar="NAME")(command)
-    return command
-
-
 @click.command()
 @click.argument("node")
-@_right_options
+@right_options({label: f"ask for the right {label} on NAME; may be repeated" for label in _ASKABLE}, "NAME")
 @option("--why", "the reason, for the person or policy that decides", required=True)
 @option("--out", "write the request to this new file", type=PATH)
 @json_result(pass_environment)

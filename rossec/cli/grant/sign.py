@@ -84,17 +84,22 @@ _RESTRICTING: Final = (
 )
 
 
-def rights(command: Callable[..., Any]) -> Callable[..., Any]:
-    for right, help_text in reversed(_RIGHTS.items()):
-        command = option(f"--{right.label}", help_text, multiple=True, metavar="PATTERN")(command)
-    return command
+def right_options(texts: dict[str, str], metavar: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """An option for each right, by its label."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        for label, text in reversed(texts.items()):
+            command = option(f"--{label}", text, multiple=True, metavar=metavar)(command)
+        return command
+
+    return decorate
 
 
 def permission_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add every option for rights and their restrictions; `read_permissions` takes what they say."""
     for add in reversed(_RESTRICTING):
         command = add(command)
-    return rights(command)
+    return right_options({right.label: text for right, text in _RIGHTS.items()}, "PATTERN")(command)
 
 
 @click.command()

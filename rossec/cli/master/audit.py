@@ -19,6 +19,7 @@ from rossec.terminal import note, printable, say
 AUDIT = "audit.log"
 _MOST_DAMAGED = 10_000  # lines; a file with more is not an audit
 _MOST_SHOWN = 20
+_NOTES = {"left_out": "lines like it before it were left out", "cut_short": "bytes before it were cut short"}
 
 
 @click.command()
@@ -70,7 +71,9 @@ def audit(
             note(remark)
     for entry in entries:
         if since is None or entry["at"] >= since:
-            say(audits.encode(entry) if as_json else _format_entry(entry))
+            more = "".join(f" ({entry[key]} {text})" for key, text in _NOTES.items() if key in entry)
+            line = printable(f"{format_time(int(entry['at']))}  {entry['text']}{more}")
+            say(audits.encode(entry) if as_json else line)
     if verified:
         note(f"nothing was changed in {len(entries)} lines; the last is {last}")
 
@@ -94,12 +97,3 @@ def _note_damage(path: Path, damaged: list[int]) -> None:
         note(f"line {number} of {path} is damaged and not shown")
     if more := len(damaged[_MOST_SHOWN:]):
         note(f"{more} more lines of {path} are damaged and not shown")
-
-
-def _format_entry(entry: audits.Entry) -> str:
-    notes = (
-        ("left_out", "lines like it before it were left out"),
-        ("cut_short", "bytes before it were cut short"),
-    )
-    more = "".join(f" ({entry[key]} {text})" for key, text in notes if key in entry)
-    return printable(f"{format_time(int(entry['at']))}  {entry['text']}{more}")
