@@ -78,6 +78,7 @@ def show_console_demo(called: click.Context, options: ConsoleOptions) -> None:
     check_libraries()
     if options != ConsoleOptions(port=options.port):
         raise ConfigurationError("--demo is for localhost", "leave the other options, but --port")
+    # Whether the port is free, before anything is made.
     for sock in listen(read_options(options, "localhost")):
         sock.close()
     run = partial(context.run, called.find_root().command)

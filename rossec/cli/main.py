@@ -48,6 +48,7 @@ _TABLE: Final[dict[str, str | tuple[str, ...]]] = {
 def rossec(verbose: bool) -> None:
     """Security and access grants for ROS 1."""
     handler = logging.StreamHandler(sys.stderr)
+    # A peer's name or a broken file may be in a log line: it stays one line, without control characters.
     handler.setFormatter(OneLine("rossec: %(levelname)s: %(message)s"))
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[handler])
 

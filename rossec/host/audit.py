@@ -72,6 +72,7 @@ def check_beginning(first: Entry, key: bytes | None = None, after: str | None = 
         unknown = "" if key is not None else f"; the key {signed_by.hex()} is not known here"
         complete = before in {FIRST, after}
         return f"{'' if complete else f'it continues from {before}, not among these files'}{unknown}"
+    # Not signed: it goes on from the line whose hash was noted.
     if before == after:
         return ""
     if before == FIRST:
@@ -136,6 +137,7 @@ def verify(entries: Iterable[Entry], before: str | None = None) -> str:
     last = before
     for number, entry in enumerate(entries, 1):
         rest = {key: value for key, value in entry.items() if key != "hash"}
+        # The link is part of what was hashed: a line removed, inserted or moved breaks the next one.
         link = rest.get("before")
         if not isinstance(link, str) or (last is not None and link != last):
             raise ConfigurationError(f"before line {number} of the audit something is missing")

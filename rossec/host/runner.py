@@ -53,6 +53,7 @@ class TaskSet:
 
     async def close(self) -> None:
         """Cancel what still runs and wait until it is gone."""
+        # A task may close its own set: it would wait for itself.
         tasks = [task for task in self._tasks if task is not asyncio.current_task()]
         for task in tasks:
             task.cancel()
@@ -71,6 +72,7 @@ async def until_first_ends(*coroutines: Work) -> None:
     """Run all until the first ends, end the others, and raise what it raised."""
     tasks = {asyncio.ensure_future(coroutine) for coroutine in coroutines}
     try:
+        # Not a TaskGroup: the first to end, well or not, ends the program; nothing is an error of a group.
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
         for task in tasks:
@@ -130,6 +132,7 @@ def notify(state: str, environ: Mapping[str, str] = os.environ) -> bool:
     address = environ.get("NOTIFY_SOCKET", "")
     if not address.startswith(("/", "@")):
         return False
+    # A service manager that does not listen is no reason to end what serves.
     with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
         sock.connect(f"\0{address[1:]}" if address.startswith("@") else address)
         sock.sendall(state.encode())

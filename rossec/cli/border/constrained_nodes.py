@@ -107,6 +107,7 @@ def install(environment: Environment, statement: Path, bundle: Path | None, rout
     if bundle is not None:
         pem = files.read(bundle, _MAX_BUNDLE)
         node, anchor = NodeHome.for_bundle(environment.home, pem, now())
+        # A thing's node of another authority would be refused by every peer of this site.
         if anchor.thumbprint != home.anchor().thumbprint:
             raise ConfigurationError(
                 f"{bundle} is of another authority than that of {router}", "take the right file"

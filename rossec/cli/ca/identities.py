@@ -76,6 +76,7 @@ def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:
     with store.database.read_transaction():
         rows, revoked = store.identities.all(), store.revoked_entries()
         in_force = store.identities.with_valid_issuer(rows)
+    # In one read transaction: a revocation between two questions would show a key in two states.
     valid = {row.serial for row in in_force if row.thumbprint not in revoked}
     newest = {row.name: row.serial for row in rows if row.serial in valid}
 

@@ -32,6 +32,7 @@ def init(
     """
     token = None if uri is None else KeyUri.parse(uri)
     master = NodeHome.of(environment.home, MASTER)
+    # All that may be refused, before a passphrase is asked for twice and a key is made.
     AuthorityHome.check_new(environment.home)
     if with_master:
         check_new(master)

@@ -71,6 +71,7 @@ def command(
         raise ConfigurationError(f"{tag} exists and is not overwritten", "name a new file")
     names = check_pattern(pattern)
     path = place(environment.home, None)
+    # What the names would get is said before the code exists: after that only its end is left.
     policy = policy_lines(path, lambda policy: projected_for_names(policy, names), "them", "these names")
     code = invite(home, pattern, uses, at + lasts, where, at, wildcard=anonymous)
     _describe(code, uses, policy)
@@ -82,6 +83,7 @@ def command(
     if picture:
         note_picture(qr.terminal(code.text()))
     record(id=code.id.hex(), pattern=code.pattern, address=code.address, until=code.expires, code=code.text())
+    # Whoever has it can join: it is the last line, and with --json in the document alone.
     say_secret(code.text())
 
 

@@ -113,6 +113,7 @@ def serve(
         raise ConfigurationError("--apply delivers grants over the network", "leave --no-network")
     if rules_path is not None and no_network:
         raise ConfigurationError("--rules are for nodes that join", "leave --no-network")
+    # Read before there is a key: wrong rules end it, and nothing was unlocked for them.
     joiners = None if rules_path is None else rules.read_rules(rules_path)
     uri = master_at(environment, home.node(), master_uri)
     names.parse_uri(uri, "the master's URI")

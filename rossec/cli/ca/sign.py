@@ -89,6 +89,7 @@ def sign(
                 "a request does not fit the codes: it was changed on its way, or is another node's",
                 "scan the code again from the screen of the node itself",
             )
+    # All are shown, then one question, then all are signed: nobody answers for what he has not seen.
     checked: list[tuple[Path, bytes, str]] = []
     for path, data in read:
         with batch.item(path, last=False):
@@ -106,6 +107,7 @@ def sign(
         service.unlock()
         for path, data, name in checked:
             with batch.item(path):
+                # A known name with another key revokes the old one: only where it was named, never for all.
                 key = name if name in replaced else None
                 bundle = service.identities.issue(
                     data, lifetime, replace_key=key, wildcard=anonymous, source="file"

@@ -162,6 +162,7 @@ class OutlineTable:
     def _keep(self) -> None:
         # Write the cache; where it cannot be written, completion is slow and right.
         text = json.dumps({"stamp": self._stamp, "outlines": self._outlines})
+        # Two presses of Tab may write at once: each its own file, and the last one stays.
         new = self._cache.with_name(f"{self._cache.name}.{os.getpid()}")
         with contextlib.suppress(OSError):
             self._cache.parent.mkdir(exist_ok=True)
@@ -246,6 +247,7 @@ class _Bash(_Shell):
     def get_completions(self, args: list[str], incomplete: str) -> list[CompletionItem[Any]]:
         found = super().get_completions(args, incomplete)
         typed = incomplete.partition("=")[2] if incomplete[:2] == "--" else incomplete
+        # Readline breaks words at `:`, which aliases have (hospital:/pose): what stands before is typed.
         kept = 0 if "COMP_LINE" not in self._variables else typed.rfind(":") + 1
         return [CompletionItem(item.value[kept:], item.type) for item in found]
 

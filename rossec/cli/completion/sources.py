@@ -59,11 +59,13 @@ class Sources:
     def recorded(self, kind: str) -> Iterator[object]:
         path = self._home / "ca" / "ca.db"
         with contextlib.suppress(OSError, HintedError, sqlite3.Error):
+            # A record that another user could have written is not opened: SQLite parses it.
             ownership.check_trusted(path)
             # Without writers' files SQLite would make some, also to read.
             busy = path.with_name(f"{path.name}-wal").exists()
             uri = f"{path.absolute().as_uri()}?{'mode=ro' if busy else 'immutable=1'}"
             with closing(sqlite3.connect(uri, timeout=0, uri=True)) as db:
+                # A schema may have triggers and views with functions: none is trusted to run.
                 db.execute("PRAGMA trusted_schema = OFF")
                 for (found,) in db.execute(_RECORD[kind], {"now": int(time.time())}):
                     yield found.hex()[:_SHORT] if isinstance(found, bytes) else found

@@ -107,6 +107,7 @@ def keep(home: Path, master: str, names: Mapping[str, Iterable[str]]) -> None:
     """
     from rossec import files  # noqa: PLC0415 - not needed to read
 
+    # A master may name anything: only what no shell can take for more is kept.
     kept = {kind: [*filter(is_offered, found)][:MAX_WORDS] for kind, found in names.items()}
     data = json.dumps({"master": master, "names": kept}).encode()
     with contextlib.suppress(OSError, HintedError):
@@ -121,6 +122,7 @@ def read(home: Path, master: str, kind: str) -> list[object]:
     except (OSError, HintedError, ValueError):
         return []
     match found:
+        # The names of another master would be wrong here.
         case {"master": str() as uri, "names": {**names}} if uri == master:
             words = names.get(kind)
             return words if isinstance(words, list) else []

@@ -47,6 +47,7 @@ def serve(
         log_as_json()
     endpoint = read_options(options, socket.gethostname())
     home = AuthorityHome.at(environment.home)
+    # A passkey is bound to the origin it was made at: another name would end every phone's (WebAuthn).
     if not endpoint.read_only:  # nobody approves there
         with closing(home.store()) as store:
             check_origin(endpoint, {each.origin for each in store.passkeys.active()}, rename=rename)

@@ -205,6 +205,7 @@ def _label(home: AuthorityHome, card: Card, given: str | None) -> str:
 
 def admitted(patterns: Iterable[str]) -> tuple[str, ...]:
     """The patterns that are admitted: those given, masters and relays; each once, sorted."""
+    # Sorted and once: the same terms are the same octets.
     return tuple(sorted({*map(check_pattern, patterns), *OF_MASTERS, *OF_RELAYS}))
 
 

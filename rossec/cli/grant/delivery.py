@@ -54,6 +54,7 @@ def list_(environment: Environment, nodes: tuple[str, ...], as_json: bool, maste
         else "expired" * (at >= grant.cap)
         for grant in grants
     }
+    # The master is asked only where the record does not say it: a list works without a master.
     if not all(states.values()):
         _complete(service, grants, states)
 
@@ -228,6 +229,7 @@ def delegate(service: AuthorityService, lifetime: int, ticket: int, master: str,
 
     A revoked grant is not renewed. With --withdraw, what the master has renewed ends at once.
     """
+    # Before a passphrase is asked for.
     if ticket < MIN_TICKET:
         raise ConfigurationError(
             f"a ticket of {ticket} s ends before a node can be sure to have the next one",
@@ -245,6 +247,7 @@ def delegate(service: AuthorityService, lifetime: int, ticket: int, master: str,
         return
     delegation, call = service.grants.delegate(lifetime, ticket, master)
     until = format_time(delegation.expires)
+    # Signed and recorded before it is delivered: it can be withdrawn also if the master never answers.
     record(master=master, id=delegation.id.hex(), expires=delegation.expires, published=False)
     say(f"{master} may renew grants until {until} (delegation {delegation.id.hex()})")
     service.grants.deliver_delegation(delegation, call)

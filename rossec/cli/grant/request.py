@@ -60,6 +60,7 @@ def request(
     if not any(named.values()):
         raise ConfigurationError("a request for nothing", "add --subscribe NAME, --publish NAME")
     identity = home.identity(now())
+    # Own names are resolved here: the authority gets a request for one node, and no words of a shell.
     requested = tuple(
         RequestedRight(Right[label.upper()], own_pattern(name, identity.name, tail=identity.wildcard))
         for label, names in named.items()
@@ -159,6 +160,7 @@ def approve(
     """
     ids = unique(request_ids)
     policy = read_policy(service.rossec_home, policy_path, signs=True)
+    # A filter that is unknown is refused before any request is approved with it.
     change = verdict_change(policy, coarse, now(), only_today=only_today)
     _collect(service, policy)
     if len(ids) > 1:

@@ -270,6 +270,7 @@ def rules(
             raise ConfigurationError(
                 f"--clamp {text} has no range", "for example --clamp ranges=0.5:10"
             ) from None
+    # Two filters for one field: one would be lost without a word (attack `two-spellings`).
     for path, times in Counter(path for path, _ in given).items():
         if times > 1:
             raise ConfigurationError(
@@ -303,6 +304,7 @@ def restrictions(
         made = [preset(preset_name).restriction(shape)] if preset_name is not None else []
         if filters or when or rate is not None:
             made.append(Restriction(type_name, when, filter_rules(filters), rate))
+        # Compiled now: a mistake would else be found by a publisher, which then sends nothing.
         for restriction in made:
             compile_filter(shape, restriction.filters)
             for text in restriction.conditions:
@@ -370,6 +372,7 @@ def narrow(
     home, at = NodeHome.find(environment.home, check_name(own)), now()
     token, receiver = read_token(file), _receiver(home, certificate, at)
     held = peek(token)
+    # Only the holder's key can sign the next link: it is said here, not by the receiver's master.
     if held.holder != home.identity(at).thumbprint:
         raise GrantNotHeld(
             printable(f"grant {held.short_id} is not held by {home.name}"),
@@ -383,6 +386,7 @@ def narrow(
             if held.may_narrow
             else "at the authority: rossec grant sign NODE --may-narrow N",
         )
+    # A chain ends with each of its links: what it says of its end shall be true.
     end = min(at + lifetime, held.expires)
     draft = Draft(
         domain=held.domain,
@@ -403,6 +407,7 @@ def narrow(
                     f"the grant gives no {right.label} on {permission.pattern}", "see: rossec grant show FILE"
                 )
     packed = pack_chain(token, [sign_narrowing(home.signer(), draft, held)])
+    # A node could install it, and never present it.
     if len(packed) > MAX_PRESENTED - _OVERHEAD:
         raise GrantMalformed(
             f"the chain has {len(packed)} bytes, more than a node may present", "fewer rights in one grant"

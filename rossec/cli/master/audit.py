@@ -75,6 +75,7 @@ def audit(
             line = printable(f"{format_time(int(entry['at']))}  {entry['text']}{more}")
             say(audits.encode(entry) if as_json else line)
     if verified:
+        # A removed end is found only by comparing the last hash with one that was noted.
         note(f"nothing was changed in {len(entries)} lines; the last is {last}")
 
 

@@ -85,6 +85,7 @@ class LaunchFiles:
                 raise ConfigurationError(
                     f"{path} exists and is not overwritten", "remove it, or name a new file: --out"
                 )
+        # All or none: a launch file whose include is missing would start half a robot.
         with ExitStack() as undo:
             for path, data in self.written.items():
                 files.create(path, data, MODE)
@@ -97,6 +98,7 @@ async def _named(source: Path, out: Path, sheet: bytes) -> LaunchFiles:
         loop = asyncio.get_running_loop()
 
         def name_of(metadata: bytes, queries: Sequence[Query]) -> list[str]:
+            # The scanner runs in a thread: it asks the loop, which talks to the confined process.
             asked = runner.names(metadata, queries)
             found = list[str]()
             for result in asyncio.run_coroutine_threadsafe(asked, loop).result():

@@ -192,6 +192,7 @@ class IdentityRevoked(ConfigurationError):
 
 def _clock(home: NodeHome, identity: Identity) -> Iterator[Outcome]:
     signed = signed_at(identity.not_before, identity.not_after)
+    # What the authority has signed is a lower bound of the time, also without a master (decision 0044).
     if (data := home.load_revocations()) is not None:
         with suppress(RevocationRefused):  # a list of another authority says nothing
             signed = max(signed, open_statement(data, home.anchor().public_key).issued)
@@ -325,6 +326,7 @@ async def check_master(
         async def call(method: str, *parameters: object) -> object:
             return await client.ask(method, home.name, *parameters)
 
+        # The answer bounds the offset by the times before and after it: a slow network makes no clock wrong.
         begun = clock.time()
         data, stamp = _opened(home, stream.peer, await call(REVOCATIONS))
         yield (said := describe_offset(stamp.issued, begun, clock.time()))
@@ -436,6 +438,7 @@ def describe_offset(issued: int, begun: float, ended: float) -> Outcome:
 
 
 async def _revoked_of(revocations: Revocations, entries: Sequence[bytes], call: MasterCall) -> list[bytes]:
+    # As many as the master answers in one call.
     for start in range(0, len(entries), MAX_PROOFS_PER_CALL):
         for entry in entries[start : start + MAX_PROOFS_PER_CALL]:
             with suppress(Revoked, RevocationsStale):

@@ -303,6 +303,7 @@ def join_domain(
     if metadata:
         name = asyncio.run(ask_name(code, metadata, now))
     home = NodeHome.of(environment.home, _name(code, name))
+    # Run again, it is done: a boot script may call it at each start.
     if _is_enrolled(home, code):
         say(f"{home.name} is enrolled already", name=home.name, joined=False)
         return
@@ -360,6 +361,7 @@ def _name(code: InvitationCode, given: str | None) -> str:
                 f"give it: --name {pattern.replace('**', 'robot07').replace('*', 'robot07')}",
             )
         return pattern
+    # `/ca` and `/master` are what nodes trust most: a person gives them (attack `join-name`).
     if is_reserved(given):
         raise ConfigurationError(
             f"{given} is reserved: no invitation is for it",

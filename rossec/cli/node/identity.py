@@ -110,6 +110,7 @@ def install(environment: Environment, bundles: tuple[Path, ...], yes: bool) -> N
         for bundle in found:
             with batch.item(bundle):
                 data = _read(bundle)
+                # Between question and answer the file may have been exchanged.
                 home, now_in_it = NodeHome.for_bundle(environment.home, data, now())
                 if now_in_it.thumbprint != anchor.thumbprint:
                     raise ConfigurationError("the file has changed meanwhile", "copy it here again")

@@ -54,6 +54,7 @@ def exec_sidecar(
         "users": users or [],
         "verbose": bool(context.find_root().params.get("verbose")),
     }
+    # Isolated: neither PYTHONPATH nor the directory of the program chooses what the keys are given to.
     arguments = [sys.executable, "-I", "-m", "rossec.sidecar", json.dumps(options)]
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # until it can end quietly
     try:

@@ -84,6 +84,7 @@ def learn(
     if out is None:
         read.replace(text)
     else:
+        # What was learned must be a policy itself, before it takes the place of one.
         parse_policy(text, str(out))
         files.replace(out, text.encode(), 0o644, keep=True)
     record(rules=[rule.id for rule in rules], file=str(out or read.path))
@@ -218,6 +219,7 @@ def apply(
     if not dry_run:
         _carry_out(service, plan, yes=yes, as_json=as_json)
     require_complete(plan)
+    # By hand stays (decision 0026): an operator knows more than the file. But a denial is a promise.
     grants = {each.grant.id for each in plan.contradictions}
     if grants:
         allow = "grant made by hand allows" if len(grants) == 1 else "grants made by hand allow"
@@ -264,6 +266,7 @@ def opt_out(service: AuthorityService, name: str, is_node: bool, policy_path: Pa
         say(f"{name} is one of the anonymous nodes of {opted_out.name}, which are one identity:")
         say("all of them are opted out")
     say(f"rule {opted_out.rule} in {opted_out.policy.path} denies it from now on")
+    # The denial stands in the policy first: what is revoked next is not granted anew by it.
     withdrawn = service.policy.revoke_opted_out(opted_out)
     for grant, _ in withdrawn:
         say(f"revoked grant {grant.id.hex()} of {grant.subject}")

@@ -71,6 +71,7 @@ def explain(
     asked = RIGHTS[right]
     subject = subject_of(environment, node)
     certified = _certified(environment)
+    # Every key the name ever had here: a grant for an older one is in force until it ends.
     keys = {subject.key, *certified.get(subject.name, ())} - {_NO_KEY}
     held = _in_force(environment, keys, asked, name)
     if certified and policy_path is None and not place(environment.home, None).exists():

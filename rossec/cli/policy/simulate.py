@@ -126,6 +126,7 @@ def _messages(bag: Path) -> Iterator[tuple[str, Layout, int, int, bytes]]:
     layouts: dict[int, Layout | None] = {}
     try:
         with Reader(bag) as reader:
+            # A bag of kilobytes may hold gigabytes (attack `bag-bomb`).
             bounded = {bz2.decompress: bz2.BZ2Decompressor, lz4.frame.decompress: LZ4FrameDecompressor}
             for position, chunk in reader.chunks.items():
                 make = bounded.get(chunk.decompressor)

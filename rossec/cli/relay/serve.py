@@ -90,6 +90,7 @@ def _admission(doors: str) -> PortAdmission:
         return Callers({os.geteuid()}, loopback=find_loopback())
     try:
         address = str(ip_address(doors))
+        # Bound once to see that it is of this host: doors are opened later, one for each node.
         with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as sock:
             sock.bind((address, 0))
     except (ValueError, OSError) as error:

@@ -65,6 +65,7 @@ def card(environment: Environment, label: str, domain: str | None) -> None:
         peers[label] = replace(peer, domain=domain)
 
     store.change(put)
+    # A mailbox for each peer: one relay may send there, and no other (decision 0034).
     box = bytes.fromhex(store.peers()[label].box)
     say_secret(RelayCard(own, store.home.name, mailbox(routers.seat, box)).write().rstrip())
     if not store.peers()[label].is_complete:
@@ -187,6 +188,7 @@ def seat(environment: Environment, file: Path) -> None:
     found = store.keep_seat(files.read(file, MAX_SEAT_FILE))
     record(seat=found.seat, locators=list(found.locators))
     say(printable(f"seat {found.seat} at {' '.join(found.locators)}"))
+    # Mailboxes are derived from the seat: cards that were handed out name the old ones.
     if before and before != found.seat:
         note("the mailboxes have other keys now: hand out the cards again, rossec relay card LABEL")
     note(f"{file} is not needed any more, and whoever has it has the seat: remove it")

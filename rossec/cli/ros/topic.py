@@ -181,6 +181,7 @@ def readable(claimed: Definition) -> MessageType:
     except MessageError:
         register_types({claimed.name: claimed.definition})
         known = message_type(claimed.name)
+    # Nothing is decided by what a publisher claims: by another definition its bytes would mean other fields.
     if known.md5sum != claimed.md5sum:
         raise MessageError(
             f"the publisher's {claimed.name} is another one than here",

@@ -97,6 +97,7 @@ def json_result(
 @contextmanager
 def document(*, secret: bool = False) -> Iterator[None]:
     """Collect what is recorded, and print it at the end; after a refusal, if there is any."""
+    # What was done before a refusal is done: the document says it, with the error (decision 0044).
     found: dict[str, Any] = {}
     token = FACTS.set(found)
     try:
@@ -156,6 +157,7 @@ class Batch:
                 yield
         except HintedError as error:
             entry.update(error=str(error), hint=error.hint)
+            # A record that cannot be used is no fault of a name: it would fail thirty times.
             if self._total == 1 or isinstance(error, RecordUnusable):
                 raise
             self._failed += 1
@@ -197,6 +199,7 @@ def working(what: str, *, quiet: bool = False) -> Iterator[None]:
     It is drawn anew each second, gives way to every other line, and leaves no trace: a pipe, a file
     and a program that reads `--json` never see it.
     """
+    # Only on a terminal: a pipe or a log would keep each second of it.
     if quiet or not (FACTS.get() is None and not sys.stderr.closed and sys.stderr.isatty()):
         yield
         return

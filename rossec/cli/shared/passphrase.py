@@ -53,6 +53,7 @@ def _without_echo() -> Iterator[int]:
     terminal = os.open("/dev/tty", os.O_RDWR | os.O_NOCTTY)
     try:
         before = termios.tcgetattr(terminal)
+        # Not `getpass`: it would throw away what is pasted behind the first line of a code.
         hidden = [*before[:3], before[3] & ~termios.ECHO, *before[4:]]
         termios.tcsetattr(terminal, termios.TCSADRAIN, hidden)
         try:
@@ -71,11 +72,13 @@ def read(file: Path | None, environ: Mapping[str, str]) -> str:
 
 
 def _given(file: Path | None, environ: Mapping[str, str]) -> str | None:
+    # systemd's credentials are files of this service alone; a variable or an argument others could see.
     directory = environ.get("CREDENTIALS_DIRECTORY")
     if file is None and directory is not None and (Path(directory) / CREDENTIAL).exists():
         file = Path(directory) / CREDENTIAL
     if file is None:
         return None
+    # Of a pipe (`<(pass show ca)`) the mode means nothing: there its owner counts.
     if file.stat().st_mode & 0o077 and not (not file.is_file() and file.stat().st_uid in (os.getuid(), 0)):
         raise ConfigurationError(f"{file} can be read by others", f"chmod 600 {file}")
     with file.open("rb") as stream:

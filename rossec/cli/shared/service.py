@@ -43,6 +43,7 @@ def pass_service(command: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(command)
     def run(environment: Environment, /, *, passphrase_file: Path | None, **values: Any) -> None:
         master_uri = values.pop("master_uri", None)
+        # The key is dropped when the command ends, also by a refusal.
         with closing(service_of(environment, passphrase_file, master_uri)) as service:
             command(service, **values)
 
@@ -77,6 +78,7 @@ def call_master(environment: Environment, master_uri: str | None, call: Statemen
     try:
         return asyncio.run(ask())
     except (HintedError, OSError, TimeoutError, Fault) as error:
+        # Exit code 3: signed here, and not where it counts. It says what to do when the master is back.
         reason = str(error) or "no answer in time"
         if isinstance(error, Fault):
             reason = f"it answers {printable(error.faultString)}: is it of an older version?"
