@@ -122,7 +122,7 @@ def restore(
     )
     say(f"restored {found.home.domain} in {found.home.path}, {found.entries} log entries")
     say(f"fingerprint {fingerprint(found.home.anchor())}")
-    _say_what_differs(found)
+    say_what_differs(found)
     if found.home.is_intermediate:  # it signs no lists
         return
     if found.restored_revocations:
@@ -138,7 +138,7 @@ def restore(
     note("a new revocation list was signed; deliver it with: rossec ca publish")
 
 
-def _say_what_differs(found: backups.Restored) -> None:
+def say_what_differs(found: backups.Restored) -> None:
     for name in found.left_out:
         note(f"left out, not a file that a backup has: {printable(name)}")
     if found.policy:

@@ -239,21 +239,21 @@ def enroll(
         target = write_identity(csr_file, bundle)
         say(f"signed: {target}; at the node: rossec node install {target.name}", file=str(target))
     else:
+
+        def show_digits(digits: str) -> None:
+            say(f"digits {group_digits(digits)}")
+            say("the same at the node? then confirm there; if not, stop here and there")
+
         try:
             *chain, root = from_pem(bundle)
             offer = core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), now())
-            asyncio.run(deliver(core, offer, *destination, now, _show_digits))
+            asyncio.run(deliver(core, offer, *destination, now, show_digits))
         except HintedError:
             remind_to_publish(service)
             raise
         say(f"enrolled {row.name}", state="enrolled")
     give_outright(service, row.name)
     publish_if_revoked(service)
-
-
-def _show_digits(digits: str) -> None:
-    say(f"digits {group_digits(digits)}")
-    say("the same at the node? then confirm there; if not, stop here and there")
 
 
 def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Code:

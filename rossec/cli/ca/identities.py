@@ -23,18 +23,7 @@ from rossec.authority.service import AuthorityService
 from rossec.authority.signing import OWN_NODE
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import (
-    FILE,
-    NEW_FILE,
-    Batch,
-    duration,
-    flag,
-    json_result,
-    option,
-    say_result,
-    unique,
-    working,
-)
+from rossec.cli.shared.options import FILE, NEW_FILE, Batch, flag, json_result, option, say_result
 from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
@@ -139,7 +128,9 @@ def show(environment: Environment, name: str | None, in_json: bool) -> None:
 
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
-@duration("--for lifetime", "how long the new identity lasts", days=MAX_LIFETIME // DAY, default="30d")
+@options.duration(
+    "--for lifetime", "how long the new identity lasts", days=MAX_LIFETIME // DAY, default="30d"
+)
 @flag("--expired", "also one that is over: it keeps its key, and so its grants")
 @option("--out", "where to write it", type=NEW_FILE)
 @json_result(pass_service)
@@ -153,7 +144,7 @@ def renew(
     /ca, it is installed at once. What is revoked never comes back. Where one of several is refused
     the others are renewed, and the exit code is 1.
     """
-    names = unique(names)
+    names = options.unique(names)
     if out is not None and len(names) > 1:
         raise click.UsageError("--out is of one NAME")
     if len(names) > 1:
@@ -255,7 +246,7 @@ def revoke(
     here (by rossec grant sign) is refused in this domain, whatever its own authority says. Where
     one of several is refused the others are revoked, and the exit code is 1.
     """
-    names = unique(names)
+    names = options.unique(names)
     if certificate is not None and len(names) > 1:
         raise click.UsageError("--certificate is of one NAME")
     if len(names) > 1:
@@ -313,7 +304,7 @@ def revoke_invitations(
     names that joined by it is revoked, and the master is notified at once. The first needs no key,
     so it is done also where the second cannot be.
     """
-    ids, ended = unique(invitation_ids), list[InvitationStatus]()
+    ids, ended = options.unique(invitation_ids), list[InvitationStatus]()
     batch = Batch(len(ids), "id")
     for invitation_id in ids:
         with batch.item(invitation_id):
@@ -355,7 +346,7 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
     home = AuthorityHome.at(environment.home)
     store = home.store()
     kept = [files.read(path, _MAX_HEAD) for path in heads]
-    with working("recomputing the log", quiet=in_json):
+    with options.working("recomputing the log", quiet=in_json):
         newest = store.log.audit(home.own_key(), *kept)
     size = store.log.head(now()).size
     if in_json:

@@ -22,17 +22,7 @@ import click
 from click.shell_completion import CompletionItem, ShellComplete, split_arg_string
 
 from ca.errors import HintedError
-from rossec.cli.completion.values import (
-    COMMAND,
-    FREE,
-    KINDS,
-    Outline,
-    Values,
-    command_of,
-    kinds_of,
-    offered,
-    outline_of,
-)
+from rossec.cli.completion import values
 from rossec.terminal import say_block
 
 COMMANDS: Final = Path(__file__).parents[1]
@@ -151,12 +141,12 @@ class OutlineTable:
             found = _read(cache)
             self._outlines = found["outlines"] if found.get("stamp") == self._stamp else {}
 
-    def get(self, place: str, load: Callable[[], click.Command]) -> Outline:
+    def get(self, place: str, load: Callable[[], click.Command]) -> values.Outline:
         if place not in self._outlines:
-            self._outlines[place] = outline_of(load())
+            self._outlines[place] = values.outline_of(load())
             if self._stamp is not None:
                 self._keep()
-        found: Outline = self._outlines[place]
+        found: values.Outline = self._outlines[place]
         return found
 
     def _keep(self) -> None:
@@ -181,10 +171,12 @@ def completed(
     found = outline(place, load, table)
     if "params" not in found:
         return load()
-    return command_of(name, found, [*map(_values, kinds_of(place, arguments, found))])
+    return values.command_of(name, found, [*map(_values, values.kinds_of(place, arguments, found))])
 
 
-def outline(place: str, load: Callable[[], click.Command], table: OutlineTable | None = None) -> Outline:
+def outline(
+    place: str, load: Callable[[], click.Command], table: OutlineTable | None = None
+) -> values.Outline:
     """The outline of the command at `place`; `load` imports it if that is needed."""
     return (table or _table()).get(place, load)
 
@@ -194,14 +186,14 @@ def _table() -> OutlineTable:
     return OutlineTable()
 
 
-def _values(kind: str) -> Values | None:
-    return None if kind == FREE else partial(_offer, kind)
+def _values(kind: str) -> values.Values | None:
+    return None if kind == values.FREE else partial(_offer, kind)
 
 
 def _offer(
     kind: str, context: click.Context, _param: click.Parameter, incomplete: str
 ) -> list[CompletionItem[Any]]:
-    if kind == COMMAND:
+    if kind == values.COMMAND:
         return _FILES
     from rossec.cli.completion.sources import Sources  # noqa: PLC0415 - not needed for options
 
@@ -210,8 +202,8 @@ def _offer(
         sources = Sources(environment.home, environment.variables)
     except HintedError:  # a home that others could have written
         return []
-    found = [word for read in KINDS[kind] for word in read(sources)]
-    return [CompletionItem(word) for word in offered(found, incomplete)]
+    found = [word for read in values.KINDS[kind] for word in read(sources)]
+    return [CompletionItem(word) for word in values.offered(found, incomplete)]
 
 
 def answer(group: click.Command, environment: Any) -> str:

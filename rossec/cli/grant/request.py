@@ -20,18 +20,7 @@ from rossec.authority.service import AuthorityService
 from rossec.cli.grant.sign import own_pattern, right_options
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import (
-    FILE,
-    FOLDER,
-    PATH,
-    Batch,
-    add_entry,
-    flag,
-    json_result,
-    option,
-    say_result,
-    unique,
-)
+from rossec.cli.shared.options import FILE, FOLDER, PATH, Batch, flag, json_result, option, say_result
 from rossec.cli.shared.service import deliver_grant, deliver_grants, pass_service, service_of
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
@@ -103,7 +92,7 @@ def decide(
     record(allowed=decided.allowed, denied=denied, waiting=decided.waiting)
     for stored, reason in decided.denied:
         node, label, name = stored.request.node, stored.requested.right.label, stored.requested.pattern
-        add_entry("denials", {"node": node, "right": label, "name": name, "reason": reason})
+        options.add_entry("denials", {"node": node, "right": label, "name": name, "reason": reason})
         say(f"denied {shown(node)} {label} {shown(name)}: {printable(reason)}")
         say(f"  what would change it: rossec explain {shown(node)} {label} {in_shell(shown(name))}")
     counts = [f"{decided.allowed} allowed", f"{decided.waiting} for you"]
@@ -158,7 +147,7 @@ def approve(
     --approximate adds a filter of the policy or a preset, --today ends it at midnight. Where one of
     several is refused the others are approved, and the exit code is 1.
     """
-    ids = unique(request_ids)
+    ids = options.unique(request_ids)
     policy = read_policy(service.rossec_home, policy_path, signs=True)
     # A filter that is unknown is refused before any request is approved with it.
     change = verdict_change(policy, coarse, now(), only_today=only_today)
@@ -183,13 +172,13 @@ def deny(environment: Environment, request_ids: tuple[str, ...], policy_path: Pa
 
     Where one of several is refused the others are denied, and the exit code is 1.
     """
-    service, ids = service_of(environment), unique(request_ids)
+    service, ids = service_of(environment), options.unique(request_ids)
     policy = _collected(service, policy_path)
     batch = Batch(len(ids), "id")
     for request_id in ids:
         with batch.item(request_id):
             for item in service.policy.deny(policy, request_id):
-                add_entry("requests", {"node": item.stored.request.node, **_right(item)})
+                options.add_entry("requests", {"node": item.stored.request.node, **_right(item)})
                 say(f"denied {item.stored.request.node} {item.stored.requested}")
     batch.finish()
 
@@ -212,7 +201,7 @@ def _deliver(
 ) -> Sequence[RefusedDeposit]:
     for draft, data in signed:
         number = document.grant_id(data).hex()
-        add_entry("grants", {"id": number, "node": draft.subject, "expires": draft.expires})
+        options.add_entry("grants", {"id": number, "node": draft.subject, "expires": draft.expires})
         say(f"grant {number} for {draft.subject} until {format_time(draft.expires)}")
         for permission in draft.permissions:
             say(f"  may {permission.rights.label} {permission.pattern}")

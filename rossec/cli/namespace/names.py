@@ -22,19 +22,7 @@ from rossec import files
 from rossec.cli.shared import options, rules
 from rossec.cli.shared.options import FILE, NEW_FILE, OLD_FOLDER, flag, json_result, option
 from rossec.errors import ConfigurationError, MetadataRefused, RossecError
-from rossec.namespace import topic_names
-from rossec.namespace.launch_file import (
-    Edit,
-    Include,
-    Launch,
-    NamedNode,
-    NameOf,
-    Query,
-    apply,
-    edits,
-    named,
-    scan,
-)
+from rossec.namespace import launch_file, topic_names
 from rossec.naming import rule_runner
 from rossec.naming.requests import MAX_INPUT, NameKind
 from rossec.naming.rule_runner import RuleRunner
@@ -76,7 +64,7 @@ def launch(source: Path, out: Path, rules_path: Path | None) -> None:
 @dataclass
 class LaunchFiles:
     written: dict[Path, bytes] = field(default_factory=dict)
-    nodes: list[NamedNode] = field(default_factory=list)
+    nodes: list[launch_file.NamedNode] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def write(self) -> None:
@@ -97,7 +85,7 @@ async def _named(source: Path, out: Path, sheet: bytes) -> LaunchFiles:
     async with RuleRunner(sheet) as runner:
         loop = asyncio.get_running_loop()
 
-        def name_of(metadata: bytes, queries: Sequence[Query]) -> list[str]:
+        def name_of(metadata: bytes, queries: Sequence[launch_file.Query]) -> list[str]:
             # The scanner runs in a thread: it asks the loop, which talks to the confined process.
             asked = runner.names(metadata, queries)
             found = list[str]()
@@ -110,7 +98,7 @@ async def _named(source: Path, out: Path, sheet: bytes) -> LaunchFiles:
         return await asyncio.to_thread(read, source, out, name_of)
 
 
-def read(source: Path, out: Path, name_of: NameOf) -> LaunchFiles:
+def read(source: Path, out: Path, name_of: launch_file.NameOf) -> LaunchFiles:
     """The transformed files for `source`, which is to be written to `out`."""
     reader = _Reader(source.absolute().parent, out, name_of)
     reader.add(source, out)
@@ -128,7 +116,7 @@ def read(source: Path, out: Path, name_of: NameOf) -> LaunchFiles:
 
 
 class _Reader:
-    def __init__(self, directory: Path, out: Path, name_of: NameOf) -> None:
+    def __init__(self, directory: Path, out: Path, name_of: launch_file.NameOf) -> None:
         self.found = LaunchFiles()
         self._directory = directory
         self._out = out
@@ -143,18 +131,18 @@ class _Reader:
         self._targets[source.absolute()] = target
         try:
             data = files.read(source, MAX_INPUT)
-            launch = scan(data)
-            nodes = named(launch, self._name_of)
+            launch = launch_file.scan(data)
+            nodes = launch_file.named(launch, self._name_of)
         except RossecError as error:
             raise type(error)(f"{source}: {error}", error.hint) from error
         self.found.nodes += nodes
         self._check_directory(source, target, data, launch)
-        changes = edits(data, launch, nodes)
+        changes = launch_file.edits(data, launch, nodes)
         for include in launch.includes:
             changes += self._include(source, include)
-        self.found.written[target] = apply(data, changes)
+        self.found.written[target] = launch_file.apply(data, changes)
 
-    def _include(self, source: Path, include: Include) -> list[Edit]:
+    def _include(self, source: Path, include: launch_file.Include) -> list[launch_file.Edit]:
         match = _BESIDE.fullmatch(include.file)
         beside = None if match is None else self._directory / match[1]
         if match is None or beside is None or not beside.is_file():
@@ -166,9 +154,9 @@ class _Reader:
         if beside not in self._targets:
             self.add(beside, self._out.with_name(f"{self._out.stem}.{match[1]}"))
         written = f"$(dirname)/{self._targets[beside].name}"
-        return [Edit(include.value, quoteattr(written)[1:-1].encode())]
+        return [launch_file.Edit(include.value, quoteattr(written)[1:-1].encode())]
 
-    def _check_directory(self, source: Path, target: Path, data: bytes, launch: Launch) -> None:
+    def _check_directory(self, source: Path, target: Path, data: bytes, launch: launch_file.Launch) -> None:
         followed = sum(_BESIDE.fullmatch(include.file) is not None for include in launch.includes)
         moved = target.absolute().parent != self._directory
         if moved and data.count(_DIRNAME) > followed:

@@ -51,7 +51,13 @@ def run(environment: Environment, doors: str, seat_file: Path | None, *, as_json
         admission = _admission(doors)
         name = own_relay(environment.variables)
         member = RelayMember(name, await with_master(environment, name))
-        carrier = await until_reached(partial(Carrier.open, routers), stop, OverlayUnavailable, _tell)
+
+        def tell(error: HintedError) -> None:
+            if isinstance(error.__cause__, ImportError):  # the library is missing: it never comes by itself
+                raise error
+            _log.warning("%s (%s); trying again", error, error.hint)
+
+        carrier = await until_reached(partial(Carrier.open, routers), stop, OverlayUnavailable, tell)
         if carrier is None:
             return
         relay = Relay(member, RouterNetwork(carrier, routers, member.link_context), admission, store.peers)
@@ -77,12 +83,6 @@ def run(environment: Environment, doors: str, seat_file: Path | None, *, as_json
         audit_written(store.home.path / "audit.log", store.home.signer()),
     ):
         asyncio.run(serve())
-
-
-def _tell(error: HintedError) -> None:
-    if isinstance(error.__cause__, ImportError):  # the library is missing: it never comes by itself
-        raise error
-    _log.warning("%s (%s); trying again", error, error.hint)
 
 
 def _admission(doors: str) -> PortAdmission:

@@ -296,28 +296,21 @@ def _watch(
     async def watch() -> None:
         async with listening(environment, name, node) as (running, arrivals):
             note(f"subscribed to [{name}]")
-            await run_until_node_ends(running, _count_and_say(arrivals, add, describe, count))
+
+            async def count_all() -> None:
+                async for _, data in arrivals.messages():
+                    add(time.monotonic(), len(data))
+
+            async def say_all() -> None:
+                lines = 0
+                while count is None or lines < count:
+                    await asyncio.sleep(PERIOD)
+                    say_block(describe())
+                    lines += 1
+
+            await run_until_node_ends(running, until_first_ends(count_all(), say_all()))
 
     asyncio.run(watch())
-
-
-async def _count_and_say(
-    arrivals: Arrivals, add: Add, describe: Callable[[], str], count: int | None
-) -> None:
-    async def count_all() -> None:
-        async for _, data in arrivals.messages():
-            add(time.monotonic(), len(data))
-
-    counting = asyncio.ensure_future(count_all())
-    try:
-        lines = 0
-        while count is None or lines < count:
-            await asyncio.sleep(PERIOD)
-            say_block(describe())
-            lines += 1
-    finally:
-        counting.cancel()
-        await asyncio.gather(counting, return_exceptions=True)
 
 
 @click.command()

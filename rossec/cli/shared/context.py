@@ -13,24 +13,7 @@ from typing import Any, Final
 import click
 
 from ca.errors import HintedError, JoinWaiting
-from rossec.errors import (
-    ConfigurationError,
-    MasterNotFound,
-    NotDelivered,
-    PolicyContradicted,
-    PolicyIncomplete,
-)
-from rossec.terminal import (
-    CONTRADICTED,
-    INCOMPLETE,
-    INTERRUPTED,
-    REFUSED,
-    UNDELIVERED,
-    USAGE,
-    WAITING,
-    fail,
-    printable,
-)
+from rossec import errors, terminal
 
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _ANSWER: Final = "answer y, or give --yes where no one can answer"
@@ -47,7 +30,7 @@ class Environment:
     """
 
     variables: Mapping[str, str]
-    found: dict[bytes, str | MasterNotFound] = field(default_factory=dict, compare=False)
+    found: dict[bytes, str | errors.MasterNotFound] = field(default_factory=dict, compare=False)
 
     @property
     def home(self) -> Path:
@@ -107,7 +90,7 @@ def reraise_interrupt(abort: click.Abort) -> None:
 def confirm(question: str, *, yes: bool) -> None:
     """Ask, unless `--yes` was given."""
     if not ask_yes_no(question, yes=yes):
-        raise ConfigurationError("nothing was done", _ANSWER)
+        raise errors.ConfigurationError("nothing was done", _ANSWER)
 
 
 def ask_yes_no(question: str, *, yes: bool) -> bool:
@@ -116,17 +99,17 @@ def ask_yes_no(question: str, *, yes: bool) -> bool:
         return True
     try:
         # On stderr: with --json stdout is one document (decision 0044). Enter alone decides nothing.
-        return click.confirm(printable(question), default=False, err=True)
+        return click.confirm(terminal.printable(question), default=False, err=True)
     except click.Abort as abort:
         reraise_interrupt(abort)
-        raise ConfigurationError("there was no answer, nothing was done", _ANSWER) from None
+        raise errors.ConfigurationError("there was no answer, nothing was done", _ANSWER) from None
 
 
 _EXIT_CODES: Final[dict[type[HintedError], int]] = {
-    NotDelivered: UNDELIVERED,
-    PolicyContradicted: CONTRADICTED,
-    PolicyIncomplete: INCOMPLETE,
-    JoinWaiting: WAITING,
+    errors.NotDelivered: terminal.UNDELIVERED,
+    errors.PolicyContradicted: terminal.CONTRADICTED,
+    errors.PolicyIncomplete: terminal.INCOMPLETE,
+    JoinWaiting: terminal.WAITING,
 }
 
 
@@ -135,34 +118,34 @@ def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, 
     try:
         program.main(list(arguments), prog_name="rossec", standalone_mode=False, obj=Environment(environ))
     except HintedError as error:
-        fail(str(error), error.hint)
-        return _EXIT_CODES.get(type(error), REFUSED)
+        terminal.fail(str(error), error.hint)
+        return _EXIT_CODES.get(type(error), terminal.REFUSED)
     except click.ClickException as error:
         return _report(error)
     except (KeyboardInterrupt, click.Abort, EOFError):
-        return INTERRUPTED
+        return terminal.INTERRUPTED
     except UnicodeEncodeError:  # an argument of octets that are no text, as the system hands it on
-        fail("what was given is not text in UTF-8", "write it anew, or rename the file")
-        return REFUSED
+        terminal.fail("what was given is not text in UTF-8", "write it anew, or rename the file")
+        return terminal.REFUSED
     # A full disk or a file of another user is said as any refusal: no traceback reaches a person.
     except OSError as error:
-        fail(f"{error.filename or 'the system'}: {(error.strerror or str(error)).lower()}")
-        return REFUSED
+        terminal.fail(f"{error.filename or 'the system'}: {(error.strerror or str(error)).lower()}")
+        return terminal.REFUSED
     return 0
 
 
 def _report(error: click.ClickException) -> int:
     if isinstance(error, click.exceptions.NoArgsIsHelpError):
         click.echo(error.format_message())
-        return USAGE
+        return terminal.USAGE
     line = " ".join(error.format_message().split())
     text = (line[:1].lower() + line[1:]).rstrip(".")
     if not isinstance(error, click.UsageError):
-        fail(text)
-        return REFUSED
+        terminal.fail(text)
+        return terminal.REFUSED
     path = "rossec" if error.ctx is None else error.ctx.command_path
-    fail(text, f"see: {path} --help")
-    return USAGE
+    terminal.fail(text, f"see: {path} --help")
+    return terminal.USAGE
 
 
 class LazyCommand(click.Command):

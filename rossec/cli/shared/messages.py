@@ -23,14 +23,8 @@ from grants.errors import YamlRefused
 from grants.policy import source
 from rossec import clock
 from rossec.errors import ConfigurationError
-from rossec.participant.message_types import (
-    Message,
-    element_of,
-    element_type,
-    field_names,
-    field_value,
-    set_field,
-)
+from rossec.participant import message_types
+from rossec.participant.message_types import Message
 from rossec.terminal import printable
 
 # A time or duration of ROS 1 is a message to rosbags; (its name there, the one in ROS 1).
@@ -48,7 +42,10 @@ _UNITS: Final = ((1_000_000, "MB"), (1000, "KB"), (1, "B"))
 
 def plain(value: Any) -> object:
     if is_message(value):
-        return {_shown_name(value, field): plain(field_value(value, field)) for field in field_names(value)}
+        return {
+            _shown_name(value, field): plain(message_types.field_value(value, field))
+            for field in message_types.field_names(value)
+        }
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return [plain(item) for item in value] if isinstance(value, list) else value
@@ -69,8 +66,8 @@ def is_time(value: object) -> bool:
 def flat(message: Message, path: str = "") -> dict[str, str]:
     """Each value of the message by the path of its field, as `pose.position.x`."""
     found: dict[str, str] = {}
-    for field in field_names(message):
-        value, at = field_value(message, field), f"{path}{_shown_name(message, field)}"
+    for field in message_types.field_names(message):
+        value, at = message_types.field_value(message, field), f"{path}{_shown_name(message, field)}"
         if is_message(value):
             found |= flat(value, f"{at}.")
         elif isinstance(value, list) and value and is_message(value[0]):
@@ -82,7 +79,7 @@ def flat(message: Message, path: str = "") -> dict[str, str]:
 
 
 def _value(message: Message, field: str, indent: int, hidden: Kinds = ()) -> str:
-    value = field_value(message, field)
+    value = message_types.field_value(message, field)
     if hidden and (length := _length(message, field, hidden)):
         return length
     if field == "nanosec" and is_time(message):
@@ -95,9 +92,9 @@ def _value(message: Message, field: str, indent: int, hidden: Kinds = ()) -> str
 
 
 def _length(message: Message, field: str, hidden: Kinds) -> str:
-    value = field_value(message, field)
+    value = message_types.field_value(message, field)
     if isinstance(value, list | np.ndarray):
-        kind = element_type(message, field)
+        kind = message_types.element_type(message, field)
         if list in hidden or (str in hidden and kind == "string"):
             return f'"<array type: {kind}, length: {len(value)}>"'
     if str in hidden and isinstance(value, str):
@@ -118,7 +115,7 @@ def render(message: Message, indent: int = 0, hidden: Kinds = ()) -> str:
     head = " " * indent
     return "\n".join(
         f"{head}{_shown_name(message, field)}: {_value(message, field, indent + 2, hidden)}"
-        for field in field_names(message)
+        for field in message_types.field_names(message)
     )
 
 
@@ -190,23 +187,23 @@ class _Filling:
             self._field(f"{path}.{TIME_FIELDS[field]}", time, field, value)
 
     def _field(self, path: str, message: Message, field: str, value: object) -> None:
-        current = field_value(message, field)
+        current = message_types.field_value(message, field)
         if is_message(current):
             self.message(path, current, value)
         elif isinstance(current, list):
-            set_field(message, field, self._list(path, message, field, value))
+            message_types.set_field(message, field, self._list(path, message, field, value))
         else:
-            set_field(message, field, _like(path, current, value))
+            message_types.set_field(message, field, _like(path, current, value))
 
     def _list(self, path: str, message: Message, field: str, value: object) -> list[Any]:
         if not isinstance(value, list):
             raise ConfigurationError(f"{path} is a list, not {_kind(value)}", "write [a, b]")
         # A message begins with lists of this length, or none.
-        fixed = len(field_value(message, field))
+        fixed = len(message_types.field_value(message, field))
         if fixed not in (0, len(value)):
             has = _counted(fixed, "element")
             raise ConfigurationError(f"{path} has {has}, not {len(value)}", _ALL)
-        element = element_of(message, field)
+        element = message_types.element_of(message, field)
         return [self._element(f"{path}[{at}]", element(), item) for at, item in enumerate(value)]
 
     def _element(self, path: str, element: Any, value: object) -> Any:
@@ -217,7 +214,7 @@ class _Filling:
 
 
 def _by_name(path: str, message: Message, content: object) -> dict[str, object]:
-    fields = field_names(message)
+    fields = message_types.field_names(message)
     where = f"{path}: " if path else ""
     shown = [TIME_FIELDS[name] for name in fields] if is_time(message) else fields
     if isinstance(content, list):
