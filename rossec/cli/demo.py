@@ -24,7 +24,6 @@ from rossec.errors import ConfigurationError
 from rossec.host.runner import stop_on_signals, until_first_ends
 from rossec.terminal import say, say_block, say_picture
 
-_LOOK = "\nto look at such a home in a browser: rossec console --demo"
 _CONTINUE = """
 Everything is in {directory}. To continue, in three terminals:
 
@@ -43,7 +42,6 @@ To look at it in a browser, in two more terminals (pip install 'rossec[console]'
     rossec ca serve --unlock-for 0 --passphrase-file {directory}/passphrase
     rossec console
 """
-_LIBRARIES = ("aiocoap", "lakers")
 
 
 @click.command()
@@ -55,7 +53,7 @@ def demo(called: click.Context, keep: Path | None) -> None:
     if keep is None:
         with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
             asyncio.run(_run(Path(directory), run, steps.run_steps))
-        say_block(_LOOK)
+        say_block("\nto look at such a home in a browser: rossec console --demo")
         return
     try:
         keep.mkdir(mode=0o700, parents=True)
@@ -113,7 +111,7 @@ async def _show(demo: DemoEnvironment, port: int, others: list[DemoEnvironment])
 
 def show_border_demo(called: click.Context) -> None:
     """Show a lamp behind a border router; nothing is left."""
-    if any(find_spec(name) is None for name in _LIBRARIES):
+    if any(find_spec(name) is None for name in ("aiocoap", "lakers")):
         raise ConfigurationError("CoAP for things is not installed", "pip install 'rossec[constrained]'")
     others = (name for name in called.params if name != "is_demo")
     if any(called.get_parameter_source(name) != ParameterSource.DEFAULT for name in others):

@@ -21,7 +21,6 @@ PERIOD: Final = 1.0  # seconds between two questions
 watch = flag("--watch", "show it again whenever it changes, until Ctrl-C")
 Answer = dict[str, Any]
 ADMIN_SOCKET: Final = "admin.sock"
-_SHOWN: Final = 8  # topics of a site; with --json a thousand
 
 
 @click.command()
@@ -100,7 +99,7 @@ def _site_lines(site: dict[str, Any]) -> Iterator[str]:
         else:
             yield f"{'':<16} no relay of this site knows {site['via']}"
     # 3. its topics, or the first of them
-    if topics := site.get("topics", [])[:_SHOWN]:
+    if topics := site.get("topics", [])[:8]:  # topics of a site; with --json a thousand
         more = site["topics_count"] - len(topics)
         yield f"{'':<16} topics: {' '.join(topics)}" + f" and {more} more" * bool(more)
 

@@ -17,13 +17,12 @@ _BORDER: Final = {
     "list": "border.constrained_nodes:list_",
     "status": "border.constrained_nodes:status_",
 }
-_PORT: Final = 5683
 
 
 @click.group(cls=LazyGroup, table=_BORDER, invoke_without_command=True)
 @option("--as=NAME router", "its name", default="/border", show_default=True)
 @option("--listen=ADDRESS host", "where; :: is everywhere", default="::")
-@option("--port", "UDP port; 0 for any", default=_PORT, show_default=True)
+@option("--port", "UDP port; 0 for any", default=5683, show_default=True)
 @flag("--json as_json", "say where it listens as a line of JSON")
 @flag("--demo is_demo", "show it, with a lamp, in a home of its own")
 @pass_environment

@@ -5,7 +5,6 @@ import secrets
 import sys
 from hashlib import sha256
 from pathlib import Path
-from typing import Final
 
 import click
 
@@ -43,7 +42,6 @@ from rossec.host import addresses
 from rossec.terminal import printable, record, say
 
 Destination = tuple[str, int]
-_DENIED: Final = "denied at the authority"
 
 
 @click.command()
@@ -225,7 +223,7 @@ def enroll(
         say(f"recorded; decide with: rossec ca approve {row.digest.hex()[:8]}, or deny")
         return
     if row.state is RequestState.PENDING and not ask_yes_no("give this name to this key?", yes=yes):
-        service.identities.deny_request(row, _DENIED)
+        service.identities.deny_request(row, "denied at the authority")
         record(state="denied")
         raise ConfigurationError("denied", "to ask again the node needs a new request")
     # 4. The identity, which is recorded before it is delivered: what was signed can be revoked.

@@ -30,8 +30,6 @@ from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.terminal import note, printable, record, say, say_json
 
-_ITS = "its machine", "their machines"
-_REASON = "the invitation was revoked"
 _MAX_HEAD = 4096
 
 
@@ -163,7 +161,9 @@ def renew(
                 carried += [] if _install(service, name, bundle) else [target]
     if carried:
         listed = " ".join(map(str, carried))
-        say(f"next, on {_ITS[len(carried) > 1]}: rossec node install {listed}")
+        say(
+            f"next, on {'their machines' if len(carried) > 1 else 'its machine'}: rossec node install {listed}"
+        )
     remind_to_publish(service)
     batch.finish()
 
@@ -292,7 +292,7 @@ def _revoke_node(
 @click.command()
 @click.argument("invitation_ids", metavar="INVITATION_ID...", nargs=-1, required=True)
 @flag("--and-nodes", "also revoke every node that joined by it")
-@option("--reason", "why, for the record", default=_REASON)
+@option("--reason", "why, for the record", default="the invitation was revoked")
 @options.master_uri
 @json_result(pass_service)
 def revoke_invitations(

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Final
 
 import click
 
@@ -25,8 +24,6 @@ from rossec.errors import ConfigurationError
 from rossec.host import addresses
 from rossec.terminal import note, note_picture, printable, record, say_secret
 
-_MAX_DAYS: Final = 30
-
 
 @click.command("invite")
 @click.argument("pattern")
@@ -37,7 +34,7 @@ _MAX_DAYS: Final = 30
     default=1,
     show_default=True,
 )
-@duration("--for lasts", "how long it can be used", days=_MAX_DAYS, default="1h")
+@duration("--for lasts", "how long it can be used", days=30, default="1h")
 @flag("--anonymous", "for anonymous nodes too: NAME and NAME_*")
 @flag("--qr picture", "also show it as a picture, on stderr")
 @option("--ndef tag", "also write it to this new file, for an NFC tag (NDEF)", type=NEW_FILE)

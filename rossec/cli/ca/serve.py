@@ -43,7 +43,6 @@ from rossec.terminal import say, say_json
 OPERATOR = "the operator who started it"
 _START = "start it with: rossec ca serve"
 _STARTING = 3.0  # seconds: `rossec ca serve &` and `rossec ca unlock` may be pasted together
-_PAUSE = 0.1
 
 
 @click.command()
@@ -234,7 +233,7 @@ def _running(environment: Environment, wait: float = 0) -> KeyServiceClient:
     while (client := KeyServiceClient.find(directory)) is None:
         if seconds() >= until:
             raise ConfigurationError("the authority's service does not run", _START)
-        time.sleep(_PAUSE)
+        time.sleep(0.1)
     return client
 
 

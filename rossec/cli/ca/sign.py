@@ -38,11 +38,8 @@ identity_lifetime = duration(
 )
 anonymous = flag("--anonymous", "for anonymous nodes too: /rviz also as /rviz_1234_1700000000000")
 _MAX_REQUEST: Final = 16 * 1024
-_MAX_BUNDLE = 64 * 1024
-_MAX_DAYS: Final = 3650
 _MAX_CREDENTIAL: Final = 4096
 _ONE: Final = "give --key FILE, --psk FILE or --renew"
-_SHOWN: Final = (IN_FORCE, OTHER_KEY)
 
 
 def replace_key(*, multiple: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -212,7 +209,7 @@ def import_(
     found: list[tuple[Path, bytes]] = []
     for path in bundles:
         with batch.item(path, last=False):
-            data = files.read(path, _MAX_BUNDLE)
+            data = files.read(path, 64 * 1024)
             identity = home.anchor().verify(from_pem(data)[:-1], now())
             say(f"{identity.name} of {home.domain} until {format_time(identity.not_after)} ({path})")
             say(f"  fingerprint {format_fingerprint(identity.thumbprint)}")
@@ -243,7 +240,7 @@ def import_(
     "end what is said of NAME: it was renamed or moved, or its device is another one",
     multiple=True,
 )
-@duration("--for lifetime", "how long this is so", days=_MAX_DAYS, default="365d")
+@duration("--for lifetime", "how long this is so", days=3650, default="365d")
 @duration(
     "--identity-for identity_lifetime", "how long the identity lasts", days=MAX_LIFETIME // DAY, default="30d"
 )
@@ -339,7 +336,7 @@ def _hand_over(
 def things(environment: Environment, everything: bool, in_json: bool) -> None:
     """List the things that are stated now, with their border routers."""
     with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
-        found = [each for each in states(store, now()) if everything or each.state in _SHOWN]
+        found = [each for each in states(store, now()) if everything or each.state in (IN_FORCE, OTHER_KEY)]
     say_result(in_json, [_summary(each) for each in found], map(_line, found) if found else ["no things"])
 
 

@@ -28,7 +28,6 @@ from rossec.terminal import say_block
 COMMANDS: Final = Path(__file__).parents[1]
 SHIPPED: Final = Path(__file__).with_name("outlines.json")
 CACHE: Final = Path(__file__).parent / "__pycache__" / "outlines.json"
-_MAX: Final = 1024 * 1024
 _FILES: Final = [CompletionItem("", type="file")]  # the shell looks them up
 VARIABLE: Final = "_ROSSEC_COMPLETE"
 _BASH: Final = """\
@@ -251,7 +250,7 @@ def _read(path: Path) -> dict[str, Any]:
     # A table in a file; empty if it cannot be read.
     try:
         with path.open("rb") as stream:
-            found = json.loads(stream.read(_MAX))
+            found = json.loads(stream.read(1024 * 1024))
     except (OSError, ValueError):
         return {}
     whole = isinstance(found, dict) and isinstance(found.get("outlines"), dict)

@@ -24,7 +24,6 @@ from rossec.cli.completion import values
 RIGHTS: Final = ("admin", "call", "graph", "param-get", "param-set", "provide", "publish", "subscribe")
 _MAX_POLICY: Final = 1024 * 1024
 _NAME: Final = re.compile(r"""(?<![\w/*.:-])(?:[a-z0-9._-]+:)?(?:/[A-Za-z]\w*)+(?![\w/*])""", re.ASCII)
-_STORE: Final = ("typesys", "stores", "ros1_noetic.py")
 _TYPE: Final = re.compile(r"^    '(\w+)/msg/(\w+)'", re.ASCII | re.MULTILINE)
 _SHORT: Final = 8  # hexadecimal digits; commands take the beginning of an identifier
 
@@ -103,7 +102,7 @@ class Sources:
         found = importlib.util.find_spec("rosbags")
         for place in (found.submodule_search_locations or []) if found else []:
             with contextlib.suppress(OSError):
-                text = Path(place, *_STORE).read_text(errors="replace")
+                text = Path(place, "typesys", "stores", "ros1_noetic.py").read_text(errors="replace")
                 yield from map("/".join, _TYPE.findall(text))
 
 

@@ -33,8 +33,6 @@ TYPE: Final = "type"
 _MAX: Final = 1024 * 1024
 Outline = dict[str, Any]
 Values = Callable[[click.Context, click.Parameter, str], list[Any]]
-_FILES: Final = ("file", "dir")
-_WHOLE: Final = 1000  # no help line is cut
 Read = Callable[[Any], Iterator[object]]  # of `sources.Sources`
 FREE: Final = "free"  # nothing to offer: a new name, a pattern, a value
 COMMAND: Final = "command"
@@ -131,7 +129,7 @@ def read(home: Path, master: str, kind: str) -> list[object]:
 
 def outline_of(command: click.Command) -> Outline:
     """The outline of a command; of a group its help line alone."""
-    line = {"help": command.get_short_help_str(_WHOLE)}
+    line = {"help": command.get_short_help_str(1000)}  # no help line is cut
     if isinstance(command, click.Group):
         return line
     return {
@@ -147,7 +145,7 @@ def _param(param: click.Parameter) -> Outline:
     if isinstance(param.type, click.Choice):
         found["choices"] = [str(each) for each in param.type.choices]
     elif isinstance(param.type, click.Path):
-        found["path"] = _FILES[param.type.dir_okay and not param.type.file_okay]
+        found["path"] = ("file", "dir")[param.type.dir_okay and not param.type.file_okay]
     else:
         found["text"] = param.type.name == "text"
     if isinstance(param, click.Option):

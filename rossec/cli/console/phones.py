@@ -2,7 +2,7 @@
 
 import time
 from contextlib import closing
-from typing import Any, Final
+from typing import Any
 from urllib.parse import quote, urlsplit
 
 import click
@@ -23,8 +23,6 @@ from rossec.console.listening import read_address
 from rossec.console.options import LOCALHOST, MAX_PHONE_NAME
 from rossec.errors import ConfigurationError
 from rossec.terminal import printable, say, say_json, say_picture
-
-_PERIOD: Final = 0.5  # seconds between two looks at the record
 
 
 @click.command()
@@ -58,7 +56,7 @@ def phone(environment: Environment, name: str, no_wait: bool, as_json: bool) -> 
                 if number not in known:
                     say(f"{printable(called)} is set up")
                     return
-            time.sleep(_PERIOD)
+            time.sleep(0.5)  # seconds between two looks at the record
         say("the code is over, and set up no phone")
 
 

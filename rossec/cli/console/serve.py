@@ -6,7 +6,7 @@ import socket
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, nullcontext
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from rossec.authority.console.messages import SOCKET
 from rossec.authority.home import AuthorityHome
@@ -24,11 +24,9 @@ from rossec.terminal import say, say_block, say_json
 if TYPE_CHECKING:
     from rossec.console.server.supervisor import PreviewProcess
 
-_LIBRARIES: Final = ("fido2", "jinja2", "starlette", "uvicorn")
-
 
 def check_libraries() -> None:
-    missing = [name for name in _LIBRARIES if find_spec(name) is None]
+    missing = [name for name in ("fido2", "jinja2", "starlette", "uvicorn") if find_spec(name) is None]
     if missing:
         raise ConfigurationError(
             f"the console needs libraries that are not installed: {', '.join(missing)}",

@@ -43,8 +43,6 @@ OF_RELAYS: Final = (RELAY, f"{RELAY}/*")  # without these no link between sites
 EVERYTHING, NOTHING = "everything", "nothing"
 MAX_DAYS: Final = 10 * 366
 _RIGHTS: Final = {right.label: right for right in Right} | {"all": ALL_RIGHTS}
-_RULE: Final = "'/robot/** subscribe', '/door/open call'; or everything, or nothing"
-_UNITS: Final = ((86400, "d"), (3600, "h"), (60, "m"))
 admit = option(
     "--admit=PATTERN", "nodes of it that may connect; its masters and relays may as well", multiple=True
 )
@@ -232,7 +230,10 @@ def _rule(text: str) -> NameRights:
             raise ConfigurationError(f"{label!a} is not a right", f"one of {', '.join(_RIGHTS)}")
         bits |= _RIGHTS[label]
     if not bits:
-        raise ConfigurationError(f"{text!a} is not a pattern and its rights", f"as in {_RULE}")
+        raise ConfigurationError(
+            f"{text!a} is not a pattern and its rights",
+            "as in '/robot/** subscribe', '/door/open call'; or everything, or nothing",
+        )
     return check_pattern(pattern), int(bits)
 
 
@@ -274,7 +275,7 @@ def _admitted(patterns: tuple[str, ...]) -> str:
 
 def duration(seconds: int) -> str:
     """Seconds as an option takes them: `1h`, `90s`."""
-    for size, unit in _UNITS:
+    for size, unit in ((86400, "d"), (3600, "h"), (60, "m")):
         if seconds % size == 0:
             return f"{seconds // size}{unit}"
     return f"{seconds}s"

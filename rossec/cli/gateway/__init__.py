@@ -9,7 +9,6 @@ from rossec.cli.shared.options import flag, option
 
 _GATEWAY: Final = {"status": "status:gateway_status"}
 _RULES: Final = "rossec.gateway.rules"
-_EXAMPLE: Final = "rossec gateway --from hospital /robot/pose"
 
 
 class GatewayGroup(LazyGroup):
@@ -70,7 +69,7 @@ def gateway(context: click.Context, environment: Environment, name: str | None, 
             raise click.UsageError("only --name stands before a verb")
         return
     if not rules:
-        raise click.UsageError(f"which topics shall it serve? {_EXAMPLE}")
+        raise click.UsageError("which topics shall it serve? rossec gateway --from hospital /robot/pose")
     from rossec.cli.gateway.serve import run  # noqa: PLC0415 - imported when it runs
 
     run(environment, rules, as_json=as_json)

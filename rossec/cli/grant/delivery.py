@@ -24,7 +24,6 @@ from rossec.home import NodeHome
 from rossec.ros.names import MASTER
 from rossec.terminal import note, printable, record, say
 
-_OVER = ("expired", "revoked")
 _STATES = {"held": "held", "fetched": "delivered", "waiting": "waiting", "": "undelivered"}
 DAY: Final = 86400
 
@@ -59,7 +58,7 @@ def list_(environment: Environment, nodes: tuple[str, ...], as_json: bool, maste
         _complete(service, grants, states)
 
     def place(grant: Grant) -> tuple[object, ...]:
-        over = states[grant.id] in _OVER
+        over = states[grant.id] in ("expired", "revoked")
         return is_alias(grant.subject), grant.subject, over, -grant.expires, -grant.not_before, grant.id
 
     grants.sort(key=place)

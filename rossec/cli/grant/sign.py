@@ -53,10 +53,7 @@ _RIGHTS: Final = {
     Right.PARAM_SET: "may set these parameters and all below",
     Right.ADMIN: "may end these nodes and clean up after them",
 }
-_RESTRICTED: Final = Right.SUBSCRIBE | Right.CALL  # by conditions and filters given here
 MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
-MAX_NARROWED_DAYS: Final = 365
-_OVERHEAD: Final = 16  # of the array it is presented in
 
 
 def _once(_context: click.Context, _parameter: click.Parameter, given: tuple[Any, ...]) -> Any:
@@ -225,7 +222,8 @@ def permissions(
 ) -> tuple[Permission, ...]:
     made: list[Permission] = []
     for right, patterns in wanted.items():
-        inside = restricted if right in _RESTRICTED and restricted else [None]
+        # by conditions and filters given here
+        inside = restricted if right in (Right.SUBSCRIBE | Right.CALL) and restricted else [None]
         # all restrictions that cover a name hold together
         made += [Permission(pattern, right, item) for pattern in patterns for item in inside]
     if graph:
@@ -341,12 +339,7 @@ def presets() -> None:
     type=FILE,
 )
 @permission_options
-@duration(
-    "--for lifetime",
-    "how long it holds; never longer than the grant in FILE",
-    days=MAX_NARROWED_DAYS,
-    default="8h",
-)
+@duration("--for lifetime", "how long it holds; never longer than the grant in FILE", days=365, default="8h")
 @option(
     "--may-narrow=N", "how often the other node may hand it on in its turn", type=click.IntRange(0), default=0
 )
@@ -408,7 +401,7 @@ def narrow(
                 )
     packed = pack_chain(token, [sign_narrowing(home.signer(), draft, held)])
     # A node could install it, and never present it.
-    if len(packed) > MAX_PRESENTED - _OVERHEAD:
+    if len(packed) > MAX_PRESENTED - 16:  # of the array it is presented in
         raise GrantMalformed(
             f"the chain has {len(packed)} bytes, more than a node may present", "fewer rights in one grant"
         )

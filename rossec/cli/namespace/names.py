@@ -29,9 +29,7 @@ from rossec.naming.rule_runner import RuleRunner
 from rossec.terminal import note, printable, record, say, say_block, say_json
 
 MAX_FILES: Final = 32
-MODE: Final = 0o644  # a launch file is for every user of the host, as the source is
 _BESIDE: Final = re.compile(r"\$\(dirname\)/([A-Za-z0-9_.-]+)")
-_DIRNAME: Final = b"$(dirname)"
 
 
 @click.command("launch")
@@ -76,7 +74,8 @@ class LaunchFiles:
         # All or none: a launch file whose include is missing would start half a robot.
         with ExitStack() as undo:
             for path, data in self.written.items():
-                files.create(path, data, MODE)
+                # a launch file is for every user of the host, as the source is
+                files.create(path, data, 0o644)
                 undo.callback(path.unlink, missing_ok=True)
             undo.pop_all()
 
@@ -159,7 +158,7 @@ class _Reader:
     def _check_directory(self, source: Path, target: Path, data: bytes, launch: launch_file.Launch) -> None:
         followed = sum(_BESIDE.fullmatch(include.file) is not None for include in launch.includes)
         moved = target.absolute().parent != self._directory
-        if moved and data.count(_DIRNAME) > followed:
+        if moved and data.count(b"$(dirname)") > followed:
             self.found.notes.append(
                 f"{source} names files beside it by $(dirname): in the directory of {target} they "
                 "may be missing"

@@ -60,9 +60,6 @@ from rossec.terminal import say, say_json, state
 Outcome = str | HintedError
 """A line that is ok, or a fault that does not end the check."""
 LIMIT: Final = 64  # nodes whose address is looked up
-_ENTER: Final = "enter the name in /etc/hosts here, or set ROS_IP on its host and start it again"
-_MINUTE: Final = 60  # seconds that a connection may last whose certificate is out of its time
-_SOON = 1 / 3  # of an identity's life: by then it should have been renewed
 _MAX_FILE = 64 * 1024
 Check = Callable[[Environment, NodeHome], Iterator[Outcome]]
 
@@ -147,7 +144,8 @@ def _identity(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
     yield f"{identity.name} of {identity.domain} until {format_time(identity.not_after)}"
     yield from _clock(home, identity)
     life = identity.not_after - signed_at(identity.not_before, identity.not_after)
-    if identity.not_after - now() < life * _SOON:
+    # of an identity's life: by then it should have been renewed
+    if identity.not_after - now() < life / 3:
         raise ConfigurationError(
             f"the identity ends soon, in {format_duration(identity.not_after - now())}, and was not renewed",
             f"it is while {home.name} runs, if where the authority is `rossec ca serve` runs and is"
@@ -374,7 +372,8 @@ class _Judge:
             self.late = error.bare()
             begin, end = svid.validity(svid.parse(chain[0]))
             moment = min(max(at, begin, self._own[0]), end, self._own[1])
-            return replace(self._anchors.verify(chain, moment), not_after=at + _MINUTE)
+            # seconds that a connection may last whose certificate is out of its time
+            return replace(self._anchors.verify(chain, moment), not_after=at + 60)
 
 
 async def _connect(
@@ -462,7 +461,8 @@ async def check_node_addresses(home: NodeHome, call: MasterCall) -> AsyncIterato
             host, _ = names.parse_uri(str(await call("lookupNode", name)))
             if not await asyncio.to_thread(addresses.resolved, host):
                 yield ConfigurationError(
-                    f"{shown(name)} is at {printable(host)}, a name that this host does not know", _ENTER
+                    f"{shown(name)} is at {printable(host)}, a name that this host does not know",
+                    "enter the name in /etc/hosts here, or set ROS_IP on its host and start it again",
                 )
 
 

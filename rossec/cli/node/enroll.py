@@ -43,11 +43,9 @@ from rossec.terminal import note, printable, record, say, say_picture
 
 SAME_DIGITS: Final = "does the authority show the same digits?"
 _CLEAR: Final = "\r\x1b[K"
-_MAX_LINE: Final = 256
 _MAX_REFUSALS: Final = 10  # any peer that reaches the port could fill the screen
 _DIGITS = re.compile(r"[0-9]{6}", re.ASCII)
 _MAX_INPUT: Final = 4096
-_QUESTION: Final = "the line of `rossec ca invite` (it is not shown)"
 
 
 @click.command()
@@ -184,7 +182,7 @@ class EnrollmentScreen:
             loop.remove_reader(stdin)
 
     def _read_answer(self, stdin: int) -> None:
-        answer = os.read(stdin, _MAX_LINE).decode(errors="replace").strip().lower()
+        answer = os.read(stdin, 256).decode(errors="replace").strip().lower()
         if not confirms(answer, self._core.pending.digits):
             self._node.stop(EnrollmentOver("the digits were not confirmed", "nothing was accepted"))
             return
@@ -335,7 +333,7 @@ def _code(path: Path | None, stdin: BinaryIO) -> InvitationCode:
             return False
         return True
 
-    typed = read_lines(_QUESTION, is_whole)
+    typed = read_lines("the line of `rossec ca invite` (it is not shown)", is_whole)
     if not typed.strip():
         raise ConfigurationError("no code was given", "paste the line, or give --file")
     return invitation.parse(typed)

@@ -29,7 +29,6 @@ from rossec.participant.host_types import layout_of
 from rossec.terminal import fail, note, printable, say, say_block, say_json
 
 _NAMED = 3  # nodes of one line
-_NONE = "no rule allows it any more"
 
 
 @click.command()
@@ -275,7 +274,7 @@ def _change(change: Change) -> tuple[str, str]:
     if change.rules and all(map(is_basics, change.rules)):
         what = "what every ROS program needs"
     if change.kind is ChangeKind.GONE:
-        return "-", f"{what} ({_rules(change.rules) or _NONE})"
+        return "-", f"{what} ({_rules(change.rules) or 'no rule allows it any more'})"
     restrictions = "; ".join(change.restrictions)
     rules = f"({_rules(change.rules)})"
     if change.kind is ChangeKind.NEW:

@@ -30,11 +30,9 @@ from rossec.terminal import printable
 # A time or duration of ROS 1 is a message to rosbags; (its name there, the one in ROS 1).
 TIMES: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 TIME_FIELDS: Final = {"sec": "secs", "nanosec": "nsecs"}
-_WIDTH: Final = 9  # of nanoseconds, as rostopic prints them
 Kinds = tuple[type, ...]
 _SHOWN = 60  # characters of what was typed
 _SECOND: Final = 1_000_000_000
-_HEADER: Final = "std_msgs/msg/Header"
 _ALL: Final = "its type has this many: give all of them"
 _SPOKEN: Final = {"inf": float("inf"), "-inf": float("-inf"), "nan": float("nan")}
 _UNITS: Final = ((1_000_000, "MB"), (1000, "KB"), (1, "B"))
@@ -83,7 +81,7 @@ def _value(message: Message, field: str, indent: int, hidden: Kinds = ()) -> str
     if hidden and (length := _length(message, field, hidden)):
         return length
     if field == "nanosec" and is_time(message):
-        return f"{value:{_WIDTH}d}"
+        return f"{value:9d}"  # of nanoseconds, as rostopic prints them
     if is_message(value):
         return _below(render(value, indent, hidden))
     if isinstance(value, np.ndarray):
@@ -168,7 +166,7 @@ class _Filling:
     def message(self, path: str, message: Message, content: object) -> None:
         if is_time(message):
             self._time(path, message, content)
-        elif content == "auto" and message.__msgtype__ == _HEADER:
+        elif content == "auto" and message.__msgtype__ == "std_msgs/msg/Header":
             self._time(path, message.stamp, self.now)
         else:
             for field, value in _by_name(path, message, content).items():

@@ -19,8 +19,6 @@ from rossec.cli.shared.options import FILE
 from rossec.errors import ConfigurationError
 
 _MORE: Final = "the code goes on, or Enter to end: "
-_MAX_LINES: Final = 32
-_LINE: Final = 4096  # octets; a terminal gives no longer ones
 CREDENTIAL: Final = "rossec-ca-passphrase"
 MINIMUM: Final = 12
 _MAX_FILE: Final = 4096
@@ -37,8 +35,8 @@ def read_lines(question: str, is_whole: Callable[[str], bool]) -> str:
     with _without_echo() as terminal:
         os.write(terminal, f"{question}: ".encode())
         lines = list[str]()
-        while len(lines) < _MAX_LINES:
-            line = os.read(terminal, _LINE).decode(errors="replace")
+        while len(lines) < 32:
+            line = os.read(terminal, 4096).decode(errors="replace")  # octets; a terminal gives no longer ones
             lines.append(line)
             if not line.strip() or is_whole("".join(lines)):
                 break

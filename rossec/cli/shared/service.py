@@ -25,7 +25,6 @@ from rossec.ros import names
 from rossec.ros.xmlrpc import Fault
 from rossec.terminal import note, printable, record, say
 
-_SIGNED_ANEW: Final = "a list for the master was due and is signed anew; deliver it with: rossec ca publish"
 _NO_LIST: Final = (
     "the master has no revocation list of this authority, so it trusts no grant yet:"
     " rossec ca publish, then rossec grant deliver"
@@ -114,7 +113,7 @@ def publish_list(service: AuthorityService) -> None:
 
 def remind_to_publish(service: AuthorityService) -> None:
     if service.has_signed_list or service.has_signed_domains:
-        note(_SIGNED_ANEW)
+        note("a list for the master was due and is signed anew; deliver it with: rossec ca publish")
 
 
 def deliver_grant(service: AuthorityService, data: bytes, out: Path | None) -> Sequence[RefusedDeposit]:
