@@ -42,6 +42,7 @@ To look at it in a browser, in two more terminals (pip install 'rossec[console]'
     rossec ca serve --unlock-for 0 --passphrase-file {directory}/passphrase
     rossec console
 """
+_LIBRARIES = ("aiocoap", "lakers")
 
 
 @click.command()
@@ -111,7 +112,7 @@ async def _show(demo: DemoEnvironment, port: int, others: list[DemoEnvironment])
 
 def show_border_demo(called: click.Context) -> None:
     """Show a lamp behind a border router; nothing is left."""
-    if any(find_spec(name) is None for name in ("aiocoap", "lakers")):
+    if any(find_spec(name) is None for name in _LIBRARIES):
         raise ConfigurationError("CoAP for things is not installed", "pip install 'rossec[constrained]'")
     others = (name for name in called.params if name != "is_demo")
     if any(called.get_parameter_source(name) != ParameterSource.DEFAULT for name in others):

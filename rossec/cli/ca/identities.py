@@ -161,9 +161,8 @@ def renew(
                 carried += [] if _install(service, name, bundle) else [target]
     if carried:
         listed = " ".join(map(str, carried))
-        say(
-            f"next, on {'their machines' if len(carried) > 1 else 'its machine'}: rossec node install {listed}"
-        )
+        where = "their machines" if len(carried) > 1 else "its machine"
+        say(f"next, on {where}: rossec node install {listed}")
     remind_to_publish(service)
     batch.finish()
 

@@ -242,7 +242,8 @@ def lines(plan: PolicyPlan) -> Iterator[str]:
         (shown(node.subject.name), _withheld(each)) for node in plan.nodes for each in node.withheld
     )
     sign = "-" if plan.options.prune else "!"
-    yield from _by_nodes((each.grant.subject, (sign, _against(each))) for each in plan.contradictions)
+    against = [each for node in plan.nodes for each in node.contradictions]  # also what is pruned
+    yield from _by_nodes((each.grant.subject, (sign, _against(each))) for each in against)
     # 3. What comes next.
     for reason in plan.refused:
         yield printable(f"! {reason}")
