@@ -15,8 +15,8 @@ from rossec.cli.shared.context import Environment, now
 from rossec.console.listening import only_console, write_address
 from rossec.console.options import HAND_OUT_PORT, ConsoleEndpoint, ConsoleOptions, check_origin, read_options
 from rossec.console.tls.certificates import DIRECTORY, TlsSetup, prepare_tls, renewed_from
+from rossec.console.tls.own_authority import TlsAuthority, describe
 from rossec.console.tls.own_authority import as_json as described
-from rossec.console.tls.own_authority import describe
 from rossec.errors import ConfigurationError
 from rossec.host.runner import READY, STOPPING, log_as_json, notify
 from rossec.terminal import say, say_block, say_json
@@ -47,8 +47,7 @@ def serve(
     home = AuthorityHome.at(environment.home)
     # A passkey is bound to the origin it was made at: another name would end every phone's (WebAuthn).
     if not endpoint.read_only:  # nobody approves there
-        with closing(home.store()) as store:
-            check_origin(endpoint, {each.origin for each in store.passkeys.active()}, rename=rename)
+        check_origin(endpoint, origins_of_phones(home), rename=rename)
     setup = prepare_tls(endpoint, home.path / DIRECTORY, now(), rename=rename)
     with closing(running_service(home)) as client, _ending(home, environment, endpoint):
         web = WebOptions(settings_for(endpoint, home.domain), home.path / SOCKET, log)
@@ -56,14 +55,13 @@ def serve(
         def ready() -> None:
             if not endpoint.read_only:  # the codes of `rossec console phone` are for the other one
                 write_address(home.path, endpoint.origin)
+            authority = None if setup is None else setup.authority
             address = login_address(endpoint.origin, client.phone_code())
             if as_json:
-                about = (
-                    {} if setup is None or setup.authority is None else {"tls": described(setup.authority)}
-                )
+                about = {} if authority is None else {"tls": described(authority)}
                 say_json({"ready": endpoint.origin, "login": address, "process": os.getpid(), **about})
             else:
-                _say_authority(endpoint, setup)
+                _say_authority(authority, endpoint)
                 show_code(address)
                 say(f"the console is at {endpoint.origin}; Ctrl-C ends it")
             notify(READY, environment.variables)
@@ -72,6 +70,11 @@ def serve(
         preview = _preview(environment) if options.preview else None
         with _handing_out(endpoint, setup, environment):
             asyncio.run(supervise(endpoint, web, environment.variables, ready, certificates, preview))
+
+
+def origins_of_phones(home: AuthorityHome) -> set[str]:
+    with closing(home.store()) as store:
+        return {passkey.origin for passkey in store.passkeys.active()}
 
 
 def _preview(environment: Environment) -> "PreviewProcess":
@@ -104,11 +107,11 @@ def _handing_out(
         yield
 
 
-def _say_authority(endpoint: ConsoleEndpoint, setup: TlsSetup | None) -> None:
+def _say_authority(authority: TlsAuthority | None, endpoint: ConsoleEndpoint) -> None:
     # What a person needs whose phone does not trust it yet.
-    if setup is None or setup.authority is None:
+    if authority is None:
         return
-    for line in describe(setup.authority, now()):
+    for line in describe(authority, now()):
         say(line)
     if not endpoint.hand_out:
         say("a phone that does not trust it yet: start with --hand-out")
