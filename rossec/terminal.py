@@ -83,8 +83,9 @@ TEMPORARY: Final[list[Callable[[], None]]] = []
 """Takes away a line that is on the terminal for the moment, before another is printed."""
 
 
-def say(text: str) -> None:
-    """One line of result; a line break in `text` is escaped as other control characters are."""
+def say(text: str, /, **facts: Any) -> None:
+    """One line of result, and its `facts` for `--json`; a line break in `text` is escaped."""
+    record(**facts)
     _say([text])
 
 

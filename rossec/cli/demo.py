@@ -14,6 +14,7 @@ from click.core import ParameterSource
 from ca.enrollment import qr
 from rossec.cli.console.serve import check_libraries
 from rossec.cli.shared import context
+from rossec.cli.shared.options import PATH, option
 from rossec.console.listening import listen
 from rossec.console.options import PORT, ConsoleOptions, read_options
 from rossec.demo import steps
@@ -23,7 +24,6 @@ from rossec.errors import ConfigurationError
 from rossec.host.runner import stop_on_signals, until_first_ends
 from rossec.terminal import say, say_block, say_picture
 
-_LOOK = "\nto look at such a home in a browser: rossec console --demo"
 _CONTINUE = """
 Everything is in {directory}. To continue, in three terminals:
 
@@ -46,7 +46,7 @@ _LIBRARIES = ("aiocoap", "lakers")
 
 
 @click.command()
-@click.option("--keep", type=click.Path(path_type=Path), help="new directory to leave everything in")
+@option("--keep", "new directory to leave everything in", type=PATH)
 @click.pass_context
 def demo(called: click.Context, keep: Path | None) -> None:
     """Show the main job: enroll, grant, filter, refuse, revoke. Needs no ROS, ends by itself."""
@@ -54,7 +54,7 @@ def demo(called: click.Context, keep: Path | None) -> None:
     if keep is None:
         with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
             asyncio.run(_run(Path(directory), run, steps.run_steps))
-        say_block(_LOOK)
+        say_block("\nto look at such a home in a browser: rossec console --demo")
         return
     try:
         keep.mkdir(mode=0o700, parents=True)
@@ -77,22 +77,21 @@ def show_console_demo(called: click.Context, options: ConsoleOptions) -> None:
     check_libraries()
     if options != ConsoleOptions(port=options.port):
         raise ConfigurationError("--demo is for localhost", "leave the other options, but --port")
+    # Whether the port is free, before anything is made.
     for sock in listen(read_options(options, "localhost")):
         sock.close()
     run = partial(context.run, called.find_root().command)
+
+    async def play(demo: DemoEnvironment) -> None:
+        others: list[DemoEnvironment] = []
+        try:
+            await until_first_ends(_show(demo, options.port or PORT, others), stop_on_signals().wait())
+        finally:
+            for each in others:
+                await each.stop_all()
+
     with tempfile.TemporaryDirectory(prefix="rossec-demo-") as directory:
-        asyncio.run(_play(Path(directory), run, options.port or PORT))
-
-
-async def _play(directory: Path, run: Run, port: int) -> None:
-    stop = stop_on_signals()
-    demo = DemoEnvironment(directory, StepPrinter(sys.stdout.write), {"ROS_IP": "127.0.0.1"}, run)
-    others: list[DemoEnvironment] = []
-    try:
-        await until_first_ends(_show(demo, port, others), stop.wait())
-    finally:
-        for each in (*others, demo):
-            await each.stop_all()
+        asyncio.run(_run(Path(directory), run, play))
 
 
 async def _show(demo: DemoEnvironment, port: int, others: list[DemoEnvironment]) -> None:

@@ -10,45 +10,45 @@ import click
 
 from rossec.cli.shared import context
 from rossec.cli.shared.context import Environment, LazyGroup
+from rossec.cli.shared.options import flag
 from rossec.terminal import printable
 
-_TABLE: Final = {
+SATELLITES: Final = ("border", "gateway", "namespace", "relay", "router")
+"""Folders that register themselves: the group of that name in each has the table of its verbs."""
+_TABLE: Final[dict[str, str | tuple[str, ...]]] = {
     "audit": "master.audit:audit",
-    "border": "servers:border",
     "ca": "nouns:ca",
     "completion": "completion.shells:completion",
     "console": "servers:console",
     "demo": "demo:demo",
     "discover": "ros.graph:discover",
-    "doctor": "node.doctor:doctor",
+    "doctor": ("node.doctor:doctor", "own node"),
     "domain": "nouns:domain",
-    "explain": "policy.explain:explain",
+    "explain": ("policy.explain:explain", "node", "right", "topic or service"),
     "federation": "nouns:federation",
-    "gateway": "servers:gateway",
     "grant": "nouns:grant",
     "graph": "ros.graph:graph",
     "master": "servers:master",
-    "namespace": "nouns:namespace",
     "node": "nouns:node",
     "param": "nouns:param",
     "policy": "nouns:policy",
     "privacy": "nouns:privacy",
-    "relay": "servers:relay",
-    "router": "servers:router",
-    "run": "node.sidecar:run",
+    "run": ("node.sidecar:run", "command"),
     "service": "nouns:service",
     "sidecar": "node.sidecar:sidecar",
     "simulate": "policy.simulate:simulate",
     "topic": "nouns:topic",
+    **{name: f"{name}:{name}" for name in SATELLITES},
 }
 
 
 @click.group(cls=LazyGroup, table=_TABLE, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="rossec", prog_name="rossec", message="%(prog)s %(version)s")
-@click.option("--verbose", "-v", is_flag=True, help="log what happens")
+@flag("--verbose -v", "log what happens")
 def rossec(verbose: bool) -> None:
     """Security and access grants for ROS 1."""
     handler = logging.StreamHandler(sys.stderr)
+    # A peer's name or a broken file may be in a log line: it stays one line, without control characters.
     handler.setFormatter(OneLine("rossec: %(levelname)s: %(message)s"))
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[handler])
 

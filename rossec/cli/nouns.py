@@ -7,67 +7,68 @@ import click
 
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, LazyGroup
+from rossec.cli.shared.options import PATH, flag, option
 
 _CA: Final = {
-    "approve": "ca.enroll:approve",
+    "approve": ("ca.enroll:approve", "request"),
     "backup": "ca.backup:backup",
-    "deny": "ca.enroll:deny",
-    "enroll": "ca.enroll:enroll",
+    "deny": ("ca.enroll:deny", "request"),
+    "enroll": ("ca.enroll:enroll", "free"),
     "import": "ca.sign:import_",
-    "init": "ca.init:init",
+    "init": ("ca.init:init", "free"),
     "intermediate": "nouns:intermediate",
     "invitations": "nouns:invitations",
-    "invite": "ca.invite:command",
+    "invite": ("ca.invite:command", "free"),
     "list": "ca.identities:list_",
     "lock": "ca.serve:lock",
     "log": "nouns:log",
     "publish": "ca.identities:publish",
     "refresh": "ca.identities:refresh",
-    "renew": "ca.identities:renew",
+    "renew": ("ca.identities:renew", "recorded node"),
     "requests": "ca.enroll:requests",
     "restore": "ca.backup:restore",
-    "revoke": "ca.identities:revoke",
+    "revoke": ("ca.identities:revoke", "recorded node or thing"),
     "serve": "ca.serve:serve",
-    "show": "ca.identities:show",
+    "show": ("ca.identities:show", "recorded node"),
     "sign": "ca.sign:sign",
     "status": "ca.serve:status",
-    "thing": "ca.sign:thing",
+    "thing": ("ca.sign:thing", "thing"),
     "things": "ca.sign:things",
     "unlock": "ca.serve:unlock",
 }
 _INTERMEDIATE: Final = {
     "install": "ca.sign:install_intermediate",
-    "request": "ca.sign:request_intermediate",
+    "request": ("ca.sign:request_intermediate", "free"),
     "sign": "ca.sign:sign_intermediate",
 }
-_INVITATIONS: Final = {"revoke": "ca.identities:revoke_invitations"}
+_INVITATIONS: Final = {"revoke": ("ca.identities:revoke_invitations", "invitation")}
 _LOG: Final = {"head": "ca.identities:head", "prove": "ca.identities:prove", "verify": "ca.identities:verify"}
 _NODE: Final = {
-    "code": "node.identity:code",
-    "confirm": "node.enroll:confirm",
-    "enroll": "node.enroll:enroll",
-    "info": "ros.graph:node_info",
+    "code": ("node.identity:code", "own node"),
+    "confirm": ("node.enroll:confirm", "own node", "free"),
+    "enroll": ("node.enroll:enroll", "own node"),
+    "info": ("ros.graph:node_info", "running node"),
     "install": "node.identity:install",
     "join": "node.enroll:join_domain",
-    "labels": "node.enroll:labels",
+    "labels": ("node.enroll:labels", "own node"),
     "list": "ros.graph:list_nodes",
-    "request": "node.identity:request",
-    "show": "node.identity:show",
+    "request": ("node.identity:request", "free"),
+    "show": ("node.identity:show", "own node"),
 }
 _GRANT: Final = {
-    "approve": "grant.request:approve",
+    "approve": ("grant.request:approve", "grant request"),
     "decide": "grant.request:decide",
     "deliver": "grant.delivery:deliver",
-    "deny": "grant.request:deny",
+    "deny": ("grant.request:deny", "grant request"),
     "install": "grant.delivery:install",
-    "list": "grant.delivery:list_",
+    "list": ("grant.delivery:list_", "node"),
     "narrow": "grant.sign:narrow",
     "pending": "grant.request:pending",
     "presets": "grant.sign:presets",
-    "request": "grant.request:request",
-    "revoke": "grant.delivery:revoke",
+    "request": ("grant.request:request", "own node"),
+    "revoke": ("grant.delivery:revoke", "grant"),
     "show": "grant.delivery:show",
-    "sign": "grant.sign:sign",
+    "sign": ("grant.sign:sign", "node"),
 }
 _POLICY: Final = {
     "apply": "policy.apply:apply",
@@ -79,51 +80,43 @@ _POLICY: Final = {
     "review": "policy.apply:review",
     "test": "policy.check:test",
 }
-_PRIVACY: Final = {"opt-out": "policy.apply:opt_out"}
+_PRIVACY: Final = {"opt-out": ("policy.apply:opt_out", "node")}
 _DOMAIN: Final = {
     "accept": "domain.trust:accept",
     "card": "domain.trust:card",
-    "limit": "domain.trust:limit",
+    "limit": ("domain.trust:limit", "domain"),
     "list": "domain.listing:list_",
-    "remove": "domain.trust:remove",
-    "show": "domain.listing:show",
+    "remove": ("domain.trust:remove", "domain"),
+    "show": ("domain.listing:show", "domain"),
 }
 _FEDERATION: Final = {
-    "add": "relay.sites:add_site",
+    "add": ("relay.sites:add_site", "free"),
     "list": "relay.sites:list_sites",
-    "param": "relay.sites:param",
-    "remove": "relay.sites:remove_site",
+    "param": ("relay.sites:param", "domain", "free"),
+    "remove": ("relay.sites:remove_site", "domain"),
     "status": "status:federation_status",
 }
-_NAMESPACE: Final = {
-    "check": "namespace.serve:check",
-    "launch": "namespace.names:launch",
-    "messages": "namespace.names:messages",
-    "name": "namespace.names:show_name",
-    "rules": "namespace.names:show_rules",
-    "serve": "namespace.serve:serve",
-}
 _PARAM: Final = {
-    "delete": "ros.calls:delete_param",
-    "get": "ros.calls:get_param",
-    "list": "ros.calls:list_params",
-    "set": "ros.calls:set_param",
+    "delete": ("ros.calls:delete_param", "free"),
+    "get": ("ros.calls:get_param", "free"),
+    "list": ("ros.calls:list_params", "free"),
+    "set": ("ros.calls:set_param", "free", "free"),
 }
 _SERVICE: Final = {
-    "call": "ros.calls:call",
-    "info": "ros.calls:service_info",
+    "call": ("ros.calls:call", "service", "free"),
+    "info": ("ros.calls:service_info", "service"),
     "list": "ros.calls:list_services",
-    "type": "ros.calls:type_of_service",
+    "type": ("ros.calls:type_of_service", "service"),
 }
 _TOPIC: Final = {
-    "bw": "ros.topic:bw",
-    "echo": "ros.topic:echo",
-    "find": "ros.graph:find_topics",
-    "hz": "ros.topic:hz",
-    "info": "ros.graph:topic_info",
-    "list": "ros.graph:list_topics",
-    "pub": "ros.topic:pub",
-    "type": "ros.graph:type_of_topic",
+    "bw": ("ros.topic:bw", "topic"),
+    "echo": ("ros.topic:echo", "topic", "message type"),
+    "find": ("ros.graph:find_topics", "message type"),
+    "hz": ("ros.topic:hz", "topic"),
+    "info": ("ros.graph:topic_info", "topic"),
+    "list": ("ros.graph:list_topics", "free"),
+    "pub": ("ros.topic:pub", "topic", "message type", "free"),
+    "type": ("ros.graph:type_of_topic", "topic"),
 }
 
 
@@ -138,8 +131,8 @@ def intermediate() -> None:
 
 
 @click.group(cls=LazyGroup, table=_LOG, invoke_without_command=True)
-@click.option("--last", type=click.IntRange(1), help="only the newest so many entries")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@option("--last", "only the newest so many entries", type=click.IntRange(1))
+@flag("--json in_json", "one line of JSON")
 @click.pass_context
 def log(context: click.Context, last: int | None, in_json: bool) -> None:
     """Show everything the authority did, oldest first."""
@@ -151,8 +144,8 @@ def log(context: click.Context, last: int | None, in_json: bool) -> None:
 
 
 @click.group(cls=LazyGroup, table=_INVITATIONS, invoke_without_command=True)
-@click.option("--all", "everything", is_flag=True, help="also those that have ended")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@flag("--all everything", "also those that have ended")
+@flag("--json in_json", "one line of JSON")
 @click.pass_context
 def invitations(context: click.Context, everything: bool, in_json: bool) -> None:
     """Show the invitations that can be used, and who joined by them."""
@@ -179,11 +172,11 @@ def policy() -> None:
 
 
 @click.group(cls=LazyGroup, table=_PRIVACY, invoke_without_command=True)
-@click.option("--node", help="only what this node sees")
-@click.option("--field", help="only fields with this in their path")
-@click.option("--held", is_flag=True, help="what is granted now, instead of what the policy allows")
-@click.option("--html", type=click.Path(path_type=Path), help="write a page to this file")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@option("--node", "only what this node sees")
+@option("--field", "only fields with this in their path")
+@flag("--held", "what is granted now, instead of what the policy allows")
+@option("--html", "write a page to this file", type=PATH)
+@options.as_json
 @options.policy
 @click.pass_context
 def privacy(
@@ -214,14 +207,6 @@ def federation() -> None:
     """Follow other masters: of the own domain, and of domains that are trusted.
 
     For the master on this host; with several, that of ROSSEC_MASTER.
-    """
-
-
-@click.group(cls=LazyGroup, table=_NAMESPACE)
-def namespace() -> None:
-    """Give names by rules: to a node, its topics and services, from its metadata.
-
-    Names are proposals: nothing is renamed, and no right comes of one.
     """
 
 

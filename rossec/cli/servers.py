@@ -1,13 +1,13 @@
-"""The groups that run a server when no verb is given: master, console, gateway, relay, router, border."""
+"""The groups that run a server when no verb is given: master and console (satellites have their own)."""
 
 from pathlib import Path
 from typing import Any, Final
 
 import click
-from click.core import ParameterSource
 
-from rossec.cli.shared import passphrase
+from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, LazyGroup, pass_environment
+from rossec.cli.shared.options import NEW_FILE, PATH, flag, option
 from rossec.console.options import HAND_OUT_PORT, PORT
 
 _MASTER: Final = {
@@ -21,74 +21,31 @@ _CONSOLE: Final = {
     "phones": "servers:phones",
     "tls": "console.tls:tls",
 }
-_FILE: Final = click.Path(path_type=Path)
-_PHONES: Final = {"remove": "console.phones:remove"}
-_GATEWAY: Final = {"status": "status:gateway_status"}
-_RULES: Final = "rossec.gateway.rules"
-_EXAMPLE: Final = "rossec gateway --from hospital /robot/pose"
-_RELAY: Final = {
-    "add": "relay.sites:add_relay",
-    "card": "relay.sites:card",
-    "list": "relay.sites:list_relays",
-    "remove": "relay.sites:remove_relay",
-    "seat": "relay.sites:seat",
-    "status": "status:relay_status",
-}
-_ROUTER: Final = {"seats": "servers:seats", "share": "relay.sites:share", "take": "relay.sites:take"}
-_SEATS: Final = {
-    "add": "relay.sites:add_account",
-    "list": "relay.sites:list_accounts",
-    "remove": "relay.sites:remove_account",
-    "show": "relay.sites:show_account",
-}
-_BORDER: Final = {
-    "add": "border.constrained_nodes:add",
-    "credential": "border.constrained_nodes:credential",
-    "forget": "border.constrained_nodes:forget",
-    "install": "border.constrained_nodes:install",
-    "labels": "border.constrained_nodes:labels",
-    "list": "border.constrained_nodes:list_",
-    "status": "border.constrained_nodes:status_",
-}
-_PORT: Final = 5683
+_PHONES: Final = {"remove": ("console.phones:remove", "phone")}
 
 
 @click.group(cls=LazyGroup, table=_MASTER, invoke_without_command=True)
-@click.option(
-    "--port", "-p", type=click.IntRange(0, 65535), help="instead of the one in ROS_MASTER_URI; 0 for any"
-)
-@click.option("--json", "as_json", is_flag=True, help="say the address as a line of JSON")
-@click.option(
+@option("--port -p", "instead of the one in ROS_MASTER_URI; 0 for any", type=click.IntRange(0, 65535))
+@flag("--json as_json", "say the address as a line of JSON")
+@option(
     "--complaints",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="denial log: append each missing right, for: rossec policy learn --from-log FILE",
+    "denial log: append each missing right, for: rossec policy learn --from-log FILE",
+    type=NEW_FILE,
 )
-@click.option(
-    "--renew-identities",
-    is_flag=True,
-    help="with the intermediate of this host; without, the authority's service renews them",
+@flag(
+    "--renew-identities", "with the intermediate of this host; without, the authority's service renews them"
 )
 @passphrase.option
-@click.option(
-    "--config",
-    "config_file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="a configuration file; the other options prevail over it",
+@option("--config config_file", "a configuration file; the other options prevail over it", type=NEW_FILE)
+@option("--log", "form of the log on stderr", type=click.Choice(["text", "json"]))
+@flag("--admin", "open the local port of an administrator")
+@option(
+    "--name=NAME name", "which of the domain's masters: /master, or /master/kitchen; instead of ROSSEC_MASTER"
 )
-@click.option("--log", type=click.Choice(["text", "json"]), help="form of the log on stderr")
-@click.option("--admin", is_flag=True, help="open the local port of an administrator")
-@click.option(
-    "--name",
-    "name",
-    metavar="NAME",
-    help="which of the domain's masters: /master, or /master/kitchen; instead of ROSSEC_MASTER",
-)
-@click.option("--follow-announced", is_flag=True, help="follow every announced master of the own domain")
-@click.option("--announce", is_flag=True, help="announce the master on the local links")
-@click.option("--metrics", type=click.IntRange(0, 65535), help="serve Prometheus on this port of loopback")
-@click.option(
-    "--post-quantum", metavar="POLICY", help="off, prefer or require; instead of ROSSEC_POST_QUANTUM"
-)
+@flag("--follow-announced", "follow every announced master of the own domain")
+@flag("--announce", "announce the master on the local links")
+@option("--metrics", "serve Prometheus on this port of loopback", type=click.IntRange(0, 65535))
+@option("--post-quantum=POLICY", "off, prefer or require; instead of ROSSEC_POST_QUANTUM")
 @pass_environment
 @click.pass_context
 def master(
@@ -126,23 +83,21 @@ def master(
 
 
 @click.group(cls=LazyGroup, table=_CONSOLE, invoke_without_command=True)
-@click.option("--lan", is_flag=True, help="for phones on the network: https, an authority of its own")
-@click.option("--name", metavar="NAME", help="what browsers call it; --lan: HOSTNAME.local")
-@click.option("--rename", is_flag=True, help="another name or port: every phone is set up anew")
-@click.option(
-    "--hand-out", is_flag=True, help=f"hand its certificate out at port {HAND_OUT_PORT}, for ten minutes"
-)
-@click.option("--tls-cert", "tls_certificate", type=_FILE, help="certificate chain of a real NAME")
-@click.option("--tls-key", type=_FILE, help="its private key; both are read again when renewed")
-@click.option("--unix", "unix_path", type=_FILE, metavar="PATH", help="for a proxy on this host")
-@click.option("--origin", metavar="URL", help="of the proxy: https://NAME")
-@click.option("--proxy-user", metavar="NAME", help="whose proxy may connect; by default your own")
-@click.option("--read-only", is_flag=True, help="only show: for a screen on the wall")
-@click.option("--preview", is_flag=True, help="pictures of real messages, as the node /console")
-@click.option("--port", type=click.IntRange(1, 65535), help=f"where it listens; default {PORT}")
-@click.option("--demo", "is_demo", is_flag=True, help="show the demo's home, and leave nothing")
-@click.option("--log", type=click.Choice(["text", "json"]), default="text", help="form of the log")
-@click.option("--json", "as_json", is_flag=True, help="say that it is ready as a line of JSON")
+@flag("--lan", "for phones on the network: https, an authority of its own")
+@option("--name=NAME", "what browsers call it; --lan: HOSTNAME.local")
+@flag("--rename", "another name or port: every phone is set up anew")
+@flag("--hand-out", f"hand its certificate out at port {HAND_OUT_PORT}, for ten minutes")
+@option("--tls-cert tls_certificate", "certificate chain of a real NAME", type=PATH)
+@option("--tls-key", "its private key; both are read again when renewed", type=PATH)
+@option("--unix=PATH unix_path", "for a proxy on this host", type=PATH)
+@option("--origin=URL", "of the proxy: https://NAME")
+@option("--proxy-user=NAME", "whose proxy may connect; by default your own")
+@flag("--read-only", "only show: for a screen on the wall")
+@flag("--preview", "pictures of real messages, as the node /console")
+@option("--port", f"where it listens; default {PORT}", type=click.IntRange(1, 65535))
+@flag("--demo is_demo", "show the demo's home, and leave nothing")
+@option("--log", "form of the log", type=click.Choice(["text", "json"]), default="text")
+@flag("--json as_json", "say that it is ready as a line of JSON")
 @click.pass_context
 def console(
     context: click.Context, /, *, log: str, as_json: bool, rename: bool, is_demo: bool, **options: object
@@ -168,8 +123,8 @@ def console(
 
 
 @click.group(cls=LazyGroup, table=_PHONES, invoke_without_command=True)
-@click.option("--all", "everything", is_flag=True, help="also those that were removed")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--all everything", "also those that were removed")
+@options.as_json
 @click.pass_context
 def phones(context: click.Context, everything: bool, as_json: bool) -> None:
     """Show the phones that can approve."""
@@ -178,241 +133,3 @@ def phones(context: click.Context, everything: bool, as_json: bool) -> None:
     from rossec.cli.console.phones import show  # noqa: PLC0415 - imported when it runs
 
     show(context.ensure_object(Environment), everything=everything, as_json=as_json)
-
-
-class GatewayGroup(LazyGroup):
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        if any(word.partition("=")[0] == "--from" for word in args):
-            from rossec.cli.gateway.words import split  # noqa: PLC0415 - not needed for help
-
-            try:
-                ctx.meta[_RULES], args = split(args)
-            except click.UsageError as error:
-                error.ctx = ctx  # whose help is hinted at
-                raise
-        return super().parse_args(ctx, args)
-
-
-def _misplaced(_: click.Context, option: click.Parameter, value: Any) -> None:
-    if value:
-        raise click.UsageError(f"{option.opts[0]} stands behind --from and its patterns")
-
-
-@click.group(cls=GatewayGroup, table=_GATEWAY, invoke_without_command=True)
-@click.option(
-    "--from",
-    metavar="LABEL PATTERN...",
-    expose_value=False,
-    callback=_misplaced,
-    help="serve these topics of the domain LABEL, by the names there; may be repeated",
-)
-@click.option(
-    "--rate",
-    metavar="N",
-    expose_value=False,
-    callback=_misplaced,
-    help="at most N messages a second of each of them",
-)
-@click.option(
-    "--newest",
-    is_flag=True,
-    expose_value=False,
-    callback=_misplaced,
-    help="of messages that wait for a slow line, send only the newest",
-)
-@click.option(
-    "--compress", is_flag=True, expose_value=False, callback=_misplaced, help="send them compressed"
-)
-@click.option(
-    "--name",
-    metavar="NAME",
-    help="which of the domain's gateways: /gateway, or /gateway/attic; instead of ROSSEC_GATEWAY",
-)
-@click.option("--json", "as_json", is_flag=True, help="say that it runs as a line of JSON")
-@pass_environment
-@click.pass_context
-def gateway(context: click.Context, environment: Environment, name: str | None, *, as_json: bool) -> None:
-    """Run the gateway of this site, as the node /gateway. Ends with Ctrl-C.
-
-    It brings topics of another domain here, once however many listen, and only while somebody
-    does. What it gets of them its grant there says; who gets them here, the grants here on
-    /gateway/LABEL/NAME. --rate, --newest and --compress are about the --from before them, which
-    may be repeated: of several patterns that cover a topic the first one counts.
-    """
-    if name is not None:
-        from rossec.environment import OWN_GATEWAY  # noqa: PLC0415 - not needed for help
-
-        context.obj = environment = Environment({**environment.variables, OWN_GATEWAY: name})
-    rules = context.meta.get(_RULES, ())
-    if context.invoked_subcommand is not None:
-        if rules or as_json:
-            raise click.UsageError("only --name stands before a verb")
-        return
-    if not rules:
-        raise click.UsageError(f"which topics shall it serve? {_EXAMPLE}")
-    from rossec.cli.gateway.serve import run  # noqa: PLC0415 - imported when it runs
-
-    run(environment, rules, as_json=as_json)
-
-
-@click.group(cls=LazyGroup, table=_RELAY, invoke_without_command=True)
-@click.option(
-    "--doors",
-    metavar="ADDRESS",
-    default="",
-    help="listen here for nodes of other hosts of this site; default: loopback, for this user",
-)
-@click.option(
-    "--seat",
-    "seat_file",
-    metavar="FILE",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="the routers and the seat there, instead of what `rossec relay seat` keeps",
-)
-@click.option(
-    "--name",
-    metavar="NAME",
-    help="which of the domain's relays: /relay, or /relay/attic; instead of ROSSEC_RELAY",
-)
-@click.option("--json", "as_json", is_flag=True, help="say that it runs as a line of JSON")
-@pass_environment
-@click.pass_context
-def relay(
-    context: click.Context,
-    environment: Environment,
-    doors: str,
-    seat_file: Path | None,
-    name: str | None,
-    *,
-    as_json: bool,
-) -> None:
-    """Run the relay of this site, as the node /relay. Ends with Ctrl-C.
-
-    It carries connections of nodes to and from other sites, sealed as they are, through routers
-    that learn nothing of them. It needs no port that is reachable from outside.
-    """
-    if name is not None:
-        from rossec.environment import OWN_RELAY  # noqa: PLC0415 - not needed for help
-
-        context.obj = environment = Environment({**environment.variables, OWN_RELAY: name})
-    if context.invoked_subcommand is not None:
-        if doors or seat_file is not None or as_json:
-            raise click.UsageError("only --name stands before a verb")
-        return
-    from rossec.cli.relay.serve import run  # noqa: PLC0415 - imported when it runs
-
-    run(environment, doors, seat_file, as_json=as_json)
-
-
-@click.group(cls=LazyGroup, table=_ROUTER, invoke_without_command=True)
-@click.option(
-    "--home",
-    "directory",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="the router's directory, by default `router` in ROSSEC_HOME",
-)
-@click.option(
-    "--listen",
-    metavar="LOCATOR",
-    multiple=True,
-    help="where it listens, tls/[::]:7447 by default; also quic/ and tcp/; may be repeated",
-)
-@click.option(
-    "--join",
-    metavar="LOCATOR",
-    multiple=True,
-    help="another router of this operator, tls/other.example.org:7447; may be repeated",
-)
-@click.option(
-    "--host",
-    metavar="NAME",
-    multiple=True,
-    help="name or address by which relays reach it, for its certificate; may be repeated",
-)
-@click.option("--open", "is_open", is_flag=True, help="let in everybody, without seats")
-@click.option("--print-config", is_flag=True, help="print it for a stock zenohd, and end")
-@click.option("--json", "as_json", is_flag=True, help="say where it listens as a line of JSON")
-@pass_environment
-@click.pass_context
-def router(
-    context: click.Context,
-    environment: Environment,
-    directory: Path | None,
-    listen: tuple[str, ...],
-    join: tuple[str, ...],
-    host: tuple[str, ...],
-    is_open: bool,
-    print_config: bool,
-    as_json: bool,
-) -> None:
-    """Run a router, through which relays of several sites reach each other. Ends with Ctrl-C.
-
-    It learns random mailboxes, sizes and times, nothing else. --listen, --join and --host are kept
-    for the next start. A seat that is added or removed while it runs is taken over at once.
-    """
-    from rossec.cli.relay.sites import home_of  # noqa: PLC0415 - imported when it runs
-
-    home = home_of(environment, directory)
-    given = {"listen": listen, "join": join, "hosts": host}
-    if context.invoked_subcommand is not None:
-        if any(given.values()) or is_open or print_config or as_json:
-            raise click.UsageError("only --home stands before a verb")
-        context.obj = home
-        return
-    from rossec.cli.router.serve import print_settings, run  # noqa: PLC0415 - as above
-
-    if print_config:
-        print_settings(home, given, is_open=is_open)
-        return
-    run(environment, home, given, is_open=is_open, as_json=as_json)
-
-
-@click.group(cls=LazyGroup, table=_SEATS)
-def seats() -> None:
-    """Say who may use the router, and make the files for relays.
-
-    A seat is for one site: its relay reads the mailboxes of its seat, and sends to any that it
-    knows. A router that runs takes changes over within a second.
-    """
-
-
-@click.group(cls=LazyGroup, table=_BORDER, invoke_without_command=True)
-@click.option("--as", "router", metavar="NAME", default="/border", show_default=True, help="its name")
-@click.option("--listen", "host", metavar="ADDRESS", default="::", help="where; :: is everywhere")
-@click.option("--port", default=_PORT, show_default=True, help="UDP port; 0 for any")
-@click.option("--json", "as_json", is_flag=True, help="say where it listens as a line of JSON")
-@click.option("--demo", "is_demo", is_flag=True, help="show it, with a lamp, in a home of its own")
-@pass_environment
-@click.pass_context
-def border(
-    context: click.Context,
-    environment: Environment,
-    router: str,
-    host: str,
-    port: int,
-    *,
-    as_json: bool,
-    is_demo: bool,
-) -> None:
-    """Run the border router of constrained things, as the node /border. Ends with Ctrl-C.
-
-    Things reach it by CoAP (UDP). It serves those whose statement was installed by `install`; one
-    that is installed while it runs is served at once.
-    """
-    if context.invoked_subcommand is not None:
-        given = context.get_parameter_source
-        if any(given(name) != ParameterSource.DEFAULT for name in context.params):
-            raise click.UsageError("options of the router do not stand before a verb")
-        return
-    if is_demo:
-        from rossec.cli.demo import show_border_demo  # noqa: PLC0415 - when it runs
-
-        show_border_demo(context)
-        return
-    try:
-        from rossec.cli.border.serve import run  # noqa: PLC0415 - an extra, and when it runs
-    except ImportError as error:
-        from rossec.cli.border.constrained_nodes import needs_extra  # noqa: PLC0415 - as above
-
-        raise needs_extra() from error
-    run(environment, router, host, port, as_json=as_json)

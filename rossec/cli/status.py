@@ -8,24 +8,23 @@ import click
 
 from ca.names import display_name
 from rossec.cli.relay.sites import RELAY_SOCKET, relay_files
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import flag, json_result
 from rossec.environment import missing_node, own_gateway, own_master
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.master.operation.admin import send_command
-from rossec.terminal import note, printable, record, say, say_json
+from rossec.terminal import note, printable, say, say_json
 
 PERIOD: Final = 1.0  # seconds between two questions
-as_json = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
-watch = click.option("--watch", is_flag=True, help="show it again whenever it changes, until Ctrl-C")
+watch = flag("--watch", "show it again whenever it changes, until Ctrl-C")
 Answer = dict[str, Any]
 ADMIN_SOCKET: Final = "admin.sock"
-_SHOWN: Final = 8  # topics of a site; with --json a thousand
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+@flag("--json as_json", "a line of JSON")
 @pass_environment
 def master_status(environment: Environment, as_json: bool) -> None:
     """Show the status of the running master; it must have been started with --admin."""
@@ -46,17 +45,15 @@ def _home(environment: Environment) -> NodeHome:
 
 
 @click.command()
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def stop_master(environment: Environment) -> None:
     """Stop the running master in order; it must have been started with --admin."""
     send_command(_home(environment).path / ADMIN_SOCKET, "stop")
-    record(stopping=True)
-    say("the master ends")
+    say("the master ends", stopping=True)
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+@flag("--json as_json", "a line of JSON")
 @watch
 @pass_environment
 def federation_status(environment: Environment, *, as_json: bool, watch: bool) -> None:
@@ -102,7 +99,7 @@ def _site_lines(site: dict[str, Any]) -> Iterator[str]:
         else:
             yield f"{'':<16} no relay of this site knows {site['via']}"
     # 3. its topics, or the first of them
-    if topics := site.get("topics", [])[:_SHOWN]:
+    if topics := site.get("topics", [])[:8]:  # topics of a site; with --json a thousand
         more = site["topics_count"] - len(topics)
         yield f"{'':<16} topics: {' '.join(topics)}" + f" and {more} more" * bool(more)
 
@@ -116,7 +113,7 @@ def _without_figures(answer: Answer) -> list[str]:
 
 
 @click.command()
-@as_json
+@options.as_json
 @watch
 @pass_environment
 def gateway_status(environment: Environment, *, as_json: bool, watch: bool) -> None:
@@ -192,7 +189,7 @@ def _gateway_lines(answer: Answer) -> list[str]:
 
 
 @click.command()
-@as_json
+@options.as_json
 @watch
 @pass_environment
 def relay_status(environment: Environment, *, as_json: bool, watch: bool) -> None:

@@ -1,9 +1,5 @@
 """Addresses: whether the one that a node gives away is this host's, whether a caller is near, and those
 people type.
-
-The commonest fault of a ROS network: the address of yesterday, or a name that only one host knows. Who gives
-it away notices nothing; who is given it finds nobody there. Behind a translated address (a container, NAT) it
-may be right all the same, so nothing is refused.
 """
 
 import hashlib
@@ -63,8 +59,9 @@ def check_own_address(address: str, variable: str) -> str:
 def warn_of_own_address(
     address: str | None, variables: Mapping[str, str], warn: Callable[[HintedError], None]
 ) -> None:
-    """Call `warn` if the address that a node begins to give away is not one of this host. A name is looked up
-    in a thread of its own, which ends with the process: a resolver may take long, and nobody waits for it."""
+    """Call `warn` if the address that a node begins to give away is not one of this host."""
+    # The commonest fault of a ROS network: the address of yesterday, or a name that only one host knows. Who
+    # gives it away notices nothing. Behind NAT, or in a container, it may be right all the same: no refusal.
     if address is None:
         return
 
@@ -77,6 +74,7 @@ def warn_of_own_address(
     try:
         ipaddress.ip_address(address)
     except ValueError:
+        # A resolver may take long, and nobody waits for it: the thread ends with the process.
         Thread(target=check, name="own address", daemon=True).start()
     else:
         check()

@@ -72,6 +72,7 @@ def check_beginning(first: Entry, key: bytes | None = None, after: str | None = 
         unknown = "" if key is not None else f"; the key {signed_by.hex()} is not known here"
         complete = before in {FIRST, after}
         return f"{'' if complete else f'it continues from {before}, not among these files'}{unknown}"
+    # Not signed: it goes on from the line whose hash was noted.
     if before == after:
         return ""
     if before == FIRST:
@@ -136,6 +137,7 @@ def verify(entries: Iterable[Entry], before: str | None = None) -> str:
     last = before
     for number, entry in enumerate(entries, 1):
         rest = {key: value for key, value in entry.items() if key != "hash"}
+        # The link is part of what was hashed: a line removed, inserted or moved breaks the next one.
         link = rest.get("before")
         if not isinstance(link, str) or (last is not None and link != last):
             raise ConfigurationError(f"before line {number} of the audit something is missing")
@@ -198,10 +200,8 @@ class AuditFile(logging.Handler):
                 self._append(with_hash(mark(self._signer, self._last, at), self._last))
             self._append(with_hash({**entry, "before": self._last}, self._last))
             self._torn, self.is_failing = 0, False
-        except (
-            OSError,
-            PathRefused,
-        ) as error:  # a full disk must not end the master; the first failure is logged
+        except (OSError, PathRefused) as error:
+            # A full disk must not end the master; a line for every denial would fill the log instead.
             if not self.is_failing:
                 _log.error("the audit cannot be written: %s; the lines before are intact", error)
             self.is_failing = True

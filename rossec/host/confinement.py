@@ -49,6 +49,7 @@ def confine_processes() -> ThreadPoolExecutor:
     for _ in range(THREADS):
         executor.submit(ready.wait)
     ready.wait()
+    # It counts threads too; it does not bind root.
     resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
     return executor
 

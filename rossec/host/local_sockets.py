@@ -66,6 +66,7 @@ def listen_at(path: Path, backlog: int = 100) -> socket.socket:
             "choose a shorter ROSSEC_HOME",
         )
     sock = socket.socket(socket.AF_UNIX)
+    # The mode is that of bind(): a socket that was open to others until chmod() could be connected meanwhile.
     before = os.umask(0o177)
     try:
         sock.bind(str(path))
@@ -99,6 +100,7 @@ def holder_in(tables: Iterable[str], local: Endpoint, remote: Endpoint) -> Holde
     `tables` are the texts of /proc/net/tcp and tcp6. An IPv4 address matches in its mapped form
     too (::ffff:127.0.0.1): either side may use a dual-stack socket.
     """
+    # Both forms of an IPv4 address: either side may use a dual-stack socket.
     wanted = {f"{_hex(local, mapped)} {_hex(remote, mapped)} {_ESTABLISHED}" for mapped in (0, 1)}
     found = [holder for row, holder in _rows(tables) if row in wanted]
     return found[0] if len({holder.user for holder in found}) == 1 else None
@@ -186,6 +188,7 @@ def is_known(user: int) -> bool:
 
 def require_user(sock: socket.socket, users: Collection[int]) -> int:
     user = user_of(sock)
+    # The overflow id stands for every user of other namespaces, so it is nobody, also when it is on the list.
     if user not in users or not is_known(user):
         raise PeerUserRefused(f"user {user} may not use this connection", _HINT)
     return user

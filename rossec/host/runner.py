@@ -12,14 +12,18 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from contextlib import suppress
-from typing import Any
+from typing import Any, Final, TypeVar
 
+from ca.errors import HintedError
 from rossec.terminal import printable, to_json
 
+AGAIN_AFTER: Final = 2.0  # seconds until what is out of reach is tried again
 READY = "READY=1"
 STOPPING = "STOPPING=1"
+Work = Coroutine[Any, Any, object]
+_Found = TypeVar("_Found")
 _log = logging.getLogger("rossec.net.tasks")
 
 
@@ -49,6 +53,7 @@ class TaskSet:
 
     async def close(self) -> None:
         """Cancel what still runs and wait until it is gone."""
+        # A task may close its own set: it would wait for itself.
         tasks = [task for task in self._tasks if task is not asyncio.current_task()]
         for task in tasks:
             task.cancel()
@@ -63,10 +68,11 @@ def stop_on_signals() -> asyncio.Event:
     return stop
 
 
-async def until_first_ends(*coroutines: Coroutine[Any, Any, object]) -> None:
+async def until_first_ends(*coroutines: Work) -> None:
     """Run all until the first ends, end the others, and raise what it raised."""
     tasks = {asyncio.ensure_future(coroutine) for coroutine in coroutines}
     try:
+        # Not a TaskGroup: the first to end, well or not, ends the program; nothing is an error of a group.
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
         for task in tasks:
@@ -74,6 +80,38 @@ async def until_first_ends(*coroutines: Coroutine[Any, Any, object]) -> None:
         await asyncio.gather(*tasks, return_exceptions=True)
     for task in done:
         await task
+
+
+async def until_stopped(stop: asyncio.Event, environ: Mapping[str, str], *parts: Work) -> None:
+    """Serve: run `parts` until the first ends or `stop` is set, and tell the service manager both times."""
+    notify(READY, environ)
+    await until_first_ends(*parts, stop.wait())
+    notify(STOPPING, environ)
+
+
+async def until_reached(
+    attempt: Callable[[], Awaitable[_Found]],
+    stop: asyncio.Event,
+    missing: type[HintedError] | tuple[type[HintedError], ...],
+    tell: Callable[[HintedError], None],
+) -> _Found | None:
+    """What `attempt` finds at last; None if `stop` is set before. `tell` is told each new reason why not yet.
+
+    A service that is started with its host must not end because the host of its peer starts later.
+    """
+    told = ""
+    while not stop.is_set():
+        try:
+            return await attempt()
+        except missing as error:
+            # The same reason every two seconds would fill the log.
+            if told != str(error):
+                tell(error)
+            told = str(error)
+        with suppress(TimeoutError):
+            async with asyncio.timeout(AGAIN_AFTER):
+                await stop.wait()
+    return None
 
 
 async def reap(process: "subprocess.Popen[bytes]", within: float) -> None:
@@ -94,6 +132,7 @@ def notify(state: str, environ: Mapping[str, str] = os.environ) -> bool:
     address = environ.get("NOTIFY_SOCKET", "")
     if not address.startswith(("/", "@")):
         return False
+    # A service manager that does not listen is no reason to end what serves.
     with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
         sock.connect(f"\0{address[1:]}" if address.startswith("@") else address)
         sock.sendall(state.encode())

@@ -1,11 +1,5 @@
 """Confinement of this process by the kernel: what it opens (Landlock), what it calls (seccomp), who reads its
 memory.
-
-Landlock (Linux 5.13, landlock(7)): once confined, neither the process nor what it starts opens anything but
-some files, for reading; files that are open stay open. Only the calling thread and those it starts later are
-confined: call it first of all. Seccomp (Linux 3.17): limits of resources do not bind root, a filter binds
-everybody, cannot be taken back, and is inherited. A call that is not on the list fails with EPERM, so does
-one of x32; one of another architecture ends the process.
 """
 
 import ctypes
@@ -15,6 +9,7 @@ import resource
 import struct
 import sys
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -38,29 +33,26 @@ class _PathBeneath(ctypes.Structure):
     _fields_ = (("allowed_access", ctypes.c_uint64), ("parent_fd", ctypes.c_int32))
 
 
+# Landlock (Linux 5.13, landlock(7)): once confined, neither the process nor what it starts opens anything
+# but some files, for reading; files that are open stay open. Only the calling thread and those it starts
+# later are confined: call it first of all.
 def read_only(paths: Iterable[Path]) -> None:
     attributes = _Ruleset(_ALL)
     ruleset = _call(_CREATE_RULESET, ctypes.byref(attributes), ctypes.sizeof(attributes), 0)
     try:
         for path in paths:
-            _allow(ruleset, path)
+            with suppress(FileNotFoundError):  # not every system has every path
+                descriptor = os.open(path, os.O_PATH | os.O_CLOEXEC)
+                try:
+                    rule = _PathBeneath(_READ if path.is_dir() else _READ_FILE, descriptor)
+                    _call(_ADD_RULE, ruleset, _PATH_BENEATH, ctypes.byref(rule), 0)
+                finally:
+                    os.close(descriptor)
         if LIBC.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
             raise OSError(ctypes.get_errno(), "prctl")
         _call(_RESTRICT_SELF, ruleset, 0)
     finally:
         os.close(ruleset)
-
-
-def _allow(ruleset: int, path: Path) -> None:
-    try:
-        descriptor = os.open(path, os.O_PATH | os.O_CLOEXEC)
-    except FileNotFoundError:
-        return
-    try:
-        rule = _PathBeneath(_READ if path.is_dir() else _READ_FILE, descriptor)
-        _call(_ADD_RULE, ruleset, _PATH_BENEATH, ctypes.byref(rule), 0)
-    finally:
-        os.close(descriptor)
 
 
 def _call(number: int, *arguments: object) -> int:
@@ -71,6 +63,9 @@ def _call(number: int, *arguments: object) -> int:
     return result
 
 
+# Seccomp (Linux 3.17): limits of resources do not bind root; a filter binds everybody, cannot be taken back,
+# and is inherited. A call that is not on the list fails with EPERM; so does one of x32, whose numbers are
+# others.
 _PR_SET_SECCOMP: Final = 22
 _MODE_FILTER: Final = 2
 _LOAD, _JUMP_IF_EQUAL, _RETURN = 0x20, 0x15, 0x06  # of words, absolute, constants
@@ -143,6 +138,7 @@ def program(names: Iterable[str], machine: str) -> bytes:
     fork = [_NUMBERS[FORK][column]] if FORK in set(names) else []
     refuse, allow = (_RETURN, 0, 0, _ERRNO | _EPERM), (_RETURN, 0, 0, _ALLOW)
     found = [
+        # Numbers mean other calls on another architecture (a 32-bit program on a 64-bit kernel): end it.
         (_LOAD, 0, 0, _ARCHITECTURE),
         (_JUMP_IF_EQUAL, 1, 0, _AUDIT[machine]),
         (_RETURN, 0, 0, _KILL_PROCESS),

@@ -30,6 +30,7 @@ def start_worker(
     command: Sequence[str], environ: Mapping[str, str], descriptors: Sequence[int] = (), **options: Any
 ) -> "subprocess.Popen[bytes]":
     """Start `command`, which inherits `descriptors`; `options` are those of Popen."""
+    # Nothing of a stranger's bytes reaches the terminal or the starter's input; errors do, as a log.
     streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
     return subprocess.Popen(  # noqa: S603 - this program's own module
         command, pass_fds=descriptors, env=dict(environ), start_new_session=True, **(streams | options)
@@ -103,6 +104,7 @@ async def keep_running(
             log.error("the %s breaks the protocol: %s", name, error)  # noqa: TRY400 - it says all
         finally:
             await end()
+        # Twice as long each time: a worker that cannot start must not keep a processor busy.
         delay = 1.0 if time() - begin > MAX_DELAY else min(MAX_DELAY, 2 * delay)
         log.error("the %s ended; it is started again in %.0f s", name, delay)
         await asyncio.sleep(delay)
@@ -111,6 +113,7 @@ async def keep_running(
 def run_confined(main: Callable[[], Coroutine[Any, Any, None]], own: Sequence[Path] = ()) -> None:
     """In the worker: run `main`, which reads `own` and what programs need, writes and starts nothing."""
     confine_files(own)
+    # Threads for names of hosts exist before new ones are forbidden: the loop would start them later.
     executor = confine_processes()
 
     async def run() -> None:

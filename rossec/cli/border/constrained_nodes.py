@@ -21,9 +21,8 @@ from ca.things.constrained_nodes import (
 )
 from rossec import files
 from rossec.authority.home import format_fingerprint
-from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.cli.shared.options import FILE, NEW_FILE, Batch, flag, json_result, option, unique
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -33,24 +32,17 @@ from rossec.terminal import fail, note, printable, record, say, say_json, say_pi
 BORDER: Final = "/border"
 _MAX_CREDENTIAL: Final = 4096
 _MAX_BUNDLE: Final = 64 * 1024
-as_border = click.option(
-    "--as", "router", metavar="NAME", default=BORDER, show_default=True, help="the border router"
-)
-as_json_option = click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+as_border = option("--as=NAME router", "the border router", default=BORDER, show_default=True)
+as_json_option = flag("--json as_json", "a line of JSON")
 
 
 @click.command()
 @click.argument("name")
-@click.option("--key", "ccs", type=options.FILE, help="the thing's credential: a CCS, as CBOR")
-@click.option("--psk", is_flag=True, help="it has no curves: make a secret for it")
-@click.option(
-    "--secret-out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="write the secret for the thing to this new file, and do not show it",
-)
+@option("--key ccs", "the thing's credential: a CCS, as CBOR", type=FILE)
+@flag("--psk", "it has no curves: make a secret for it")
+@option("--secret-out", "write the secret for the thing to this new file, and do not show it", type=NEW_FILE)
 @as_border
-@json_result(secret=True)
-@pass_environment
+@json_result(pass_environment, secret=True)
 def add(
     environment: Environment, name: str, ccs: Path | None, psk: bool, secret_out: Path | None, router: str
 ) -> None:
@@ -73,8 +65,7 @@ def add(
         option = f"--psk {_secret(ThingFiles(home), name, secret_out)}"
     node = NodeHome.of(environment.home, name)
     csr = node.label_request(domain)
-    record(name=name, file=str(node.request_path))
-    say(f"request of {name}: {node.request_path}")
+    say(f"request of {name}: {node.request_path}", name=name, file=str(node.request_path))
     say(f"fingerprint {format_fingerprint(check_request(csr, domain).thumbprint)}")
     request = f"--request {node.request_path}"
     say(f"next, at the authority: rossec ca thing {name} --border {router} {option} {request}")
@@ -92,8 +83,7 @@ def _secret(things: ThingFiles, name: str, out: Path | None) -> Path:
     described = things.describe_secret(name, known)
     if out is not None:
         files.create(out, f"{text}\n".encode())
-        record(secret_file=str(out))
-        say(f"secret of {name}: {out}")
+        say(f"secret of {name}: {out}", secret_file=str(out))
     else:
         note("whoever sees this can speak as the thing; it is not shown again")
         record(secret=text)
@@ -103,11 +93,10 @@ def _secret(things: ThingFiles, name: str, out: Path | None) -> Path:
 
 
 @click.command()
-@click.argument("statement", type=options.FILE)
-@click.argument("bundle", type=options.FILE, required=False)
+@click.argument("statement", type=FILE)
+@click.argument("bundle", type=FILE, required=False)
 @as_border
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def install(environment: Environment, statement: Path, bundle: Path | None, router: str) -> None:
     """Install what the authority signed about a thing: STATEMENT, and the identity in BUNDLE.
 
@@ -118,25 +107,23 @@ def install(environment: Environment, statement: Path, bundle: Path | None, rout
     if bundle is not None:
         pem = files.read(bundle, _MAX_BUNDLE)
         node, anchor = NodeHome.for_bundle(environment.home, pem, now())
+        # A thing's node of another authority would be refused by every peer of this site.
         if anchor.thumbprint != home.anchor().thumbprint:
             raise ConfigurationError(
                 f"{bundle} is of another authority than that of {router}", "take the right file"
             )
         node.install(pem, now())
-        record(identity=node.name, domain=anchor.domain)
-        say(f"{node.name} is enrolled in {anchor.domain}")
+        say(f"{node.name} is enrolled in {anchor.domain}", identity=node.name, domain=anchor.domain)
     found = ThingFiles(home).install(files.read(statement, MAX_STATEMENT))
-    record(name=found.name, expires=found.expires)
-    say(f"{found.name} is served until {format_time(found.expires)}")
+    say(f"{found.name} is served until {format_time(found.expires)}", name=found.name, expires=found.expires)
     if not (NodeHome.of(environment.home, found.name).path / "node.pem").exists():
         note(f"the node {found.name} has no identity here yet: rossec node install FILE")
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@click.argument("file", type=NEW_FILE)
 @as_border
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def credential(environment: Environment, file: Path, router: str) -> None:
     """Write the router's credential for its things to FILE: they know it by this key.
 
@@ -158,10 +145,8 @@ def credential(environment: Environment, file: Path, router: str) -> None:
 
 
 @click.command()
-@click.argument("credentials", nargs=-1, required=True, type=options.FILE)
-@click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), required=True, help="HTML file to print"
-)
+@click.argument("credentials", nargs=-1, required=True, type=FILE)
+@option("--out", "HTML file to print", type=NEW_FILE, required=True)
 @json_result()
 def labels(credentials: tuple[Path, ...], out: Path) -> None:
     """Write a sheet of labels for the things with these CREDENTIALS, 24 to a page.
@@ -169,23 +154,18 @@ def labels(credentials: tuple[Path, ...], out: Path) -> None:
     A credential is a CCS, or what `rossec border add NAME --psk` wrote about a secret. A label
     holds no secret: its code names the credential, for `rossec ca thing NAME --code CODE`.
     """
-    made = [_label(path, files.read(path, _MAX_CREDENTIAL)) for path in credentials]
+    made = []
+    for path in credentials:
+        data = files.read(path, _MAX_CREDENTIAL)
+        try:
+            found: Credential = read_description(data)
+        except ThingRefused:
+            found = read_ccs(data)
+        name = (found.subject if isinstance(found, ThingKey) else "") or path.stem
+        made.append(Label(printable(name), format_fingerprint(found.thumbprint), qr.label_code(data)))
     files.replace(out, sheet(made).encode(), 0o644)
     record(names=[each.name for each in made], file=str(out))
     say(f"{len(made)} label{'s' * (len(made) != 1)} in {out}: print it without scaling")
-
-
-def _label(path: Path, data: bytes) -> Label:
-    found = _read(data)
-    name = (found.subject if isinstance(found, ThingKey) else "") or path.stem
-    return Label(printable(name), format_fingerprint(found.thumbprint), qr.label_code(data))
-
-
-def _read(data: bytes) -> Credential:
-    try:
-        return read_description(data)
-    except ThingRefused:
-        return read_ccs(data)
 
 
 @click.command("list")
@@ -197,19 +177,11 @@ def list_(environment: Environment, router: str, *, as_json: bool) -> None:
     loaded = ThingFiles(_home(environment, router)).load()
     found = sorted(loaded.statements.values(), key=lambda each: each.name)
     if as_json:
-        say_json(
-            {
-                "things": [
-                    {
-                        "name": each.name,
-                        "kind": each.kind,
-                        "kid": each.credential.kid.hex(),
-                        "expires": each.expires,
-                    }
-                    for each in found
-                ]
-            }
-        )
+        rows = [
+            {"name": each.name, "kind": each.kind, "kid": each.credential.kid.hex(), "expires": each.expires}
+            for each in found
+        ]
+        say_json({"things": rows})
         return
     for each in found:
         kind = "key" if isinstance(each.credential, ThingKey) else "secret"
@@ -265,8 +237,7 @@ def needs_extra() -> ConfigurationError:
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
 @as_border
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def forget(environment: Environment, names: tuple[str, ...], router: str) -> None:
     """Forget the thing NAME: its statement and its secret are removed here.
 

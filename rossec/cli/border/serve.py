@@ -1,7 +1,6 @@
 """Run a border router until it is stopped."""
 
 import asyncio
-from typing import Final
 
 from rossec import clock
 from rossec.border import border_router
@@ -12,51 +11,46 @@ from rossec.cli.shared.master import with_master
 from rossec.errors import ConfigurationError, NotWritten
 from rossec.home import NodeHome
 from rossec.host.local_sockets import process_lock
-from rossec.host.runner import READY, STOPPING, notify, stop_on_signals, until_first_ends
+from rossec.host.runner import stop_on_signals, until_stopped
 from rossec.master.operation.admin import raise_descriptor_limit
 from rossec.saved_statements import ThingFiles
 from rossec.terminal import note, say, say_json
-
-LOCK: Final = "border.lock"
 
 
 def run(environment: Environment, name: str, host: str, port: int, *, as_json: bool) -> None:
     """Run the border router `name`, which listens for things at `host` and `port`, until a signal ends it."""
     home = NodeHome.of(environment.home, name)
     home.identity(now())
-    busy = ConfigurationError(f"{name} runs already", "see: rossec border status")
-    with process_lock(home.path / LOCK, busy):
-        raise_descriptor_limit()
-        asyncio.run(_serve(environment, home, host, port, as_json=as_json))
 
+    async def serve() -> None:
+        stop = stop_on_signals()
+        key = StaticKey(ThingFiles(home).router_key())
+        router = BorderRouter(home.name, key, await with_master(environment, home), host, port)
 
-async def _serve(environment: Environment, home: NodeHome, host: str, port: int, *, as_json: bool) -> None:
-    stop = stop_on_signals()
-    key = StaticKey(ThingFiles(home).router_key())
-    router = BorderRouter(home.name, key, await with_master(environment, home), host, port)
-    try:
-        await router.start()
-        host, port = router.server.address
-        if as_json:
-            say_json({"ready": [host, port], "things": len(router.roster)})
-        else:
-            say(f"border router {router.node.name} at {host} port {port} (UDP), {len(router.roster)} things")
-            if not len(router.roster):
-                note("add things: rossec border add NAME --key FILE")
-        notify(READY, environment.variables)
-        await until_first_ends(router.wait_ended(), _write_status(router), stop.wait())
-        notify(STOPPING, environment.variables)
-    finally:
-        await router.close()
-        (home.path / border_router.STATUS_FILE).unlink(missing_ok=True)
+        async def write_status() -> None:
+            while True:
+                try:
+                    status = border_router.describe_status(router, clock.now())
+                    border_router.write_status(home.path, status)
+                except NotWritten as error:  # a full disk ends no thing
+                    note(str(error))
+                await asyncio.sleep(border_router.STATUS_PERIOD)
 
-
-async def _write_status(router: BorderRouter) -> None:
-    while True:
         try:
-            border_router.write_status(
-                router.node.home.path, border_router.describe_status(router, clock.now())
-            )
-        except NotWritten as error:
-            note(str(error))
-        await asyncio.sleep(border_router.STATUS_PERIOD)
+            await router.start()
+            address, count = router.server.address, len(router.roster)
+            if as_json:
+                say_json({"ready": list(address), "things": count})
+            else:
+                say(f"border router {home.name} at {address[0]} port {address[1]} (UDP), {count} things")
+                if not count:
+                    note("add things: rossec border add NAME --key FILE")
+            await until_stopped(stop, environment.variables, router.wait_ended(), write_status())
+        finally:
+            await router.close()
+            (home.path / border_router.STATUS_FILE).unlink(missing_ok=True)
+
+    busy = ConfigurationError(f"{name} runs already", "see: rossec border status")
+    with process_lock(home.path / "border.lock", busy):
+        raise_descriptor_limit()
+        asyncio.run(serve())

@@ -12,15 +12,14 @@ from rossec.authority import restored_lists
 from rossec.authority.home import AuthorityHome, fingerprint
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import json_result, working
+from rossec.cli.shared.options import FILE, NEW_FILE, flag, json_result, option, working
 from rossec.terminal import note, printable, record, say
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@click.argument("file", type=NEW_FILE)
 @passphrase.option
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def backup(environment: Environment, file: Path, passphrase_file: Path | None) -> None:
     """Write the authority into the new file FILE, encrypted under its passphrase.
 
@@ -41,48 +40,36 @@ def backup(environment: Environment, file: Path, passphrase_file: Path | None) -
 
 
 @click.command()
-@click.argument("file", type=options.FILE)
-@click.option("--over", metavar="DOMAIN", help="replace the authority of DOMAIN that is here")
-@click.option(
-    "--forget",
+@click.argument("file", type=FILE)
+@option("--over=DOMAIN", "replace the authority of DOMAIN that is here")
+@option(
+    "--forget=N",
+    "lose the N newest log entries, which the backup does not have",
     type=click.IntRange(0),
     default=0,
-    metavar="N",
-    help="lose the N newest log entries, which the backup does not have",
 )
-@click.option(
-    "--list",
-    "newest",
-    type=options.FILE,
-    help="a newer revocation list, for example a node's revocations.cose",
-)
-@click.option(
-    "--without-list",
-    is_flag=True,
-    help="there is no newer list: what was revoked after the backup is valid again",
-)
+@option("--list newest", "a newer revocation list, for example a node's revocations.cose", type=FILE)
+@flag("--without-list", "there is no newer list: what was revoked after the backup is valid again")
 @options.entries
-@click.option(
+@option(
     "--domains",
-    type=options.FILE,
-    help="a newer list of domains, for example a node's domains.cose; else no domain is trusted",
+    "a newer list of domains, for example a node's domains.cose; else no domain is trusted",
+    type=FILE,
 )
-@click.option(
+@option(
     "--policy",
+    "with --over, where the two differ: which policy stays",
     type=click.Choice(["here", "backup"]),
     default="here",
     show_default=True,
-    help="with --over, where the two differ: which policy stays",
 )
-@click.option(
-    "--pkcs11-module",
-    "module",
-    type=options.FILE,
-    help="trust this module, where the key is in a token; what the backup names is not loaded",
+@option(
+    "--pkcs11-module module",
+    "trust this module, where the key is in a token; what the backup names is not loaded",
+    type=FILE,
 )
 @passphrase.option
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def restore(
     environment: Environment,
     file: Path,
@@ -135,7 +122,7 @@ def restore(
     )
     say(f"restored {found.home.domain} in {found.home.path}, {found.entries} log entries")
     say(f"fingerprint {fingerprint(found.home.anchor())}")
-    _say_what_differs(found)
+    say_what_differs(found)
     if found.home.is_intermediate:  # it signs no lists
         return
     if found.restored_revocations:
@@ -151,7 +138,7 @@ def restore(
     note("a new revocation list was signed; deliver it with: rossec ca publish")
 
 
-def _say_what_differs(found: backups.Restored) -> None:
+def say_what_differs(found: backups.Restored) -> None:
     for name in found.left_out:
         note(f"left out, not a file that a backup has: {printable(name)}")
     if found.policy:

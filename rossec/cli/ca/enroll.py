@@ -5,7 +5,6 @@ import secrets
 import sys
 from hashlib import sha256
 from pathlib import Path
-from typing import Final
 
 import click
 
@@ -15,7 +14,6 @@ from ca.enrollment.messages import Delivery, write
 from ca.enrollment.sides import AuthorityEnrollment, group_digits
 from ca.errors import HintedError
 from ca.names import spiffe_id
-from ca.store.record import Store
 from ca.store.values import OPEN, RequestRow, RequestState
 from ca.svid import MAX_REQUEST
 from grants.policy.model import Subject
@@ -29,7 +27,7 @@ from rossec.cli.ca.invite import policy_lines
 from rossec.cli.ca.sign import read_request, warn_of_wildcard, write_identity
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, ask_yes_no, now, pass_environment, reraise_interrupt
-from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.cli.shared.options import FILE, PATH, Batch, flag, json_result, option, say_result, unique
 from rossec.cli.shared.service import (
     give_outright,
     pass_service,
@@ -41,15 +39,14 @@ from rossec.clock import format_time
 from rossec.enrollment.enroll import code_in_file, deliver, fetch
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
-from rossec.terminal import printable, record, say, say_json
+from rossec.terminal import printable, record, say
 
 Destination = tuple[str, int]
-_DENIED: Final = "denied at the authority"
 
 
 @click.command()
-@click.option("--all", "everything", is_flag=True, help="also those that were answered")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--all everything", "also those that were answered")
+@options.as_json
 @pass_environment
 def requests(environment: Environment, everything: bool, as_json: bool) -> None:
     """Show the requests for an identity that have no answer yet."""
@@ -58,14 +55,15 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
     at = now()
     store.requests.collect(at)
     rows = [row for row in store.requests.all(at) if everything or row.state in OPEN]
-    if as_json:
-        say_json([_summary(row) for row in rows])
-        return
-    for row in rows:
-        say(f"{row.digest.hex()[:8]}  {row.state}  {row.name}  {printable(row.source)}")
-        say(f"  fingerprint {format_fingerprint(row.thumbprint)}  until {format_time(row.expires)}")
-    if not rows:
-        say("no open requests")
+    lines = (line for row in rows for line in _lines(row)) if rows else ["no open requests"]
+    say_result(as_json, [_summary(row) for row in rows], lines)
+
+
+def _lines(row: RequestRow) -> list[str]:
+    return [
+        f"{row.digest.hex()[:8]}  {row.state}  {row.name}  {printable(row.source)}",
+        f"  fingerprint {format_fingerprint(row.thumbprint)}  until {format_time(row.expires)}",
+    ]
 
 
 def _summary(row: RequestRow) -> dict[str, object]:
@@ -86,10 +84,9 @@ def _summary(row: RequestRow) -> dict[str, object]:
 @sign.identity_lifetime
 @sign.replace_key()
 @sign.anonymous
-@click.option("--out", type=click.Path(path_type=Path), help="write the identity to this new file")
+@option("--out", "write the identity to this new file", type=PATH)
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def approve(
     service: AuthorityService,
     request_ids: tuple[str, ...],
@@ -120,8 +117,7 @@ def approve(
             say(f"approved {row.name}")
             if out is not None:
                 files.create(out, bundle, 0o644)
-                record(file=str(out))
-                say(f"signed: {out}; at the node: rossec node install {out.name}")
+                say(f"signed: {out}; at the node: rossec node install {out.name}", file=str(out))
             give_outright(service, row.name)
     publish_if_revoked(service)
     batch.finish()
@@ -135,30 +131,27 @@ def show_request(service: AuthorityService, row: RequestRow, *, wildcard: bool) 
     say(f"  from {printable(row.source)}")
     if wildcard:
         warn_of_wildcard(row.name)
-    say(f"  {_enrollment_status(home.store(), row)}")
+    # A name whose key changes is what an impostor would look like: it is said before all else.
+    known = home.store().identities.valid(row.name, now())
+    until = format_time(known[-1].not_after) if known else ""
+    if any(each.thumbprint != row.thumbprint for each in known):
+        say(f"  WARNING: {row.name} is enrolled with ANOTHER KEY until {until}")
+    elif known:
+        say(f"  {row.name} is enrolled with this key until {until}")
+    elif row.state is not RequestState.PENDING:
+        say(f"  the request was {row.state} {format_time(row.changed)}")
+    else:
+        say(f"  {row.name} is new here")
     subject = Subject(row.name, row.thumbprint, wildcard)
     path = place(service.rossec_home, None)
     for line in policy_lines(path, lambda policy: projected_grants(policy, subject), "it", "this name"):
         say(f"  {line}")
 
 
-def _enrollment_status(store: Store, row: RequestRow) -> str:
-    known = store.identities.valid(row.name, now())
-    if any(each.thumbprint != row.thumbprint for each in known):
-        until = format_time(known[-1].not_after)
-        return f"WARNING: {row.name} is enrolled with ANOTHER KEY until {until}"
-    if known:
-        return f"{row.name} is enrolled with this key until {format_time(known[-1].not_after)}"
-    if row.state is not RequestState.PENDING:
-        return f"the request was {row.state} {format_time(row.changed)}"
-    return f"{row.name} is new here"
-
-
 @click.command()
 @click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
-@click.option("--reason", default="", help="why, for the record")
-@json_result()
-@pass_environment
+@options.reason
+@json_result(pass_environment)
 def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) -> None:
     """Deny the request REQUEST_ID (or its beginning).
 
@@ -170,26 +163,22 @@ def deny(environment: Environment, request_ids: tuple[str, ...], reason: str) ->
         with batch.item(request_id):
             row = service.identities.request(request_id)
             service.identities.deny_request(row, reason)
-            record(name=row.name)
-            say(f"denied {row.name}")
+            say(f"denied {row.name}", name=row.name)
     batch.finish()
 
 
 @click.command()
 @click.argument("code", required=False)
 @options.image
-@click.option(
-    "--csr", "csr_file", type=options.FILE, help="no code: this request, whose fingerprint you have compared"
-)
-@click.option("--address", "given_address", help="where the node waits, for a label: host, or host:port")
+@option("--csr csr_file", "no code: this request, whose fingerprint you have compared", type=FILE)
+@option("--address given_address", "where the node waits, for a label: host, or host:port")
 @sign.identity_lifetime
 @sign.replace_key()
 @sign.anonymous
-@click.option("--later", is_flag=True, help="only record the request; decide with: rossec ca approve")
+@flag("--later", "only record the request; decide with: rossec ca approve")
 @options.master_uri
-@click.option("--yes", is_flag=True, help="do not ask")
-@json_result()
-@pass_service
+@options.yes
+@json_result(pass_service)
 def enroll(
     service: AuthorityService,
     code: str | None,
@@ -213,21 +202,31 @@ def enroll(
     Exit codes: 0 enrolled, 1 refused, 2 wrong usage, 3 signed here but the node did not say that it
     is enrolled, or the master was unreachable; 130 interrupted.
     """
+    # 1. The code, and where its node waits.
     domain = service.home.domain
     found = _read_code(code, image, csr_file)
     destination = _destination(found, given_address, csr_file)
+    # 2. The request that the code is of.
     core = AuthorityEnrollment(found, domain, wildcard=anonymous)
-    _fetch_request(core, csr_file, destination)
-    row = service.identities.add_request(core.request, core.csr, _source(found, csr_file, destination))
+    if csr_file is not None:
+        core.receive(write(Delivery(read_request(csr_file, MAX_REQUEST))), now())
+    else:
+        assert destination is not None  # noqa: S101 - a code without an address was refused
+        asyncio.run(fetch(core, *destination, now))
+    source = "a screen code" if found.secret else "a label" if csr_file is None else "a file"
+    source += "" if destination is None else f" at {addresses.join(*destination)}"
+    row = service.identities.add_request(core.request, core.csr, source)
     record(name=row.name, request=row.digest.hex(), state="pending")
+    # 3. A person decides, who sees all of it.
     show_request(service, row, wildcard=core.request.wildcard)
     if later:
         say(f"recorded; decide with: rossec ca approve {row.digest.hex()[:8]}, or deny")
         return
     if row.state is RequestState.PENDING and not ask_yes_no("give this name to this key?", yes=yes):
-        service.identities.deny_request(row, _DENIED)
+        service.identities.deny_request(row, "denied at the authority")
         record(state="denied")
         raise ConfigurationError("denied", "to ask again the node needs a new request")
+    # 4. The identity, which is recorded before it is delivered: what was signed can be revoked.
     core.approve(now())
     bundle = service.identities.issue(
         row.der, lifetime, replace_key=replaced, wildcard=core.request.wildcard, source=row.source
@@ -236,25 +235,23 @@ def enroll(
     if destination is None:
         assert csr_file is not None  # noqa: S101 - without an address there is a file
         target = write_identity(csr_file, bundle)
-        record(file=str(target))
-        say(f"signed: {target}; at the node: rossec node install {target.name}")
+        say(f"signed: {target}; at the node: rossec node install {target.name}", file=str(target))
     else:
+
+        def show_digits(digits: str) -> None:
+            say(f"digits {group_digits(digits)}")
+            say("the same at the node? then confirm there; if not, stop here and there")
+
         try:
             *chain, root = from_pem(bundle)
             offer = core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), now())
-            asyncio.run(deliver(core, offer, *destination, now, _show_digits))
+            asyncio.run(deliver(core, offer, *destination, now, show_digits))
         except HintedError:
             remind_to_publish(service)
             raise
-        record(state="enrolled")
-        say(f"enrolled {row.name}")
+        say(f"enrolled {row.name}", state="enrolled")
     give_outright(service, row.name)
     publish_if_revoked(service)
-
-
-def _show_digits(digits: str) -> None:
-    say(f"digits {group_digits(digits)}")
-    say("the same at the node? then confirm there; if not, stop here and there")
 
 
 def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Code:
@@ -270,7 +267,7 @@ def _read_code(code: str | None, image: Path | None, csr_file: Path | None) -> q
             found = qr.parse(code)
         case (None, Path(), None):
             found = qr.parse(code_in_file(image, sys.stdin.buffer))
-        case (None, None, Path()):
+        case (None, None, Path()):  # its fingerprint was compared: it has no time
             return qr.Code(sha256(read_request(csr_file, MAX_REQUEST)).digest())
         case _:
             raise click.UsageError("give a code, or --image, or --csr: one of them")
@@ -286,16 +283,3 @@ def _destination(code: qr.Code, given_address: str | None, csr_file: Path | None
     raise ConfigurationError(
         "a label does not say where its node is", "add --address HOST, as the node shows it"
     )
-
-
-def _fetch_request(core: AuthorityEnrollment, csr_file: Path | None, destination: Destination | None) -> None:
-    if csr_file is not None:
-        core.receive(write(Delivery(read_request(csr_file, MAX_REQUEST))), now())
-        return
-    assert destination is not None  # noqa: S101 - a code without an address was refused
-    asyncio.run(fetch(core, *destination, now))
-
-
-def _source(code: qr.Code, csr_file: Path | None, destination: Destination | None) -> str:
-    kind = "a screen code" if code.secret else "a label" if csr_file is None else "a file"
-    return kind if destination is None else f"{kind} at {addresses.join(*destination)}"

@@ -11,6 +11,7 @@ from ca.authority import DAY, MAX_LIFETIME
 from ca.certificates import renew_at
 from ca.errors import HintedError
 from ca.names import is_alias, local_name, shown
+from ca.revocation.lists import RevocationList
 from ca.store.record import Store
 from ca.store.values import CertificateRow, leaf, open_head
 from rossec import files, terminal
@@ -22,21 +23,19 @@ from rossec.authority.service import AuthorityService
 from rossec.authority.signing import OWN_NODE
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import Batch, json_result, unique, working
+from rossec.cli.shared.options import FILE, NEW_FILE, Batch, flag, json_result, option, say_result
 from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.terminal import note, printable, record, say, say_json
 
-_ITS = "its machine", "their machines"
-_REASON = "the invitation was revoked"
 _MAX_HEAD = 4096
 
 
 @click.command("list")
-@click.option("--all", "everything", is_flag=True, help="also what is replaced, expired or revoked")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@flag("--all everything", "also what is replaced, expired or revoked")
+@flag("--json in_json", "one line of JSON")
 @pass_environment
 def list_(environment: Environment, everything: bool, in_json: bool) -> None:
     """List the identities that are valid now."""
@@ -64,6 +63,7 @@ def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:
     with store.database.read_transaction():
         rows, revoked = store.identities.all(), store.revoked_entries()
         in_force = store.identities.with_valid_issuer(rows)
+    # In one read transaction: a revocation between two questions would show a key in two states.
     valid = {row.serial for row in in_force if row.thumbprint not in revoked}
     newest = {row.name: row.serial for row in rows if row.serial in valid}
 
@@ -102,7 +102,7 @@ def line(row: CertificateRow, state: str) -> str:
 
 @click.command()
 @click.argument("name", required=False)
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@flag("--json in_json", "one line of JSON")
 @pass_environment
 def show(environment: Environment, name: str | None, in_json: bool) -> None:
     """Show the authority, or everything about the node NAME."""
@@ -127,12 +127,11 @@ def show(environment: Environment, name: str | None, in_json: bool) -> None:
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
 @options.duration(
-    "--for", "lifetime", days=MAX_LIFETIME // DAY, default="30d", text="how long the new identity lasts"
+    "--for lifetime", "how long the new identity lasts", days=MAX_LIFETIME // DAY, default="30d"
 )
-@click.option("--expired", is_flag=True, help="also one that is over: it keeps its key, and so its grants")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
-@json_result()
-@pass_service
+@flag("--expired", "also one that is over: it keeps its key, and so its grants")
+@option("--out", "where to write it", type=NEW_FILE)
+@json_result(pass_service)
 def renew(
     service: AuthorityService, names: tuple[str, ...], lifetime: int, expired: bool, out: Path | None
 ) -> None:
@@ -143,7 +142,7 @@ def renew(
     /ca, it is installed at once. What is revoked never comes back. Where one of several is refused
     the others are renewed, and the exit code is 1.
     """
-    names = unique(names)
+    names = options.unique(names)
     if out is not None and len(names) > 1:
         raise click.UsageError("--out is of one NAME")
     if len(names) > 1:
@@ -153,45 +152,37 @@ def renew(
         with batch.item(name):
             if name == OWN_NODE:
                 expires = service.identities.renew_own_node()
-                record(expires=expires)
-                say(f"renewed {name} until {format_time(expires)}")
+                say(f"renewed {name} until {format_time(expires)}", expires=expires)
             else:
-                target = _renew(service, name, lifetime, out, expired=expired)
-                carried += [] if _install(service, name, target) else [target]
+                bundle = service.identities.renew(name, lifetime, expired=expired)
+                target = out or Path(f"{name.lstrip('/').replace('/', '.')}.pem")
+                files.replace(target, bundle, 0o644)
+                say(f"renewed {name}: {target}", file=str(target))
+                carried += [] if _install(service, name, bundle) else [target]
     if carried:
         listed = " ".join(map(str, carried))
-        say(f"next, on {_ITS[len(carried) > 1]}: rossec node install {listed}")
+        where = "their machines" if len(carried) > 1 else "its machine"
+        say(f"next, on {where}: rossec node install {listed}")
     remind_to_publish(service)
     batch.finish()
 
 
-def _renew(service: AuthorityService, name: str, lifetime: int, out: Path | None, *, expired: bool) -> Path:
-    bundle = service.identities.renew(name, lifetime, expired=expired)
-    target = out or Path(f"{name.lstrip('/').replace('/', '.')}.pem")
-    files.replace(target, bundle, 0o644)
-    record(file=str(target))
-    say(f"renewed {name}: {target}")
-    return target
-
-
-def _install(service: AuthorityService, name: str, bundle: Path) -> bool:
+def _install(service: AuthorityService, name: str, bundle: bytes) -> bool:
     home = NodeHome.of(service.rossec_home, name)
     if not (home.path / "node.pem").exists():
         return False
     try:
-        home.install(bundle.read_bytes(), now())
+        home.install(bundle, now())
     except (HintedError, OSError) as error:  # of another key, or of another user
         note(f"not installed in {home.path}: {error}")
         return False
-    record(installed=str(home.path))
-    say(f"installed in {home.path}")
+    say(f"installed in {home.path}", installed=str(home.path))
     return True
 
 
 @click.command()
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def publish(service: AuthorityService) -> None:
     """Give the newest revocation list to the master.
 
@@ -202,21 +193,18 @@ def publish(service: AuthorityService) -> None:
         service.complete_list()
     record(published=False)
     service.publish()
-    record(published=True)
-    say("the master has the newest list")
+    say("the master has the newest list", published=True)
 
 
 @click.command()
-@click.option(
-    "--list",
-    "older",
-    type=options.FILE,
-    help="first revoke what this list revokes: a node's, from before a restore that lacked it",
+@option(
+    "--list older",
+    "first revoke what this list revokes: a node's, from before a restore that lacked it",
+    type=FILE,
 )
 @options.entries
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def refresh(service: AuthorityService, older: Path | None, entries: Path | None) -> None:
     """Sign the revocation list anew, before it expires, and give it to the master.
 
@@ -235,21 +223,16 @@ def refresh(service: AuthorityService, older: Path | None, entries: Path | None)
 
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
-@click.option("--reason", default="", help="why, for the record")
-@click.option(
-    "--certificate",
-    type=options.FILE,
-    help="of a node of another domain: revoke the key in this node.pem, and no other",
+@options.reason
+@option(
+    "--certificate", "of a node of another domain: revoke the key in this node.pem, and no other", type=FILE
 )
-@click.option(
-    "--thing",
-    "of_thing",
-    is_flag=True,
-    help="revoke what is said of the thing NAME; the node that stands for it keeps its identity",
+@flag(
+    "--thing of_thing",
+    "revoke what is said of the thing NAME; the node that stands for it keeps its identity",
 )
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def revoke(
     service: AuthorityService, names: tuple[str, ...], reason: str, certificate: Path | None, of_thing: bool
 ) -> None:
@@ -262,7 +245,7 @@ def revoke(
     here (by rossec grant sign) is refused in this domain, whatever its own authority says. Where
     one of several is refused the others are revoked, and the exit code is 1.
     """
-    names = unique(names)
+    names = options.unique(names)
     if certificate is not None and len(names) > 1:
         raise click.UsageError("--certificate is of one NAME")
     if len(names) > 1:
@@ -270,51 +253,47 @@ def revoke(
     batch = Batch(len(names), "name")
     for name in names:
         with batch.item(name):
-            say(
-                _revoke_thing(service, name, reason)
-                if of_thing
-                else _revoke_node(service, name, reason, certificate)
-            )
+            if of_thing:
+                listed, count = service.things.revoke(name, reason)
+                record(statements=count, list=listed.seq)
+                said = f"the thing {name}, {count} statement"
+            else:
+                listed, count = _revoke_node(service, name, reason, certificate)
+                record(keys=count, list=listed.seq)
+                said = f"{shown(local_name(name))}, {count} key"
+            say(f"revoked {said}{'s' * (count != 1)} (list {listed.seq})")
     if batch.done:
         publish_list(service)
     batch.finish()
 
 
-def _revoke_thing(service: AuthorityService, name: str, reason: str) -> str:
-    listed, count = service.things.revoke(name, reason)
-    record(statements=count, list=listed.seq)
-    return f"revoked the thing {name}, {count} statement{'s' * (count != 1)} (list {listed.seq})"
-
-
-def _revoke_node(service: AuthorityService, name: str, reason: str, certificate: Path | None) -> str:
+def _revoke_node(
+    service: AuthorityService, name: str, reason: str, certificate: Path | None
+) -> tuple[RevocationList, int]:
     local = local_name(name)
     if is_alias(local):
         pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
-        listed, count = service.domains.revoke_foreigner(local, reason, pem)
-    elif certificate is not None:
+        return service.domains.revoke_foreigner(local, reason, pem)
+    if certificate is not None:
         raise ConfigurationError(
             f"{name} is a node of this domain, whose keys are in the record",
             "--certificate is for nodes of other domains: LABEL:/NAME",
         )
-    else:
-        listed, count = service.identities.revoke(name, reason)
-        for intermediate in service.identities.intermediates():
-            note(
-                f"{intermediate} may have certified other keys for {shown(local)}, which are not"
-                " in this record: rossec ca import NODE.pem and revoke again, or revoke"
-                f" {intermediate}"
-            )
-    record(keys=count, list=listed.seq)
-    return f"revoked {shown(local)}, {count} key{'s' * (count != 1)} (list {listed.seq})"
+    revoked = service.identities.revoke(name, reason)
+    for intermediate in service.identities.intermediates():
+        note(
+            f"{intermediate} may have certified other keys for {shown(local)}, which are not in this record:"
+            f" rossec ca import NODE.pem and revoke again, or revoke {intermediate}"
+        )
+    return revoked
 
 
 @click.command()
 @click.argument("invitation_ids", metavar="INVITATION_ID...", nargs=-1, required=True)
-@click.option("--and-nodes", is_flag=True, help="also revoke every node that joined by it")
-@click.option("--reason", default=_REASON, help="why, for the record")
+@flag("--and-nodes", "also revoke every node that joined by it")
+@option("--reason", "why, for the record", default="the invitation was revoked")
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def revoke_invitations(
     service: AuthorityService, invitation_ids: tuple[str, ...], and_nodes: bool, reason: str
 ) -> None:
@@ -324,15 +303,14 @@ def revoke_invitations(
     names that joined by it is revoked, and the master is notified at once. The first needs no key,
     so it is done also where the second cannot be.
     """
-    ids, ended = unique(invitation_ids), list[InvitationStatus]()
+    ids, ended = options.unique(invitation_ids), list[InvitationStatus]()
     batch = Batch(len(ids), "id")
     for invitation_id in ids:
         with batch.item(invitation_id):
             with contextlib.closing(service.home.store()) as store:
                 found = find(store, invitation_id)
                 denied = end(store, found, reason, now())
-            record(invitation=found.row.id.hex(), denied=denied)
-            say(f"invitation {found.short_id} is ended")
+            say(f"invitation {found.short_id} is ended", invitation=found.row.id.hex(), denied=denied)
             if denied:
                 say(f"denied {denied} request{'s' * (denied != 1)} that waited")
             ended.append(found)
@@ -356,14 +334,8 @@ def revoke_invitations(
 
 
 @click.command()
-@click.option(
-    "--head",
-    "heads",
-    multiple=True,
-    type=options.FILE,
-    help="a signed head kept elsewhere (rossec ca log head)",
-)
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@option("--head heads", "a signed head kept elsewhere (rossec ca log head)", multiple=True, type=FILE)
+@flag("--json in_json", "one line of JSON")
 @pass_environment
 def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> None:
     """Recompute the whole log and compare it with the record and with every signed head.
@@ -373,7 +345,7 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
     home = AuthorityHome.at(environment.home)
     store = home.store()
     kept = [files.read(path, _MAX_HEAD) for path in heads]
-    with working("recomputing the log", quiet=in_json):
+    with options.working("recomputing the log", quiet=in_json):
         newest = store.log.audit(home.own_key(), *kept)
     size = store.log.head(now()).size
     if in_json:
@@ -389,9 +361,8 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
 
 
 @click.command()
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="write it here")
-@json_result()
-@pass_service
+@option("--out", "write it here", type=NEW_FILE)
+@json_result(pass_service)
 def head(service: AuthorityService, out: Path | None) -> None:
     """Sign the state of the log, to be kept elsewhere."""
     data = service.sign_head()
@@ -402,13 +373,12 @@ def head(service: AuthorityService, out: Path | None) -> None:
         say(base64.b64encode(data).decode())
         return
     files.replace(out, data, 0o644)
-    record(file=str(out))
-    say(f"head of {size} entries: {out}")
+    say(f"head of {size} entries: {out}", file=str(out))
 
 
 @click.command()
-@click.option("--entry", type=click.IntRange(0), help="prove that this entry is in the log")
-@click.option("--since", type=options.FILE, help="prove that the log continues this signed head")
+@option("--entry", "prove that this entry is in the log", type=click.IntRange(0))
+@option("--since", "prove that the log continues this signed head", type=FILE)
 @pass_environment
 def prove(environment: Environment, entry: int | None, since: Path | None) -> None:
     """Print a proof, as JSON, against the newest signed head (RFC 6962)."""
@@ -438,14 +408,9 @@ def show_invitations(environment: Environment, *, everything: bool, in_json: boo
     at = now()
     with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
         found = [each for each in invitations(store) if everything or each.state(at) == "open"]
-    if in_json:
-        say_json([_summary(each, at) for each in found])
-        return
-    for each in found:
-        for line in _lines(each, at):
-            say(line)
-    if not found:
-        say("no invitations" if everything else "no open invitations")
+    none = "no invitations" if everything else "no open invitations"
+    lines = (line for each in found for line in _lines(each, at)) if found else [none]
+    say_result(in_json, [_summary(each, at) for each in found], lines)
 
 
 def _summary(each: InvitationStatus, at: int) -> dict[str, object]:
@@ -477,9 +442,6 @@ def _lines(each: InvitationStatus, at: int) -> list[str]:
 def show_log(environment: Environment, last: int | None, *, in_json: bool) -> None:
     """Show the newest `last` entries, by default all."""
     entries = AuthorityHome.at(environment.home).store().log.entries()[-(last or 0) :]
-    if in_json:
-        say_json([({**entry._asdict(), "digest": entry.digest.hex()}) for entry in entries])
-        return
-    for entry in entries:
-        words = [str(entry.number), format_time(entry.at), entry.what, entry.subject, entry.detail]
-        say(printable("  ".join(filter(None, words))))
+    words = ((str(one.number), format_time(one.at), one.what, one.subject, one.detail) for one in entries)
+    lines = (printable("  ".join(filter(None, each))) for each in words)
+    say_result(in_json, [{**entry._asdict(), "digest": entry.digest.hex()} for entry in entries], lines)

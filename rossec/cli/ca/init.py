@@ -9,7 +9,7 @@ from ca.keys.private_keys import KeyUri
 from rossec.authority.home import AuthorityHome, check_new, enroll_here, fingerprint
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import flag, json_result, option
 from rossec.clock import format_time
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
@@ -18,11 +18,10 @@ from rossec.terminal import record, say
 
 @click.command()
 @click.argument("domain")
-@click.option("--key", "uri", metavar="URI", help="make the key in a token: pkcs11:token=T;object=O")
-@click.option("--master", "with_master", is_flag=True, help="enroll /master here too")
+@option("--key=URI uri", "make the key in a token: pkcs11:token=T;object=O")
+@flag("--master with_master", "enroll /master here too")
 @passphrase.option
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def init(
     environment: Environment, domain: str, uri: str | None, with_master: bool, passphrase_file: Path | None
 ) -> None:
@@ -33,6 +32,7 @@ def init(
     """
     token = None if uri is None else KeyUri.parse(uri)
     master = NodeHome.of(environment.home, MASTER)
+    # All that may be refused, before a passphrase is asked for twice and a key is made.
     AuthorityHome.check_new(environment.home)
     if with_master:
         check_new(master)
@@ -42,8 +42,7 @@ def init(
         secret = passphrase.read(passphrase_file, environment.variables)
     home = AuthorityHome.create(environment.home, domain, secret, now(), token)
     found = fingerprint(home.anchor())
-    record(domain=domain, path=str(home.path), fingerprint=found)
-    say(f"authority of {domain} in {home.path}")
+    say(f"authority of {domain} in {home.path}", domain=domain, path=str(home.path), fingerprint=found)
     say(f"fingerprint {found}")
     if with_master:
         authority = home.unlock(secret)

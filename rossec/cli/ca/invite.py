@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Final
 
 import click
 
@@ -17,39 +16,30 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import MAX_USES, invite
 from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.authority.policyfile import PolicyFile, place
-from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import own_address
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import NEW_FILE, duration, flag, json_result, option
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
 from rossec.terminal import note, note_picture, printable, record, say_secret
 
-_MAX_DAYS: Final = 30
-
 
 @click.command("invite")
 @click.argument("pattern")
-@click.option(
+@option(
     "--uses",
+    "so many nodes may join, each with a new name",
     type=click.IntRange(1, MAX_USES),
     default=1,
     show_default=True,
-    help="so many nodes may join, each with a new name",
 )
-@options.duration("--for", "lasts", days=_MAX_DAYS, default="1h", text="how long it can be used")
-@click.option("--anonymous", is_flag=True, help="for anonymous nodes too: NAME and NAME_*")
-@click.option("--qr", "picture", is_flag=True, help="also show it as a picture, on stderr")
-@click.option(
-    "--ndef",
-    "tag",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="also write it to this new file, for an NFC tag (NDEF)",
-)
-@click.option("--address", "given", help="where nodes reach `rossec ca serve`, instead of the address found")
-@json_result(secret=True)
-@pass_environment
+@duration("--for lasts", "how long it can be used", days=30, default="1h")
+@flag("--anonymous", "for anonymous nodes too: NAME and NAME_*")
+@flag("--qr picture", "also show it as a picture, on stderr")
+@option("--ndef tag", "also write it to this new file, for an NFC tag (NDEF)", type=NEW_FILE)
+@option("--address given", "where nodes reach `rossec ca serve`, instead of the address found")
+@json_result(pass_environment, secret=True)
 def command(
     environment: Environment,
     pattern: str,
@@ -68,11 +58,17 @@ def command(
     """
     home, at = AuthorityHome.at(environment.home), now()
     # `host:port` of the join port; where only a host is given, the service knows its port.
-    where = addresses.join(*addresses.split(given or own_address(environment), _join_port(home)))
+    port: object = None
+    if (client := KeyServiceClient.find(home.path)) is not None:
+        with closing(client):
+            port = client.status().get("join_port")
+    port = port if isinstance(port, int) and port else addresses.JOIN_PORT
+    where = addresses.join(*addresses.split(given or own_address(environment), port))
     if tag is not None and tag.exists():
         raise ConfigurationError(f"{tag} exists and is not overwritten", "name a new file")
     names = check_pattern(pattern)
     path = place(environment.home, None)
+    # What the names would get is said before the code exists: after that only its end is left.
     policy = policy_lines(path, lambda policy: projected_for_names(policy, names), "them", "these names")
     code = invite(home, pattern, uses, at + lasts, where, at, wildcard=anonymous)
     _describe(code, uses, policy)
@@ -84,16 +80,8 @@ def command(
     if picture:
         note_picture(qr.terminal(code.text()))
     record(id=code.id.hex(), pattern=code.pattern, address=code.address, until=code.expires, code=code.text())
+    # Whoever has it can join: it is the last line, and with --json in the document alone.
     say_secret(code.text())
-
-
-def _join_port(home: AuthorityHome) -> int:
-    client = KeyServiceClient.find(home.path)
-    if client is None:
-        return addresses.JOIN_PORT
-    with closing(client):
-        port = client.status().get("join_port")
-    return port if isinstance(port, int) and port else addresses.JOIN_PORT
 
 
 def _describe(code: InvitationCode, uses: int, policy: list[str]) -> None:

@@ -28,68 +28,58 @@ from rossec.authority.keyservice.process import (
 from rossec.cli.shared import options, passphrase, rules
 from rossec.cli.shared.context import Environment, UnlockTime, pass_environment
 from rossec.cli.shared.master import master_at, own_address
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import FILE, PATH, flag, json_result, option, say_result
 from rossec.clock import format_duration
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
 from rossec.host.addresses import JOIN_PORT
 from rossec.host.audit import AUDIT, audit_written
 from rossec.host.local_sockets import UnixPeer
-from rossec.host.runner import READY, STOPPING, log_as_json, notify, stop_on_signals, until_first_ends
+from rossec.host.runner import log_as_json, stop_on_signals, until_first_ends, until_stopped
 from rossec.host.sandbox import protect_memory
 from rossec.ros import names
-from rossec.terminal import record, say, say_json
+from rossec.terminal import say, say_json
 
 OPERATOR = "the operator who started it"
 _START = "start it with: rossec ca serve"
 _STARTING = 3.0  # seconds: `rossec ca serve &` and `rossec ca unlock` may be pasted together
-_PAUSE = 0.1
 
 
 @click.command()
-@click.option(
-    "--unlock-for",
-    "seconds",
+@option(
+    "--unlock-for seconds",
+    "how long the key is held; 0: while it runs",
     type=UnlockTime(MAX_UNLOCKED),
     default="15m",
     show_default=True,
-    help="how long the key is held; 0: while it runs",
 )
-@click.option("--locked", is_flag=True, help="start without the key: rossec ca unlock")
-@click.option(
-    "--join-address",
-    metavar="HOST:PORT",
+@flag("--locked", "start without the key: rossec ca unlock")
+@option(
+    "--join-address=HOST:PORT join_address",
+    "where nodes with an invitation join; *: every address of this host",
     default=f"{ANY}:{JOIN_PORT}",
     show_default=True,
-    help="where nodes with an invitation join; *: every address of this host",
 )
-@click.option("--no-network", is_flag=True, help="only serve the commands of this host")
-@click.option("--apply", "applies", is_flag=True, help="put the policy in force, and keep it so")
-@click.option(
-    "--renewals/--no-renewals",
-    "renews",
+@flag("--no-network", "only serve the commands of this host")
+@flag("--apply applies", "put the policy in force, and keep it so")
+@option(
+    "--renewals/--no-renewals renews",
+    "renew the identities of nodes that are enrolled, before they end (the default)",
     default=True,
-    help="renew the identities of nodes that are enrolled, before they end (the default)",
 )
 @options.policy
-@click.option(
-    "--rules",
-    "rules_path",
-    type=options.FILE,
-    metavar="FILE",
-    help="name nodes that join with metadata by these rules; without, none is named",
+@option(
+    "--rules=FILE rules_path",
+    "name nodes that join with metadata by these rules; without, none is named",
+    type=FILE,
 )
 @options.master_uri
-@click.option("--console-user", metavar="NAME", help="another user whose console may show this authority")
-@click.option(
-    "--console-socket",
-    "console_socket_path",
-    type=click.Path(path_type=Path),
-    metavar="PATH",
-    help="where the console finds it; for --console-user",
+@option("--console-user=NAME", "another user whose console may show this authority")
+@option(
+    "--console-socket=PATH console_socket_path", "where the console finds it; for --console-user", type=PATH
 )
-@click.option("--log", type=click.Choice(["text", "json"]), default="text", help="form of the log")
-@click.option("--json", "as_json", is_flag=True, help="say that it is ready as a line of JSON")
+@option("--log", "form of the log", type=click.Choice(["text", "json"]), default="text")
+@flag("--json as_json", "say that it is ready as a line of JSON")
 @passphrase.option
 @pass_environment
 def serve(
@@ -122,13 +112,14 @@ def serve(
         raise ConfigurationError("--apply delivers grants over the network", "leave --no-network")
     if rules_path is not None and no_network:
         raise ConfigurationError("--rules are for nodes that join", "leave --no-network")
+    # Read before there is a key: wrong rules end it, and nothing was unlocked for them.
     joiners = None if rules_path is None else rules.read_rules(rules_path)
     uri = master_at(environment, home.node(), master_uri)
     names.parse_uri(uri, "the master's URI")
     where = serving.place(home.path, console_socket_path, console_user)
     options_of_face = FrontEndOptions(join_address, uri, log)
     with ExitStack() as stack:
-        protect_memory()
+        protect_memory()  # first: from here on no core dump and no debugger has the key
         stack.enter_context(service_lock(home.path))
         audit = stack.enter_context(audit_written(home.path / AUDIT_FILE, home.node().signer()))
         face = None if no_network else FrontEndProcess(home, options_of_face, environment.variables)
@@ -136,7 +127,7 @@ def serve(
         network = None
         if face is not None:
             stack.callback(face.close)
-            face.spawn()  # before there is a key
+            face.spawn()  # before there is a key: what it inherits, whoever breaks into it has
             network = NetworkWork(
                 environment.home,
                 operations,
@@ -150,9 +141,15 @@ def serve(
             secret = passphrase.read(passphrase_file, environment.variables)
             operations.unlock(secret, seconds, OPERATOR)
             del secret
+
+        def admit(peer: UnixPeer) -> None:
+            # Neither the front end nor the console may use the socket of the commands: it signs.
+            if face is not None:
+                face.admit(peer)
+            console.peers.refuse(peer)
+
         reached = partial(_join_address, environment, join_address, face)
         console = Console(where, environment.home, operations, network, policy_path, reached)
-        admit = partial(_admit, console, face)
         process = KeyServiceProcess(home, operations, admit, console.access.phone_code)
         asyncio.run(_serve(environment, home, process, console, face, network, as_json=as_json))
 
@@ -164,12 +161,6 @@ def _join_address(environment: Environment, given: str, face: FrontEndProcess | 
         )
     host = addresses.split(given.replace(ANY, "localhost", 1), JOIN_PORT)[0]
     return addresses.join(own_address(environment) if given.startswith(ANY) else host, face.port)
-
-
-def _admit(console: Console, face: FrontEndProcess | None, peer: UnixPeer) -> None:
-    if face is not None:
-        face.admit(peer)
-    console.peers.refuse(peer)
 
 
 async def _serve(
@@ -184,7 +175,7 @@ async def _serve(
 ) -> None:
     audit, stop = logging.getLogger(AUDIT), stop_on_signals()
 
-    async def until_stopped() -> None:
+    async def until_signal() -> None:
         port = None if face is None else await face.started()
         remaining = process.operations.held.remaining()
         if as_json:
@@ -194,16 +185,14 @@ async def _serve(
             say(f"authority of {home.domain}: {describe_remaining(remaining)}")
             if port:
                 say(f"nodes join at port {port}: rossec ca invite PATTERN")
-        notify(READY, environment.variables)
-        await stop.wait()
-        notify(STOPPING, environment.variables)
+        await until_stopped(stop, environment.variables)
 
     try:
         await process.start()
         await console.socket.start()
         audit.info("the service began")
         work = network.run() if network else console.rounds.run()
-        await until_first_ends(until_stopped(), process.watch_time(), work)
+        await until_first_ends(until_signal(), process.watch_time(), work)
     finally:
         await console.socket.close()
         await process.close()
@@ -218,17 +207,15 @@ def describe_remaining(remaining: int | None) -> str:
 
 
 @click.command()
-@click.option(
-    "--for",
-    "seconds",
+@option(
+    "--for seconds",
+    "how long the key is held; 0: while the service runs",
     type=UnlockTime(MAX_UNLOCKED),
     default="15m",
     show_default=True,
-    help="how long the key is held; 0: while the service runs",
 )
 @passphrase.option
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def unlock(environment: Environment, seconds: int, passphrase_file: Path | None) -> None:
     """Give the running service the passphrase: it holds the key from now on, for a time.
 
@@ -237,8 +224,7 @@ def unlock(environment: Environment, seconds: int, passphrase_file: Path | None)
     with closing(_running(environment, wait=_STARTING)) as client:
         secret = passphrase.read(passphrase_file, environment.variables)
         found = client.unlock(secret, seconds)
-        record(**found)
-        say(_describe(found))
+        say(_describe(found), **found)
 
 
 def _running(environment: Environment, wait: float = 0) -> KeyServiceClient:
@@ -247,7 +233,7 @@ def _running(environment: Environment, wait: float = 0) -> KeyServiceClient:
     while (client := KeyServiceClient.find(directory)) is None:
         if seconds() >= until:
             raise ConfigurationError("the authority's service does not run", _START)
-        time.sleep(_PAUSE)
+        time.sleep(0.1)
     return client
 
 
@@ -258,29 +244,24 @@ def _describe(found: dict[str, Value]) -> str:
 
 
 @click.command()
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def lock(environment: Environment) -> None:
     """Let the running service drop the key at once."""
     with closing(_running(environment)) as client:
         found = client.lock()
-        record(**found)
-        say(_describe(found))
+        say(_describe(found), **found)
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@options.as_json
 @pass_environment
 def status(environment: Environment, as_json: bool) -> None:
     """Show whether the authority's service runs, and whether it holds the key."""
     client = KeyServiceClient.find(AuthorityHome.at(environment.home).path)
-    found = None
-    if client is not None:
-        with closing(client):
-            found = client.status()
-    if as_json:
-        say_json({"running": False} if found is None else {"running": True, **found})
-    elif found is None:
-        say(f"no service runs, each command asks for the passphrase; {_START}")
-    else:
-        say(_describe(found))
+    if client is None:
+        text = f"no service runs, each command asks for the passphrase; {_START}"
+        say_result(as_json, {"running": False}, [text])
+        return
+    with closing(client):
+        found = client.status()
+    say_result(as_json, {"running": True, **found}, [_describe(found)])

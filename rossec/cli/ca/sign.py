@@ -8,7 +8,7 @@ from typing import Any, Final
 import click
 
 from ca.authority import DAY, MAX_LIFETIME
-from ca.certificates import Identity, check_intermediate_request, from_pem
+from ca.certificates import check_intermediate_request, from_pem
 from ca.enrollment import qr
 from ca.keys.signing import thumbprint
 from ca.names import check_wildcard, spiffe_id
@@ -21,7 +21,7 @@ from rossec.authority.service import AuthorityService, SignedThing, ThingOrder
 from rossec.authority.signing import IN_FORCE, OTHER_KEY, ThingState, states
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
-from rossec.cli.shared.options import Batch, json_result
+from rossec.cli.shared.options import FILE, NEW_FILE, Batch, duration, flag, json_result, option, say_result
 from rossec.cli.shared.service import (
     give_outright,
     pass_service,
@@ -31,42 +31,34 @@ from rossec.cli.shared.service import (
 )
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
-from rossec.terminal import printable, record, say, say_json
+from rossec.terminal import printable, record, say
 
-identity_lifetime = options.duration(
-    "--for", "lifetime", days=MAX_LIFETIME // DAY, default="30d", text="how long the identity lasts"
+identity_lifetime = duration(
+    "--for lifetime", "how long the identity lasts", days=MAX_LIFETIME // DAY, default="30d"
 )
-anonymous = click.option(
-    "--anonymous", is_flag=True, help="for anonymous nodes too: /rviz also as /rviz_1234_1700000000000"
-)
+anonymous = flag("--anonymous", "for anonymous nodes too: /rviz also as /rviz_1234_1700000000000")
 _MAX_REQUEST: Final = 16 * 1024
-_MAX_BUNDLE = 64 * 1024
-_MAX_DAYS: Final = 3650
 _MAX_CREDENTIAL: Final = 4096
 _ONE: Final = "give --key FILE, --psk FILE or --renew"
-_SHOWN: Final = (IN_FORCE, OTHER_KEY)
 
 
 def replace_key(*, multiple: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    return click.option(
-        "--replace-key",
-        "replaced",
+    return option(
+        "--replace-key=NAME replaced",
+        "let the known name NAME come with another key; revokes the old one",
         multiple=multiple,
-        metavar="NAME",
-        help="let the known name NAME come with another key; revokes the old one",
     )
 
 
 @click.command()
-@click.argument("requests", nargs=-1, required=True, type=options.FILE)
-@click.option("--code", "codes", multiple=True, help="text of the QR code the node shows; one per request")
+@click.argument("requests", nargs=-1, required=True, type=FILE)
+@option("--code codes", "text of the QR code the node shows; one per request", multiple=True)
 @identity_lifetime
 @replace_key(multiple=True)
 @anonymous
 @options.master_uri
-@click.option("--yes", is_flag=True, help="do not ask")
-@json_result()
-@pass_service
+@options.yes
+@json_result(pass_service)
 def sign(
     service: AuthorityService,
     requests: tuple[Path, ...],
@@ -85,20 +77,24 @@ def sign(
     home, batch = service.home, Batch(len(requests))
     read = [(path, read_request(path)) for path in requests]
     if codes:
-        _check_codes(codes, [data for _, data in read])
+        parsed = [qr.parse(text) for text in codes]
+        for code in parsed:
+            code.check_time(now())
+        unmatched = [data for _, data in read if not any(code.matches(data) for code in parsed)]
+        if unmatched or len(parsed) != len(read):
+            raise ConfigurationError(
+                "a request does not fit the codes: it was changed on its way, or is another node's",
+                "scan the code again from the screen of the node itself",
+            )
+    # All are shown, then one question, then all are signed: nobody answers for what he has not seen.
     checked: list[tuple[Path, bytes, str]] = []
     for path, data in read:
         with batch.item(path, last=False):
             request = check_request(data, home.domain, wildcard=anonymous)
-            code_checked = bool(codes)
-            how = (
-                "its code fits"
-                if code_checked
-                else "no code was checked: compare the fingerprint with the one the node shows"
-            )
+            compare = "no code was checked: compare the fingerprint with the one the node shows"
             say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
             say(f"  fingerprint {format_fingerprint(request.thumbprint)}")
-            say(f"  {how}")
+            say(f"  {'its code fits' if codes else compare}")
             if anonymous:
                 warn_of_wildcard(request.name)
             checked.append((path, data, request.name))
@@ -108,28 +104,16 @@ def sign(
         service.unlock()
         for path, data, name in checked:
             with batch.item(path):
+                # A known name with another key revokes the old one: only where it was named, never for all.
                 key = name if name in replaced else None
                 bundle = service.identities.issue(
                     data, lifetime, replace_key=key, wildcard=anonymous, source="file"
                 )
                 target = write_identity(path, bundle)
-                record(name=name, identity=str(target))
-                say(f"signed {name}: {target}")
+                say(f"signed {name}: {target}", name=name, identity=str(target))
                 give_outright(service, name)
         publish_if_revoked(service)
     batch.finish()
-
-
-def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
-    parsed = [qr.parse(text) for text in codes]
-    for code in parsed:
-        code.check_time(now())
-    unmatched = [data for data in requests if not any(code.matches(data) for code in parsed)]
-    if unmatched or len(parsed) != len(requests):
-        raise ConfigurationError(
-            "a request does not fit the codes: it was changed on its way, or is another node's",
-            "scan the code again from the screen of the node itself",
-        )
 
 
 def warn_of_wildcard(name: str) -> None:
@@ -155,8 +139,7 @@ def write_identity(request: Path, bundle: bytes) -> Path:
 @click.command()
 @click.argument("domain")
 @passphrase.option
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def request_intermediate(environment: Environment, domain: str, passphrase_file: Path | None) -> None:
     """On the host: make its key and a request, to carry to the root of DOMAIN."""
     secret = passphrase.choose(passphrase_file, environment.variables)
@@ -169,17 +152,16 @@ def request_intermediate(environment: Environment, domain: str, passphrase_file:
 
 
 @click.command()
-@click.argument("request", type=options.FILE)
-@click.option(
+@click.argument("request", type=FILE)
+@option(
     "--may",
+    "renew identities that exist, or enroll new nodes as well",
     required=True,
     type=click.Choice(["renew", "enroll"]),
-    help="renew identities that exist, or enroll new nodes as well",
 )
-@options.duration("--for", "lifetime", days=MAX_LIFETIME // DAY, default="90d", text="how long it may sign")
-@click.option("--yes", is_flag=True, help="do not ask")
-@json_result()
-@pass_service
+@duration("--for lifetime", "how long it may sign", days=MAX_LIFETIME // DAY, default="90d")
+@options.yes
+@json_result(pass_service)
 def sign_intermediate(service: AuthorityService, request: Path, may: str, lifetime: int, yes: bool) -> None:
     """At the root: sign REQUEST of a host, and set what it may do."""
     domain = service.home.domain
@@ -192,34 +174,30 @@ def sign_intermediate(service: AuthorityService, request: Path, may: str, lifeti
     name, bundle = service.identities.sign_intermediate(data, may_enroll=may == "enroll", lifetime=lifetime)
     target = request.with_suffix(".pem")
     files.replace(target, bundle, 0o644)
-    record(name=name, file=str(target), key=thumbprint(key).hex(), may=may)
-    say(f"signed {name}: {target}")
+    say(f"signed {name}: {target}", name=name, file=str(target), key=thumbprint(key).hex(), may=may)
     say(f"to revoke it, with all it signed: rossec ca revoke {name}")
     remind_to_publish(service)
 
 
 @click.command()
-@click.argument("bundle", type=options.FILE)
+@click.argument("bundle", type=FILE)
 @passphrase.option
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def install_intermediate(environment: Environment, bundle: Path, passphrase_file: Path | None) -> None:
     """On the host: install BUNDLE, which the root signed."""
     data = files.read(bundle, _MAX_REQUEST)
     secret = passphrase.read(passphrase_file, environment.variables)
     found = renewals.install(environment.home, data, secret, now())
     powers = "renew and enroll" if found.may_enroll else "renew"
-    record(may=powers, expires=found.not_after)
-    say(f"this host may {powers} until {format_time(found.not_after)}")
+    say(f"this host may {powers} until {format_time(found.not_after)}", may=powers, expires=found.not_after)
 
 
 @click.command("import")
-@click.argument("bundles", nargs=-1, required=True, type=options.FILE)
+@click.argument("bundles", nargs=-1, required=True, type=FILE)
 @replace_key(multiple=True)
 @options.master_uri
-@click.option("--yes", is_flag=True, help="do not ask")
-@json_result()
-@pass_service
+@options.yes
+@json_result(pass_service)
 def import_(
     service: AuthorityService, bundles: tuple[Path, ...], replaced: tuple[str, ...], yes: bool
 ) -> None:
@@ -231,8 +209,12 @@ def import_(
     found: list[tuple[Path, bytes]] = []
     for path in bundles:
         with batch.item(path, last=False):
-            data = files.read(path, _MAX_BUNDLE)
-            _show_identity(home, path, home.anchor().verify(from_pem(data)[:-1], now()))
+            data = files.read(path, 64 * 1024)
+            identity = home.anchor().verify(from_pem(data)[:-1], now())
+            say(f"{identity.name} of {home.domain} until {format_time(identity.not_after)} ({path})")
+            say(f"  fingerprint {format_fingerprint(identity.thumbprint)}")
+            for issuer in identity.issuers:
+                say(f"  signed by intermediate/{issuer.hex()[:16]}")
             found.append((path, data))
     if found:
         confirm(f"import {len(found)} of them?", yes=yes)
@@ -240,52 +222,32 @@ def import_(
         for path, data in found:
             with batch.item(path):
                 identity, new = service.identities.import_bundle(data, replaced)
-                record(name=identity.name, new=new)
-                say(f"{'imported' if new else 'known already:'} {identity.name}")
+                say(f"{'imported' if new else 'known already:'} {identity.name}", name=identity.name, new=new)
         publish_if_revoked(service)
     batch.finish()
 
 
-def _show_identity(home: AuthorityHome, path: Path, identity: Identity) -> None:
-    say(f"{identity.name} of {home.domain} until {format_time(identity.not_after)} ({path})")
-    say(f"  fingerprint {format_fingerprint(identity.thumbprint)}")
-    for issuer in identity.issuers:
-        say(f"  signed by intermediate/{issuer.hex()[:16]}")
-
-
 @click.command()
 @click.argument("name")
-@click.option("--border", metavar="NAME", help="the border router that serves it")
-@click.option("--key", "ccs", type=options.FILE, help="its credential: a CCS, as CBOR")
-@click.option(
-    "--psk",
-    "description",
-    type=options.FILE,
-    help="what `rossec border add NAME --psk` wrote about its secret",
-)
-@click.option("--renew", is_flag=True, help="say the same again")
-@click.option("--request", type=options.FILE, help="sign this request, of the node that stands for it, too")
-@click.option("--code", help="text of the code on the thing's label")
-@click.option(
-    "--replace",
-    "replaced",
+@option("--border=NAME", "the border router that serves it")
+@option("--key ccs", "its credential: a CCS, as CBOR", type=FILE)
+@option("--psk description", "what `rossec border add NAME --psk` wrote about its secret", type=FILE)
+@flag("--renew", "say the same again")
+@option("--request", "sign this request, of the node that stands for it, too", type=FILE)
+@option("--code", "text of the code on the thing's label")
+@option(
+    "--replace=NAME replaced",
+    "end what is said of NAME: it was renamed or moved, or its device is another one",
     multiple=True,
-    metavar="NAME",
-    help="end what is said of NAME: it was renamed or moved, or its device is another one",
 )
-@options.duration("--for", "lifetime", days=_MAX_DAYS, default="365d", text="how long this is so")
-@options.duration(
-    "--identity-for",
-    "identity_lifetime",
-    days=MAX_LIFETIME // DAY,
-    default="30d",
-    text="how long the identity lasts",
+@duration("--for lifetime", "how long this is so", days=3650, default="365d")
+@duration(
+    "--identity-for identity_lifetime", "how long the identity lasts", days=MAX_LIFETIME // DAY, default="30d"
 )
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
-@click.option("--yes", is_flag=True, help="do not ask")
+@option("--out", "where to write it", type=NEW_FILE)
+@options.yes
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given: Any) -> None:
     """State that the thing NAME has this key or secret, and which border router serves it.
 
@@ -300,22 +262,33 @@ def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given:
         if given["border"] is None:
             raise ConfigurationError("which border router serves it?", "give --border NAME")
         request: Path | None = given["request"]
+        match given["ccs"], given["description"]:
+            case Path() as ccs, None:
+                credential: Credential = read_ccs(files.read(ccs, _MAX_CREDENTIAL))
+            case None, Path() as description:
+                credential = read_description(files.read(description, _MAX_CREDENTIAL))
+            case _:
+                raise ConfigurationError("a thing has a key or a secret", _ONE)
         order = ThingOrder(
             name,
             given["border"],
-            _credential(given["ccs"], given["description"]),
+            credential,
             given["lifetime"],
             frozenset(given["replaced"]),
             b"" if request is None else files.read(request, _MAX_REQUEST),
             given["identity_lifetime"],
         )
-        checked = _check_code(given["code"], order.credential)
+        if given["code"] is not None and not qr.parse(given["code"]).matches(described(credential)):
+            raise ConfigurationError(
+                "the code on the label is not that of this credential",
+                "take the credential from the thing again, or scan the label of this thing",
+            )
         what = "key" if isinstance(order.credential, ThingKey) else "secret"
         say(f"{printable(order.name)} at the border router {printable(order.border)}")
         say(f"  {what} {format_fingerprint(order.credential.thumbprint)}")
         say(f"  kid {order.credential.kid.hex()}")
-        how = "the code of its label fits" if checked else "no code was checked: compare with its label"
-        say(f"  {how}")
+        compare = "no code was checked: compare with its label"
+        say(f"  {compare if given['code'] is None else 'the code of its label fits'}")
         if order.request:
             asked = check_request(order.request, service.home.domain)
             say(f"  and an identity for its node, fingerprint {format_fingerprint(asked.thumbprint)}")
@@ -328,27 +301,6 @@ def thing(service: AuthorityService, name: str, yes: bool, renew: bool, **given:
         publish_list(service)
     else:
         remind_to_publish(service)
-
-
-def _credential(ccs: Path | None, description: Path | None) -> Credential:
-    match ccs, description:
-        case Path(), None:
-            return read_ccs(files.read(ccs, _MAX_CREDENTIAL))
-        case None, Path():
-            return read_description(files.read(description, _MAX_CREDENTIAL))
-        case _:
-            raise ConfigurationError("a thing has a key or a secret", _ONE)
-
-
-def _check_code(code: str | None, credential: Credential) -> bool:
-    if code is None:
-        return False
-    if not qr.parse(code).matches(described(credential)):
-        raise ConfigurationError(
-            "the code on the label is not that of this credential",
-            "take the credential from the thing again, or scan the label of this thing",
-        )
-    return True
 
 
 def described(credential: Credential) -> bytes:
@@ -366,12 +318,10 @@ def _hand_over(
     say(f"signed {name} until {format_time(statement.expires)}: {target}")
     bundle = target if request is None else write_identity(request, signed.bundle)
     if request is not None:
-        record(identity=str(bundle))
-        say(f"signed its identity: {bundle}")
+        say(f"signed its identity: {bundle}", identity=str(bundle))
     path = service.things.store(signed.data, signed.bundle)
     if path is not None:
-        record(border=str(path))
-        say(f"given to its border router in {path}")
+        say(f"given to its border router in {path}", border=str(path))
     else:
         more = "" if request is None else f" {bundle}"
         say(f"next, on its border router: rossec border install {target}{more}")
@@ -380,20 +330,14 @@ def _hand_over(
 
 
 @click.command()
-@click.option("--all", "everything", is_flag=True, help="also what is renewed, expired or revoked")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@flag("--all everything", "also what is renewed, expired or revoked")
+@flag("--json in_json", "one line of JSON")
 @pass_environment
 def things(environment: Environment, everything: bool, in_json: bool) -> None:
     """List the things that are stated now, with their border routers."""
     with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
-        found = [each for each in states(store, now()) if everything or each.state in _SHOWN]
-    if in_json:
-        say_json([_summary(each) for each in found])
-        return
-    for each in found:
-        say(_line(each))
-    if not found:
-        say("no things")
+        found = [each for each in states(store, now()) if everything or each.state in (IN_FORCE, OTHER_KEY)]
+    say_result(in_json, [_summary(each) for each in found], map(_line, found) if found else ["no things"])
 
 
 def _summary(each: ThingState) -> dict[str, object]:

@@ -13,7 +13,7 @@ import os
 import shlex
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
@@ -22,23 +22,12 @@ import click
 from click.shell_completion import CompletionItem, ShellComplete, split_arg_string
 
 from ca.errors import HintedError
-from rossec.cli.completion.values import (
-    COMMAND,
-    FREE,
-    KINDS,
-    Outline,
-    Values,
-    command_of,
-    kinds_of,
-    offered,
-    outline_of,
-)
+from rossec.cli.completion import values
 from rossec.terminal import say_block
 
 COMMANDS: Final = Path(__file__).parents[1]
 SHIPPED: Final = Path(__file__).with_name("outlines.json")
 CACHE: Final = Path(__file__).parent / "__pycache__" / "outlines.json"
-_MAX: Final = 1024 * 1024
 _FILES: Final = [CompletionItem("", type="file")]  # the shell looks them up
 VARIABLE: Final = "_ROSSEC_COMPLETE"
 _BASH: Final = """\
@@ -151,17 +140,18 @@ class OutlineTable:
             found = _read(cache)
             self._outlines = found["outlines"] if found.get("stamp") == self._stamp else {}
 
-    def get(self, place: str, load: Callable[[], click.Command]) -> Outline:
+    def get(self, place: str, load: Callable[[], click.Command]) -> values.Outline:
         if place not in self._outlines:
-            self._outlines[place] = outline_of(load())
+            self._outlines[place] = values.outline_of(load())
             if self._stamp is not None:
                 self._keep()
-        found: Outline = self._outlines[place]
+        found: values.Outline = self._outlines[place]
         return found
 
     def _keep(self) -> None:
         # Write the cache; where it cannot be written, completion is slow and right.
         text = json.dumps({"stamp": self._stamp, "outlines": self._outlines})
+        # Two presses of Tab may write at once: each its own file, and the last one stays.
         new = self._cache.with_name(f"{self._cache.name}.{os.getpid()}")
         with contextlib.suppress(OSError):
             self._cache.parent.mkdir(exist_ok=True)
@@ -170,16 +160,22 @@ class OutlineTable:
 
 
 def completed(
-    name: str, place: str, load: Callable[[], click.Command], table: OutlineTable | None = None
+    name: str,
+    place: str,
+    load: Callable[[], click.Command],
+    arguments: Iterable[str] = (),
+    table: OutlineTable | None = None,
 ) -> click.Command:
     """The command `name` at `place`, to be completed: made of its outline, a group as it is."""
     found = outline(place, load, table)
     if "params" not in found:
         return load()
-    return command_of(name, found, [*map(_values, kinds_of(place, found))])
+    return values.command_of(name, found, [*map(_values, values.kinds_of(place, arguments, found))])
 
 
-def outline(place: str, load: Callable[[], click.Command], table: OutlineTable | None = None) -> Outline:
+def outline(
+    place: str, load: Callable[[], click.Command], table: OutlineTable | None = None
+) -> values.Outline:
     """The outline of the command at `place`; `load` imports it if that is needed."""
     return (table or _table()).get(place, load)
 
@@ -189,14 +185,14 @@ def _table() -> OutlineTable:
     return OutlineTable()
 
 
-def _values(kind: str) -> Values | None:
-    return None if kind == FREE else partial(_offer, kind)
+def _values(kind: str) -> values.Values | None:
+    return None if kind == values.FREE else partial(_offer, kind)
 
 
 def _offer(
     kind: str, context: click.Context, _param: click.Parameter, incomplete: str
 ) -> list[CompletionItem[Any]]:
-    if kind == COMMAND:
+    if kind == values.COMMAND:
         return _FILES
     from rossec.cli.completion.sources import Sources  # noqa: PLC0415 - not needed for options
 
@@ -205,8 +201,8 @@ def _offer(
         sources = Sources(environment.home, environment.variables)
     except HintedError:  # a home that others could have written
         return []
-    found = [word for read in KINDS[kind] for word in read(sources)]
-    return [CompletionItem(word) for word in offered(found, incomplete)]
+    found = [word for read in values.KINDS[kind] for word in read(sources)]
+    return [CompletionItem(word) for word in values.offered(found, incomplete)]
 
 
 def answer(group: click.Command, environment: Any) -> str:
@@ -242,6 +238,7 @@ class _Bash(_Shell):
     def get_completions(self, args: list[str], incomplete: str) -> list[CompletionItem[Any]]:
         found = super().get_completions(args, incomplete)
         typed = incomplete.partition("=")[2] if incomplete[:2] == "--" else incomplete
+        # Readline breaks words at `:`, which aliases have (hospital:/pose): what stands before is typed.
         kept = 0 if "COMP_LINE" not in self._variables else typed.rfind(":") + 1
         return [CompletionItem(item.value[kept:], item.type) for item in found]
 
@@ -253,7 +250,7 @@ def _read(path: Path) -> dict[str, Any]:
     # A table in a file; empty if it cannot be read.
     try:
         with path.open("rb") as stream:
-            found = json.loads(stream.read(_MAX))
+            found = json.loads(stream.read(1024 * 1024))
     except (OSError, ValueError):
         return {}
     whole = isinstance(found, dict) and isinstance(found.get("outlines"), dict)

@@ -24,7 +24,6 @@ from rossec.cli.completion import values
 RIGHTS: Final = ("admin", "call", "graph", "param-get", "param-set", "provide", "publish", "subscribe")
 _MAX_POLICY: Final = 1024 * 1024
 _NAME: Final = re.compile(r"""(?<![\w/*.:-])(?:[a-z0-9._-]+:)?(?:/[A-Za-z]\w*)+(?![\w/*])""", re.ASCII)
-_STORE: Final = ("typesys", "stores", "ros1_noetic.py")
 _TYPE: Final = re.compile(r"^    '(\w+)/msg/(\w+)'", re.ASCII | re.MULTILINE)
 _SHORT: Final = 8  # hexadecimal digits; commands take the beginning of an identifier
 
@@ -59,11 +58,13 @@ class Sources:
     def recorded(self, kind: str) -> Iterator[object]:
         path = self._home / "ca" / "ca.db"
         with contextlib.suppress(OSError, HintedError, sqlite3.Error):
+            # A record that another user could have written is not opened: SQLite parses it.
             ownership.check_trusted(path)
             # Without writers' files SQLite would make some, also to read.
             busy = path.with_name(f"{path.name}-wal").exists()
             uri = f"{path.absolute().as_uri()}?{'mode=ro' if busy else 'immutable=1'}"
             with closing(sqlite3.connect(uri, timeout=0, uri=True)) as db:
+                # A schema may have triggers and views with functions: none is trusted to run.
                 db.execute("PRAGMA trusted_schema = OFF")
                 for (found,) in db.execute(_RECORD[kind], {"now": int(time.time())}):
                     yield found.hex()[:_SHORT] if isinstance(found, bytes) else found
@@ -89,7 +90,9 @@ class Sources:
                 yield entry.removesuffix(".grant")[:_SHORT] if entry.endswith(".grant") else None
 
     def types(self, folder: str) -> Iterator[object]:
-        for share in _package_paths(self._variables):
+        given = self._variables.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+        places = dict.fromkeys([*given, "/opt/ros/noetic/share", "/usr/share"])
+        for share in (Path(path) for path in places if path[:1] == "/"):
             for package in _entries(share):
                 for entry in _entries(share / package / folder):
                     if entry.endswith(f".{folder}"):
@@ -99,14 +102,8 @@ class Sources:
         found = importlib.util.find_spec("rosbags")
         for place in (found.submodule_search_locations or []) if found else []:
             with contextlib.suppress(OSError):
-                text = Path(place, *_STORE).read_text(errors="replace")
+                text = Path(place, "typesys", "stores", "ros1_noetic.py").read_text(errors="replace")
                 yield from map("/".join, _TYPE.findall(text))
-
-
-def _package_paths(variables: Mapping[str, str]) -> Iterator[Path]:
-    given = variables.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-    places = dict.fromkeys([*given, "/opt/ros/noetic/share", "/usr/share"])
-    yield from (Path(path) for path in places if path[:1] == "/")
 
 
 def _entries(directory: Path) -> list[str]:

@@ -33,73 +33,10 @@ TYPE: Final = "type"
 _MAX: Final = 1024 * 1024
 Outline = dict[str, Any]
 Values = Callable[[click.Context, click.Parameter, str], list[Any]]
-_FILES: Final = ("file", "dir")
-_WHOLE: Final = 1000  # no help line is cut
 Read = Callable[[Any], Iterator[object]]  # of `sources.Sources`
 FREE: Final = "free"  # nothing to offer: a new name, a pattern, a value
 COMMAND: Final = "command"
-# The kinds of the arguments that are text, in their order, of each command that takes some. Options mean the
-# same in all commands, but for those in `_OTHERWISE`.
-ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {
-    "border.constrained_nodes:forget": ("thing",),
-    "border.constrained_nodes:add": (FREE,),
-    "ca.enroll:enroll": (FREE,),
-    "ca.identities:renew": ("recorded node",),
-    "ca.identities:show": ("recorded node",),
-    "ca.init:init": (FREE,),
-    "ca.sign:request_intermediate": (FREE,),
-    "ca.identities:revoke_invitations": ("invitation",),
-    "ca.invite:command": (FREE,),
-    "ca.enroll:approve": ("request",),
-    "ca.enroll:deny": ("request",),
-    "ca.identities:revoke": ("recorded node or thing",),
-    "ca.sign:thing": ("thing",),
-    "console.phones:remove": ("phone",),
-    "domain.trust:limit": ("domain",),
-    "domain.trust:remove": ("domain",),
-    "domain.listing:show": ("domain",),
-    "relay.sites:add_site": (FREE,),
-    "relay.sites:param": ("domain", FREE),
-    "relay.sites:remove_site": ("domain",),
-    "grant.delivery:list_": ("node",),
-    "grant.request:request": ("own node",),
-    "grant.request:approve": ("grant request",),
-    "grant.request:deny": ("grant request",),
-    "grant.sign:sign": ("node",),
-    "grant.delivery:revoke": ("grant",),
-    "node.doctor:doctor": ("own node",),
-    "node.enroll:confirm": ("own node", FREE),
-    "node.enroll:enroll": ("own node",),
-    "node.enroll:labels": ("own node",),
-    "node.identity:code": ("own node",),
-    "node.identity:request": (FREE,),
-    "node.identity:show": ("own node",),
-    "node.sidecar:run": (COMMAND,),
-    "ros.graph:node_info": ("running node",),
-    "policy.explain:explain": ("node", "right", "topic or service"),
-    "policy.apply:opt_out": ("node",),
-    "relay.sites:add_relay": (FREE,),
-    "relay.sites:card": (FREE,),
-    "relay.sites:remove_relay": (FREE,),
-    "ros.calls:delete_param": (FREE,),
-    "ros.calls:get_param": (FREE,),
-    "ros.calls:list_params": (FREE,),
-    "ros.calls:set_param": (FREE, FREE),
-    "ros.calls:call": ("service", FREE),
-    "ros.calls:service_info": ("service",),
-    "ros.calls:type_of_service": ("service",),
-    "ros.topic:echo": ("topic", "message type"),
-    "ros.topic:pub": ("topic", "message type", FREE),
-    "ros.graph:find_topics": ("message type",),
-    "ros.graph:topic_info": ("topic",),
-    "ros.graph:list_topics": (FREE,),
-    "ros.graph:type_of_topic": ("topic",),
-    "ros.topic:bw": ("topic",),
-    "ros.topic:hz": ("topic",),
-    "relay.sites:add_account": (FREE,),
-    "relay.sites:remove_account": (FREE,),
-    "relay.sites:show_account": (FREE,),
-}
+# Options mean the same in all commands, but for those in `_OTHERWISE`.
 OPTIONS: Final = {
     "--as": "own node",
     "--border": "recorded node",
@@ -168,6 +105,7 @@ def keep(home: Path, master: str, names: Mapping[str, Iterable[str]]) -> None:
     """
     from rossec import files  # noqa: PLC0415 - not needed to read
 
+    # A master may name anything: only what no shell can take for more is kept.
     kept = {kind: [*filter(is_offered, found)][:MAX_WORDS] for kind, found in names.items()}
     data = json.dumps({"master": master, "names": kept}).encode()
     with contextlib.suppress(OSError, HintedError):
@@ -182,6 +120,7 @@ def read(home: Path, master: str, kind: str) -> list[object]:
     except (OSError, HintedError, ValueError):
         return []
     match found:
+        # The names of another master would be wrong here.
         case {"master": str() as uri, "names": {**names}} if uri == master:
             words = names.get(kind)
             return words if isinstance(words, list) else []
@@ -190,7 +129,7 @@ def read(home: Path, master: str, kind: str) -> list[object]:
 
 def outline_of(command: click.Command) -> Outline:
     """The outline of a command; of a group its help line alone."""
-    line = {"help": command.get_short_help_str(_WHOLE)}
+    line = {"help": command.get_short_help_str(1000)}  # no help line is cut
     if isinstance(command, click.Group):
         return line
     return {
@@ -202,7 +141,13 @@ def outline_of(command: click.Command) -> Outline:
 
 
 def _param(param: click.Parameter) -> Outline:
-    found: Outline = {"name": param.name, "nargs": param.nargs} | _type(param.type)
+    found: Outline = {"name": param.name, "nargs": param.nargs}
+    if isinstance(param.type, click.Choice):
+        found["choices"] = [str(each) for each in param.type.choices]
+    elif isinstance(param.type, click.Path):
+        found["path"] = ("file", "dir")[param.type.dir_okay and not param.type.file_okay]
+    else:
+        found["text"] = param.type.name == "text"
     if isinstance(param, click.Option):
         found |= {
             "opts": list(param.opts),
@@ -212,14 +157,6 @@ def _param(param: click.Parameter) -> Outline:
             "help": param.help or "",
         }
     return found
-
-
-def _type(kind: click.ParamType[Any]) -> Outline:
-    if isinstance(kind, click.Choice):
-        return {"choices": [str(each) for each in kind.choices]}
-    if isinstance(kind, click.Path):
-        return {"path": _FILES[kind.dir_okay and not kind.file_okay]}
-    return {"text": kind.name == "text"}
 
 
 def command_of(name: str, outline: Outline, values: Sequence[Values | None]) -> click.Command:
@@ -233,7 +170,11 @@ def command_of(name: str, outline: Outline, values: Sequence[Values | None]) -> 
 
 
 def _parameter(outline: Outline, complete: Values | None) -> click.Parameter:
-    kind = _made_type(outline)
+    kind: click.ParamType[Any] = click.STRING
+    if "choices" in outline:
+        kind = click.Choice(outline["choices"])
+    elif "path" in outline:
+        kind = click.Path(file_okay=outline["path"] == "file", dir_okay=True)
     if "opts" not in outline:
         return click.Argument(
             [outline["name"]], nargs=outline["nargs"], type=kind, required=False, shell_complete=complete
@@ -252,28 +193,14 @@ def _parameter(outline: Outline, complete: Values | None) -> click.Parameter:
     )
 
 
-def _made_type(outline: Outline) -> click.ParamType[Any]:
-    if "choices" in outline:
-        return click.Choice(outline["choices"])
-    if "path" in outline:
-        return click.Path(file_okay=outline["path"] == "file", dir_okay=True)
-    return click.STRING
+def kinds_of(place: str, arguments: Iterable[str], outline: Outline) -> list[str]:
+    """The kind of each param; `arguments` are those of the arguments that are text, in their order."""
+    left = iter(arguments)
 
+    def kind(param: Outline) -> str:
+        if "opts" not in param:
+            return next(left, FREE) if param.get("text") else FREE
+        found = (_OTHERWISE.get((place, each)) or OPTIONS.get(each) for each in param["opts"])
+        return next(filter(None, found), FREE)
 
-def kinds_of(place: str, outline: Outline) -> list[str]:
-    arguments = iter(ARGUMENTS.get(place, ()))
-    return [
-        _kind_of_option(place, each["opts"])
-        if "opts" in each
-        else next(arguments, FREE)
-        if each.get("text")
-        else FREE
-        for each in outline["params"]
-    ]
-
-
-def _kind_of_option(place: str, opts: list[str]) -> str:
-    for option in opts:
-        if found := _OTHERWISE.get((place, option)) or OPTIONS.get(option):
-            return found
-    return FREE
+    return list(map(kind, outline["params"]))

@@ -2,35 +2,33 @@
 
 import time
 from contextlib import closing
-from typing import Final
+from typing import Any
 from urllib.parse import quote, urlsplit
 
 import click
 
-from ca.approvals.passkeys import Approval, Passkey
+from ca.approvals.passkeys import Passkey
 from ca.approvals.statement import StatementKind
 from ca.enrollment import qr
-from ca.store.log import ApprovalEnd, ApprovalState
-from ca.store.record import Store
+from ca.store.log import ApprovalState
 from rossec.authority.console.messages import sentence
 from rossec.authority.console.phone_codes import CODE_LIFETIME
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import KeyServiceClient
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import flag, json_result, option, say_result
 from rossec.clock import format_time
 from rossec.console.listening import read_address
 from rossec.console.options import LOCALHOST, MAX_PHONE_NAME
 from rossec.errors import ConfigurationError
-from rossec.terminal import printable, record, say, say_json, say_picture
-
-_PERIOD: Final = 0.5  # seconds between two looks at the record
+from rossec.terminal import printable, say, say_json, say_picture
 
 
 @click.command()
-@click.option("--name", default="", help="what the phone will be called; it can be changed there")
-@click.option("--no-wait", is_flag=True, help="do not wait until the phone is set up")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON; does not wait")
+@option("--name", "what the phone will be called; it can be changed there", default="")
+@flag("--no-wait", "do not wait until the phone is set up")
+@flag("--json as_json", "one line of JSON; does not wait")
 @pass_environment
 def phone(environment: Environment, name: str, no_wait: bool, as_json: bool) -> None:
     """Show a one-time code that logs in a phone, and can set it up to approve.
@@ -52,7 +50,14 @@ def phone(environment: Environment, name: str, no_wait: bool, as_json: bool) -> 
         return
     show_code(address)
     if not no_wait:
-        say(_wait(home, known))
+        end = time.monotonic() + CODE_LIFETIME
+        while time.monotonic() < end:
+            for number, called in _phones(home).items():
+                if number not in known:
+                    say(f"{printable(called)} is set up")
+                    return
+            time.sleep(0.5)  # seconds between two looks at the record
+        say("the code is over, and set up no phone")
 
 
 def running_service(home: AuthorityHome) -> KeyServiceClient:
@@ -82,21 +87,10 @@ def show_code(address: str) -> None:
     say("works once, within 2 minutes; another one: rossec console phone")
 
 
-def _wait(home: AuthorityHome, known: dict[bytes, str]) -> str:
-    end = time.monotonic() + CODE_LIFETIME
-    while time.monotonic() < end:
-        for number, name in _phones(home).items():
-            if number not in known:
-                return f"{printable(name)} is set up"
-        time.sleep(_PERIOD)
-    return "the code is over, and set up no phone"
-
-
 @click.command()
 @click.argument("name")
-@click.option("--reason", default="", help="why, for the record")
-@json_result()
-@pass_environment
+@options.reason
+@json_result(pass_environment)
 def remove(environment: Environment, name: str, reason: str) -> None:
     """Let the phone NAME approve nothing any more, also not what still waits for the key."""
     with closing(AuthorityHome.at(environment.home).store()) as store:
@@ -106,15 +100,14 @@ def remove(environment: Environment, name: str, reason: str) -> None:
         before = len(store.approvals.waiting())
         store.remove_passkey(found[0].id, reason, now())
         ended = before - len(store.approvals.waiting())
-    record(name=name, ended=ended)
-    say(f"{printable(name)} can approve nothing any more")
+    say(f"{printable(name)} can approve nothing any more", name=name, ended=ended)
     if ended:
         say(f"what it approved and was not done yet comes to nothing: {ended}")
 
 
 @click.command()
-@click.option("--verify", is_flag=True, help="recompute every signature, with the whole log")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--verify", "recompute every signature, with the whole log")
+@options.as_json
 @pass_environment
 def approvals(environment: Environment, verify: bool, as_json: bool) -> None:
     """Show who approved what at the console, oldest first, and what came of it.
@@ -128,64 +121,45 @@ def approvals(environment: Environment, verify: bool, as_json: bool) -> None:
             store.log.audit(home.own_key())
         phones = {passkey.id: passkey.name for passkey in store.passkeys.all()}
         found, ends = store.approvals.all(), store.approvals.ends()
-    shown = [
-        _approvals_summary(each, phones.get(each.passkey, "?"), ends.get(each.id), verified=verify)
+    rows: list[dict[str, Any]] = [
+        {
+            "id": each.id.hex(),
+            "kind": StatementKind(each.kind).name.lower().replace("_", "-"),
+            "what": sentence(each.read(), each.payload),
+            "phone": phones.get(each.passkey, "?"),
+            "at": each.at,
+            "state": ends[each.id].state if each.id in ends else str(ApprovalState.WAITING),
+            "result": ends[each.id].result if each.id in ends else "",
+            "statement": each.read().challenge.hex(),
+            **({"verified": True} if verify else {}),
+        }
         for each in found
     ]
-    if as_json:
-        say_json(shown)
-        return
-    for item in shown:
-        say(printable(_line(item)))
+    lines = [
+        printable(
+            f"{row['id'][:8]}  {format_time(row['at'])}  {row['phone']}  {row['what']}: {row['state']}"
+            + (f" ({row['result']})" if row["result"] else "")
+        )
+        for row in rows
+    ]
     if verify:
-        say(f"{len(found)} approval{'s' * (len(found) != 1)}, each signed by its phone")
-    elif not found:
-        say("nothing was approved at the console yet")
-
-
-def _approvals_summary(
-    approval: Approval, phone: str, end: ApprovalEnd | None, *, verified: bool
-) -> dict[str, object]:
-    statement = approval.read()
-    return {
-        "id": approval.id.hex(),
-        "kind": StatementKind(approval.kind).name.lower().replace("_", "-"),
-        "what": sentence(statement, approval.payload),
-        "phone": phone,
-        "at": approval.at,
-        "state": str(ApprovalState.WAITING) if end is None else end.state,
-        "result": "" if end is None else end.result,
-        "statement": statement.challenge.hex(),
-        **({"verified": True} if verified else {}),
-    }
-
-
-def _line(item: dict[str, object]) -> str:
-    at = item["at"]
-    time = format_time(at) if isinstance(at, int) else ""
-    result = f" ({item['result']})" if item["result"] else ""
-    head = f"{str(item['id'])[:8]}  {time}  {item['phone']}"
-    return f"{head}  {item['what']}: {item['state']}{result}"
+        lines.append(f"{len(found)} approval{'s' * (len(found) != 1)}, each signed by its phone")
+    say_result(as_json, rows, lines or ["nothing was approved at the console yet"])
 
 
 def show(environment: Environment, *, everything: bool, as_json: bool) -> None:
     with closing(AuthorityHome.at(environment.home).store()) as store:
         found = store.passkeys.all() if everything else store.passkeys.active()
-        ended, used = store.passkeys.ended(), _last_used(store)
-    if as_json:
-        say_json([_summary(each, used, ended) for each in found])
-        return
+        ended = store.passkeys.ended()
+        used = {each.passkey: each.at for each in store.approvals.all()}
+    lines = []
     for each in found:
         at = used.get(each.id)
         last = f"approved last {format_time(at)}" if at else "has approved nothing"
         end = f"  removed: {ended[each.id]}" if each.id in ended else ""
-        say(printable(f"{each.name}  since {format_time(each.at)}  {last}  {each.origin}{end}"))
-    if not found:
-        say("no phone can approve; next: rossec console phone")
-
-
-def _last_used(store: Store) -> dict[bytes, int]:
-    return {each.passkey: each.at for each in store.approvals.all()}
+        lines.append(printable(f"{each.name}  since {format_time(each.at)}  {last}  {each.origin}{end}"))
+    rows = [_summary(each, used, ended) for each in found]
+    say_result(as_json, rows, lines or ["no phone can approve; next: rossec console phone"])
 
 
 def _summary(passkey: Passkey, used: dict[bytes, int], ended: dict[bytes, str]) -> dict[str, object]:

@@ -6,18 +6,17 @@ import socket
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, nullcontext
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from rossec.authority.console.messages import SOCKET
 from rossec.authority.home import AuthorityHome
-from rossec.authority.keyservice.client import KeyServiceClient
 from rossec.cli.console.phones import login_address, running_service, show_code
 from rossec.cli.shared.context import Environment, now
 from rossec.console.listening import only_console, write_address
 from rossec.console.options import HAND_OUT_PORT, ConsoleEndpoint, ConsoleOptions, check_origin, read_options
 from rossec.console.tls.certificates import DIRECTORY, TlsSetup, prepare_tls, renewed_from
+from rossec.console.tls.own_authority import TlsAuthority, describe
 from rossec.console.tls.own_authority import as_json as described
-from rossec.console.tls.own_authority import describe
 from rossec.errors import ConfigurationError
 from rossec.host.runner import READY, STOPPING, log_as_json, notify
 from rossec.terminal import say, say_block, say_json
@@ -25,11 +24,9 @@ from rossec.terminal import say, say_block, say_json
 if TYPE_CHECKING:
     from rossec.console.server.supervisor import PreviewProcess
 
-_LIBRARIES: Final = ("fido2", "jinja2", "starlette", "uvicorn")
-
 
 def check_libraries() -> None:
-    missing = [name for name in _LIBRARIES if find_spec(name) is None]
+    missing = [name for name in ("fido2", "jinja2", "starlette", "uvicorn") if find_spec(name) is None]
     if missing:
         raise ConfigurationError(
             f"the console needs libraries that are not installed: {', '.join(missing)}",
@@ -48,8 +45,9 @@ def serve(
         log_as_json()
     endpoint = read_options(options, socket.gethostname())
     home = AuthorityHome.at(environment.home)
+    # A passkey is bound to the origin it was made at: another name would end every phone's (WebAuthn).
     if not endpoint.read_only:  # nobody approves there
-        check_origin(endpoint, _origins_of_phones(home), rename=rename)
+        check_origin(endpoint, origins_of_phones(home), rename=rename)
     setup = prepare_tls(endpoint, home.path / DIRECTORY, now(), rename=rename)
     with closing(running_service(home)) as client, _ending(home, environment, endpoint):
         web = WebOptions(settings_for(endpoint, home.domain), home.path / SOCKET, log)
@@ -57,7 +55,15 @@ def serve(
         def ready() -> None:
             if not endpoint.read_only:  # the codes of `rossec console phone` are for the other one
                 write_address(home.path, endpoint.origin)
-            _say_ready(client, endpoint, setup, as_json=as_json)
+            authority = None if setup is None else setup.authority
+            address = login_address(endpoint.origin, client.phone_code())
+            if as_json:
+                about = {} if authority is None else {"tls": described(authority)}
+                say_json({"ready": endpoint.origin, "login": address, "process": os.getpid(), **about})
+            else:
+                _say_authority(authority, endpoint)
+                show_code(address)
+                say(f"the console is at {endpoint.origin}; Ctrl-C ends it")
             notify(READY, environment.variables)
 
         certificates = None if setup is None else renewed_from(setup.source, now)
@@ -66,16 +72,16 @@ def serve(
             asyncio.run(supervise(endpoint, web, environment.variables, ready, certificates, preview))
 
 
+def origins_of_phones(home: AuthorityHome) -> set[str]:
+    with closing(home.store()) as store:
+        return {passkey.origin for passkey in store.passkeys.active()}
+
+
 def _preview(environment: Environment) -> "PreviewProcess":
     from rossec.console.server.supervisor import PreviewProcess, check_enrolled  # noqa: PLC0415 - heavy
 
     check_enrolled(environment.home)
     return PreviewProcess({**environment.variables, "ROSSEC_HOME": str(environment.home)})
-
-
-def _origins_of_phones(home: AuthorityHome) -> set[str]:
-    with closing(home.store()) as store:
-        return {passkey.origin for passkey in store.passkeys.active()}
 
 
 @contextmanager
@@ -101,23 +107,15 @@ def _handing_out(
         yield
 
 
-def _say_ready(
-    client: KeyServiceClient, endpoint: ConsoleEndpoint, setup: TlsSetup | None, *, as_json: bool
-) -> None:
-    address = login_address(endpoint.origin, client.phone_code())
-    authority = None if setup is None else setup.authority
-    if as_json:
-        about = {} if authority is None else {"tls": described(authority)}
-        say_json({"ready": endpoint.origin, "login": address, "process": os.getpid(), **about})
+def _say_authority(authority: TlsAuthority | None, endpoint: ConsoleEndpoint) -> None:
+    # What a person needs whose phone does not trust it yet.
+    if authority is None:
         return
-    if authority is not None:  # what a person needs whose phone does not trust it yet
-        for line in describe(authority, now()):
-            say(line)
-        if endpoint.hand_out:
-            say("for ten minutes a phone gets the certificate, and how to install it, at")
-            say(f"    http://{endpoint.name}:{HAND_OUT_PORT}/")
-            say_block("compare the fingerprint before you trust it: that page is not protected\n")
-        else:
-            say("a phone that does not trust it yet: start with --hand-out")
-    show_code(address)
-    say(f"the console is at {endpoint.origin}; Ctrl-C ends it")
+    for line in describe(authority, now()):
+        say(line)
+    if not endpoint.hand_out:
+        say("a phone that does not trust it yet: start with --hand-out")
+        return
+    say("for ten minutes a phone gets the certificate, and how to install it, at")
+    say(f"    http://{endpoint.name}:{HAND_OUT_PORT}/")
+    say_block("compare the fingerprint before you trust it: that page is not protected\n")

@@ -5,19 +5,20 @@ from pathlib import Path
 
 import click
 
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.options import flag, option, say_result
 from rossec.console.options import ConsoleOptions, check_name, read_options
 from rossec.console.tls import certificates
 from rossec.console.tls.own_authority import as_json as described
 from rossec.console.tls.own_authority import describe
 from rossec.errors import ConfigurationError
-from rossec.terminal import say, say_json
 
 
 @click.command()
-@click.option("--renew", is_flag=True, help="make a new one, which every phone must install anew")
-@click.option("--name", help="DNS name of this host for --renew; by default as before")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--renew", "make a new one, which every phone must install anew")
+@option("--name", "DNS name of this host for --renew; by default as before")
+@options.as_json
 @pass_environment
 def tls(environment: Environment, renew: bool, name: str | None, as_json: bool) -> None:
     """Show the console's own TLS authority (--lan): its fingerprint, in words and hex.
@@ -31,13 +32,8 @@ def tls(environment: Environment, renew: bool, name: str | None, as_json: bool) 
         authority = certificates.renew(directory, _name(directory, name), certificates.first_address(), now())
     else:
         authority = certificates.open_authority(directory)
-    if as_json:
-        say_json(described(authority))
-        return
-    for line in describe(authority, now()):
-        say(line)
-    if renew:
-        say("install it on every phone: rossec console --lan --hand-out")
+    install = ["install it on every phone: rossec console --lan --hand-out"] if renew else []
+    say_result(as_json, described(authority), [*describe(authority, now()), *install])
 
 
 def _name(directory: Path, given: str | None) -> str:

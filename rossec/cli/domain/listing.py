@@ -10,13 +10,14 @@ from rossec.authority.domain_operations import find_row, living_grants
 from rossec.authority.home import AuthorityHome
 from rossec.cli.domain import trust
 from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.options import flag, say_result
 from rossec.clock import format_time
 from rossec.terminal import printable, say, say_json
 
 
 @click.command("list")
-@click.option("--all", "everything", is_flag=True, help="also those that were removed")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@flag("--all everything", "also those that were removed")
+@flag("--json in_json", "one line of JSON")
 @pass_environment
 def list_(environment: Environment, everything: bool, in_json: bool) -> None:
     """List the foreign domains that are trusted."""
@@ -25,20 +26,18 @@ def list_(environment: Environment, everything: bool, in_json: bool) -> None:
         if everything:
             rows = list({(row.label, row.root): row for row in store.domains.all()}.values())
         states = [(row, _state(store, row)) for row in rows]
-    if in_json:
-        say_json([{**trust.as_json(row.read()), "state": state} for row, state in states])
-        return
-    for row, state in states:
-        held = row.read()
-        words = [row.label, row.domain, f"until {format_time(held.until)}", state]
-        say(printable("  ".join(words)))
-    if not states:
-        say("no foreign domains" if everything else "no foreign domain is trusted")
+    none = "no foreign domains" if everything else "no foreign domain is trusted"
+    lines = [
+        printable(f"{row.label}  {row.domain}  until {format_time(row.read().until)}  {state}")
+        for row, state in states
+    ]
+    document = [{**trust.as_json(row.read()), "state": state} for row, state in states]
+    say_result(in_json, document, lines or [none])
 
 
 @click.command()
 @click.argument("label")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@flag("--json in_json", "one line of JSON")
 @pass_environment
 def show(environment: Environment, label: str, in_json: bool) -> None:
     """Show how far the domain LABEL is trusted."""

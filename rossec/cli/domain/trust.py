@@ -30,7 +30,7 @@ from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
 from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import confirm, now
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import FILE, NEW_FILE, flag, json_result, option
 from rossec.cli.shared.service import pass_service, publish_list
 from rossec.clock import format_time
 from rossec.enrollment.enroll import code_in_file
@@ -43,35 +43,26 @@ OF_RELAYS: Final = (RELAY, f"{RELAY}/*")  # without these no link between sites
 EVERYTHING, NOTHING = "everything", "nothing"
 MAX_DAYS: Final = 10 * 366
 _RIGHTS: Final = {right.label: right for right in Right} | {"all": ALL_RIGHTS}
-_RULE: Final = "'/robot/** subscribe', '/door/open call'; or everything, or nothing"
-_UNITS: Final = ((86400, "d"), (3600, "h"), (60, "m"))
-admit = click.option(
-    "--admit",
-    multiple=True,
-    metavar="PATTERN",
-    help="nodes of it that may connect; its masters and relays may as well",
+admit = option(
+    "--admit=PATTERN", "nodes of it that may connect; its masters and relays may as well", multiple=True
 )
 
 
 @click.command()
-@click.option(
-    "--out", type=click.Path(path_type=Path, dir_okay=False), help="write it here, instead of DOMAIN.card"
-)
-@click.option(
-    "--names",
+@option("--out", "write it here, instead of DOMAIN.card", type=NEW_FILE)
+@option(
+    "--names=PATTERN",
+    "your nodes that shall be admitted there",
     multiple=True,
-    metavar="PATTERN",
     default=("/**",),
     show_default=True,
-    help="your nodes that shall be admitted there",
 )
-@click.option("--at", "masters", multiple=True, metavar="URI", help="where they reach your master")
+@option("--at=URI masters", "where they reach your master", multiple=True)
 @options.duration(
-    "--for", "lifetime", days=MAX_CARD_LIFETIME // 86400, default="7d", text="how long it can be accepted"
+    "--for lifetime", "how long it can be accepted", days=MAX_CARD_LIFETIME // 86400, default="7d"
 )
-@click.option("--qr", "picture", is_flag=True, help="also show its code as a picture, on stderr")
-@json_result()
-@pass_service
+@flag("--qr picture", "also show its code as a picture, on stderr")
+@json_result(pass_service)
 def card(
     service: AuthorityService,
     out: Path | None,
@@ -101,39 +92,36 @@ def card(
 
 def lifetime(default: str | None) -> Callable[..., Any]:
     text = "how long it is trusted, from now on"
-    return options.duration("--for", "lifetime", days=MAX_DAYS, default=default, text=text)
+    return options.duration("--for lifetime", text, days=MAX_DAYS, default=default)
 
 
 def fresh(default: str | None) -> Callable[..., Any]:
     text = "how old its last word on its revocations may be"
-    return options.duration("--fresh", days=MOST_FRESH // 86400, default=default, text=text)
+    return options.duration("--fresh", text, days=MOST_FRESH // 86400, default=default)
 
 
 def rules(command: Callable[..., Any]) -> Callable[..., Any]:
-    for option, name, what in (
-        ("--import", "imported", "taken from it into the graph here"),
-        ("--export", "exported", "shown to it, where grants allow it too"),
+    for name, what in (
+        ("--import=RULE imported", "taken from it into the graph here"),
+        ("--export=RULE exported", "shown to it, where grants allow it too"),
     ):
-        command = click.option(
-            option, name, multiple=True, metavar="RULE", help=f"{what}: PATTERN RIGHT[,RIGHT]"
-        )(command)
+        command = option(name, f"{what}: PATTERN RIGHT[,RIGHT]", multiple=True)(command)
     return command
 
 
 @click.command()
-@click.argument("card", type=options.FILE)
-@click.option("--as", "label", help="what it is called here, for example hospital")
+@click.argument("card", type=FILE)
+@option("--as label", "what it is called here, for example hospital")
 @admit
 @fresh("1h")
 @lifetime("365d")
 @rules
-@click.option("--code", help="the code that its authority shows (rossec domain card)")
+@option("--code", "the code that its authority shows (rossec domain card)")
 @options.image
-@click.option("--fingerprint", "expected", help="the fingerprint that its authority has told you")
+@option("--fingerprint expected", "the fingerprint that its authority has told you")
 @options.master_uri
-@click.option("--yes", is_flag=True, help="do not ask")
-@json_result()
-@pass_service
+@options.yes
+@json_result(pass_service)
 def accept(
     service: AuthorityService,
     card: Path,
@@ -161,7 +149,12 @@ def accept(
     if code is not None:
         check_code(code, data)
     found = open_card(data, now())
-    _check_fingerprint(found, expected)
+    shown = format_fingerprint(found.anchor.thumbprint)
+    if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
+        raise ConfigurationError(
+            f"the fingerprint of the card is {shown}",
+            "it is another authority's: ask yours for its card again, and trust no other",
+        )
     domain = ForeignDomain(
         found.anchor.domain,
         _label(home, found, label),
@@ -195,15 +188,6 @@ def accept(
     publish_domains(service)
 
 
-def _check_fingerprint(card: Card, expected: str | None) -> None:
-    shown = format_fingerprint(card.anchor.thumbprint)
-    if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
-        raise ConfigurationError(
-            f"the fingerprint of the card is {shown}",
-            "it is another authority's: ask yours for its card again, and trust no other",
-        )
-
-
 def _label(home: AuthorityHome, card: Card, given: str | None) -> str:
     if given is not None:
         return check_label(given)
@@ -219,6 +203,7 @@ def _label(home: AuthorityHome, card: Card, given: str | None) -> str:
 
 def admitted(patterns: Iterable[str]) -> tuple[str, ...]:
     """The patterns that are admitted: those given, masters and relays; each once, sorted."""
+    # Sorted and once: the same terms are the same octets.
     return tuple(sorted({*map(check_pattern, patterns), *OF_MASTERS, *OF_RELAYS}))
 
 
@@ -245,7 +230,10 @@ def _rule(text: str) -> NameRights:
             raise ConfigurationError(f"{label!a} is not a right", f"one of {', '.join(_RIGHTS)}")
         bits |= _RIGHTS[label]
     if not bits:
-        raise ConfigurationError(f"{text!a} is not a pattern and its rights", f"as in {_RULE}")
+        raise ConfigurationError(
+            f"{text!a} is not a pattern and its rights",
+            "as in '/robot/** subscribe', '/door/open call'; or everything, or nothing",
+        )
     return check_pattern(pattern), int(bits)
 
 
@@ -287,7 +275,7 @@ def _admitted(patterns: tuple[str, ...]) -> str:
 
 def duration(seconds: int) -> str:
     """Seconds as an option takes them: `1h`, `90s`."""
-    for size, unit in _UNITS:
+    for size, unit in ((86400, "d"), (3600, "h"), (60, "m")):
         if seconds % size == 0:
             return f"{seconds // size}{unit}"
     return f"{seconds}s"
@@ -315,8 +303,7 @@ def _rules_json(given: tuple[NameRights, ...] | None) -> list[dict[str, Any]] | 
 def publish_domains(service: AuthorityService) -> None:
     record(published=False)
     service.publish_domains()
-    record(published=True)
-    say("the master has the new list of domains")
+    say("the master has the new list of domains", published=True)
 
 
 @click.command()
@@ -326,9 +313,8 @@ def publish_domains(service: AuthorityService) -> None:
 @lifetime(None)
 @rules
 @options.master_uri
-@click.option("--yes", is_flag=True, help="do not ask")
-@json_result()
-@pass_service
+@options.yes
+@json_result(pass_service)
 def limit(
     service: AuthorityService,
     label: str,
@@ -364,18 +350,16 @@ def limit(
         say(printable(line))
     confirm("trust it so far?", yes=yes)
     listed = service.domains.limit(label, **changes)
-    record(**as_json(new), list=listed.seq)
-    say(f"changed (list of domains {listed.seq})")
+    say(f"changed (list of domains {listed.seq})", **as_json(new), list=listed.seq)
     publish_domains(service)
 
 
 @click.command()
 @click.argument("label")
-@click.option("--reason", default="", help="why, for the record")
-@click.option("--revoke-grants", is_flag=True, help="also revoke every grant that was signed for its nodes")
+@options.reason
+@flag("--revoke-grants", "also revoke every grant that was signed for its nodes")
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def remove(service: AuthorityService, label: str, reason: str, revoke_grants: bool) -> None:
     """Trust the domain LABEL no more, and cut its connections.
 

@@ -3,10 +3,10 @@
 import asyncio
 import logging
 from collections.abc import Sequence
-from contextlib import AsyncExitStack, suppress
+from contextlib import AsyncExitStack
 from functools import partial
-from typing import Final
 
+from ca.errors import HintedError
 from rossec.cli.shared.context import Environment
 from rossec.cli.shared.master import node_as
 from rossec.cli.status import ADMIN_SOCKET
@@ -16,13 +16,11 @@ from rossec.gateway.gateway import Gateway, status
 from rossec.gateway.rules import TopicRule
 from rossec.home import NodeHome
 from rossec.host.local_sockets import process_lock
-from rossec.host.runner import READY, STOPPING, notify, stop_on_signals, until_first_ends
+from rossec.host.runner import stop_on_signals, until_reached, until_stopped
 from rossec.master.operation.admin import AdminPort, raise_descriptor_limit
 from rossec.node import Node
 from rossec.terminal import note, printable, say, say_json
 
-LOCK: Final = "gateway.lock"
-AGAIN_AFTER: Final = 2.0  # seconds until a master that is out of reach is tried again
 _log = logging.getLogger("rossec.gateway")
 
 
@@ -30,53 +28,38 @@ def run(environment: Environment, rules: Sequence[TopicRule], *, as_json: bool) 
     name = own_gateway(environment.variables)
     home = NodeHome.of(environment.home, name)
     home.anchor()  # before anything is written there
-    busy = ConfigurationError(f"{name} runs already", "end it first, or take another --name")
-    raise_descriptor_limit()
-    with process_lock(home.path / LOCK, busy):
-        asyncio.run(_serve(environment, name, home, rules, as_json=as_json))
 
+    async def serve() -> None:
+        stop = stop_on_signals()
+        async with AsyncExitStack() as stack:
 
-async def _serve(
-    environment: Environment, name: str, home: NodeHome, rules: Sequence[TopicRule], *, as_json: bool
-) -> None:
-    stop = stop_on_signals()
-    async with AsyncExitStack() as stack:
-        node = await _joined(stack, environment, name, stop)
-        if node is None:
-            return
-        _check_origins(node, rules)
-        serving = Gateway(node, rules)
-        admin = AdminPort(home.path / ADMIN_SOCKET, {"status": partial(status, serving, name)})
-        await admin.start()
-        try:
+            def tell(error: HintedError) -> None:
+                _log.warning("no master yet, trying again: %s (%s)", error, error.hint)
+
+            async def join() -> Node:
+                environment.found.clear()  # what was found before may be why there is none now
+                return await stack.enter_async_context(node_as(environment, name))
+
+            # Other refusals are of what is wrong on this host: waiting would not mend them.
+            node = await until_reached(join, stop, (PeerUnreachable, MasterNotFound), tell)
+            if node is None:
+                return
+            _check_origins(node, rules)
+            serving = Gateway(node, rules)
+            admin = AdminPort(home.path / ADMIN_SOCKET, {"status": partial(status, serving, name)})
+            stack.push_async_callback(admin.close)
+            await admin.start()
             if as_json:
                 say_json({"ready": node.name})
             else:
                 labels = ", ".join(dict.fromkeys(each.label for each in rules))
                 say(printable(f"gateway {node.name} serves topics of {labels}"))
-            notify(READY, environment.variables)
-            await until_first_ends(serving.run(), node.wait_ended(), stop.wait())
-            notify(STOPPING, environment.variables)
-        finally:
-            await admin.close()
+            await until_stopped(stop, environment.variables, serving.run(), node.wait_ended())
 
-
-async def _joined(
-    stack: AsyncExitStack, environment: Environment, name: str, stop: asyncio.Event
-) -> Node | None:
-    said = ""
-    while not stop.is_set():
-        try:
-            return await stack.enter_async_context(node_as(environment, name))
-        except (PeerUnreachable, MasterNotFound) as error:  # not of what is wrong on this host
-            environment.found.clear()
-            if said != str(error):
-                _log.warning("no master yet, trying again: %s (%s)", error, error.hint)
-            said = str(error)
-        with suppress(TimeoutError):
-            async with asyncio.timeout(AGAIN_AFTER):
-                await stop.wait()
-    return None
+    busy = ConfigurationError(f"{name} runs already", "end it first, or take another --name")
+    raise_descriptor_limit()
+    with process_lock(home.path / "gateway.lock", busy):
+        asyncio.run(serve())
 
 
 def _check_origins(node: Node, rules: Sequence[TopicRule]) -> None:

@@ -41,6 +41,7 @@ def split(words: Sequence[str]) -> tuple[tuple[TopicRule, ...], list[str]]:
     groups, rest, left = list[_Group](), list[str](), iter(words)
     current: _Group | None = None
     for word in left:
+        # Not by click, whose options are of the command: these are of the --from before them.
         option, equals, value = word.partition("=")
         if option == FROM:
             current = _Group(value if equals else _next(left, option))

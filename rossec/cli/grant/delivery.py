@@ -16,22 +16,21 @@ from rossec.authority.service import AuthorityService
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import holder_home, open_held, read_token
-from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.cli.shared.options import FILE, Batch, duration, flag, json_result, option, say_result, unique
 from rossec.cli.shared.service import pass_service, publish_list, remind_to_publish, say_deposited, service_of
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError, NotDelivered
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
-from rossec.terminal import note, printable, record, say, say_json
+from rossec.terminal import note, printable, record, say
 
-_OVER = ("expired", "revoked")
 _STATES = {"held": "held", "fetched": "delivered", "waiting": "waiting", "": "undelivered"}
 DAY: Final = 86400
 
 
 @click.command("list")
 @click.argument("nodes", metavar="[NODE]...", nargs=-1)
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@options.as_json
 @options.master_uri
 @pass_environment
 def list_(environment: Environment, nodes: tuple[str, ...], as_json: bool, master_uri: str | None) -> None:
@@ -54,14 +53,18 @@ def list_(environment: Environment, nodes: tuple[str, ...], as_json: bool, maste
         else "expired" * (at >= grant.cap)
         for grant in grants
     }
+    # The master is asked only where the record does not say it: a list works without a master.
     if not all(states.values()):
         _complete(service, grants, states)
-    grants.sort(key=lambda grant: _place(grant, states[grant.id]))
-    if as_json:
-        say_json([_summary(grant, revoked, states[grant.id]) for grant in grants])
-        return
-    for grant in grants:
-        say(_line(grant, states[grant.id]))
+
+    def place(grant: Grant) -> tuple[object, ...]:
+        over = states[grant.id] in ("expired", "revoked")
+        return is_alias(grant.subject), grant.subject, over, -grant.expires, -grant.not_before, grant.id
+
+    grants.sort(key=place)
+    rows = [(grant, states[grant.id]) for grant in grants]
+    documents = [_summary(grant, revoked, state) for grant, state in rows]
+    say_result(as_json, documents, (_line(grant, state) for grant, state in rows))
 
 
 def _complete(service: AuthorityService, grants: list[Grant], states: dict[bytes, str]) -> None:
@@ -79,11 +82,6 @@ def _complete(service: AuthorityService, grants: list[Grant], states: dict[bytes
             states[grant.id] = "delivered"
     if reason and "unknown" in states.values():
         note(f"whether nodes have their grants is unknown: {reason}")
-
-
-def _place(grant: Grant, state: str) -> tuple[object, ...]:
-    foreign = is_alias(grant.subject)
-    return foreign, grant.subject, state in _OVER, -grant.expires, -grant.not_before, grant.id
 
 
 def _summary(grant: Grant, revoked: frozenset[bytes], state: str) -> dict[str, object]:
@@ -118,8 +116,7 @@ def _line(grant: Grant, state: str) -> str:
 
 @click.command()
 @options.master_uri
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def deliver(environment: Environment, master_uri: str | None) -> None:
     """Deposit every grant in force that the master does not have.
 
@@ -134,7 +131,7 @@ def deliver(environment: Environment, master_uri: str | None) -> None:
 
 
 @click.command()
-@click.argument("file", type=options.FILE)
+@click.argument("file", type=FILE)
 @json_result()
 def show(file: Path) -> None:
     """Show what the grant in FILE allows; its signature is not checked."""
@@ -168,9 +165,8 @@ def _facts(content: Grant) -> dict[str, object]:
 
 
 @click.command()
-@click.argument("grant_files", metavar="FILE...", nargs=-1, required=True, type=options.FILE)
-@json_result()
-@pass_environment
+@click.argument("grant_files", metavar="FILE...", nargs=-1, required=True, type=FILE)
+@json_result(pass_environment)
 def install(environment: Environment, grant_files: tuple[Path, ...]) -> None:
     """Give the grant in FILE, or the chain, to its node, on the node's machine.
 
@@ -183,17 +179,15 @@ def install(environment: Environment, grant_files: tuple[Path, ...]) -> None:
             home = holder_home(environment.home, peek(data))
             content = open_held(home, data, now())
             home.add_grant(content.id, data)
-            record(grant=content.id.hex(), node=home.name)
-            say(f"{home.name} holds grant {content.id.hex()}")
+            say(f"{home.name} holds grant {content.id.hex()}", grant=content.id.hex(), node=home.name)
     batch.finish()
 
 
 @click.command()
 @click.argument("grant_ids", metavar="GRANT_ID...", nargs=-1, required=True)
-@click.option("--reason", default="", help="why, for the record")
+@options.reason
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def revoke(service: AuthorityService, grant_ids: tuple[str, ...], reason: str) -> None:
     """Revoke the grant GRANT_ID (or the beginning of it) and notify the master at once.
 
@@ -206,44 +200,35 @@ def revoke(service: AuthorityService, grant_ids: tuple[str, ...], reason: str) -
     for grant_id in ids:
         with batch.item(grant_id):
             listed, entry = service.grants.revoke(grant_id, reason)
-            record(grant=entry.hex(), list=listed.seq)
-            say(f"revoked {entry.hex()} (list {listed.seq})")
+            say(f"revoked {entry.hex()} (list {listed.seq})", grant=entry.hex(), list=listed.seq)
     if batch.done:
         publish_list(service)
     batch.finish()
 
 
 @click.command()
-@options.duration(
-    "--for",
-    "lifetime",
-    days=MAX_DELEGATION // DAY,
-    default="90d",
-    text="how long the master may renew grants",
-)
-@options.duration(
+@duration("--for lifetime", "how long the master may renew grants", days=MAX_DELEGATION // DAY, default="90d")
+@duration(
     "--ticket",
+    "how long a renewed grant holds before it is renewed again; at least a minute",
     days=MAX_TICKET // DAY,
     default="8h",
-    text="how long a renewed grant holds before it is renewed again; at least a minute",
 )
-@click.option(
-    "--to",
-    "master",
-    metavar="NAME",
+@option(
+    "--to=NAME master",
+    "which of the domain's masters; give its address with --master",
     default=MASTER,
     show_default=True,
-    help="which of the domain's masters; give its address with --master",
 )
-@click.option("--withdraw", is_flag=True, help="revoke what was delegated before instead")
+@flag("--withdraw", "revoke what was delegated before instead")
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def delegate(service: AuthorityService, lifetime: int, ticket: int, master: str, withdraw: bool) -> None:
     """Let the master renew grants, unchanged and up to their caps, while the authority is away.
 
     A revoked grant is not renewed. With --withdraw, what the master has renewed ends at once.
     """
+    # Before a passphrase is asked for.
     if ticket < MIN_TICKET:
         raise ConfigurationError(
             f"a ticket of {ticket} s ends before a node can be sure to have the next one",
@@ -261,9 +246,9 @@ def delegate(service: AuthorityService, lifetime: int, ticket: int, master: str,
         return
     delegation, call = service.grants.delegate(lifetime, ticket, master)
     until = format_time(delegation.expires)
+    # Signed and recorded before it is delivered: it can be withdrawn also if the master never answers.
     record(master=master, id=delegation.id.hex(), expires=delegation.expires, published=False)
     say(f"{master} may renew grants until {until} (delegation {delegation.id.hex()})")
     service.grants.deliver_delegation(delegation, call)
-    record(published=True)
-    say("the master has the delegation")
+    say("the master has the delegation", published=True)
     remind_to_publish(service)

@@ -1,9 +1,8 @@
 """`rossec grant request | decide | pending | approve | deny`: nodes request grants."""
 
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -18,33 +17,25 @@ from rossec.authority.approvals import PendingApproval, verdict_change
 from rossec.authority.grant_operations import RefusedDeposit, SignedGrant, require_delivered
 from rossec.authority.policyfile import PolicyFile, place, read_policy
 from rossec.authority.service import AuthorityService
-from rossec.cli.grant.sign import own_pattern
+from rossec.cli.grant.sign import own_pattern, right_options
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
-from rossec.cli.shared.options import Batch, add_entry, json_result, unique
+from rossec.cli.shared.options import FILE, FOLDER, PATH, Batch, flag, json_result, option, say_result
 from rossec.cli.shared.service import deliver_grant, deliver_grants, pass_service, service_of
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.terminal import note, printable, record, say, say_json
+from rossec.terminal import note, printable, record, say
 
 _ASKABLE = ("publish", "subscribe", "call", "provide", "param-get", "param-set", "graph")
 
 
-def _right_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    for label in reversed(_ASKABLE):
-        text = f"ask for the right {label} on NAME; may be repeated"
-        command = click.option(f"--{label}", multiple=True, metavar="NAME", help=text)(command)
-    return command
-
-
 @click.command()
 @click.argument("node")
-@_right_options
-@click.option("--why", required=True, help="the reason, for the person or policy that decides")
-@click.option("--out", type=click.Path(path_type=Path), help="write the request to this new file")
-@json_result()
-@pass_environment
+@right_options({label: f"ask for the right {label} on NAME; may be repeated" for label in _ASKABLE}, "NAME")
+@option("--why", "the reason, for the person or policy that decides", required=True)
+@option("--out", "write the request to this new file", type=PATH)
+@json_result(pass_environment)
 def request(
     environment: Environment, /, node: str, why: str, out: Path | None, **named: tuple[str, ...]
 ) -> None:
@@ -58,6 +49,7 @@ def request(
     if not any(named.values()):
         raise ConfigurationError("a request for nothing", "add --subscribe NAME, --publish NAME")
     identity = home.identity(now())
+    # Own names are resolved here: the authority gets a request for one node, and no words of a shell.
     requested = tuple(
         RequestedRight(Right[label.upper()], own_pattern(name, identity.name, tail=identity.wildcard))
         for label, names in named.items()
@@ -65,17 +57,14 @@ def request(
     )
     asked = GrantRequest(identity.domain, identity.name, now(), secrets.token_bytes(16), requested, why)
     data = sign_request(home.credentials().signer, asked)
-    record(request=asked.id.hex(), node=asked.node)
-    say(f"request {asked.id.hex()} of {asked.node}")
+    say(f"request {asked.id.hex()} of {asked.node}", request=asked.id.hex(), node=asked.node)
     authority = environment.home / "ca"
     if out is not None:
         files.create(out, data, 0o644)
-        record(file=str(out))
-        say(f"written to {out}; at the authority: rossec grant decide {out}")
+        say(f"written to {out}; at the authority: rossec grant decide {out}", file=str(out))
     elif (authority / "ca.pem").exists():
         requests.put_in_inbox(authority, asked, data)
-        record(inbox=True)
-        say("put into the authority's inbox; there: rossec grant decide")
+        say("put into the authority's inbox; there: rossec grant decide", inbox=True)
         if not place(environment.home, None).exists():
             sign = grant_command(asked.node, [(each.right, each.pattern) for each in requested])
             note(f"there is no policy that decides it: {sign}; or begin one: rossec policy init")
@@ -84,12 +73,11 @@ def request(
 
 
 @click.command()
-@click.argument("request_files", nargs=-1, type=options.FILE)
-@click.option("--out-dir", type=click.Path(path_type=Path, file_okay=False), help="write grants here too")
+@click.argument("request_files", nargs=-1, type=FILE)
+@option("--out-dir", "write grants here too", type=FOLDER)
 @options.policy
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def decide(
     service: AuthorityService, request_files: tuple[Path, ...], out_dir: Path | None, policy_path: Path | None
 ) -> None:
@@ -103,10 +91,8 @@ def decide(
     denied = len(decided.denied)
     record(allowed=decided.allowed, denied=denied, waiting=decided.waiting)
     for stored, reason in decided.denied:
-        node, wanted = stored.request.node, stored.requested
-        label, name = wanted.right.label, wanted.pattern
-        facts = {"node": node, "right": label, "name": name, "reason": reason}
-        add_entry("denials", facts)
+        node, label, name = stored.request.node, stored.requested.right.label, stored.requested.pattern
+        options.add_entry("denials", {"node": node, "right": label, "name": name, "reason": reason})
         say(f"denied {shown(node)} {label} {shown(name)}: {printable(reason)}")
         say(f"  what would change it: rossec explain {shown(node)} {label} {in_shell(shown(name))}")
     counts = [f"{decided.allowed} allowed", f"{decided.waiting} for you"]
@@ -117,7 +103,7 @@ def decide(
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@options.as_json
 @options.policy
 @pass_environment
 def pending(environment: Environment, as_json: bool, policy_path: Path | None) -> None:
@@ -125,33 +111,29 @@ def pending(environment: Environment, as_json: bool, policy_path: Path | None) -
     service = service_of(environment)
     policy = _collected(service, policy_path)
     prompts = service.policy.pending(policy)
-    if as_json:
-        say_json([_summary(item) for item in prompts])
-        return
-    for item in prompts:
-        stored = item.stored
-        say(f"{stored.short_id}  {stored.request.node} wants to {stored.requested}")
-        say(f'  it says: "{printable(stored.request.why)}"')
-        for rule in item.verdict.rules:
-            say(f"  {rule.reason}")
-        for line in restriction_lines(item.verdict):
-            say(f"  {line}")
-        until = stored.at + policy.policy.defaults.prompt_timeout
-        say(f"  denied, unless you answer by {format_time(until)}")
-        say(f"  rossec grant approve {stored.short_id} [--approximate FILTER] [--today], or deny")
-    if not prompts:
-        say("no open requests")
+
+    def lines() -> Iterator[str]:
+        for item in prompts:
+            stored = item.stored
+            yield f"{stored.short_id}  {stored.request.node} wants to {stored.requested}"
+            yield f'  it says: "{printable(stored.request.why)}"'
+            yield from (f"  {rule.reason}" for rule in item.verdict.rules)
+            yield from (f"  {line}" for line in restriction_lines(item.verdict))
+            until = stored.at + policy.policy.defaults.prompt_timeout
+            yield f"  denied, unless you answer by {format_time(until)}"
+            yield f"  rossec grant approve {stored.short_id} [--approximate FILTER] [--today], or deny"
+
+    say_result(as_json, [_summary(item) for item in prompts], lines() if prompts else ["no open requests"])
 
 
 @click.command()
 @click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
-@click.option("--approximate", "coarse", metavar="FILTER", help="only through this filter")
-@click.option("--today", "only_today", is_flag=True, help="only until midnight")
-@click.option("--out-dir", type=click.Path(path_type=Path, file_okay=False), help="write the grant here too")
+@option("--approximate=FILTER coarse", "only through this filter")
+@flag("--today only_today", "only until midnight")
+@option("--out-dir", "write the grant here too", type=FOLDER)
 @options.policy
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def approve(
     service: AuthorityService,
     request_ids: tuple[str, ...],
@@ -165,8 +147,9 @@ def approve(
     --approximate adds a filter of the policy or a preset, --today ends it at midnight. Where one of
     several is refused the others are approved, and the exit code is 1.
     """
-    ids = unique(request_ids)
+    ids = options.unique(request_ids)
     policy = read_policy(service.rossec_home, policy_path, signs=True)
+    # A filter that is unknown is refused before any request is approved with it.
     change = verdict_change(policy, coarse, now(), only_today=only_today)
     _collect(service, policy)
     if len(ids) > 1:
@@ -183,20 +166,19 @@ def approve(
 @click.command()
 @click.argument("request_ids", metavar="REQUEST_ID...", nargs=-1, required=True)
 @options.policy
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def deny(environment: Environment, request_ids: tuple[str, ...], policy_path: Path | None) -> None:
     """Deny the request REQUEST_ID (or the beginning of it).
 
     Where one of several is refused the others are denied, and the exit code is 1.
     """
-    service, ids = service_of(environment), unique(request_ids)
+    service, ids = service_of(environment), options.unique(request_ids)
     policy = _collected(service, policy_path)
     batch = Batch(len(ids), "id")
     for request_id in ids:
         with batch.item(request_id):
             for item in service.policy.deny(policy, request_id):
-                add_entry("requests", {"node": item.stored.request.node, **_right(item)})
+                options.add_entry("requests", {"node": item.stored.request.node, **_right(item)})
                 say(f"denied {item.stored.request.node} {item.stored.requested}")
     batch.finish()
 
@@ -219,8 +201,7 @@ def _deliver(
 ) -> Sequence[RefusedDeposit]:
     for draft, data in signed:
         number = document.grant_id(data).hex()
-        facts = {"id": number, "node": draft.subject, "expires": draft.expires}
-        add_entry("grants", facts)
+        options.add_entry("grants", {"id": number, "node": draft.subject, "expires": draft.expires})
         say(f"grant {number} for {draft.subject} until {format_time(draft.expires)}")
         for permission in draft.permissions:
             say(f"  may {permission.rights.label} {permission.pattern}")

@@ -22,16 +22,7 @@ from grants.conditions.compile import compile_condition
 from grants.errors import ConditionRefused, FilterRefused, GrantMalformed, GrantNotHeld, NarrowingNotAllowed
 from grants.filters.compile import PRESETS, compile_filter, preset
 from grants.filters.layout import parse
-from grants.model import (
-    MAX_NARROWINGS,
-    Draft,
-    Grant,
-    Permission,
-    Restriction,
-    Right,
-    check_time,
-    filter_rules,
-)
+from grants.model import MAX_NARROWINGS, Draft, Permission, Restriction, Right, check_time, filter_rules
 from grants.policy.names import NODE, check_rule_pattern, resolve
 from grants.token import pack_chain, peek, sign_narrowing
 from rossec import files
@@ -41,7 +32,7 @@ from rossec.authority.signing import CLOCK_SKEW
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment
 from rossec.cli.shared.master import read_token
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import FILE, PATH, duration, flag, json_result, option
 from rossec.cli.shared.service import deliver_grant, pass_service, remind_to_publish
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
@@ -62,10 +53,7 @@ _RIGHTS: Final = {
     Right.PARAM_SET: "may set these parameters and all below",
     Right.ADMIN: "may end these nodes and clean up after them",
 }
-_RESTRICTED: Final = Right.SUBSCRIBE | Right.CALL  # by conditions and filters given here
 MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
-MAX_NARROWED_DAYS: Final = 365
-_OVERHEAD: Final = 16  # of the array it is presented in
 
 
 def _once(_context: click.Context, _parameter: click.Parameter, given: tuple[Any, ...]) -> Any:
@@ -76,83 +64,63 @@ def _once(_context: click.Context, _parameter: click.Parameter, given: tuple[Any
 
 
 _RESTRICTING: Final = (
-    click.option("--graph", is_flag=True, help="may see the whole ROS graph"),
-    click.option(
-        "--type",
-        "type_name",
-        multiple=True,
-        callback=_once,
-        metavar="PKG/TYPE",
-        help="message type of the restrictions",
-    ),
-    click.option("--clear", multiple=True, metavar="FIELD", help="clear this field"),
-    click.option("--round", "rounds", multiple=True, metavar="FIELD=STEP", help="round this field"),
-    click.option(
-        "--clamp", "clamps", multiple=True, metavar="FIELD=LOW:HIGH", help="keep this field in a range"
-    ),
-    click.option(
-        "--rate",
-        type=float,
-        multiple=True,
-        callback=_once,
-        metavar="HZ",
-        help="at most so many messages a second",
-    ),
-    click.option(
-        "--preset",
-        "preset_name",
+    flag("--graph", "may see the whole ROS graph"),
+    option("--type=PKG/TYPE type_name", "message type of the restrictions", multiple=True, callback=_once),
+    option("--clear=FIELD", "clear this field", multiple=True),
+    option("--round=FIELD=STEP rounds", "round this field", multiple=True),
+    option("--clamp=FIELD=LOW:HIGH clamps", "keep this field in a range", multiple=True),
+    option("--rate=HZ", "at most so many messages a second", type=float, multiple=True, callback=_once),
+    option(
+        "--preset preset_name",
+        "restrictions for a usual wish; see `rossec grant presets`",
         type=click.Choice(list(PRESETS)),
         multiple=True,
         callback=_once,
-        help="restrictions for a usual wish; see `rossec grant presets`",
     ),
-    click.option(
-        "--when", multiple=True, metavar="CONDITION", help="only messages and times for which this holds"
-    ),
+    option("--when=CONDITION", "only messages and times for which this holds", multiple=True),
 )
 
 
-def rights(command: Callable[..., Any]) -> Callable[..., Any]:
-    for right, help_text in reversed(_RIGHTS.items()):
-        command = click.option(f"--{right.label}", multiple=True, metavar="PATTERN", help=help_text)(command)
-    return command
+def right_options(texts: dict[str, str], metavar: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """An option for each right, by its label."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        for label, text in reversed(texts.items()):
+            command = option(f"--{label}", text, multiple=True, metavar=metavar)(command)
+        return command
+
+    return decorate
 
 
 def permission_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add every option for rights and their restrictions; `read_permissions` takes what they say."""
-    for option in reversed(_RESTRICTING):
-        command = option(command)
-    return rights(command)
+    for add in reversed(_RESTRICTING):
+        command = add(command)
+    return right_options({right.label: text for right, text in _RIGHTS.items()}, "PATTERN")(command)
 
 
 @click.command()
 @click.argument("node")
 @permission_options
-@options.duration("--for", "lifetime", days=MAX_DAYS, default="7d", text="how long it holds")
-@click.option(
-    "--renew-until",
-    "renewal",
+@duration("--for lifetime", "how long it holds", days=MAX_DAYS, default="7d")
+@option(
+    "--renew-until=DURATION renewal",
+    "how long the master may renew it; see: rossec master delegate",
     type=Duration(MAX_DAYS),
     default=0,
-    metavar="DURATION",
-    help="how long the master may renew it; see: rossec master delegate",
 )
-@click.option(
-    "--may-narrow",
+@option(
+    "--may-narrow=N",
+    "how often it may be handed on, restricted further; see: rossec grant narrow",
     type=click.IntRange(0, MAX_NARROWINGS),
     default=0,
-    metavar="N",
-    help="how often it may be handed on, restricted further; see: rossec grant narrow",
 )
-@click.option(
-    "--certificate",
-    type=options.FILE,
-    help="the certificate of a node of another domain: its node.pem, without its key",
+@option(
+    "--certificate", "the certificate of a node of another domain: its node.pem, without its key", type=FILE
 )
-@click.option("--out", type=click.Path(path_type=Path), help="also write the grant to this new file")
+@option("--out", "also write the grant to this new file", type=PATH)
 @options.master_uri
-@json_result()
-@pass_service
+@json_result(pass_service)
 def sign(
     service: AuthorityService,
     /,
@@ -191,7 +159,12 @@ def sign(
         )
     if out is not None:
         check_new(out)
-    wanted = for_node(said, name, lambda: _has_suffix(service, name))
+
+    def has_suffix() -> bool:
+        with contextlib.closing(service.home.store()) as store:
+            return not is_alias(name) and store.valid_certificate(name, now()).wildcard
+
+    wanted = for_node(said, name, has_suffix)
     permissions = read_permissions(wanted)
     pem = b"" if certificate is None else files.read(certificate, options.MAX_PEM)
     draft, data = service.grants.sign(name, permissions, lifetime, renewal, may_narrow, pem)
@@ -244,17 +217,13 @@ def own_pattern(text: str, node: str, *, tail: bool) -> str:
     return found
 
 
-def _has_suffix(service: AuthorityService, name: str) -> bool:
-    with contextlib.closing(service.home.store()) as store:
-        return not is_alias(name) and store.valid_certificate(name, now()).wildcard
-
-
 def permissions(
     wanted: Mapping[Right, tuple[str, ...]], *, graph: bool, restricted: list[Restriction]
 ) -> tuple[Permission, ...]:
     made: list[Permission] = []
     for right, patterns in wanted.items():
-        inside = restricted if right in _RESTRICTED and restricted else [None]
+        # by conditions and filters given here
+        inside = restricted if right in (Right.SUBSCRIBE | Right.CALL) and restricted else [None]
         # all restrictions that cover a name hold together
         made += [Permission(pattern, right, item) for pattern in patterns for item in inside]
     if graph:
@@ -282,35 +251,30 @@ def rules(
     clear: tuple[str, ...], rounds: tuple[str, ...], clamps: tuple[str, ...]
 ) -> dict[str, dict[str, object]]:
     given: list[tuple[str, dict[str, object]]] = [(path, {"clear": True}) for path in clear]
-    given += [(path, {"round": {"step": step}}) for path, step in map(_rounding, rounds)]
-    given += [(path, {"clamp": {"low": low, "high": high}}) for path, low, high in map(_clamping, clamps)]
+    for text in rounds:
+        path, _, step = text.partition("=")
+        try:
+            given.append((path, {"round": {"step": float(step)}}))
+        except ValueError:
+            raise ConfigurationError(
+                f"--round {text} has no step", "for example --round pose.position=2.0"
+            ) from None
+    for text in clamps:
+        path, _, limits = text.partition("=")
+        low, _, high = limits.partition(":")
+        try:
+            given.append((path, {"clamp": {"low": _number(low), "high": _number(high)}}))
+        except ValueError:
+            raise ConfigurationError(
+                f"--clamp {text} has no range", "for example --clamp ranges=0.5:10"
+            ) from None
+    # Two filters for one field: one would be lost without a word (attack `two-spellings`).
     for path, times in Counter(path for path, _ in given).items():
         if times > 1:
             raise ConfigurationError(
                 f"{path}: {times} filters for one field", "one of --clear, --round and --clamp"
             )
     return dict(given)
-
-
-def _rounding(text: str) -> tuple[str, float]:
-    path, _, step = text.partition("=")
-    try:
-        return path, float(step)
-    except ValueError:
-        raise ConfigurationError(
-            f"--round {text} has no step", "for example --round pose.position=2.0"
-        ) from None
-
-
-def _clamping(text: str) -> tuple[str, float, float]:
-    path, _, limits = text.partition("=")
-    low, _, high = limits.partition(":")
-    try:
-        return path, _number(low), _number(high)
-    except ValueError:
-        raise ConfigurationError(
-            f"--clamp {text} has no range", "for example --clamp ranges=0.5:10"
-        ) from None
 
 
 def _number(text: str) -> float:
@@ -338,6 +302,7 @@ def restrictions(
         made = [preset(preset_name).restriction(shape)] if preset_name is not None else []
         if filters or when or rate is not None:
             made.append(Restriction(type_name, when, filter_rules(filters), rate))
+        # Compiled now: a mistake would else be found by a publisher, which then sends nothing.
         for restriction in made:
             compile_filter(shape, restriction.filters)
             for text in restriction.conditions:
@@ -365,36 +330,21 @@ def presets() -> None:
 
 
 @click.command()
-@click.argument("file", type=options.FILE)
-@click.option("--as", "own", required=True, metavar="NODE", help="the node that holds the grant")
-@click.option(
-    "--to",
-    "certificate",
+@click.argument("file", type=FILE)
+@option("--as=NODE own", "the node that holds the grant", required=True)
+@option(
+    "--to=CERTIFICATE certificate",
+    "the certificate of the node that gets the right: its node.pem",
     required=True,
-    type=options.FILE,
-    metavar="CERTIFICATE",
-    help="the certificate of the node that gets the right: its node.pem",
+    type=FILE,
 )
 @permission_options
-@options.duration(
-    "--for",
-    "lifetime",
-    days=MAX_NARROWED_DAYS,
-    default="8h",
-    text="how long it holds; never longer than the grant in FILE",
+@duration("--for lifetime", "how long it holds; never longer than the grant in FILE", days=365, default="8h")
+@option(
+    "--may-narrow=N", "how often the other node may hand it on in its turn", type=click.IntRange(0), default=0
 )
-@click.option(
-    "--may-narrow",
-    type=click.IntRange(0),
-    default=0,
-    metavar="N",
-    help="how often the other node may hand it on in its turn",
-)
-@click.option(
-    "--out", type=click.Path(path_type=Path), required=True, help="write the token to this new file"
-)
-@json_result()
-@pass_environment
+@option("--out", "write the token to this new file", type=PATH, required=True)
+@json_result(pass_environment)
 def narrow(
     environment: Environment,
     /,
@@ -415,6 +365,7 @@ def narrow(
     home, at = NodeHome.find(environment.home, check_name(own)), now()
     token, receiver = read_token(file), _receiver(home, certificate, at)
     held = peek(token)
+    # Only the holder's key can sign the next link: it is said here, not by the receiver's master.
     if held.holder != home.identity(at).thumbprint:
         raise GrantNotHeld(
             printable(f"grant {held.short_id} is not held by {home.name}"),
@@ -428,6 +379,7 @@ def narrow(
             if held.may_narrow
             else "at the authority: rossec grant sign NODE --may-narrow N",
         )
+    # A chain ends with each of its links: what it says of its end shall be true.
     end = min(at + lifetime, held.expires)
     draft = Draft(
         domain=held.domain,
@@ -440,9 +392,16 @@ def narrow(
         permissions=read_permissions(said),
         may_narrow=may_narrow,
     )
-    _check_useful(draft, held)
+    # A right on one name that FILE does not give is a mistake; of patterns nobody can say.
+    for permission in draft.permissions:
+        for right in permission.rights if "*" not in permission.pattern else ():
+            if not held.covers(right, permission.pattern):
+                raise ConfigurationError(
+                    f"the grant gives no {right.label} on {permission.pattern}", "see: rossec grant show FILE"
+                )
     packed = pack_chain(token, [sign_narrowing(home.signer(), draft, held)])
-    if len(packed) > MAX_PRESENTED - _OVERHEAD:
+    # A node could install it, and never present it.
+    if len(packed) > MAX_PRESENTED - 16:  # of the array it is presented in
         raise GrantMalformed(
             f"the chain has {len(packed)} bytes, more than a node may present", "fewer rights in one grant"
         )
@@ -457,15 +416,3 @@ def _receiver(home: NodeHome, path: Path, at: int) -> Identity:
     anchor = home.anchor()
     chain = [each for each in from_pem(pem) if each != anchor.certificate]
     return anchor.verify(chain, at)
-
-
-def _check_useful(draft: Draft, held: Grant) -> None:
-    # A right on one name that FILE does not give is a mistake; of patterns nobody can say.
-    for permission in draft.permissions:
-        if "*" in permission.pattern:
-            continue
-        for right in permission.rights:
-            if not held.covers(right, permission.pattern):
-                raise ConfigurationError(
-                    f"the grant gives no {right.label} on {permission.pattern}", "see: rossec grant show FILE"
-                )

@@ -6,6 +6,7 @@ import click
 
 from ca.keys.signing import thumbprint
 from rossec.cli.shared.context import Environment, pass_environment
+from rossec.cli.shared.options import NEW_FILE, flag, option
 from rossec.clock import format_time
 from rossec.environment import own_master
 from rossec.errors import ConfigurationError
@@ -18,16 +19,17 @@ from rossec.terminal import note, printable, say
 AUDIT = "audit.log"
 _MOST_DAMAGED = 10_000  # lines; a file with more is not an audit
 _MOST_SHOWN = 20
+_NOTES = {"left_out": "lines like it before it were left out", "cut_short": "bytes before it were cut short"}
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="the lines as they are")
-@click.option("--since", type=click.IntRange(0), help="seconds since the epoch")
-@click.option("--verify", "verified", is_flag=True, help="check that nothing was changed")
-@click.option("--after", metavar="HASH", help="the last hash of the parts before, which are gone")
-@click.option("--key", metavar="HEX", help="thumbprint of the key the master had then")
-@click.option("--ca", "of_authority", is_flag=True, help="the audit of `rossec ca serve` instead")
-@click.argument("files", nargs=-1, type=click.Path(path_type=Path, dir_okay=False))
+@flag("--json as_json", "the lines as they are")
+@option("--since", "seconds since the epoch", type=click.IntRange(0))
+@flag("--verify verified", "check that nothing was changed")
+@option("--after=HASH", "the last hash of the parts before, which are gone")
+@option("--key=HEX", "thumbprint of the key the master had then")
+@flag("--ca of_authority", "the audit of `rossec ca serve` instead")
+@click.argument("files", nargs=-1, type=NEW_FILE)
 @pass_environment
 def audit(
     environment: Environment,
@@ -44,52 +46,46 @@ def audit(
     With --ca: what the authority's service signed, and for whom. FILES are the audit in the order
     of its parts, by default the one that is written now.
     """
-    writer, usual = _usual(environment, of_authority=of_authority)
-    paths = files or (usual,)
+    if of_authority:
+        from rossec.authority.home import AUDIT_FILE, AuthorityHome  # noqa: PLC0415 - not for a master
+
+        authority = AuthorityHome.at(environment.home)
+        writer, usual = authority.node(), authority.path / AUDIT_FILE
+    else:
+        writer = NodeHome.of(environment.home, own_master(environment.variables))
+        usual = writer.path / AUDIT
     entries: list[audits.Entry] = []
-    for path in paths:
-        found, damaged = _read_entries(path, 1 if verified else _MOST_DAMAGED)
+    for path in files or (usual,):
+        missing = ConfigurationError(f"there is no {path}", "has the master run here? with --ca: the service")
+        with open_text(path, missing) as file:
+            most = 1 if verified else _MOST_DAMAGED
+            found, damaged = audits.read_entries(lines(file, audits.LINE_LIMIT + 2), most)
         if damaged and verified:
             raise ConfigurationError(f"line {damaged[0]} of {path} is damaged", "compare a backup")
         _note_damage(path, damaged)
         entries += found
     last = audits.verify(entries, after) if verified else ""
     if verified and entries:
-        known = _key_of(writer) if key is None else _parse_thumbprint(key)
+        known = _key(writer, key)
         if remark := check_beginning(entries[0], known, after):
             note(remark)
     for entry in entries:
         if since is None or entry["at"] >= since:
-            say(audits.encode(entry) if as_json else _format_entry(entry))
+            more = "".join(f" ({entry[key]} {text})" for key, text in _NOTES.items() if key in entry)
+            line = printable(f"{format_time(int(entry['at']))}  {entry['text']}{more}")
+            say(audits.encode(entry) if as_json else line)
     if verified:
+        # A removed end is found only by comparing the last hash with one that was noted.
         note(f"nothing was changed in {len(entries)} lines; the last is {last}")
 
 
-def _usual(environment: Environment, *, of_authority: bool) -> tuple[NodeHome, Path]:
-    if not of_authority:
-        node = NodeHome.of(environment.home, own_master(environment.variables))
-        return node, node.path / AUDIT
-    from rossec.authority.home import AUDIT_FILE, AuthorityHome  # noqa: PLC0415 - not for a master
-
-    authority = AuthorityHome.at(environment.home)
-    return authority.node(), authority.path / AUDIT_FILE
-
-
-def _key_of(home: NodeHome) -> bytes | None:
-    return thumbprint(home.signer().public_key) if (home.path / "node.key").exists() else None
-
-
-def _parse_thumbprint(text: str) -> bytes:
+def _key(home: NodeHome, given: str | None) -> bytes | None:
+    if given is None:
+        return thumbprint(home.signer().public_key) if (home.path / "node.key").exists() else None
     try:
-        return bytes.fromhex(text)
+        return bytes.fromhex(given)
     except ValueError:
-        raise ConfigurationError(f"{text!a} is not a thumbprint", "64 hexadecimal digits") from None
-
-
-def _read_entries(path: Path, most: int) -> tuple[list[audits.Entry], list[int]]:
-    missing = ConfigurationError(f"there is no {path}", "has the master run here? with --ca: the service")
-    with open_text(path, missing) as file:
-        return audits.read_entries(lines(file, audits.LINE_LIMIT + 2), most)
+        raise ConfigurationError(f"{given!a} is not a thumbprint", "64 hexadecimal digits") from None
 
 
 def _note_damage(path: Path, damaged: list[int]) -> None:
@@ -102,12 +98,3 @@ def _note_damage(path: Path, damaged: list[int]) -> None:
         note(f"line {number} of {path} is damaged and not shown")
     if more := len(damaged[_MOST_SHOWN:]):
         note(f"{more} more lines of {path} are damaged and not shown")
-
-
-def _format_entry(entry: audits.Entry) -> str:
-    notes = (
-        ("left_out", "lines like it before it were left out"),
-        ("cut_short", "bytes before it were cut short"),
-    )
-    more = "".join(f" ({entry[key]} {text})" for key, text in notes if key in entry)
-    return printable(f"{format_time(int(entry['at']))}  {entry['text']}{more}")

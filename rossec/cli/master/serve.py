@@ -4,7 +4,7 @@ import asyncio
 import logging
 import os
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import AsyncExitStack, ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,11 +18,11 @@ from rossec.cli.shared.master import own_variables
 from rossec.cli.status import ADMIN_SOCKET
 from rossec.errors import ConfigurationError
 from rossec.federation.mesh import Mesh, mesh_of
-from rossec.federation.settings import FederationConfig, read_config
+from rossec.federation.settings import read_config
 from rossec.home import NodeHome
 from rossec.host.audit import audit_written
 from rossec.host.local_sockets import process_lock
-from rossec.host.runner import READY, STOPPING, log_as_json, notify, stop_on_signals, until_first_ends
+from rossec.host.runner import log_as_json, stop_on_signals, until_stopped
 from rossec.master.operation import config as configs
 from rossec.master.operation.admin import AdminPort, denials_limited, raise_descriptor_limit
 from rossec.master.operation.config import Config
@@ -62,7 +62,7 @@ def run(
         stack.enter_context(denials_limited())
         home = NodeHome.of(environment.home, name)
         home.anchor()  # before anything is written there
-        names.read((), own_variables(environment), default_name=name)  # likewise
+        own = names.read((), own_variables(environment), default_name=name)  # likewise
         found = read_config(config.federation, str(config_file))
         federation = replace(found, follow_announced=True) if follow_announced else found
         busy = ConfigurationError(
@@ -72,64 +72,52 @@ def run(
         if config.audit:
             stack.enter_context(audit_written(home.path / AUDIT, home.signer()))
         renewer = _renewer(environment, passphrase_file) if renew_identities else None
-        asyncio.run(_serve(environment, home, config, suites, renewer, federation, as_json=as_json))
 
+        async def serve() -> None:
+            stop = stop_on_signals()
+            local_list = LocalList(environment.home)
+            newest = local_list.newest()
+            server = master_of(
+                home,
+                host=own.address,
+                port=own.master_port if config.port is None else config.port,
+                newest=None if newest is None else newest[0],
+                entries=None if newest is None else newest[1],
+                find_revocations=local_list.newest_if_changed,
+                find_domains=local_list.domains_if_changed,
+                renewer=renewer,
+                now=now(),
+                on_denial=DenialLog(config.complaints) if config.complaints is not None else ignore_denial,
+                limits=config.limits,
+                suites=suites,
+            )
+            mesh = mesh_of(server, home, federation)
+            async with AsyncExitStack() as parts:
+                parts.push_async_callback(server.close)
+                await _start(server)
+                exporter = None
+                if config.metrics is not None:
+                    exporter = MetricsExporter(on_loop(server.status), config.metrics)
+                    parts.push_async_callback(asyncio.to_thread, exporter.close)
+                admin = AdminPort(home.path / ADMIN_SOCKET, _commands(server, mesh))
+                parts.push_async_callback(admin.close)
+                if config.admin:
+                    await admin.start()
+                metrics = {} if exporter is None else {"metrics": f"http://127.0.0.1:{exporter.port}/metrics"}
+                if as_json:
+                    say_json({"ready": server.uri, **metrics})
+                else:
+                    say(f"master of {home.anchor().domain} at {server.uri}")
+                    for uri in metrics.values():
+                        say(f"metrics at {uri}")
+                audit = logging.getLogger("rossec.audit")
+                audit.info("the master began at %s", server.uri)
+                announcing = (_announce(server, home),) if config.announce else ()
+                ended = server.stopped(), mesh.run(), *announcing
+                await until_stopped(stop, environment.variables, *ended)
+                audit.info("the master ended")
 
-async def _serve(
-    environment: Environment,
-    home: NodeHome,
-    config: Config,
-    suites: tuple[int, ...],
-    renewer: Renewer | None,
-    federation: FederationConfig,
-    *,
-    as_json: bool,
-) -> None:
-    own = names.read((), own_variables(environment), default_name=home.name)
-    stop = stop_on_signals()
-    local_list = LocalList(environment.home)
-    newest = local_list.newest()
-    server = master_of(
-        home,
-        host=own.address,
-        port=own.master_port if config.port is None else config.port,
-        newest=None if newest is None else newest[0],
-        entries=None if newest is None else newest[1],
-        find_revocations=local_list.newest_if_changed,
-        find_domains=local_list.domains_if_changed,
-        renewer=renewer,
-        now=now(),
-        on_denial=DenialLog(config.complaints) if config.complaints is not None else ignore_denial,
-        limits=config.limits,
-        suites=suites,
-    )
-    mesh = mesh_of(server, home, federation)
-    admin = AdminPort(home.path / ADMIN_SOCKET, _commands(server, mesh))
-    exporter = None
-    try:
-        await _start(server)
-        if config.metrics is not None:
-            exporter = MetricsExporter(on_loop(server.status), config.metrics)
-        if config.admin:
-            await admin.start()
-        metrics = {} if exporter is None else {"metrics": f"http://127.0.0.1:{exporter.port}/metrics"}
-        if as_json:
-            say_json({"ready": server.uri, **metrics})
-        else:
-            say(f"master of {home.anchor().domain} at {server.uri}")
-            for uri in metrics.values():
-                say(f"metrics at {uri}")
-        logging.getLogger("rossec.audit").info("the master began at %s", server.uri)
-        notify(READY, environment.variables)
-        announcing = (_announce(server, home),) if config.announce else ()
-        await until_first_ends(server.stopped(), stop.wait(), mesh.run(), *announcing)
-        notify(STOPPING, environment.variables)
-        logging.getLogger("rossec.audit").info("the master ended")
-    finally:
-        await admin.close()
-        if exporter is not None:
-            await asyncio.to_thread(exporter.close)
-        await server.close()
+        asyncio.run(serve())
 
 
 async def _start(server: MasterServer) -> None:

@@ -20,41 +20,21 @@ import click
 
 from rossec import files
 from rossec.cli.shared import options, rules
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import FILE, NEW_FILE, OLD_FOLDER, flag, json_result, option
 from rossec.errors import ConfigurationError, MetadataRefused, RossecError
-from rossec.namespace import topic_names
-from rossec.namespace.launch_file import (
-    Edit,
-    Include,
-    Launch,
-    NamedNode,
-    NameOf,
-    Query,
-    apply,
-    edits,
-    named,
-    scan,
-)
+from rossec.namespace import launch_file, topic_names
 from rossec.naming import rule_runner
 from rossec.naming.requests import MAX_INPUT, NameKind
 from rossec.naming.rule_runner import RuleRunner
 from rossec.terminal import note, printable, record, say, say_block, say_json
 
 MAX_FILES: Final = 32
-MODE: Final = 0o644  # a launch file is for every user of the host, as the source is
 _BESIDE: Final = re.compile(r"\$\(dirname\)/([A-Za-z0-9_.-]+)")
-_DIRNAME: Final = b"$(dirname)"
 
 
 @click.command("launch")
-@click.argument("source", metavar="IN.launch", type=options.FILE)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
-    required=True,
-    metavar="OUT",
-    help="the new file; one that exists is not overwritten",
-)
+@click.argument("source", metavar="IN.launch", type=FILE)
+@option("--out=OUT", "the new file; one that exists is not overwritten", type=NEW_FILE, required=True)
 @rules.option
 @json_result()
 def launch(source: Path, out: Path, rules_path: Path | None) -> None:
@@ -82,7 +62,7 @@ def launch(source: Path, out: Path, rules_path: Path | None) -> None:
 @dataclass
 class LaunchFiles:
     written: dict[Path, bytes] = field(default_factory=dict)
-    nodes: list[NamedNode] = field(default_factory=list)
+    nodes: list[launch_file.NamedNode] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def write(self) -> None:
@@ -91,9 +71,11 @@ class LaunchFiles:
                 raise ConfigurationError(
                     f"{path} exists and is not overwritten", "remove it, or name a new file: --out"
                 )
+        # All or none: a launch file whose include is missing would start half a robot.
         with ExitStack() as undo:
             for path, data in self.written.items():
-                files.create(path, data, MODE)
+                # a launch file is for every user of the host, as the source is
+                files.create(path, data, 0o644)
                 undo.callback(path.unlink, missing_ok=True)
             undo.pop_all()
 
@@ -102,7 +84,8 @@ async def _named(source: Path, out: Path, sheet: bytes) -> LaunchFiles:
     async with RuleRunner(sheet) as runner:
         loop = asyncio.get_running_loop()
 
-        def name_of(metadata: bytes, queries: Sequence[Query]) -> list[str]:
+        def name_of(metadata: bytes, queries: Sequence[launch_file.Query]) -> list[str]:
+            # The scanner runs in a thread: it asks the loop, which talks to the confined process.
             asked = runner.names(metadata, queries)
             found = list[str]()
             for result in asyncio.run_coroutine_threadsafe(asked, loop).result():
@@ -114,7 +97,7 @@ async def _named(source: Path, out: Path, sheet: bytes) -> LaunchFiles:
         return await asyncio.to_thread(read, source, out, name_of)
 
 
-def read(source: Path, out: Path, name_of: NameOf) -> LaunchFiles:
+def read(source: Path, out: Path, name_of: launch_file.NameOf) -> LaunchFiles:
     """The transformed files for `source`, which is to be written to `out`."""
     reader = _Reader(source.absolute().parent, out, name_of)
     reader.add(source, out)
@@ -132,7 +115,7 @@ def read(source: Path, out: Path, name_of: NameOf) -> LaunchFiles:
 
 
 class _Reader:
-    def __init__(self, directory: Path, out: Path, name_of: NameOf) -> None:
+    def __init__(self, directory: Path, out: Path, name_of: launch_file.NameOf) -> None:
         self.found = LaunchFiles()
         self._directory = directory
         self._out = out
@@ -147,18 +130,18 @@ class _Reader:
         self._targets[source.absolute()] = target
         try:
             data = files.read(source, MAX_INPUT)
-            launch = scan(data)
-            nodes = named(launch, self._name_of)
+            launch = launch_file.scan(data)
+            nodes = launch_file.named(launch, self._name_of)
         except RossecError as error:
             raise type(error)(f"{source}: {error}", error.hint) from error
         self.found.nodes += nodes
         self._check_directory(source, target, data, launch)
-        changes = edits(data, launch, nodes)
+        changes = launch_file.edits(data, launch, nodes)
         for include in launch.includes:
             changes += self._include(source, include)
-        self.found.written[target] = apply(data, changes)
+        self.found.written[target] = launch_file.apply(data, changes)
 
-    def _include(self, source: Path, include: Include) -> list[Edit]:
+    def _include(self, source: Path, include: launch_file.Include) -> list[launch_file.Edit]:
         match = _BESIDE.fullmatch(include.file)
         beside = None if match is None else self._directory / match[1]
         if match is None or beside is None or not beside.is_file():
@@ -170,12 +153,12 @@ class _Reader:
         if beside not in self._targets:
             self.add(beside, self._out.with_name(f"{self._out.stem}.{match[1]}"))
         written = f"$(dirname)/{self._targets[beside].name}"
-        return [Edit(include.value, quoteattr(written)[1:-1].encode())]
+        return [launch_file.Edit(include.value, quoteattr(written)[1:-1].encode())]
 
-    def _check_directory(self, source: Path, target: Path, data: bytes, launch: Launch) -> None:
+    def _check_directory(self, source: Path, target: Path, data: bytes, launch: launch_file.Launch) -> None:
         followed = sum(_BESIDE.fullmatch(include.file) is not None for include in launch.includes)
         moved = target.absolute().parent != self._directory
-        if moved and data.count(_DIRNAME) > followed:
+        if moved and data.count(b"$(dirname)") > followed:
             self.found.notes.append(
                 f"{source} names files beside it by $(dirname): in the directory of {target} they "
                 "may be missing"
@@ -183,16 +166,12 @@ class _Reader:
 
 
 @click.command()
-@click.argument("meta", type=options.FILE)
-@click.option("--topic", metavar="TOPIC", help="the name of this topic of the node")
-@click.option("--service", metavar="SERVICE", help="the name of this service of the node")
+@click.argument("meta", type=FILE)
+@option("--topic=TOPIC", "the name of this topic of the node")
+@option("--service=SERVICE", "the name of this service of the node")
 @rules.option
-@click.option(
-    "--thesis-defaults",
-    is_flag=True,
-    help="unknown-group instead of unknown_group, as in the thesis; ROS has no such names",
-)
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--thesis-defaults", "unknown-group instead of unknown_group, as in the thesis; ROS has no such names")
+@options.as_json
 def show_name(
     meta: Path,
     topic: str | None,
@@ -236,9 +215,7 @@ def show_rules() -> None:
 
 
 @click.command()
-@click.argument(
-    "directory", metavar="DIRECTORY", type=click.Path(path_type=Path, exists=True, file_okay=False)
-)
+@click.argument("directory", metavar="DIRECTORY", type=OLD_FOLDER)
 @json_result()
 def messages(directory: Path) -> None:
     """Write the package rossec_namespace into DIRECTORY: the type of the service.
@@ -247,5 +224,4 @@ def messages(directory: Path) -> None:
     directory may be the `src` of a catkin workspace.
     """
     written = str(topic_names.write(directory))
-    record(path=written)
-    say(printable(written))
+    say(printable(written), path=written)

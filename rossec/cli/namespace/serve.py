@@ -20,8 +20,9 @@ from rossec.authority.policyfile import PolicyFile
 from rossec.cli.shared import options, rules
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as, read_token
+from rossec.cli.shared.options import FILE, OLD_FOLDER, flag, option
 from rossec.errors import ConfigurationError, ProposedNameRefused
-from rossec.host.runner import READY, STOPPING, notify, stop_on_signals, until_first_ends
+from rossec.host.runner import stop_on_signals, until_stopped
 from rossec.namespace import topic_names
 from rossec.namespace.topic_names import CALLS, CHILDREN, DEADLINE, SECONDS, SERVICE, TopicNames
 from rossec.naming.examine import MetadataReport, examine
@@ -37,34 +38,18 @@ SUFFIX: Final = "*.grant"
 _NO_KEY: Final = bytes(32)
 METADATA_SUFFIX: Final = "*.xml"
 MAX_FILES: Final = 1024
-_DIRECTORY: Final = click.Path(path_type=Path, exists=True, file_okay=False)
 
 
 @click.command()
-@click.argument("rules", type=options.FILE)
-@click.option(
-    "--meta",
-    "directory",
-    metavar="DIR",
-    required=True,
-    type=_DIRECTORY,
-    help=f"metadata of nodes, files {METADATA_SUFFIX}",
+@click.argument("rules", type=FILE)
+@option("--meta=DIR directory", f"metadata of nodes, files {METADATA_SUFFIX}", required=True, type=OLD_FOLDER)
+@option("--policy=FILE policy_path", "report names on which this policy gives their node nothing", type=FILE)
+@option(
+    "--grants=DIR grants_path",
+    "report names on which no grant in DIR (files *.grant) gives their node anything",
+    type=OLD_FOLDER,
 )
-@click.option(
-    "--policy",
-    "policy_path",
-    metavar="FILE",
-    type=options.FILE,
-    help="report names on which this policy gives their node nothing",
-)
-@click.option(
-    "--grants",
-    "grants_path",
-    metavar="DIR",
-    type=_DIRECTORY,
-    help="report names on which no grant in DIR (files *.grant) gives their node anything",
-)
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@options.as_json
 def check(
     rules: Path, directory: Path, policy_path: Path | None, grants_path: Path | None, as_json: bool
 ) -> None:
@@ -141,28 +126,20 @@ class Coverage:
 
     def __call__(self, node: str, kind: NameKind, name: str) -> bool:
         held = [grant for grant in self._grants if covers(grant.subject, node, wildcard=True)]
+        covered = bool(held) if kind is NameKind.NODE else Reach.of(held).covers_any(RIGHTS[kind], name)
+        if covered or self._decider is None:
+            return covered
+        subjects = [Subject(node, key) for key in self._keys]
         if kind is NameKind.NODE:
-            return bool(held) or any(map(self._has_rules, self._subjects(node)))
-        return Reach.of(held).covers_any(RIGHTS[kind], name) or any(
-            self._allows(subject, right, name) for subject in self._subjects(node) for right in RIGHTS[kind]
-        )
-
-    def _subjects(self, node: str) -> list[Subject]:
-        return [Subject(node, key) for key in self._keys]
-
-    def _has_rules(self, subject: Subject) -> bool:
-        return self._decider is not None and bool(self._decider.rules_of(subject))
-
-    def _allows(self, subject: Subject, right: Right, name: str) -> bool:
-        if self._decider is None:
-            return False
-        return self._decider.decide(subject, right, name).effect is not Effect.DENY
+            return any(self._decider.rules_of(subject) for subject in subjects)
+        verdicts = (self._decider.decide(who, right, name) for who in subjects for right in RIGHTS[kind])
+        return any(verdict.effect is not Effect.DENY for verdict in verdicts)
 
 
 @click.command()
-@click.option("--as", "name", metavar="NAME", default="/namespace", show_default=True, help="identity to use")
+@option("--as=NAME name", "identity to use", default="/namespace", show_default=True)
 @rules.option
-@click.option("--json", "as_json", is_flag=True, help="say that it runs as a line of JSON")
+@flag("--json as_json", "say that it runs as a line of JSON")
 @pass_environment
 def serve(environment: Environment, name: str, rules_path: Path | None, *, as_json: bool) -> None:
     """Answer nodes that ask which name a topic or service of theirs gets. Ends with Ctrl-C.
@@ -184,6 +161,4 @@ async def _serve(environment: Environment, name: str, sheet: bytes, *, as_json: 
             SERVICE, topic_names.service_type(), names.answer, concurrency=CALLS, deadline=DEADLINE
         )
         say_json({"ready": node.name}) if as_json else say(f"{node.name} provides {SERVICE}")
-        notify(READY, environment.variables)
-        await until_first_ends(stop.wait(), node.wait_ended())
-        notify(STOPPING, environment.variables)
+        await until_stopped(stop, environment.variables, node.wait_ended())

@@ -20,7 +20,6 @@ import click
 
 from ca import svid
 from ca.certificates import Identity, TrustAnchor, signed_at
-from ca.domains.trust import DomainList
 from ca.errors import (
     CertificateExpired,
     CertificateNotYetValid,
@@ -38,8 +37,10 @@ from grants.request import in_shell
 from rossec import clock, files
 from rossec.authority.home import AuthorityHome
 from rossec.channel.opening import post_quantum
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import REVOCATIONS, anew, find_master, is_of_revoked, open_held, revoked_text
+from rossec.cli.shared.options import flag
 from rossec.clock import format_duration, format_time
 from rossec.environment import OWN_MASTER, missing_nodes, nodes_in, own_master
 from rossec.errors import ChannelError, ConfigurationError
@@ -59,17 +60,14 @@ from rossec.terminal import say, say_json, state
 Outcome = str | HintedError
 """A line that is ok, or a fault that does not end the check."""
 LIMIT: Final = 64  # nodes whose address is looked up
-_ENTER: Final = "enter the name in /etc/hosts here, or set ROS_IP on its host and start it again"
-_MINUTE: Final = 60  # seconds that a connection may last whose certificate is out of its time
-_SOON = 1 / 3  # of an identity's life: by then it should have been renewed
 _MAX_FILE = 64 * 1024
 Check = Callable[[Environment, NodeHome], Iterator[Outcome]]
 
 
 @click.command()
 @click.argument("names", metavar="[NODE]...", nargs=-1)
-@click.option("--offline", is_flag=True, help="do not ask the master")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@flag("--offline", "do not ask the master")
+@options.as_json
 @pass_environment
 def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_json: bool) -> None:
     """Check the set-up of NODE on this machine: identity, grants, master, what is plain.
@@ -79,7 +77,8 @@ def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_j
     homes, unfinished = [NodeHome.find(environment.home, name) for name in names], list[str]()
     if not homes:
         homes, unfinished = _all(environment)
-    findings = [finding for home in homes for finding in _examine(environment, home, offline=offline)]
+    checks = _CHECKS if offline else {**_CHECKS, "master": _master}
+    findings = [finding for home in homes for finding in _examine(environment, home, checks)]
     plain = list(_plain(environment))
     if as_json:
         say_json(
@@ -93,7 +92,7 @@ def doctor(environment: Environment, names: tuple[str, ...], offline: bool, as_j
     failed = {(finding.node, finding.check) for finding in findings if not finding.ok}
     if failed:
         said = {(finding.text, finding.hint) for finding in findings if not finding.ok}
-        of = f"{len(failed)} of {len(homes) * len(_checks(offline=offline))} checks"
+        of = f"{len(failed)} of {len(homes) * len(checks)} checks"
         causes = "for one cause" if len(said) == 1 else f"for {len(said)} causes"
         raise ConfigurationError(f"{of} failed" + f", {causes}" * (len(said) < len(failed)), "see above")
 
@@ -120,25 +119,18 @@ class DoctorFinding:
     hint: str = ""
 
 
-def _examine(environment: Environment, home: NodeHome, *, offline: bool) -> Iterator[DoctorFinding]:
-    for name, check in _checks(offline=offline).items():
+def _examine(
+    environment: Environment, home: NodeHome, checks: Mapping[str, Check]
+) -> Iterator[DoctorFinding]:
+    for name, check in checks.items():
         try:
             for found in check(environment, home):
-                yield _finding(home, name, found)
+                hint = "" if isinstance(found, str) else found.hint
+                yield DoctorFinding(home.name, name, isinstance(found, str), str(found), hint)
         except HintedError as error:
-            yield _finding(home, name, error)
+            yield DoctorFinding(home.name, name, False, str(error), error.hint)
             if isinstance(error, IdentityRevoked):
                 return  # nobody talks to it: whatever else would be said has this cause
-
-
-def _checks(*, offline: bool) -> dict[str, Check]:
-    checks: dict[str, Check] = {
-        "identity": _identity,
-        "address": lambda environment, _: check_own_address(environment.variables),
-        "grants": _grants,
-        "domains": lambda environment, home: check_domains(environment.home, home, now()),
-    }
-    return checks if offline else {**checks, "master": _master}
 
 
 def _identity(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
@@ -152,7 +144,8 @@ def _identity(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
     yield f"{identity.name} of {identity.domain} until {format_time(identity.not_after)}"
     yield from _clock(home, identity)
     life = identity.not_after - signed_at(identity.not_before, identity.not_after)
-    if identity.not_after - now() < life * _SOON:
+    # of an identity's life: by then it should have been renewed
+    if identity.not_after - now() < life / 3:
         raise ConfigurationError(
             f"the identity ends soon, in {format_duration(identity.not_after - now())}, and was not renewed",
             f"it is while {home.name} runs, if where the authority is `rossec ca serve` runs and is"
@@ -167,8 +160,12 @@ def known_revocations(home: Path, node: NodeHome) -> dict[bytes, str]:
     for place in (node, NodeHome.of(home, MASTER)):
         for entry in _listed(place, anchor):
             found.setdefault(entry, f"the list in {place.path}")
-    for entry in _recorded_revocations(home, anchor):
-        found[entry] = f"the authority's record in {home / 'ca'}"
+    with suppress(HintedError):
+        authority = AuthorityHome.at(home)
+        # An intermediate below the node's authority records only what it signed itself.
+        if authority.anchor().thumbprint == anchor.thumbprint and not authority.is_intermediate:
+            with closing(authority.store()) as store:
+                found |= dict.fromkeys(store.revoked_entries(), f"the authority's record in {home / 'ca'}")
     return found
 
 
@@ -187,22 +184,13 @@ def _listed(place: NodeHome, anchor: TrustAnchor) -> Iterator[bytes]:
             yield from listing.entries
 
 
-def _recorded_revocations(home: Path, anchor: TrustAnchor) -> frozenset[bytes]:
-    # Of the authority itself, if it is the node's and not an intermediate below it.
-    with suppress(HintedError):
-        authority = AuthorityHome.at(home)
-        if authority.anchor().thumbprint == anchor.thumbprint and not authority.is_intermediate:
-            with closing(authority.store()) as store:
-                return store.revoked_entries()
-    return frozenset()
-
-
 class IdentityRevoked(ConfigurationError):
     pass
 
 
 def _clock(home: NodeHome, identity: Identity) -> Iterator[Outcome]:
     signed = signed_at(identity.not_before, identity.not_after)
+    # What the authority has signed is a lower bound of the time, also without a master (decision 0044).
     if (data := home.load_revocations()) is not None:
         with suppress(RevocationRefused):  # a list of another authority says nothing
             signed = max(signed, open_statement(data, home.anchor().public_key).issued)
@@ -277,7 +265,11 @@ def _label(home: NodeHome, grant: Grant) -> str:
 
 def check_domains(home: Path, node: NodeHome, now: int) -> Iterator[str]:
     anchor = node.anchor()
-    held, newest = DomainFiles(node, anchor).anchors().current, _newest_domains(home, anchor)
+    held, newest = DomainFiles(node, anchor).anchors().current, None
+    with suppress(HintedError):
+        authority = AuthorityHome.at(home)
+        if authority.anchor().thumbprint == anchor.thumbprint and (listed := authority.domain_list()):
+            newest = listed[1]
     for each in () if held is None else held.domains:
         ended = "" if now < each.until else ", which is over"
         until = format_time(each.until)
@@ -294,31 +286,30 @@ def check_domains(home: Path, node: NodeHome, now: int) -> Iterator[str]:
         )
 
 
-def _newest_domains(home: Path, anchor: TrustAnchor) -> DomainList | None:
-    with suppress(HintedError):
-        authority = AuthorityHome.at(home)
-        if authority.anchor().thumbprint == anchor.thumbprint:
-            found = authority.domain_list()
-            return None if found is None else found[1]
-    return None
+_CHECKS: Final[dict[str, Check]] = {
+    "identity": _identity,
+    "address": lambda environment, _: check_own_address(environment.variables),
+    "grants": _grants,
+    "domains": lambda environment, home: check_domains(environment.home, home, now()),
+}
 
 
 def _master(environment: Environment, home: NodeHome) -> Iterator[Outcome]:
     if home.name == own_master(environment.variables):  # it would meet its own certificate
         yield "the master of this host: rossec master status"
         return
-    yield from asyncio.run(_ask_master(environment, home))
 
+    async def ask() -> list[Outcome]:
+        found = list[Outcome]()
+        try:
+            usable, _ = _open_grants(environment, home)
+            async for outcome in check_master(environment, home, usable):
+                found.append(outcome)
+        except HintedError as error:
+            found.append(error)
+        return found
 
-async def _ask_master(environment: Environment, home: NodeHome) -> list[Outcome]:
-    found = list[Outcome]()
-    try:
-        usable, _ = _open_grants(environment, home)
-        async for outcome in check_master(environment, home, usable):
-            found.append(outcome)
-    except HintedError as error:
-        found.append(error)
-    return found
+    yield from asyncio.run(ask())
 
 
 async def check_master(
@@ -333,6 +324,7 @@ async def check_master(
         async def call(method: str, *parameters: object) -> object:
             return await client.ask(method, home.name, *parameters)
 
+        # The answer bounds the offset by the times before and after it: a slow network makes no clock wrong.
         begun = clock.time()
         data, stamp = _opened(home, stream.peer, await call(REVOCATIONS))
         yield (said := describe_offset(stamp.issued, begun, clock.time()))
@@ -380,7 +372,8 @@ class _Judge:
             self.late = error.bare()
             begin, end = svid.validity(svid.parse(chain[0]))
             moment = min(max(at, begin, self._own[0]), end, self._own[1])
-            return replace(self._anchors.verify(chain, moment), not_after=at + _MINUTE)
+            # seconds that a connection may last whose certificate is out of its time
+            return replace(self._anchors.verify(chain, moment), not_after=at + 60)
 
 
 async def _connect(
@@ -444,6 +437,7 @@ def describe_offset(issued: int, begun: float, ended: float) -> Outcome:
 
 
 async def _revoked_of(revocations: Revocations, entries: Sequence[bytes], call: MasterCall) -> list[bytes]:
+    # As many as the master answers in one call.
     for start in range(0, len(entries), MAX_PROOFS_PER_CALL):
         for entry in entries[start : start + MAX_PROOFS_PER_CALL]:
             with suppress(Revoked, RevocationsStale):
@@ -467,7 +461,8 @@ async def check_node_addresses(home: NodeHome, call: MasterCall) -> AsyncIterato
             host, _ = names.parse_uri(str(await call("lookupNode", name)))
             if not await asyncio.to_thread(addresses.resolved, host):
                 yield ConfigurationError(
-                    f"{shown(name)} is at {printable(host)}, a name that this host does not know", _ENTER
+                    f"{shown(name)} is at {printable(host)}, a name that this host does not know",
+                    "enter the name in /etc/hosts here, or set ROS_IP on its host and start it again",
                 )
 
 
@@ -479,12 +474,6 @@ def _nodes(state: object) -> list[str]:
             return list(dict.fromkeys(map(str, nodes)))
         case _:
             return []
-
-
-def _finding(home: NodeHome, check: str, found: Outcome) -> DoctorFinding:
-    if isinstance(found, str):
-        return DoctorFinding(home.name, check, True, found)
-    return DoctorFinding(home.name, check, False, str(found), found.hint)
 
 
 def _plain(environment: Environment) -> tuple[str, ...]:

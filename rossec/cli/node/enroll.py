@@ -29,7 +29,7 @@ from rossec.authority.home import fingerprint, format_fingerprint
 from rossec.cli.shared import options, rules
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment, reraise_interrupt
 from rossec.cli.shared.master import own_address
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import FILE, PATH, flag, json_result, option
 from rossec.cli.shared.passphrase import read_lines
 from rossec.clock import format_time
 from rossec.enrollment import enroll as enrollment_control
@@ -43,25 +43,22 @@ from rossec.terminal import note, printable, record, say, say_picture
 
 SAME_DIGITS: Final = "does the authority show the same digits?"
 _CLEAR: Final = "\r\x1b[K"
-_MAX_LINE: Final = 256
 _MAX_REFUSALS: Final = 10  # any peer that reaches the port could fill the screen
 _DIGITS = re.compile(r"[0-9]{6}", re.ASCII)
 _MAX_INPUT: Final = 4096
-_QUESTION: Final = "the line of `rossec ca invite` (it is not shown)"
 
 
 @click.command()
 @click.argument("name")
-@click.option("--domain", default="home", show_default=True, help="trust domain of the authority")
-@click.option("--anonymous", is_flag=True, help="for anonymous nodes too: NAME and NAME_*")
-@click.option("--label", is_flag=True, help="wait for an authority that read the printed label")
-@click.option("--address", "host", help="the address in the code, instead of the one found")
-@click.option("--port", type=click.IntRange(0, 65535), help="listen here [any; a label's is 11317]")
-@click.option("--for", "window", type=Duration(1), help="with --label: wait so long [15m]")
-@click.option("--png", type=click.Path(path_type=Path), help="write the code to this PNG file too")
-@click.option("--svg", type=click.Path(path_type=Path), help="write the code to this SVG file too")
-@json_result()
-@pass_environment
+@options.domain
+@flag("--anonymous", "for anonymous nodes too: NAME and NAME_*")
+@flag("--label", "wait for an authority that read the printed label")
+@option("--address host", "the address in the code, instead of the one found")
+@option("--port", "listen here [any; a label's is 11317]", type=click.IntRange(0, 65535))
+@option("--for window", "with --label: wait so long [15m]", type=Duration(1))
+@option("--png", "write the code to this PNG file too", type=PATH)
+@option("--svg", "write the code to this SVG file too", type=PATH)
+@json_result(pass_environment)
 def enroll(
     environment: Environment,
     name: str,
@@ -185,7 +182,7 @@ class EnrollmentScreen:
             loop.remove_reader(stdin)
 
     def _read_answer(self, stdin: int) -> None:
-        answer = os.read(stdin, _MAX_LINE).decode(errors="replace").strip().lower()
+        answer = os.read(stdin, 256).decode(errors="replace").strip().lower()
         if not confirms(answer, self._core.pending.digits):
             self._node.stop(EnrollmentOver("the digits were not confirmed", "nothing was accepted"))
             return
@@ -226,9 +223,8 @@ def confirms(answer: str, digits: str) -> bool:
 @click.command()
 @click.argument("name")
 @click.argument("digits", nargs=-1)
-@click.option("--yes", is_flag=True, help="without DIGITS: do not ask, as a button that was pressed")
-@json_result()
-@pass_environment
+@flag("--yes", "without DIGITS: do not ask, as a button that was pressed")
+@json_result(pass_environment)
 def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: bool) -> None:
     """Confirm that the authority shows DIGITS for NAME, whose enrollment waits in another process.
 
@@ -253,16 +249,14 @@ def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: b
     if _DIGITS.fullmatch(given) is None:
         raise ConfigurationError("the authority shows six digits", f"rossec node confirm {name} 123 456")
     enrollment_control.ask(home.path, {"do": "confirm", "digits": given})
-    record(name=name)
-    say(f"{name} is enrolled")
+    say(f"{name} is enrolled", name=name)
 
 
 @click.command()
 @click.argument("names", nargs=-1, required=True)
-@click.option("--domain", default="home", show_default=True, help="trust domain of the authority")
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="HTML file to print")
-@json_result()
-@pass_environment
+@options.domain
+@option("--out", "HTML file to print", type=PATH, required=True)
+@json_result(pass_environment)
 def labels(environment: Environment, names: tuple[str, ...], domain: str, out: Path) -> None:
     """Write a sheet of labels for the nodes NAMES, 24 to a page; makes keys that are missing.
 
@@ -279,22 +273,14 @@ def labels(environment: Environment, names: tuple[str, ...], domain: str, out: P
 
 
 @click.command("join")
-@click.option(
-    "--file",
-    "path",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    help="read the code from this file: the line, or an NFC tag (NDEF)",
+@option("--file path", "read the code from this file: the line, or an NFC tag (NDEF)", type=FILE)
+@option("--name", "the node's name, if the invitation is for more than one")
+@option(
+    "--meta=FILE meta_path",
+    "the node's metadata: take the name that the authority's rules give for them",
+    type=FILE,
 )
-@click.option("--name", help="the node's name, if the invitation is for more than one")
-@click.option(
-    "--meta",
-    "meta_path",
-    type=options.FILE,
-    metavar="FILE",
-    help="the node's metadata: take the name that the authority's rules give for them",
-)
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def join_domain(
     environment: Environment, path: Path | None, name: str | None, meta_path: Path | None
 ) -> None:
@@ -315,9 +301,9 @@ def join_domain(
     if metadata:
         name = asyncio.run(ask_name(code, metadata, now))
     home = NodeHome.of(environment.home, _name(code, name))
+    # Run again, it is done: a boot script may call it at each start.
     if _is_enrolled(home, code):
-        record(name=home.name, joined=False)
-        say(f"{home.name} is enrolled already")
+        say(f"{home.name} is enrolled already", name=home.name, joined=False)
         return
     if not (home.path / "node.key").exists():
         code.check_time(now())  # a second run may be late: its request may have its answer
@@ -338,7 +324,16 @@ def _code(path: Path | None, stdin: BinaryIO) -> InvitationCode:
         return _parsed(files.read(path, _MAX_INPUT))
     if not sys.stdin.isatty():
         return _parsed(stdin.read(_MAX_INPUT + 1))
-    typed = read_lines(_QUESTION, _is_whole)
+
+    def is_whole(typed: str) -> bool:
+        # A mail or a chat may have broken the line of the code.
+        try:
+            invitation.parse(typed)
+        except CodeRefused:
+            return False
+        return True
+
+    typed = read_lines("the line of `rossec ca invite` (it is not shown)", is_whole)
     if not typed.strip():
         raise ConfigurationError("no code was given", "paste the line, or give --file")
     return invitation.parse(typed)
@@ -355,15 +350,6 @@ def _parsed(data: bytes) -> InvitationCode:
         ) from None
 
 
-def _is_whole(typed: str) -> bool:
-    # Whether what was pasted so far is a code: a mail or a chat may have broken its line.
-    try:
-        invitation.parse(typed)
-    except CodeRefused:
-        return False
-    return True
-
-
 def _name(code: InvitationCode, given: str | None) -> str:
     pattern = code.pattern
     if given is None:
@@ -373,6 +359,7 @@ def _name(code: InvitationCode, given: str | None) -> str:
                 f"give it: --name {pattern.replace('**', 'robot07').replace('*', 'robot07')}",
             )
         return pattern
+    # `/ca` and `/master` are what nodes trust most: a person gives them (attack `join-name`).
     if is_reserved(given):
         raise ConfigurationError(
             f"{given} is reserved: no invitation is for it",

@@ -4,35 +4,32 @@ from pathlib import Path
 
 import click
 
-from ca.certificates import Identity, TrustAnchor
+from ca.certificates import TrustAnchor
 from ca.enrollment import qr
 from rossec import files
 from rossec.authority.home import fingerprint, format_fingerprint
 from rossec.cli.shared import options, rules
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
-from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.cli.shared.options import FILE, PATH, Batch, flag, json_result, option, say_result, unique
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.terminal import record, say, say_json, say_picture
+from rossec.terminal import record, say, say_picture
 
 _MAX_BUNDLE = 64 * 1024
 
 
 @click.command()
 @click.argument("names", metavar="[NAME]...", nargs=-1)
-@click.option("--domain", default="home", show_default=True, help="trust domain of the authority")
-@click.option("--anonymous", is_flag=True, help="for anonymous nodes too: /rviz also as /rviz_17")
-@click.option(
-    "--meta",
-    "meta_path",
-    type=options.FILE,
-    metavar="FILE",
-    help="take the name that rules give for the metadata there, instead of NAME",
+@options.domain
+@flag("--anonymous", "for anonymous nodes too: /rviz also as /rviz_17")
+@option(
+    "--meta=FILE meta_path",
+    "take the name that rules give for the metadata there, instead of NAME",
+    type=FILE,
 )
 @rules.option
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def request(
     environment: Environment,
     names: tuple[str, ...],
@@ -74,11 +71,10 @@ def _names(given: tuple[str, ...], meta_path: Path | None, rules_path: Path | No
 
 @click.command()
 @click.argument("name")
-@click.option("--text", is_flag=True, help="only the text in the code, to paste")
-@click.option("--svg", type=click.Path(path_type=Path), help="write the code to this SVG file")
-@click.option("--png", type=click.Path(path_type=Path), help="write the code to this PNG file")
-@json_result()
-@pass_environment
+@flag("--text", "only the text in the code, to paste")
+@option("--svg", "write the code to this SVG file", type=PATH)
+@option("--png", "write the code to this PNG file", type=PATH)
+@json_result(pass_environment)
 def code(environment: Environment, name: str, text: bool, svg: Path | None, png: Path | None) -> None:
     """Show the QR code of NAME's request, for the authority to scan."""
     payload = qr.label_code(NodeHome.of(environment.home, name).request())
@@ -93,10 +89,9 @@ def code(environment: Environment, name: str, text: bool, svg: Path | None, png:
 
 
 @click.command()
-@click.argument("bundles", metavar="BUNDLE...", nargs=-1, required=True, type=options.FILE)
-@click.option("--yes", is_flag=True, help="do not ask")
-@json_result()
-@pass_environment
+@click.argument("bundles", metavar="BUNDLE...", nargs=-1, required=True, type=FILE)
+@options.yes
+@json_result(pass_environment)
 def install(environment: Environment, bundles: tuple[Path, ...], yes: bool) -> None:
     """Install the signed identity in BUNDLE, and trust the authority that signed it.
 
@@ -115,12 +110,12 @@ def install(environment: Environment, bundles: tuple[Path, ...], yes: bool) -> N
         for bundle in found:
             with batch.item(bundle):
                 data = _read(bundle)
+                # Between question and answer the file may have been exchanged.
                 home, now_in_it = NodeHome.for_bundle(environment.home, data, now())
                 if now_in_it.thumbprint != anchor.thumbprint:
                     raise ConfigurationError("the file has changed meanwhile", "copy it here again")
                 home.install(data, now())
-                record(name=home.name, domain=anchor.domain)
-                say(f"{home.name} is enrolled in {anchor.domain}")
+                say(f"{home.name} is enrolled in {anchor.domain}", name=home.name, domain=anchor.domain)
     batch.finish()
 
 
@@ -131,31 +126,27 @@ def _read(bundle: Path) -> bytes:
 
 @click.command()
 @click.argument("name")
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+@flag("--json as_json", "a line of JSON")
 @pass_environment
 def show(environment: Environment, name: str, as_json: bool) -> None:
     """Show the identity of NAME and how many grants it holds."""
     home = NodeHome.of(environment.home, name)
     identity = home.identity(now())
-    if as_json:
-        say_json(_shown(home, identity))
-        return
-    say(f"{identity.name} of {identity.domain} until {format_time(identity.not_after)}")
-    if identity.wildcard:
-        say(f"also for anonymous nodes, {identity.name}_*")
-    say(f"fingerprint {format_fingerprint(identity.thumbprint)}")
-    count = len(home.grants())
-    say(f"{count} {'grant' if count == 1 else 'grants'} in {home.path}")
-
-
-def _shown(home: NodeHome, identity: Identity) -> dict[str, object]:
-    return {
+    count, end = len(home.grants()), identity.not_after
+    document = {
         "name": identity.name,
         "domain": identity.domain,
         "anonymous": identity.wildcard,
         "not_before": identity.not_before,
-        "not_after": identity.not_after,
+        "not_after": end,
         "key": identity.thumbprint.hex(),
-        "grants": len(home.grants()),
+        "grants": count,
         "path": str(home.path),
     }
+    lines = [
+        f"{identity.name} of {identity.domain} until {format_time(end)}",
+        *([f"also for anonymous nodes, {identity.name}_*"] if identity.wildcard else []),
+        f"fingerprint {format_fingerprint(identity.thumbprint)}",
+        f"{count} {'grant' if count == 1 else 'grants'} in {home.path}",
+    ]
+    say_result(as_json, document, lines)

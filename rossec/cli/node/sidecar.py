@@ -10,13 +10,14 @@ import click
 
 from ca.names import check_name
 from rossec.cli.shared.context import Environment, pass_environment
+from rossec.cli.shared.options import flag, option
 
 _LAST_USER = (1 << 32) - 2  # the last number means "no user"
 
 
 @click.command(context_settings={"allow_interspersed_args": False})
-@click.option("--as", "identity", metavar="NAME", help="the identity all its nodes use")
-@click.option("--each", is_flag=True, help="nodes that are enrolled use their own identity")
+@option("--as=NAME identity", "the identity all its nodes use")
+@flag("--each", "nodes that are enrolled use their own identity")
 @click.argument("command", nargs=-1, required=True, type=click.UNPROCESSED)
 @click.pass_context
 @pass_environment
@@ -53,6 +54,7 @@ def exec_sidecar(
         "users": users or [],
         "verbose": bool(context.find_root().params.get("verbose")),
     }
+    # Isolated: neither PYTHONPATH nor the directory of the program chooses what the keys are given to.
     arguments = [sys.executable, "-I", "-m", "rossec.sidecar", json.dumps(options)]
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # until it can end quietly
     try:
@@ -62,16 +64,15 @@ def exec_sidecar(
 
 
 @click.command()
-@click.option("--as", "identity", metavar="NAME", help="for nodes that are not enrolled themselves")
-@click.option(
-    "--port",
-    "-p",
+@option("--as=NAME identity", "for nodes that are not enrolled themselves")
+@option(
+    "--port -p",
+    "where programs find their master on this host",
     type=click.IntRange(0, 65535),
     default=11311,
     show_default=True,
-    help="where programs find their master on this host",
 )
-@click.option("--user", "users", multiple=True, help="whose programs may use it, by default yours")
+@option("--user users", "whose programs may use it, by default yours", multiple=True)
 @click.pass_context
 @pass_environment
 def sidecar(

@@ -39,25 +39,23 @@ from rossec.cli.policy.check import count
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
 from rossec.cli.shared.master import find_master, master_as
-from rossec.cli.shared.options import json_result, working
+from rossec.cli.shared.options import FILE, PATH, flag, json_result, option, say_result, working
 from rossec.cli.shared.service import deliver_grants, pass_service, publish_list, remind_to_publish
 from rossec.errors import ConfigurationError, NotDelivered, PolicyContradicted
 from rossec.home import NodeHome
 from rossec.participant.host_types import layout_of
 from rossec.ros.names import PRESENT_GRANTS
-from rossec.terminal import note, record, say, say_json
+from rossec.terminal import note, record, say
 
-_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 _CHOICES = {"a": "allow", "c": "allow coarsely", "g": "allow beside it too", "d": "deny", "s": "skip"}
 
 
 @click.command()
-@click.option("--from-graph", "node", metavar="NODE", help="as this node ask the running master")
-@click.option("--from-log", "log", type=_FILE, help="from this denial log (rossec master --complaints FILE)")
-@click.option("--out", type=click.Path(path_type=Path), help="write here instead of the policy")
+@option("--from-graph=NODE node", "as this node ask the running master")
+@option("--from-log log", "from this denial log (rossec master --complaints FILE)", type=FILE)
+@option("--out", "write here instead of the policy", type=PATH)
 @options.policy
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def learn(
     environment: Environment, node: str | None, log: Path | None, out: Path | None, policy_path: Path | None
 ) -> None:
@@ -70,12 +68,23 @@ def learn(
         raise ConfigurationError("nothing to learn from", "add --from-graph or --from-log")
     seen = _read_log(log) if log is not None else []
     if node is not None:
-        seen += _with_certified_names(environment, asyncio.run(_observe_graph(environment, node)))
+        observed = asyncio.run(_observe_graph(environment, node))
+        if (environment.home / "ca" / "ca.pem").exists():
+            # An anonymous node has another name at each start: a rule is for the one it is certified for.
+            with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
+                certified, at = store.identities.certified_name, now()
+                named = (
+                    replace(each, node=certified(each.node, at), name=own_form(each.node, each.name))
+                    for each in observed
+                )
+                observed = list(dict.fromkeys(named))
+        seen += observed
     read = _existing(place(environment.home, policy_path))
     text, rules = learn_from(read.text, read.decider, seen, _day())
     if out is None:
         read.replace(text)
     else:
+        # What was learned must be a policy itself, before it takes the place of one.
         parse_policy(text, str(out))
         files.replace(out, text.encode(), 0o644, keep=True)
     record(rules=[rule.id for rule in rules], file=str(out or read.path))
@@ -93,21 +102,6 @@ def learn(
 def _read_log(path: Path) -> list[Observation]:
     with path.open(encoding="utf-8", errors="replace") as file:
         return from_log(files.lines(file, MAX_LINE + 2))
-
-
-def _with_certified_names(environment: Environment, seen: list[Observation]) -> list[Observation]:
-    if not (environment.home / "ca" / "ca.pem").exists():
-        return seen
-    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
-        named = (
-            replace(
-                item,
-                node=store.identities.certified_name(item.node, now()),
-                name=own_form(item.node, item.name),
-            )
-            for item in seen
-        )
-        return list(dict.fromkeys(named))
 
 
 async def _observe_graph(environment: Environment, node: str) -> list[Observation]:
@@ -142,7 +136,7 @@ def _count_own(read: PolicyFile) -> int:
 
 
 @click.command()
-@click.option("--from-log", "log", type=_FILE, required=True, help="what to go through")
+@option("--from-log log", "what to go through", type=FILE, required=True)
 @options.policy
 @pass_environment
 def review(environment: Environment, log: Path, policy_path: Path | None) -> None:
@@ -152,24 +146,23 @@ def review(environment: Environment, log: Path, policy_path: Path | None) -> Non
     for seen in _read_log(log):
         item = learnable(seen)
         if item is not None and learn_from(read.text, read.decider, [item], _day())[1]:
-            read = _ask_about(read, item)
+            say(f"{item.node} wants to {item.right.label} {item.name}")
+            question = ", ".join(f"[{letter}] {words}" for letter, words in _CHOICES.items())
+            answer = click.prompt(question, type=click.Choice(list(_CHOICES)), default="s", err=True)
+            if answer != "s":
+                read = read.replace(add_rules(read.text, [_rule_of(read, item, answer)]))
     total = _count_own(read)
     say(f"{count(total - before, 'new rule')}, {total} in {read.path}")
 
 
-def _ask_about(read: PolicyFile, item: Observation) -> PolicyFile:
-    say(f"{item.node} wants to {item.right.label} {item.name}")
-    question = ", ".join(f"[{letter}] {words}" for letter, words in _CHOICES.items())
-    answer = click.prompt(question, type=click.Choice(list(_CHOICES)), default="s", err=True)
-    if answer == "s":
-        return read
-    rule = _rule_of(read, item, answer)
-    return read.replace(add_rules(read.text, [rule]))
-
-
 def _rule_of(read: PolicyFile, item: Observation, answer: str) -> NewRule:
     name = item.name.rsplit("/", 1)[0] + "/*" if answer == "g" else item.name
-    chosen = _prompt_for_filter(read) if answer == "c" else None
+    chosen = None
+    if answer == "c":
+        chosen = click.prompt("through which filter of the policy?", err=True)
+        if chosen not in read.policy.filters:
+            hint = suggest(chosen, read.policy.filters)
+            raise ConfigurationError(f"no filter {chosen!r} in {read.path}", hint)
     effect = "deny" if answer == "d" else "allow"
     prefix = f"{'no' if effect == 'deny' else 'reviewed'}-{item.node[1:].replace('/', '-')}"
     return NewRule(
@@ -183,23 +176,15 @@ def _rule_of(read: PolicyFile, item: Observation, answer: str) -> NewRule:
     )
 
 
-def _prompt_for_filter(read: PolicyFile) -> str:
-    name: str = click.prompt("through which filter of the policy?", err=True)
-    if name not in read.policy.filters:
-        hint = suggest(name, read.policy.filters)
-        raise ConfigurationError(f"no filter {name!r} in {read.path}", hint)
-    return name
-
-
 @click.command()
 @options.policy
-@click.option("--node", "names", multiple=True, metavar="NAME", help="only for this node")
-@click.option("--dry-run", is_flag=True, help="only show the difference")
-@click.option("--prune", is_flag=True, help="revoke grants made by hand against a denial, too")
-@click.option("--renew", is_flag=True, help="sign anew what has less than a third of its time left")
+@option("--node=NAME names", "only for this node", multiple=True)
+@flag("--dry-run", "only show the difference")
+@flag("--prune", "revoke grants made by hand against a denial, too")
+@flag("--renew", "sign anew what has less than a third of its time left")
 @options.master_uri
-@click.option("--yes", is_flag=True, help="do not ask")
-@click.option("--json", "as_json", is_flag=True, help="the difference as one line of JSON")
+@options.yes
+@flag("--json as_json", "the difference as one line of JSON")
 @pass_service
 def apply(
     service: AuthorityService,
@@ -226,11 +211,7 @@ def apply(
     policy = read_policy(service.rossec_home, policy_path, signs=True)
     with working("comparing the policy with the grants in force", quiet=as_json):
         plan = service.policy.plan(policy, names or None, renew_due=renew, prune=prune)
-    if as_json:
-        say_json(check.as_json(plan))
-    else:
-        for line in check.lines(plan):
-            say(line)
+    say_result(as_json, check.as_json(plan), check.lines(plan))
     leaks = [item for item in lint(policy.policy, layout_of) if item.is_leak]
     if leaks:
         command = shlex.join(["rossec", "policy", "lint", *([str(policy_path)] if policy_path else [])])
@@ -238,6 +219,7 @@ def apply(
     if not dry_run:
         _carry_out(service, plan, yes=yes, as_json=as_json)
     require_complete(plan)
+    # By hand stays (decision 0026): an operator knows more than the file. But a denial is a promise.
     grants = {each.grant.id for each in plan.contradictions}
     if grants:
         allow = "grant made by hand allows" if len(grants) == 1 else "grants made by hand allow"
@@ -266,11 +248,10 @@ def _carry_out(service: AuthorityService, plan: PolicyPlan, *, yes: bool, as_jso
 
 @click.command("opt-out")
 @click.argument("name")
-@click.option("--node", "is_node", is_flag=True, help="NAME is a node, enrolled or not")
+@flag("--node is_node", "NAME is a node, enrolled or not")
 @options.master_uri
 @options.policy
-@json_result()
-@pass_service
+@json_result(pass_service)
 def opt_out(service: AuthorityService, name: str, is_node: bool, policy_path: Path | None) -> None:
     """Show the topic NAME to no node; or, when NAME is a node, show that node no topic.
 
@@ -285,6 +266,7 @@ def opt_out(service: AuthorityService, name: str, is_node: bool, policy_path: Pa
         say(f"{name} is one of the anonymous nodes of {opted_out.name}, which are one identity:")
         say("all of them are opted out")
     say(f"rule {opted_out.rule} in {opted_out.policy.path} denies it from now on")
+    # The denial stands in the policy first: what is revoked next is not granted anew by it.
     withdrawn = service.policy.revoke_opted_out(opted_out)
     for grant, _ in withdrawn:
         say(f"revoked grant {grant.id.hex()} of {grant.subject}")

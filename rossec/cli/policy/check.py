@@ -20,24 +20,21 @@ from grants.policy.sros2 import MAX_SIZE, described, import_sros2
 from grants.policy.wanted import Withheld
 from rossec import files
 from rossec.authority.policyfile import PolicyFile, PolicyPlan, parse_policy, place
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import json_result
+from rossec.cli.shared.options import FILE, PATH, flag, json_result, option, say_result
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.participant.host_types import layout_of
-from rossec.terminal import fail, note, printable, record, say, say_block, say_json
+from rossec.terminal import fail, note, printable, say, say_block, say_json
 
-_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
-_JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 _NAMED = 3  # nodes of one line
-_NONE = "no rule allows it any more"
 
 
 @click.command()
-@click.argument("file", required=False, type=click.Path(path_type=Path))
-@click.option("--robot", default="home", help="its name, for people  [default: home]")
-@json_result()
-@pass_environment
+@click.argument("file", required=False, type=PATH)
+@option("--robot", "its name, for people  [default: home]", default="home")
+@json_result(pass_environment)
 def init(environment: Environment, file: Path | None, robot: str) -> None:
     """Write the commented beginning of a policy to FILE, which must not exist.
 
@@ -51,13 +48,12 @@ def init(environment: Environment, file: Path | None, robot: str) -> None:
     text = beginning(robot)
     parse_policy(text, str(path))
     files.create(path, text.encode(), 0o644)
-    record(file=str(path))
-    say(f"{path} is begun; write rules, then: rossec policy check {path}")
+    say(f"{path} is begun; write rules, then: rossec policy check {path}", file=str(path))
 
 
 @click.command("import-sros2")
-@click.argument("xml", type=_FILE)
-@click.option("--out", type=click.Path(path_type=Path), help="write the policy to this new file")
+@click.argument("xml", type=FILE)
+@option("--out", "write the policy to this new file", type=PATH)
 def import_(xml: Path, out: Path | None) -> None:
     """Turn the SROS2 policy in XML into one of rossec.
 
@@ -81,8 +77,8 @@ def import_(xml: Path, out: Path | None) -> None:
 
 
 @click.command()
-@click.argument("file", required=False, type=_FILE)
-@_JSON
+@click.argument("file", required=False, type=FILE)
+@options.as_json
 @pass_environment
 def check(environment: Environment, file: Path | None, as_json: bool) -> None:
     """Check the policy in FILE: its form, its words, conditions and filters, and its tests."""
@@ -99,13 +95,10 @@ def check(environment: Environment, file: Path | None, as_json: bool) -> None:
         _print_mistakes(tuple(found), as_json=as_json)
         message = f"{len(failures)} of {len(outcomes)} assertions of {path} do not hold"
         raise PolicyRefused(message, "correct the rules, or what the tests say")
-    if as_json:
-        say_json([])
-        return
     basics = any(map(is_basics, read.policy.rules))
     rules = [f"rules: {len(read.policy.rules) - basics}", *(["basics"] if basics else [])]
     tests = [f"tests that hold: {len(read.policy.tests)}"] if read.policy.tests else []
-    say(f"{path} is right; {', '.join([*rules, *tests])}")
+    say_result(as_json, [], [f"{path} is right; {', '.join([*rules, *tests])}"])
 
 
 def _print_mistakes(found: tuple[Mistake, ...], *, as_json: bool) -> None:
@@ -119,7 +112,20 @@ def _print_mistakes(found: tuple[Mistake, ...], *, as_json: bool) -> None:
 def as_json(plan: PolicyPlan) -> dict[str, object]:
     return {
         "policy": str(plan.policy.path),
-        "changes": [_change_row(each) for node in plan.nodes for each in node.changes],
+        "changes": [
+            {
+                "sign": each.kind.sign,
+                "kind": str(each.kind),
+                "node": shown(each.subject.name),
+                "right": each.right.label,
+                "name": each.pattern,
+                "restrictions": list(each.restrictions),
+                "before": list(each.before),
+                "rules": [_rule_row(rule) for rule in each.rules],
+            }
+            for node in plan.nodes
+            for each in node.changes
+        ],
         "withheld": [
             {
                 "node": shown(node.subject.name),
@@ -152,38 +158,26 @@ def as_json(plan: PolicyPlan) -> dict[str, object]:
     }
 
 
-def _change_row(change: Change) -> dict[str, object]:
-    return {
-        "sign": change.kind.sign,
-        "kind": str(change.kind),
-        "node": shown(change.subject.name),
-        "right": change.right.label,
-        "name": change.pattern,
-        "restrictions": list(change.restrictions),
-        "before": list(change.before),
-        "rules": [_rule_row(rule) for rule in change.rules],
-    }
-
-
 def _rule_row(rule: PolicyRule) -> dict[str, object]:
     return {"id": rule.id, "line": rule.line, "why": rule.why}
 
 
 @click.command()
-@click.argument("file", required=False, type=_FILE)
-@_JSON
+@click.argument("file", required=False, type=FILE)
+@options.as_json
 @pass_environment
 def lint(environment: Environment, file: Path | None, as_json: bool) -> None:
     """Warn of what the policy in FILE allows unwisely, such as a hidden value that still leaks."""
     read = PolicyFile.read(place(environment.home, file))
     found = advise(read.policy, layout_of)
-    if as_json:
-        say_json([item.as_json() for item in found])
-        return
-    for item in found:
-        say(f"{read.path}:{item.line}: {item.message} [{item.code}]")
-        say(f"  {item.hint}")
-    say(remarks(len(found)))
+
+    def lines() -> Iterator[str]:
+        for item in found:
+            yield f"{read.path}:{item.line}: {item.message} [{item.code}]"
+            yield f"  {item.hint}"
+        yield remarks(len(found))
+
+    say_result(as_json, [item.as_json() for item in found], lines())
 
 
 def remarks(number: int) -> str:
@@ -196,8 +190,8 @@ def count(number: int, what: str) -> str:
 
 
 @click.command()
-@click.argument("file", required=False, type=_FILE)
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@click.argument("file", required=False, type=FILE)
+@flag("--json as_json", "one line of JSON")
 @pass_environment
 def test(environment: Environment, file: Path | None, as_json: bool) -> None:
     """Run the tests in the policy FILE: what must stay true of it.
@@ -234,6 +228,7 @@ def _row(outcome: CheckOutcome) -> dict[str, object]:
 
 
 def lines(plan: PolicyPlan) -> Iterator[str]:
+    # 1. What is new, narrower, wider or no longer allowed; what stays is counted.
     changes = [change for node in plan.nodes for change in node.changes]
     yield from _by_nodes(
         (shown(change.subject.name), _change(change)) for change in changes if change.kind != ChangeKind.KEPT
@@ -242,15 +237,25 @@ def lines(plan: PolicyPlan) -> Iterator[str]:
     if kept:
         rights = sum(change.kind is ChangeKind.KEPT for change in changes)
         yield f"= {count(rights, 'right')} of {count(len(kept), 'node')} as before"
+    # 2. What the policy allows and no grant can say, and what grants by hand allow against it.
     yield from _by_nodes(
         (shown(node.subject.name), _withheld(each)) for node in plan.nodes for each in node.withheld
     )
-    yield from _by_nodes(
-        (each.grant.subject, _contradiction(each, pruned=plan.options.prune))
-        for node in plan.nodes
-        for each in node.contradictions
-    )
-    yield from _outlook(plan)
+    sign = "-" if plan.options.prune else "!"
+    against = [each for node in plan.nodes for each in node.contradictions]  # also what is pruned
+    yield from _by_nodes((each.grant.subject, (sign, _against(each))) for each in against)
+    # 3. What comes next.
+    for reason in plan.refused:
+        yield printable(f"! {reason}")
+    if plan.is_empty and not plan.refused:
+        yield "the policy is in force, nothing to do"
+    if plan.needs_tree:
+        yield (f"the revocations are a tree of {plan.listed} entries: a list has at most {MAX_ENTRIES}")
+    due = sum(len(node.due) for node in plan.nodes)
+    if due:
+        yield f"{count(due, 'grant')} due for renewal: rossec policy apply --renew"
+    if plan.ends is not None:
+        yield f"the first grant of the policy ends {format_time(plan.ends)}"
 
 
 # What is the same for many nodes is one line of text; JSON has each right of each node.
@@ -270,7 +275,7 @@ def _change(change: Change) -> tuple[str, str]:
     if change.rules and all(map(is_basics, change.rules)):
         what = "what every ROS program needs"
     if change.kind is ChangeKind.GONE:
-        return "-", f"{what} ({_rules(change.rules) or _NONE})"
+        return "-", f"{what} ({_rules(change.rules) or 'no rule allows it any more'})"
     restrictions = "; ".join(change.restrictions)
     rules = f"({_rules(change.rules)})"
     if change.kind is ChangeKind.NEW:
@@ -295,24 +300,9 @@ def _withheld(each: Withheld) -> tuple[str, str]:
     return "!", f"{what} ({_rule(each.rule)}) {denied}; write the rule for narrower names"
 
 
-def _contradiction(each: Contradiction, *, pruned: bool) -> tuple[str, str]:
+def _against(each: Contradiction) -> str:
     grant = f"grant {each.grant.short_id}, made by hand"
-    what = f"{each.right.label} {each.pattern} by {grant}"
-    return "-" if pruned else "!", f"{what}, against the denial of {_rule(each.rule)}"
-
-
-def _outlook(plan: PolicyPlan) -> Iterator[str]:
-    for reason in plan.refused:
-        yield printable(f"! {reason}")
-    if plan.is_empty and not plan.refused:
-        yield "the policy is in force, nothing to do"
-    if plan.needs_tree:
-        yield (f"the revocations are a tree of {plan.listed} entries: a list has at most {MAX_ENTRIES}")
-    due = sum(len(node.due) for node in plan.nodes)
-    if due:
-        yield f"{count(due, 'grant')} due for renewal: rossec policy apply --renew"
-    if plan.ends is not None:
-        yield f"the first grant of the policy ends {format_time(plan.ends)}"
+    return f"{each.right.label} {each.pattern} by {grant}, against the denial of {_rule(each.rule)}"
 
 
 def summary(plan: PolicyPlan) -> str:

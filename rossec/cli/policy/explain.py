@@ -1,10 +1,11 @@
 """`rossec explain`, `rossec privacy`: whether a node may do something and why; who sees which data."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -27,11 +28,12 @@ from rossec.authority.policyfile import PolicyFile, place, read_policy
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.messages import fill, flat, parse_message, stamp_now
+from rossec.cli.shared.options import FILE, option, say_result
 from rossec.clock import format_time as clock_format_time
 from rossec.errors import ConfigurationError
 from rossec.participant.host_types import layout_of
 from rossec.participant.message_types import MessageType, message_type
-from rossec.terminal import note, say, say_json
+from rossec.terminal import note, say
 
 _MAX_MESSAGE = 64 * 1024 * 1024
 _NO_KEY = bytes(32)
@@ -41,13 +43,12 @@ _NO_KEY = bytes(32)
 @click.argument("node")
 @click.argument("right")
 @click.argument("name")
-@click.option(
-    "--message",
-    "message_file",
-    type=options.FILE,
-    help="try it on this message: YAML as in rostopic (.yaml), or its serialized bytes",
+@option(
+    "--message message_file",
+    "try it on this message: YAML as in rostopic (.yaml), or its serialized bytes",
+    type=FILE,
 )
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@options.as_json
 @options.policy
 @pass_environment
 def explain(
@@ -70,42 +71,52 @@ def explain(
     asked = RIGHTS[right]
     subject = subject_of(environment, node)
     certified = _certified(environment)
+    # Every key the name ever had here: a grant for an older one is in force until it ends.
     keys = {subject.key, *certified.get(subject.name, ())} - {_NO_KEY}
     held = _in_force(environment, keys, asked, name)
     if certified and policy_path is None and not place(environment.home, None).exists():
-        _without_policy(node, subject, asked, name, held, certified, as_json=as_json)
+        if subject.name not in certified:
+            note(f"nobody named {node} is enrolled here ({suggest(node, certified)})")
+        in_force = [_as_json(each) for each in held]
+        document = {"decision": "none", "rules": [], "explanation": [], "sees": {}, "in_force": in_force}
+        say_result(as_json, document, _lines_of_grants(subject, asked, name, held))
         return
     read = read_policy(environment.home, policy_path)
     decider = read.decider
-    _note_unknown(node, subject, read.policy, certified)
+    # 1. What is not known of the node: whether there is one of that name, or its key.
+    if not _is_known(read.policy, subject, certified):
+        rules = read.policy.rules
+        named = {who.node for rule in rules for who in rule.who if who.node and "*" not in who.node}
+        close = suggest(subject.name, {*certified, *named})
+        note(f"nobody named {node} is known: not enrolled here, and no rule names it ({close})")
+    if subject.key == _NO_KEY and any(who.key for rule in read.policy.rules for who in rule.who):
+        note(f"{node} is not enrolled here: rules that pin its key do not count")
+    # 2. What the policy decides, what the node would see, and what grants give though it does not.
     verdict = decider.decide(subject, asked, name)
     seen = shown(read.policy, verdict, layout_of) if asked is Right.SUBSCRIBE else {}
-    tried: dict[str, object] = {}
+    tried: dict[str, Any] = {}
     if message_file is not None:
         tried = _tried(read, verdict, message_file)
-    if as_json:
-        say_json(
-            {
-                "decision": str(verdict.effect),
-                "rules": [rule.id for rule in verdict.rules],
-                "explanation": decider.explain(verdict),
-                "sees": levels_json(seen),
-                "in_force": [_as_json(each) for each in held],
-                **({"message": tried} if tried else {}),
-            }
-        )
-        return
-    if not verdict and gives_whole(held, asked, name):
-        say(f"IN FORCE: {verdict.subject.name} {asked.label} {name}, by a grant; the policy says")
-    headline, *explanation = decider.explain(verdict)
-    for line in (headline, *(f"  {line}" for line in level_lines(seen)), *explanation):
-        say(line)
-    for line in in_force_lines(held, verdict):
-        say(f"  {line}")
-    if tried:
-        say("this message would be sent" if tried["sent"] else f"withheld: {tried['reason']}")
-        for line in tried["changed"] if isinstance(tried["changed"], list) else []:
-            say(f"  {line}")
+    document = {
+        "decision": str(verdict.effect),
+        "rules": [rule.id for rule in verdict.rules],
+        "explanation": decider.explain(verdict),
+        "sees": levels_json(seen),
+        "in_force": [_as_json(each) for each in held],
+        **({"message": tried} if tried else {}),
+    }
+
+    def lines() -> Iterator[str]:
+        if not verdict and gives_whole(held, asked, name):
+            yield f"IN FORCE: {verdict.subject.name} {asked.label} {name}, by a grant; the policy says"
+        headline, *explanation = decider.explain(verdict)
+        yield from (headline, *(f"  {line}" for line in level_lines(seen)), *explanation)
+        yield from (f"  {line}" for line in in_force_lines(held, verdict))
+        if tried:
+            yield "this message would be sent" if tried["sent"] else f"withheld: {tried['reason']}"
+            yield from (f"  {line}" for line in tried["changed"])
+
+    say_result(as_json, document, lines())
 
 
 def subject_of(environment: Environment, node: str) -> Subject:
@@ -140,50 +151,17 @@ def _in_force(environment: Environment, keys: Collection[bytes], right: Right, n
     return in_force(grants, keys, right, name, now=now(), revoked=revoked)
 
 
-def _without_policy(
-    node: str,
-    subject: Subject,
-    right: Right,
-    name: str,
-    held: list[Grant],
-    certified: Collection[str],
-    *,
-    as_json: bool,
-) -> None:
-    if subject.name not in certified:
-        note(f"nobody named {node} is enrolled here ({suggest(node, certified)})")
-    lines = held_lines(held, right, name)
-    if as_json:
-        say_json(
-            {
-                "decision": "none",
-                "rules": [],
-                "explanation": [],
-                "sees": {},
-                "in_force": [_as_json(each) for each in held],
-            }
-        )
-        return
+def _lines_of_grants(subject: Subject, right: Right, name: str, held: list[Grant]) -> Iterator[str]:
     whole = gives_whole(held, right, name)
-    say(f"{'IN FORCE' if whole else 'DENY'}: {subject.name} {right.label} {name}")
-    for line in (*lines, "there is no policy, only grants signed by hand"):
-        say(f"  {line}")
+    yield f"{'IN FORCE' if whole else 'DENY'}: {subject.name} {right.label} {name}"
+    for line in (*held_lines(held, right, name), "there is no policy, only grants signed by hand"):
+        yield f"  {line}"
     if not whole:
-        say(f"  {grant_command(subject.name, [(right, name)])} would change it")
+        yield f"  {grant_command(subject.name, [(right, name)])} would change it"
 
 
 def _as_json(grant: Grant) -> dict[str, object]:
     return {"grant": grant.id.hex(), "until": format_time(grant.expires)}
-
-
-def _note_unknown(node: str, subject: Subject, policy: Policy, certified: Collection[str]) -> None:
-    # Say what is not known of the node: whether there is one of that name, or its key.
-    if not _is_known(policy, subject, certified):
-        named = {who.node for rule in policy.rules for who in rule.who if who.node and "*" not in who.node}
-        close = suggest(subject.name, {*certified, *named})
-        note(f"nobody named {node} is known: not enrolled here, and no rule names it ({close})")
-    if subject.key == _NO_KEY and any(who.key for rule in policy.rules for who in rule.who):
-        note(f"{node} is not enrolled here: rules that pin its key do not count")
 
 
 def _is_known(policy: Policy, subject: Subject, certified: Collection[str]) -> bool:
@@ -202,7 +180,7 @@ def is_for_all(node: str) -> bool:
     return node in ("/**", "**", "*")
 
 
-def _tried(read: PolicyFile, verdict: Verdict, message_file: Path) -> dict[str, object]:
+def _tried(read: PolicyFile, verdict: Verdict, message_file: Path) -> dict[str, Any]:
     # What would become of a message.
     kind = read.policy.type_of(verdict.name)
     if kind is None:
@@ -262,7 +240,17 @@ def show_privacy(
         accesses = _held(AuthorityHome.at(environment.home), read.decider, told)
     if html is not None:
         wanted = partial(_is_wanted, node, field)
-        files.replace(html, _page(accesses, wanted, read.policy).encode(), 0o644)
+        try:
+            from rossec.console.matrix import topics  # noqa: PLC0415 - an extra
+            from rossec.console.pages.visibility import write  # noqa: PLC0415 - an extra
+            from rossec.console.words import Names  # noqa: PLC0415 - an extra
+        except ModuleNotFoundError as error:
+            raise ConfigurationError(
+                f"a page needs the package {error.name}", "pip install 'rossec[console]', or leave out --html"
+            ) from error
+        found, policy = topics(accesses, layout_of, wanted, read.policy.vocabulary), read.policy
+        page = write(found, policy.robot, now(), Names(dict(policy.titles)))
+        files.replace(html, page.encode(), 0o644)
         say(f"written to {html}")
         return
     rows = [
@@ -270,11 +258,7 @@ def show_privacy(
         for row in report.rows(accesses, layout_of, read.policy.vocabulary)
         if _is_wanted(node, field, row.receiver, row.field)
     ]
-    if as_json:
-        say_json(report.as_json(rows))
-    else:
-        for line in report.lines(rows):
-            say(line)
+    say_result(as_json, report.as_json(rows), report.lines(rows))
 
 
 def _held(home: AuthorityHome, decider: Decider, told: Callable[[int], str]) -> list[ReceiverAccess]:
@@ -311,16 +295,3 @@ def _access(
 
 def _is_wanted(node: str | None, field: str | None, receiver: str, path: str) -> bool:
     return node in (None, receiver) and (field is None or field in path)
-
-
-def _page(accesses: list[ReceiverAccess], wanted: Callable[[str, str], bool], policy: Policy) -> str:
-    try:
-        from rossec.console.matrix import topics  # noqa: PLC0415 - an extra
-        from rossec.console.pages.visibility import write  # noqa: PLC0415 - an extra
-        from rossec.console.words import Names  # noqa: PLC0415 - an extra
-    except ModuleNotFoundError as error:
-        raise ConfigurationError(
-            f"a page needs the package {error.name}", "pip install 'rossec[console]', or leave out --html"
-        ) from error
-    found = topics(accesses, layout_of, wanted, policy.vocabulary)
-    return write(found, policy.robot, now(), Names(dict(policy.titles)))

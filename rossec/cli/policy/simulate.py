@@ -24,13 +24,13 @@ from grants.policy.model import Policy, Subject
 from grants.policy.privacy import Trial, TrialOutcome
 from rossec.authority.policyfile import PolicyFile, parse_policy, place, read_policy
 from rossec.cli.policy.explain import changes, subject_of
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import working
+from rossec.cli.shared.options import FILE, option, say_result, working
 from rossec.errors import ConfigurationError, MessageError
 from rossec.ros.tcpros import MESSAGE_LIMIT
-from rossec.terminal import note, printable, say, say_json
+from rossec.terminal import note, printable
 
-_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 # What the reader of bags raises for wrong bytes, few of which it checks first.
 _BROKEN = (
     ReaderError,
@@ -68,11 +68,11 @@ class Tally:
 
 
 @click.command()
-@click.option("--policy", "new", type=_FILE, required=True, help="the policy to try")
-@click.option("--old", type=_FILE, help="compare with this; by default the one in force, if any")
-@click.option("--bag", type=_FILE, required=True, help="a bag of ROS 1")
-@click.option("--node", "nodes", multiple=True, help="only as this receiver sees it")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@option("--policy new", "the policy to try", type=FILE, required=True)
+@option("--old", "compare with this; by default the one in force, if any", type=FILE)
+@option("--bag", "a bag of ROS 1", type=FILE, required=True)
+@option("--node nodes", "only as this receiver sees it", multiple=True)
+@options.as_json
 @pass_environment
 def simulate(
     environment: Environment, new: Path, old: Path | None, bag: Path, nodes: tuple[str, ...], as_json: bool
@@ -83,16 +83,18 @@ def simulate(
     """
     read = PolicyFile.read(new)
     before = PolicyFile.read(old) if old is not None else _in_force(environment)
-    receivers = _receivers(environment, nodes, before.policy, read.policy)
+    if nodes:
+        receivers = [subject_of(environment, node) for node in nodes]
+    else:
+        receivers = receivers_in(before.policy, read.policy)
     with working("reading the bag", quiet=as_json):
         found = run(bag, receivers, (before.decider, read.decider))
-    if as_json:
-        say_json([_row(key, tallies) for key, tallies in found.items()])
-        return
-    for (topic, receiver), tallies in found.items():
-        _say(topic, receiver, *tallies)
-    if not found:
-        say("the bag holds nothing for these receivers")
+    lines = (line for (topic, who), tallies in found.items() for line in _lines(topic, who, *tallies))
+    document = [
+        {"topic": topic, "receiver": who, "old": vars(old), "new": vars(new)}
+        for (topic, who), (old, new) in found.items()
+    ]
+    say_result(as_json, document, lines if found else ["the bag holds nothing for these receivers"])
 
 
 def _in_force(environment: Environment) -> PolicyFile:
@@ -124,6 +126,7 @@ def _messages(bag: Path) -> Iterator[tuple[str, Layout, int, int, bytes]]:
     layouts: dict[int, Layout | None] = {}
     try:
         with Reader(bag) as reader:
+            # A bag of kilobytes may hold gigabytes (attack `bag-bomb`).
             bounded = {bz2.decompress: bz2.BZ2Decompressor, lz4.frame.decompress: LZ4FrameDecompressor}
             for position, chunk in reader.chunks.items():
                 make = bounded.get(chunk.decompressor)
@@ -163,9 +166,8 @@ def _layout(connection: Any) -> Layout | None:
     return layout
 
 
-def _receivers(environment: Environment, nodes: tuple[str, ...], *policies: Policy) -> list[Subject]:
-    if nodes:
-        return [subject_of(environment, node) for node in nodes]
+def receivers_in(*policies: Policy) -> list[Subject]:
+    """A node for each way in which rules about subscribing name one."""
     found = {
         who.sample
         for policy in policies
@@ -183,18 +185,12 @@ def _example(kind: str, before: bytes, after: bytes) -> list[str]:
         return ["a type not known here: changed, but not shown"]
 
 
-def _say(topic: str, receiver: str, old: Tally, new: Tally) -> None:
+def _lines(topic: str, receiver: str, old: Tally, new: Tally) -> Iterator[str]:
     total = old.admitted + old.withheld
-    say(f"{topic} -> {receiver}: {old.admitted} of {total} admitted before, {new.admitted} after")
+    yield f"{topic} -> {receiver}: {old.admitted} of {total} admitted before, {new.admitted} after"
     for when, tally in (("before", old), ("after", new)):
         if tally.reason:
-            say(f"  withheld {when}: {tally.reason}")
+            yield f"  withheld {when}: {tally.reason}"
     if new.example and new.example != old.example:
-        say("  a message after:")
-    for line in new.example if new.example != old.example else []:
-        say(f"    {line}")
-
-
-def _row(key: tuple[str, str], tallies: tuple[Tally, Tally]) -> dict[str, object]:
-    old, new = (vars(tally) for tally in tallies)
-    return {"topic": key[0], "receiver": key[1], "old": old, "new": new}
+        yield "  a message after:"
+        yield from (f"    {line}" for line in new.example)

@@ -4,11 +4,11 @@ import asyncio
 import logging
 import os
 import socket
-from contextlib import ExitStack, suppress
+from functools import partial
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Final
 
+from ca.errors import HintedError
 from rossec import files
 from rossec.cli.relay.sites import RELAY_SOCKET, relay_files
 from rossec.cli.shared.context import Environment
@@ -17,12 +17,11 @@ from rossec.environment import own_relay
 from rossec.errors import ConfigurationError, OverlayUnavailable
 from rossec.host.audit import audit_written
 from rossec.host.local_sockets import process_lock
-from rossec.host.runner import READY, STOPPING, notify, stop_on_signals, until_first_ends
+from rossec.host.runner import stop_on_signals, until_reached, until_stopped
 from rossec.master.operation.admin import AdminPort, raise_descriptor_limit
 from rossec.overlay.documents import MAX_SEAT_FILE, Routers
 from rossec.overlay.endpoint import RouterNetwork
 from rossec.overlay.forwarded_ports import OpenDoors
-from rossec.overlay.homes import RelayFiles
 from rossec.overlay.masters import RelayMember
 from rossec.overlay.relay import Relay
 from rossec.overlay.zenoh_carrier import Carrier
@@ -30,9 +29,6 @@ from rossec.sidecar.callers import Callers
 from rossec.sidecar.loopback_port import PortAdmission, find_loopback
 from rossec.terminal import note, printable, say, say_json
 
-AUDIT: Final = "audit.log"
-LOCK: Final = "relay.lock"
-AGAIN_AFTER: Final = 2.0  # seconds until routers that are out of reach are tried again
 _log = logging.getLogger("rossec.overlay")
 
 
@@ -49,57 +45,44 @@ def run(environment: Environment, doors: str, seat_file: Path | None, *, as_json
     else:
         missing = ConfigurationError(f"there is no {seat_file}", "`rossec router seats add` made it")
         routers = Routers.read(files.read_own(seat_file, MAX_SEAT_FILE, missing, link=True))
+
+    async def serve() -> None:
+        stop = stop_on_signals()
+        admission = _admission(doors)
+        name = own_relay(environment.variables)
+        member = RelayMember(name, await with_master(environment, name))
+
+        def tell(error: HintedError) -> None:
+            if isinstance(error.__cause__, ImportError):  # the library is missing: it never comes by itself
+                raise error
+            _log.warning("%s (%s); trying again", error, error.hint)
+
+        carrier = await until_reached(partial(Carrier.open, routers), stop, OverlayUnavailable, tell)
+        if carrier is None:
+            return
+        relay = Relay(member, RouterNetwork(carrier, routers, member.link_context), admission, store.peers)
+        admin = AdminPort(store.home.path / RELAY_SOCKET, {"status": relay.status})
+        try:
+            await admin.start()
+            if as_json:
+                say_json({"ready": store.home.name, "router": carrier.router})
+            else:
+                said = f"relay {store.home.name} of {store.home.anchor().domain} at {carrier.router}"
+                say(printable(said))
+                if not store.peers():
+                    note("it has no peers yet: rossec relay card LABEL, rossec relay add LABEL FILE")
+            await until_stopped(stop, environment.variables, relay.run())
+        finally:
+            await admin.close()
+            await carrier.close()
+
     busy = ConfigurationError(f"{store.home.name} runs already", "end it first")
     raise_descriptor_limit()
-    with ExitStack() as stack:
-        stack.enter_context(process_lock(store.home.path / LOCK, busy))
-        stack.enter_context(audit_written(store.home.path / AUDIT, store.home.signer()))
-        asyncio.run(_serve(environment, store, routers, doors, as_json=as_json))
-
-
-async def _serve(
-    environment: Environment, store: RelayFiles, routers: Routers, doors: str, *, as_json: bool
-) -> None:
-    stop = stop_on_signals()
-    admission = _admission(doors)
-    name = own_relay(environment.variables)
-    member = RelayMember(name, await with_master(environment, name))
-    carrier = await _carrier(routers, stop)
-    if carrier is None:
-        return
-    relay = Relay(member, RouterNetwork(carrier, routers, member.link_context), admission, store.peers)
-    admin = AdminPort(store.home.path / RELAY_SOCKET, {"status": relay.status})
-    try:
-        await admin.start()
-        if as_json:
-            say_json({"ready": store.home.name, "router": carrier.router})
-        else:
-            say(printable(f"relay {store.home.name} of {store.home.anchor().domain} at {carrier.router}"))
-            if not store.peers():
-                note("it has no peers yet: rossec relay card LABEL, rossec relay add LABEL FILE")
-        notify(READY, environment.variables)
-        await until_first_ends(relay.run(), stop.wait())
-        notify(STOPPING, environment.variables)
-    finally:
-        await admin.close()
-        await carrier.close()
-
-
-async def _carrier(routers: Routers, stop: asyncio.Event) -> Carrier | None:
-    said = ""
-    while not stop.is_set():
-        try:
-            return await Carrier.open(routers)
-        except OverlayUnavailable as error:
-            if isinstance(error.__cause__, ImportError):
-                raise
-            if said != str(error):
-                _log.warning("%s (%s); trying again", error, error.hint)
-            said = str(error)
-        with suppress(TimeoutError):
-            async with asyncio.timeout(AGAIN_AFTER):
-                await stop.wait()
-    return None
+    with (
+        process_lock(store.home.path / "relay.lock", busy),
+        audit_written(store.home.path / "audit.log", store.home.signer()),
+    ):
+        asyncio.run(serve())
 
 
 def _admission(doors: str) -> PortAdmission:
@@ -107,6 +90,7 @@ def _admission(doors: str) -> PortAdmission:
         return Callers({os.geteuid()}, loopback=find_loopback())
     try:
         address = str(ip_address(doors))
+        # Bound once to see that it is of this host: doors are opened later, one for each node.
         with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as sock:
             sock.bind((address, 0))
     except (ValueError, OSError) as error:

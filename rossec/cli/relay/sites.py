@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from operator import methodcaller
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import click
 
@@ -17,9 +17,8 @@ from ca.errors import CAError, DomainsRefused
 from ca.names import MASTER, check_label, display_name
 from rossec import files
 from rossec.authority.local_list import LocalList
-from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
-from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.cli.shared.options import FILE, Batch, flag, json_result, option, say_result, unique
 from rossec.environment import own_master, own_relay
 from rossec.errors import ConfigurationError
 from rossec.federation.settings import SiteFile, SiteSettings, checked_sites
@@ -33,16 +32,16 @@ from rossec.terminal import note, printable, record, say, say_json, say_secret
 
 RELAY_SOCKET: Final = "admin.sock"
 _LISTED = "at the authority: rossec domain accept CARD; then the master has the list, and the relay"
+_Known = TypeVar("_Known", Peer, SiteSettings)
 pass_home = click.make_pass_decorator(RouterHome)
 
 
 @click.command()
 @click.argument("label")
-@click.option(
-    "--domain",
-    metavar="DOMAIN-LABEL",
+@option(
+    "--domain=DOMAIN-LABEL",
+    "only a relay of this trusted domain may use it; '' for the own domain",
     default=None,
-    help="only a relay of this trusted domain may use it; '' for the own domain",
 )
 @pass_environment
 def card(environment: Environment, label: str, domain: str | None) -> None:
@@ -54,11 +53,11 @@ def card(environment: Environment, label: str, domain: str | None) -> None:
     store = relay_files(environment)
     own = store.home.anchor().domain
     routers = store.routers()
-    if domain:
-        _check_listed(known_domains(environment, store.home), domain)
+    if domain and known_domains(environment, store.home).listed(domain) is None:
+        raise ConfigurationError(f"no trusted domain is called {domain[:40]!a}", _LISTED)
 
     def put(peers: dict[str, Peer]) -> None:
-        peer = peers.setdefault(label, Peer(check_label(label), _new_box(), domain))
+        peer = peers.setdefault(label, Peer(check_label(label), secrets.token_hex(BOX), domain))
         if domain is None or domain == peer.domain:
             return
         if peer.is_complete:
@@ -66,6 +65,7 @@ def card(environment: Environment, label: str, domain: str | None) -> None:
         peers[label] = replace(peer, domain=domain)
 
     store.change(put)
+    # A mailbox for each peer: one relay may send there, and no other (decision 0034).
     box = bytes.fromhex(store.peers()[label].box)
     say_secret(RelayCard(own, store.home.name, mailbox(routers.seat, box)).write().rstrip())
     if not store.peers()[label].is_complete:
@@ -76,11 +76,6 @@ def card(environment: Environment, label: str, domain: str | None) -> None:
 def relay_files(environment: Environment) -> RelayFiles:
     """The files of this host's relay, which need not be enrolled."""
     return RelayFiles(NodeHome.of(environment.home, own_relay(environment.variables)))
-
-
-def _check_listed(anchors: Anchors, label: str) -> None:
-    if anchors.listed(label) is None:
-        raise ConfigurationError(f"no trusted domain is called {label[:40]!a}", _LISTED)
 
 
 def known_domains(environment: Environment, home: NodeHome) -> Anchors:
@@ -95,15 +90,10 @@ def known_domains(environment: Environment, home: NodeHome) -> Anchors:
     return anchors
 
 
-def _new_box() -> str:
-    return secrets.token_hex(BOX)
-
-
 @click.command()
 @click.argument("label")
-@click.argument("file", type=options.FILE)
-@json_result()
-@pass_environment
+@click.argument("file", type=FILE)
+@json_result(pass_environment)
 def add_relay(environment: Environment, label: str, file: Path) -> None:
     """Take the card in FILE of another site's relay, and call it LABEL.
 
@@ -112,7 +102,12 @@ def add_relay(environment: Environment, label: str, file: Path) -> None:
     """
     store = relay_files(environment)
     found = RelayCard.read(files.read(file, MAX_CARD))
-    domain = _label_of(known_domains(environment, store.home), found)
+    anchors, domain = known_domains(environment, store.home), ""
+    if found.domain != anchors.own.domain:
+        listed = anchors.listed_domain(found.domain)
+        if listed is None:
+            raise ConfigurationError(f"the card is of domain {found.domain}, not trusted here", _LISTED)
+        domain = listed.entry.label
     if not domain and found.relay == store.home.name:
         raise ConfigurationError(
             f"this is the card of {found.relay}, the relay of this host itself",
@@ -120,7 +115,7 @@ def add_relay(environment: Environment, label: str, file: Path) -> None:
         )
 
     def put(peers: dict[str, Peer]) -> None:
-        peer = peers.get(label) or Peer(check_label(label), _new_box())
+        peer = peers.get(label) or Peer(check_label(label), secrets.token_hex(BOX))
         if peer.domain is not None and peer.domain != domain:
             raise ConfigurationError(
                 f"the card is of domain {found.domain}, and {label} is to be of"
@@ -132,24 +127,13 @@ def add_relay(environment: Environment, label: str, file: Path) -> None:
         peers[label] = replace(peer, domain=domain, relay=found.relay, mailbox=found.mailbox)
 
     store.change(put)
-    record(label=label, domain=domain, relay=found.relay)
-    say(f"{label} is {store.peers()[label].shown}")
+    say(f"{label} is {store.peers()[label].shown}", label=label, domain=domain, relay=found.relay)
     note(f"it needs this relay's card too: rossec relay card {label} > FILE, and there: add")
-
-
-def _label_of(anchors: Anchors, found: RelayCard) -> str:
-    if found.domain == anchors.own.domain:
-        return ""
-    listed = anchors.listed_domain(found.domain)
-    if listed is None:
-        raise ConfigurationError(f"the card is of domain {found.domain}, not trusted here", _LISTED)
-    return listed.entry.label
 
 
 @click.command()
 @click.argument("labels", metavar="LABEL...", nargs=-1, required=True)
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def remove_relay(environment: Environment, labels: tuple[str, ...]) -> None:
     """Link with LABEL no longer: its links end at once.
 
@@ -159,21 +143,25 @@ def remove_relay(environment: Environment, labels: tuple[str, ...]) -> None:
     batch = Batch(len(labels), "name")
     for label in labels:
         with batch.item(label):
-            relay_files(environment).change(partial(_forget, label))
+            relay_files(environment).change(partial(_take_out, label, "peer"))
             say(f"{label} is linked with no longer")
     batch.finish()
 
 
-def _forget(label: str, peers: dict[str, Peer]) -> None:
-    if label not in peers:
-        raise ConfigurationError(
-            f"there is no peer {label[:40]!a}", f"there are: {', '.join(sorted(peers)) or 'none'}"
-        )
-    del peers[label]
+def _take_out(label: str, what: str, known: dict[str, _Known]) -> None:
+    _find(known, label, what)
+    del known[label]
+
+
+def _find(known: dict[str, _Known], label: str, what: str) -> _Known:
+    if label not in known:
+        there = ", ".join(sorted(known)) or "none"
+        raise ConfigurationError(f"there is no {what} {label[:40]!a}", f"there are: {there}")
+    return known[label]
 
 
 @click.command("list")
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each")
+@flag("--json as_json", "a line of JSON for each")
 @pass_environment
 def list_relays(environment: Environment, *, as_json: bool) -> None:
     """List the relays of other sites, as cards have named them."""
@@ -188,9 +176,8 @@ def list_relays(environment: Environment, *, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("file", type=options.FILE)
-@json_result()
-@pass_environment
+@click.argument("file", type=FILE)
+@json_result(pass_environment)
 def seat(environment: Environment, file: Path) -> None:
     """Keep the seat FILE that the operator of the routers made.
 
@@ -201,6 +188,7 @@ def seat(environment: Environment, file: Path) -> None:
     found = store.keep_seat(files.read(file, MAX_SEAT_FILE))
     record(seat=found.seat, locators=list(found.locators))
     say(printable(f"seat {found.seat} at {' '.join(found.locators)}"))
+    # Mailboxes are derived from the seat: cards that were handed out name the old ones.
     if before and before != found.seat:
         note("the mailboxes have other keys now: hand out the cards again, rossec relay card LABEL")
     note(f"{file} is not needed any more, and whoever has it has the seat: remove it")
@@ -208,17 +196,13 @@ def seat(environment: Environment, file: Path) -> None:
 
 def _reached(command: Callable[..., Any]) -> Callable[..., Any]:
     # Options of what makes a seat file: where the router is found, if it was not told yet.
-    listen = click.option(
-        "--listen",
-        metavar="LOCATOR",
+    listen = option(
+        "--listen=LOCATOR",
+        "where this router will listen, if it never ran yet; as of rossec router",
         multiple=True,
-        help="where this router will listen, if it never ran yet; as of rossec router",
     )
-    host = click.option(
-        "--host",
-        metavar="NAME",
-        multiple=True,
-        help="name or address by which relays reach this router; may be repeated",
+    host = option(
+        "--host=NAME", "name or address by which relays reach this router; may be repeated", multiple=True
     )
     return host(listen(command))
 
@@ -235,17 +219,9 @@ def add_account(home: RouterHome, name: str, host: tuple[str, ...], listen: tupl
     """
     check_seat(name)
     home.prepare()
-    _check_reached(home, host, listen)
-    home.change_seats(lambda found: found.add(name, new_password()))
-    _print_file(home, name)
-
-
-def _check_reached(home: RouterHome, host: tuple[str, ...], listen: tuple[str, ...]) -> None:
     home.tell(hosts=host, listen=listen)
-    home.settings().locators  # noqa: B018 - raises
-
-
-def _print_file(home: RouterHome, name: str) -> None:
+    home.settings().locators  # noqa: B018 - raises: before there is a seat whose file nobody could use
+    home.change_seats(lambda found: found.add(name, new_password()))
     say_secret(home.seat_file(name).write().decode().rstrip())
 
 
@@ -259,29 +235,24 @@ def show_account(home: RouterHome, name: str, host: tuple[str, ...], listen: tup
     NAME is `open` for a router that was started with --open.
     """
     home.prepare()
-    _check_reached(home, host, listen)
-    _print_file(home, name)
+    home.tell(hosts=host, listen=listen)
+    say_secret(home.seat_file(name).write().decode().rstrip())
 
 
 @click.command("list")
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+@flag("--json as_json", "a line of JSON")
 @pass_home
 def list_accounts(home: RouterHome, *, as_json: bool) -> None:
     """List the seats."""
     names = home.seats().names
-    if as_json:
-        say_json({"seats": list(names)})
-        return
-    for name in names:
-        say(name)
-    if not names:
+    say_result(as_json, {"seats": list(names)}, names)
+    if not names and not as_json:
         note("nobody has a seat: rossec router seats add NAME > NAME.seat")
 
 
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
-@json_result()
-@pass_home
+@json_result(pass_home)
 def remove_account(home: RouterHome, names: tuple[str, ...]) -> None:
     """Take the seat NAME away; a router that runs cuts its relay off within a second.
 
@@ -311,53 +282,36 @@ def share(home: RouterHome) -> None:
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False, allow_dash=True))
-@click.option("--host", metavar="NAME", multiple=True, help="as of rossec router")
-@json_result()
-@pass_home
+@option("--host=NAME", "as of rossec router", multiple=True)
+@json_result(pass_home)
 def take(home: RouterHome, file: Path, host: tuple[str, ...]) -> None:
     """Take over FILE of `share` here, and join that router.
 
     That is its authority, its seats and its address. FILE is - for standard input. A router that
     runs here takes the seats over within a second.
     """
-    home.take(Share.read(_read(file)))
+    if str(file) == "-":
+        data = sys.stdin.buffer.read(MAX_SHARE_FILE + 1)
+    else:
+        missing = ConfigurationError(f"there is no {file}", "it is made by: rossec router share")
+        data = files.read_own(file, MAX_SHARE_FILE, missing, link=True)
+    home.take(Share.read(data))
     home.tell(hosts=host)
     record(seats=list(home.seats().names), joins=list(home.settings().join))
     say(f"seats: {', '.join(home.seats().names) or 'none'}; joins {', '.join(home.settings().join)}")
 
 
-def _read(file: Path) -> bytes:
-    if str(file) == "-":
-        return sys.stdin.buffer.read(MAX_SHARE_FILE + 1)
-    missing = ConfigurationError(f"there is no {file}", "it is made by: rossec router share")
-    return files.read_own(file, MAX_SHARE_FILE, missing, link=True)
-
-
 @click.command()
 @click.argument("uri", required=False, default="")
-@click.option("--as", "label", metavar="LABEL", required=True, help="what it is called here")
-@click.option(
-    "--name",
-    "master",
-    metavar="NAME",
-    default=MASTER,
-    show_default=True,
-    help="the name that master is certified for",
+@option("--as=LABEL label", "what it is called here", required=True)
+@option("--name=NAME master", "the name that master is certified for", default=MASTER, show_default=True)
+@option(
+    "--domain=LABEL", "the label of its foreign domain, if that is not the site's own label", default=None
 )
-@click.option(
-    "--domain",
-    metavar="LABEL",
-    default=None,
-    help="the label of its foreign domain, if that is not the site's own label",
+@option(
+    "--via=PEER", "instead of a URI: the site that the relay of this site knows by this label", default=""
 )
-@click.option(
-    "--via",
-    metavar="PEER",
-    default="",
-    help="instead of a URI: the site that the relay of this site knows by this label",
-)
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def add_site(
     environment: Environment, uri: str, label: str, master: str, domain: str | None, via: str
 ) -> None:
@@ -412,8 +366,7 @@ def _foreign(home: NodeHome, label: str) -> str:
 
 @click.command()
 @click.argument("labels", metavar="LABEL...", nargs=-1, required=True)
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def remove_site(environment: Environment, labels: tuple[str, ...]) -> None:
     """Follow LABEL no longer: its names go at once.
 
@@ -423,30 +376,16 @@ def remove_site(environment: Environment, labels: tuple[str, ...]) -> None:
     batch = Batch(len(labels), "name")
     for label in labels:
         with batch.item(label):
-            SiteFile(_home(environment).path).change(partial(_unfollow, label))
+            SiteFile(_home(environment).path).change(partial(_take_out, label, "site"))
             say(f"{label} is followed no longer")
     batch.finish()
-
-
-def _unfollow(label: str, sites: dict[str, SiteSettings]) -> None:
-    _find(sites, label)
-    del sites[label]
-
-
-def _find(sites: dict[str, SiteSettings], label: str) -> SiteSettings:
-    if label not in sites:
-        raise ConfigurationError(
-            f"there is no site {label[:40]!a}", f"there are: {', '.join(sorted(sites)) or 'none'}"
-        )
-    return sites[label]
 
 
 @click.command()
 @click.argument("label")
 @click.argument("pattern")
-@click.option("--remove", "removing", is_flag=True, help="mirror it no longer")
-@json_result()
-@pass_environment
+@flag("--remove removing", "mirror it no longer")
+@json_result(pass_environment)
 def param(environment: Environment, label: str, pattern: str, *, removing: bool) -> None:
     """Mirror the parameters of LABEL that match PATTERN, read-only.
 
@@ -455,7 +394,7 @@ def param(environment: Environment, label: str, pattern: str, *, removing: bool)
     """
 
     def change(sites: dict[str, SiteSettings]) -> None:
-        site = _find(sites, label)
+        site = _find(sites, label, "site")
         patterns = [each for each in site.parameters if each != pattern]
         if removing and len(patterns) == len(site.parameters):
             raise ConfigurationError(f"{pattern} of {label} is not mirrored", "rossec federation list")
@@ -467,7 +406,7 @@ def param(environment: Environment, label: str, pattern: str, *, removing: bool)
 
 
 @click.command("list")
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each")
+@flag("--json as_json", "a line of JSON for each")
 @pass_environment
 def list_sites(environment: Environment, *, as_json: bool) -> None:
     """List the masters to follow, as `rossec federation add` has them.

@@ -12,32 +12,28 @@ import click
 from ca.certificates import Identity
 from ca.names import local_name, shown
 from rossec.cli.ros.topic import run_until_node_ends
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as
 from rossec.cli.shared.messages import fill, parse_arguments, parse_message, plain, render, stamp_now
-from rossec.cli.shared.options import Batch, json_result, unique
+from rossec.cli.shared.options import FILE, Batch, json_result, option, say_result, unique
 from rossec.errors import ConfigurationError
 from rossec.node import Node, register_service_type, service_type
 from rossec.participant.handshakes import caller_here, text
 from rossec.terminal import json_text, printable, record, say, say_block, say_json
 
-_AS = click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
+_AS = option("--as=NODE node", "identity to use", required=True)
 T = TypeVar("T")
-_JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 
 
 @click.command("list")
 @_AS
-@_JSON
+@options.as_json
 @pass_environment
 def list_services(environment: Environment, node: str, as_json: bool) -> None:
     """List the services that NODE may see."""
     known = _run(environment, node, lambda running: running.services.known())
-    if as_json:
-        say_json(known)
-        return
-    for name in sorted(known):
-        say(printable(shown(name)))
+    say_result(as_json, known, (printable(shown(name)) for name in sorted(known)))
 
 
 def _run(environment: Environment, node: str, work: Callable[[Node], Awaitable[T]]) -> T:
@@ -51,7 +47,7 @@ def _run(environment: Environment, node: str, work: Callable[[Node], Awaitable[T
 @click.command()
 @click.argument("name")
 @_AS
-@_JSON
+@options.as_json
 @pass_environment
 def service_info(environment: Environment, name: str, node: str, as_json: bool) -> None:
     """Show which node provides the service NAME, where, and its type."""
@@ -65,46 +61,36 @@ def service_info(environment: Environment, name: str, node: str, as_json: bool) 
     found = {"node": caller, "uri": uri, "type": text(fields, "type"), "md5sum": text(fields, "md5sum")}
     if caller != provider.name:
         found["identity"] = provider.name
-    if as_json:
-        say_json(found)
-        return
-    for key, value in found.items():
-        say(f"{key}: {printable(shown(value))}")
+    say_result(as_json, found, (f"{key}: {printable(shown(value))}" for key, value in found.items()))
 
 
 @click.command("type")
 @click.argument("name")
 @_AS
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def type_of_service(environment: Environment, name: str, node: str) -> None:
     """Print the type of the service NAME."""
     service = local_name(name)
     fields, _ = _run(
         environment, node, lambda running: running.services.probe(running.settings.resolve(service))
     )
-    record(service=service, type=text(fields, "type"))
-    say(printable(text(fields, "type")))
+    say(printable(text(fields, "type")), service=service, type=text(fields, "type"))
 
 
 @click.command()
 @click.argument("name")
 @click.argument("content", nargs=-1)
 @_AS
-@click.option("--type", "type_name", metavar="PKG/TYPE", help="instead of asking the provider")
-@click.option(
-    "--definition",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    help="the .srv file of that type, unless it is a standard one",
-)
-@click.option(
+@option("--type=PKG/TYPE type_name", "instead of asking the provider")
+@option("--definition", "the .srv file of that type, unless it is a standard one", type=FILE)
+@option(
     "--timeout",
+    "seconds to wait for the answer",
     type=click.FloatRange(min=0, min_open=True),
     default=60.0,
     show_default=True,
-    help="seconds to wait for the answer",
 )
-@_JSON
+@options.as_json
 @pass_environment
 def call(
     environment: Environment,
@@ -117,38 +103,22 @@ def call(
     as_json: bool,
 ) -> None:
     """Call the service NAME with CONTENT (YAML, as in rosservice) and print the answer."""
-    content_fields = parse_arguments(content)
+    content_fields, service = parse_arguments(content), local_name(name)
     if definition is not None:
-        _register_definition(type_name, definition)
-    asyncio.run(_call(environment, name, content_fields, node, type_name, timeout, as_json))
-
-
-def _register_definition(type_name: str | None, definition: Path) -> None:
-    if type_name is None:
-        raise ConfigurationError("a definition without its name", "give --type PKG/TYPE as well")
-    try:
-        content = definition.read_text()
-    except UnicodeDecodeError:
-        raise ConfigurationError(f"{definition} is not text", "give a .srv file") from None
-    register_service_type(type_name, content)
-
-
-async def _call(
-    environment: Environment,
-    name: str,
-    content_fields: object,
-    node: str,
-    type_name: str | None,
-    timeout: float,  # noqa: ASYNC109 - as the option
-    as_json: bool,
-) -> None:
-    name = local_name(name)
-    async with node_as(environment, node) as running:
         if type_name is None:
-            fields, _ = await running.services.probe(running.settings.resolve(name))
-            type_name = text(fields, "type")
-        service_type(type_name)
-        client = running.client(name, type_name, deadline=timeout)
+            raise ConfigurationError("a definition without its name", "give --type PKG/TYPE as well")
+        try:
+            register_service_type(type_name, definition.read_text())
+        except UnicodeDecodeError:
+            raise ConfigurationError(f"{definition} is not text", "give a .srv file") from None
+
+    async def work(running: Node) -> None:
+        kind = type_name
+        if kind is None:
+            fields, _ = await running.services.probe(running.settings.resolve(service))
+            kind = text(fields, "type")
+        service_type(kind)  # refuses a type that is not known here, before anything is sent
+        client = running.client(service, kind, deadline=timeout)
         request = client.create()
         fill(request, content_fields, stamp_now())
 
@@ -161,28 +131,26 @@ async def _call(
 
         await run_until_node_ends(running, answer())
 
+    _run(environment, node, work)
+
 
 @click.command("list")
 @click.argument("namespace", default="/")
 @_AS
-@_JSON
+@options.as_json
 @pass_environment
 def list_params(environment: Environment, namespace: str, node: str, as_json: bool) -> None:
     """List the parameters that NODE may read, of all or of one NAMESPACE."""
     names = _run(environment, node, lambda running: running.params.names())
     prefix = local_name(namespace).rstrip("/") + "/"
     found = sorted(name for name in names if f"{name}/".startswith(prefix))
-    if as_json:
-        say_json(found)
-        return
-    for name in found:
-        say(printable(shown(name)))
+    say_result(as_json, found, (printable(shown(name)) for name in found))
 
 
 @click.command()
 @click.argument("name")
 @_AS
-@_JSON
+@options.as_json
 @pass_environment
 def get_param(environment: Environment, name: str, node: str, as_json: bool) -> None:
     """Print the parameter NAME, or a namespace with all in it."""
@@ -190,8 +158,10 @@ def get_param(environment: Environment, name: str, node: str, as_json: bool) -> 
     value = _run(environment, node, lambda running: running.params.get(key))
     if as_json:
         say_json(_encodable(value))
+    elif isinstance(value, str):
+        say_block(printable(value))
     else:
-        say_block(_readable(value))
+        say_block(json_text(_encodable(value), 2 if isinstance(value, dict) else None))
 
 
 def _encodable(value: object) -> object:
@@ -208,18 +178,11 @@ def _encodable(value: object) -> object:
             return str(value)
 
 
-def _readable(value: object) -> str:
-    if isinstance(value, str):
-        return printable(value)
-    return json_text(_encodable(value), 2 if isinstance(value, dict) else None)
-
-
 @click.command("set")
 @click.argument("name")
 @click.argument("values", metavar="VALUE", nargs=-1, required=True)
 @_AS
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def set_param(environment: Environment, name: str, values: tuple[str, ...], node: str) -> None:
     """Set the parameter NAME to VALUE (YAML, as in rosparam)."""
     if len(values) > 1:
@@ -240,8 +203,7 @@ def set_param(environment: Environment, name: str, values: tuple[str, ...], node
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
 @_AS
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def delete_param(environment: Environment, names: tuple[str, ...], node: str) -> None:
     """Unset the parameter NAME and everything below it."""
     keys = unique([local_name(name) for name in names])

@@ -4,7 +4,7 @@ import asyncio
 import socket
 import time
 from collections import defaultdict
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, TypeVar
@@ -15,9 +15,10 @@ from ca.errors import CertificateExpired, HintedError
 from ca.names import is_alias, local_name, shown
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.cli.completion import values
+from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import calls_as, find_master, master_at
-from rossec.cli.shared.options import json_result, working
+from rossec.cli.shared.options import flag, json_result, option, say_result, working
 from rossec.discovery.local_links import PATIENCE, masters, uri_of
 from rossec.errors import AnswerMalformed, AnswerRefused, ConfigurationError
 from rossec.home import NodeHome
@@ -29,8 +30,7 @@ from rossec.terminal import note, printable, record, say, say_json
 UNKNOWN = "unknown type"  # as rostopic has it
 T = TypeVar("T")
 Names = Mapping[str, tuple[str, ...]]
-as_node = click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
-as_json = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+as_node = option("--as=NODE node", "identity to use", required=True)
 _NAMESPACE = click.argument("namespace", required=False)
 PAUSE: Final = 1.0  # seconds until the first reconnection
 MAX_PAUSE: Final = 30.0  # seconds between later reconnections at most
@@ -40,10 +40,10 @@ _HEADINGS: Final = {"publisher": "published by", "subscriber": "subscribed by"}
 @click.command("list")
 @_NAMESPACE
 @as_node
-@click.option("--verbose", "-v", is_flag=True, help="with types, and how many nodes")
-@click.option("--publishers", "-p", is_flag=True, help="only what is published")
-@click.option("--subscribers", "-s", is_flag=True, help="only what is subscribed to")
-@as_json
+@flag("--verbose -v", "with types, and how many nodes")
+@flag("--publishers -p", "only what is published")
+@flag("--subscribers -s", "only what is subscribed to")
+@options.as_json
 @pass_environment
 def list_topics(
     environment: Environment,
@@ -60,16 +60,26 @@ def list_topics(
         "publishers": {} if subscribers and not publishers else state.publishers,
         "subscribers": {} if publishers and not subscribers else state.subscribers,
     }
-    listed = {topic for names in ways.values() for topic in names if _lies_in(topic, namespace)}
-    topics = sorted(listed, key=_own_first)
-    if as_json:
-        say_json([_row(state, topic) for topic in topics])
-    elif verbose:
+    top = "" if namespace is None else absolute(namespace).rstrip("/")
+    all_topics = {topic for names in ways.values() for topic in names}
+    topics = sorted(
+        (each for each in all_topics if not top or f"{each}/".startswith(f"{top}/")), key=_own_first
+    )
+
+    def lines() -> Iterator[str]:
+        if not verbose:
+            yield from (printable(shown(topic)) for topic in topics)
+            return
         for heading, way in (("Published", "publishers"), ("Subscribed", "subscribers")):
-            _say_verbose(heading, way[:-1], ways[way], topics, state)
-    else:
-        for topic in topics:
-            say(printable(shown(topic)))
+            yield ""
+            yield f"{heading} topics:"
+            for topic in topics:
+                if count := len(ways[way].get(topic, ())):
+                    many = f"{count} {way[:-1]}{'s' * (count != 1)}"
+                    yield printable(f" * {shown(topic)} [{state.type_of(topic)}] {many}")
+            yield ""
+
+    say_result(as_json, [_row(state, topic) for topic in topics], lines())
     if not topics and namespace is None:
         note_hidden(node)
 
@@ -93,10 +103,19 @@ class SystemState:
     def type_of(self, topic: str) -> str:
         return self.types.get(topic, UNKNOWN)
 
+    def keep_for_completion(self, environment: Environment) -> None:
+        names = {
+            values.NODE: self.nodes,
+            values.SERVICE: sorted(self.services),
+            values.TOPIC: self.topics,
+            values.TYPE: sorted(set(self.types.values())),
+        }
+        values.keep(environment.home, environment.variables.get("ROS_MASTER_URI", ""), names)
+
 
 def system_state(environment: Environment, node: str) -> SystemState:
     found = asyncio.run(_ask(environment, node, read_state))
-    _keep_for_completion(environment, found)
+    found.keep_for_completion(environment)
     return found
 
 
@@ -135,23 +154,6 @@ def _type(row: object) -> tuple[str, str]:
             raise AnswerMalformed("a list of topics that is malformed")
 
 
-def _keep_for_completion(environment: Environment, found: SystemState) -> None:
-    names = {
-        values.NODE: found.nodes,
-        values.SERVICE: sorted(found.services),
-        values.TOPIC: found.topics,
-        values.TYPE: sorted(set(found.types.values())),
-    }
-    values.keep(environment.home, environment.variables.get("ROS_MASTER_URI", ""), names)
-
-
-def _lies_in(topic: str, namespace: str | None) -> bool:
-    if namespace is None:
-        return True
-    top = absolute(namespace).rstrip("/")
-    return topic == top or topic.startswith(f"{top}/")
-
-
 def absolute(name: str) -> str:
     """The absolute name of what a person wrote, as stock tools take it: from the root."""
     topic = local_name(name)
@@ -171,16 +173,6 @@ def _row(state: SystemState, topic: str) -> dict[str, object]:
     }
 
 
-def _say_verbose(heading: str, one: str, names: Names, topics: list[str], state: SystemState) -> None:
-    say("")
-    say(f"{heading} topics:")
-    for topic in topics:
-        if count := len(names.get(topic, ())):
-            many = f"{count} {one}{'s' * (count != 1)}"
-            say(printable(f" * {shown(topic)} [{state.type_of(topic)}] {many}"))
-    say("")
-
-
 def note_hidden(node: str) -> None:
     note(f"nothing that {node} may see; all of it needs: rossec grant sign {node} --graph")
 
@@ -188,7 +180,7 @@ def note_hidden(node: str) -> None:
 @click.command()
 @click.argument("name")
 @as_node
-@as_json
+@options.as_json
 @pass_environment
 def topic_info(environment: Environment, name: str, node: str, as_json: bool) -> None:
     """Show the type of the topic NAME and the nodes that publish and subscribe to it."""
@@ -239,8 +231,7 @@ def addresses(environment: Environment, node: str, names: list[str]) -> dict[str
 @click.command("type")
 @click.argument("name")
 @as_node
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def type_of_topic(environment: Environment, name: str, node: str) -> None:
     """Print the type of the topic NAME."""
     state = system_state(environment, node)
@@ -249,15 +240,13 @@ def type_of_topic(environment: Environment, name: str, node: str) -> None:
         raise ConfigurationError(
             f"nobody has said the type of {name}", "it is known once somebody publishes it"
         )
-    record(topic=absolute(name), type=kind)
-    say(printable(kind))
+    say(printable(kind), topic=absolute(name), type=kind)
 
 
 @click.command()
 @click.argument("type_name", metavar="TYPE")
 @as_node
-@json_result()
-@pass_environment
+@json_result(pass_environment)
 def find_topics(environment: Environment, type_name: str, node: str) -> None:
     """List the topics whose messages are of TYPE."""
     state = system_state(environment, node)
@@ -269,16 +258,12 @@ def find_topics(environment: Environment, type_name: str, node: str) -> None:
 
 @click.command("list")
 @as_node
-@as_json
+@options.as_json
 @pass_environment
 def list_nodes(environment: Environment, node: str, as_json: bool) -> None:
     """List the running nodes that NODE may see."""
     names = system_state(environment, node).nodes
-    if as_json:
-        say_json(names)
-    else:
-        for name in names:
-            say(printable(shown(name)))
+    say_result(as_json, names, (printable(shown(name)) for name in names))
     if not names:
         note_hidden(node)
 
@@ -286,7 +271,7 @@ def list_nodes(environment: Environment, node: str, as_json: bool) -> None:
 @click.command()
 @click.argument("name")
 @as_node
-@as_json
+@options.as_json
 @pass_environment
 def node_info(environment: Environment, name: str, node: str, as_json: bool) -> None:
     """Show what the running node NAME publishes, subscribes to and provides."""
@@ -324,9 +309,9 @@ def _say(heading: str, names: list[str], state: SystemState | None) -> None:
 
 
 @click.command()
-@click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
-@click.option("--watch", is_flag=True, help="go on, and say what changes; ends with Ctrl-C")
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each answer")
+@option("--as=NODE node", "identity to use", required=True)
+@flag("--watch", "go on, and say what changes; ends with Ctrl-C")
+@flag("--json as_json", "a line of JSON for each answer")
 @pass_environment
 def graph(environment: Environment, node: str, watch: bool, as_json: bool) -> None:
     """Show the graph, as far as NODE may see it.
@@ -335,17 +320,26 @@ def graph(environment: Environment, node: str, watch: bool, as_json: bool) -> No
     """
     home = NodeHome.of(environment.home, node)
     uri = master_at(environment, home)
-    asyncio.run(
-        _print_changes(environment, home, uri, as_json)
-        if watch
-        else _print_graph(environment, home, uri, as_json)
-    )
+    if watch:
+        asyncio.run(_print_changes(environment, home, uri, as_json))
+        return
+    view = GraphView()
+
+    async def look() -> None:
+        async with calls_as(environment, home, uri) as call:
+            while view.take(await call(WATCH_GRAPH, *view.next_params)).more:
+                pass
+
+    asyncio.run(look())
+    found = ObservedChange(tuple(sorted(view.facts)), (), False, False)
+    say_result(as_json, _json(view, found), describe(view.facts))
 
 
 async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
     view, pause, last_error = GraphView(), PAUSE, ""
     own = LiveCredentials(home.credentials())
     renewal = IdentityRenewal(home, own, now())
+    # It goes on over restarts of the master, and over the end of its own identity, which it renews.
     while True:
         before = view.version
         try:
@@ -353,7 +347,7 @@ async def _print_changes(environment: Environment, home: NodeHome, uri: str, as_
                 while not await renew_identity(call, renewal, now()):
                     _print_change(view, view.take(await call(WATCH_GRAPH, *view.next_params)), as_json)
         except (HintedError, OSError, TimeoutError) as error:
-            if view.version < 0:
+            if view.version < 0:  # nothing was seen yet: what is wrong is wrong here, or there is no master
                 raise
             try:
                 home.identity(now())
@@ -391,18 +385,6 @@ def _json(view: GraphView, change: ObservedChange) -> dict[str, object]:
     }
 
 
-async def _print_graph(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
-    view = GraphView()
-    async with calls_as(environment, home, uri) as call:
-        while view.take(await call(WATCH_GRAPH, *view.next_params)).more:
-            pass
-    if as_json:
-        say_json(_json(view, ObservedChange(tuple(sorted(view.facts)), (), False, False)))
-        return
-    for line in describe(view.facts):
-        say(line)
-
-
 def describe(facts: frozenset[Fact]) -> list[str]:
     types = {name: value for kind, name, value in facts if kind == "type"}
     nodes: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
@@ -422,15 +404,15 @@ def describe(facts: frozenset[Fact]) -> list[str]:
 
 
 @click.command()
-@click.option("--as", "identity", metavar="NAME", help="the node whose master is looked for")
-@click.option(
+@option("--as=NAME identity", "the node whose master is looked for")
+@option(
     "--seconds",
+    "how long to wait for the first",
     type=click.FloatRange(0.1, 600),
     default=PATIENCE,
     show_default=True,
-    help="how long to wait for the first",
 )
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each")
+@flag("--json as_json", "a line of JSON for each")
 @pass_environment
 def discover(environment: Environment, identity: str | None, seconds: float, as_json: bool) -> None:
     """Look for the masters of this trust domain, the best link first.

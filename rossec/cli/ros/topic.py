@@ -13,7 +13,6 @@ import click
 from ca.names import local_name, shown
 from rossec import files
 from rossec.cli.ros.graph import as_node
-from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.master import node_as
 from rossec.cli.shared.messages import (
@@ -27,7 +26,9 @@ from rossec.cli.shared.messages import (
     render,
     stamp_now,
 )
+from rossec.cli.shared.options import FILE, flag, option
 from rossec.errors import ConfigurationError, MessageError
+from rossec.host.runner import until_first_ends
 from rossec.node import Node, Publisher
 from rossec.node.subscriber import RawSource, Subscriber
 from rossec.participant.definitions import Definition
@@ -40,10 +41,8 @@ Arrived = tuple[RawSource, bytes]
 Show = Callable[[Message], None]
 MAX_FILE: Final = 4 * 1024 * 1024  # as much YAML as is read
 PERIOD: Final = 1.0  # seconds between two lines
-_WINDOW = click.option(
-    "--window", "-w", type=click.IntRange(min=2), help="of the last N messages only", metavar="N"
-)
-_COUNT = click.option("--count", "-n", type=click.IntRange(min=1), help="end after N lines")
+_WINDOW = option("--window -w=N", "of the last N messages only", type=click.IntRange(min=2))
+_COUNT = option("--count -n", "end after N lines", type=click.IntRange(min=1))
 Add = Callable[[float, int], None]
 
 
@@ -51,10 +50,10 @@ Add = Callable[[float, int], None]
 @click.argument("name")
 @click.argument("type_name", metavar="[TYPE]", required=False)
 @as_node
-@click.option("--count", "-n", type=click.IntRange(min=1), help="end after this many messages")
-@click.option("--noarr", is_flag=True, help="without lists, which may be long")
-@click.option("--nostr", is_flag=True, help="without text")
-@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each message, with all")
+@option("--count -n", "end after this many messages", type=click.IntRange(min=1))
+@flag("--noarr", "without lists, which may be long")
+@flag("--nostr", "without text")
+@flag("--json as_json", "a line of JSON for each message, with all")
 @pass_environment
 def echo(
     environment: Environment,
@@ -81,20 +80,17 @@ def echo(
         say_block(render(message, hidden=hidden))
         say("---")
 
-    asyncio.run(_echo(environment, name, type_name, node, count, show))
+    async def listen() -> None:
+        if type_name is None:
+            async with listening(environment, name, node) as (running, arrivals):
+                await run_until_node_ends(running, _print(_read(arrivals), count, show))
+            return
+        async with node_as(environment, node) as running:
+            subscriber = await running.subscriber(local_name(name), type_name)
+            async with watched(subscriber):
+                await run_until_node_ends(running, _print(subscriber, count, show))
 
-
-async def _echo(
-    environment: Environment, name: str, type_name: str | None, node: str, count: int | None, show: Show
-) -> None:
-    if type_name is None:
-        async with listening(environment, name, node) as (running, arrivals):
-            await run_until_node_ends(running, _print(_read(arrivals), count, show))
-        return
-    async with node_as(environment, node) as running:
-        subscriber = await running.subscriber(local_name(name), type_name)
-        async with watched(subscriber):
-            await run_until_node_ends(running, _print(subscriber, count, show))
+    asyncio.run(listen())
 
 
 class Arrivals:
@@ -157,15 +153,7 @@ async def run_until_node_ends(node: Node, work: Coroutine[Any, Any, None]) -> No
 
     Both tasks have ended when this returns, also after Ctrl-C: the node is closed next.
     """
-    tasks = [asyncio.ensure_future(node.wait_ended()), asyncio.ensure_future(work)]
-    try:
-        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-    for task in done:
-        await task
+    await until_first_ends(node.wait_ended(), work)
 
 
 async def _print(messages: AsyncIterable[Message], count: int | None, show: Show) -> None:
@@ -193,6 +181,7 @@ def readable(claimed: Definition) -> MessageType:
     except MessageError:
         register_types({claimed.name: claimed.definition})
         known = message_type(claimed.name)
+    # Nothing is decided by what a publisher claims: by another definition its bytes would mean other fields.
     if known.md5sum != claimed.md5sum:
         raise MessageError(
             f"the publisher's {claimed.name} is another one than here",
@@ -206,22 +195,19 @@ def readable(claimed: Definition) -> MessageType:
 @click.argument("type_name", metavar="TYPE")
 @click.argument("content", nargs=-1)
 @as_node
-@click.option(
-    "--rate",
-    "-r",
+@option(
+    "--rate -r",
+    "messages per second",
     type=click.FloatRange(min=0, min_open=True),
     default=1.0,
     show_default=True,
-    help="messages per second",
 )
-@click.option("--count", "-n", type=click.IntRange(min=1), help="end after this many messages")
-@click.option("--once", "-1", is_flag=True, help="publish one message and end")
-@click.option(
-    "--file",
-    "-f",
-    "file",
-    type=options.FILE,
-    help="the messages in FILE in turn, each behind a line ---, as `rossec topic echo` prints them",
+@option("--count -n", "end after this many messages", type=click.IntRange(min=1))
+@flag("--once -1", "publish one message and end")
+@option(
+    "--file -f file",
+    "the messages in FILE in turn, each behind a line ---, as `rossec topic echo` prints them",
+    type=FILE,
 )
 @pass_environment
 def pub(
@@ -243,7 +229,14 @@ def pub(
     contents = _contents(content, file)
     messages = Messages(message_type(type_name), contents)
     ends = 1 if once else len(contents) if file is not None and count is None else count
-    asyncio.run(_pub(environment, name, messages, node, 1 / rate, ends))
+
+    async def work() -> None:
+        async with node_as(environment, node) as running:
+            publisher = await running.publisher(local_name(name), messages.kind.name)
+            note(f"waiting for a subscriber of {publisher.topic}")
+            await run_until_node_ends(running, _publish(publisher, messages, 1 / rate, ends))
+
+    asyncio.run(work())
 
 
 def _contents(content: tuple[str, ...], file: Path | None) -> list[object]:
@@ -276,15 +269,6 @@ class Messages:
         return message
 
 
-async def _pub(
-    environment: Environment, name: str, messages: Messages, node: str, period: float, count: int | None
-) -> None:
-    async with node_as(environment, node) as running:
-        publisher = await running.publisher(local_name(name), messages.kind.name)
-        note(f"waiting for a subscriber of {publisher.topic}")
-        await run_until_node_ends(running, _publish(publisher, messages, period, count))
-
-
 async def _publish(publisher: Publisher, messages: Messages, period: float, count: int | None) -> None:
     await publisher.wait_for_subscribers()
     sent = 0
@@ -303,34 +287,30 @@ async def _publish(publisher: Publisher, messages: Messages, period: float, coun
 def hz(environment: Environment, name: str, node: str, window: int | None, count: int | None) -> None:
     """Show how often messages of the topic NAME arrive, as NODE may see them."""
     rates = RateWindow(window)
-    asyncio.run(_watch(environment, name, node, lambda now, _: rates.add(now), rates.describe, count))
+    _watch(environment, name, node, lambda now, _: rates.add(now), rates.describe, count)
 
 
-async def _watch(
+def _watch(
     environment: Environment, name: str, node: str, add: Add, describe: Callable[[], str], count: int | None
 ) -> None:
-    async with listening(environment, name, node) as (running, arrivals):
-        note(f"subscribed to [{name}]")
-        await run_until_node_ends(running, _count_and_say(arrivals, add, describe, count))
+    async def watch() -> None:
+        async with listening(environment, name, node) as (running, arrivals):
+            note(f"subscribed to [{name}]")
 
+            async def count_all() -> None:
+                async for _, data in arrivals.messages():
+                    add(time.monotonic(), len(data))
 
-async def _count_and_say(
-    arrivals: Arrivals, add: Add, describe: Callable[[], str], count: int | None
-) -> None:
-    async def count_all() -> None:
-        async for _, data in arrivals.messages():
-            add(time.monotonic(), len(data))
+            async def say_all() -> None:
+                lines = 0
+                while count is None or lines < count:
+                    await asyncio.sleep(PERIOD)
+                    say_block(describe())
+                    lines += 1
 
-    counting = asyncio.ensure_future(count_all())
-    try:
-        lines = 0
-        while count is None or lines < count:
-            await asyncio.sleep(PERIOD)
-            say_block(describe())
-            lines += 1
-    finally:
-        counting.cancel()
-        await asyncio.gather(counting, return_exceptions=True)
+            await run_until_node_ends(running, until_first_ends(count_all(), say_all()))
+
+    asyncio.run(watch())
 
 
 @click.command()
@@ -343,7 +323,4 @@ def bw(environment: Environment, name: str, node: str, window: int | None, count
     """Show how many bytes of the topic NAME arrive, as NODE may see them."""
     sizes = SizeWindow(window or 100)  # rostopic's
 
-    def describe() -> str:
-        return sizes.describe(time.monotonic())
-
-    asyncio.run(_watch(environment, name, node, sizes.add, describe, count))
+    _watch(environment, name, node, sizes.add, lambda: sizes.describe(time.monotonic()), count)

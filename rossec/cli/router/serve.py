@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Mapping
 
 from rossec.cli.shared.context import Environment
-from rossec.host.runner import READY, STOPPING, notify, stop_on_signals, until_first_ends
+from rossec.host.runner import stop_on_signals, until_stopped
 from rossec.overlay.homes import RouterHome
 from rossec.overlay.router import Router, seats_of
 from rossec.overlay.router_settings import RouterSettings, nested, zenoh_settings
@@ -21,34 +21,30 @@ def run(
 ) -> None:
     """Run the router of `home` until a signal ends it; what was `given` is kept for the next start."""
     home.prepare()
+
+    async def serve(settings: RouterSettings) -> None:
+        stop = stop_on_signals()
+        router = Router(home, settings, is_open=is_open)
+        try:
+            await router.start()
+            if as_json:
+                say_json({"ready": list(settings.listen)})
+            else:
+                say(f"router at {', '.join(settings.listen)}")
+                if is_open:
+                    note("it is open: whoever reaches it can use it, and count what others send")
+                else:
+                    say(f"seats: {', '.join(home.seats().names)}")
+                if settings.join:
+                    say(f"joins {', '.join(settings.join)}")
+            await until_stopped(stop, environment.variables, router.run())
+        finally:
+            await router.close()
+
     with home.alone():
         settings = home.tell(**given)
         seats_of(home, is_open=is_open)
-        asyncio.run(_serve(environment, home, settings, is_open=is_open, as_json=as_json))
-
-
-async def _serve(
-    environment: Environment, home: RouterHome, settings: RouterSettings, *, is_open: bool, as_json: bool
-) -> None:
-    stop = stop_on_signals()
-    router = Router(home, settings, is_open=is_open)
-    try:
-        await router.start()
-        if as_json:
-            say_json({"ready": list(settings.listen)})
-        else:
-            say(f"router at {', '.join(settings.listen)}")
-            if is_open:
-                note("it is open: whoever reaches it can use it, and count what others send")
-            else:
-                say(f"seats: {', '.join(home.seats().names)}")
-            if settings.join:
-                say(f"joins {', '.join(settings.join)}")
-        notify(READY, environment.variables)
-        await until_first_ends(router.run(), stop.wait())
-        notify(STOPPING, environment.variables)
-    finally:
-        await router.close()
+        asyncio.run(serve(settings))
 
 
 def print_settings(home: RouterHome, given: Mapping[str, tuple[str, ...]], *, is_open: bool) -> None:

@@ -13,24 +13,7 @@ from typing import Any, Final
 import click
 
 from ca.errors import HintedError, JoinWaiting
-from rossec.errors import (
-    ConfigurationError,
-    MasterNotFound,
-    NotDelivered,
-    PolicyContradicted,
-    PolicyIncomplete,
-)
-from rossec.terminal import (
-    CONTRADICTED,
-    INCOMPLETE,
-    INTERRUPTED,
-    REFUSED,
-    UNDELIVERED,
-    USAGE,
-    WAITING,
-    fail,
-    printable,
-)
+from rossec import errors, terminal
 
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _ANSWER: Final = "answer y, or give --yes where no one can answer"
@@ -47,7 +30,7 @@ class Environment:
     """
 
     variables: Mapping[str, str]
-    found: dict[bytes, str | MasterNotFound] = field(default_factory=dict, compare=False)
+    found: dict[bytes, str | errors.MasterNotFound] = field(default_factory=dict, compare=False)
 
     @property
     def home(self) -> Path:
@@ -99,6 +82,7 @@ class UnlockTime(click.ParamType[int]):
 
 def reraise_interrupt(abort: click.Abort) -> None:
     """Distinguish Ctrl-C from the end of input: click raises `Abort` for both."""
+    # 130 says to a shell that the user ended it; the end of input is a question without an answer.
     if isinstance(abort.__context__, KeyboardInterrupt):
         raise KeyboardInterrupt from None
 
@@ -106,7 +90,7 @@ def reraise_interrupt(abort: click.Abort) -> None:
 def confirm(question: str, *, yes: bool) -> None:
     """Ask, unless `--yes` was given."""
     if not ask_yes_no(question, yes=yes):
-        raise ConfigurationError("nothing was done", _ANSWER)
+        raise errors.ConfigurationError("nothing was done", _ANSWER)
 
 
 def ask_yes_no(question: str, *, yes: bool) -> bool:
@@ -114,17 +98,18 @@ def ask_yes_no(question: str, *, yes: bool) -> bool:
     if yes:
         return True
     try:
-        return click.confirm(printable(question), default=False, err=True)
+        # On stderr: with --json stdout is one document (decision 0044). Enter alone decides nothing.
+        return click.confirm(terminal.printable(question), default=False, err=True)
     except click.Abort as abort:
         reraise_interrupt(abort)
-        raise ConfigurationError("there was no answer, nothing was done", _ANSWER) from None
+        raise errors.ConfigurationError("there was no answer, nothing was done", _ANSWER) from None
 
 
 _EXIT_CODES: Final[dict[type[HintedError], int]] = {
-    NotDelivered: UNDELIVERED,
-    PolicyContradicted: CONTRADICTED,
-    PolicyIncomplete: INCOMPLETE,
-    JoinWaiting: WAITING,
+    errors.NotDelivered: terminal.UNDELIVERED,
+    errors.PolicyContradicted: terminal.CONTRADICTED,
+    errors.PolicyIncomplete: terminal.INCOMPLETE,
+    JoinWaiting: terminal.WAITING,
 }
 
 
@@ -133,47 +118,48 @@ def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, 
     try:
         program.main(list(arguments), prog_name="rossec", standalone_mode=False, obj=Environment(environ))
     except HintedError as error:
-        fail(str(error), error.hint)
-        return _EXIT_CODES.get(type(error), REFUSED)
+        terminal.fail(str(error), error.hint)
+        return _EXIT_CODES.get(type(error), terminal.REFUSED)
     except click.ClickException as error:
         return _report(error)
     except (KeyboardInterrupt, click.Abort, EOFError):
-        return INTERRUPTED
+        return terminal.INTERRUPTED
     except UnicodeEncodeError:  # an argument of octets that are no text, as the system hands it on
-        fail("what was given is not text in UTF-8", "write it anew, or rename the file")
-        return REFUSED
+        terminal.fail("what was given is not text in UTF-8", "write it anew, or rename the file")
+        return terminal.REFUSED
+    # A full disk or a file of another user is said as any refusal: no traceback reaches a person.
     except OSError as error:
-        fail(f"{error.filename or 'the system'}: {(error.strerror or str(error)).lower()}")
-        return REFUSED
+        terminal.fail(f"{error.filename or 'the system'}: {(error.strerror or str(error)).lower()}")
+        return terminal.REFUSED
     return 0
 
 
 def _report(error: click.ClickException) -> int:
     if isinstance(error, click.exceptions.NoArgsIsHelpError):
         click.echo(error.format_message())
-        return USAGE
-    usage = isinstance(error, click.UsageError)
-    fail(_plain(error.format_message()), _usage_hint(error) if usage else "")
-    return USAGE if usage else REFUSED
-
-
-def _plain(message: str) -> str:
-    line = " ".join(message.split())
-    return (line[:1].lower() + line[1:]).rstrip(".")
-
-
-def _usage_hint(error: click.ClickException) -> str:
-    context = getattr(error, "ctx", None)
-    path = context.command_path if context is not None else "rossec"
-    return f"see: {path} --help"
+        return terminal.USAGE
+    line = " ".join(error.format_message().split())
+    text = (line[:1].lower() + line[1:]).rstrip(".")
+    if not isinstance(error, click.UsageError):
+        terminal.fail(text)
+        return terminal.REFUSED
+    path = "rossec" if error.ctx is None else error.ctx.command_path
+    terminal.fail(text, f"see: {path} --help")
+    return terminal.USAGE
 
 
 class LazyCommand(click.Command):
-    """A command that is listed: its name, and the place in `rossec.cli` it is imported from."""
+    """A command that is listed: its name, and the place in `rossec.cli` it is imported from.
 
-    def __init__(self, name: str, place: str) -> None:
+    Attributes:
+        arguments: which names complete those of its arguments that are text, in their order (the kinds of
+            `rossec.cli.completion.values`).
+    """
+
+    def __init__(self, name: str, place: str, *arguments: str) -> None:
         super().__init__(name)
         self.place = place
+        self.arguments = arguments
 
     def get_short_help_str(self, limit: int = 45) -> str:  # noqa: ARG002 - as the base has it
         """The first sentence of its help, whole: the list wraps it, click would cut it."""
@@ -188,21 +174,23 @@ class LazyCommand(click.Command):
 
 
 class LazyGroup(click.Group):
-    """A group made from a table of names and places, see `LazyCommand`."""
+    """A group made from a table: for each name a place, or one with its arguments, see `LazyCommand`."""
 
-    def __init__(self, *args: Any, table: Mapping[str, str], **kwargs: Any) -> None:
+    def __init__(self, *args: Any, table: Mapping[str, str | tuple[str, ...]], **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        for name, place in table.items():
-            self.add_command(LazyCommand(name, place))
+        for name, listed in table.items():
+            self.add_command(LazyCommand(name, *([listed] if isinstance(listed, str) else listed)))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name, command, rest = super().resolve_command(ctx, args)
         if isinstance(command, LazyCommand):
+            # Tab is answered in 0.06 s from outlines; the modules take 0.5 s to import (decision 0046).
             if ctx.resilient_parsing:  # for completion, whatever it needs to know of the command
                 from rossec.cli.completion.shells import completed  # noqa: PLC0415
 
-                return name, completed(command.name or "", command.place, command.load), rest
+                found = completed(command.name or "", command.place, command.load, command.arguments)
+                return name, found, rest
             command = command.load()
         return name, command, rest

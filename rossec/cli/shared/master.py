@@ -72,6 +72,7 @@ async def find_master(
     from rossec.discovery.local_links import discover_master, trusted  # noqa: PLC0415
 
     who = f"/{node.lstrip('/')}" if isinstance(node, str) else node
+    # Kept for this command and no longer: a robot that moves would ask the wrong master (decision 0044).
     key = trusted(environment.home, who)[0].thumbprint
     if key not in environment.found:
         looked = {**environment.variables, VARIABLE: DISCOVER}

@@ -23,24 +23,16 @@ from grants.errors import YamlRefused
 from grants.policy import source
 from rossec import clock
 from rossec.errors import ConfigurationError
-from rossec.participant.message_types import (
-    Message,
-    element_of,
-    element_type,
-    field_names,
-    field_value,
-    set_field,
-)
+from rossec.participant import message_types
+from rossec.participant.message_types import Message
 from rossec.terminal import printable
 
 # A time or duration of ROS 1 is a message to rosbags; (its name there, the one in ROS 1).
 TIMES: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 TIME_FIELDS: Final = {"sec": "secs", "nanosec": "nsecs"}
-_WIDTH: Final = 9  # of nanoseconds, as rostopic prints them
 Kinds = tuple[type, ...]
 _SHOWN = 60  # characters of what was typed
 _SECOND: Final = 1_000_000_000
-_HEADER: Final = "std_msgs/msg/Header"
 _ALL: Final = "its type has this many: give all of them"
 _SPOKEN: Final = {"inf": float("inf"), "-inf": float("-inf"), "nan": float("nan")}
 _UNITS: Final = ((1_000_000, "MB"), (1000, "KB"), (1, "B"))
@@ -48,7 +40,10 @@ _UNITS: Final = ((1_000_000, "MB"), (1000, "KB"), (1, "B"))
 
 def plain(value: Any) -> object:
     if is_message(value):
-        return {_shown_name(value, field): plain(field_value(value, field)) for field in field_names(value)}
+        return {
+            _shown_name(value, field): plain(message_types.field_value(value, field))
+            for field in message_types.field_names(value)
+        }
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return [plain(item) for item in value] if isinstance(value, list) else value
@@ -69,8 +64,8 @@ def is_time(value: object) -> bool:
 def flat(message: Message, path: str = "") -> dict[str, str]:
     """Each value of the message by the path of its field, as `pose.position.x`."""
     found: dict[str, str] = {}
-    for field in field_names(message):
-        value, at = field_value(message, field), f"{path}{_shown_name(message, field)}"
+    for field in message_types.field_names(message):
+        value, at = message_types.field_value(message, field), f"{path}{_shown_name(message, field)}"
         if is_message(value):
             found |= flat(value, f"{at}.")
         elif isinstance(value, list) and value and is_message(value[0]):
@@ -82,11 +77,11 @@ def flat(message: Message, path: str = "") -> dict[str, str]:
 
 
 def _value(message: Message, field: str, indent: int, hidden: Kinds = ()) -> str:
-    value = field_value(message, field)
+    value = message_types.field_value(message, field)
     if hidden and (length := _length(message, field, hidden)):
         return length
     if field == "nanosec" and is_time(message):
-        return f"{value:{_WIDTH}d}"
+        return f"{value:9d}"  # of nanoseconds, as rostopic prints them
     if is_message(value):
         return _below(render(value, indent, hidden))
     if isinstance(value, np.ndarray):
@@ -95,9 +90,9 @@ def _value(message: Message, field: str, indent: int, hidden: Kinds = ()) -> str
 
 
 def _length(message: Message, field: str, hidden: Kinds) -> str:
-    value = field_value(message, field)
+    value = message_types.field_value(message, field)
     if isinstance(value, list | np.ndarray):
-        kind = element_type(message, field)
+        kind = message_types.element_type(message, field)
         if list in hidden or (str in hidden and kind == "string"):
             return f'"<array type: {kind}, length: {len(value)}>"'
     if str in hidden and isinstance(value, str):
@@ -118,7 +113,7 @@ def render(message: Message, indent: int = 0, hidden: Kinds = ()) -> str:
     head = " " * indent
     return "\n".join(
         f"{head}{_shown_name(message, field)}: {_value(message, field, indent + 2, hidden)}"
-        for field in field_names(message)
+        for field in message_types.field_names(message)
     )
 
 
@@ -134,7 +129,15 @@ def _list(values: list[Any], indent: int, hidden: Kinds) -> str:
 def _scalar(value: object) -> str:
     if isinstance(value, str):
         return quoted(value)
-    return _float(value) if isinstance(value, float) else str(value)
+    if not isinstance(value, float):
+        return str(value)
+    # YAML 1.1 reads `1e-05` and `nan` as text: it must come back as the number it was.
+    if math.isnan(value):
+        return ".nan"
+    if math.isinf(value):
+        return ".inf" if value > 0 else "-.inf"
+    text = repr(value)
+    return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
 
 def quoted(text: str) -> str:
@@ -145,15 +148,6 @@ def quoted(text: str) -> str:
     for character, name in (("\n", "\\n"), ("\t", "\\t"), ("\r", "\\r")):
         escaped = escaped.replace(character, name)
     return f'"{printable(escaped)}"'
-
-
-def _float(value: float) -> str:
-    if math.isnan(value):
-        return ".nan"
-    if math.isinf(value):
-        return ".inf" if value > 0 else "-.inf"
-    text = repr(value)
-    return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
 
 def fill(message: Message, content: object, now: int = 0) -> None:
@@ -172,7 +166,7 @@ class _Filling:
     def message(self, path: str, message: Message, content: object) -> None:
         if is_time(message):
             self._time(path, message, content)
-        elif content == "auto" and message.__msgtype__ == _HEADER:
+        elif content == "auto" and message.__msgtype__ == "std_msgs/msg/Header":
             self._time(path, message.stamp, self.now)
         else:
             for field, value in _by_name(path, message, content).items():
@@ -191,23 +185,23 @@ class _Filling:
             self._field(f"{path}.{TIME_FIELDS[field]}", time, field, value)
 
     def _field(self, path: str, message: Message, field: str, value: object) -> None:
-        current = field_value(message, field)
+        current = message_types.field_value(message, field)
         if is_message(current):
             self.message(path, current, value)
         elif isinstance(current, list):
-            set_field(message, field, self._list(path, message, field, value))
+            message_types.set_field(message, field, self._list(path, message, field, value))
         else:
-            set_field(message, field, _like(path, current, value))
+            message_types.set_field(message, field, _like(path, current, value))
 
     def _list(self, path: str, message: Message, field: str, value: object) -> list[Any]:
         if not isinstance(value, list):
             raise ConfigurationError(f"{path} is a list, not {_kind(value)}", "write [a, b]")
         # A message begins with lists of this length, or none.
-        fixed = len(field_value(message, field))
+        fixed = len(message_types.field_value(message, field))
         if fixed not in (0, len(value)):
             has = _counted(fixed, "element")
             raise ConfigurationError(f"{path} has {has}, not {len(value)}", _ALL)
-        element = element_of(message, field)
+        element = message_types.element_of(message, field)
         return [self._element(f"{path}[{at}]", element(), item) for at, item in enumerate(value)]
 
     def _element(self, path: str, element: Any, value: object) -> Any:
@@ -218,7 +212,7 @@ class _Filling:
 
 
 def _by_name(path: str, message: Message, content: object) -> dict[str, object]:
-    fields = field_names(message)
+    fields = message_types.field_names(message)
     where = f"{path}: " if path else ""
     shown = [TIME_FIELDS[name] for name in fields] if is_time(message) else fields
     if isinstance(content, list):
@@ -317,19 +311,15 @@ def parse_arguments(texts: Sequence[str]) -> object:
 
     Without arguments every field stays zero.
     """
-    _refuse_split(texts)
-    values = [parse_message(text) for text in texts]
-    if len(values) == 1 and isinstance(values[0], dict):
-        return values[0]
-    return values or {}
-
-
-def _refuse_split(texts: Sequence[str]) -> None:
     if len(texts) > 1 and any(_unclosed(text) for text in texts) and not _unclosed(" ".join(texts)):
         raise ConfigurationError(
             f"the shell made {len(texts)} words of the message",
             f"put it in single quotes: {shlex.quote(' '.join(texts))}",
         )
+    values = [parse_message(text) for text in texts]
+    if len(values) == 1 and isinstance(values[0], dict):
+        return values[0]
+    return values or {}
 
 
 def _unclosed(text: str) -> bool:

@@ -3,66 +3,91 @@
 Keys of results are documented in docs/spec/results.md.
 """
 
-import contextlib
 import functools
+import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import click
 
 from ca.errors import HintedError, RecordUnusable
 from rossec.cli.shared.context import Duration
 from rossec.errors import ConfigurationError
-from rossec.terminal import FACTS, TEMPORARY, fail, printable, say_json, say_secret, to_json
+from rossec.terminal import FACTS, TEMPORARY, fail, printable, say, say_json, say_secret, to_json
 
 MAX_PEM: Final = 64 * 1024
 FILE: Final = click.Path(path_type=Path, exists=True, dir_okay=False)
-policy = click.option(
-    "--policy",
-    "policy_path",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="this policy, instead of ca/policy.yaml in ROSSEC_HOME",
+NEW_FILE: Final = click.Path(path_type=Path, dir_okay=False)
+FOLDER: Final = click.Path(path_type=Path, file_okay=False)
+OLD_FOLDER: Final = click.Path(path_type=Path, exists=True, file_okay=False)
+PATH: Final = click.Path(path_type=Path)
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+def option(flags: str, text: str, **settings: Any) -> Callable[[_F], _F]:
+    """An option, as `"--list=FILE newest"`: its flags, what help calls its value, the command's argument."""
+    value = re.search(r"=(\S+)", flags)
+    if value is not None:
+        flags, settings["metavar"] = flags.replace(value[0], "", 1), value[1]
+    return click.option(*flags.split(), help=text, **settings)
+
+
+def flag(flags: str, text: str, **settings: Any) -> Callable[[_F], _F]:
+    """An option without a value."""
+    return option(flags, text, is_flag=True, **settings)
+
+
+def duration(flags: str, text: str, *, days: int, default: str | None) -> Callable[[_F], _F]:
+    return option(flags, text, type=Duration(days), default=default, show_default=True)
+
+
+policy = option(
+    "--policy policy_path", "this policy, instead of ca/policy.yaml in ROSSEC_HOME", type=NEW_FILE
 )
-master_uri = click.option(
-    "--master",
-    "master_uri",
-    metavar="URI",
-    help="master to notify, instead of ROS_MASTER_URI; discover: finds it",
+master_uri = option(
+    "--master=URI master_uri", "master to notify, instead of ROS_MASTER_URI; discover: finds it"
 )
-image = click.option(
+image = option(
     "--image",
+    "read the code from this picture; - is standard input",
     type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
-    help="read the code from this picture; - is standard input",
 )
-entries = click.option(
-    "--entries", type=FILE, help="of that list where it is a tree; by default revocations.entries beside it"
+entries = option(
+    "--entries", "of that list where it is a tree; by default revocations.entries beside it", type=FILE
 )
+as_json = flag("--json as_json", "one line of JSON")
+yes = flag("--yes", "do not ask")
+reason = option("--reason", "why, for the record", default="")
+domain = option("--domain", "trust domain of the authority", default="home", show_default=True)
 HELP = "the result as one line of JSON"
 AFTER: Final = 1.0  # seconds
 _WIDTH: Final = 72  # one line, on every terminal
 _CLEAR: Final = "\r\x1b[K"
 
 
-def duration(*names: str, days: int, default: str | None, text: str) -> Callable[..., Any]:
-    return click.option(*names, type=Duration(days), default=default, show_default=True, help=text)
+def json_result(
+    give: Callable[[Callable[..., Any]], Callable[..., Any]] | None = None, *, secret: bool = False
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Add `--json` to a command that records facts; `secret`: others must not read them.
 
-
-def json_result(*, secret: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Add `--json` to a command that records facts; `secret`: others must not read them."""
+    `give` passes it what it works with: the environment, the authority.
+    """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        @click.option("--json", "in_json", is_flag=True, help=HELP)
-        @functools.wraps(command)
+        inner = command if give is None else give(command)
+
+        @flag("--json in_json", HELP)
+        @functools.wraps(inner)
         def run(*given: Any, in_json: bool, **values: Any) -> Any:
             if not in_json:
-                return command(*given, **values)
+                return inner(*given, **values)
             with document(secret=secret):
-                return command(*given, **values)
+                return inner(*given, **values)
 
         return run
 
@@ -72,6 +97,7 @@ def json_result(*, secret: bool = False) -> Callable[[Callable[..., Any]], Calla
 @contextmanager
 def document(*, secret: bool = False) -> Iterator[None]:
     """Collect what is recorded, and print it at the end; after a refusal, if there is any."""
+    # What was done before a refusal is done: the document says it, with the error (decision 0044).
     found: dict[str, Any] = {}
     token = FACTS.set(found)
     try:
@@ -92,6 +118,15 @@ def _print(found: dict[str, Any], *, secret: bool) -> None:
     say_secret(to_json(found)) if secret else say_json(found)
 
 
+def say_result(as_json: bool, document: object, lines: Iterable[str]) -> None:
+    """Print a result: for programs as one line of JSON, for people its `lines`."""
+    if as_json:
+        say_json(document)
+        return
+    for line in lines:
+        say(line)
+
+
 class Batch:
     """The results of `total` names or files: one that is refused does not stop the others.
 
@@ -107,6 +142,7 @@ class Batch:
 
     @property
     def done(self) -> bool:
+        """Whether one or more of them were."""
         return self._failed < self._total
 
     @contextmanager
@@ -121,6 +157,7 @@ class Batch:
                 yield
         except HintedError as error:
             entry.update(error=str(error), hint=error.hint)
+            # A record that cannot be used is no fault of a name: it would fail thirty times.
             if self._total == 1 or isinstance(error, RecordUnusable):
                 raise
             self._failed += 1
@@ -155,13 +192,14 @@ def unique(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-@contextlib.contextmanager
+@contextmanager
 def working(what: str, *, quiet: bool = False) -> Iterator[None]:
     """Say `what` while the body runs, which asks for nothing; `quiet`: do not (`--json`).
 
     It is drawn anew each second, gives way to every other line, and leaves no trace: a pipe, a file
     and a program that reads `--json` never see it.
     """
+    # Only on a terminal: a pipe or a log would keep each second of it.
     if quiet or not (FACTS.get() is None and not sys.stderr.closed and sys.stderr.isatty()):
         yield
         return
@@ -202,6 +240,6 @@ class _Line:
             self._shown = False
 
     def _write(self, text: str) -> None:
-        with contextlib.suppress(OSError, ValueError):  # the terminal is gone
+        with suppress(OSError, ValueError):  # the terminal is gone
             sys.stderr.write(text)
             sys.stderr.flush()

@@ -15,18 +15,15 @@ import click
 
 from rossec.cli.shared import options
 from rossec.cli.shared.context import reraise_interrupt
+from rossec.cli.shared.options import FILE
 from rossec.errors import ConfigurationError
 
 _MORE: Final = "the code goes on, or Enter to end: "
-_MAX_LINES: Final = 32
-_LINE: Final = 4096  # octets; a terminal gives no longer ones
 CREDENTIAL: Final = "rossec-ca-passphrase"
 MINIMUM: Final = 12
 _MAX_FILE: Final = 4096
-option = click.option(
-    "--passphrase-file",
-    type=options.FILE,
-    help="read the passphrase of the authority's key from this file (first line)",
+option = options.option(
+    "--passphrase-file", "read the passphrase of the authority's key from this file (first line)", type=FILE
 )
 
 
@@ -38,8 +35,8 @@ def read_lines(question: str, is_whole: Callable[[str], bool]) -> str:
     with _without_echo() as terminal:
         os.write(terminal, f"{question}: ".encode())
         lines = list[str]()
-        while len(lines) < _MAX_LINES:
-            line = os.read(terminal, _LINE).decode(errors="replace")
+        while len(lines) < 32:
+            line = os.read(terminal, 4096).decode(errors="replace")  # octets; a terminal gives no longer ones
             lines.append(line)
             if not line.strip() or is_whole("".join(lines)):
                 break
@@ -54,6 +51,7 @@ def _without_echo() -> Iterator[int]:
     terminal = os.open("/dev/tty", os.O_RDWR | os.O_NOCTTY)
     try:
         before = termios.tcgetattr(terminal)
+        # Not `getpass`: it would throw away what is pasted behind the first line of a code.
         hidden = [*before[:3], before[3] & ~termios.ECHO, *before[4:]]
         termios.tcsetattr(terminal, termios.TCSADRAIN, hidden)
         try:
@@ -72,11 +70,13 @@ def read(file: Path | None, environ: Mapping[str, str]) -> str:
 
 
 def _given(file: Path | None, environ: Mapping[str, str]) -> str | None:
+    # systemd's credentials are files of this service alone; a variable or an argument others could see.
     directory = environ.get("CREDENTIALS_DIRECTORY")
     if file is None and directory is not None and (Path(directory) / CREDENTIAL).exists():
         file = Path(directory) / CREDENTIAL
     if file is None:
         return None
+    # Of a pipe (`<(pass show ca)`) the mode means nothing: there its owner counts.
     if file.stat().st_mode & 0o077 and not (not file.is_file() and file.stat().st_uid in (os.getuid(), 0)):
         raise ConfigurationError(f"{file} can be read by others", f"chmod 600 {file}")
     with file.open("rb") as stream:

@@ -3,20 +3,15 @@
 import asyncio
 from pathlib import Path
 
-import click
-
 from rossec import files
 from rossec.cli.shared import options
+from rossec.cli.shared.options import FILE
 from rossec.naming import rule_runner
 from rossec.naming.requests import MAX_INPUT, check_document, check_rules
 from rossec.naming.rule_runner import RuleRunner, require_extra
 
-option = click.option(
-    "--rules",
-    "rules_path",
-    type=options.FILE,
-    metavar="FILE",
-    help="rules in XSLT instead of those that are shipped",
+option = options.option(
+    "--rules=FILE rules_path", "rules in XSLT instead of those that are shipped", type=FILE
 )
 
 

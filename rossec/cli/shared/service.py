@@ -25,7 +25,6 @@ from rossec.ros import names
 from rossec.ros.xmlrpc import Fault
 from rossec.terminal import note, printable, record, say
 
-_SIGNED_ANEW: Final = "a list for the master was due and is signed anew; deliver it with: rossec ca publish"
 _NO_LIST: Final = (
     "the master has no revocation list of this authority, so it trusts no grant yet:"
     " rossec ca publish, then rossec grant deliver"
@@ -43,6 +42,7 @@ def pass_service(command: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(command)
     def run(environment: Environment, /, *, passphrase_file: Path | None, **values: Any) -> None:
         master_uri = values.pop("master_uri", None)
+        # The key is dropped when the command ends, also by a refusal.
         with closing(service_of(environment, passphrase_file, master_uri)) as service:
             command(service, **values)
 
@@ -77,6 +77,7 @@ def call_master(environment: Environment, master_uri: str | None, call: Statemen
     try:
         return asyncio.run(ask())
     except (HintedError, OSError, TimeoutError, Fault) as error:
+        # Exit code 3: signed here, and not where it counts. It says what to do when the master is back.
         reason = str(error) or "no answer in time"
         if isinstance(error, Fault):
             reason = f"it answers {printable(error.faultString)}: is it of an older version?"
@@ -91,8 +92,7 @@ def publish_if_revoked(service: AuthorityService) -> None:
     Else print a note if one was signed anew.
     """
     if service.has_revoked:
-        record(replaced_key_revoked=True)
-        say("the replaced key is revoked")
+        say("the replaced key is revoked", replaced_key_revoked=True)
         publish_list(service)
         return
     if not service.has_signed_domains:
@@ -108,13 +108,12 @@ def publish_if_revoked(service: AuthorityService) -> None:
 def publish_list(service: AuthorityService) -> None:
     record(published=False)
     service.publish()
-    record(published=True)
-    say("the master has the new list")
+    say("the master has the new list", published=True)
 
 
 def remind_to_publish(service: AuthorityService) -> None:
     if service.has_signed_list or service.has_signed_domains:
-        note(_SIGNED_ANEW)
+        note("a list for the master was due and is signed anew; deliver it with: rossec ca publish")
 
 
 def deliver_grant(service: AuthorityService, data: bytes, out: Path | None) -> Sequence[RefusedDeposit]:
@@ -122,8 +121,7 @@ def deliver_grant(service: AuthorityService, data: bytes, out: Path | None) -> S
     if out is None:
         return deliver_grants(service, [data])
     files.create(out, data, 0o644)
-    record(file=str(out))
-    say(f"written to {out}")
+    say(f"written to {out}", file=str(out))
     if (path := service.grants.store(data)) is not None:
         add_entry("given", {"node": document.peek(data).subject, "path": str(path)})
         say(f"given to {document.peek(data).subject} in {path}")

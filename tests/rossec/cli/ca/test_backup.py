@@ -5,7 +5,7 @@ import pytest
 from ca.revocation.lists import is_tree
 from rossec.authority.backup import Restored
 from rossec.authority.home import AuthorityHome
-from rossec.cli.ca.backup import _say_what_differs
+from rossec.cli.ca.backup import say_what_differs
 from tests.support.commands import Shell, refused
 
 
@@ -88,7 +88,7 @@ def test_the_two_words_about_the_list_exclude_each_other(shell: Shell, tmp_path:
 
 def test_what_differs_after_a_restore_is_said(shell: Shell, capsys: pytest.CaptureFixture[str]) -> None:
     home = AuthorityHome.at(shell.root)
-    _say_what_differs(
+    say_what_differs(
         Restored(home, 3, 0, ended_domains=2, ended_phones=1, policy="of the backup", left_out=("notes.txt",))
     )
     said = capsys.readouterr().err

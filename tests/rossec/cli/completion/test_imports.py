@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from rossec.cli.completion.values import ARGUMENTS, OPTIONS
+from rossec.cli.completion.values import OPTIONS
 from rossec.cli.main import rossec
 from tests.rossec.cli.tables import all_commands
 
@@ -50,7 +50,7 @@ def lines() -> list[str]:
     for words, listed, _command in all_commands(rossec):
         start = " ".join(words)
         found.append(f"{start} -")
-        for count, kind in enumerate(ARGUMENTS.get(listed.place, ()) if listed else ()):
+        for count, kind in enumerate(listed.arguments if listed else ()):
             kinds.setdefault(kind, f"{start} {'x ' * count}")
     return [*found, *kinds.values(), *(f"rossec topic echo {option} " for option in OPTIONS)]
 
@@ -83,5 +83,7 @@ def test_completion_imports_no_command_and_no_network(tmp_path: Path) -> None:
     assert "sqlite3" in modules
     inside = tuple(f"{name}." for name in FORBIDDEN)
     assert [name for name in modules if name in FORBIDDEN or name.startswith(inside)] == []
-    commands = {place.split(":")[0] for place in ARGUMENTS}
+    commands = {
+        listed.place.split(":")[0] for _, listed, _ in all_commands(rossec) if listed and listed.arguments
+    }
     assert [name for name in modules if name.removeprefix("rossec.cli.") in commands] == []

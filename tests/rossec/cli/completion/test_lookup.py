@@ -37,29 +37,29 @@ def offered(command: click.Command, home: Path, *words: str) -> list[tuple[str, 
 
 
 def test_names_are_offered_for_their_arguments(tmp_path: Path, home: Path) -> None:
-    command = completed("hz", "grant.sign:sign", lambda: hz, table(tmp_path))
+    command = completed("hz", "grant.sign:sign", lambda: hz, ("node",), table(tmp_path))
     assert offered(command, home, "") == [("/robot1/camera", "plain")]
     assert offered(command, home, "--as", "/r") == [("/robot1/camera", "plain")]
     assert offered(command, home, "--as", "/x") == []
 
 
 def test_a_command_that_is_known_is_not_imported(tmp_path: Path, home: Path) -> None:
-    completed("hz", "grant.sign:sign", lambda: hz, table(tmp_path))
-    command = completed("hz", "grant.sign:sign", lambda: pytest.fail("imported"), table(tmp_path))
+    completed("hz", "grant.sign:sign", lambda: hz, ("node",), table(tmp_path))
+    command = completed("hz", "grant.sign:sign", lambda: pytest.fail("imported"), ("node",), table(tmp_path))
     assert offered(command, home, "--a") == [("--as", "plain")]
 
 
 def test_a_group_is_completed_as_it_is(tmp_path: Path) -> None:
     group = click.Group("ca")
-    assert completed("ca", "nouns:ca", lambda: group, table(tmp_path)) is group
+    assert completed("ca", "nouns:ca", lambda: group, (), table(tmp_path)) is group
 
 
 def test_a_program_is_looked_up_by_the_shell(tmp_path: Path, home: Path) -> None:
-    command = completed("run", "node.sidecar:run", lambda: hz, table(tmp_path))
+    command = completed("run", "node.sidecar:run", lambda: hz, ("command",), table(tmp_path))
     assert offered(command, home, "./") == [("", "file")]
 
 
 def test_a_home_that_others_could_have_written_gives_nothing(tmp_path: Path, home: Path) -> None:
     home.chmod(0o777)
-    command = completed("hz", "grant.sign:sign", lambda: hz, table(tmp_path))
+    command = completed("hz", "grant.sign:sign", lambda: hz, ("node",), table(tmp_path))
     assert offered(command, home, "") == []

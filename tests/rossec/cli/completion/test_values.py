@@ -4,16 +4,16 @@ import click
 import pytest
 
 from rossec.cli.completion.sources import Sources
-from rossec.cli.completion.values import ARGUMENTS, FREE, KINDS, OPTIONS, kinds_of, outline_of
+from rossec.cli.completion.values import FREE, KINDS, OPTIONS, kinds_of, outline_of
 from rossec.cli.main import rossec
 from rossec.cli.shared.context import LazyCommand
 from tests.rossec.cli.tables import all_commands
 
-LEAVES = {
-    listed.place: command
-    for _, listed, command in all_commands(rossec)
-    if listed is not None and not isinstance(command, click.Group)
+LISTED = {
+    listed.place: (listed, command) for _, listed, command in all_commands(rossec) if listed is not None
 }
+LEAVES = {place: command for place, (_, command) in LISTED.items() if not isinstance(command, click.Group)}
+ARGUMENTS = {place: listed.arguments for place, (listed, _) in LISTED.items()}
 
 
 def texts(command: click.Command) -> int:
@@ -23,12 +23,11 @@ def texts(command: click.Command) -> int:
 
 @pytest.mark.parametrize("place", sorted(LEAVES))
 def test_every_argument_that_is_text_has_its_kind(place: str) -> None:
-    """A new one gets a row: which names it takes, or `FREE`."""
-    assert texts(LEAVES[place]) == len(ARGUMENTS.get(place, ()))
+    """The table of its group says for a new one which names it takes, or `FREE`."""
+    assert texts(LEAVES[place]) == len(ARGUMENTS[place])
 
 
-def test_every_row_is_of_a_command() -> None:
-    assert ARGUMENTS.keys() <= LEAVES.keys()
+def test_every_option_is_of_a_command() -> None:
     options = {name for command in LEAVES.values() for each in command.params for name in each.opts}
     assert OPTIONS.keys() <= options
 
@@ -44,7 +43,7 @@ def test_every_kind_can_be_read(tmp_path: object) -> None:
 def kinds(place: str) -> dict[str, str]:
     outline = outline_of(LEAVES[place])
     names = [each.get("opts", [each["name"]])[0] for each in outline["params"]]
-    return dict(zip(names, kinds_of(place, outline), strict=True))
+    return dict(zip(names, kinds_of(place, ARGUMENTS[place], outline), strict=True))
 
 
 def test_arguments_and_options_get_theirs() -> None:

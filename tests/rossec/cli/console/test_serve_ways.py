@@ -278,7 +278,7 @@ def test_a_screen_on_the_wall_has_nothing_but_looking(service: ServiceProcess) -
 
 
 def test_phones_of_another_address_stop_the_start(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serve, "_origins_of_phones", lambda _: {"http://localhost:7411"})
+    monkeypatch.setattr(serve, "origins_of_phones", lambda _: {"http://localhost:7411"})
     refused(shell("console", "--port", "7412"), "cannot approve at http://localhost:7412")
     refused(shell("console", "--port", "7412", "--rename"), "the authority's service does not run")
 

@@ -5,7 +5,7 @@ import os
 import signal
 import sys
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from grants.model import Right
 from rossec.cli.gateway import serve
 from rossec.cli.shared.context import Environment
 from rossec.errors import ConfigurationError, MasterNotFound
+from rossec.host import runner
 from rossec.ros.names import parse_uri
 from tests.support.commands import Shell, refused
 from tests.support.discovered import Searches
@@ -112,15 +113,17 @@ async def test_a_gateway_waits_for_its_master(site: Site) -> None:
         await until(lambda: "gateway /gateway serves" in running.said())
 
 
-async def test_what_is_wrong_on_this_host_is_no_master_to_wait_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_wrong_on_this_host_is_no_master_to_wait_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def unreadable(*_: object, **__: object) -> None:
         raise PermissionError("node.key")
 
+    site = Site(tmp_path / "site")
+    site.enroll("/gateway")
     monkeypatch.setattr(serve, "node_as", unreadable)
-    environment = Environment({})
-    async with AsyncExitStack() as stack, asyncio.timeout(20):
-        with pytest.raises(PermissionError):
-            await serve._joined(stack, environment, "/gateway", asyncio.Event())
+    with pytest.raises(PermissionError):
+        serve.run(Environment(site.environ), (), as_json=False)
 
 
 async def test_a_domain_that_is_not_trusted_is_refused(site: Site) -> None:
@@ -139,7 +142,7 @@ def test_a_gateway_waits_for_a_master_that_is_not_announced_yet(
     site = Site(tmp_path / "site")
     site.enroll("/gateway")
     searches.result = MasterNotFound("no master announces itself", "start it")
-    monkeypatch.setattr(serve, "AGAIN_AFTER", 0.01)
+    monkeypatch.setattr(runner, "AGAIN_AFTER", 0.01)
     made: list[int] = []
 
     async def end_after_the_third(*given: Any, **more: Any) -> Any:

@@ -6,14 +6,7 @@ from pathlib import Path
 import pytest
 
 from rossec.cli.completion import values
-from rossec.cli.ros.graph import (
-    SystemState,
-    _keep_for_completion,
-    addresses,
-    note_hidden,
-    read_state,
-    system_state,
-)
+from rossec.cli.ros.graph import SystemState, addresses, note_hidden, read_state, system_state
 from rossec.cli.shared.context import Environment
 from rossec.errors import AnswerMalformed
 from tests.rossec.cli.ros.talking import prepare, talk
@@ -81,7 +74,7 @@ def test_names_that_were_seen_complete_from_now_on(tmp_path: Path) -> None:
     home.mkdir(mode=0o700)
     found = SystemState({"/scan": ("/robot",)}, {}, {"/reset": ("/robot",)}, {"/scan": "a/B"})
     environment = Environment({"ROSSEC_HOME": str(home), "ROS_MASTER_URI": "http://x:1"})
-    _keep_for_completion(environment, found)
+    (found).keep_for_completion(environment)
     kinds = (values.TOPIC, values.SERVICE, values.NODE, values.TYPE)
     assert [values.read(home, "http://x:1", kind) for kind in kinds] == [
         ["/scan"],
