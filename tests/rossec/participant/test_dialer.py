@@ -2,6 +2,7 @@
 
 from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -9,6 +10,7 @@ from ca.certificates import Identity
 from ca.errors import Revoked
 from rossec.errors import AnswerRefused, ConfigurationError, ConnectionHeaderRefused, IdentityRefused
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
+from rossec.net.aio.client import connect
 from rossec.net.aio.server import Handler
 from rossec.net.rpc.calls import RpcClient, serve_calls
 from rossec.participant.connections import Dialer, OwnAddresses
@@ -82,9 +84,18 @@ def checked() -> Checked:
 
 
 @pytest.fixture
-def dialer(site: Site, checked: Checked) -> Dialer:
+async def dialer(site: Site, checked: Checked, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Dialer]:
+    made: list[SecureStream[Identity]] = []
+
+    async def noted(*given: Any, **named: Any) -> SecureStream[Identity]:
+        made.append(await connect(*given, **named))
+        return made[-1]
+
+    monkeypatch.setattr("rossec.participant.connections.connect", noted)
     context = SecureContext(site.enroll("/viewer").credentials(), site.anchor.verify)
-    return Dialer("/viewer", context, checked)
+    yield Dialer("/viewer", context, checked)
+    for stream in made:  # a peer that is asked for a topic is left to close in its own time
+        stream.abort("the test is over")
 
 
 async def test_a_topic_is_requested_and_then_connected(
