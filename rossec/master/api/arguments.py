@@ -11,6 +11,7 @@ from typing import Final, TypeVar
 
 from ca.errors import NameRefused
 from ca.names import check_label, check_name, check_pattern
+from rossec.master.rights.renewals import OFFER_LIMIT, Settlement
 from rossec.master.state.forwarded_ports import AT_ONCE, KINDS, MAX_PEERS, Door, PeerWay, Target
 from rossec.master.state.registry import is_connectable, is_type_name
 from rossec.ros import names
@@ -18,6 +19,7 @@ from rossec.ros.names import build_door
 
 KEY_LIMIT: Final = 255
 _TEXT_LIMIT: Final = 255
+_DIGEST: Final = 32  # bytes of a SHA-256
 _MAX_COUNT: Final = 1 << 53
 
 T = TypeVar("T")
@@ -171,6 +173,20 @@ def ways(label: str) -> Check:
         return {peer: way for peer, way in found.items() if way is not None}
 
     return check
+
+
+def settlements(value: object, _caller: str) -> list[Settlement]:
+    if not isinstance(value, list) or len(value) > OFFER_LIMIT:
+        raise ArgumentRefused(f"ERROR: parameter [answers] must be a list of at most {OFFER_LIMIT}")
+    found: list[Settlement] = []
+    for each in value:
+        match each:
+            case [bytes(digest), bytes(bundle), str(reason)] if len(digest) == _DIGEST:
+                if bool(bundle) is not bool(reason):
+                    found.append(Settlement(digest, bundle, reason))
+                    continue
+        raise ArgumentRefused("ERROR: parameter [answers] has an entry of another form")
+    return found
 
 
 def _items(value: object, label: str, most: int, kind: type[T], content: str) -> list[T]:

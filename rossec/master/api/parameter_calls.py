@@ -16,11 +16,9 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from ca.names import is_alias, shown
 from grants.model import Right
-from rossec.master.api import arguments as arg
 from rossec.master.api.methods import (
     CallRequest,
-    Method,
-    Methods,
+    MasterTables,
     ParameterChanged,
     PersistParameter,
     Reply,
@@ -30,11 +28,8 @@ from rossec.master.rights.access_rules import require_address, require_capacity
 from rossec.master.rights.caller import Caller, Refused, refusals_answered
 from rossec.master.state.journals import ParameterChange
 from rossec.master.state.parameters import (
-    SIZE_LIMIT,
     MirrorChange,
-    Mirrors,
     ParameterMissing,
-    Parameters,
     ParameterUpdate,
     TooLarge,
     check_names,
@@ -45,7 +40,7 @@ from rossec.master.state.parameters import (
     subscription_key,
     updates,
 )
-from rossec.master.state.registry import Kind, NodeRef, Registry
+from rossec.master.state.registry import Kind, NodeRef
 from rossec.ros import names
 from rossec.ros.xmlrpc import BODY_LIMIT
 
@@ -121,36 +116,16 @@ Fault = xmlrpc.client.Fault
 
 
 class ParameterCalls:
-    """Handlers over one parameter tree."""
+    """Handlers over the parameter tree and what is mirrored."""
 
-    def __init__(
-        self,
-        parameters: Parameters,
-        registry: Registry,
-        caller_of: Callable[[NodeRef, int], Caller | None],
-        limit: int = SIZE_LIMIT,
-        mirrors: Mirrors | None = None,
-    ) -> None:
-        self._parameters = parameters
-        self._mirrors = Mirrors() if mirrors is None else mirrors
-        self._limit = limit  # bytes of all parameters together
-        self._registry = registry
+    def __init__(self, tables: MasterTables) -> None:
+        self._parameters = tables.parameters
+        self._mirrors = tables.imports.mirrors
+        self._limit = tables.parameter_bytes
+        self._registry = tables.registry
         # a subscriber with its rights when an update is sent; None: its key is revoked
-        self._caller_of = caller_of
+        self._caller_of = tables.trust.caller_of
         self._bytes_added: Counter[bytes] = Counter()  # by key, net of what it deleted
-
-    def methods(self) -> Methods:
-        key, api = arg.key("key"), arg.uri("caller_api", "http")
-        return {
-            "getParam": Method((key,), 0, self._get),
-            "hasParam": Method((key,), False, self._has),
-            "setParam": Method((key, arg.not_none("value")), 0, self._set),
-            "deleteParam": Method((key,), 0, self._delete),
-            "searchParam": Method((arg.search_key("key"),), 0, self._search),
-            "getParamNames": Method((), [], self._parameter_names),
-            "subscribeParam": Method((api, key), 0, self._subscribe),
-            "unsubscribeParam": Method((api, key), 0, self._unsubscribe),
-        }
 
     def mirror(self, changes: Iterable[MirrorChange], now: int) -> tuple[ParameterChanged, ...]:
         """The updates for subscribers of mirrored parameters that have changed."""
@@ -158,7 +133,7 @@ class ParameterCalls:
             event for change in changes for event in self._updates(change.key, change.value, now, setter=None)
         )
 
-    def _get(self, request: CallRequest) -> Reply:
+    def get(self, request: CallRequest) -> Reply:
         key = request.text(1)
         item = self._item(key)
         require_tree(request.caller, Right.PARAM_GET, key, item)
@@ -166,7 +141,7 @@ class ParameterCalls:
             return Reply(0, f"Parameter [{key}] is not set", -1)
         return Reply(_sendable(item[1]), f"Parameter [{key}]")
 
-    def _has(self, request: CallRequest) -> Reply:
+    def has(self, request: CallRequest) -> Reply:
         key = request.text(1)
         item = self._item(key)
         require_tree(request.caller, Right.PARAM_GET, key, item)
@@ -175,7 +150,7 @@ class ParameterCalls:
     def _item(self, key: str) -> ParameterItem:
         return self._mirrors.item(key) if is_alias(key) else self._parameters.item(key)
 
-    def _set(self, request: CallRequest) -> Reply:
+    def set(self, request: CallRequest) -> Reply:
         key, value = request.text(1), request.arguments[2]
         with refusals_answered():
             refuse_mirror(key, value)
@@ -213,7 +188,7 @@ class ParameterCalls:
         if self._bytes_added[key] <= 0:
             del self._bytes_added[key]
 
-    def _delete(self, request: CallRequest) -> Reply:
+    def delete(self, request: CallRequest) -> Reply:
         key = request.text(1)
         with refusals_answered():
             refuse_mirror(key)
@@ -228,7 +203,7 @@ class ParameterCalls:
         events = self._updates(key, {}, request.now, setter=None)
         return Reply(0, f"parameter {key} deleted", events=(persist, *events))
 
-    def _search(self, request: CallRequest) -> Steps:
+    def search(self, request: CallRequest) -> Steps:
         key = request.text(1)
         try:
             candidates = search_candidates(request.caller.name, key)
@@ -251,7 +226,7 @@ class ParameterCalls:
                 yield
         return False
 
-    def _parameter_names(self, request: CallRequest) -> Steps:
+    def parameter_names(self, request: CallRequest) -> Steps:
         shown, bytes_left, at_once = list[str](), MAX_ENCODED, request.caller.names_per_yield
         for count, name in enumerate(self._readable_names(request.caller), 1):
             if name is not None:
@@ -271,7 +246,7 @@ class ParameterCalls:
                 else:
                     yield None
 
-    def _subscribe(self, request: CallRequest) -> Reply:
+    def subscribe(self, request: CallRequest) -> Reply:
         node, key = request.node(1), request.text(2)
         item = self._item(key)
         require_tree(request.caller, Right.PARAM_GET, key, item)
@@ -282,7 +257,7 @@ class ParameterCalls:
         events = self._registry.register_parameter(subscription, node)
         return Reply(value, f"Subscribed to parameter [{key}]", events=tuple(events))
 
-    def _unsubscribe(self, request: CallRequest) -> Reply:
+    def unsubscribe(self, request: CallRequest) -> Reply:
         node, key = request.node(1), request.text(2)
         self._registry.unregister(Kind.PARAMETER, subscription_key(key), node)
         return Reply(1, f"Unsubscribe to parameter [{key}]")

@@ -12,7 +12,7 @@ that waited is answered again from the tables.
 import asyncio
 import contextlib
 import logging
-from collections import deque
+import sys
 from collections.abc import Awaitable, Callable, Collection, Iterable
 from typing import Final
 
@@ -230,139 +230,70 @@ class Updates:
         await self._closing.close()
 
 
-WAIT: Final = 60.0  # seconds; an answer without grants shows that the master is alive
-MAX_WAITING: Final = 64  # calls of one key: the nodes of a wildcard identity
-
-
-class GrantChanges:
-    """The calls that wait for deposited grants, by the key of the caller.
-
-    A new robot, which may register nothing yet, is notified like every other.
-    """
-
-    def __init__(self, longest: float = WAIT) -> None:
-        self._longest = longest
-        self._waiting: dict[bytes, deque[asyncio.Future[None]]] = {}
-
-    def __len__(self) -> int:
-        return sum(map(len, self._waiting.values()))
-
-    def notify(self, holders: Iterable[bytes]) -> None:
-        for holder in holders:
-            for waiting in self._waiting.pop(holder, ()):
-                _end(waiting)
-
-    async def wait(self, holder: bytes) -> None:
-        # Of too many calls of one key the oldest returns: its connection may be gone.
-        waiting = asyncio.get_running_loop().create_future()
-        calls = self._waiting.setdefault(holder, deque())
-        calls.append(waiting)
-        if len(calls) > MAX_WAITING:
-            _end(calls.popleft())
-        try:
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(self._longest):
-                    await waiting
-        finally:
-            with contextlib.suppress(ValueError):
-                calls.remove(waiting)
-            if not calls and self._waiting.get(holder) is calls:
-                del self._waiting[holder]
-
-
-def _end(waiting: asyncio.Future[None]) -> None:
-    if not waiting.done():
-        waiting.set_result(None)
-
-
-WATCH_WAIT: Final = 5.0  # seconds; an answer without changes shows that the master is alive
 BATCH_DELAY: Final = 0.05
 
 
-class GraphChanges:
-    """The calls that wait for a change of the graph.
+class LongPolls:
+    """The calls that wait for one kind of change, by the key of the caller: the master's one long poll.
 
-    Changes in the `BATCH_DELAY` seconds after the first are sent in the same answer: the launch of a
-    hundred nodes does not take a hundred answers.
+    Nothing is queued: a call that was woken is answered again from the tables. Changes in the `delay`
+    seconds after the first are in the same answer: the launch of a hundred nodes does not take a
+    hundred answers. Of more than `limit` calls of one key the oldest returns: its connection may be gone.
     """
 
-    def __init__(self) -> None:
-        self._version = -1
-        self._changed: asyncio.Event | None = None  # while a call waits
-
-    def notify(self, version: int | None = None) -> None:
-        # The graph has changed, unless its `version` is the one notified before.
-        if version is None or version != self._version:
-            self._version = self._version if version is None else version
-            if self._changed is not None:
-                self._changed.set()
-                self._changed = None
-
-    def expect(self) -> asyncio.Event:
-        if self._changed is None:
-            self._changed = asyncio.Event()
-        return self._changed
-
-    async def wait(self, longest: float, expected: asyncio.Event | None = None) -> None:
-        # `expected`: of `expect`; without it changes count from the first step of this coroutine.
-        changed = self.expect() if expected is None else expected
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(longest):
-                await changed.wait()
-                await asyncio.sleep(BATCH_DELAY)
-
-
-class SitePolls:
-    """The followers and relays that wait, one call for each key: a new one ends the one before.
-
-    Only own registrations wake a follower, not imports: else each change in a mesh would be answered
-    by every master to every other.
-    """
-
-    def __init__(self, delay: float = BATCH_DELAY) -> None:
-        self._delay = delay  # seconds from a change to the answer, which has what changes meanwhile too
-        self._waiting: dict[bytes, asyncio.Event] = {}
+    def __init__(self, delay: float = BATCH_DELAY, limit: int = sys.maxsize) -> None:
+        self._delay = delay
+        self._limit = limit
+        self._waiting: dict[bytes, list[asyncio.Event]] = {}
         self._version = -1
         self._changes = 0
         self._answered: dict[bytes, int] = {}  # the changes so far, of those that ask by `missed`
 
     def __len__(self) -> int:
-        return len(self._waiting)
+        return sum(map(len, self._waiting.values()))
 
     def notify(self, version: int | None = None) -> None:
-        # The registrations have changed, unless their `version` was notified before.
-        # None: the rights or the lists have changed.
-        if version != self._version or version is None:
+        # Something has changed, unless its `version` is the one notified before.
+        if version is None or version != self._version:
             self._version = self._version if version is None else version
             self._changes += 1
-            for changed in self._waiting.values():
+            self.wake(tuple(self._waiting))
+
+    def wake(self, keys: Iterable[bytes]) -> None:
+        for key in keys:
+            for changed in self._waiting.pop(key, ()):
                 changed.set()
 
-    def supersede(self, follower: bytes) -> None:
-        before = self._waiting.pop(follower, None)
-        if before is not None:
-            before.set()
-
-    def missed(self, follower: bytes) -> bool:
+    def missed(self, key: bytes) -> bool:
         # Whether anything has changed since this was last asked, or since its last wait.
-        before = self._answered.get(follower)
-        self._answered[follower] = self._changes
+        before = self._answered.get(key)
+        self._answered[key] = self._changes
         return before != self._changes
 
-    def expect(self, follower: bytes) -> asyncio.Event:
-        changed = self._waiting[follower] = asyncio.Event()
+    def expect(self, key: bytes = b"") -> asyncio.Event:
+        # For a change from now on: the coroutine of a call begins later, and would miss what comes before.
+        changed = asyncio.Event()
+        calls = self._waiting.setdefault(key, [])
+        calls.append(changed)
+        if len(calls) > self._limit:
+            calls.pop(0).set()
         return changed
 
-    async def wait(self, follower: bytes, longest: float, expected: asyncio.Event | None = None) -> None:
-        # `expected`: of `expect`; without it changes count from the first step of this coroutine.
-        changed = self.expect(follower) if expected is None else expected
+    def forget(self, changed: asyncio.Event, key: bytes = b"") -> None:
+        calls = self._waiting.get(key, [])
+        if changed in calls:
+            calls.remove(changed)
+            if not calls:
+                del self._waiting[key]
+
+    async def wait(self, longest: float, key: bytes = b"", expected: asyncio.Event | None = None) -> None:
+        changed = self.expect(key) if expected is None else expected
         try:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(longest):
                     await changed.wait()
                     await asyncio.sleep(self._delay)
         finally:
-            if self._waiting.get(follower) is changed:
-                del self._waiting[follower]
-            if follower in self._answered:
-                self._answered[follower] = self._changes
+            self.forget(changed, key)
+            if key in self._answered:
+                self._answered[key] = self._changes

@@ -135,7 +135,9 @@ class Imports:
         self.mirrors: Final = Mirrors()  # parameters of the sites
         self.filter: Final = ImportFilter()  # what is taken from foreign domains at all
         self.on_settled: Callable[[], object] = lambda: None  # called when `is_settled` has become true
-        self._registry = registry  # the own registrations; its events name imported publishers from now on
+        self.registry: Final = (
+            registry  # the own registrations; its events name imported publishers from now on
+        )
         self._limit = limit  # facts of one site
         self._sites: dict[str, SiteFacts] = {}
         self._entries: dict[Kind, dict[str, dict[_Entry, None]]] = {kind: {} for kind in Kind}
@@ -215,8 +217,8 @@ class Imports:
     def taken_anew(self) -> list[PublishersChanged]:
         # What is taken from foreign domains may have changed: the subscribers there are told.
         self.version += 1
-        topics = [topic for topic in self._registry.keys(Kind.SUBSCRIBER) if is_alias(topic)]
-        return [self._registry.publishers_changed(topic) for topic in topics]
+        topics = [topic for topic in self.registry.keys(Kind.SUBSCRIBER) if is_alias(topic)]
+        return [self.registry.publishers_changed(topic) for topic in topics]
 
     def settle(self, label: str, demand: int) -> None:
         """A site has answered completely what was wanted when the demand had this version."""
@@ -300,10 +302,10 @@ class Imports:
     def _is_used(self, held: SiteFacts, name: str) -> bool:
         # Whether a node has an address, which is not one of this master's own nodes.
         address = held.nodes.get(name)
-        if address is None or self._registry.is_registered_endpoint(address.endpoint):
+        if address is None or self.registry.is_registered_endpoint(address.endpoint):
             return False
         if not held.site.domain:
-            return self._registry.node(name) is None
+            return self.registry.node(name) is None
         keys = (each.key for each in held.registered.get(name, ()))
         return self.filter.shows_node(address.name, keys)
 
@@ -312,7 +314,7 @@ class Imports:
         if not entries or not self.filter.shows(key):
             return []
         if kind is Kind.SERVICE:
-            if self._registry.service_uri(key) is not None:
+            if self.registry.service_uri(key) is not None:
                 return []
             for label, node in sorted(entries):
                 held = self._sites[label]
@@ -325,10 +327,10 @@ class Imports:
         return [each for each in found if (self._sites[each[0]].types.get(key, type_name) == type_name)]
 
     def _is_elsewhere(self, address: Address) -> bool:
-        return not self._registry.is_registered_endpoint(address.endpoint)
+        return not self.registry.is_registered_endpoint(address.endpoint)
 
     def _type_that_counts(self, topic: str) -> str:
-        own = ANY_TYPE if is_alias(topic) else self._registry.topic_type(topic)
+        own = ANY_TYPE if is_alias(topic) else self.registry.topic_type(topic)
         if own != ANY_TYPE:  # of an alias the origin decides, not who subscribes it here
             return own
         labels = {label for kind in _TOPIC_KINDS for label, _ in self._entries[kind].get(topic, ())}
@@ -354,7 +356,7 @@ class Imports:
 
     def _changed(self, before: Mapping[str, list[str]]) -> list[PublishersChanged]:
         return [
-            self._registry.publishers_changed(topic)
+            self.registry.publishers_changed(topic)
             for topic, uris in before.items()
             if self.publisher_uris(topic) != uris
         ]
@@ -375,7 +377,7 @@ class Imports:
                 self._entries[found.kind].pop(found.key, None)
 
     def _followed_topics(self, held: SiteFacts, changes: Iterable[Fact]) -> list[str]:
-        followed = self._registry.keys(Kind.SUBSCRIBER)
+        followed = self.registry.keys(Kind.SUBSCRIBER)
         found = held.keys(changes) if followed else set[str]()
         return sorted(k for k in found if k in followed or alias_of_served(k) in followed)
 

@@ -8,7 +8,7 @@ import pytest
 
 from rossec.errors import AnswerRefused
 from rossec.host.runner import TaskSet
-from rossec.master.server.answers import SiteAnswers
+from rossec.master.server.updates import LongPolls
 from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Registry
@@ -34,30 +34,30 @@ async def finds_nothing(node: SlaveNode, service: str) -> None:
         await node.ask("lookupService", service)
 
 
+def settled_by(imports: Imports) -> LongPolls:
+    settled = LongPolls(0.0)
+    imports.on_settled = settled.notify
+    return settled
+
+
 async def test_a_wait_ends_when_the_sites_have_answered(imports: Imports) -> None:
-    answers, tasks = SiteAnswers(imports), TaskSet()
-    waiting = [tasks.spawn(answers.wait(30), "query") for _ in range(2)]
+    settled, tasks = settled_by(imports), TaskSet()
+    waiting = [tasks.spawn(settled.wait(30), "query") for _ in range(2)]
     await asyncio.sleep(0.01)
     imports.settle("kitchen", imports.demand.version)
     async with asyncio.timeout(10):
         await asyncio.gather(*waiting)
-        await answers.wait(30)  # settled
     await tasks.close()
 
 
 async def test_a_site_that_is_lost_is_not_waited_for(imports: Imports) -> None:
-    answers, tasks = SiteAnswers(imports), TaskSet()
-    waiting = tasks.spawn(answers.wait(30), "query")
+    settled, tasks = settled_by(imports), TaskSet()
+    waiting = tasks.spawn(settled.wait(30), "query")
     await asyncio.sleep(0.01)
     imports.lose("kitchen")
     async with asyncio.timeout(10):
         await waiting
     await tasks.close()
-
-
-async def test_a_slow_site_is_not_waited_for_long(imports: Imports) -> None:
-    await SiteAnswers(imports).wait(0.01)
-    imports.drop("kitchen")
 
 
 async def test_the_first_lookup_of_a_name_waits_for_the_sites(world: World) -> None:
