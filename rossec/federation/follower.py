@@ -60,10 +60,7 @@ _log = logging.getLogger("rossec.federation")
 
 
 class SiteDoors:
-    """The doors of one site.
-
-    `on_door`: called when the master's door was opened.
-    """
+    """The doors of one site; `on_door` is called when its master's was opened."""
 
     def __init__(self, doors: ForwardedPorts, settings: SiteSettings, on_door: Callable[[], None]) -> None:
         self._doors = doors
@@ -150,10 +147,7 @@ _DIAL_VIA: Final = 15.0  # the relay may have to dial its peer first
 
 
 class SiteConnections:
-    """Connects with one site.
-
-    `doors`: of the site, if it is reached by a relay.
-    """
+    """Connects with one site; `doors`: of the site, if it is reached by a relay."""
 
     def __init__(self, settings: SiteSettings, own: OwnMaster, doors: SiteDoors | None) -> None:
         self._settings = settings
@@ -204,21 +198,12 @@ Failures: Final = (HintedError, OSError, TimeoutError, Fault)
 
 
 class FollowedSite:
-    """Follows one site until `close`.
-
-    `own`: the master that follows. `rand`: returns a random number from 0 up to 1.
-
-    Attributes:
-        state: where it is.
-        error: why it is not followed now; empty: it is.
-        hint: what may be done about it, or empty.
-        connections: with the site.
-    """
+    """Follows one site until it is removed; `rand` returns a random number from 0 up to 1."""
 
     def __init__(self, settings: SiteSettings, own: OwnMaster, rand: Callable[[], float] = _RANDOM) -> None:
         self.settings: Final = settings
         self.state: Final = SiteState()
-        self.error = self.hint = ""
+        self.error = self.hint = ""  # why it is not followed now; empty: it is
         self._own = own
         self._rand = rand
         self._cursor = SiteCursor()

@@ -33,69 +33,21 @@ from rossec.ros.xmlrpc import BODY_LIMIT, METHOD_LIMIT, NOT_ENCODABLE, Call, Enc
 
 # They are part of the format: never change one, and never add one. A method that came later is called
 # by its name, since a peer of today would refuse an unknown number. Those below 24 take one byte.
-METHODS: Final = (
-    "getParam",
-    "setParam",
-    "hasParam",
-    "registerPublisher",
-    "registerSubscriber",
-    "registerService",
-    "unregisterPublisher",
-    "unregisterSubscriber",
-    "unregisterService",
-    "lookupNode",
-    "lookupService",
-    "getSystemState",
-    "publisherUpdate",
-    "paramUpdate",
-    "requestTopic",
-    "rossec.presentGrants",
-    "rossec.revocationUpdate",
-    "rossec.revocationsSince",
-    "rossec.watchGraph",
-    "rossec.watchGrants",
-    "rossec.followSite",
-    "rossec.relayDoors",
-    "getPid",
-    "getUri",
-    "getPublishedTopics",
-    "getTopicTypes",
-    "getParamNames",
-    "searchParam",
-    "deleteParam",
-    "subscribeParam",
-    "unsubscribeParam",
-    "shutdown",
-    "system.multicall",
-    "getName",
-    "getMasterUri",
-    "getBusStats",
-    "getBusInfo",
-    "getSubscriptions",
-    "getPublications",
-    "rossec.renewGrants",
-    "rossec.renewIdentity",
-    "rossec.updateDelegation",
-    "rossec.revocations",
-    "rossec.updateRevocations",
-    "rossec.updateRevocationTree",
-    "rossec.revocationEntries",
-    "rossec.revocationProofs",
-    "rossec.domains",
-    "rossec.updateDomains",
-    "rossec.foreignRevocations",
-    "rossec.foreignRevocationProofs",
-    "rossec.trl",
-    "rossec.relayTarget",
-    "rossec.depositGrants",
-    "rossec.deliveryStates",
-    "rossec.revocationStanding",
-    "rossec.recentDenials",
-    "rossec.fetchGrants",
-    "rossec.domainsUpdate",
-    "rossec.foreignRevocationUpdate",
-    "rossec.ports",
-)
+_NUMBERED: Final = """
+getParam setParam hasParam registerPublisher registerSubscriber registerService unregisterPublisher
+unregisterSubscriber unregisterService lookupNode lookupService getSystemState publisherUpdate
+paramUpdate requestTopic rossec.presentGrants rossec.revocationUpdate rossec.revocationsSince
+rossec.watchGraph rossec.watchGrants rossec.followSite rossec.relayDoors getPid getUri
+getPublishedTopics getTopicTypes getParamNames searchParam deleteParam subscribeParam
+unsubscribeParam shutdown system.multicall getName getMasterUri getBusStats getBusInfo
+getSubscriptions getPublications rossec.renewGrants rossec.renewIdentity rossec.updateDelegation
+rossec.revocations rossec.updateRevocations rossec.updateRevocationTree rossec.revocationEntries
+rossec.revocationProofs rossec.domains rossec.updateDomains rossec.foreignRevocations
+rossec.foreignRevocationProofs rossec.trl rossec.relayTarget rossec.depositGrants
+rossec.deliveryStates rossec.revocationStanding rossec.recentDenials rossec.fetchGrants
+rossec.domainsUpdate rossec.foreignRevocationUpdate rossec.ports
+"""
+METHODS: Final = tuple(_NUMBERED.split())
 NUMBERS: Final = {name: number for number, name in enumerate(METHODS)}
 
 TURNS: Final = 24  # calls are numbered modulo this: one byte
@@ -162,7 +114,13 @@ def _begin(reader: CompactReader, turn: int) -> tuple[int, str]:
     if size < _PARTS or reader.head(UINT) != _CALL:
         raise CompactRefused("a unit that is not a call")
     _check_turn(reader, turn)
-    return size, _method(reader)
+    (method,) = reader.items(1)
+    if type(method) is int and 0 <= method < len(METHODS):
+        return size, METHODS[method]
+    # One form for each method: a name that has a number is refused.
+    if not isinstance(method, str) or not 0 < len(method) <= METHOD_LIMIT or method in NUMBERS:
+        raise CompactRefused("a call of a method that has no such number or name")
+    return size, method
 
 
 def load_compact_answer(data: bytes, turn: int, method: str, *, limit: int = BODY_LIMIT) -> object:
@@ -222,31 +180,29 @@ def _answer(shape: int, found: list[object], method: str) -> object:
 
 
 def dump_compact_answer(turn: int, value: object, *, limit: int = BODY_LIMIT) -> bytes:
-    out = Pieces((b"", _TURNS[turn]))
+    out, size = Pieces((b"", _TURNS[turn])), _VALUE
     try:
-        out[0] = _put_answer(value, out)
+        if isinstance(value, Fault):
+            out += encoded_number(value.faultCode), encoded_text(value.faultString)
+            size = _FAULT
+        elif isinstance(value, Encoded):
+            out.append(NULL)
+            put(value.body, out)
+            size = _FAULT
+        elif isinstance(value, list | tuple) and _is_triple(value):
+            out += encoded_number(value[0]), encoded_text(value[1])
+            put(value[2], out, DEPTH_LIMIT - 1)
+            size = _TRIPLE
+        else:
+            put(value, out)
     except NOT_ENCODABLE as error:
         raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
+    out[0] = _ARRAYS[size]
     unit = b"".join(out)
+    # Values are counted, not bytes alone: a null takes one byte here, and some fifty as XML or in memory.
     if len(unit) > limit or out.values > limit // ITEM_BYTES:
         raise too_long(len(unit), limit)
     return unit
-
-
-def _put_answer(value: object, out: Pieces) -> bytes:
-    if isinstance(value, Fault):
-        out += encoded_number(value.faultCode), encoded_text(value.faultString)
-        return _ARRAYS[_FAULT]
-    if isinstance(value, Encoded):
-        out.append(NULL)
-        put(value.body, out)
-        return _ARRAYS[_FAULT]
-    if isinstance(value, list | tuple) and _is_triple(value):
-        out += encoded_number(value[0]), encoded_text(value[1])
-        put(value[2], out, DEPTH_LIMIT - 1)
-        return _ARRAYS[_TRIPLE]
-    put(value, out)
-    return _ARRAYS[_VALUE]
 
 
 def _is_triple(value: Sequence[object]) -> bool:
@@ -267,15 +223,6 @@ def _check_turn(reader: CompactReader, turn: int) -> None:
 def _check_end(reader: CompactReader) -> None:
     if not reader.at_end:
         raise CompactRefused("a unit with bytes after its end, or without some before")
-
-
-def _method(reader: CompactReader) -> str:
-    (method,) = reader.items(1)
-    if type(method) is int and 0 <= method < len(METHODS):
-        return METHODS[method]
-    if not isinstance(method, str) or not 0 < len(method) <= METHOD_LIMIT or method in NUMBERS:
-        raise CompactRefused("a call of a method that has no such number or name")
-    return method
 
 
 class CallClient:
@@ -424,23 +371,24 @@ class CallServer:
 
     def _bounded(self, request: bytes | Oversized, bound: int | None) -> bytes:
         # The request, unless it is too long.
-        # A call that shows grants may be longer, and one that hands in another signed statement.
         if isinstance(request, Oversized):
             raise XmlRpcRefused(f"a call of {request.length} bytes where at most {self._limit} are allowed")
-        if bound is not None and len(request) > bound and not self._has_statements(request):
-            raise XmlRpcRefused(
-                f"a call of {len(request)} bytes, at most {bound} are taken from a caller"
-                " that has shown no grant"
-            )
-        return request
-
-    def _has_statements(self, request: bytes) -> bool:
+        if bound is None or len(request) <= bound:
+            return request
+        # A call that shows grants may be longer, and one that hands in another signed statement: else who
+        # has no right yet could never get one. Which it is must be known before it is parsed.
+        number = 0 if not self.is_compact else request[_METHOD_AT]
         if not self.is_compact:
-            return _XML_OWN in request[:_HEAD]
-        number = request[_METHOD_AT]
-        if number < len(METHODS):
-            return METHODS[number].startswith("rossec.")
-        return request.find(_OWN, _METHOD_AT, _METHOD_AT + 8) > 0
+            has_statements = _XML_OWN in request[:_HEAD]
+        elif number < len(METHODS):
+            has_statements = METHODS[number].startswith("rossec.")
+        else:
+            has_statements = request.find(_OWN, _METHOD_AT, _METHOD_AT + 8) > 0
+        if has_statements:
+            return request
+        raise XmlRpcRefused(
+            f"a call of {len(request)} bytes, at most {bound} are taken from a caller that has shown no grant"
+        )
 
     def respond(self, value: object) -> bytes:
         """The bytes of the answer; `value` may be a `Fault`, or `Encoded`."""

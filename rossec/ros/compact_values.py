@@ -96,10 +96,8 @@ def encode_ahead(value: EncodedList) -> EncodedList:
 
 
 def _put_time(value: Any, out: Pieces, _depth: int) -> None:
-    written = (
-        f"{value.year:04}{value.month:02}{value.day:02}T{value.hour:02}:{value.minute:02}:{value.second:02}"
-    )
-    out.append(TIME_HEAD + written.encode())
+    date = f"{value.year:04}{value.month:02}{value.day:02}"
+    out.append(TIME_HEAD + f"{date}T{value.hour:02}:{value.minute:02}:{value.second:02}".encode())
 
 
 def _put_array(value: Any, out: Pieces, depth: int) -> None:
@@ -292,14 +290,13 @@ class CompactReader:
         # The number in the next head, which must be of this type.
         value = self._data[self.at] ^ major
         self.at += 1
-        return value if value < 24 else self._long(value)
-
-    def _long(self, info: int) -> int:
-        width, least = _WIDTHS.get(info, (0, 0))
+        if value < 24:
+            return value
+        width, least = _WIDTHS.get(value, (0, 0))
         if not width:
             raise CompactRefused("a unit with an item of another type or size")
         value = int.from_bytes(self._take(width))
-        if value < least:
+        if value < least:  # RFC 8949 section 4.2.1: one form for each number
             raise CompactRefused("a unit whose numbers are not in their shortest form")
         return value
 

@@ -10,7 +10,7 @@ without the library, which is slower; the tests compare the two.
 import re
 import xmlrpc
 import xmlrpc.client
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import Final, NamedTuple, NoReturn, TypeVar
 from xml.parsers import expat
 
@@ -88,7 +88,9 @@ class Body(NamedTuple):
 
 def dump_call(method: str, params: Sequence[object]) -> bytes:
     try:
-        return call_text(method, params).encode()
+        written = "".join([f"<param>\n{_value(param)}</param>\n" for param in params])
+        head = f"{_PROLOG}<methodCall>\n<methodName>{method}</methodName>\n"
+        return f"{head}<params>\n{written}</params>\n</methodCall>\n".encode()
     except NOT_ENCODABLE as error:
         raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
 
@@ -99,7 +101,7 @@ def dump_response(value: object) -> bytes:
     try:
         if isinstance(value, Fault):
             return xmlrpc.client.dumps(value).encode()
-        return response_text(value).encode()
+        return f"{_BEGIN}{_value(value)}{_END}".encode()
     except NOT_ENCODABLE as error:
         raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
 
@@ -188,20 +190,13 @@ def _check_size(data: bytes, limit: int) -> None:
 # Written exactly as the library does it; rare types (doubles, times, structs, base64) are left to it.
 
 
-def call_text(method: str, params: Iterable[object]) -> str:
-    written = "".join([f"<param>\n{_value(param)}</param>\n" for param in params])
-    head = f"{_PROLOG}<methodCall>\n<methodName>{method}</methodName>\n"
-    return f"{head}<params>\n{written}</params>\n</methodCall>\n"
-
-
-def response_text(value: object) -> str:
-    return f"{_BEGIN}{_value(value)}{_END}"
-
-
 def _value(value: object) -> str:
     kind = type(value)
     if kind is str:
-        return string_text(value)  # type: ignore[arg-type]
+        text: str = value  # type: ignore[assignment]
+        if "&" in text or "<" in text or ">" in text:
+            text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+        return f"<value><string>{text}</string></value>\n"
     if kind is int and value in _INTS:
         return f"<value><int>{value}</int></value>\n"
     if kind is EncodedList:
@@ -214,12 +209,6 @@ def _value(value: object) -> str:
 
 def _array(items: "list[object] | tuple[object, ...]") -> str:
     return f"<value><array><data>\n{''.join(map(_value, items))}</data></array></value>\n"
-
-
-def string_text(text: str) -> str:
-    if "&" in text or "<" in text or ">" in text:
-        text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-    return f"<value><string>{text}</string></value>\n"
 
 
 # The fast path: a call of scalars in plain ASCII, as rospy and roscpp send nearly all of theirs, by one
@@ -257,7 +246,12 @@ def _parse(data: bytes) -> Generator[None, None, Body]:
     if data.startswith((b"\xff", b"\xfe")):  # expat obeys a UTF-16 mark despite its encoding
         raise XmlRpcRefused("malformed XML-RPC: not UTF-8")
     target = _Target()
-    parser = _parser(target)
+    parser = expat.ParserCreate("utf-8")  # overrides the document's own
+    parser.StartElementHandler = target.start
+    parser.EndElementHandler = target.end
+    parser.CharacterDataHandler = target.data
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = _refuse_declaration
+    parser.buffer_text = True
     try:
         for end in range(STEP, len(data), STEP):
             parser.Parse(data[end - STEP : end], False)
@@ -305,17 +299,6 @@ class _Target(xmlrpc.client.Unmarshaller):
         super().end(tag)
 
 
-def _parser(target: _Target) -> expat.XMLParserType:
-    # The explicit encoding overrides the document's own.
-    parser = expat.ParserCreate("utf-8")
-    parser.StartElementHandler = target.start
-    parser.EndElementHandler = target.end
-    parser.CharacterDataHandler = target.data
-    parser.StartDoctypeDeclHandler = _refuse_declaration
-    parser.EntityDeclHandler = _refuse_declaration
-    parser.buffer_text = True
-    return parser
-
-
 def _refuse_declaration(*_: object) -> NoReturn:
+    # Entities that expand to entities: a kilobyte of XML becomes gigabytes (billion laughs).
     raise XmlRpcRefused("XML-RPC with a document type or an entity declaration")

@@ -111,6 +111,11 @@ class MasterApi:
         entries = arg.binaries("entries", PROOF_LIMIT)
         deposited, asked = arg.binaries("grants", DEPOSIT_LIMIT), arg.binaries("grants", STATES_LIMIT)
         tree = arg.binary("tree"), arg.binary("entries")
+
+        def shutdown(request: CallRequest) -> Reply:
+            reason = f"{request.caller.name}: {request.arguments[1]}"
+            return Reply(0, "shutdown", events=(StopMaster(reason),))
+
         return {
             # 1. Stock's: the graph.
             "registerPublisher": Method((topic, type_name, api), [], graph.register_publisher),
@@ -126,7 +131,7 @@ class MasterApi:
             "getPublishedTopics": Method((arg.subgraph("subgraph"),), 0, graph.published_topics),
             "getUri": Method((), "", lambda _: Reply(uri)),
             "getPid": Method((), -1, lambda _: Reply(pid)),
-            "shutdown": Method((arg.anything,), 0, _shutdown),
+            "shutdown": Method((arg.anything,), 0, shutdown),
             # 2. Stock's: parameters.
             "getParam": Method((key,), 0, parameters.get),
             "hasParam": Method((key,), False, parameters.has),
@@ -205,11 +210,6 @@ class MasterApi:
     def keep_views(self, thumbprints: frozenset[bytes]) -> None:
         self.graph.views.keep_only(thumbprints)
         self.sites.views.keep_only(thumbprints)
-
-
-def _shutdown(request: CallRequest) -> Reply:
-    reason = f"{request.caller.name}: {request.arguments[1]}"
-    return Reply(0, "shutdown", events=(StopMaster(reason),))
 
 
 def _in_steps(steps: Steps, method: str, entry: Method, request: CallRequest, caller: Caller) -> Work:

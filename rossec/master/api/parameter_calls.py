@@ -11,7 +11,7 @@ filtered query may take many turns, between which the tree may change.
 import xmlrpc
 import xmlrpc.client
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from ca.names import is_alias, shown
@@ -151,35 +151,33 @@ class ParameterCalls:
         return self._mirrors.item(key) if is_alias(key) else self._parameters.item(key)
 
     def set(self, request: CallRequest) -> Reply:
-        key, value = request.text(1), request.arguments[2]
+        key, value, caller = request.text(1), request.arguments[2], request.caller
         with refusals_answered():
             refuse_mirror(key, value)
         try:
+            # 1. The right on all that is there before and after: a tree that is replaced is deleted too.
             check_names(key, value)
             before = self._parameters.items_affected(key)  # the last of them is `key` itself
             has_tree = isinstance(value, dict) or isinstance(before[-1][1], dict)
             affected = [*before, (key, value)] if has_tree else before
-            require_tree(request.caller, Right.PARAM_SET, key, *affected)
-            self._set_within_quota(request.caller, key, value)
+            require_tree(caller, Right.PARAM_SET, key, *affected)
+            # 2. One key adds at most half of all, or it could keep the others out; what was set before the
+            #    master was started counts for no key.
+            size, quota = self._parameters.size, self._limit // 2
+            own = min(self._bytes_added[caller.thumbprint], size)  # others may have deleted it
+            try:
+                self._parameters.set(key, value, min(self._limit, size + max(0, quota - own)))
+            except TooLarge as error:
+                if error.size > self._limit:
+                    raise TooLarge(error.size, self._limit) from error
+                text = f"the parameters that {caller.identity} has set would take more than {quota} bytes"
+                raise ValueError(text) from error
+            self._account(caller, size)
         except (TypeError, ValueError) as error:
             return Reply(0, f"Error: invalid arguments: {error}", -1)
         persist = PersistParameter(ParameterChange(key, value))
-        events = self._updates(key, value, request.now, setter=request.caller.name)
+        events = self._updates(key, value, request.now, setter=caller.name)
         return Reply(0, f"parameter {key} set", events=(persist, *events))
-
-    def _set_within_quota(self, caller: Caller, key: str, value: object) -> None:
-        # What was set before the master was started counts for no key.
-        before, quota = self._parameters.size, self._limit // 2
-        own = min(self._bytes_added[caller.thumbprint], before)  # others may have deleted it
-        try:
-            self._parameters.set(key, value, min(self._limit, before + max(0, quota - own)))
-        except TooLarge as error:
-            if error.size > self._limit:
-                raise TooLarge(error.size, self._limit) from error
-            raise ValueError(
-                f"the parameters that {caller.identity} has set would take more than {quota} bytes"
-            ) from error
-        self._account(caller, before)
 
     def _account(self, caller: Caller, before: int) -> None:
         # Count what a caller added since the size was `before`, at least 0 in total.
@@ -204,47 +202,37 @@ class ParameterCalls:
         return Reply(0, f"parameter {key} deleted", events=(persist, *events))
 
     def search(self, request: CallRequest) -> Steps:
-        key = request.text(1)
+        key, caller = request.text(1), request.caller
         try:
-            candidates = search_candidates(request.caller.name, key)
+            candidates = search_candidates(caller.name, key)
         except ValueError as error:
             return Reply(0, f"Internal failure: {error}", 0)
         for candidate, found in candidates:
             if self._item(candidate)[1] is None:
                 continue
-            if (yield from self._is_readable(request.caller, candidate)):
-                return Reply(found, f"Found [{found}]")
+            results = decisions_across_turns(caller, Right.PARAM_GET, self._item(candidate))
+            for count, decision in enumerate(results, 1):
+                if decision.covered:
+                    return Reply(found, f"Found [{found}]")
+                if not count % caller.names_per_yield:
+                    yield
         return Reply("", f"Cannot find parameter [{key}] in an upwards search", -1)
 
-    def _is_readable(self, caller: Caller, key: str) -> Generator[None, None, bool]:
-        results = decisions_across_turns(caller, Right.PARAM_GET, self._item(key))
-        at_once = caller.names_per_yield
-        for count, decision in enumerate(results, 1):
-            if decision.covered:
-                return True
-            if not count % at_once:
-                yield
-        return False
-
     def parameter_names(self, request: CallRequest) -> Steps:
-        shown, bytes_left, at_once = list[str](), MAX_ENCODED, request.caller.names_per_yield
-        for count, name in enumerate(self._readable_names(request.caller), 1):
-            if name is not None:
-                shown.append(name)
-                bytes_left -= encoded_size(name)
-            if bytes_left < 0:
-                raise Fault(1, _TOO_LONG)
-            if not count % at_once:
-                yield
-        return Reply(shown, "Parameter names")
-
-    def _readable_names(self, caller: Caller) -> Iterator[str | None]:
+        caller, shown, bytes_left, count = request.caller, list[str](), MAX_ENCODED, 0
         for item in (self._parameters.item("/"), *self._mirrors.items()):
             for decision in decisions_across_turns(caller, Right.PARAM_GET, item):
-                if decision.covered:
-                    yield from parameter_names(decision.item)
-                else:
-                    yield None
+                # Names that are not shown count too, as each costs time.
+                for name in parameter_names(decision.item) if decision.covered else (None,):
+                    if name is not None:
+                        shown.append(name)
+                        bytes_left -= encoded_size(name)
+                    if bytes_left < 0:
+                        raise Fault(1, _TOO_LONG)
+                    count += 1
+                    if not count % caller.names_per_yield:
+                        yield
+        return Reply(shown, "Parameter names")
 
     def subscribe(self, request: CallRequest) -> Reply:
         node, key = request.node(1), request.text(2)

@@ -343,14 +343,23 @@ class Maintenance:
     async def _run_once(self) -> None:
         if self._setbacks.any_new():
             _audit.warning(_CLOCK_SET_BACK)
+        # 1. Rights are enforced piece by piece: calls are answered between two steps.
         self._effects.close_revoked()
-        await self._enforce()
+        for _ in self._effects.enforcement():
+            self._state.notify()
+            await asyncio.sleep(0)
+        for updates in self._state.aliases.all_changes(self._state.now()):
+            self._effects.send_publishers(updates)
+            await asyncio.sleep(0)
+        self._state.notify_all()  # rights also narrow what watchers see
+        # 2. Nodes are told that the list is still the newest, and what nobody needs is forgotten.
         self._effects.send_revocations()
         self._effects.drop_deposits()
         nodes = frozenset(self._state.registry.nodes())
         self._effects.updates.prune(nodes)
         keys = self._connected_keys() | {node.thumbprint for node in nodes}
         self._state.trust.keep_only(keys, self._state.now())
+        # 3. The own identity, and what an authority on this host has signed since.
         self._check_own_identity(self._state.now())
         if self._local_authority.has_newer_list(self._state.now()):
             self._effects.deliver(RevocationsChanged(SOURCE))
@@ -369,15 +378,6 @@ class Maintenance:
             except Exception:  # noqa: BLE001 - as above
                 _maintenance_log.exception("parameters were not saved; it is tried again")
             await asyncio.sleep(min(_SAVE_PAUSE, self._interval))  # also after a failure
-
-    async def _enforce(self) -> None:
-        for _ in self._effects.enforcement():
-            self._state.notify()
-            await asyncio.sleep(0)
-        for updates in self._state.aliases.all_changes(self._state.now()):
-            self._effects.send_publishers(updates)
-            await asyncio.sleep(0)
-        self._state.notify_all()  # rights also narrow what watchers see
 
     def _connected_keys(self) -> frozenset[bytes]:
         return frozenset(stream.peer.thumbprint for stream in self._state.streams)

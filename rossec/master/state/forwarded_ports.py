@@ -176,20 +176,7 @@ class ForwardedPorts:
                 changed |= held.put(target, door)
         if changed:
             self._notify()
-        return self._change_since(relay, report.seen)
-
-    def expire(self, now: int) -> tuple[str, ...]:
-        silent = [name for name, held in self._relays.items() if now - held.heard > SILENCE]
-        for name in silent:
-            self._superseded.pop(name, None)
-            self._drop_relay(name)
-        if silent:
-            self._assign()
-            self._notify()
-        return tuple(silent)
-
-    def _change_since(self, relay: str, seen: int) -> WantedChange:
-        since = seen if seen <= self._version else 0  # it polled an earlier run of this master
+        since = report.seen if report.seen <= self._version else 0  # it polled an earlier run of this master
         wanted = [
             (version, target)
             for target, version in self._wanted.items()
@@ -201,6 +188,16 @@ class ForwardedPorts:
         new = tuple(target for _, target in told if target in self._wanted)
         old = tuple(target for _, target in told if target in self._gone)
         return WantedChange(version, new, old)
+
+    def expire(self, now: int) -> tuple[str, ...]:
+        silent = [name for name, held in self._relays.items() if now - held.heard > SILENCE]
+        for name in silent:
+            self._superseded.pop(name, None)
+            self._drop_relay(name)
+        if silent:
+            self._assign()
+            self._notify()
+        return tuple(silent)
 
     def _release(self, target: Target) -> None:
         if any(target in wants for wants in self._wants.values()):

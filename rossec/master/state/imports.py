@@ -323,19 +323,16 @@ class Imports:
                     return [(label, node)]
             return []
         found = [each for each in sorted(entries) if self._is_used(self._sites[each[0]], each[1])]
-        type_name = self._type_that_counts(key)
+        # The type that counts: the own one, but of an alias the origin decides, not who subscribes it here.
+        type_name = ANY_TYPE if is_alias(key) else self.registry.topic_type(key)
+        if type_name == ANY_TYPE:
+            labels = {label for kind in _TOPIC_KINDS for label, _ in self._entries[kind].get(key, ())}
+            types = (self._sites[label].types.get(key) for label in sorted(labels))
+            type_name = next((name for name in types if name is not None), ANY_TYPE)
         return [each for each in found if (self._sites[each[0]].types.get(key, type_name) == type_name)]
 
     def _is_elsewhere(self, address: Address) -> bool:
         return not self.registry.is_registered_endpoint(address.endpoint)
-
-    def _type_that_counts(self, topic: str) -> str:
-        own = ANY_TYPE if is_alias(topic) else self.registry.topic_type(topic)
-        if own != ANY_TYPE:  # of an alias the origin decides, not who subscribes it here
-            return own
-        labels = {label for kind in _TOPIC_KINDS for label, _ in self._entries[kind].get(topic, ())}
-        types = (self._sites[label].types.get(topic) for label in sorted(labels))
-        return next((name for name in types if name is not None), ANY_TYPE)
 
     def _change(
         self, held: SiteFacts, new: set[Fact], gone: set[Fact]

@@ -139,7 +139,17 @@ class Parameters:
         check_value(value, DEPTH_LIMIT - len(segments))
         if not segments and not isinstance(value, dict):
             raise TypeError("cannot set root of parameter tree to non-dictionary")
-        parent, name, new = self._insertion_point(["", *segments], value)
+        # Where it goes: namespaces that are missing on the way are made, a value on the way is replaced.
+        path, parent, new = ["", *segments], self._top, value
+        for depth, name in enumerate(path, 1):
+            if depth == len(path):
+                break
+            below = parent.get(name)
+            if not isinstance(below, dict):
+                for missing in reversed(path[depth:]):
+                    new = {missing: new}
+                break
+            parent = below
         size = self.size + member_size(name, new)
         if name in parent:
             size -= member_size(name, parent[name])
@@ -147,17 +157,6 @@ class Parameters:
             raise TooLarge(size, limit)
         parent[name] = new
         self.size = size
-
-    def _insertion_point(self, path: list[str], value: object) -> tuple[Tree, str, object]:
-        node = self._top
-        for depth, name in enumerate(path[:-1], 1):
-            below = node.get(name)
-            if not isinstance(below, dict):
-                for missing in reversed(path[depth:]):
-                    value = {missing: value}
-                return node, name, value
-            node = below
-        return node, path[-1], value
 
     def delete(self, key: str) -> None:
         head, _, last = names.canonical(key).rpartition(names.SEPARATOR)
