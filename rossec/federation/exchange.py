@@ -232,10 +232,8 @@ async def _take(client: RpcClient, own: OwnMaster, peer: Identity, theirs: bytes
 
 
 async def settle_domains(client: RpcClient, own: OwnMaster, peer: Identity) -> None:
-    """Of both lists of foreign domains the newer one is in force at both masters afterwards.
-
-    A master that does not know the call has no such list, and gets none.
-    """
+    # Of both lists of foreign domains the newer one is in force at both masters afterwards. A master that
+    # does not know the call has no such list, and gets none.
     domains = own.state.trust.domains
     try:
         theirs = await client.ask(DOMAINS, own.name, domains.digest())

@@ -90,16 +90,14 @@ _ANNOUNCED: Final = "announced"
 _log = logging.getLogger("rossec.federation")
 _audit = logging.getLogger("rossec.audit")
 
+# The sites of one origin as of now; raises ConfigurationError
 ReadSites = Callable[[], Iterable[SiteSettings]]
-"""The sites of one origin as of now; raises ConfigurationError."""
 
 
 class Mesh:
-    """Follows every site of its `sources`, by what they are called, the one that prevails first.
+    """Follows every site of its `sources`, by what they are called, the one that prevails first."""
 
-    `announced`: the masters heard on the local links; None: they are not followed.
-    """
-
+    # `announced`: the masters heard on the local links; None: they are not followed.
     def __init__(
         self, own: OwnMaster, sources: Mapping[str, ReadSites], announced: AnnouncedMasters | None = None
     ) -> None:

@@ -236,13 +236,11 @@ FindDoor = Callable[[Target], Door | None]
 
 
 class DoorFacts:
-    """What one site says, as far as it concerns addresses; `peer`: the relay's label of the site.
+    """What one site says, as far as it concerns addresses; `peer`: the relay's label of the site."""
 
-    A node or service has no address here until its door is open, and another one when the relay was started
-    again; a door that is gone counts until there is another, or each restart of the relay would take all
-    publishers from their subscribers for a moment.
-    """
-
+    # A node or service has no address here until its door is open, and another one when the relay was started
+    # again; a door that is gone counts until there is another, or each restart of the relay would take all
+    # publishers from their subscribers for a moment.
     def __init__(self, peer: str, find: FindDoor) -> None:
         self._peer = peer
         self._find = find

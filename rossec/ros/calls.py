@@ -58,8 +58,8 @@ _ARRAYS: Final = tuple(head(ARRAY, size) for size in range(24))
 _METHODS: Final = {name: head(UINT, place) for name, place in NUMBERS.items()}
 _TURNS: Final = tuple(head(UINT, turn) for turn in range(TURNS))
 _MALFORMED: Final = "a unit that ends too early, or has a text that is not UTF-8"
+# The one method whose answer is passed on as a program gave it: roscpp's is malformed XML
 UNPARSED: Final = "getBusStats"
-"""The one method whose answer is passed on as a program gave it: roscpp's is malformed XML."""
 _BEGINNINGS: Final = tuple(_MARK + turn for turn in _TURNS)
 _TRIPLE, _FAULT, _VALUE = 4, 3, 2  # items of an answer
 _RAW: Final = 0  # it has as many as a fault
@@ -226,11 +226,9 @@ def _check_end(reader: CompactReader) -> None:
 
 
 class CallClient:
-    """`request`, `take` until it is not None, again; `limit`: bytes of an answer.
+    """`request`, `take` until it is not None, again; `limit`: bytes of an answer."""
 
-    `compact`: offer the compact form; only where units arrive as they were sent.
-    """
-
+    # `compact`: offer the compact form; only where units arrive as they were sent.
     def __init__(self, host: str, *, limit: int = BODY_LIMIT, compact: bool = True) -> None:
         self._http = HttpClient(host, limit=limit)
         self._limit = limit
@@ -255,10 +253,8 @@ class CallClient:
         return self._http.request(body, offers=offers)
 
     def take_back(self) -> None:
-        """The last request is not sent, so that another may be made.
-
-        A first one may have offered the compact form: the next one offers nothing.
-        """
+        # The last request is not sent, so that another may be made. A first one may have offered the compact
+        # form: the next one offers nothing.
         self._method = None
         self._http.take_back()
 

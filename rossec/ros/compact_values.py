@@ -31,8 +31,8 @@ INTS: Final = range(-(2**31), 2**31)
 STEP: Final = 1024  # values that are read at a time: about 1 ms
 MALFORMED: Final = (IndexError, UnicodeDecodeError)
 TIME_HEAD: Final = b"\xa1\x00\x71"  # {0: text of 17 bytes}: no struct has a number as a name
+# Characters that XML 1.0 has no form for
 UNCARRIED: Final = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
-"""Characters that XML 1.0 has no form for."""
 _CONTROL: Final = "a control character; send such text as bytes"
 NAN: Final = b"\xfb\x7f\xf8" + bytes(6)
 _TEXT_HEADS: Final = tuple(head(TEXT, size) for size in range(256))

@@ -17,8 +17,8 @@ from rossec.errors import HttpRefused
 from rossec.ros.xmlrpc import BODY_LIMIT
 
 HEADERS_LIMIT: Final = 8 * 1024
+# Bytes of a body that are read although it is too long, only to answer so
 DROP_LIMIT: Final = 64 * 1024 * 1024
-"""Bytes of a body that are read although it is too long, only to answer so."""
 END: Final = b"\r\n\r\n"
 _REASONS: Final = {
     400: b"Bad Request",
@@ -28,8 +28,8 @@ _REASONS: Final = {
     413: b"Content Too Large",
     431: b"Request Header Fields Too Large",
 }
+# What a connection may be switched to (RFC 9110 section 7.8): docs/spec/compact.md
 COMPACT: Final = b"rossec-cbor/1"
-"""What a connection may be switched to (RFC 9110 section 7.8): docs/spec/compact.md."""
 _OFFER: Final = b"\r\nConnection: Upgrade\r\nUpgrade: " + COMPACT
 SWITCH: Final = b"HTTP/1.1 101 Switching Protocols" + _OFFER + b"\r\n\r\n"
 _MAX_CACHED: Final = 512  # bytes of a head whose parsed form is cached
@@ -238,8 +238,8 @@ def _request_head(data: bytes) -> _RequestHead:
     return _RequestHead(_length(head.fields), head.closes, offers)
 
 
+# The heads of one client are always the same bytes; refusals are not cached
 _cached_request_head = lru_cache(256)(_request_head)
-"""The heads of one client are always the same bytes; refusals are not cached."""
 
 
 class HttpClient:

@@ -167,11 +167,8 @@ def value_of(answer: object) -> object:
 
 
 def is_unknown_method(error: Exception) -> bool:
-    """Whether a server answered that it has no such method.
-
-    All faults have code 1. The text is that of the standard library's `SimpleXMLRPCDispatcher`,
-    which stock ROS uses, and of rossec's own servers.
-    """
+    # Whether a server answered that it has no such method. All faults have code 1. The text is that of the
+    # standard library's `SimpleXMLRPCDispatcher`, which stock ROS uses, and of rossec's own servers.
     text = str(error.faultString) if isinstance(error, Fault) else ""
     return 'method "' in text and text.endswith('" is not supported')
 

@@ -15,6 +15,7 @@ from typing import Final
 
 from rossec.errors import HangUp
 from rossec.master.api import arguments as arg
+from rossec.master.api import statement_calls as own
 from rossec.master.api.arguments import ArgumentRefused
 from rossec.master.api.graph_calls import WATCH, GraphCalls
 from rossec.master.api.methods import (
@@ -39,34 +40,14 @@ from rossec.master.api.methods import (
 )
 from rossec.master.api.parameter_calls import ParameterCalls
 from rossec.master.api.site_calls import FOLLOW, SiteCalls
-from rossec.master.api.statement_calls import (
-    DENIALS,
-    DEPOSIT_LIMIT,
-    PRESENT_LIMIT,
-    PROOF_LIMIT,
-    RENEW_LIMIT,
-    STANDING,
-    STATES_LIMIT,
-    WATCH_GRANTS,
-    StatementCalls,
-)
+from rossec.master.api.statement_calls import PROOF_LIMIT, StatementCalls
 from rossec.master.rights.access_rules import RULES, AccessControl, Scope
 from rossec.master.rights.caller import AddressTaken, Caller, CertifiedPeer, Refused
 from rossec.master.rights.statements import TrustState
 from rossec.master.state.imports import MAX_WANTED
 from rossec.master.state.parameters import encoded_size
 from rossec.master.state.registry import Kind
-from rossec.ros.names import (
-    DOMAINS,
-    FOREIGN_PROOFS,
-    FOREIGN_REVOCATIONS,
-    RELAY_DOORS,
-    RELAY_TARGET,
-    RENEW_IDENTITY,
-    SETTLE_RENEWALS,
-    UPDATE_DOMAINS,
-    WATCH_RENEWALS,
-)
+from rossec.ros import names
 from rossec.ros.xmlrpc import BODY_LIMIT
 
 Fault = xmlrpc.client.Fault
@@ -107,9 +88,12 @@ class MasterApi:
         relay = arg.text("instance"), arg.number("seen"), arg.doors("doors"), arg.ways("ways")
         target = arg.text("domain"), arg.kind("kind"), arg.name("name")
         domain, digest, known = arg.text("domain"), arg.binary("digest"), arg.binary("known")
-        presented, renewed = arg.binaries("grants", PRESENT_LIMIT), arg.binaries("grants", RENEW_LIMIT)
+        presented, renewed = (
+            arg.binaries("grants", own.PRESENT_LIMIT),
+            arg.binaries("grants", own.RENEW_LIMIT),
+        )
         entries = arg.binaries("entries", PROOF_LIMIT)
-        deposited, asked = arg.binaries("grants", DEPOSIT_LIMIT), arg.binaries("grants", STATES_LIMIT)
+        deposited, asked = arg.binaries("grants", own.DEPOSIT_LIMIT), arg.binaries("grants", own.STATES_LIMIT)
         tree = arg.binary("tree"), arg.binary("entries")
 
         def shutdown(request: CallRequest) -> Reply:
@@ -144,8 +128,8 @@ class MasterApi:
             # 3. Watchers, other masters, relays.
             WATCH: Method(seen, {}, graph.watch),
             FOLLOW: Method((*seen, arg.patterns("wanted", MAX_WANTED)), {}, sites.follow),
-            RELAY_DOORS: Method(relay, {}, sites.poll),
-            RELAY_TARGET: Method(target, [], sites.target),
+            names.RELAY_DOORS: Method(relay, {}, sites.poll),
+            names.RELAY_TARGET: Method(target, [], sites.target),
             # 4. Grants and revocations of the own domain.
             "rossec.presentGrants": Method((presented,), 0, statements.present),
             "rossec.renewGrants": Method((renewed,), [], statements.renew_grants),
@@ -158,20 +142,20 @@ class MasterApi:
             "rossec.revocationProofs": Method((entries,), [], statements.proofs),
             "rossec.trl": Method((arg.binary("query"),), b"", statements.query),
             # 5. Foreign domains.
-            DOMAINS: Method((digest,), b"", statements.domains),
-            UPDATE_DOMAINS: Method((arg.binary("list"),), 0, statements.update_domains),
-            FOREIGN_REVOCATIONS: Method((domain, digest), [], statements.foreign_revocations),
-            FOREIGN_PROOFS: Method((domain, entries), [], statements.foreign_proofs),
+            names.DOMAINS: Method((digest,), b"", statements.domains),
+            names.UPDATE_DOMAINS: Method((arg.binary("list"),), 0, statements.update_domains),
+            names.FOREIGN_REVOCATIONS: Method((domain, digest), [], statements.foreign_revocations),
+            names.FOREIGN_PROOFS: Method((domain, entries), [], statements.foreign_proofs),
             # 6. What nodes and the authority leave here for each other.
             "rossec.depositGrants": Method((deposited,), [], statements.deposit),
             "rossec.deliveryStates": Method((asked,), [], statements.delivery_states),
             "rossec.fetchGrants": Method((known,), {}, statements.fetch),
-            WATCH_GRANTS: Method((known,), {}, statements.fetch),
-            RENEW_IDENTITY: Method((arg.binary("request"),), b"", statements.renew_identity),
-            WATCH_RENEWALS: Method((arg.number("locked"),), {}, statements.offer_renewals),
-            SETTLE_RENEWALS: Method((arg.settlements,), 0, statements.settle_renewals),
-            STANDING: Method((), {}, statements.standing),
-            DENIALS: Method((), [], statements.recent_denials),
+            own.WATCH_GRANTS: Method((known,), {}, statements.fetch),
+            names.RENEW_IDENTITY: Method((arg.binary("request"),), b"", statements.renew_identity),
+            names.WATCH_RENEWALS: Method((arg.number("locked"),), {}, statements.offer_renewals),
+            names.SETTLE_RENEWALS: Method((arg.settlements,), 0, statements.settle_renewals),
+            own.STANDING: Method((), {}, statements.standing),
+            own.DENIALS: Method((), [], statements.recent_denials),
         }
 
     def begin(
@@ -247,16 +231,14 @@ MULTICALL_ONCE: Final = frozenset(method for method in RULES if method.startswit
 
 
 _RIGHTS_CHANGED: Final = (RevocationsChanged, DomainsChanged, CallerPresentedGrants)
+# Answers one call, or begins to, or raises `Fault`
 BeginCall = Callable[[str, Sequence[object]], CallOutcome | Work]
-"""Answers one call, or begins to, or raises `Fault`."""
 
 
 class Multicall:
-    """One multicall: call `step` until `done`, then `answer` is its answer.
+    """One multicall: call `step` until `done`, then `answer` is its answer."""
 
-    In turns, so that four thousand elements of one node do not delay other calls.
-    """
-
+    # In turns, so that four thousand elements of one node do not delay other calls.
     def __init__(self, params: Sequence[object]) -> None:
         calls = params[0] if len(params) == 1 else None
         if not isinstance(calls, list) or len(calls) > MULTICALL_LIMIT:
@@ -350,14 +332,12 @@ class RevokedConnections:
 
 
 class RevokedCalls:
-    """Answers few calls of a revoked identity on one connection: an answer may be a whole list.
+    """Answers few calls of a revoked identity on one connection: an answer may be a whole list."""
 
-    Both ends of a connection may be revoked at once, as below a revoked intermediate; then no peer
-    but these two can close it, and only the master can inform them. It sends the list without a
-    timestamp: without that confirmation a node closes all its connections, even if it cannot find
-    itself in a tree (`ca.revocation.lists`).
-    """
-
+    # Both ends of a connection may be revoked at once, as below a revoked intermediate; then no peer but
+    # these two can close it, and only the master can inform them. It sends the list without a timestamp:
+    # without that confirmation a node closes all its connections, even if it cannot find itself in a tree
+    # (`ca.revocation.lists`).
     def __init__(self, statements: TrustState, now: Callable[[], int]) -> None:
         self._statements = statements
         self._now = now

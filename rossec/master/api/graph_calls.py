@@ -256,10 +256,8 @@ WATCH: Final = "rossec.watchGraph"
 
 
 def facts(graph: Graph, access_control: AccessControl, caller: Caller) -> Iterator[Fact | None]:
-    """What `caller` may see of the graph, as in `getSystemState` and similar queries.
-
-    None for each name and node that it may not see.
-    """
+    # What `caller` may see of the graph, as in `getSystemState` and similar queries. None for each name and
+    # node that it may not see.
     for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE):
         for key, names in shown_entries(graph, caller, kind):
             shown = access_control.visible_nodes(caller, key, names)

@@ -180,9 +180,8 @@ class CallRequest(NamedTuple):
         return NodeRef(self.caller.name, self.text(index), self.caller.thumbprint)
 
 
+# A filtered query: yields where other calls may be answered, returns the reply
 Steps = Generator[None, None, Reply]
-"""A filtered query: yields where other calls may be answered, returns the reply."""
-
 Handler = Callable[[CallRequest], Reply | Steps]
 
 

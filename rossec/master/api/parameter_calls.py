@@ -56,11 +56,9 @@ class TreeDecision(NamedTuple):
 
 
 def require_tree(caller: Caller, right: Right, key: str, *items: ParameterItem) -> None:
-    """Raise `Refused` unless `caller` has `right` on everything in `items`; also if empty.
-
-    The text depends on `key` alone, which the caller knows: the uncovered name, the grants that
-    nearly cover it, or the size of the tree would reveal which parameters exist.
-    """
+    # Raise `Refused` unless `caller` has `right` on everything in `items`; also if empty. The text depends on
+    # `key` alone, which the caller knows: the uncovered name, the grants that nearly cover it, or the size of
+    # the tree would reveal which parameters exist.
     if not items or not has_right_on_all(caller, right, items):
         needs = f"{caller.display_name} needs the right {right.label} on {shown(key)}"
         raise Refused(

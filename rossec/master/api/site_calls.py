@@ -24,9 +24,8 @@ from rossec.master.state.registry import ANY_TYPE, Endpoint, Kind, Registry, end
 FOLLOW: Final = "rossec.followSite"
 MAX_PATTERNS: Final = 64  # wanted, with a wildcard before their end: each costs with each name
 
+# The answer after a wait without a change; short, as there are many in a silent mesh
 UNCHANGED: Final[tuple[int, str, dict[str, object]]] = (1, "", {})
-"""The answer after a wait without a change; short, as there are many in a silent mesh."""
-
 _KINDS: Final = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
 _UNREACHABLE: Final = (
     "a relay on another host than the master needs doors that others reach: rossec relay --doors ADDRESS"
@@ -121,10 +120,8 @@ class SiteCalls:
 
 
 def own_facts(registry: Registry, caller: Caller, wanted: Reach | None) -> Iterator[Fact | None]:
-    """The facts registered here that `caller` may see and wants.
-
-    None for each name that is not shown. `wanted` None: everything.
-    """
+    # The facts registered here that `caller` may see and wants. None for each name that is not shown.
+    # `wanted` None: everything.
     nodes = set[str]()
     for kind in _KINDS:
         for key, names in registry.entries(kind):

@@ -44,14 +44,12 @@ MAX_LACKING: Final = 64  # names in one answer
 
 
 class StatementCalls:
-    """Handlers over one `TrustState`, of a master that began at `started`.
+    """Handlers over one `TrustState`, of a master that began at `started`."""
 
-    Nothing in a deposit is trusted for rights: a node verifies what it fetches. A node whose renewal has
-    no answer yet is told so with the code 0 of ROS, a failure that is no fault of the call: it asks again
-    soon. Times are given as seconds ago: the clocks of two hosts may differ, and XML-RPC's integers end
-    in 2038.
-    """
-
+    # Nothing in a deposit is trusted for rights: a node verifies what it fetches. A node whose renewal has no
+    # answer yet is told so with the code 0 of ROS, a failure that is no fault of the call: it asks again
+    # soon. Times are given as seconds ago: the clocks of two hosts may differ, and XML-RPC's integers end in
+    # 2038.
     def __init__(
         self, tables: MasterTables, started: int, connected: Callable[[], Iterable[CertifiedPeer]]
     ) -> None:

@@ -127,8 +127,8 @@ RULES: Final[Mapping[str, AccessRule]] = {
 }
 
 
+# What an administrator may call as another node: `rosnode cleanup`, after it died
 CLEANUP_METHODS: Final = frozenset({"unregisterPublisher", "unregisterSubscriber", "unregisterService"})
-"""What an administrator may call as another node: `rosnode cleanup`, after it died."""
 
 
 class AccessControl:
@@ -196,10 +196,8 @@ class AccessControl:
             _require_foreign_address(self._registry, caller, str(arguments[rule.service]), is_local=is_local)
 
     def visible_nodes(self, caller: Caller, key: str, nodes: tuple[str, ...]) -> tuple[str, ...]:
-        """Which of the nodes registered for `key` the caller may see.
-
-        A foreigner sees no visitors of other domains and no nodes of other sites.
-        """
+        # Which of the nodes registered for `key` the caller may see. A foreigner sees no visitors of other
+        # domains and no nodes of other sites.
         if caller.is_foreign:
             is_seen = caller.may_see(key)
             return tuple(n for n in nodes if n == caller.name or (is_seen and not is_alias(n)))
@@ -225,10 +223,8 @@ class AccessControl:
 
 
 def is_authority(peer: Identity) -> bool:
-    """Whether a peer is the authority's own node: its name, certified by the root itself.
-
-    Whoever holds an intermediate can certify any name below it.
-    """
+    # Whether a peer is the authority's own node: its name, certified by the root itself. Whoever holds an
+    # intermediate can certify any name below it.
     return peer.name == AUTHORITY and not peer.wildcard and len(peer.keys) == 1
 
 

@@ -31,11 +31,9 @@ _NOT_EXPORTED: Final = Right.GRAPH | Right.ADMIN  # on the master itself; what i
 
 
 class Refused(Exception):
-    """The status text to answer with, after `rossec: `.
+    """The status text to answer with, after `rossec: `."""
 
-    `missing` is the right that is missing, and the name it is missing on, if that was the reason.
-    """
-
+    # `missing` is the right that is missing, and the name it is missing on, if that was the reason.
     def __init__(self, text: str, missing: tuple[Right, str] | None = None) -> None:
         super().__init__(text)
         self.missing = missing
@@ -58,11 +56,9 @@ class AddressTaken(Refused):
 
 
 class CertifiedPeer(Protocol):
-    """A certified name, of a foreigner its alias, and the thumbprint of its key.
+    """A certified name, of a foreigner its alias, and the thumbprint of its key."""
 
-    A `ca.certificates.Identity` or a `NodeRef`.
-    """
-
+    # A `ca.certificates.Identity` or a `NodeRef`.
     @property
     def name(self) -> str: ...
 
@@ -71,11 +67,10 @@ class CertifiedPeer(Protocol):
 
 
 _SAID: Final = 2  # near misses beside the command that gives the right
+# Raises the `HintedError` that says why no valid grant covers a right on a name
 Authorize = Callable[[Right, str], object]
-"""Raises the `HintedError` that says why no valid grant covers a right on a name."""
-
+# The trust domain of a label; `OWN_DOMAIN` for a site of the own one; None: no such label
 DomainOf = Callable[[str], str | None]
-"""The trust domain of a label; `OWN_DOMAIN` for a site of the own one; None: no such label."""
 
 
 class OriginRights(NamedTuple):
@@ -141,10 +136,8 @@ class Caller:
         return replace(self, name=name, wildcard=False, certified=self.name)
 
     def may(self, right: Right, name: str) -> bool:
-        """Whether a grant covers `right` on `name`.
-
-        The authority's own node and the own masters see the graph without one.
-        """
+        # Whether a grant covers `right` on `name`. The authority's own node and the own masters see the graph
+        # without one.
         sees_all = right is Right.GRAPH and (self.is_authority or self.is_own_master)
         if not (name.startswith(REMOTE) and is_alias(name)):
             if self.reach.covers(right, name):
@@ -251,10 +244,8 @@ class Caller:
         return self.reach.has_slots and not (self.is_authority or self.is_own_master)
 
     def slot(self, name: str) -> int:
-        """The seconds at whose multiples it is told who publishes `name`; 0: it is told at once.
-
-        Its only right to see the name is then to subscribe it in slots.
-        """
+        # The seconds at whose multiples it is told who publishes `name`; 0: it is told at once. Its only
+        # right to see the name is then to subscribe it in slots.
         if not self.has_slots or is_alias(name):
             return 0
         return self.reach.slot(VISIBILITY_RIGHTS, name)
@@ -290,14 +281,12 @@ class RecentDenial(NamedTuple):
 
 
 class RecentDenials:
-    """The newest denials of all nodes, for a person to look at; in memory.
+    """The newest denials of all nodes, for a person to look at; in memory."""
 
-    Each right on a name counts once for a node, with the newest time and name: one run of an
-    anonymous node is as the next. Nodes choose the names, so the number is bounded, for each
-    certified name and in all; where the whole is full, the node with most entries loses its oldest:
-    no node pushes out what another was denied, unless many do it together.
-    """
-
+    # Each right on a name counts once for a node, with the newest time and name: one run of an anonymous node
+    # is as the next. Nodes choose the names, so the number is bounded, for each certified name and in all;
+    # where the whole is full, the node with most entries loses its oldest: no node pushes out what another
+    # was denied, unless many do it together.
     def __init__(self) -> None:
         self._nodes: dict[str, OrderedDict[tuple[Right, str], tuple[int, str]]] = {}
         self._count = 0

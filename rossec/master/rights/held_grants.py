@@ -175,11 +175,10 @@ MAX_TOTAL: Final = 64 * 1024  # grants of all nodes
 MAX_TOTAL_BYTES: Final = 64 * 1024 * 1024
 ANSWER_BYTES: Final = 128 * 1024  # of grants in one answer, unless one alone is larger
 
+# The content of a grant that may be deposited at this time; raises a `HintedError` otherwise
 VerifyDeposit = Callable[[bytes, int], Grant]
-"""The content of a grant that may be deposited at this time; raises a `HintedError` otherwise."""
-
+# Makes changes durable. Raises a `HintedError`: then they must not take effect
 Persist = Callable[[Sequence[DepositChange]], object]
-"""Makes changes durable. Raises a `HintedError`: then they must not take effect."""
 
 
 class DeliveryState(Enum):

@@ -19,8 +19,8 @@ from rossec.master.rights.caller import Caller
 from rossec.master.state.graph import Graph, GraphNode
 from rossec.master.state.registry import ANY_TYPE, Kind, NodeRef, PublishersChanged
 
+# A registered node with its rights at a time; None: its key is revoked
 CallerOf = Callable[[NodeRef, int], Caller | None]
-"""A registered node with its rights at a time; None: its key is revoked."""
 
 
 class _Told(NamedTuple):

@@ -94,9 +94,8 @@ class TicketSigner:
         return renewed, pack(data, ticket, self._data)
 
 
+# Answers a renewal request (`ca.certificates`) with the node's new bundle
 Renewer = Callable[[bytes, int, RevocationCheck], bytes]
-"""Answers a renewal request (`ca.certificates`) with the node's new bundle."""
-
 MAX_KEPT: Final = 4096  # keys
 OFFER_LIMIT: Final = 16  # requests in one answer to the authority's service
 MAX_REASON: Final = 1024

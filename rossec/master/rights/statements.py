@@ -42,11 +42,9 @@ from rossec.master.state.registry import Event, Kind, NodeRef, Registry
 
 
 class TrustState(ListInForce):
-    """Revocations and presented grants: who is still trusted, and for what.
+    """Revocations and presented grants: who is still trusted, and for what."""
 
-    `renewer` renews identities at once; None: the authority's service does.
-    """
-
+    # `renewer` renews identities at once; None: the authority's service does.
     def __init__(
         self,
         anchor: TrustAnchor,

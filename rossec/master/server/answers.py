@@ -28,13 +28,11 @@ from rossec.ros.xmlrpc import Fault
 
 
 class Admission:
-    """What a peer may use of the master before a grant gives it any right here.
+    """What a peer may use of the master before a grant gives it any right here."""
 
-    A certificate costs a foreign authority nothing, and a node without grants has few calls to
-    make: its bodies are small, and so is the number of its connections, of a foreign domain for all
-    nodes without a right together.
-    """
-
+    # A certificate costs a foreign authority nothing, and a node without grants has few calls to make: its
+    # bodies are small, and so is the number of its connections, of a foreign domain for all nodes without a
+    # right together.
     def __init__(self, state: MasterState) -> None:
         self._state = state
         self._limits = state.limits
@@ -89,10 +87,10 @@ class Admission:
 SITES_WAIT: Final = 1.0  # seconds; a name is wanted for a minute, so a slow site delays no more often
 WATCH_WAIT: Final = 5.0  # seconds; an answer without changes shows that the master is alive
 RENEWALS_WAIT: Final = 20.0  # likewise
+# Facts of sites travel by need: these wait for those connected, or the first query would find nothing
 ASKING: Final = frozenset(
     {"lookupService", "lookupNode", "getSystemState", "getPublishedTopics", "getTopicTypes"}
 )
-"""Facts of sites travel by need: these wait for those connected, or the first query would find nothing."""
 
 
 class PendingCall(NamedTuple):

@@ -54,22 +54,20 @@ from rossec.ros.names import DOMAINS_UPDATE, FOREIGN_UPDATE, REVOCATION_UPDATE
 LINES_PER_NODE: Final = 200  # lines of one node
 MAX_LINES: Final = 10_000  # of all nodes beyond their quotas
 
+# Called with `now`, the node, the right it lacks, and the name
 OnDenial: TypeAlias = Callable[[int, str, Right, str], None]
-"""Called with `now`, the node, the right it lacks, and the name."""
 
 
 def ignore_denial(now: int, node: str, right: Right, name: str) -> None: ...
 
 
 class DenialLog:
-    """The denial log at `path`: one line for every right that a caller lacked, to learn a policy from.
+    """The denial log at `path`: one line for every right that a caller lacked, to learn a policy from."""
 
-    `rossec policy learn --from-log` reads it: callers of services and readers of parameters do not
-    appear in the graph. Each line is written once, and their number is limited: an enrolled node
-    chooses the names, and must not fill the disk with them. Each node has a quota that no other can
-    use up, else one of them could keep the others out of the log.
-    """
-
+    # `rossec policy learn --from-log` reads it: callers of services and readers of parameters do not appear
+    # in the graph. Each line is written once, and their number is limited: an enrolled node chooses the
+    # names, and must not fill the disk with them. Each node has a quota that no other can use up, else one of
+    # them could keep the others out of the log.
     def __init__(self, path: Path) -> None:
         from grants.policy.learn import log_line  # noqa: PLC0415 - not loaded without this log
 
@@ -109,14 +107,12 @@ class _Logged:
 
 
 class DenialCauses:
-    """Refusals for the log and the audit: one line for each cause, in the words of `rossec explain`.
+    """Refusals for the log and the audit: one line for each cause, in the words of `rossec explain`."""
 
-    A cause is a right that a node lacks on a name; names of one run of an anonymous node are the
-    same cause as those of the next. It is logged once an hour, with the number of refusals left
-    out. What every ROS program asks for by itself and works without is one cause for each node.
-    Refusals for other reasons, such as an address of another node, are all logged.
-    """
-
+    # A cause is a right that a node lacks on a name; names of one run of an anonymous node are the same cause
+    # as those of the next. It is logged once an hour, with the number of refusals left out. What every ROS
+    # program asks for by itself and works without is one cause for each node. Refusals for other reasons,
+    # such as an address of another node, are all logged.
     def __init__(self) -> None:
         self._logged: OrderedDict[_Cause, _Logged] = OrderedDict()
 
@@ -229,10 +225,8 @@ class Effects:
         return outcome.answer
 
     def evict(self, node: NodeRef, found: CertifiedPeer) -> None:
-        """Remove a node that registered the address of another node, `found`.
-
-        Otherwise a node could keep another out by registering its address first.
-        """
+        # Remove a node that registered the address of another node, `found`. Otherwise a node could keep
+        # another out by registering its address first.
         self.updates.drop(node)
         if self._state.registry.is_current(node):
             gone, other = shown(node.name), shown(found.name)

@@ -34,14 +34,12 @@ T = TypeVar("T")
 
 
 class ListFile:
-    """Saves lists and the entries of trees in `home`, later if not possible now.
+    """Saves lists and the entries of trees in `home`, later if not possible now."""
 
-    A list is made durable before it takes effect; but a revocation must not wait for room on a disk
-    that the revoked node may have filled. So a list that cannot be saved is in force all the same.
-    A master that is restarted before has the older list: nodes that hold the newer one refuse its
-    timestamps, and authorize nothing.
-    """
-
+    # A list is made durable before it takes effect; but a revocation must not wait for room on a disk that
+    # the revoked node may have filled. So a list that cannot be saved is in force all the same. A master that
+    # is restarted before has the older list: nodes that hold the newer one refuse its timestamps, and
+    # authorize nothing.
     def __init__(self, home: NodeHome) -> None:
         self._home = home
         # By what is written, in the order in which that must be.
@@ -77,11 +75,9 @@ class ListFile:
 
 
 class JournalFile:
-    """A journal on the disk: records are appended, and the whole is replaced when it has grown too long.
+    """A journal on the disk: records are appended, and the whole is replaced when it has grown too long."""
 
-    The one mechanism of both journals; what is synced when, and what a failure means, differs.
-    """
-
+    # The one mechanism of both journals; what is synced when, and what a failure means, differs.
     def __init__(self, path: Path) -> None:
         self.path = path
         self.file: int | None = None  # None: not open
@@ -133,13 +129,11 @@ class JournalFile:
 
 
 class DepositFile:
-    """The journal of deposited grants.
+    """The journal of deposited grants."""
 
-    A deposit is synced before it is acknowledged: the authority's operator is told that the master
-    has it, and may switch off his machine. That a holder has presented a grant is written in the
-    next maintenance round; if it is lost, the node presents it again.
-    """
-
+    # A deposit is synced before it is acknowledged: the authority's operator is told that the master has it,
+    # and may switch off his machine. That a holder has presented a grant is written in the next maintenance
+    # round; if it is lost, the node presents it again.
     def __init__(self, path: Path, verify: VerifyDeposit) -> None:
         self.deposits = Deposits(verify, self._append)
         self._journal = JournalFile(path)
@@ -187,13 +181,11 @@ _IN_FORCE: Final = "they are in force, and saved as soon as there is room"
 
 
 class ParameterFile:
-    """The journal of parameters.
+    """The journal of parameters."""
 
-    Every change is written before the call is answered, so a crash of the master loses none; it is
-    synced at most ten seconds later, so a power failure may lose these. That, and compacting, is
-    the work of a thread and of many passes of the loop: a disk may take seconds.
-    """
-
+    # Every change is written before the call is answered, so a crash of the master loses none; it is synced
+    # at most ten seconds later, so a power failure may lose these. That, and compacting, is the work of a
+    # thread and of many passes of the loop: a disk may take seconds.
     def __init__(self, path: Path) -> None:
         self.parameters = Parameters()
         self._journal = JournalFile(path)

@@ -70,12 +70,10 @@ _denials = logging.getLogger(DENIALS)
 
 
 class MasterServer:
-    """The master; not a context manager: `start`, then `stopped` or `close`.
+    """The master; not a context manager: `start`, then `stopped` or `close`."""
 
-    It listens at `host` (None: all), and nodes are sent `advertise` as its host; `check_own_identity`
-    is called with the time in each round of maintenance, in which `nearby` is read too.
-    """
-
+    # It listens at `host` (None: all), and nodes are sent `advertise` as its host; `check_own_identity` is
+    # called with the time in each round of maintenance, in which `nearby` is read too.
     def __init__(
         self,
         state: MasterState,
@@ -258,13 +256,11 @@ def master_of(
     find_revocations: FindRevocations = no_authority,
     find_domains: FindDomains = no_domains,
 ) -> MasterServer:
-    """The master whose identity is in `home`, not yet started.
-
-    `host` (ROS_HOSTNAME or ROS_IP) is advertised, and listened on alone when it is loopback, as in
-    ROS; None: this machine's name, and any address. `newest` is a revocation list (of a tree, with its
-    `entries`) that may be newer than the one saved, from an authority on this host. `renewer` renews
-    identities with an intermediate of this host; None: the authority's service does.
-    """
+    # The master whose identity is in `home`, not yet started. `host` (ROS_HOSTNAME or ROS_IP) is advertised,
+    # and listened on alone when it is loopback, as in ROS; None: this machine's name, and any address.
+    # `newest` is a revocation list (of a tree, with its `entries`) that may be newer than the one saved, from
+    # an authority on this host. `renewer` renews identities with an intermediate of this host; None: the
+    # authority's service does.
     anchor, own_identity, saved_list = home.anchor(), OwnIdentity(home, now), ListFile(home)
     signer = own_identity.credentials.current.signer
     # 1. The newest revocation list known here.

@@ -35,12 +35,10 @@ def is_node(peer: Identity, node: NodeRef) -> bool:
 
 
 class SlaveDialer:
-    """The only place from which the master connects to nodes; `probed` are being probed now.
+    """The only place from which the master connects to nodes; `probed` are being probed now."""
 
-    Nothing is sent to a peer that is not the node that registered the address: it is reported to
-    `on_mismatch`, with the node.
-    """
-
+    # Nothing is sent to a peer that is not the node that registered the address: it is reported to
+    # `on_mismatch`, with the node.
     def __init__(
         self, context: SecureContext[Identity], on_mismatch: Callable[[NodeRef, Identity], None]
     ) -> None:
@@ -76,12 +74,10 @@ _RETRY_AFTER: Final = (0.2, 1.0, 3.0)  # seconds; then the update is dropped
 
 _log = logging.getLogger("rossec.master.updates")
 
+# Connects to a slave API, or raises `RossecError`, also when another peer answers there
 Dial = Callable[[NodeRef], Awaitable[RpcClient]]
-"""Connects to a slave API, or raises `RossecError`, also when another peer answers there."""
-
+# Called with the method and parameters of an update that a node has accepted
 OnTaken = Callable[[NodeRef, str, tuple[object, ...]], object]
-"""Called with the method and parameters of an update that a node has accepted."""
-
 Key = tuple[str, str]  # Method and subject: of two pending updates with one key only the newer is sent
 
 
@@ -122,8 +118,7 @@ class NodeClient:
         self._client = SlaveClient(node, dial, deadline)
         self._on_taken = on_taken
         self._retry_after = retry_after
-        self._pending: dict[Key, tuple[object, ...]] = {}
-        self._encoded_sizes: dict[Key, int] = {}
+        self._pending: dict[Key, tuple[tuple[object, ...], int]] = {}  # the parameters and their size
         self._posted = asyncio.Event()
         self._failures = 0
 
@@ -132,15 +127,13 @@ class NodeClient:
         return not self._pending
 
     def post(self, key: Key, *params: object) -> None:
-        self._pending[key], self._encoded_sizes[key] = params, encoded_size(params)
+        self._pending[key] = params, encoded_size(params)
+        # A node that does not answer must not fill the memory: the oldest updates are dropped.
         while len(self._pending) > 1 and (
-            len(self._pending) > PENDING_LIMIT or sum(self._encoded_sizes.values()) > PENDING_BYTES
+            len(self._pending) > PENDING_LIMIT or sum(s for _, s in self._pending.values()) > PENDING_BYTES
         ):
-            self._discard(next(iter(self._pending)))
+            del self._pending[next(iter(self._pending))]
         self._posted.set()
-
-    def _discard(self, key: Key) -> None:
-        del self._pending[key], self._encoded_sizes[key]
 
     async def run(self) -> None:
         try:
@@ -148,16 +141,15 @@ class NodeClient:
                 await self._posted.wait()
                 self._posted.clear()
                 while self._pending:
-                    key, params = next(iter(self._pending.items()))
-                    if await self._deliver(key[0], params):
+                    key, update = next(iter(self._pending.items()))
+                    if await self._deliver(key[0], update[0]):
                         self._failures = 0
-                        if self._pending.get(key) is params:  # else a newer one was posted meanwhile
-                            self._discard(key)
+                        if self._pending.get(key) is update:  # else a newer one was posted meanwhile
+                            del self._pending[key]
                     elif self._failures >= len(self._retry_after):
                         _log.warning("gave up sending %s to %s", key[0], self.node.name)
                         self._failures = 0
                         self._pending.clear()
-                        self._encoded_sizes.clear()
                     else:
                         await asyncio.sleep(self._retry_after[self._failures])
                         self._failures += 1
@@ -234,13 +226,11 @@ BATCH_DELAY: Final = 0.05
 
 
 class LongPolls:
-    """The calls that wait for one kind of change, by the key of the caller: the master's one long poll.
+    """The calls that wait for one kind of change, by the key of the caller: the master's one long poll."""
 
-    Nothing is queued: a call that was woken is answered again from the tables. Changes in the `delay`
-    seconds after the first are in the same answer: the launch of a hundred nodes does not take a
-    hundred answers. Of more than `limit` calls of one key the oldest returns: its connection may be gone.
-    """
-
+    # Nothing is queued: a call that was woken is answered again from the tables. Changes in the `delay`
+    # seconds after the first are in the same answer: the launch of a hundred nodes does not take a hundred
+    # answers. Of more than `limit` calls of one key the oldest returns: its connection may be gone.
     def __init__(self, delay: float = BATCH_DELAY, limit: int = sys.maxsize) -> None:
         self._delay = delay
         self._limit = limit

@@ -21,8 +21,8 @@ SILENCE: Final = 12  # seconds; a relay polls every five
 MASTER, NODE, SERVICE = "master", "node", "service"
 KINDS: Final = (MASTER, NODE, SERVICE)
 
+# Names and URIs of the masters of the own domain that are followed without a relay
 Masters = Callable[[], Mapping[str, str]]
-"""Names and URIs of the masters of the own domain that are followed without a relay."""
 
 
 class Target(NamedTuple):
@@ -113,12 +113,10 @@ class ForwardedPorts:
         self._listeners[label] = changed
 
     def want(self, label: str, targets: Iterable[Target]) -> int:
-        """All that the follower of a site wants from now on; returns how many are too many.
-
-        Those are wanted when it asks again and others are wanted no longer. The master of a site
-        always has a door; of others a site has at most as many as are left for all: none takes
-        them from the next one, whatever it says that it has.
-        """
+        # All that the follower of a site wants from now on; returns how many are too many. Those are wanted
+        # when it asks again and others are wanted no longer. The master of a site always has a door; of
+        # others a site has at most as many as are left for all: none takes them from the next one, whatever
+        # it says that it has.
         wanted, held, before = set(targets), self._wants.setdefault(label, set()), self._version
         for target in held - wanted:
             held.discard(target)

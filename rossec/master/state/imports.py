@@ -41,13 +41,11 @@ NOTHING: Final = ("",)  # the empty name matches nothing
 
 
 class Demand:
-    """The names that local nodes want of other masters, as local names; `version` grows with them.
+    """The names that local nodes want of other masters, as local names; `version` grows with them."""
 
-    Facts travel by need, as in the thesis (chapter 6). Wanted is what local nodes subscribe, and for
-    a minute what they looked up; a tool that lists the graph wants everything for a minute. While a
-    name is wanted its sites report changes, so a further lookup is answered at once, also with no.
-    """
-
+    # Facts travel by need, as in the thesis (chapter 6). Wanted is what local nodes subscribe, and for a
+    # minute what they looked up; a tool that lists the graph wants everything for a minute. While a name is
+    # wanted its sites report changes, so a further lookup is answered at once, also with no.
     def __init__(self, registry: Registry) -> None:
         self.version = 0
         self._registry = registry
@@ -86,19 +84,16 @@ class Demand:
         yield from self._asked
 
 
+# What is taken from the foreign domain with a label, as names there; None: all it shows
 Rules = Callable[[str], Reach | None]
-"""What is taken from the foreign domain with a label, as names there; None: all it shows."""
 
 
 class ImportFilter:
-    """What is taken from foreign domains into the own graph, as the list of domains says.
+    """What is taken from foreign domains into the own graph, as the list of domains says."""
 
-    It is asked with every query, so another list counts at once, for what was imported before too.
-    A right decides on what it is used for: `subscribe` on the addresses of a topic's publishers,
-    `call` on that of a service, `param-get` on a mirrored parameter; to be seen in the graph, any
-    right does.
-    """
-
+    # It is asked with every query, so another list counts at once, for what was imported before too. A right
+    # decides on what it is used for: `subscribe` on the addresses of a topic's publishers, `call` on that of
+    # a service, `param-get` on a mirrored parameter; to be seen in the graph, any right does.
     def __init__(self, rules: Rules = lambda _label: None) -> None:
         self.rules = rules
 
@@ -135,9 +130,7 @@ class Imports:
         self.mirrors: Final = Mirrors()  # parameters of the sites
         self.filter: Final = ImportFilter()  # what is taken from foreign domains at all
         self.on_settled: Callable[[], object] = lambda: None  # called when `is_settled` has become true
-        self.registry: Final = (
-            registry  # the own registrations; its events name imported publishers from now on
-        )
+        self.registry: Final = registry  # the own registrations: their events name the imported too
         self._limit = limit  # facts of one site
         self._sites: dict[str, SiteFacts] = {}
         self._entries: dict[Kind, dict[str, dict[_Entry, None]]] = {kind: {} for kind in Kind}
@@ -154,12 +147,9 @@ class Imports:
     def apply_in_steps(
         self, site: Site, added: Iterable[Fact], removed: Iterable[Fact], *, whole: bool = False
     ) -> Generator[None, None, list[ImportEvent]]:
-        """Take over a complete answer of a site: nothing takes effect if it is refused.
-
-        Yields where other calls may be answered, and returns the events. One answer of a site is
-        taken over at a time; `drop` ends it. Another site with this label takes its place; `whole`:
-        `added` is all that the site has.
-        """
+        # Take over a complete answer of a site: nothing takes effect if it is refused. Yields where other
+        # calls may be answered, and returns the events. One answer of a site is taken over at a time; `drop`
+        # ends it. Another site with this label takes its place; `whole`: `added` is all that the site has.
         held = self._sites.get(site.label)
         old = held.facts if held is not None and held.site == site else set[Fact]()
         new = set[Fact]()

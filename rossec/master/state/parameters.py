@@ -187,10 +187,8 @@ class Parameters:
 
 
 def search_candidates(namespace: str, key: str) -> list[tuple[str, str]]:
-    """The keys that a search for `key` from `namespace` tries, nearest first, and their results.
-
-    The search is for the first segment of `key`, upwards from `namespace`.
-    """
+    # The keys that a search for `key` from `namespace` tries, nearest first, and their results. The search is
+    # for the first segment of `key`, upwards from `namespace`.
     if not key or key.startswith(names.PRIVATE):
         raise ValueError("invalid key")
     if key.startswith(names.SEPARATOR):
@@ -209,12 +207,10 @@ def check_names(key: str, value: object) -> None:
 
 
 def updates(subscriptions: Collection[str], key: str, value: object) -> list[ParameterUpdate]:
-    """Which subscriptions a change of `key` to `value` concerns (keys of both end with '/').
-
-    A subscriber is notified of any change at, above or below its key; a key that a replaced tree
-    no longer contains is reported as unset. All `subscriptions` are searched only when a tree is
-    set: other nodes may have made many.
-    """
+    # Which subscriptions a change of `key` to `value` concerns (keys of both end with '/'). A subscriber is
+    # notified of any change at, above or below its key; a key that a replaced tree no longer contains is
+    # reported as unset. All `subscriptions` are searched only when a tree is set: other nodes may have made
+    # many.
     if not subscriptions:
         return []
     changed = _with_slash(key)
@@ -272,12 +268,10 @@ class _Mirror(NamedTuple):
 
 
 class Mirrors:
-    """The parameters of all sites, read-only below `/remote/<label>`; `limit`: bytes of one site.
+    """The parameters of all sites, read-only below `/remote/<label>`; `limit`: bytes of one site."""
 
-    Each has one writer, its origin, so there is no conflict and nothing circulates. `/` remains the
-    own tree alone: a node that reads or sets it reaches no mirror.
-    """
-
+    # Each has one writer, its origin, so there is no conflict and nothing circulates. `/` remains the own
+    # tree alone: a node that reads or sets it reaches no mirror.
     def __init__(self, limit: int = MIRROR_LIMIT) -> None:
         self._limit = limit
         self._mirrors: dict[str, _Mirror] = {}
