@@ -199,6 +199,7 @@ async def settle(client: RpcClient, own: OwnMaster, peer: Identity, answer: Site
 
 
 async def settle_revocations(client: RpcClient, own: OwnMaster, peer: Identity) -> None:
+    # Who holds the newer list is found by trying to take theirs: its number is believed only when signed.
     held = own.state.trust.list_data
     match await client.ask("rossec.revocationsSince", own.name, digest(held)):
         case [bytes() as theirs, bytes()]:
@@ -207,6 +208,7 @@ async def settle_revocations(client: RpcClient, own: OwnMaster, peer: Identity) 
             raise AnswerMalformed("a master's answer without a revocation list")
     if theirs in (b"", held) or await _take(client, own, peer, theirs) or not held:
         return
+    # A master that was restored from a backup gets the newest from whichever it meets first.
     entries = own.state.trust.tree_entries
     if is_tree(held) and entries:
         await client.ask("rossec.updateRevocationTree", own.name, held, entries)

@@ -29,7 +29,7 @@ from rossec.ros.compact_values import (
     put,
 )
 from rossec.ros.http import SWITCH, HttpClient, HttpServer, Oversized
-from rossec.ros.xmlrpc import BODY_LIMIT, METHOD_LIMIT, NOT_ENCODABLE, Call, Encoded, Fault, too_long
+from rossec.ros.xmlrpc import BODY_LIMIT, METHOD_LIMIT, NOT_ENCODABLE, Call, Encoded, Fault, run_out, too_long
 
 # They are part of the format: never change one, and never add one. A method that came later is called
 # by its name, since a peer of today would refuse an unknown number. Those below 24 take one byte.
@@ -125,38 +125,29 @@ def _begin(reader: CompactReader, turn: int) -> tuple[int, str]:
 
 def load_compact_answer(data: bytes, turn: int, method: str, *, limit: int = BODY_LIMIT) -> object:
     # A fault is returned, not raised; its text is made printable.
-    reader = _reader(data, limit)
-    try:
-        shape, count, depth = _answer_shape(reader, turn)
-        value = _answer(shape, reader.items(count, depth), method)
-    except MALFORMED as error:
-        raise CompactRefused(_MALFORMED) from error
-    _check_end(reader)
-    return value
+    return run_out(compact_answer_steps(data, turn, method, limit=limit, at_once=True))
 
 
 def compact_answer_steps(
-    data: bytes, turn: int, method: str, *, limit: int = BODY_LIMIT
+    data: bytes, turn: int, method: str, *, limit: int = BODY_LIMIT, at_once: bool = False
 ) -> Generator[None, None, object]:
     reader = _reader(data, limit)
     try:
-        shape, count, depth = _answer_shape(reader, turn)
-        value = _answer(shape, (yield from reader.steps(count, depth)), method)
+        # 1. What it is, how many items it has, and how deep they are nested.
+        size = reader.head(ARRAY)
+        _check_turn(reader, turn)
+        shape, count, depth = size, size - 1, DEPTH_LIMIT - (size == _TRIPLE)
+        if size == _FAULT and reader.skip(NULL):
+            shape, count, depth = _RAW, 1, DEPTH_LIMIT
+        elif size not in (_TRIPLE, _FAULT, _VALUE):
+            raise CompactRefused("a unit that is not an answer")
+        # 2. The items; each shape has one form, so that no two readers take an answer for different ones.
+        found = reader.items(count, depth) if at_once else (yield from reader.steps(count, depth))
+        value = _answer(shape, found, method)
     except MALFORMED as error:
         raise CompactRefused(_MALFORMED) from error
     _check_end(reader)
     return value
-
-
-def _answer_shape(reader: CompactReader, turn: int) -> tuple[int, int, int]:
-    # What it is, how many items it has, and how deep they are nested.
-    size = reader.head(ARRAY)
-    _check_turn(reader, turn)
-    if size == _FAULT and reader.skip(NULL):
-        return _RAW, 1, DEPTH_LIMIT
-    if size not in (_TRIPLE, _FAULT, _VALUE):
-        raise CompactRefused("a unit that is not an answer")
-    return size, size - 1, DEPTH_LIMIT - (size == _TRIPLE)
 
 
 def _answer(shape: int, found: list[object], method: str) -> object:
@@ -199,7 +190,7 @@ def dump_compact_answer(turn: int, value: object, *, limit: int = BODY_LIMIT) ->
         raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
     out[0] = _ARRAYS[size]
     unit = b"".join(out)
-    # Values are counted, not bytes alone: a null takes one byte here, and some fifty as XML or in memory.
+    # Values are counted, not bytes alone: one may take one byte here, and no XML-RPC body has so many.
     if len(unit) > limit or out.values > limit // ITEM_BYTES:
         raise too_long(len(unit), limit)
     return unit
@@ -260,20 +251,18 @@ class CallClient:
 
     def take(self, data: bytes) -> object:
         """The answer, when it is whole: a value, a `Fault`, or a body of XML-RPC that is `Encoded`."""
-        unit = self._received(data)
-        if not isinstance(unit, bytes):
-            return unit
-        answer = load_compact_answer(unit, self._turn, self._waiting_for(), limit=self._limit)
-        self._answered()
-        return answer
+        return run_out(self.take_steps(data, at_once=True))
 
-    def take_steps(self, data: bytes) -> Generator[None, None, object]:
+    def take_steps(self, data: bytes, *, at_once: bool = False) -> Generator[None, None, object]:
         """As `take`, in steps: it yields after each."""
         unit = self._received(data)
         if not isinstance(unit, bytes):
             return unit
-        answer = yield from compact_answer_steps(unit, self._turn, self._waiting_for(), limit=self._limit)
-        self._answered()
+        if self._method is None:
+            raise CompactRefused("an answer to no call")
+        turn, method, limit = self._turn, self._method, self._limit
+        answer = yield from compact_answer_steps(unit, turn, method, limit=limit, at_once=at_once)
+        self._method, self._turn = None, (turn + 1) % TURNS
         return answer
 
     def _received(self, data: bytes) -> bytes | Encoded | None:
@@ -287,14 +276,6 @@ class CallClient:
         if self._http.switched is not None:
             self.is_compact = True
         return self._http.switched
-
-    def _waiting_for(self) -> str:
-        if self._method is None:
-            raise CompactRefused("an answer to no call")
-        return self._method
-
-    def _answered(self) -> None:
-        self._method, self._turn = None, (self._turn + 1) % TURNS
 
 
 def value_in(answer: object, limit: int = BODY_LIMIT) -> object:
@@ -371,8 +352,8 @@ class CallServer:
             raise XmlRpcRefused(f"a call of {request.length} bytes where at most {self._limit} are allowed")
         if bound is None or len(request) <= bound:
             return request
-        # A call that shows grants may be longer, and one that hands in another signed statement: else who
-        # has no right yet could never get one. Which it is must be known before it is parsed.
+        # A call that shows grants may be longer, and one that hands in another signed statement. Which it is
+        # must be known before it is parsed: parsing is what the bound spares the master.
         number = 0 if not self.is_compact else request[_METHOD_AT]
         if not self.is_compact:
             has_statements = _XML_OWN in request[:_HEAD]

@@ -4,9 +4,6 @@ Stock rosmaster shares three threads between all nodes, so three dead nodes dela
 (ros_comm#1555). Here each node has its own task, its own connection and its own deadline. Pending
 updates are coalesced: only the newest publisher list of a topic, the newest value of a parameter,
 the newest revocation list. So a slow node costs a bounded amount of memory.
-
-Who polls waits on its own connection: the master needs no address of it, and queues nothing; a call
-that waited is answered again from the tables.
 """
 
 import asyncio
