@@ -186,11 +186,6 @@ async def in_turns(steps: Generator[None, None, _T]) -> _T:
         await asyncio.sleep(0)
 
 
-async def present_own(client: RpcClient, own: OwnMaster) -> None:
-    if tokens := list(own.grants())[:MAX_PRESENTED]:
-        await client.ask(PRESENT_GRANTS, own.name, tokens)
-
-
 async def settle(client: RpcClient, own: OwnMaster, peer: Identity, answer: SiteChange | None = None) -> None:
     if answer is None or answer.revocations != own.state.trust.list_digests()[0]:
         await settle_revocations(client, own, peer)

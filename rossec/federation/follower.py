@@ -51,6 +51,7 @@ from rossec.master.state.forwarded_ports import MASTER, MAX_DOORS, ForwardedPort
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.calls import RpcClient
 from rossec.peer_limits import printable
+from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.xmlrpc import Fault
 
 DOOR_WAIT: Final = 5.0  # seconds for the master's door: a relay that polls opens it at once
@@ -278,8 +279,10 @@ class FollowedSite:
                 if self._foreign is not None:
                     await self._foreign.greet(client, peer)
                 else:
-                    if self.settings.parameters:
-                        await exchange.present_own(client, self._own)
+                    # Who mirrors parameters shows its grants: they decide what it may read.
+                    tokens = self._own.grants() if self.settings.parameters else ()
+                    if tokens := list(tokens)[: exchange.MAX_PRESENTED]:
+                        await client.ask(PRESENT_GRANTS, self._own.name, tokens)
                     await exchange.settle(client, self._own, peer)
             try:
                 await self._poll(client, peer)

@@ -267,13 +267,14 @@ def _parse(data: bytes) -> Generator[None, None, Body]:
 
 
 _FAULT: Final = "fault"  # as root of a body, which no body has that was parsed
+# ArithmeticError is of decimal: the library reads <bigdecimal>.
 _MALFORMED: Final = (
     expat.ExpatError,
     xmlrpc.client.Error,
     ValueError,
     TypeError,
     LookupError,
-    ArithmeticError,  # of decimal: the library reads <bigdecimal>
+    ArithmeticError,
 )
 
 

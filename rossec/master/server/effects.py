@@ -1,7 +1,7 @@
 """The effects of a call: updates to nodes, journal records, lines of the audit. A shell.
 
 The cores return events; `deliver` maps each to its effect. Nothing is authorized here and nothing
-waits: `Updates` sends updates to nodes, `GraphChanges` notifies watchers. A new revocation list is
+waits: `Updates` sends updates to nodes, `LongPolls` wakes those that wait. A new revocation list is
 enforced before the call that delivered it is answered, except for what would take too long.
 """
 

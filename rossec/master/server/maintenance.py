@@ -74,11 +74,8 @@ class LocalAuthority:
         return self._take("list", accept)
 
     def has_newer_domains(self) -> bool:
-        def accept() -> bool:
-            data = self._find_domains()
-            return data != b"" and self._trust.update_domains(data)
-
-        return self._take("list of domains", accept)
+        find, update = self._find_domains, self._trust.update_domains
+        return self._take("list of domains", lambda: (data := find()) != b"" and update(data))
 
     def _take(self, what: str, accept: Callable[[], bool]) -> bool:
         try:
