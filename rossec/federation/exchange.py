@@ -40,7 +40,6 @@ MAX_CHAINS: Final = 256
 class Chains:
     # The handshake gives the identity alone; nodes verify a foreign master's word themselves, so its chain
     # is kept.
-
     def __init__(self) -> None:
         self._chains: OrderedDict[bytes, tuple[bytes, ...]] = OrderedDict()
 
@@ -61,21 +60,15 @@ class Chains:
 
 @dataclass(frozen=True)
 class OwnMaster:
-    """The master that follows.
-
-    `context`: its own identity, to dial with; its `verify` is that of `chains`. `chains`: the
-    certificates by which peers were verified. `mirror`: takes over the parameters of a site; raises
-    ImportRefused. `drop_mirror`: forgets those of the site with this label. `grants`: reads the
-    grants in its home, which another master wants to see.
-    """
+    """The master that follows."""
 
     state: MasterState
     effects: Effects
-    context: SecureContext[Identity]
-    mirror: Callable[[Site, dict[str, object]], None]
-    drop_mirror: Callable[[str], None]
-    chains: Chains = field(default_factory=Chains)
-    grants: Callable[[], Sequence[bytes]] = tuple
+    context: SecureContext[Identity]  # its own identity, to dial with; its `verify` is that of `chains`
+    mirror: Callable[[Site, dict[str, object]], None]  # takes over parameters; raises ImportRefused
+    drop_mirror: Callable[[str], None]  # forgets those of the site with this label
+    chains: Chains = field(default_factory=Chains)  # the certificates by which peers were verified
+    grants: Callable[[], Sequence[bytes]] = tuple  # those in its home, which another master wants to see
 
     @property
     def name(self) -> str:
@@ -90,10 +83,7 @@ _PROOFS_AT_ONCE: Final = 64
 
 
 class ForeignLists:
-    """Keeps the revocations of one foreign domain fresh, on the connection that is followed.
-
-    `own`: the master that follows.
-    """
+    """Keeps the revocations of one foreign domain fresh, on the connection that is followed."""
 
     def __init__(self, own: OwnMaster, label: str) -> None:
         self._own = own
@@ -168,8 +158,12 @@ class ForeignLists:
         return taken
 
     def _tokens(self) -> list[bytes]:
-        domain = self._listed().entry.domain
-        return [each for each in self._own.grants() if _domain_of(each) == domain][:MAX_PRESENTED]
+        domain, found = self._listed().entry.domain, list[bytes]()
+        for token in self._own.grants():
+            with contextlib.suppress(GrantError):
+                if peek(token).domain == domain:
+                    found.append(token)
+        return found[:MAX_PRESENTED]
 
     def _listed(self) -> ListedDomain:
         listed = self._own.state.trust.domains.anchors.listed(self._label)
@@ -178,14 +172,6 @@ class ForeignLists:
         return listed
 
 
-def _domain_of(grant: bytes) -> str:
-    try:
-        return peek(grant).domain
-    except GrantError:
-        return ""
-
-
-_SINCE: Final = "rossec.revocationsSince"
 _T = TypeVar("_T")
 _UNKNOWN: Final = (AnswerRefused, Fault)  # also of a master that does not know the call
 
@@ -200,33 +186,24 @@ async def in_turns(steps: Generator[None, None, _T]) -> _T:
         await asyncio.sleep(0)
 
 
-def held_revocations(own: OwnMaster) -> bytes:
-    """The digest of the revocation list held; empty: there is none."""
-    data = own.state.trust.list_data
-    return digest(data) if data else b""
-
-
-async def present_own(client: RpcClient, own: OwnMaster) -> None:
-    if tokens := list(own.grants())[:MAX_PRESENTED]:
-        await client.ask(PRESENT_GRANTS, own.name, tokens)
-
-
 async def settle(client: RpcClient, own: OwnMaster, peer: Identity, answer: SiteChange | None = None) -> None:
-    if answer is None or answer.revocations != held_revocations(own):
+    if answer is None or answer.revocations != own.state.trust.list_digests()[0]:
         await settle_revocations(client, own, peer)
     if answer is None or answer.domains != own.state.trust.domains.digest():
         await settle_domains(client, own, peer)
 
 
 async def settle_revocations(client: RpcClient, own: OwnMaster, peer: Identity) -> None:
+    # Who holds the newer list is found by trying to take theirs: its number is believed only when signed.
     held = own.state.trust.list_data
-    match await client.ask(_SINCE, own.name, digest(held)):
+    match await client.ask("rossec.revocationsSince", own.name, digest(held)):
         case [bytes() as theirs, bytes()]:
             pass
         case _:
             raise AnswerMalformed("a master's answer without a revocation list")
     if theirs in (b"", held) or await _take(client, own, peer, theirs) or not held:
         return
+    # A master that was restored from a backup gets the newest from whichever it meets first.
     entries = own.state.trust.tree_entries
     if is_tree(held) and entries:
         await client.ask("rossec.updateRevocationTree", own.name, held, entries)
@@ -252,10 +229,8 @@ async def _take(client: RpcClient, own: OwnMaster, peer: Identity, theirs: bytes
 
 
 async def settle_domains(client: RpcClient, own: OwnMaster, peer: Identity) -> None:
-    """Of both lists of foreign domains the newer one is in force at both masters afterwards.
-
-    A master that does not know the call has no such list, and gets none.
-    """
+    # Of both lists of foreign domains the newer one is in force at both masters afterwards. A master that
+    # does not know the call has no such list, and gets none.
     domains = own.state.trust.domains
     try:
         theirs = await client.ask(DOMAINS, own.name, domains.digest())
@@ -284,9 +259,6 @@ _AT_ONCE: Final = 128
 class Mirroring:
     """Reads the parameters that `settings` names, on the connection that is followed. The copy is set at its
     origin only; the other master decides by grants what may be read (`param-get`).
-
-    Attributes:
-        mirrored: how many parameters there are.
     """
 
     def __init__(self, own: OwnMaster, settings: SiteSettings) -> None:
@@ -294,7 +266,7 @@ class Mirroring:
         self._settings = settings
         self._read_at = -MIRRORED_EVERY
         self._names_held: list[str] = []
-        self.mirrored = 0
+        self.mirrored = 0  # how many parameters there are
 
     async def keep(self, client: RpcClient) -> None:
         if not self._settings.parameters or time.monotonic() - self._read_at < MIRRORED_EVERY:
@@ -326,7 +298,9 @@ class Mirroring:
         found = await client.ask("getParamNames", self._own.name)
         if not isinstance(found, list):
             raise AnswerMalformed("a master's answer without names of parameters")
-        names = [each for each in found if isinstance(each, str) and self._is_wanted(each)]
+        texts = [each for each in found if isinstance(each, str) and self._is_taken(each)]
+        patterns = self._settings.parameters
+        names = [each for each in texts if any(pattern_covers(pattern, each) for pattern in patterns)]
         if len(names) > MAX_NAMES:
             raise AnswerRefused(
                 f"{self._settings.label} has {len(names)} parameters of these patterns, not"
@@ -334,10 +308,6 @@ class Mirroring:
                 "mirror fewer: `rossec federation param`",
             )
         return sorted(names)
-
-    def _is_wanted(self, name: str) -> bool:
-        wanted = any(pattern_covers(pattern, name) for pattern in self._settings.parameters)
-        return wanted and self._is_taken(name)
 
     def _is_taken(self, name: str) -> bool:
         label = self._settings.domain

@@ -51,6 +51,7 @@ from rossec.master.state.forwarded_ports import MASTER, MAX_DOORS, ForwardedPort
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.calls import RpcClient
 from rossec.peer_limits import printable
+from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.xmlrpc import Fault
 
 DOOR_WAIT: Final = 5.0  # seconds for the master's door: a relay that polls opens it at once
@@ -60,10 +61,7 @@ _log = logging.getLogger("rossec.federation")
 
 
 class SiteDoors:
-    """The doors of one site.
-
-    `on_door`: called when the master's door was opened.
-    """
+    """The doors of one site; `on_door` is called when its master's was opened."""
 
     def __init__(self, doors: ForwardedPorts, settings: SiteSettings, on_door: Callable[[], None]) -> None:
         self._doors = doors
@@ -150,10 +148,7 @@ _DIAL_VIA: Final = 15.0  # the relay may have to dial its peer first
 
 
 class SiteConnections:
-    """Connects with one site.
-
-    `doors`: of the site, if it is reached by a relay.
-    """
+    """Connects with one site; `doors`: of the site, if it is reached by a relay."""
 
     def __init__(self, settings: SiteSettings, own: OwnMaster, doors: SiteDoors | None) -> None:
         self._settings = settings
@@ -204,21 +199,12 @@ Failures: Final = (HintedError, OSError, TimeoutError, Fault)
 
 
 class FollowedSite:
-    """Follows one site until `close`.
-
-    `own`: the master that follows. `rand`: returns a random number from 0 up to 1.
-
-    Attributes:
-        state: where it is.
-        error: why it is not followed now; empty: it is.
-        hint: what may be done about it, or empty.
-        connections: with the site.
-    """
+    """Follows one site until it is removed; `rand` returns a random number from 0 up to 1."""
 
     def __init__(self, settings: SiteSettings, own: OwnMaster, rand: Callable[[], float] = _RANDOM) -> None:
         self.settings: Final = settings
         self.state: Final = SiteState()
-        self.error = self.hint = ""
+        self.error = self.hint = ""  # why it is not followed now; empty: it is
         self._own = own
         self._rand = rand
         self._cursor = SiteCursor()
@@ -293,8 +279,10 @@ class FollowedSite:
                 if self._foreign is not None:
                     await self._foreign.greet(client, peer)
                 else:
-                    if self.settings.parameters:
-                        await exchange.present_own(client, self._own)
+                    # Who mirrors parameters shows its grants: they decide what it may read.
+                    tokens = self._own.grants() if self.settings.parameters else ()
+                    if tokens := list(tokens)[: exchange.MAX_PRESENTED]:
+                        await client.ask(PRESENT_GRANTS, self._own.name, tokens)
                     await exchange.settle(client, self._own, peer)
             try:
                 await self._poll(client, peer)

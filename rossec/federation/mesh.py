@@ -41,10 +41,7 @@ class _Heard(NamedTuple):
 
 
 class AnnouncedMasters:
-    """The masters heard while `listening` is entered.
-
-    `home`: of the own master. `candidates`: what is heard; by default of the domain of `home`.
-    """
+    """The masters heard while `listening` is entered; `candidates`: by default of the domain of `home`."""
 
     def __init__(self, home: NodeHome, candidates: Candidates | None = None) -> None:
         anchor = home.anchor()
@@ -58,8 +55,11 @@ class AnnouncedMasters:
         return listening(self._candidates)
 
     def sites(self) -> tuple[SiteSettings, ...]:
-        now = time.monotonic()
-        for name, found in self._audible(now).items():
+        now, audible = time.monotonic(), dict[str, list[Candidate]]()
+        for one in self._candidates.ranked(clock.now(), now):
+            if one.name != self._own_name and one.rtt is not None and one.age(now) < SILENT:
+                audible.setdefault(one.name, []).append(one)
+        for name, found in audible.items():
             self._note(name, found, now)
         self._heard = {k: each for k, each in self._heard.items() if now - each.at < LOST_FOR}
         return tuple(each.settings for _, each in sorted(self._heard.items()))
@@ -68,13 +68,6 @@ class AnnouncedMasters:
         # The names of those heard again after a pause, or restarted, since the last call.
         returned, self._returned = self._returned, set()
         return returned
-
-    def _audible(self, now: float) -> dict[str, list[Candidate]]:
-        found: dict[str, list[Candidate]] = {}
-        for one in self._candidates.ranked(clock.now(), now):
-            if one.name != self._own_name and one.rtt is not None and one.age(now) < SILENT:
-                found.setdefault(one.name, []).append(one)
-        return found
 
     def _note(self, name: str, found: list[Candidate], now: float) -> None:
         held = self._heard.get(name)
@@ -97,17 +90,14 @@ _ANNOUNCED: Final = "announced"
 _log = logging.getLogger("rossec.federation")
 _audit = logging.getLogger("rossec.audit")
 
+# The sites of one origin as of now; raises ConfigurationError
 ReadSites = Callable[[], Iterable[SiteSettings]]
-"""The sites of one origin as of now; raises ConfigurationError."""
 
 
 class Mesh:
-    """Follows every site of its sources.
+    """Follows every site of its `sources`, by what they are called, the one that prevails first."""
 
-    `own`: the master that follows. `sources`: by what they are called, the one that prevails first.
-    `announced`: the masters heard on the local links; None: they are not followed.
-    """
-
+    # `announced`: the masters heard on the local links; None: they are not followed.
     def __init__(
         self, own: OwnMaster, sources: Mapping[str, ReadSites], announced: AnnouncedMasters | None = None
     ) -> None:
@@ -119,8 +109,10 @@ class Mesh:
         self._warned: dict[str, str] = {}
         self._followers: dict[str, tuple[FollowedSite, asyncio.Task[Any]]] = {}
         self._tasks = TaskSet()
-        own.state.trust.domains.own_sites = self._own_labels
-        own.state.doors.masters = self._direct_masters
+        own.state.trust.domains.own_sites = lambda: [each.label for each in self._own_sites()]
+        own.state.doors.masters = lambda: {
+            each.master: each.uri for each in self._own_sites() if is_connectable(each.uri, "http")
+        }
 
     async def run(self) -> None:
         self._own.effects.on_new_lists.append(self._send_lists)
@@ -138,8 +130,9 @@ class Mesh:
             await self._tasks.close()
 
     def status(self) -> dict[str, Any]:
+        sources = {site.label: name for name, sites in reversed(self._last.items()) for site in sites}
         rows = [
-            {**follower.status(), "source": self._source_of(label)}
+            {**follower.status(), "source": sources.get(label, "")}
             for label, (follower, _) in sorted(self._followers.items())
         ]
         return {"sites": rows, "problems": dict(self._warned)}
@@ -176,7 +169,8 @@ class Mesh:
             except (ConfigurationError, OSError) as error:  # the last that was read stays
                 self._warned[name] = _text(error)
             for each in self._last.get(name, ()):
-                if name != _ANNOUNCED or not _has_master(found, each):
+                known = {(other.domain, other.master) for other in found.values()}
+                if name != _ANNOUNCED or (each.domain, each.master) not in known:
                     self._add(found, each)
         for where, text in self._warned.items():
             if before.get(where) != text:
@@ -204,27 +198,13 @@ class Mesh:
             return
         found[each.label] = each
 
-    def _own_labels(self) -> list[str]:
+    def _own_sites(self) -> list[SiteSettings]:
         found = [follower.settings for follower, _ in self._followers.values()]
-        return [each.label for each in found if not each.domain]
-
-    def _direct_masters(self) -> dict[str, str]:
-        found = [follower.settings for follower, _ in self._followers.values()]
-        return {
-            each.master: each.uri for each in found if not each.domain and is_connectable(each.uri, "http")
-        }
-
-    def _source_of(self, label: str) -> str:
-        return next((name for name, sites in self._last.items() if any(s.label == label for s in sites)), "")
+        return [each for each in found if not each.domain]
 
     def _send_lists(self) -> None:
         for follower, _ in self._followers.values():
             self._tasks.spawn(follower.send_lists(), f"lists for {follower.settings.label}")
-
-
-def _has_master(sites: Mapping[str, SiteSettings], heard: SiteSettings) -> bool:
-    known = {(each.domain, each.master) for each in sites.values()}
-    return (heard.domain, heard.master) in known
 
 
 def _text(error: Exception) -> str:

@@ -32,20 +32,14 @@ _FORM: Final = 1
 
 @dataclass(frozen=True)
 class SiteSettings:
-    """A master to follow.
+    """A master to follow."""
 
-    `label`: what it is called here. `uri`: where it listens; empty: it is reached by a relay.
-    `master`: the name it is certified for. `domain`: the label of its foreign domain; empty: it is
-    of the own domain. `parameters`: patterns of the parameters to mirror, with the names they have
-    there. `via`: the label that the relay of this site has for the peer behind which the master is.
-    """
-
-    label: str
-    uri: str
-    master: str = MASTER
-    domain: str = ""
-    parameters: tuple[str, ...] = ()
-    via: str = ""
+    label: str  # what it is called here
+    uri: str  # where it listens; empty: it is reached by a relay
+    master: str = MASTER  # the name it is certified for
+    domain: str = ""  # the label of its foreign domain; empty: of the own domain
+    parameters: tuple[str, ...] = ()  # patterns of those to mirror, with the names they have there
+    via: str = ""  # what the relay of this site calls the peer behind which the master is
 
     def __post_init__(self) -> None:
         try:
@@ -116,13 +110,9 @@ def read_sites(data: bytes, name: str) -> dict[str, SiteSettings]:
 
 
 def write_sites(sites: Mapping[str, SiteSettings]) -> bytes:
-    rows = [_row(each) for _, each in sorted(sites.items())]
+    rows = [asdict(each) for _, each in sorted(sites.items())]
+    rows = [{key: value for key, value in row.items() if value or key != "via"} for row in rows]
     return json.dumps({"rossec-federation": _FORM, "sites": rows}, indent=1).encode() + b"\n"
-
-
-def _row(site: SiteSettings) -> dict[str, object]:
-    row = {**asdict(site), "parameters": list(site.parameters)}
-    return row if site.via else {key: value for key, value in row.items() if key != "via"}
 
 
 def _site(row: object, name: str) -> SiteSettings:
@@ -151,12 +141,9 @@ _EXAMPLE: Final = "for example  kitchen: {uri: http://kitchen:11311, master: /ma
 
 @dataclass(frozen=True)
 class FederationConfig:
-    """Which masters to follow.
+    """Which masters to follow."""
 
-    `follow_announced`: every master of the own domain that is heard on the local links.
-    """
-
-    follow_announced: bool = False
+    follow_announced: bool = False  # every master of the own domain that is heard on the local links
     sites: tuple[SiteSettings, ...] = ()
 
 
@@ -182,20 +169,19 @@ def read_config(part: Any, name: str) -> FederationConfig:
 def _config_site(label: str, part: Any, where: str, name: str) -> SiteSettings:
     values: dict[str, Any] = {}
     for key, line, value in _entries(part, name, f"site {label[:40]}", _SITE_KEYS):
-        values[key] = _patterns(value, line) if key == "parameters" else _text(key, value, line)
+        if key != "parameters":
+            values[key] = _text(key, value, line)
+            continue
+        items = getattr(value, "items", None)
+        if not isinstance(items, tuple):
+            raise ConfigurationError(f"{line}: parameters is a list of patterns", "[/robot/**]")
+        values[key] = tuple(_text("a pattern", item, line) for item in items)
     if not {"uri", "via"} & values.keys():
         raise ConfigurationError(f"{where}: site {label[:40]!a} has no uri and no via", _EXAMPLE)
     try:
         return SiteSettings(label, **{"uri": "", **values})
     except ConfigurationError as error:
         raise ConfigurationError(f"{where}: {error}", error.hint) from error
-
-
-def _patterns(part: Any, where: str) -> tuple[str, ...]:
-    items = getattr(part, "items", None)
-    if not isinstance(items, tuple):
-        raise ConfigurationError(f"{where}: parameters is a list of patterns", "[/robot/**]")
-    return tuple(_text("a pattern", item, where) for item in items)
 
 
 def _text(key: str, part: Any, where: str) -> str:

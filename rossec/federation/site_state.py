@@ -6,7 +6,7 @@ here cuts a connection between nodes: they judge each other without any master. 
 in parts, which are taken over together; an empty one says that nothing has changed.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from enum import Enum
 from itertools import accumulate
 from typing import Any, Final, NamedTuple
@@ -74,19 +74,13 @@ TABLE: Final = {
 
 
 class SiteState:
-    """Where one site is in the table, since when it is lost, and how long to wait.
-
-    Attributes:
-        phase: where it is.
-        lost_since: when the connection was lost on which it was followed, by a monotonic clock;
-            None: it is followed, or its facts are gone.
-        failures: since it was followed.
-    """
+    """Where one site is in the table, since when it is lost, and how long to wait."""
 
     def __init__(self) -> None:
         self.phase = SitePhase.IDLE
+        # when the connection was lost, by a monotonic clock; None: it is followed, or its facts are gone
         self.lost_since: float | None = None
-        self.failures = 0
+        self.failures = 0  # since it was followed
         self._has_facts = False
 
     def take(self, event: SiteEvent, clock: float) -> SiteEffect:
@@ -117,13 +111,10 @@ NAMED: Final = 8 * 1024  # characters of all topics that are named; an answer is
 
 
 def site_status(settings: SiteSettings, state: SiteState, imports: Imports, clock: float) -> dict[str, Any]:
-    """The site, its state and its facts; `clock` is monotonic.
-
-    `topics` are those with publishers or subscribers there, by their names here.
-    """
+    # `topics` are those with publishers or subscribers there, by their names here.
     held = next((each for each in imports.sites if each.site.label == settings.label), None)
     topics = [] if held is None else held.topics()
-    lost = state.lost_since
+    lost, ends = state.lost_since, accumulate(map(len, topics))
     return {
         "label": settings.label,
         "uri": settings.uri,
@@ -134,14 +125,9 @@ def site_status(settings: SiteSettings, state: SiteState, imports: Imports, cloc
         "facts": 0 if held is None else held.facts,
         "lost_s": None if lost is None else round(clock - lost, 1),
         "parameters": list(settings.parameters),
-        "topics": _bounded(topics),
+        "topics": [topic for topic, end in zip(topics, ends, strict=True) if end <= NAMED],
         "topics_count": len(topics),
     }
-
-
-def _bounded(topics: Sequence[str]) -> list[str]:
-    ends = accumulate(len(topic) for topic in topics)
-    return [topic for topic, end in zip(topics, ends, strict=True) if end <= NAMED]
 
 
 METHOD: Final = "rossec.followSite"
@@ -153,33 +139,24 @@ _HALF: Final = 1 << 30  # versions count modulo 2**31, the integers of XML-RPC
 
 
 class SiteChange(NamedTuple):
-    """A complete answer.
-
-    `added`, `removed`: facts with the site's own names. `whole`: `added` is all there is.
-    `revocations`, `domains`: digests of the lists that the site holds; empty: none.
-    """
+    """A complete answer; facts have the site's own names."""
 
     added: frozenset[Fact]
     removed: frozenset[Fact]
-    whole: bool
-    revocations: bytes
+    whole: bool  # `added` is all there is
+    revocations: bytes  # revocations, domains: digests of the lists that the site holds; empty: none
     domains: bytes
 
 
 class SiteCursor:
-    """What to ask a site next.
-
-    Attributes:
-        instance: of the run of the master that answered last; empty: none has.
-        version: of its graph then.
-    """
+    """What to ask a site next."""
 
     def __init__(self) -> None:
         self._begin_again()
 
     def _begin_again(self) -> None:
-        self.instance = ""
-        self.version = -1
+        self.instance = ""  # of the run of the master that answered last; empty: none has
+        self.version = -1  # of its graph then
         self._cursor = 0
         self._parts: list[SiteChange] = []
         self._taken = 0  # parts since the last complete answer
@@ -259,15 +236,11 @@ FindDoor = Callable[[Target], Door | None]
 
 
 class DoorFacts:
+    """What one site says, as far as it concerns addresses; `peer`: the relay's label of the site."""
+
     # A node or service has no address here until its door is open, and another one when the relay was started
     # again; a door that is gone counts until there is another, or each restart of the relay would take all
     # publishers from their subscribers for a moment.
-
-    """What one site says, as far as it concerns addresses.
-
-    `peer`: the relay's label of the site. `find`: the door of a target now.
-    """
-
     def __init__(self, peer: str, find: FindDoor) -> None:
         self._peer = peer
         self._find = find
@@ -290,7 +263,12 @@ class DoorFacts:
 
     def shown(self, change: SiteChange) -> SiteChange:
         self._look()
-        doors = {self._door_fact(fact) for fact in self._said if self._target(fact) in self._doors}
+        doors = set[Fact]()
+        for fact in self._said:
+            kind, name, _ = fact
+            if (door := self._doors.get(self._target(fact))) is not None:
+                service = build_uri(*door, scheme="rosrpc").removesuffix("/")
+                doors.add((kind, name, build_door(*door) if kind == NODE_FACT else service))
         added = _without_addresses(change.added) | (doors if change.whole else doors - self._shown)
         removed = _without_addresses(change.removed) | (self._shown - doors)
         self._shown = doors
@@ -310,13 +288,6 @@ class DoorFacts:
 
     def _target(self, fact: Fact) -> Target:
         return Target(self._peer, _KINDS[fact[0]], fact[1])
-
-    def _door_fact(self, fact: Fact) -> Fact:
-        kind, name, _ = fact
-        door = self._doors[self._target(fact)]
-        if kind == NODE_FACT:
-            return kind, name, build_door(*door)
-        return kind, name, build_uri(*door, scheme="rosrpc").removesuffix("/")
 
 
 def _without_addresses(facts: Iterable[Fact]) -> set[Fact]:

@@ -29,73 +29,25 @@ from rossec.ros.compact_values import (
     put,
 )
 from rossec.ros.http import SWITCH, HttpClient, HttpServer, Oversized
-from rossec.ros.xmlrpc import BODY_LIMIT, METHOD_LIMIT, NOT_ENCODABLE, Call, Encoded, Fault, too_long
+from rossec.ros.xmlrpc import BODY_LIMIT, METHOD_LIMIT, NOT_ENCODABLE, Call, Encoded, Fault, run_out, too_long
 
 # They are part of the format: never change one, and never add one. A method that came later is called
 # by its name, since a peer of today would refuse an unknown number. Those below 24 take one byte.
-METHODS: Final = (
-    "getParam",
-    "setParam",
-    "hasParam",
-    "registerPublisher",
-    "registerSubscriber",
-    "registerService",
-    "unregisterPublisher",
-    "unregisterSubscriber",
-    "unregisterService",
-    "lookupNode",
-    "lookupService",
-    "getSystemState",
-    "publisherUpdate",
-    "paramUpdate",
-    "requestTopic",
-    "rossec.presentGrants",
-    "rossec.revocationUpdate",
-    "rossec.revocationsSince",
-    "rossec.watchGraph",
-    "rossec.watchGrants",
-    "rossec.followSite",
-    "rossec.relayDoors",
-    "getPid",
-    "getUri",
-    "getPublishedTopics",
-    "getTopicTypes",
-    "getParamNames",
-    "searchParam",
-    "deleteParam",
-    "subscribeParam",
-    "unsubscribeParam",
-    "shutdown",
-    "system.multicall",
-    "getName",
-    "getMasterUri",
-    "getBusStats",
-    "getBusInfo",
-    "getSubscriptions",
-    "getPublications",
-    "rossec.renewGrants",
-    "rossec.renewIdentity",
-    "rossec.updateDelegation",
-    "rossec.revocations",
-    "rossec.updateRevocations",
-    "rossec.updateRevocationTree",
-    "rossec.revocationEntries",
-    "rossec.revocationProofs",
-    "rossec.domains",
-    "rossec.updateDomains",
-    "rossec.foreignRevocations",
-    "rossec.foreignRevocationProofs",
-    "rossec.trl",
-    "rossec.relayTarget",
-    "rossec.depositGrants",
-    "rossec.deliveryStates",
-    "rossec.revocationStanding",
-    "rossec.recentDenials",
-    "rossec.fetchGrants",
-    "rossec.domainsUpdate",
-    "rossec.foreignRevocationUpdate",
-    "rossec.ports",
-)
+_NUMBERED: Final = """
+getParam setParam hasParam registerPublisher registerSubscriber registerService unregisterPublisher
+unregisterSubscriber unregisterService lookupNode lookupService getSystemState publisherUpdate
+paramUpdate requestTopic rossec.presentGrants rossec.revocationUpdate rossec.revocationsSince
+rossec.watchGraph rossec.watchGrants rossec.followSite rossec.relayDoors getPid getUri
+getPublishedTopics getTopicTypes getParamNames searchParam deleteParam subscribeParam
+unsubscribeParam shutdown system.multicall getName getMasterUri getBusStats getBusInfo
+getSubscriptions getPublications rossec.renewGrants rossec.renewIdentity rossec.updateDelegation
+rossec.revocations rossec.updateRevocations rossec.updateRevocationTree rossec.revocationEntries
+rossec.revocationProofs rossec.domains rossec.updateDomains rossec.foreignRevocations
+rossec.foreignRevocationProofs rossec.trl rossec.relayTarget rossec.depositGrants
+rossec.deliveryStates rossec.revocationStanding rossec.recentDenials rossec.fetchGrants
+rossec.domainsUpdate rossec.foreignRevocationUpdate rossec.ports
+"""
+METHODS: Final = tuple(_NUMBERED.split())
 NUMBERS: Final = {name: number for number, name in enumerate(METHODS)}
 
 TURNS: Final = 24  # calls are numbered modulo this: one byte
@@ -106,8 +58,8 @@ _ARRAYS: Final = tuple(head(ARRAY, size) for size in range(24))
 _METHODS: Final = {name: head(UINT, place) for name, place in NUMBERS.items()}
 _TURNS: Final = tuple(head(UINT, turn) for turn in range(TURNS))
 _MALFORMED: Final = "a unit that ends too early, or has a text that is not UTF-8"
+# The one method whose answer is passed on as a program gave it: roscpp's is malformed XML
 UNPARSED: Final = "getBusStats"
-"""The one method whose answer is passed on as a program gave it: roscpp's is malformed XML."""
 _BEGINNINGS: Final = tuple(_MARK + turn for turn in _TURNS)
 _TRIPLE, _FAULT, _VALUE = 4, 3, 2  # items of an answer
 _RAW: Final = 0  # it has as many as a fault
@@ -162,43 +114,40 @@ def _begin(reader: CompactReader, turn: int) -> tuple[int, str]:
     if size < _PARTS or reader.head(UINT) != _CALL:
         raise CompactRefused("a unit that is not a call")
     _check_turn(reader, turn)
-    return size, _method(reader)
+    (method,) = reader.items(1)
+    if type(method) is int and 0 <= method < len(METHODS):
+        return size, METHODS[method]
+    # One form for each method: a name that has a number is refused.
+    if not isinstance(method, str) or not 0 < len(method) <= METHOD_LIMIT or method in NUMBERS:
+        raise CompactRefused("a call of a method that has no such number or name")
+    return size, method
 
 
 def load_compact_answer(data: bytes, turn: int, method: str, *, limit: int = BODY_LIMIT) -> object:
     # A fault is returned, not raised; its text is made printable.
-    reader = _reader(data, limit)
-    try:
-        shape, count, depth = _answer_shape(reader, turn)
-        value = _answer(shape, reader.items(count, depth), method)
-    except MALFORMED as error:
-        raise CompactRefused(_MALFORMED) from error
-    _check_end(reader)
-    return value
+    return run_out(compact_answer_steps(data, turn, method, limit=limit, at_once=True))
 
 
 def compact_answer_steps(
-    data: bytes, turn: int, method: str, *, limit: int = BODY_LIMIT
+    data: bytes, turn: int, method: str, *, limit: int = BODY_LIMIT, at_once: bool = False
 ) -> Generator[None, None, object]:
     reader = _reader(data, limit)
     try:
-        shape, count, depth = _answer_shape(reader, turn)
-        value = _answer(shape, (yield from reader.steps(count, depth)), method)
+        # 1. What it is, how many items it has, and how deep they are nested.
+        size = reader.head(ARRAY)
+        _check_turn(reader, turn)
+        shape, count, depth = size, size - 1, DEPTH_LIMIT - (size == _TRIPLE)
+        if size == _FAULT and reader.skip(NULL):
+            shape, count, depth = _RAW, 1, DEPTH_LIMIT
+        elif size not in (_TRIPLE, _FAULT, _VALUE):
+            raise CompactRefused("a unit that is not an answer")
+        # 2. The items; each shape has one form, so that no two readers take an answer for different ones.
+        found = reader.items(count, depth) if at_once else (yield from reader.steps(count, depth))
+        value = _answer(shape, found, method)
     except MALFORMED as error:
         raise CompactRefused(_MALFORMED) from error
     _check_end(reader)
     return value
-
-
-def _answer_shape(reader: CompactReader, turn: int) -> tuple[int, int, int]:
-    # What it is, how many items it has, and how deep they are nested.
-    size = reader.head(ARRAY)
-    _check_turn(reader, turn)
-    if size == _FAULT and reader.skip(NULL):
-        return _RAW, 1, DEPTH_LIMIT
-    if size not in (_TRIPLE, _FAULT, _VALUE):
-        raise CompactRefused("a unit that is not an answer")
-    return size, size - 1, DEPTH_LIMIT - (size == _TRIPLE)
 
 
 def _answer(shape: int, found: list[object], method: str) -> object:
@@ -222,31 +171,29 @@ def _answer(shape: int, found: list[object], method: str) -> object:
 
 
 def dump_compact_answer(turn: int, value: object, *, limit: int = BODY_LIMIT) -> bytes:
-    out = Pieces((b"", _TURNS[turn]))
+    out, size = Pieces((b"", _TURNS[turn])), _VALUE
     try:
-        out[0] = _put_answer(value, out)
+        if isinstance(value, Fault):
+            out += encoded_number(value.faultCode), encoded_text(value.faultString)
+            size = _FAULT
+        elif isinstance(value, Encoded):
+            out.append(NULL)
+            put(value.body, out)
+            size = _FAULT
+        elif isinstance(value, list | tuple) and _is_triple(value):
+            out += encoded_number(value[0]), encoded_text(value[1])
+            put(value[2], out, DEPTH_LIMIT - 1)
+            size = _TRIPLE
+        else:
+            put(value, out)
     except NOT_ENCODABLE as error:
         raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
+    out[0] = _ARRAYS[size]
     unit = b"".join(out)
+    # Values are counted, not bytes alone: one may take one byte here, and no XML-RPC body has so many.
     if len(unit) > limit or out.values > limit // ITEM_BYTES:
         raise too_long(len(unit), limit)
     return unit
-
-
-def _put_answer(value: object, out: Pieces) -> bytes:
-    if isinstance(value, Fault):
-        out += encoded_number(value.faultCode), encoded_text(value.faultString)
-        return _ARRAYS[_FAULT]
-    if isinstance(value, Encoded):
-        out.append(NULL)
-        put(value.body, out)
-        return _ARRAYS[_FAULT]
-    if isinstance(value, list | tuple) and _is_triple(value):
-        out += encoded_number(value[0]), encoded_text(value[1])
-        put(value[2], out, DEPTH_LIMIT - 1)
-        return _ARRAYS[_TRIPLE]
-    put(value, out)
-    return _ARRAYS[_VALUE]
 
 
 def _is_triple(value: Sequence[object]) -> bool:
@@ -269,21 +216,10 @@ def _check_end(reader: CompactReader) -> None:
         raise CompactRefused("a unit with bytes after its end, or without some before")
 
 
-def _method(reader: CompactReader) -> str:
-    (method,) = reader.items(1)
-    if type(method) is int and 0 <= method < len(METHODS):
-        return METHODS[method]
-    if not isinstance(method, str) or not 0 < len(method) <= METHOD_LIMIT or method in NUMBERS:
-        raise CompactRefused("a call of a method that has no such number or name")
-    return method
-
-
 class CallClient:
-    """`request`, `take` until it is not None, again; `limit`: bytes of an answer.
+    """`request`, `take` until it is not None, again; `limit`: bytes of an answer."""
 
-    `compact`: offer the compact form; only where units arrive as they were sent.
-    """
-
+    # `compact`: offer the compact form; only where units arrive as they were sent.
     def __init__(self, host: str, *, limit: int = BODY_LIMIT, compact: bool = True) -> None:
         self._http = HttpClient(host, limit=limit)
         self._limit = limit
@@ -308,29 +244,25 @@ class CallClient:
         return self._http.request(body, offers=offers)
 
     def take_back(self) -> None:
-        """The last request is not sent, so that another may be made.
-
-        A first one may have offered the compact form: the next one offers nothing.
-        """
+        # The last request is not sent, so that another may be made. A first one may have offered the compact
+        # form: the next one offers nothing.
         self._method = None
         self._http.take_back()
 
     def take(self, data: bytes) -> object:
         """The answer, when it is whole: a value, a `Fault`, or a body of XML-RPC that is `Encoded`."""
-        unit = self._received(data)
-        if not isinstance(unit, bytes):
-            return unit
-        answer = load_compact_answer(unit, self._turn, self._waiting_for(), limit=self._limit)
-        self._answered()
-        return answer
+        return run_out(self.take_steps(data, at_once=True))
 
-    def take_steps(self, data: bytes) -> Generator[None, None, object]:
+    def take_steps(self, data: bytes, *, at_once: bool = False) -> Generator[None, None, object]:
         """As `take`, in steps: it yields after each."""
         unit = self._received(data)
         if not isinstance(unit, bytes):
             return unit
-        answer = yield from compact_answer_steps(unit, self._turn, self._waiting_for(), limit=self._limit)
-        self._answered()
+        if self._method is None:
+            raise CompactRefused("an answer to no call")
+        turn, method, limit = self._turn, self._method, self._limit
+        answer = yield from compact_answer_steps(unit, turn, method, limit=limit, at_once=at_once)
+        self._method, self._turn = None, (turn + 1) % TURNS
         return answer
 
     def _received(self, data: bytes) -> bytes | Encoded | None:
@@ -344,14 +276,6 @@ class CallClient:
         if self._http.switched is not None:
             self.is_compact = True
         return self._http.switched
-
-    def _waiting_for(self) -> str:
-        if self._method is None:
-            raise CompactRefused("an answer to no call")
-        return self._method
-
-    def _answered(self) -> None:
-        self._method, self._turn = None, (self._turn + 1) % TURNS
 
 
 def value_in(answer: object, limit: int = BODY_LIMIT) -> object:
@@ -424,23 +348,24 @@ class CallServer:
 
     def _bounded(self, request: bytes | Oversized, bound: int | None) -> bytes:
         # The request, unless it is too long.
-        # A call that shows grants may be longer, and one that hands in another signed statement.
         if isinstance(request, Oversized):
             raise XmlRpcRefused(f"a call of {request.length} bytes where at most {self._limit} are allowed")
-        if bound is not None and len(request) > bound and not self._has_statements(request):
-            raise XmlRpcRefused(
-                f"a call of {len(request)} bytes, at most {bound} are taken from a caller"
-                " that has shown no grant"
-            )
-        return request
-
-    def _has_statements(self, request: bytes) -> bool:
+        if bound is None or len(request) <= bound:
+            return request
+        # A call that shows grants may be longer, and one that hands in another signed statement. Which it is
+        # must be known before it is parsed: parsing is what the bound spares the master.
+        number = 0 if not self.is_compact else request[_METHOD_AT]
         if not self.is_compact:
-            return _XML_OWN in request[:_HEAD]
-        number = request[_METHOD_AT]
-        if number < len(METHODS):
-            return METHODS[number].startswith("rossec.")
-        return request.find(_OWN, _METHOD_AT, _METHOD_AT + 8) > 0
+            has_statements = _XML_OWN in request[:_HEAD]
+        elif number < len(METHODS):
+            has_statements = METHODS[number].startswith("rossec.")
+        else:
+            has_statements = request.find(_OWN, _METHOD_AT, _METHOD_AT + 8) > 0
+        if has_statements:
+            return request
+        raise XmlRpcRefused(
+            f"a call of {len(request)} bytes, at most {bound} are taken from a caller that has shown no grant"
+        )
 
     def respond(self, value: object) -> bytes:
         """The bytes of the answer; `value` may be a `Fault`, or `Encoded`."""

@@ -31,8 +31,8 @@ INTS: Final = range(-(2**31), 2**31)
 STEP: Final = 1024  # values that are read at a time: about 1 ms
 MALFORMED: Final = (IndexError, UnicodeDecodeError)
 TIME_HEAD: Final = b"\xa1\x00\x71"  # {0: text of 17 bytes}: no struct has a number as a name
+# Characters that XML 1.0 has no form for
 UNCARRIED: Final = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
-"""Characters that XML 1.0 has no form for."""
 _CONTROL: Final = "a control character; send such text as bytes"
 NAN: Final = b"\xfb\x7f\xf8" + bytes(6)
 _TEXT_HEADS: Final = tuple(head(TEXT, size) for size in range(256))
@@ -96,10 +96,8 @@ def encode_ahead(value: EncodedList) -> EncodedList:
 
 
 def _put_time(value: Any, out: Pieces, _depth: int) -> None:
-    written = (
-        f"{value.year:04}{value.month:02}{value.day:02}T{value.hour:02}:{value.minute:02}:{value.second:02}"
-    )
-    out.append(TIME_HEAD + written.encode())
+    date = f"{value.year:04}{value.month:02}{value.day:02}"
+    out.append(TIME_HEAD + f"{date}T{value.hour:02}:{value.minute:02}:{value.second:02}".encode())
 
 
 def _put_array(value: Any, out: Pieces, depth: int) -> None:
@@ -292,14 +290,13 @@ class CompactReader:
         # The number in the next head, which must be of this type.
         value = self._data[self.at] ^ major
         self.at += 1
-        return value if value < 24 else self._long(value)
-
-    def _long(self, info: int) -> int:
-        width, least = _WIDTHS.get(info, (0, 0))
+        if value < 24:
+            return value
+        width, least = _WIDTHS.get(value, (0, 0))
         if not width:
             raise CompactRefused("a unit with an item of another type or size")
         value = int.from_bytes(self._take(width))
-        if value < least:
+        if value < least:  # RFC 8949 section 4.2.1: one form for each number
             raise CompactRefused("a unit whose numbers are not in their shortest form")
         return value
 

@@ -17,8 +17,8 @@ from rossec.errors import HttpRefused
 from rossec.ros.xmlrpc import BODY_LIMIT
 
 HEADERS_LIMIT: Final = 8 * 1024
+# Bytes of a body that are read although it is too long, only to answer so
 DROP_LIMIT: Final = 64 * 1024 * 1024
-"""Bytes of a body that are read although it is too long, only to answer so."""
 END: Final = b"\r\n\r\n"
 _REASONS: Final = {
     400: b"Bad Request",
@@ -28,8 +28,8 @@ _REASONS: Final = {
     413: b"Content Too Large",
     431: b"Request Header Fields Too Large",
 }
+# What a connection may be switched to (RFC 9110 section 7.8): docs/spec/compact.md
 COMPACT: Final = b"rossec-cbor/1"
-"""What a connection may be switched to (RFC 9110 section 7.8): docs/spec/compact.md."""
 _OFFER: Final = b"\r\nConnection: Upgrade\r\nUpgrade: " + COMPACT
 SWITCH: Final = b"HTTP/1.1 101 Switching Protocols" + _OFFER + b"\r\n\r\n"
 _MAX_CACHED: Final = 512  # bytes of a head whose parsed form is cached
@@ -137,23 +137,11 @@ class HttpReader:
             self._rest, self._rest_size = [], 0
 
 
-class _Head(NamedTuple):
-    minor: bytes
-    fields: dict[bytes, bytes]
-
-    @property
-    def closes(self) -> bool:
-        return self.minor == b"0" or b"close" in self._options
-
-    @property
-    def switches(self) -> bool:
-        named = self.fields.get(b"upgrade") == COMPACT and b"upgrade" in self._options
-        return named and self.minor == b"1"
-
-    @property
-    def _options(self) -> list[bytes]:
-        options = self.fields.get(b"connection", b"").lower()
-        return [option.strip() for option in options.split(b",")]
+def _connection(minor: bytes, fields: dict[bytes, bytes]) -> tuple[bool, bool]:
+    # Whether it ends after this message, and whether it may be switched to the compact form (RFC 9110 7.8).
+    options = [option.strip() for option in fields.get(b"connection", b"").lower().split(b",")]
+    switches = minor == b"1" and fields.get(b"upgrade") == COMPACT and b"upgrade" in options
+    return minor == b"0" or b"close" in options, switches
 
 
 class HttpServer:
@@ -229,17 +217,17 @@ def _request_head(data: bytes) -> _RequestHead:
         raise HttpRefused("malformed HTTP")
     if request[1] != b"POST":
         raise HttpRefused("an HTTP request that is not POST", status=405)
-    head = _Head(request[3], _fields(rest))
-    if head.minor == b"1" and b"host" not in head.fields:
+    minor, fields = request[3], _fields(rest)
+    if minor == b"1" and b"host" not in fields:  # RFC 9112 section 3.2
         raise HttpRefused("malformed HTTP")
-    if b"origin" in head.fields:  # from a browser of this host, without its user's knowledge
+    if b"origin" in fields:  # from a browser of this host, without its user's knowledge
         raise HttpRefused("an HTTP request from a web page", status=403)
-    offers = head.switches and not head.closes
-    return _RequestHead(_length(head.fields), head.closes, offers)
+    closes, switches = _connection(minor, fields)
+    return _RequestHead(_length(fields), closes, switches and not closes)
 
 
+# The heads of one client are always the same bytes; refusals are not cached
 _cached_request_head = lru_cache(256)(_request_head)
-"""The heads of one client are always the same bytes; refusals are not cached."""
 
 
 class HttpClient:
@@ -289,7 +277,7 @@ class HttpClient:
             raise HttpRefused("malformed HTTP")
         fields = _fields(rest)
         if response[2] == b"101":
-            if not (self._offers and _Head(response[1], fields).switches):
+            if not (self._offers and _connection(response[1], fields)[1]):
                 raise HttpRefused("HTTP that switches to a protocol that was not offered")
             self.switched = self._reader.rest(len(data) + len(END))
             return
@@ -300,7 +288,7 @@ class HttpClient:
             status = int(response[2])
             raise HttpRefused(f"HTTP status {status}", status=status)
         self._reader.expect(data, _length(fields))
-        self._last = _Head(response[1], fields).closes
+        self._last = _connection(response[1], fields)[0]
 
 
 def _fields(data: bytes) -> dict[bytes, bytes]:
@@ -310,12 +298,10 @@ def _fields(data: bytes) -> dict[bytes, bytes]:
         if match is None:
             raise HttpRefused("malformed HTTP")
         name = match[1].lower()
-        if name not in fields:
-            fields[name] = match[2]
-        elif name in _ONCE:
+        # Repeated, these would leave the end of the body to the reader: request smuggling (RFC 9112 6.3).
+        if name in fields and name in _ONCE:
             raise HttpRefused("malformed HTTP")
-        else:
-            fields[name] += b", " + match[2]
+        fields[name] = fields[name] + b", " + match[2] if name in fields else match[2]
     return fields
 
 

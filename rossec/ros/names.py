@@ -67,10 +67,8 @@ def join(prefix: str, name: str) -> str:
 
 
 def resolve(name: str, node: str, remappings: Mapping[str, str] | None = None) -> str:
-    """The global form of `name` for the node `node`. The result's syntax is not checked.
-
-    The empty name is the node's namespace. `remappings` maps resolved names to resolved names.
-    """
+    # The global form of `name` for the node `node`. The result's syntax is not checked. The empty name is the
+    # node's namespace. `remappings` maps resolved names to resolved names.
     if not name:
         return namespace(node)
     name = canonical(name)
@@ -185,11 +183,9 @@ def build_uri(host: str, port: int, *, scheme: str = "http") -> str:
 
 
 def is_door(uri: str) -> bool:
-    """Whether a slave API's URI is a relay's door: `http://host:port/via`.
-
-    At a door the node's TCPROS connections are accepted too, so the address in its answer to
-    `requestTopic` is not used: it is one of the node's own network.
-    """
+    # Whether a slave API's URI is a relay's door: `http://host:port/via`. At a door the node's TCPROS
+    # connections are accepted too, so the address in its answer to `requestTopic` is not used: it is one of
+    # the node's own network.
     try:
         return urlsplit(uri).path == DOOR_PATH
     except ValueError:
@@ -202,10 +198,8 @@ def build_door(host: str, port: int) -> str:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this host can reach `host`, an address or name, without a resolver.
-
-    A name is loopback only if it is `localhost`: 127.example.org may be any host.
-    """
+    # Whether only this host can reach `host`, an address or name, without a resolver. A name is loopback only
+    # if it is `localhost`: 127.example.org may be any host.
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -227,16 +221,12 @@ def _node_name(special: Mapping[str, str], environ: Mapping[str, str], default: 
 
 
 def _address(special: Mapping[str, str], environ: Mapping[str, str]) -> str | None:
-    for key, source in (("__hostname", special), ("__ip", special)):
-        if key in source:
-            return _check_address(key, source[key])
-    for key in ("ROS_HOSTNAME", "ROS_IP"):
-        if key in environ:
-            return _check_address(key, environ[key])
-    return None
-
-
-def _check_address(key: str, value: str) -> str:
+    # In ROS's order: a host name before an address, the command line before the environment.
+    sources = (special, ("__hostname", "__ip")), (environ, ("ROS_HOSTNAME", "ROS_IP"))
+    found = ((key, source[key]) for source, keys in sources for key in keys if key in source)
+    key, value = next(found, ("", ""))
+    if not key:
+        return None
     if not value:
         raise ConfigurationError(f"{key} is set but empty", f"unset {key}, or give an address")
     if "://" in value or "/" in value:

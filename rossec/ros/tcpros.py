@@ -19,8 +19,8 @@ HEADER_LIMIT: Final = 64 * 1024
 FIELD_LIMIT: Final = 48 * 1024  # below that limit, to leave room for other fields: definitions reach 20 kB
 MESSAGE_LIMIT: Final = 64 * 1024 * 1024
 REQUEST_LIMIT: Final = 16 * 1024 * 1024
+# How long to wait for more of a message before `Framing.check_progress`, in seconds
 PATIENCE: Final = float(STEP)
-"""How long to wait for more of a message before `Framing.check_progress`, in seconds."""
 _ERROR_TEXT_LIMIT: Final = 1024  # of a header
 _ERROR_LIMIT: Final = 4096  # of a service
 _LENGTH: Final = struct.Struct("<I")
@@ -172,12 +172,10 @@ class FrameReader:
 
 
 class Framing:
-    """Splits a byte stream into messages, and refuses one that takes too long (`Progress`).
+    """Splits a byte stream into messages, and refuses one that takes too long (`Progress`)."""
 
-    Units need not end where messages do: a sidecar forwards what its program writes. So the rule
-    for a unit applies to a message as well. `now` is in seconds, of any clock.
-    """
-
+    # Units need not end where messages do: a sidecar forwards what its program writes. So the rule for a unit
+    # applies to a message as well. `now` is in seconds, of any clock.
     def __init__(self, reader: FrameReader) -> None:
         self._reader = reader
         self._progress = Progress()

@@ -7,11 +7,10 @@ bool, int, float, str, bytes, datetime, list, dict with str keys. The usual ones
 without the library, which is slower; the tests compare the two.
 """
 
-import binascii
 import re
 import xmlrpc
 import xmlrpc.client
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import Final, NamedTuple, NoReturn, TypeVar
 from xml.parsers import expat
 
@@ -35,24 +34,17 @@ _BEGIN: Final = f"{_PROLOG}<methodResponse>\n<params>\n<param>\n"
 _END: Final = "</param>\n</params>\n</methodResponse>\n"
 _ONE: Final = len("<params>\n<param>\n"), -len("</param>\n</params>\n")
 _INTS: Final = range(-(2**31), 2**31)
-_SCANNED_PROLOG: Final = re.compile(
-    r"(?:<\?xml version=(['\"])1\.0\1(?: encoding=(['\"])(?i:utf-8)\2)?\s?\?>\s*)?", re.ASCII
-)
-# The text excludes what has a meaning in XML ('<', '&', ']]>') and what XML forbids.
-_TOKEN: Final = re.compile(r"<(/?[A-Za-z0-9]+)>([\t\n\r\x20-\x25\x27-\x3b\x3d-\x5c\x5e-\x7e]*)")
+# Without what has a meaning in XML ('<', '&', ']]>'), what XML forbids, and CR, which it reads as LF.
 _TEXT: Final = r"[\t\n\x20-\x25\x27-\x3b\x3d-\x5c\x5e-\x7e]*"
-# A call as rospy and roscpp send nearly all of theirs: scalar parameters only.
+_GAP: Final = r"[ \t\r\n]*"  # roscpp ends lines by CR LF
 _FLAT: Final = re.compile(
-    rf"(?:<\?xml version=(['\"])1\.0\1\?>[ \t\n]*)?<methodCall>[ \t\n]*"
-    rf"<methodName>({_TEXT})</methodName>[ \t\n]*<params>[ \t\n]*"
-    rf"((?:<param>[ \t\n]*<value>(?:<(string|int|i4|boolean|double)>{_TEXT}</\4>|{_TEXT})</value>"
-    rf"[ \t\n]*</param>[ \t\n]*)*)</params>[ \t\n]*</methodCall>[ \t\n]*"
+    rf"(?:<\?xml version=(['\"])1\.0\1\?>{_GAP})?<methodCall>{_GAP}"
+    rf"<methodName>({_TEXT})</methodName>{_GAP}<params>{_GAP}"
+    rf"((?:<param>{_GAP}<value>(?:<(string|int|i4|boolean|double)>{_TEXT}</\4>|{_TEXT})</value>"
+    rf"{_GAP}</param>{_GAP})*)</params>{_GAP}</methodCall>{_GAP}"
 )
 _FLAT_VALUE: Final = re.compile(rf"<value>(?:<([a-z0-9]+)>)?({_TEXT})<")
 _INT: Final = re.compile(r"-?[0-9]{1,18}")
-_TRUTH: Final = {"0": False, "1": True}
-
-Tokens = Iterator[tuple[str, str]]
 
 
 class Call(NamedTuple):
@@ -94,13 +86,11 @@ class Body(NamedTuple):
     root: str | None
 
 
-class _NotPlainError(Exception):
-    pass
-
-
 def dump_call(method: str, params: Sequence[object]) -> bytes:
     try:
-        return call_text(method, params).encode()
+        written = "".join([f"<param>\n{_value(param)}</param>\n" for param in params])
+        head = f"{_PROLOG}<methodCall>\n<methodName>{method}</methodName>\n"
+        return f"{head}<params>\n{written}</params>\n</methodCall>\n".encode()
     except NOT_ENCODABLE as error:
         raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
 
@@ -111,19 +101,20 @@ def dump_response(value: object) -> bytes:
     try:
         if isinstance(value, Fault):
             return xmlrpc.client.dumps(value).encode()
-        return response_text(value).encode()
+        return f"{_BEGIN}{_value(value)}{_END}".encode()
     except NOT_ENCODABLE as error:
         raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
 
 
 def load_call(data: bytes, *, limit: int = BODY_LIMIT) -> Call:
     _check_size(data, limit)
-    return _call_in(scan(data, DEPTH_LIMIT) or run_out(_parse(data)))
+    return _call_in(scan(data) or run_out(_parse(data)))
 
 
 def call_steps(data: bytes, *, limit: int = BODY_LIMIT) -> Generator[None, None, Call]:
     _check_size(data, limit)
-    return _call_in((yield from _body_steps(data)))
+    flat = scan(data) if len(data) <= STEP else None
+    return _call_in(flat or (yield from _parse(data)))
 
 
 def _call_in(body: Body) -> Call:
@@ -137,12 +128,12 @@ def _call_in(body: Body) -> Call:
 
 def load_response(data: bytes, *, limit: int = BODY_LIMIT) -> object:
     _check_size(data, limit)
-    return _value_in(scan(data, DEPTH_LIMIT) or run_out(_parse(data)))
+    return _value_in(run_out(_parse(data)))
 
 
 def response_steps(data: bytes, *, limit: int = BODY_LIMIT) -> Generator[None, None, object]:
     _check_size(data, limit)
-    return _value_in((yield from _body_steps(data)))
+    return _value_in((yield from _parse(data)))
 
 
 def _value_in(body: Body) -> object:
@@ -176,11 +167,8 @@ def value_of(answer: object) -> object:
 
 
 def is_unknown_method(error: Exception) -> bool:
-    """Whether a server answered that it has no such method.
-
-    All faults have code 1. The text is that of the standard library's `SimpleXMLRPCDispatcher`,
-    which stock ROS uses, and of rossec's own servers.
-    """
+    # Whether a server answered that it has no such method. All faults have code 1. The text is that of the
+    # standard library's `SimpleXMLRPCDispatcher`, which stock ROS uses, and of rossec's own servers.
     text = str(error.faultString) if isinstance(error, Fault) else ""
     return 'method "' in text and text.endswith('" is not supported')
 
@@ -196,28 +184,16 @@ def _check_size(data: bytes, limit: int) -> None:
         raise XmlRpcRefused(f"{len(data)} bytes of XML where at most {limit} are allowed")
 
 
-def _body_steps(data: bytes) -> Generator[None, None, Body]:
-    plain = scan(data, DEPTH_LIMIT) if len(data) <= STEP else None
-    return plain or (yield from _parse(data))
-
-
 # Written exactly as the library does it; rare types (doubles, times, structs, base64) are left to it.
-
-
-def call_text(method: str, params: Iterable[object]) -> str:
-    written = "".join([f"<param>\n{_value(param)}</param>\n" for param in params])
-    head = f"{_PROLOG}<methodCall>\n<methodName>{method}</methodName>\n"
-    return f"{head}<params>\n{written}</params>\n</methodCall>\n"
-
-
-def response_text(value: object) -> str:
-    return f"{_BEGIN}{_value(value)}{_END}"
 
 
 def _value(value: object) -> str:
     kind = type(value)
     if kind is str:
-        return string_text(value)  # type: ignore[arg-type]
+        text: str = value  # type: ignore[assignment]
+        if "&" in text or "<" in text or ">" in text:
+            text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+        return f"<value><string>{text}</string></value>\n"
     if kind is int and value in _INTS:
         return f"<value><int>{value}</int></value>\n"
     if kind is EncodedList:
@@ -232,164 +208,47 @@ def _array(items: "list[object] | tuple[object, ...]") -> str:
     return f"<value><array><data>\n{''.join(map(_value, items))}</data></array></value>\n"
 
 
-def string_text(text: str) -> str:
-    if "&" in text or "<" in text or ">" in text:
-        text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-    return f"<value><string>{text}</string></value>\n"
-
-
-# The fast path for a body: the plain form of nearly every call. Plain means ASCII, no attributes,
-# entities, comments or sections, and only the elements below, each in its place. For anything else,
-# errors included, `scan` returns None, and the XML parser decides: this can only be faster than the
-# parser, never more lenient.
-def scan(data: bytes, depth: int) -> Body | None:
-    """The content of the body `data`; None: not plain, or nested deeper than `depth`."""
+# The fast path: a call of scalars in plain ASCII, as rospy and roscpp send nearly all of theirs, by one
+# regular expression. It takes a third of the parser's time, which was the largest part of a call's
+# (docs/decisions/0045-compact-calls.md). All else, errors included, is left to the parser: this can only
+# be faster, never more lenient.
+def scan(data: bytes) -> Body | None:
     try:
-        text = data.decode("ascii")
-        flat = _FLAT.fullmatch(text)
-        if flat is not None:
-            values = tuple([_SCALARS[kind](part) for kind, part in _FLAT_VALUE.findall(flat[3])])
-            return Body(values, flat[2], "methodCall")
-        prolog = _SCANNED_PROLOG.match(text)
-        begin = 0 if prolog is None else prolog.end()
-        pairs = _TOKEN.findall(text, begin)
-        if begin + sum(len(tag) + len(rest) + 2 for tag, rest in pairs) != len(text):
-            return None  # some text is not part of a token
-        tokens = iter(pairs)
-        body = _body(tokens, depth)
-        return body if next(tokens, None) is None else None
-    except (_NotPlainError, StopIteration, ValueError):
+        flat = _FLAT.fullmatch(data.decode("ascii"))
+        if flat is None:
+            return None
+        values = tuple([_SCALARS[kind](part) for kind, part in _FLAT_VALUE.findall(flat[3])])
+    except (ValueError, KeyError):
         return None
-
-
-def _body(tokens: Tokens, depth: int) -> Body:
-    root = _tag(tokens)
-    method = None
-    if root == "methodCall":
-        tag, text = next(tokens)
-        if tag != "methodName":
-            raise _NotPlainError
-        method = _string(text)
-        _expect(tokens, "/methodName")
-    elif root != "methodResponse":
-        raise _NotPlainError
-    _expect(tokens, "params")
-    params: list[object] = []
-    while (tag := _tag(tokens)) == "param":
-        params.append(_scanned_value(tokens, depth))
-        _expect(tokens, "/param")
-    if tag != "/params":
-        raise _NotPlainError
-    _expect(tokens, f"/{root}")
-    return Body(tuple(params), method, root)
-
-
-def _scanned_value(tokens: Tokens, depth: int) -> object:
-    tag, text = next(tokens)
-    if tag != "value":
-        raise _NotPlainError
-    return _typed(tokens, text, depth)
-
-
-def _typed(tokens: Tokens, outer: str, depth: int) -> object:
-    tag, text = next(tokens)
-    if tag == "/value":  # no type: a string
-        _check_blank(text)
-        return _string(outer)
-    _check_blank(outer)
-    scalar = _SCALARS.get(tag)
-    if scalar is not None:
-        value = scalar(text)
-        _expect(tokens, f"/{tag}")
-    elif depth > 0 and tag in ("array", "struct"):
-        _check_blank(text)
-        value = _scanned_array(tokens, depth - 1) if tag == "array" else _struct(tokens, depth - 1)
-    else:
-        raise _NotPlainError
-    _expect(tokens, "/value")
-    return value
-
-
-def _scanned_array(tokens: Tokens, depth: int) -> list[object]:
-    _expect(tokens, "data")
-    values: list[object] = []
-    while True:
-        tag, text = next(tokens)
-        if tag == "/data":
-            _check_blank(text)
-            _expect(tokens, "/array")
-            return values
-        if tag != "value":
-            raise _NotPlainError
-        values.append(_typed(tokens, text, depth))
-
-
-def _struct(tokens: Tokens, depth: int) -> dict[str, object]:
-    values: dict[str, object] = {}
-    while (tag := _tag(tokens)) == "member":
-        name, text = next(tokens)
-        if name != "name":
-            raise _NotPlainError
-        key = _string(text)
-        _expect(tokens, "/name")
-        values[key] = _scanned_value(tokens, depth)
-        _expect(tokens, "/member")
-    if tag != "/struct":
-        raise _NotPlainError
-    return values
-
-
-def _string(text: str) -> str:
-    if "\r" in text:  # XML reads a line feed
-        raise _NotPlainError
-    return text
+    return Body(values, flat[2], "methodCall")
 
 
 def _int(text: str) -> int:
     if _INT.fullmatch(text) is None:
-        raise _NotPlainError
+        raise ValueError(text)
     return int(text)
 
 
-def _boolean(text: str) -> bool:
-    if text not in _TRUTH:
-        raise _NotPlainError
-    return _TRUTH[text]
-
-
 _SCALARS: Final[dict[str, Callable[[str], object]]] = {
-    "": _string,
-    "string": _string,
+    "": str,
+    "string": str,
     "int": _int,
     "i4": _int,
-    "boolean": _boolean,
+    "boolean": {"0": False, "1": True}.__getitem__,
     "double": float,
-    "base64": binascii.a2b_base64,
 }
-
-
-def _tag(tokens: Tokens) -> str:
-    tag, text = next(tokens)
-    _check_blank(text)
-    return tag
-
-
-def _expect(tokens: Tokens, wanted: str) -> None:
-    tag, text = next(tokens)
-    if tag != wanted or (text and not text.isspace()):
-        raise _NotPlainError
-
-
-def _check_blank(text: str) -> None:
-    if text and not text.isspace():
-        raise _NotPlainError
 
 
 def _parse(data: bytes) -> Generator[None, None, Body]:
     if data.startswith((b"\xff", b"\xfe")):  # expat obeys a UTF-16 mark despite its encoding
         raise XmlRpcRefused("malformed XML-RPC: not UTF-8")
     target = _Target()
-    parser = _parser(target)
+    parser = expat.ParserCreate("utf-8")  # overrides the document's own
+    parser.StartElementHandler = target.start
+    parser.EndElementHandler = target.end
+    parser.CharacterDataHandler = target.data
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = _refuse_declaration
+    parser.buffer_text = True
     try:
         for end in range(STEP, len(data), STEP):
             parser.Parse(data[end - STEP : end], False)
@@ -408,13 +267,14 @@ def _parse(data: bytes) -> Generator[None, None, Body]:
 
 
 _FAULT: Final = "fault"  # as root of a body, which no body has that was parsed
+# ArithmeticError is of decimal: the library reads <bigdecimal>.
 _MALFORMED: Final = (
     expat.ExpatError,
     xmlrpc.client.Error,
     ValueError,
     TypeError,
     LookupError,
-    ArithmeticError,  # of decimal: the library reads <bigdecimal>
+    ArithmeticError,
 )
 
 
@@ -437,17 +297,6 @@ class _Target(xmlrpc.client.Unmarshaller):
         super().end(tag)
 
 
-def _parser(target: _Target) -> expat.XMLParserType:
-    # The explicit encoding overrides the document's own.
-    parser = expat.ParserCreate("utf-8")
-    parser.StartElementHandler = target.start
-    parser.EndElementHandler = target.end
-    parser.CharacterDataHandler = target.data
-    parser.StartDoctypeDeclHandler = _refuse_declaration
-    parser.EntityDeclHandler = _refuse_declaration
-    parser.buffer_text = True
-    return parser
-
-
 def _refuse_declaration(*_: object) -> NoReturn:
+    # Entities that expand to entities: a kilobyte of XML becomes gigabytes (billion laughs).
     raise XmlRpcRefused("XML-RPC with a document type or an entity declaration")

@@ -7,10 +7,12 @@ addresses, and everything has a limit.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final, TypeVar
 
 from ca.errors import NameRefused
 from ca.names import check_label, check_name, check_pattern
+from rossec.master.rights.renewals import OFFER_LIMIT, Settlement
 from rossec.master.state.forwarded_ports import AT_ONCE, KINDS, MAX_PEERS, Door, PeerWay, Target
 from rossec.master.state.registry import is_connectable, is_type_name
 from rossec.ros import names
@@ -18,12 +20,13 @@ from rossec.ros.names import build_door
 
 KEY_LIMIT: Final = 255
 _TEXT_LIMIT: Final = 255
+_DIGEST: Final = 32  # bytes of a SHA-256
 _MAX_COUNT: Final = 1 << 53
 
 T = TypeVar("T")
 
+# Takes the argument and the caller's name; returns the canonical argument or raises
 Check = Callable[[object, str], object]
-"""Takes the argument and the caller's name; returns the canonical argument or raises."""
 
 
 class ArgumentRefused(Exception):
@@ -34,58 +37,51 @@ def anything(value: object, caller: str) -> object:  # noqa: ARG001 - the signat
     return value
 
 
-def not_none(label: str) -> Check:
-    # XML-RPC's nil stock clients cannot send either.
-    return _checked(label, "specified", lambda value: value is not None)
+def _check(check: Callable[[object, str, str], object]) -> Callable[[str], Check]:
+    # A check of an argument that is called `label` in texts.
+    return lambda label: lambda value, caller: check(value, caller, label)
 
 
-def key(label: str) -> Check:
-    def check(value: object, caller: str) -> str:
-        resolved = names.resolve(_text(value, label), caller)
-        if len(resolved) > KEY_LIMIT:
-            raise ArgumentRefused(f"ERROR: parameter [{label}] is too long")
-        return resolved if resolved == names.SEPARATOR else _well_formed(resolved, label)
-
-    return check
+@_check
+def key(value: object, caller: str, label: str) -> str:
+    resolved = names.resolve(_text(value, label), caller)
+    if len(resolved) > KEY_LIMIT:
+        raise ArgumentRefused(f"ERROR: parameter [{label}] is too long")
+    return resolved if resolved == names.SEPARATOR else _well_formed(resolved, label)
 
 
-def search_key(label: str) -> Check:
-    # Not resolved: the search does that.
-    return lambda value, _caller: _text(value, label)[:KEY_LIMIT]
+@_check
+def search_key(value: object, _caller: str, label: str) -> str:
+    return _text(value, label)[:KEY_LIMIT]  # not resolved: the search does that
 
 
-def node(label: str) -> Check:
-    return lambda value, caller: names.resolve(_plain_name(value, label), caller)
+@_check
+def node(value: object, caller: str, label: str) -> str:
+    return names.resolve(_plain_name(value, label), caller)
 
 
-def topic(label: str) -> Check:
-    def check(value: object, caller: str) -> str:
-        plain = _plain_name(value, label)
-        if plain == names.SEPARATOR:
-            raise ArgumentRefused(f"ERROR: parameter [{label}] cannot be the global namespace")
-        return _well_formed(names.resolve(plain, caller), label)
-
-    return check
+@_check
+def topic(value: object, caller: str, label: str) -> str:
+    plain = _plain_name(value, label)
+    if plain == names.SEPARATOR:
+        raise ArgumentRefused(f"ERROR: parameter [{label}] cannot be the global namespace")
+    return _well_formed(names.resolve(plain, caller), label)
 
 
-def subgraph(label: str) -> Check:
-    def check(value: object, caller: str) -> str:
-        if not isinstance(value, str):
-            raise ArgumentRefused(f"ERROR: parameter [{label}] must be a string")
-        return names.resolve(value, caller) if value else ""
-
-    return check
+@_check
+def subgraph(value: object, caller: str, label: str) -> str:
+    if not isinstance(value, str):
+        raise ArgumentRefused(f"ERROR: parameter [{label}] must be a string")
+    return names.resolve(value, caller) if value else ""
 
 
-def type_name(label: str) -> Check:
-    def check(value: object, _caller: str) -> str:
-        if not value or not isinstance(value, str):
-            raise ArgumentRefused(f"ERROR: parameter [{label}] must be a non-empty string")
-        if value != names.ANY_TYPE and not is_type_name(value):
-            raise ArgumentRefused(f"ERROR: parameter [{label}] is not a valid package resource name")
-        return value
-
-    return check
+@_check
+def type_name(value: object, _caller: str, label: str) -> str:
+    if not value or not isinstance(value, str):
+        raise ArgumentRefused(f"ERROR: parameter [{label}] must be a non-empty string")
+    if value != names.ANY_TYPE and not is_type_name(value):
+        raise ArgumentRefused(f"ERROR: parameter [{label}] is not a valid package resource name")
+    return value
 
 
 def uri(label: str, scheme: str) -> Check:
@@ -99,29 +95,21 @@ def uri(label: str, scheme: str) -> Check:
     return check
 
 
-def text(label: str) -> Check:
-    return _checked(label, "a string", lambda value: isinstance(value, str))
-
-
-def number(label: str) -> Check:
-    return _checked(label, "a number", lambda value: type(value) is int and value >= 0)
-
-
-def binary(label: str) -> Check:
-    return _checked(label, "base64", lambda value: isinstance(value, bytes))
-
-
-def kind(label: str) -> Check:
-    return _checked(label, f"one of {', '.join(KINDS)}", lambda value: value in KINDS)
-
-
-def _checked(label: str, kind: str, is_valid: Callable[[object], bool]) -> Check:
-    def check(value: object, _caller: str) -> object:
+def _is(kind: str, is_valid: Callable[[object], bool]) -> Callable[[str], Check]:
+    @_check
+    def check(value: object, _caller: str, label: str) -> object:
         if not is_valid(value):
             raise ArgumentRefused(f"ERROR: parameter [{label}] must be {kind}")
         return value
 
     return check
+
+
+text = _is("a string", lambda value: isinstance(value, str))
+number = _is("a number", lambda value: type(value) is int and value >= 0)
+binary = _is("base64", lambda value: isinstance(value, bytes))
+kind = _is(f"one of {', '.join(KINDS)}", lambda value: value in KINDS)
+not_none = _is("specified", lambda value: value is not None)  # XML-RPC's nil stock clients cannot send either
 
 
 def binaries(label: str, most: int) -> Check:
@@ -139,38 +127,56 @@ def patterns(label: str, most: int) -> Check:
     return check
 
 
-def name(label: str) -> Check:
-    def check(value: object, _caller: str) -> str:
-        try:
-            return check_name(value if isinstance(value, str) else "")
-        except NameRefused as error:
-            raise ArgumentRefused(f"ERROR: parameter [{label}]: {error}") from error
-
-    return check
+@_check
+def name(value: object, _caller: str, label: str) -> str:
+    try:
+        return check_name(value if isinstance(value, str) else "")
+    except NameRefused as error:
+        raise ArgumentRefused(f"ERROR: parameter [{label}]: {error}") from error
 
 
-def doors(label: str) -> Check:
-    def check(value: object, _caller: str) -> dict[Target, Door]:
-        if not isinstance(value, list) or len(value) > AT_ONCE:
-            raise ArgumentRefused(f"ERROR: parameter [{label}] must be a list of at most {AT_ONCE}")
-        found = [_door(each) for each in value]
-        if None in found:
-            raise ArgumentRefused(f"ERROR: parameter [{label}] has a door that is not one")
-        return dict(each for each in found if each is not None)
+@_check
+def doors(value: object, _caller: str, label: str) -> dict[Target, Door]:
+    if not isinstance(value, list) or len(value) > AT_ONCE:
+        raise ArgumentRefused(f"ERROR: parameter [{label}] must be a list of at most {AT_ONCE}")
+    found: dict[Target, Door] = {}
+    for each in value:
+        match each:
+            case [str() as peer, str() as what, str() as target, str() as host, int() as port]:
+                with suppress(NameRefused, ValueError):
+                    check_label(peer)
+                    check_name(target)
+                    if is_connectable(build_door(host, port), "http") and what in KINDS:
+                        found[Target(peer, what, target)] = Door(host, port)
+                        continue
+            case _:
+                pass
+        raise ArgumentRefused(f"ERROR: parameter [{label}] has a door that is not one")
+    return found
 
-    return check
+
+@_check
+def ways(value: object, _caller: str, label: str) -> dict[str, PeerWay]:
+    if not isinstance(value, dict) or len(value) > MAX_PEERS:
+        raise ArgumentRefused(f"ERROR: parameter [{label}] has at most {MAX_PEERS} peers")
+    found = {peer: _way(peer, way) for peer, way in value.items()}
+    if None in found.values():
+        raise ArgumentRefused(f"ERROR: parameter [{label}] has a way that is not one")
+    return {peer: way for peer, way in found.items() if way is not None}
 
 
-def ways(label: str) -> Check:
-    def check(value: object, _caller: str) -> dict[str, PeerWay]:
-        if not isinstance(value, dict) or len(value) > MAX_PEERS:
-            raise ArgumentRefused(f"ERROR: parameter [{label}] has at most {MAX_PEERS} peers")
-        found = {peer: _way(peer, way) for peer, way in value.items()}
-        if None in found.values():
-            raise ArgumentRefused(f"ERROR: parameter [{label}] has a way that is not one")
-        return {peer: way for peer, way in found.items() if way is not None}
-
-    return check
+def settlements(value: object, _caller: str) -> list[Settlement]:
+    if not isinstance(value, list) or len(value) > OFFER_LIMIT:
+        raise ArgumentRefused(f"ERROR: parameter [answers] must be a list of at most {OFFER_LIMIT}")
+    found: list[Settlement] = []
+    for each in value:
+        match each:
+            case [bytes(digest), bytes(bundle), str(reason)] if len(digest) == _DIGEST:
+                if bool(bundle) is not bool(reason):
+                    found.append(Settlement(digest, bundle, reason))
+                    continue
+        raise ArgumentRefused("ERROR: parameter [answers] has an entry of another form")
+    return found
 
 
 def _items(value: object, label: str, most: int, kind: type[T], content: str) -> list[T]:
@@ -203,21 +209,6 @@ def _plain_name(value: object, label: str) -> str:
     if ":" in value or " " in value:  # stock's check for the usual mistake, a URI for a name
         raise ArgumentRefused(f"ERROR: parameter [{label}] contains illegal chars")
     return value
-
-
-def _door(value: object) -> tuple[Target, Door] | None:
-    match value:
-        case [str() as peer, str() as what, str() as target, str() as host, int() as port]:
-            pass
-        case _:
-            return None
-    try:
-        check_label(peer)
-        check_name(target)
-        is_open = is_connectable(build_door(host, port), "http")
-    except (NameRefused, ValueError):
-        return None
-    return (Target(peer, what, target), Door(host, port)) if is_open and what in KINDS else None
 
 
 def _way(peer: object, value: object) -> PeerWay | None:

@@ -10,12 +10,14 @@ import xmlrpc
 import xmlrpc.client
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Final
 
 from rossec.errors import HangUp
 from rossec.master.api import arguments as arg
+from rossec.master.api import statement_calls as own
 from rossec.master.api.arguments import ArgumentRefused
-from rossec.master.api.graph_calls import GraphCalls, WatchCalls
+from rossec.master.api.graph_calls import WATCH, GraphCalls
 from rossec.master.api.methods import (
     Administered,
     CallDenied,
@@ -25,6 +27,7 @@ from rossec.master.api.methods import (
     Denied,
     DomainsChanged,
     MasterEvent,
+    MasterTables,
     Method,
     Methods,
     Reply,
@@ -36,83 +39,123 @@ from rossec.master.api.methods import (
     advance,
 )
 from rossec.master.api.parameter_calls import ParameterCalls
-from rossec.master.api.site_calls import RelayCalls, SiteCalls
-from rossec.master.api.statement_calls import (
-    PROOF_LIMIT,
-    AuthorityCalls,
-    DepositCalls,
-    DomainCalls,
-    RenewalCalls,
-    StatementCalls,
-)
+from rossec.master.api.site_calls import FOLLOW, SiteCalls
+from rossec.master.api.statement_calls import PROOF_LIMIT, StatementCalls
 from rossec.master.rights.access_rules import RULES, AccessControl, Scope
-from rossec.master.rights.caller import AddressTaken, Caller, CertifiedPeer, RecentDenials, Refused
-from rossec.master.rights.held_grants import Deposits
-from rossec.master.rights.publisher_views import AliasPublishers
+from rossec.master.rights.caller import AddressTaken, Caller, CertifiedPeer, Refused
 from rossec.master.rights.statements import TrustState
-from rossec.master.state.forwarded_ports import ForwardedPorts
-from rossec.master.state.graph import Graph
-from rossec.master.state.imports import Imports
-from rossec.master.state.parameters import SIZE_LIMIT, Parameters, encoded_size
-from rossec.master.state.registry import Registry
+from rossec.master.state.imports import MAX_WANTED
+from rossec.master.state.parameters import encoded_size
+from rossec.master.state.registry import Kind
+from rossec.ros import names
 from rossec.ros.xmlrpc import BODY_LIMIT
 
 Fault = xmlrpc.client.Fault
 
 
 class MasterApi:
-    """Every method of the master; `instance` identifies this run, which began at `started`.
-
-    By default no deposit is accepted and nothing imported; `aliases` is of the same registry and imports.
-    """
+    """Every method of the master; `instance` identifies this run, which began at `started`."""
 
     def __init__(
         self,
-        registry: Registry,
-        statements: TrustState,
+        tables: MasterTables,
         *,
-        name: str,
         uri: str,
         pid: int,
         instance: str = "",
         started: int = 0,
-        parameters: Parameters | None = None,
-        parameter_bytes: int = SIZE_LIMIT,
-        deposits: Deposits | None = None,
-        denials: RecentDenials | None = None,
         connected: Callable[[], Iterable[CertifiedPeer]] = tuple,
-        imports: Imports | None = None,
-        doors: ForwardedPorts | None = None,
-        aliases: AliasPublishers | None = None,
     ) -> None:
-        imports = Imports(registry) if imports is None else imports
-        if aliases is None:
-            aliases = AliasPublishers(Graph(registry, imports), statements.caller_of)
-        graph, self._presence = aliases.graph, aliases.graph.presence
-        doors = ForwardedPorts() if doors is None else doors
-        self._access_control = AccessControl(graph, name, doors.is_door)
-        self.watch_calls = WatchCalls(graph, self._access_control, instance)
-        self.site_calls = SiteCalls(registry, instance, statements.list_digests)
-        tree = Parameters() if parameters is None else parameters
-        deposits = Deposits() if deposits is None else deposits
-        denials = RecentDenials() if denials is None else denials
-        self.parameters = ParameterCalls(
-            tree, registry, statements.caller_of, parameter_bytes, imports.mirrors
+        self._presence = tables.graph.presence
+        self._access_control = AccessControl(tables.graph, tables.name, tables.doors.is_door)
+        self.graph = GraphCalls(tables, self._access_control, instance)
+        self.parameters = ParameterCalls(tables)
+        self.sites = SiteCalls(tables, instance, uri)
+        self.methods = self._methods(StatementCalls(tables, started, connected), uri, pid)
+
+    def _methods(self, statements: StatementCalls, uri: str, pid: int) -> Methods:
+        # By name: the checks of its arguments after the caller_id, what it answers when it is refused, and
+        # who answers it. Which right it needs is in `access_rules.RULES`, which has the same names.
+        graph, parameters, sites = self.graph, self.parameters, self.sites
+        topic, type_name, service = arg.topic("topic"), arg.type_name("topic_type"), arg.topic("service")
+        api, service_api, key = (
+            arg.uri("caller_api", "http"),
+            arg.uri("service_api", "rosrpc"),
+            arg.key("key"),
         )
-        self.methods: Methods = {
-            **GraphCalls(graph, self._access_control, aliases).methods(),
-            **self.parameters.methods(),
-            **self.watch_calls.methods(),
-            **self.site_calls.methods(),
-            **StatementCalls(statements, registry, name, started, deposits).methods(),
-            **DomainCalls(statements).methods(),
-            **RenewalCalls(statements).methods(),
-            **RelayCalls(doors, registry, statements, name, uri).methods(),
-            **DepositCalls(statements, deposits).methods(),
-            **AuthorityCalls(statements, denials, connected).methods(),
+        unregister_publisher = partial(graph.unregister, Kind.PUBLISHER)
+        seen = arg.text("instance"), arg.number("cursor")
+        relay = arg.text("instance"), arg.number("seen"), arg.doors("doors"), arg.ways("ways")
+        target = arg.text("domain"), arg.kind("kind"), arg.name("name")
+        domain, digest, known = arg.text("domain"), arg.binary("digest"), arg.binary("known")
+        presented, renewed = (
+            arg.binaries("grants", own.PRESENT_LIMIT),
+            arg.binaries("grants", own.RENEW_LIMIT),
+        )
+        entries = arg.binaries("entries", PROOF_LIMIT)
+        deposited, asked = arg.binaries("grants", own.DEPOSIT_LIMIT), arg.binaries("grants", own.STATES_LIMIT)
+        tree = arg.binary("tree"), arg.binary("entries")
+
+        def shutdown(request: CallRequest) -> Reply:
+            reason = f"{request.caller.name}: {request.arguments[1]}"
+            return Reply(0, "shutdown", events=(StopMaster(reason),))
+
+        return {
+            # 1. Stock's: the graph.
+            "registerPublisher": Method((topic, type_name, api), [], graph.register_publisher),
+            "registerSubscriber": Method((topic, type_name, api), [], graph.register_subscriber),
+            "registerService": Method((service, service_api, api), 0, graph.register_service),
+            "unregisterPublisher": Method((topic, api), 0, unregister_publisher),
+            "unregisterSubscriber": Method((topic, api), 0, graph.unregister_subscriber),
+            "unregisterService": Method((service, service_api), 0, graph.unregister_service),
+            "lookupNode": Method((arg.node("node"),), "", graph.lookup_node),
+            "lookupService": Method((service,), "", graph.lookup_service),
+            "getSystemState": Method((), [[], [], []], graph.system_state),
+            "getTopicTypes": Method((), [], graph.topic_types),
+            "getPublishedTopics": Method((arg.subgraph("subgraph"),), 0, graph.published_topics),
             "getUri": Method((), "", lambda _: Reply(uri)),
             "getPid": Method((), -1, lambda _: Reply(pid)),
-            "shutdown": Method((arg.anything,), 0, _shutdown),
+            "shutdown": Method((arg.anything,), 0, shutdown),
+            # 2. Stock's: parameters.
+            "getParam": Method((key,), 0, parameters.get),
+            "hasParam": Method((key,), False, parameters.has),
+            "setParam": Method((key, arg.not_none("value")), 0, parameters.set),
+            "deleteParam": Method((key,), 0, parameters.delete),
+            "searchParam": Method((arg.search_key("key"),), 0, parameters.search),
+            "getParamNames": Method((), [], parameters.parameter_names),
+            "subscribeParam": Method((api, key), 0, parameters.subscribe),
+            "unsubscribeParam": Method((api, key), 0, parameters.unsubscribe),
+            # 3. Watchers, other masters, relays.
+            WATCH: Method(seen, {}, graph.watch),
+            FOLLOW: Method((*seen, arg.patterns("wanted", MAX_WANTED)), {}, sites.follow),
+            names.RELAY_DOORS: Method(relay, {}, sites.poll),
+            names.RELAY_TARGET: Method(target, [], sites.target),
+            # 4. Grants and revocations of the own domain.
+            "rossec.presentGrants": Method((presented,), 0, statements.present),
+            "rossec.renewGrants": Method((renewed,), [], statements.renew_grants),
+            "rossec.updateDelegation": Method((arg.binary("delegation"),), 0, statements.update_delegation),
+            "rossec.revocations": Method((), [], statements.revocations),
+            "rossec.revocationsSince": Method((digest,), [], statements.revocations_since),
+            "rossec.updateRevocations": Method((arg.binary("list"),), 0, statements.update_revocations),
+            "rossec.updateRevocationTree": Method(tree, 0, statements.update_tree),
+            "rossec.revocationEntries": Method((), b"", statements.tree_entries),
+            "rossec.revocationProofs": Method((entries,), [], statements.proofs),
+            "rossec.trl": Method((arg.binary("query"),), b"", statements.query),
+            # 5. Foreign domains.
+            names.DOMAINS: Method((digest,), b"", statements.domains),
+            names.UPDATE_DOMAINS: Method((arg.binary("list"),), 0, statements.update_domains),
+            names.FOREIGN_REVOCATIONS: Method((domain, digest), [], statements.foreign_revocations),
+            names.FOREIGN_PROOFS: Method((domain, entries), [], statements.foreign_proofs),
+            # 6. What nodes and the authority leave here for each other.
+            "rossec.depositGrants": Method((deposited,), [], statements.deposit),
+            "rossec.deliveryStates": Method((asked,), [], statements.delivery_states),
+            "rossec.fetchGrants": Method((known,), {}, statements.fetch),
+            own.WATCH_GRANTS: Method((known,), {}, statements.fetch),
+            names.RENEW_IDENTITY: Method((arg.binary("request"),), b"", statements.renew_identity),
+            names.WATCH_RENEWALS: Method((arg.number("locked"),), {}, statements.offer_renewals),
+            names.SETTLE_RENEWALS: Method((arg.settlements,), 0, statements.settle_renewals),
+            own.STANDING: Method((), {}, statements.standing),
+            own.DENIALS: Method((), [], statements.recent_denials),
         }
 
     def begin(
@@ -149,13 +192,8 @@ class MasterApi:
         return _in_steps(reply, method, entry, request, caller)
 
     def keep_views(self, thumbprints: frozenset[bytes]) -> None:
-        self.watch_calls.views.keep_only(thumbprints)
-        self.site_calls.views.keep_only(thumbprints)
-
-
-def _shutdown(request: CallRequest) -> Reply:
-    reason = f"{request.caller.name}: {request.arguments[1]}"
-    return Reply(0, "shutdown", events=(StopMaster(reason),))
+        self.graph.views.keep_only(thumbprints)
+        self.sites.views.keep_only(thumbprints)
 
 
 def _in_steps(steps: Steps, method: str, entry: Method, request: CallRequest, caller: Caller) -> Work:
@@ -193,21 +231,21 @@ MULTICALL_ONCE: Final = frozenset(method for method in RULES if method.startswit
 
 
 _RIGHTS_CHANGED: Final = (RevocationsChanged, DomainsChanged, CallerPresentedGrants)
+# Answers one call, or begins to, or raises `Fault`
 BeginCall = Callable[[str, Sequence[object]], CallOutcome | Work]
-"""Answers one call, or begins to, or raises `Fault`."""
 
 
 class Multicall:
-    """One multicall: call `step` until `done`, then `answer` is its answer.
+    """One multicall: call `step` until `done`, then `answer` is its answer."""
 
-    In turns, so that four thousand elements of one node do not delay other calls.
-    """
-
+    # In turns, so that four thousand elements of one node do not delay other calls.
     def __init__(self, params: Sequence[object]) -> None:
         calls = params[0] if len(params) == 1 else None
         if not isinstance(calls, list) or len(calls) > MULTICALL_LIMIT:
             raise Fault(1, f"rossec: a multicall is one list of at most {MULTICALL_LIMIT} calls")
-        if sum(map(_is_query, calls)) > MULTICALL_QUERIES:
+        methods = [each.get("methodName") for each in calls if isinstance(each, dict)]
+        rules = [RULES.get(method) for method in methods if isinstance(method, str)]
+        if sum(rule is not None and rule.scope is Scope.FILTERED for rule in rules) > MULTICALL_QUERIES:
             raise Fault(1, f"rossec: more than {MULTICALL_QUERIES} state queries in a multicall")
         self._calls: list[object] = calls
         self._answers: list[object] = []
@@ -232,33 +270,26 @@ class Multicall:
         """Process elements until the turn has `expired`; returns the events to deliver."""
         events: list[MasterEvent] = []
         while not self.done:
-            outcome = self._run_element(begin, expired)
-            if outcome is None:
-                break
-            self._answers.append(outcome.answer)
-            self._bytes_left -= encoded_size(outcome.answer)
-            events += outcome.events
+            try:
+                begun = self._begin_next(begin) if self._work is None else self._work
+                outcome = begun if isinstance(begun, CallOutcome) else advance(begun, expired)
+                self._work = None
+                if outcome is None:  # the turn has expired within this element
+                    self._work = None if isinstance(begun, CallOutcome) else begun
+                    break
+                answer: object = [outcome.answer]
+                events += outcome.events
+            except Fault as fault:
+                self._work = None
+                answer = {"faultCode": fault.faultCode, "faultString": fault.faultString}
+            self._answers.append(answer)
+            self._bytes_left -= encoded_size(answer)
             if expired() or (events and isinstance(events[-1], _RIGHTS_CHANGED)):
                 break  # its effects must come before the next element
         return tuple(events)
 
     def restart_element(self) -> None:
         self._work = None
-
-    def _run_element(self, begin: BeginCall, expired: TurnExpired) -> CallOutcome | None:
-        # Process one element; None: it is not finished.
-        try:
-            begun = self._begin_next(begin) if self._work is None else self._work
-            outcome = begun if isinstance(begun, CallOutcome) else advance(begun, expired)
-        except Fault as fault:
-            outcome = CallOutcome({"faultCode": fault.faultCode, "faultString": fault.faultString})
-        else:
-            if outcome is None:
-                self._work = None if isinstance(begun, CallOutcome) else begun
-                return None
-            outcome = CallOutcome([outcome.answer], outcome.events)
-        self._work = None
-        return outcome
 
     def _begin_next(self, begin: BeginCall) -> CallOutcome | Work:
         at = len(self._answers)
@@ -272,12 +303,6 @@ class Multicall:
         if method == MULTICALL:
             raise Fault(1, "rossec: a multicall inside a multicall")
         return begin(method, params)
-
-
-def _is_query(element: object) -> bool:
-    method = element.get("methodName") if isinstance(element, dict) else None
-    rule = RULES.get(method) if isinstance(method, str) else None
-    return rule is not None and rule.scope is Scope.FILTERED
 
 
 CONNECTION_SECONDS: Final = 5.0  # seconds that a connection of a revoked identity may last
@@ -307,14 +332,12 @@ class RevokedConnections:
 
 
 class RevokedCalls:
-    """Answers few calls of a revoked identity on one connection: an answer may be a whole list.
+    """Answers few calls of a revoked identity on one connection: an answer may be a whole list."""
 
-    Both ends of a connection may be revoked at once, as below a revoked intermediate; then no peer
-    but these two can close it, and only the master can inform them. It sends the list without a
-    timestamp: without that confirmation a node closes all its connections, even if it cannot find
-    itself in a tree (`ca.revocation.lists`).
-    """
-
+    # Both ends of a connection may be revoked at once, as below a revoked intermediate; then no peer but
+    # these two can close it, and only the master can inform them. It sends the list without a timestamp:
+    # without that confirmation a node closes all its connections, even if it cannot find itself in a tree
+    # (`ca.revocation.lists`).
     def __init__(self, statements: TrustState, now: Callable[[], int]) -> None:
         self._statements = statements
         self._now = now

@@ -7,17 +7,15 @@ Nothing is queued: a slow caller is updated less often, one without a stored vie
 """
 
 from collections import OrderedDict
-from collections.abc import Generator, Iterable, Iterator
-from functools import partial
+from collections.abc import Iterable, Iterator
 from itertools import count
 from typing import Final, NamedTuple, TypeAlias
 
-from rossec.master.api import arguments as arg
-from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps, collected
+from rossec.master.api.methods import CallRequest, MasterTables, Reply, Steps, collected
 from rossec.master.rights import publisher_views
 from rossec.master.rights.access_rules import AccessControl, require_capacity, require_place
 from rossec.master.rights.caller import Caller
-from rossec.master.rights.publisher_views import AliasPublishers, is_topic_visible, shown_entries
+from rossec.master.rights.publisher_views import is_topic_visible, shown_entries
 from rossec.master.state.graph import Graph
 from rossec.master.state.registry import ANY_TYPE, Kind
 from rossec.ros.compact_values import encode_ahead
@@ -28,38 +26,20 @@ _MAX_CACHED_ENTRIES: Final = 8192
 
 
 class GraphCalls:
-    """Handlers over one graph; only the own registrations can be changed."""
+    """Handlers over one graph; only the own registrations can be changed. `instance`: of this run."""
 
-    def __init__(self, graph: Graph, access_control: AccessControl, aliases: AliasPublishers) -> None:
-        self._aliases = aliases
-        self._graph = graph
-        self._registry = graph.registry
-        self._demand = graph.imports.demand
+    def __init__(self, tables: MasterTables, access_control: AccessControl, instance: str) -> None:
+        self._aliases = tables.aliases
+        self._graph = tables.graph
+        self._registry = tables.registry
+        self._demand = tables.imports.demand
         self._access_control = access_control
         self._entries: dict[tuple[str, tuple[str, ...]], EncodedList] = {}
         self._states: dict[int, tuple[Caller, EncodedList]] = {}  # by identity of the caller
         self._version = -1
+        self.views: Final = GraphViews(instance)
 
-    def methods(self) -> Methods:
-        topic, type_name = arg.topic("topic"), arg.type_name("topic_type")
-        service, api = arg.topic("service"), arg.uri("caller_api", "http")
-        service_api = arg.uri("service_api", "rosrpc")
-        unregister_publisher = partial(self._unregister, Kind.PUBLISHER)
-        return {
-            "registerPublisher": Method((topic, type_name, api), [], self._register_publisher),
-            "registerSubscriber": Method((topic, type_name, api), [], self._register_subscriber),
-            "registerService": Method((service, service_api, api), 0, self._register_service),
-            "unregisterPublisher": Method((topic, api), 0, unregister_publisher),
-            "unregisterSubscriber": Method((topic, api), 0, self._unregister_subscriber),
-            "unregisterService": Method((service, service_api), 0, self._unregister_service),
-            "lookupNode": Method((arg.node("node"),), "", self._lookup_node),
-            "lookupService": Method((service,), "", self._lookup_service),
-            "getSystemState": Method((), [[], [], []], self._system_state),
-            "getTopicTypes": Method((), [], self._topic_types),
-            "getPublishedTopics": Method((arg.subgraph("subgraph"),), 0, self._published_topics),
-        }
-
-    def _register_publisher(self, request: CallRequest) -> Reply:
+    def register_publisher(self, request: CallRequest) -> Reply:
         name, topic, type_name = (request.text(i) for i in range(3))
         require_capacity(self._registry, Kind.PUBLISHER, topic, request.node(3))
         require_place(self._registry, topic, request.node(3))
@@ -67,7 +47,7 @@ class GraphCalls:
         status = f"Registered [{name}] as publisher of [{topic}]"
         return Reply(self._registry.uris(Kind.SUBSCRIBER, topic), status, events=tuple(events))
 
-    def _register_subscriber(self, request: CallRequest) -> Reply:
+    def register_subscriber(self, request: CallRequest) -> Reply:
         topic, type_name = request.text(1), request.text(2)
         require_capacity(self._registry, Kind.SUBSCRIBER, topic, request.node(3))
         events = self._registry.register_subscriber(topic, type_name, request.node(3))
@@ -75,28 +55,28 @@ class GraphCalls:
         publishers = self._aliases.tell(request.caller, topic, request.node(3))
         return Reply(publishers, f"Subscribed to [{topic}]", events=tuple(events))
 
-    def _register_service(self, request: CallRequest) -> Reply:
+    def register_service(self, request: CallRequest) -> Reply:
         name, service, service_uri = (request.text(i) for i in range(3))
         require_capacity(self._registry, Kind.SERVICE, service, request.node(3))
         events = self._registry.register_service(service, service_uri, request.node(3))
         return Reply(1, f"Registered [{name}] as provider of [{service}]", events=tuple(events))
 
-    def _unregister_subscriber(self, request: CallRequest) -> Reply:
-        reply = self._unregister(Kind.SUBSCRIBER, request)
+    def unregister_subscriber(self, request: CallRequest) -> Reply:
+        reply = self.unregister(Kind.SUBSCRIBER, request)
         if reply.value:
             self._aliases.forget(request.text(1), request.caller.name)
         return reply
 
-    def _unregister(self, kind: Kind, request: CallRequest) -> Reply:
+    def unregister(self, kind: Kind, request: CallRequest) -> Reply:
         done, events = self._registry.unregister(kind, request.text(1), request.node(2))
         return Reply(done.removed, done.status, events=tuple(events))
 
-    def _unregister_service(self, request: CallRequest) -> Reply:
+    def unregister_service(self, request: CallRequest) -> Reply:
         caller, service, service_uri = request.caller, request.text(1), request.text(2)
         done = self._registry.unregister_service(service, caller.name, service_uri, caller.thumbprint)
         return Reply(done.removed, done.status)
 
-    def _lookup_node(self, request: CallRequest) -> Reply:
+    def lookup_node(self, request: CallRequest) -> Reply:
         name = request.text(1)
         self._ask(name, request)
         uri = self._graph.node_uri(name)
@@ -106,7 +86,7 @@ class GraphCalls:
             return Reply("", f"unknown node [{name}]", -1)
         return Reply(uri, "node api")
 
-    def _lookup_service(self, request: CallRequest) -> Reply:
+    def lookup_service(self, request: CallRequest) -> Reply:
         self._ask(request.text(1), request)
         uri = self._graph.service_uri(request.text(1))
         if uri is None:
@@ -124,7 +104,7 @@ class GraphCalls:
         if not request.caller.is_foreign:
             self._demand.ask_everything(request.now)
 
-    def _system_state(self, request: CallRequest) -> Steps:
+    def system_state(self, request: CallRequest) -> Steps:
         self._ask_everything(request)
         return self._state(request.caller)
 
@@ -137,20 +117,19 @@ class GraphCalls:
         if state is None or held is not caller:
             state = EncodedList([])
             for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE):
-                state.append((yield from self._visible_entries(kind, caller)))
+                entries = (
+                    self._entry(key, names)
+                    if (names := self._access_control.visible_nodes(caller, key, nodes))
+                    else None
+                    for key, nodes in shown_entries(self._graph, caller, kind)
+                )
+                state.append(list[object]((yield from collected(entries, caller.names_per_yield))))
+            # It took turns: what has changed meanwhile, or changes with the clock, is not for the next one.
             if self._graph.version == self._version == version and not caller.has_slots:
                 if len(self._states) >= _MAX_CACHED_STATES:
                     self._states.clear()
                 self._states[id(caller)] = caller, state
         return Reply(state, "current system state")
-
-    def _visible_entries(self, kind: Kind, caller: Caller) -> Generator[None, None, list[object]]:
-        visible = self._access_control.visible_nodes
-        found = (
-            self._entry(key, names) if (names := visible(caller, key, nodes)) else None
-            for key, nodes in shown_entries(self._graph, caller, kind)
-        )
-        return list[object]((yield from collected(found, caller.names_per_yield)))
 
     def _entry(self, key: str, names: tuple[str, ...]) -> EncodedList:
         entry = self._entries.get((key, names))
@@ -160,12 +139,12 @@ class GraphCalls:
             entry = self._entries[key, names] = encode_ahead(EncodedList([key, list(names)]))
         return entry
 
-    def _topic_types(self, request: CallRequest) -> Steps:
+    def topic_types(self, request: CallRequest) -> Steps:
         self._ask_everything(request)
         types = publisher_views.topic_types(self._graph, request.caller)
         return self._types_reply(request.caller, types, "current system state")
 
-    def _published_topics(self, request: CallRequest) -> Steps:
+    def published_topics(self, request: CallRequest) -> Steps:
         self._ask_everything(request)
         namespace = request.text(1)
         if namespace and not namespace.endswith("/"):
@@ -186,6 +165,18 @@ class GraphCalls:
             for topic in topics
         )
         return Reply((yield from collected(shown, caller.names_per_yield)), status)
+
+    def watch(self, request: CallRequest) -> Steps:
+        self._ask_everything(request)
+        return self._watched(request)
+
+    def _watched(self, request: CallRequest) -> Steps:
+        found = facts(self._graph, self._access_control, request.caller)
+        seen = yield from collected(found, request.caller.names_per_yield)
+        # The version grows with each registration: it would tell the moment of those in slots.
+        version = 0 if request.caller.has_slots else self._graph.version
+        known, key = (request.arguments[1], request.arguments[2]), request.caller.thumbprint
+        return Reply(self.views.answer(key, known, frozenset(seen), version), "state of the graph")
 
 
 BATCH: Final = 1024  # facts in one answer
@@ -265,10 +256,8 @@ WATCH: Final = "rossec.watchGraph"
 
 
 def facts(graph: Graph, access_control: AccessControl, caller: Caller) -> Iterator[Fact | None]:
-    """What `caller` may see of the graph, as in `getSystemState` and similar queries.
-
-    None for each name and node that it may not see.
-    """
+    # What `caller` may see of the graph, as in `getSystemState` and similar queries. None for each name and
+    # node that it may not see.
     for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE):
         for key, names in shown_entries(graph, caller, kind):
             shown = access_control.visible_nodes(caller, key, names)
@@ -288,29 +277,3 @@ def facts(graph: Graph, access_control: AccessControl, caller: Caller) -> Iterat
             yield None
     for told in publisher_views.shown_nodes(graph, caller):
         yield None if told is None or told.name in seen else ("node", told.name, told.uri)
-
-
-class WatchCalls:
-    """The call by which a node watches the graph: its own registrations and what is imported."""
-
-    def __init__(self, graph: Graph, access_control: AccessControl, instance: str) -> None:
-        self._graph = graph
-        self._access_control = access_control
-        self.views: Final = GraphViews(instance)
-
-    def methods(self) -> Methods:
-        checks = (arg.text("instance"), arg.number("cursor"))
-        return {WATCH: Method(checks, {}, self._watch)}
-
-    def _watch(self, request: CallRequest) -> Steps:
-        if not request.caller.is_foreign:
-            self._graph.imports.demand.ask_everything(request.now)
-        return self._watch_reply(request)
-
-    def _watch_reply(self, request: CallRequest) -> Steps:
-        found = facts(self._graph, self._access_control, request.caller)
-        seen = yield from collected(found, request.caller.names_per_yield)
-        known = request.arguments[1], request.arguments[2]
-        key, version = request.caller.thumbprint, self._graph.version
-        version = 0 if request.caller.has_slots else version  # it grows with each registration
-        return Reply(self.views.answer(key, known, frozenset(seen), version), "state of the graph")

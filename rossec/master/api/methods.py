@@ -6,15 +6,41 @@ yields where it can be suspended; `expired`, which reads the caller's clock, say
 """
 
 from collections.abc import Callable, Generator, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple, TypeAlias, TypeVar
 
 from grants.model import Right
 from rossec.master.api.arguments import Check
-from rossec.master.rights.caller import Caller
+from rossec.master.rights.caller import Caller, RecentDenials
+from rossec.master.rights.held_grants import Deposits
+from rossec.master.rights.publisher_views import AliasPublishers
+from rossec.master.rights.statements import TrustState
+from rossec.master.state.forwarded_ports import ForwardedPorts
+from rossec.master.state.graph import Graph
 from rossec.master.state.imported_facts import TypeContradicted
+from rossec.master.state.imports import Imports
 from rossec.master.state.journals import ParameterChange
+from rossec.master.state.parameters import SIZE_LIMIT, Parameters
 from rossec.master.state.registry import Event, NodeRef
+
+
+@dataclass
+class MasterTables:
+    """All that one master knows; what the shell adds is `rossec.master.server.effects.MasterState`."""
+
+    name: str  # the certified name; ADMIN on the master is a right on it
+    trust: TrustState
+    imports: Imports
+    parameters: Parameters = field(default_factory=Parameters)
+    parameter_bytes: int = SIZE_LIMIT  # of all parameters together
+    deposits: Deposits = field(default_factory=Deposits)  # by default none is accepted
+    recent_denials: RecentDenials = field(default_factory=RecentDenials)
+    doors: ForwardedPorts = field(default_factory=ForwardedPorts)
+
+    def __post_init__(self) -> None:
+        self.registry = self.imports.registry
+        self.graph = Graph(self.registry, self.imports)
+        self.aliases = AliasPublishers(self.graph, self.trust.caller_of)
 
 
 @dataclass(frozen=True)
@@ -154,9 +180,8 @@ class CallRequest(NamedTuple):
         return NodeRef(self.caller.name, self.text(index), self.caller.thumbprint)
 
 
+# A filtered query: yields where other calls may be answered, returns the reply
 Steps = Generator[None, None, Reply]
-"""A filtered query: yields where other calls may be answered, returns the reply."""
-
 Handler = Callable[[CallRequest], Reply | Steps]
 
 

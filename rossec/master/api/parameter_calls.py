@@ -11,16 +11,14 @@ filtered query may take many turns, between which the tree may change.
 import xmlrpc
 import xmlrpc.client
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from ca.names import is_alias, shown
 from grants.model import Right
-from rossec.master.api import arguments as arg
 from rossec.master.api.methods import (
     CallRequest,
-    Method,
-    Methods,
+    MasterTables,
     ParameterChanged,
     PersistParameter,
     Reply,
@@ -30,11 +28,8 @@ from rossec.master.rights.access_rules import require_address, require_capacity
 from rossec.master.rights.caller import Caller, Refused, refusals_answered
 from rossec.master.state.journals import ParameterChange
 from rossec.master.state.parameters import (
-    SIZE_LIMIT,
     MirrorChange,
-    Mirrors,
     ParameterMissing,
-    Parameters,
     ParameterUpdate,
     TooLarge,
     check_names,
@@ -45,7 +40,7 @@ from rossec.master.state.parameters import (
     subscription_key,
     updates,
 )
-from rossec.master.state.registry import Kind, NodeRef, Registry
+from rossec.master.state.registry import Kind, NodeRef
 from rossec.ros import names
 from rossec.ros.xmlrpc import BODY_LIMIT
 
@@ -61,11 +56,9 @@ class TreeDecision(NamedTuple):
 
 
 def require_tree(caller: Caller, right: Right, key: str, *items: ParameterItem) -> None:
-    """Raise `Refused` unless `caller` has `right` on everything in `items`; also if empty.
-
-    The text depends on `key` alone, which the caller knows: the uncovered name, the grants that
-    nearly cover it, or the size of the tree would reveal which parameters exist.
-    """
+    # Raise `Refused` unless `caller` has `right` on everything in `items`; also if empty. The text depends on
+    # `key` alone, which the caller knows: the uncovered name, the grants that nearly cover it, or the size of
+    # the tree would reveal which parameters exist.
     if not items or not has_right_on_all(caller, right, items):
         needs = f"{caller.display_name} needs the right {right.label} on {shown(key)}"
         raise Refused(
@@ -121,36 +114,16 @@ Fault = xmlrpc.client.Fault
 
 
 class ParameterCalls:
-    """Handlers over one parameter tree."""
+    """Handlers over the parameter tree and what is mirrored."""
 
-    def __init__(
-        self,
-        parameters: Parameters,
-        registry: Registry,
-        caller_of: Callable[[NodeRef, int], Caller | None],
-        limit: int = SIZE_LIMIT,
-        mirrors: Mirrors | None = None,
-    ) -> None:
-        self._parameters = parameters
-        self._mirrors = Mirrors() if mirrors is None else mirrors
-        self._limit = limit  # bytes of all parameters together
-        self._registry = registry
+    def __init__(self, tables: MasterTables) -> None:
+        self._parameters = tables.parameters
+        self._mirrors = tables.imports.mirrors
+        self._limit = tables.parameter_bytes
+        self._registry = tables.registry
         # a subscriber with its rights when an update is sent; None: its key is revoked
-        self._caller_of = caller_of
+        self._caller_of = tables.trust.caller_of
         self._bytes_added: Counter[bytes] = Counter()  # by key, net of what it deleted
-
-    def methods(self) -> Methods:
-        key, api = arg.key("key"), arg.uri("caller_api", "http")
-        return {
-            "getParam": Method((key,), 0, self._get),
-            "hasParam": Method((key,), False, self._has),
-            "setParam": Method((key, arg.not_none("value")), 0, self._set),
-            "deleteParam": Method((key,), 0, self._delete),
-            "searchParam": Method((arg.search_key("key"),), 0, self._search),
-            "getParamNames": Method((), [], self._parameter_names),
-            "subscribeParam": Method((api, key), 0, self._subscribe),
-            "unsubscribeParam": Method((api, key), 0, self._unsubscribe),
-        }
 
     def mirror(self, changes: Iterable[MirrorChange], now: int) -> tuple[ParameterChanged, ...]:
         """The updates for subscribers of mirrored parameters that have changed."""
@@ -158,7 +131,7 @@ class ParameterCalls:
             event for change in changes for event in self._updates(change.key, change.value, now, setter=None)
         )
 
-    def _get(self, request: CallRequest) -> Reply:
+    def get(self, request: CallRequest) -> Reply:
         key = request.text(1)
         item = self._item(key)
         require_tree(request.caller, Right.PARAM_GET, key, item)
@@ -166,7 +139,7 @@ class ParameterCalls:
             return Reply(0, f"Parameter [{key}] is not set", -1)
         return Reply(_sendable(item[1]), f"Parameter [{key}]")
 
-    def _has(self, request: CallRequest) -> Reply:
+    def has(self, request: CallRequest) -> Reply:
         key = request.text(1)
         item = self._item(key)
         require_tree(request.caller, Right.PARAM_GET, key, item)
@@ -175,36 +148,34 @@ class ParameterCalls:
     def _item(self, key: str) -> ParameterItem:
         return self._mirrors.item(key) if is_alias(key) else self._parameters.item(key)
 
-    def _set(self, request: CallRequest) -> Reply:
-        key, value = request.text(1), request.arguments[2]
+    def set(self, request: CallRequest) -> Reply:
+        key, value, caller = request.text(1), request.arguments[2], request.caller
         with refusals_answered():
             refuse_mirror(key, value)
         try:
+            # 1. The right on all that is there before and after: a tree that is replaced is deleted too.
             check_names(key, value)
             before = self._parameters.items_affected(key)  # the last of them is `key` itself
             has_tree = isinstance(value, dict) or isinstance(before[-1][1], dict)
             affected = [*before, (key, value)] if has_tree else before
-            require_tree(request.caller, Right.PARAM_SET, key, *affected)
-            self._set_within_quota(request.caller, key, value)
+            require_tree(caller, Right.PARAM_SET, key, *affected)
+            # 2. One key adds at most half of all, or it could keep the others out; what was set before the
+            #    master was started counts for no key.
+            size, quota = self._parameters.size, self._limit // 2
+            own = min(self._bytes_added[caller.thumbprint], size)  # others may have deleted it
+            try:
+                self._parameters.set(key, value, min(self._limit, size + max(0, quota - own)))
+            except TooLarge as error:
+                if error.size > self._limit:
+                    raise TooLarge(error.size, self._limit) from error
+                text = f"the parameters that {caller.identity} has set would take more than {quota} bytes"
+                raise ValueError(text) from error
+            self._account(caller, size)
         except (TypeError, ValueError) as error:
             return Reply(0, f"Error: invalid arguments: {error}", -1)
         persist = PersistParameter(ParameterChange(key, value))
-        events = self._updates(key, value, request.now, setter=request.caller.name)
+        events = self._updates(key, value, request.now, setter=caller.name)
         return Reply(0, f"parameter {key} set", events=(persist, *events))
-
-    def _set_within_quota(self, caller: Caller, key: str, value: object) -> None:
-        # What was set before the master was started counts for no key.
-        before, quota = self._parameters.size, self._limit // 2
-        own = min(self._bytes_added[caller.thumbprint], before)  # others may have deleted it
-        try:
-            self._parameters.set(key, value, min(self._limit, before + max(0, quota - own)))
-        except TooLarge as error:
-            if error.size > self._limit:
-                raise TooLarge(error.size, self._limit) from error
-            raise ValueError(
-                f"the parameters that {caller.identity} has set would take more than {quota} bytes"
-            ) from error
-        self._account(caller, before)
 
     def _account(self, caller: Caller, before: int) -> None:
         # Count what a caller added since the size was `before`, at least 0 in total.
@@ -213,7 +184,7 @@ class ParameterCalls:
         if self._bytes_added[key] <= 0:
             del self._bytes_added[key]
 
-    def _delete(self, request: CallRequest) -> Reply:
+    def delete(self, request: CallRequest) -> Reply:
         key = request.text(1)
         with refusals_answered():
             refuse_mirror(key)
@@ -228,50 +199,40 @@ class ParameterCalls:
         events = self._updates(key, {}, request.now, setter=None)
         return Reply(0, f"parameter {key} deleted", events=(persist, *events))
 
-    def _search(self, request: CallRequest) -> Steps:
-        key = request.text(1)
+    def search(self, request: CallRequest) -> Steps:
+        key, caller = request.text(1), request.caller
         try:
-            candidates = search_candidates(request.caller.name, key)
+            candidates = search_candidates(caller.name, key)
         except ValueError as error:
             return Reply(0, f"Internal failure: {error}", 0)
         for candidate, found in candidates:
             if self._item(candidate)[1] is None:
                 continue
-            if (yield from self._is_readable(request.caller, candidate)):
-                return Reply(found, f"Found [{found}]")
+            results = decisions_across_turns(caller, Right.PARAM_GET, self._item(candidate))
+            for count, decision in enumerate(results, 1):
+                if decision.covered:
+                    return Reply(found, f"Found [{found}]")
+                if not count % caller.names_per_yield:
+                    yield
         return Reply("", f"Cannot find parameter [{key}] in an upwards search", -1)
 
-    def _is_readable(self, caller: Caller, key: str) -> Generator[None, None, bool]:
-        results = decisions_across_turns(caller, Right.PARAM_GET, self._item(key))
-        at_once = caller.names_per_yield
-        for count, decision in enumerate(results, 1):
-            if decision.covered:
-                return True
-            if not count % at_once:
-                yield
-        return False
-
-    def _parameter_names(self, request: CallRequest) -> Steps:
-        shown, bytes_left, at_once = list[str](), MAX_ENCODED, request.caller.names_per_yield
-        for count, name in enumerate(self._readable_names(request.caller), 1):
-            if name is not None:
-                shown.append(name)
-                bytes_left -= encoded_size(name)
-            if bytes_left < 0:
-                raise Fault(1, _TOO_LONG)
-            if not count % at_once:
-                yield
-        return Reply(shown, "Parameter names")
-
-    def _readable_names(self, caller: Caller) -> Iterator[str | None]:
+    def parameter_names(self, request: CallRequest) -> Steps:
+        caller, shown, bytes_left, count = request.caller, list[str](), MAX_ENCODED, 0
         for item in (self._parameters.item("/"), *self._mirrors.items()):
             for decision in decisions_across_turns(caller, Right.PARAM_GET, item):
-                if decision.covered:
-                    yield from parameter_names(decision.item)
-                else:
-                    yield None
+                # Names that are not shown count too, as each costs time.
+                for name in parameter_names(decision.item) if decision.covered else (None,):
+                    if name is not None:
+                        shown.append(name)
+                        bytes_left -= encoded_size(name)
+                    if bytes_left < 0:
+                        raise Fault(1, _TOO_LONG)
+                    count += 1
+                    if not count % caller.names_per_yield:
+                        yield
+        return Reply(shown, "Parameter names")
 
-    def _subscribe(self, request: CallRequest) -> Reply:
+    def subscribe(self, request: CallRequest) -> Reply:
         node, key = request.node(1), request.text(2)
         item = self._item(key)
         require_tree(request.caller, Right.PARAM_GET, key, item)
@@ -282,7 +243,7 @@ class ParameterCalls:
         events = self._registry.register_parameter(subscription, node)
         return Reply(value, f"Subscribed to parameter [{key}]", events=tuple(events))
 
-    def _unsubscribe(self, request: CallRequest) -> Reply:
+    def unsubscribe(self, request: CallRequest) -> Reply:
         node, key = request.node(1), request.text(2)
         self._registry.unregister(Kind.PARAMETER, subscription_key(key), node)
         return Reply(1, f"Unsubscribe to parameter [{key}]")

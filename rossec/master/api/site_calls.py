@@ -9,55 +9,56 @@ one that is not shown are refused alike, as the other relay may ask for any.
 """
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from ca.names import is_alias, is_in_gateway
 from grants.decision import Reach
 from grants.model import ALL_RIGHTS, Permission, Right
-from rossec.master.api import arguments as arg
 from rossec.master.api.graph_calls import Fact, GraphViews
-from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps, collected
+from rossec.master.api.methods import CallRequest, MasterTables, Reply, Steps, collected
 from rossec.master.rights.caller import Caller, Refused
-from rossec.master.rights.statements import TrustState
-from rossec.master.state.forwarded_ports import MASTER, NODE, ForwardedPorts, RelayReport
-from rossec.master.state.imports import MAX_WANTED
+from rossec.master.state.forwarded_ports import MASTER, NODE, RelayReport
 from rossec.master.state.registry import ANY_TYPE, Endpoint, Kind, Registry, endpoint, is_loopback_host
-from rossec.ros.names import RELAY_DOORS, RELAY_TARGET
 
 FOLLOW: Final = "rossec.followSite"
 MAX_PATTERNS: Final = 64  # wanted, with a wildcard before their end: each costs with each name
 
+# The answer after a wait without a change; short, as there are many in a silent mesh
 UNCHANGED: Final[tuple[int, str, dict[str, object]]] = (1, "", {})
-"""The answer after a wait without a change; short, as there are many in a silent mesh."""
-
-Digests = Callable[[], tuple[bytes, bytes]]
-"""Of the own revocation list and of the list of domains; empty: there is none."""
-
 _KINDS: Final = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
+_UNREACHABLE: Final = (
+    "a relay on another host than the master needs doors that others reach: rossec relay --doors ADDRESS"
+)
+_ANOTHER: Final = (
+    "another relay with this name has come since: end one of them, "
+    "or give it a name of its own (rossec relay --name /relay/attic)"
+)
+_ON_THIS_HOST: Final = (
+    "this is registered at a loopback address, and the relay is on another host: "
+    "set ROS_IP or ROS_HOSTNAME where it runs"
+)
 
 
 class SiteCalls:
-    """The handler over the own registrations; `instance` identifies this run of the master."""
+    """Handlers over what is registered here, for other masters and for relays of the own domain."""
 
-    def __init__(self, registry: Registry, instance: str, digests: Digests) -> None:
-        self._registry = registry
-        self._digests = digests
+    def __init__(self, tables: MasterTables, instance: str, uri: str) -> None:
+        self._registry = tables.registry
+        self._trust = tables.trust
+        self._doors = tables.doors
+        self._own = tables.name, uri
         self.views: Final = GraphViews(instance)
 
-    def methods(self) -> Methods:
-        checks = (arg.text("instance"), arg.number("cursor"), arg.patterns("wanted", MAX_WANTED))
-        return {FOLLOW: Method(checks, {}, self._follow)}
+    def follow(self, request: CallRequest) -> Steps:
+        return self._followed(request, _wanted(request.arguments[3]))
 
-    def _follow(self, request: CallRequest) -> Steps:
-        return self._reply(request, _wanted(request.arguments[3]))
-
-    def _reply(self, request: CallRequest, wanted: Reach | None) -> Steps:
+    def _followed(self, request: CallRequest, wanted: Reach | None) -> Steps:
         found = own_facts(self._registry, request.caller, wanted)
         seen = yield from collected(found, request.caller.names_per_yield)
         known = request.arguments[1], request.arguments[2]
         key, version = request.caller.thumbprint, self._registry.version
-        revocations, domains = self._digests()
+        revocations, domains = self._trust.list_digests()
         lists = revocations, b"" if request.caller.is_foreign else domains
         # an answer to other wants is one at once: the follower waits for it, also if it is no
         beside = (*lists, hashlib.sha256(repr(request.arguments[3]).encode()).digest())
@@ -65,12 +66,62 @@ class SiteCalls:
         answer |= {"revocations": lists[0], "domains": lists[1]}
         return Reply(answer, "facts of this site")
 
+    def poll(self, request: CallRequest) -> Reply:
+        _, instance, seen, doors, ways = request.arguments
+        if not (isinstance(seen, int) and isinstance(doors, dict) and isinstance(ways, dict)):
+            raise TypeError("a relay's call whose arguments were not checked")
+        report = RelayReport(str(instance), seen, doors, ways)
+        for door in report.doors.values():
+            if is_loopback_host(door.host) and not request.is_local:
+                raise Refused(_UNREACHABLE)
+        if not self._doors.has_room_for(request.caller.name):
+            raise Refused("this master has too many relays")
+        if self._doors.is_superseded(request.caller.name, report.instance):
+            raise Refused(_ANOTHER)
+        change = self._doors.hear(request.caller.name, report, request.now)
+        answer = {
+            "version": change.version,
+            "wanted": [list(target) for target in change.wanted],
+            "unwanted": [list(target) for target in change.unwanted],
+            "masters": dict(self._doors.masters()),
+        }
+        return Reply(answer, "doors")
+
+    def target(self, request: CallRequest) -> Reply:
+        domain, kind, name = map(request.text, (1, 2, 3))
+        exported: Reach | None = None
+        if domain:
+            domains = self._trust.domains
+            listed = domains.anchors.listed(domain)
+            if listed is None or request.now >= listed.entry.until:
+                raise Refused(f"no domain is called {domain[:32]!a} here")
+            exported = domains.exported(listed.entry.domain)
+        place = self._place(kind, name, exported)
+        if place is None or place[1] is None:
+            raise Refused(f"no {kind} {name} is shown there")
+        if is_loopback_host(place[0]) and not request.is_local:
+            raise Refused(_ON_THIS_HOST)
+        return Reply([*place], "target")
+
+    def _place(self, kind: str, name: str, exported: Reach | None) -> Endpoint | None:
+        own_name, own_uri = self._own
+        if kind == MASTER:
+            return endpoint(own_uri) if name == own_name else None
+        if kind == NODE:
+            node = self._registry.node(name)
+            if node is None or is_alias(name):
+                return None
+            keys = (key for kind in _KINDS for key in self._registry.keys_of(name, kind))
+            shown = _shows(exported, name) or any(_shows(exported, key) for key in keys)
+            return endpoint(node.uri) if shown else None
+        uri, providers = self._registry.service_uri(name), self._registry.registered_nodes(Kind.SERVICE, name)
+        is_own = any(not is_alias(node.name) for node in providers)
+        return endpoint(uri) if uri and is_own and _shows(exported, name) else None
+
 
 def own_facts(registry: Registry, caller: Caller, wanted: Reach | None) -> Iterator[Fact | None]:
-    """The facts registered here that `caller` may see and wants.
-
-    None for each name that is not shown. `wanted` None: everything.
-    """
+    # The facts registered here that `caller` may see and wants. None for each name that is not shown.
+    # `wanted` None: everything.
     nodes = set[str]()
     for kind in _KINDS:
         for key, names in registry.entries(kind):
@@ -112,88 +163,6 @@ def _wanted(value: object) -> Reach | None:
             "want everything, with an empty list"
         )
     return reach
-
-
-_UNREACHABLE: Final = (
-    "a relay on another host than the master needs doors that others reach: rossec relay --doors ADDRESS"
-)
-_ANOTHER: Final = (
-    "another relay with this name has come since: end one of them, "
-    "or give it a name of its own (rossec relay --name /relay/attic)"
-)
-_ON_THIS_HOST: Final = (
-    "this is registered at a loopback address, and the relay is on another host: "
-    "set ROS_IP or ROS_HOSTNAME where it runs"
-)
-
-
-class RelayCalls:
-    """Handlers for relays of the own domain (`access_rules` refuses all others); `uri`: of this master."""
-
-    def __init__(
-        self, doors: ForwardedPorts, registry: Registry, statements: TrustState, name: str, uri: str
-    ) -> None:
-        self._doors = doors
-        self._registry = registry
-        self._statements = statements
-        self._own = name, uri
-
-    def methods(self) -> Methods:
-        polled = (arg.text("instance"), arg.number("seen"), arg.doors("doors"), arg.ways("ways"))
-        target = (arg.text("domain"), arg.kind("kind"), arg.name("name"))
-        return {RELAY_DOORS: Method(polled, {}, self._poll), RELAY_TARGET: Method(target, [], self._target)}
-
-    def _poll(self, request: CallRequest) -> Reply:
-        _, instance, seen, doors, ways = request.arguments
-        if not (isinstance(seen, int) and isinstance(doors, dict) and isinstance(ways, dict)):
-            raise TypeError("a relay's call whose arguments were not checked")
-        report = RelayReport(str(instance), seen, doors, ways)
-        for door in report.doors.values():
-            if is_loopback_host(door.host) and not request.is_local:
-                raise Refused(_UNREACHABLE)
-        if not self._doors.has_room_for(request.caller.name):
-            raise Refused("this master has too many relays")
-        if self._doors.is_superseded(request.caller.name, report.instance):
-            raise Refused(_ANOTHER)
-        change = self._doors.hear(request.caller.name, report, request.now)
-        answer = {
-            "version": change.version,
-            "wanted": [list(target) for target in change.wanted],
-            "unwanted": [list(target) for target in change.unwanted],
-            "masters": dict(self._doors.masters()),
-        }
-        return Reply(answer, "doors")
-
-    def _target(self, request: CallRequest) -> Reply:
-        domain, kind, name = map(request.text, (1, 2, 3))
-        exported: Reach | None = None
-        if domain:
-            domains = self._statements.domains
-            listed = domains.anchors.listed(domain)
-            if listed is None or request.now >= listed.entry.until:
-                raise Refused(f"no domain is called {domain[:32]!a} here")
-            exported = domains.exported(listed.entry.domain)
-        place = self._place(kind, name, exported)
-        if place is None or place[1] is None:
-            raise Refused(f"no {kind} {name} is shown there")
-        if is_loopback_host(place[0]) and not request.is_local:
-            raise Refused(_ON_THIS_HOST)
-        return Reply([*place], "target")
-
-    def _place(self, kind: str, name: str, exported: Reach | None) -> Endpoint | None:
-        own_name, own_uri = self._own
-        if kind == MASTER:
-            return endpoint(own_uri) if name == own_name else None
-        if kind == NODE:
-            node = self._registry.node(name)
-            if node is None or is_alias(name):
-                return None
-            keys = (key for kind in _KINDS for key in self._registry.keys_of(name, kind))
-            shown = _shows(exported, name) or any(_shows(exported, key) for key in keys)
-            return endpoint(node.uri) if shown else None
-        uri, providers = self._registry.service_uri(name), self._registry.registered_nodes(Kind.SERVICE, name)
-        is_own = any(not is_alias(node.name) for node in providers)
-        return endpoint(uri) if uri and is_own and _shows(exported, name) else None
 
 
 def is_idle(answer: object) -> bool:

@@ -48,13 +48,11 @@ class NodeBudget:
 
 
 class DenialRateLimit(logging.Filter):
-    """A node that is denied a thousand times a second neither fills the disk nor hides other lines.
+    """A node that is denied a thousand times a second neither fills the disk nor hides other lines."""
 
-    There is a bucket for each node and one for all. Several nodes together could empty the common
-    one, so each also has a small bucket in reserve. Lines of administrators are never limited: those
-    that nodes cause have their own logger, a child of the audit's.
-    """
-
+    # There is a bucket for each node and one for all. Several nodes together could empty the common one, so
+    # each also has a small bucket in reserve. Lines of administrators are never limited: those that nodes
+    # cause have their own logger, a child of the audit's.
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self._clock = clock

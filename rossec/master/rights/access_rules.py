@@ -127,8 +127,8 @@ RULES: Final[Mapping[str, AccessRule]] = {
 }
 
 
+# What an administrator may call as another node: `rosnode cleanup`, after it died
 CLEANUP_METHODS: Final = frozenset({"unregisterPublisher", "unregisterSubscriber", "unregisterService"})
-"""What an administrator may call as another node: `rosnode cleanup`, after it died."""
 
 
 class AccessControl:
@@ -144,6 +144,7 @@ class AccessControl:
 
     def acting_caller(self, method: str, caller: Caller, caller_id: str) -> Caller:
         """The caller as the node `caller_id`: itself, or a node whose registrations it cleans up."""
+        # 2. Identity: the certified name, or a name in its tail; with admin on a node, that node.
         try:
             return caller.acting_as(caller_id)
         except Refused:
@@ -154,38 +155,49 @@ class AccessControl:
                 caller, name=node.name, thumbprint=node.thumbprint, wildcard=False, certified=caller.name
             )
 
-    def check(
+    def check(  # noqa: C901, PLR0912 - the steps of the specification
         self, method: str, caller: Caller, arguments: tuple[object, ...], *, is_local: bool = True
     ) -> None:
-        # The rule of TREE is checked by `parameter_calls`.
+        # The steps are those of docs/spec/master.md, section 1; the rule of TREE is checked by
+        # `parameter_calls`, which knows what is in a tree.
+        # 4. The right. Who may end a node may also look up what it provides: `rosnode cleanup` does.
         rule = RULES.get(method)
         if rule is None:
             raise Refused("no rule allows this method")
-        if rule.scope is Scope.NAMED and rule.right is not None:
+        scope, right = rule.scope, rule.right
+        if scope is Scope.NAMED and right is not None:
             name = str(arguments[rule.name])
-            if method != "lookupService" or not self._administers(caller, name):
-                _require_right(caller, rule.right, name)
-        if rule.scope is Scope.MASTER and rule.right is not None:
-            require(caller, rule.right, self._master)
-        _require_kind(rule.scope, caller)
-        if rule.api is not None and rule.scope is not Scope.TREE:
+            providers = (
+                self._registry.registered_nodes(Kind.SERVICE, name) if method == "lookupService" else ()
+            )
+            if not any(caller.may(Right.ADMIN, node.name) for node in providers):
+                if right in _OFFERED:
+                    if is_alias(name):
+                        raise Refused(_NOT_OFFERED.format(name))
+                    require_gateway(caller, name)
+                if right is not Right.SUBSCRIBE or not may_subscribe(caller, name):
+                    require(caller, right, name)
+        elif scope is Scope.MASTER and right is not None:
+            require(caller, right, self._master)
+        elif scope is Scope.AUTHORITY and not caller.is_authority:
+            raise Refused(f"only the authority's own node {AUTHORITY} may call this")
+        elif scope is Scope.MEMBER and caller.is_foreign:
+            raise Refused("only nodes of the own domain may call this")
+        elif scope is Scope.RELAY and not (is_relay_name(caller.name) and _is_certified_so(caller)):
+            raise Refused("only relays of the own domain may call this")
+        # 5. The address, after the right: without it a caller must not learn which are registered.
+        if rule.api is not None and scope is not Scope.TREE:
             require_address(self._registry, caller, str(arguments[rule.api]), is_local=is_local)
-        if rule.scope is Scope.NAMED:
+        if scope is Scope.NAMED:
             given = [str(arguments[at]) for at in (rule.api, rule.service) if at is not None]
             if any(self._is_door(endpoint(uri)) for uri in given):  # its target would lose it here
                 raise Refused("a relay of this site listens at this address")
         if rule.service is not None and caller.is_foreign:
             _require_foreign_address(self._registry, caller, str(arguments[rule.service]), is_local=is_local)
 
-    def _administers(self, caller: Caller, service: str) -> bool:
-        providers = self._registry.registered_nodes(Kind.SERVICE, service)
-        return any(caller.may(Right.ADMIN, node.name) for node in providers)
-
     def visible_nodes(self, caller: Caller, key: str, nodes: tuple[str, ...]) -> tuple[str, ...]:
-        """Which of the nodes registered for `key` the caller may see.
-
-        A foreigner sees no visitors of other domains and no nodes of other sites.
-        """
+        # Which of the nodes registered for `key` the caller may see. A foreigner sees no visitors of other
+        # domains and no nodes of other sites.
         if caller.is_foreign:
             is_seen = caller.may_see(key)
             return tuple(n for n in nodes if n == caller.name or (is_seen and not is_alias(n)))
@@ -211,29 +223,9 @@ class AccessControl:
 
 
 def is_authority(peer: Identity) -> bool:
-    """Whether a peer is the authority's own node: its name, certified by the root itself.
-
-    Whoever holds an intermediate can certify any name below it.
-    """
+    # Whether a peer is the authority's own node: its name, certified by the root itself. Whoever holds an
+    # intermediate can certify any name below it.
     return peer.name == AUTHORITY and not peer.wildcard and len(peer.keys) == 1
-
-
-def _require_right(caller: Caller, right: Right, name: str) -> None:
-    if right in _OFFERED:
-        if is_alias(name):
-            raise Refused(_NOT_OFFERED.format(name))
-        require_gateway(caller, name)
-    if right is not Right.SUBSCRIBE or not may_subscribe(caller, name):
-        require(caller, right, name)
-
-
-def _require_kind(scope: Scope, caller: Caller) -> None:
-    if scope is Scope.AUTHORITY and not caller.is_authority:
-        raise Refused(f"only the authority's own node {AUTHORITY} may call this")
-    if scope is Scope.MEMBER and caller.is_foreign:
-        raise Refused("only nodes of the own domain may call this")
-    if scope is Scope.RELAY and not (is_relay_name(caller.name) and _is_certified_so(caller)):
-        raise Refused("only relays of the own domain may call this")
 
 
 def require(caller: Caller, right: Right, name: str) -> None:
@@ -249,10 +241,7 @@ def require(caller: Caller, right: Right, name: str) -> None:
 
 
 def require_address(registry: Registry, caller: Caller, uri: str, *, is_local: bool) -> None:
-    """Raise `Refused` unless the slave API may be the caller's.
-
-    To be called after the right was checked: without it a caller must not learn addresses.
-    """
+    """Raise `Refused` unless the slave API may be the caller's; to be called after its right was checked."""
     if not is_local and is_loopback_host(endpoint(uri)[0]):
         raise Refused(
             "this slave API URI is on the master's host, and the caller is not: "

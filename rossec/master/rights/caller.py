@@ -31,11 +31,9 @@ _NOT_EXPORTED: Final = Right.GRAPH | Right.ADMIN  # on the master itself; what i
 
 
 class Refused(Exception):
-    """The status text to answer with, after `rossec: `.
+    """The status text to answer with, after `rossec: `."""
 
-    `missing` is the right that is missing, and the name it is missing on, if that was the reason.
-    """
-
+    # `missing` is the right that is missing, and the name it is missing on, if that was the reason.
     def __init__(self, text: str, missing: tuple[Right, str] | None = None) -> None:
         super().__init__(text)
         self.missing = missing
@@ -58,11 +56,9 @@ class AddressTaken(Refused):
 
 
 class CertifiedPeer(Protocol):
-    """A certified name, of a foreigner its alias, and the thumbprint of its key.
+    """A certified name, of a foreigner its alias, and the thumbprint of its key."""
 
-    A `ca.certificates.Identity` or a `NodeRef`.
-    """
-
+    # A `ca.certificates.Identity` or a `NodeRef`.
     @property
     def name(self) -> str: ...
 
@@ -71,11 +67,10 @@ class CertifiedPeer(Protocol):
 
 
 _SAID: Final = 2  # near misses beside the command that gives the right
+# Raises the `HintedError` that says why no valid grant covers a right on a name
 Authorize = Callable[[Right, str], object]
-"""Raises the `HintedError` that says why no valid grant covers a right on a name."""
-
+# The trust domain of a label; `OWN_DOMAIN` for a site of the own one; None: no such label
 DomainOf = Callable[[str], str | None]
-"""The trust domain of a label; `OWN_DOMAIN` for a site of the own one; None: no such label."""
 
 
 class OriginRights(NamedTuple):
@@ -141,26 +136,54 @@ class Caller:
         return replace(self, name=name, wildcard=False, certified=self.name)
 
     def may(self, right: Right, name: str) -> bool:
-        """Whether a grant covers `right` on `name`.
-
-        The authority's own node and the own masters see the graph without one.
-        """
-        if name.startswith(REMOTE) and is_alias(name):
-            return self._may_elsewhere(right, name)
-        if self.reach.covers(right, name):
-            exported = self.exported
-            return exported is None or right in _NOT_EXPORTED or exported.covers(right, name)
-        return right is Right.GRAPH and (self.is_authority or self.is_own_master)
+        # Whether a grant covers `right` on `name`. The authority's own node and the own masters see the graph
+        # without one.
+        sees_all = right is Right.GRAPH and (self.is_authority or self.is_own_master)
+        if not (name.startswith(REMOTE) and is_alias(name)):
+            if self.reach.covers(right, name):
+                exported = self.exported
+                return exported is None or right in _NOT_EXPORTED or exported.covers(right, name)
+            return sees_all
+        # An alias: what was imported is shown to no other domain, and own grants give little on it.
+        if self.is_foreign:
+            return False
+        if sees_all or (right in _AT_HOME and self.reach.covers(right, name)):
+            return True
+        origin = self._origin(right, name)
+        return origin is not None and origin[0].reach.covers(right, origin[1])
 
     def explain(self, right: Right, name: str) -> None:
         """Raise why `may` is false."""
+        # 1. An own name: no grant covers it, or one does and it is not shown to the caller's domain.
         if not is_alias(name):
             self.authorize(right, name)
             raise GrantMissing(f"{right.label} on {name} is not exported to this domain")
+        # 2. A name of an origin whose grants the caller has.
         origin = self._origin(right, name)
         if origin is not None:
             origin[0].authorize(right, origin[1])
-        raise self._no_right_there(right, name)
+        # 3. Grants do not even come into question: nothing is called so, or none was presented. Only a
+        #    node of the own domain is told which labels there are.
+        missing = f"no grant for {right.label} on {shown(name)}"
+        found, domain = None, None
+        with suppress(NameRefused):
+            found = None if self.is_foreign else split_alias(name)
+        if found is not None:
+            domain = self.domain_of(found[0])
+            if domain is None:
+                hint = "at the authority: rossec domain list"
+                raise NotAdmitted(f"no domain is called {found[0]} here", hint)
+        if domain is None or domain == OWN_DOMAIN:
+            raise GrantMissing(missing)
+        if domain not in self.elsewhere:
+            missing = f"{missing} by the authority of {domain}"
+        # Who could give it there: the same words for every name, so they tell nothing of a gateway.
+        ways: tuple[str, ...] = ()
+        with suppress(NameRefused):
+            if right is Right.SUBSCRIBE:
+                own = f"or this one for subscribe on {served_name(name)}, if a gateway serves it"
+                ways = (f"ask its authority for a grant, {own}",)
+        raise GrantMissing(missing, ways)
 
     def hint_of(self, error: HintedError, right: Right, name: str) -> str:
         """What to do about a refusal that `explain` raised; depends on the arguments alone."""
@@ -176,25 +199,6 @@ class Caller:
         node = self.certified or self.name
         ruled = rule_form(node, name.rstrip("/") or "/**", wildcard=self.has_tail)
         return remedy(node, right, ruled)
-
-    def _no_right_there(self, right: Right, alias: str) -> HintedError:
-        # Why grants do not even come into question: nothing is called so, or none was presented.
-        # Only a node of the own domain is told which labels there are.
-        missing = f"no grant for {right.label} on {shown(alias)}"
-        try:
-            found = None if self.is_foreign else split_alias(alias)
-        except NameRefused:
-            found = None
-        if found is None:
-            return GrantMissing(missing)
-        domain = self.domain_of(found[0])
-        if domain is None:
-            return NotAdmitted(f"no domain is called {found[0]} here", "at the authority: rossec domain list")
-        if domain == OWN_DOMAIN:
-            return GrantMissing(missing)
-        if domain not in self.elsewhere:
-            missing = f"{missing} by the authority of {domain}"
-        return GrantMissing(missing, _ways(right, alias))
 
     def may_all_below(self, right: Right, namespace: str) -> bool:
         return self._below(Reach.covers_below, right, namespace)
@@ -224,42 +228,27 @@ class Caller:
     def may_see(self, name: str) -> bool:
         if self.is_authority or self.is_own_master:
             return True
-        if name.startswith(REMOTE) and is_alias(name):
-            return self._may_see_elsewhere(name)
-        if not self.reach.covers_any(VISIBILITY_RIGHTS, name):
+        if not (name.startswith(REMOTE) and is_alias(name)):
+            if not self.reach.covers_any(VISIBILITY_RIGHTS, name):
+                return False
+            return self.exported is None or self.exported.covers_any(ALL_RIGHTS, name)
+        if self.is_foreign:
             return False
-        return self.exported is None or self.exported.covers_any(ALL_RIGHTS, name)
+        if self.reach.covers(Right.GRAPH, name):
+            return True
+        origin = self._origin(Right.GRAPH, name)
+        return origin is not None and origin[0].reach.covers_any(VISIBILITY_RIGHTS, origin[1])
 
     @property
     def has_slots(self) -> bool:
         return self.reach.has_slots and not (self.is_authority or self.is_own_master)
 
     def slot(self, name: str) -> int:
-        """The seconds at whose multiples it is told who publishes `name`; 0: it is told at once.
-
-        Its only right to see the name is then to subscribe it in slots.
-        """
+        # The seconds at whose multiples it is told who publishes `name`; 0: it is told at once. Its only
+        # right to see the name is then to subscribe it in slots.
         if not self.has_slots or is_alias(name):
             return 0
         return self.reach.slot(VISIBILITY_RIGHTS, name)
-
-    def _may_elsewhere(self, right: Right, alias: str) -> bool:
-        if self.is_foreign:
-            return False
-        if right in _AT_HOME and self.reach.covers(right, alias):
-            return True
-        if right is Right.GRAPH and (self.is_authority or self.is_own_master):
-            return True
-        origin = self._origin(right, alias)
-        return origin is not None and origin[0].reach.covers(right, origin[1])
-
-    def _may_see_elsewhere(self, alias: str) -> bool:
-        if self.is_foreign:
-            return False
-        if self.reach.covers(Right.GRAPH, alias):
-            return True
-        origin = self._origin(Right.GRAPH, alias)
-        return origin is not None and origin[0].reach.covers_any(VISIBILITY_RIGHTS, origin[1])
 
     def _origin(self, right: Right, alias: str) -> tuple[OriginRights, str] | None:
         try:
@@ -278,15 +267,6 @@ class Caller:
         return None if domain is None else self.elsewhere.get(domain)
 
 
-def _ways(right: Right, alias: str) -> tuple[str, ...]:
-    # Who could give a right there: the same for every name, so it tells nothing of a gateway.
-    with suppress(NameRefused):
-        if right is Right.SUBSCRIBE:
-            own = f"or this one for subscribe on {served_name(alias)}, if a gateway serves it"
-            return (f"ask its authority for a grant, {own}",)
-    return ()
-
-
 KEPT: Final = 24 * 3600  # seconds
 MAX_DENIALS: Final = 1000
 MAX_OF_NODE: Final = 200
@@ -301,14 +281,12 @@ class RecentDenial(NamedTuple):
 
 
 class RecentDenials:
-    """The newest denials of all nodes, for a person to look at; in memory.
+    """The newest denials of all nodes, for a person to look at; in memory."""
 
-    Each right on a name counts once for a node, with the newest time and name: one run of an
-    anonymous node is as the next. Nodes choose the names, so the number is bounded, for each
-    certified name and in all; where the whole is full, the node with most entries loses its oldest:
-    no node pushes out what another was denied, unless many do it together.
-    """
-
+    # Each right on a name counts once for a node, with the newest time and name: one run of an anonymous node
+    # is as the next. Nodes choose the names, so the number is bounded, for each certified name and in all;
+    # where the whole is full, the node with most entries loses its oldest: no node pushes out what another
+    # was denied, unless many do it together.
     def __init__(self) -> None:
         self._nodes: dict[str, OrderedDict[tuple[Right, str], tuple[int, str]]] = {}
         self._count = 0

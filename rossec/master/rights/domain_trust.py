@@ -33,8 +33,8 @@ _NOTHING: Final = Reach(())
 
 PersistForeign = Callable[[str, bytes], None]  # Makes the revocation list of a foreign domain durable
 
+# The newest revocation list that was saved of a foreign domain; None: there is none
 LoadForeign = Callable[[str], bytes | None]
-"""The newest revocation list that was saved of a foreign domain; None: there is none."""
 
 
 class ForeignWord(NamedTuple):
@@ -111,10 +111,8 @@ class DomainTrust:
         return digest(self.anchors.data) if self.anchors.data else b""
 
     def proofs(self, domain: str, entries: Sequence[bytes]) -> list[bytes]:
-        """The proof of each entry in a foreign tree; empty where it is not known yet.
-
-        What is not known is asked of that domain's master (`wanted_proofs`): ask again.
-        """
+        # The proof of each entry in a foreign tree; empty where it is not known yet. What is not known is
+        # asked of that domain's master (`wanted_proofs`): ask again.
         if not is_tree(self._data(domain)):
             return []
         known, wanted = self._proofs.get(domain, {}), self._wanted.setdefault(domain, {})
@@ -142,12 +140,10 @@ class DomainTrust:
         self.generation += len(held.entries) != before
 
     def admit(self, peer: Identity, now: int) -> None:
-        """Return if a foreigner may open a connection; raises as `Standing.check_peer`.
-
-        The own master is the source of the own list's freshness: that it is held is enough. A
-        foreign master may come while its domain's revocations are stale, or two masters that know
-        nothing of each other yet would wait for each other; it has no right until they are not.
-        """
+        # Return if a foreigner may open a connection; raises as `Standing.check_peer`. The own master is the
+        # source of the own list's freshness: that it is held is enough. A foreign master may come while its
+        # domain's revocations are stale, or two masters that know nothing of each other yet would wait for
+        # each other; it has no right until they are not.
         self.check_connected(peer, now)
         if is_master_name(peer.certified_name):
             return

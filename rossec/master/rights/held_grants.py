@@ -115,7 +115,14 @@ class PresentedGrants:
         return caller
 
     def _evaluate(self, context: EvaluationContext, judge: Judge) -> None:
-        valid = [grant for grant in self.grants.values() if _is_valid(grant, context.now, judge)]
+        # As `grants.decision` would accept them now; who holds them was checked before.
+        valid: list[Grant] = []
+        for grant in self.grants.values():
+            with suppress(HintedError):
+                check_time(grant, context.now)
+                for entry in grant.revocable:
+                    judge.check(grant.domain, entry, context.now)
+                valid.append(grant)
         ids = tuple(grant.id for grant in valid)
         if ids != self._valid_ids:
             by_domain: dict[str, list[Grant]] = {}
@@ -132,17 +139,10 @@ class PresentedGrants:
         check = partial(judge.check, domain)
         return authorize(held, right, name, holder=holder, now=now, check=check)
 
-    def drop_domains(self, domains: Collection[str]) -> None:
-        self._drop(lambda grant: grant.domain in domains)
-
-    def drop_tails(self) -> None:
-        self._drop(lambda grant: grant.has_tail_patterns)
-        self.has_tails = False
-
     def drop_expired(self, now: int) -> None:
-        self._drop(lambda grant: grant.expires <= now)
+        self.drop(lambda grant: grant.expires <= now)
 
-    def _drop(self, is_dropped: Callable[[Grant], bool]) -> None:
+    def drop(self, is_dropped: Callable[[Grant], bool]) -> None:
         for key in [key for key, grant in self.grants.items() if is_dropped(grant)]:
             del self.grants[key], self.sizes[key]
             self.version += 1
@@ -171,26 +171,14 @@ class PresentedGrants:
         return len(self.grants) >= MAX_HELD or sum(self.sizes.values()) + size > MAX_HELD_BYTES
 
 
-def _is_valid(grant: Grant, now: int, judge: Judge) -> bool:
-    # Whether `grants.decision` would accept the grant now; its holder was checked before.
-    try:
-        check_time(grant, now)
-        for entry in grant.revocable:
-            judge.check(grant.domain, entry, now)
-    except HintedError:
-        return False
-    return True
-
-
 MAX_TOTAL: Final = 64 * 1024  # grants of all nodes
 MAX_TOTAL_BYTES: Final = 64 * 1024 * 1024
 ANSWER_BYTES: Final = 128 * 1024  # of grants in one answer, unless one alone is larger
 
+# The content of a grant that may be deposited at this time; raises a `HintedError` otherwise
 VerifyDeposit = Callable[[bytes, int], Grant]
-"""The content of a grant that may be deposited at this time; raises a `HintedError` otherwise."""
-
+# Makes changes durable. Raises a `HintedError`: then they must not take effect
 Persist = Callable[[Sequence[DepositChange]], object]
-"""Makes changes durable. Raises a `HintedError`: then they must not take effect."""
 
 
 class DeliveryState(Enum):
@@ -207,6 +195,10 @@ class Deposit:
     holder: bytes
     ends: int
     state: DeliveryState = DeliveryState.WAITING
+
+    @staticmethod
+    def of(data: bytes, grant: Grant) -> "Deposit":
+        return Deposit(data, grant.id, grant.holder, grant.cap)
 
 
 class Missing(NamedTuple):
@@ -255,7 +247,7 @@ class Deposits:
             match change:
                 case GrantDeposited(data):
                     with suppress(GrantError):
-                        self._insert(_deposit(data, document.peek(data)))
+                        self._insert(Deposit.of(data, document.peek(data)))
                 case GrantHeld(grant_id) if grant_id in self._by_id:
                     self._by_id[grant_id].state = DeliveryState.HELD
                 case GrantHeld():
@@ -272,14 +264,15 @@ class Deposits:
         accepted: dict[bytes, Deposit] = {}
         reasons: list[str] = []
         for data, grant in verified:
+            reason = ""
             try:
                 if isinstance(grant, HintedError):
                     raise grant
-                self._admit(_deposit(data, grant), accepted)
+                self._admit(Deposit.of(data, grant), accepted)
             except HintedError as error:
-                reasons.append(str(error))
-            else:
-                reasons.append("")
+                reason = str(error)
+            reasons.append(reason)
+        # Durable before it is acknowledged: the operator may switch off the authority's machine.
         if accepted:
             self._persist([GrantDeposited(each.data) for each in accepted.values()])
         for deposit in accepted.values():
@@ -315,10 +308,11 @@ class Deposits:
             return
         waiting = {each.data: each for each in own.values() if each.state is not DeliveryState.HELD}
         for token in tokens if waiting else ():
-            deposit = waiting.get(_signed_part(token))
-            if deposit is not None:
-                deposit.state = DeliveryState.HELD
-                self.unsaved.append(GrantHeld(deposit.grant_id))
+            with suppress(GrantError):
+                deposit = waiting.get(unpack(token).grant)
+                if deposit is not None:
+                    deposit.state = DeliveryState.HELD
+                    self.unsaved.append(GrantHeld(deposit.grant_id))
 
     def state(self, grant_id: bytes) -> DeliveryState:
         """How far the delivery of a grant is; UNKNOWN: it is not in the table (any more)."""
@@ -378,16 +372,5 @@ class Deposits:
         self._size -= len(deposit.data)
 
 
-def _deposit(data: bytes, grant: Grant) -> Deposit:
-    return Deposit(data, grant.id, grant.holder, grant.cap)
-
-
 def _size(deposits: Iterable[Deposit]) -> int:
     return sum(len(each.data) for each in deposits)
-
-
-def _signed_part(token: bytes) -> bytes:
-    try:
-        return unpack(token).grant
-    except GrantError:
-        return b""

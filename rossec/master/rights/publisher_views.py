@@ -19,8 +19,8 @@ from rossec.master.rights.caller import Caller
 from rossec.master.state.graph import Graph, GraphNode
 from rossec.master.state.registry import ANY_TYPE, Kind, NodeRef, PublishersChanged
 
+# A registered node with its rights at a time; None: its key is revoked
 CallerOf = Callable[[NodeRef, int], Caller | None]
-"""A registered node with its rights at a time; None: its key is revoked."""
 
 
 class _Told(NamedTuple):
@@ -77,8 +77,12 @@ class AliasPublishers:
         if is_alias(event.topic):
             return self.changes(event.topic, now)
         served = self.changes(event.topic, now) if is_in_gateway(event.topic) else []
-        found = (node for node in event.subscribers if self._is_apart(node, event.topic, now))
-        apart = dict.fromkeys(found)
+        apart = dict[NodeRef, None]()  # those who have another list than all others
+        for node in event.subscribers:
+            caller, told = self._caller_of(node, now), self._told.get(node.name)
+            was = told is not None and told.node == node and event.topic in told.uris
+            if was or (caller is not None and caller.slot(event.topic) > 0):
+                apart[node] = None
         if not apart:
             return (event, *served)
         others = tuple(node for node in event.subscribers if node not in apart)
@@ -113,12 +117,6 @@ class AliasPublishers:
             self.on_slot()
         own = [each.node.uri for each in self.graph.presence.at(topic, slot)]
         return [*own, *self._registry.imported_publishers(topic)]
-
-    def _is_apart(self, node: NodeRef, topic: str, now: int) -> bool:
-        caller = self._caller_of(node, now)
-        told = self._told.get(node.name)
-        was = told is not None and told.node == node and topic in told.uris
-        return was or (caller is not None and caller.slot(topic) > 0)
 
     def _changes_of(self, name: str, now: int) -> list[PublishersChanged]:
         told = self._told.get(name)
@@ -230,10 +228,25 @@ def shown_entries(graph: Graph, caller: Caller, kind: Kind) -> Iterator[Entry]:
     if kind is Kind.PUBLISHER and caller.has_slots:
         found = shown_publishers(graph, caller, found)
     if kind is Kind.PUBLISHER and (silent := graph.registry.silent_names):
-        found = _answering(found, silent)
+        # Another gateway takes over what one without an answer served.
+        found = (
+            (key, tuple(n for n in nodes if n not in silent) if is_in_gateway(key) else nodes)
+            for key, nodes in found
+        )
     if kind is not Kind.PUBLISHER or not (served := graph.served.gateways()):
         return found
     return _with_gateways(caller, found, dict(served))
+
+
+def _with_gateways(
+    caller: Caller, found: Iterator[Entry], served: dict[str, tuple[str, ...]]
+) -> Iterator[Entry]:
+    # Consumes `served`; names that are not visible are yielded too, as each costs time.
+    for key, nodes in found:
+        gateways = served.pop(key, ())
+        yield key, (*nodes, *gateways) if gateways and may_see_served(caller, key) else nodes
+    for key, gateways in served.items():
+        yield key, gateways if may_see_served(caller, key) else ()
 
 
 def is_topic_visible(graph: Graph, caller: Caller, topic: str) -> bool:
@@ -245,23 +258,3 @@ def is_topic_visible(graph: Graph, caller: Caller, topic: str) -> bool:
         return is_shown(graph, caller, topic)
     is_served = is_alias(topic) and topic in graph.served.gateways()
     return is_served and may_see_served(caller, topic)
-
-
-def _answering(found: Iterator[Entry], silent: frozenset[str]) -> Iterator[Entry]:
-    # Served names without gateways that do not answer: another one takes over what they served.
-    for key, nodes in found:
-        yield key, tuple(n for n in nodes if n not in silent) if is_in_gateway(key) else nodes
-
-
-def _with_gateways(
-    caller: Caller, found: Iterator[Entry], served: dict[str, tuple[str, ...]]
-) -> Iterator[Entry]:
-    # Consumes `served`; names that are not visible are yielded too, as each costs time.
-    for key, nodes in found:
-        gateways = served.pop(key, ())
-        if gateways and may_see_served(caller, key):
-            yield key, (*nodes, *gateways)
-        else:
-            yield key, nodes
-    for key, gateways in served.items():
-        yield key, gateways if may_see_served(caller, key) else ()

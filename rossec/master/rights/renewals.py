@@ -13,17 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from ca.certificates import (
-    MAX_AGE,
-    MAX_RENEWAL,
-    Identity,
-    Renewal,
-    TrustAnchor,
-    from_pem,
-    open_renewal,
-    retry_delay,
-)
-from ca.errors import CAError, CertificateRefused, RenewalRefused
+from ca.certificates import MAX_AGE, MAX_RENEWAL, TrustAnchor, from_pem, open_renewal, retry_delay
+from ca.errors import CAError, RenewalRefused
 from ca.keys.signing import Signer, thumbprint
 from ca.revocation.trust_status import SKEW
 from grants import renewal
@@ -69,34 +60,35 @@ class TicketSigner:
     def renew(
         self, token: bytes, holder: bytes, now: int, *, seq: int, check: RevocationCheck
     ) -> tuple[Grant, bytes]:
-        # The renewed grant is verified as every node will.
+        # The steps of docs/spec/revocation.md, section 5. 1. The authority's leave, and its signature.
         if self._held is None:
             raise RenewalNotInTime("the authority has not delegated renewal to this master", _HINT)
         data = unpack(token).grant
         grant = verify(data, self._anchor.public_key, domain=self._anchor.domain)
+        # 2. Only for the holder.
         if grant.holder != holder:
             raise GrantNotHeld("the grant is bound to another key", f"it was issued to {grant.subject}")
+        # 3. Not past its cap; that it has expired is no reason: a robot that was off needs no operator.
         if now >= grant.cap:
-            raise RenewalTooWide(
-                f"grant {grant.short_id} has reached its cap, {format_time(grant.cap)}",
-                "ask the authority for a new grant",
-            )
+            cap = format_time(grant.cap)
+            hint = "ask the authority for a new grant"
+            raise RenewalTooWide(f"grant {grant.short_id} has reached its cap, {cap}", hint)
         if now >= self._held.expires:
             raise RenewalNotInTime(f"the delegation expired at {format_time(self._held.expires)}", _HINT)
+        # 4. From 5 s ago, as clocks differ, to what comes first.
         ends = min(now - SKEW + self._held.max_ttl, grant.cap, self._held.expires)
         if ends <= grant.expires:
-            raise RenewalTooWide(
-                f"grant {grant.short_id} expires later than any ticket would: ask again later"
-            )
+            later = "expires later than any ticket would: ask again later"
+            raise RenewalTooWide(f"grant {grant.short_id} {later}")
         ticket = sign_ticket(self._signer, Ticket(grant.id, now - SKEW, ends, seq))
+        # 5. Verified as every node will, with what is revoked.
         key = self._signer.public_key
         renewed = renewal.renew(grant, ticket, self._held, key, now=now, seq=seq, check=check)
         return renewed, pack(data, ticket, self._data)
 
 
+# Answers a renewal request (`ca.certificates`) with the node's new bundle
 Renewer = Callable[[bytes, int, RevocationCheck], bytes]
-"""Answers a renewal request (`ca.certificates`) with the node's new bundle."""
-
 MAX_KEPT: Final = 4096  # keys
 OFFER_LIMIT: Final = 16  # requests in one answer to the authority's service
 MAX_REASON: Final = 1024
@@ -173,28 +165,49 @@ class IdentityRenewals:
     def waiting(self, now: int) -> int:
         return sum(not each.is_answered and _is_kept(each, now) for each in self._entries.values())
 
-    def ask(self, holder: bytes, request: bytes, now: int, check: RevocationCheck) -> RenewalAnswer:
+    def ask(  # noqa: C901 - the steps of the specification
+        self, holder: bytes, request: bytes, now: int, check: RevocationCheck
+    ) -> RenewalAnswer:
+        # docs/spec/revocation.md, section 5. 1. At once, where there is an intermediate.
         if self._renewer is not None:
             return RenewalAnswer(self._renewer(request, now, check), "identity renewed")
+        # 2. What costs nothing first: a request is verified by several signatures, and a node asks often.
         if len(request) > MAX_RENEWAL:
             raise RenewalRefused("a renewal that is too long")
         entry = self._entries.get(holder)
         entry = entry if entry is not None and _is_kept(entry, now) else None
-        is_waiting = entry is not None and not entry.is_answered
-        if entry is not None and is_waiting and 0 <= now - entry.verified_at < VERIFY_SPACING:
+        waiting = entry if entry is not None and not entry.is_answered else None
+        if waiting is not None and 0 <= now - waiting.verified_at < VERIFY_SPACING:
             return self._later(now)
+        # 3. The request is of the key of the connection it came by.
         renewal = open_renewal(request, self._anchor, now, check)
-        if renewal.identity.thumbprint != holder:
-            raise RenewalRefused(
-                f"this connection is not of {renewal.identity.name}", "each node renews its own"
-            )
-        if entry is not None and entry.key == renewal.request.thumbprint:
+        held, key = renewal.identity, renewal.request.thumbprint
+        if held.thumbprint != holder:
+            raise RenewalRefused(f"this connection is not of {held.name}", "each node renews its own")
+        # 4. There is an answer; after a refusal that was told, and a pause, the node may ask anew.
+        if entry is not None and entry.key == key:
             if entry.reason and not (entry.is_told and now >= entry.next_request_at):
                 entry.is_told = True
                 raise RenewalRefused(entry.reason)
-            if entry.not_after > renewal.identity.not_after:
+            if entry.not_after > held.not_after:
                 return RenewalAnswer(entry.bundle, "identity renewed")
-        return self._place(holder, entry, renewal, request, now)
+        # 5. The same request is waiting, or another one comes too soon after the last.
+        if waiting is not None and waiting.key == key:
+            waiting.request, waiting.verified_at, waiting.ends = request, now, now + MAX_AGE
+            if _is_due(waiting, now):
+                self.on_asked()
+            return self._later(now)
+        if entry is not None and now < entry.next_request_at:
+            return RenewalAnswer(b"", _SOON)
+        # 6. It is kept, one for each key, and the service is told.
+        self._prune(now)
+        if holder not in self._entries and len(self._entries) >= MAX_KEPT:
+            full = f"the master keeps {MAX_KEPT} requests for renewals and takes no more"
+            raise RenewalRefused(full, "where the authority is: rossec ca unlock --for 8h")
+        next_at = now + retry_delay(held.not_before, held.not_after, SPACING)
+        self._entries[holder] = _Entry(held.name, held.wildcard, key, request, now, now + MAX_AGE, next_at)
+        self.on_asked()
+        return self._later(now)
 
     def offer(self, now: int, *, locked: bool) -> RenewalOffer:
         self._seen_at, self._is_locked = now, locked
@@ -218,7 +231,14 @@ class IdentityRenewals:
                 entry.reason = each.reason[:MAX_REASON]
             else:
                 try:
-                    identity = self._verify(entry, each.bundle, now, check)
+                    *chain, root = from_pem(each.bundle)
+                    identity = self._anchor.verify(chain, now)
+                    given = identity.name, identity.wildcard, identity.thumbprint
+                    asked = entry.name, entry.wildcard, entry.key
+                    if root != self._anchor.certificate or given != asked:
+                        continue
+                    for key in identity.keys:
+                        check(key, now)
                 except CAError:
                     continue
                 entry.bundle, entry.not_after = each.bundle, identity.not_after
@@ -227,44 +247,10 @@ class IdentityRenewals:
             self.on_answered(holder)
         return settled
 
-    def _place(
-        self, holder: bytes, entry: _Entry | None, renewal: Renewal, request: bytes, now: int
-    ) -> RenewalAnswer:
-        if entry is not None and not entry.is_answered and entry.key == renewal.request.thumbprint:
-            entry.request, entry.verified_at, entry.ends = request, now, now + MAX_AGE
-            if _is_due(entry, now):
-                self.on_asked()
-            return self._later(now)
-        if entry is not None and now < entry.next_request_at:
-            return RenewalAnswer(b"", _SOON)
-        self._prune(now)
-        if holder not in self._entries and len(self._entries) >= MAX_KEPT:
-            raise RenewalRefused(
-                f"the master keeps {MAX_KEPT} requests for renewals and takes no more",
-                "where the authority is: rossec ca unlock --for 8h",
-            )
-        held = renewal.identity
-        pause = retry_delay(held.not_before, held.not_after, SPACING)
-        self._entries[holder] = _Entry(
-            held.name, held.wildcard, renewal.request.thumbprint, request, now, now + MAX_AGE, now + pause
-        )
-        self.on_asked()
-        return self._later(now)
-
     def _later(self, now: int) -> RenewalAnswer:
         if self._seen_at is None or not 0 <= now - self._seen_at < AUTHORITY_SEEN:
             return RenewalAnswer(b"", _AWAY)
         return RenewalAnswer(b"", _LOCKED if self._is_locked else _ASKED)
-
-    def _verify(self, entry: _Entry, bundle: bytes, now: int, check: RevocationCheck) -> Identity:
-        *chain, root = from_pem(bundle)
-        identity = self._anchor.verify(chain, now)
-        found = identity.name, identity.wildcard, identity.thumbprint
-        if root != self._anchor.certificate or found != (entry.name, entry.wildcard, entry.key):
-            raise CertificateRefused(f"not the identity that {entry.name} asked for")
-        for key in identity.keys:
-            check(key, now)
-        return identity
 
     def _prune(self, now: int) -> None:
         for holder in [key for key, each in self._entries.items() if not _is_kept(each, now)]:

@@ -185,11 +185,9 @@ class ListInForce:
 def pertaining(
     entries: frozenset[bytes], grants: Iterable[Grant], own: tuple[bytes, bytes | None], names: Iterable[str]
 ) -> Generator[None, None, frozenset[bytes]]:
-    """The `entries` that pertain to a caller that is registered for `names` (RFC 9770).
-
-    Its own grants; grants of any holder for these names, and the keys of these holders; the
-    delegation of renewal. Yields where other calls may be answered.
-    """
+    # The `entries` that pertain to a caller that is registered for `names` (RFC 9770). Its own grants; grants
+    # of any holder for these names, and the keys of these holders; the delegation of renewal. Yields where
+    # other calls may be answered.
     found, keys = set(own), frozenset(names)
     for grant in [item for item in grants if not entries.isdisjoint(entries_of(item))]:
         is_found = grant.holder == own[0]
@@ -270,14 +268,12 @@ class Series:
 
 
 class RevocationQueries:
-    """TRL queries of RFC 9770: full query, diff query, with a cursor.
+    """TRL queries of RFC 9770: full query, diff query, with a cursor."""
 
-    Each requester has a numbered series of updates of *its* part of the TRL; the answer is that
-    part, or the updates after a cursor. An update is recorded when the requester queries and its
-    part has changed since, so nothing is stored for peers that never query. The first number is
-    taken from the start time of the master, so a cursor of an earlier run is recognized as too old.
-    """
-
+    # Each requester has a numbered series of updates of *its* part of the TRL; the answer is that part, or
+    # the updates after a cursor. An update is recorded when the requester queries and its part has changed
+    # since, so nothing is stored for peers that never query. The first number is taken from the start time of
+    # the master, so a cursor of an earlier run is recognized as too old.
     def __init__(self, start: int) -> None:
         self._first = start << 20  # reached by a later run only after a million updates a second
         self._series: OrderedDict[bytes, Series] = OrderedDict()

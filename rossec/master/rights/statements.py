@@ -42,11 +42,9 @@ from rossec.master.state.registry import Event, Kind, NodeRef, Registry
 
 
 class TrustState(ListInForce):
-    """Revocations and presented grants: who is still trusted, and for what.
+    """Revocations and presented grants: who is still trusted, and for what."""
 
-    `renewer` renews identities at once; None: the authority's service does.
-    """
-
+    # `renewer` renews identities at once; None: the authority's service does.
     def __init__(
         self,
         anchor: TrustAnchor,
@@ -86,7 +84,9 @@ class TrustState(ListInForce):
             exported = self.domains.exported(peer.domain)
             return self._caller(peer, now, self._judge._replace(check=check, exported=exported))
         if not peer.wildcard and (held := self._held_by(peer)).has_tails:
-            held.drop_tails()
+            # Patterns of tails are of a wildcard certificate; another one may have the same key.
+            held.drop(lambda grant: grant.has_tail_patterns)
+            held.has_tails = False
         caller = self._caller(peer, now, self._judge, wildcard=peer.wildcard)
         if peer.name.startswith(MASTER) and self.domains.is_own_master(peer):
             return replace(caller, is_own_master=True)
@@ -118,24 +118,34 @@ class TrustState(ListInForce):
         # Whether it differs from the one held; grants of domains that are gone are discarded.
         ended = self.domains.update(data)
         for held in self._held.values() if ended else ():
-            held.drop_domains(ended or ())
+            held.drop(lambda grant: grant.domain in (ended or ()))
         return ended is not None
 
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> VerifiedGrants:
         # A refused grant does not affect the others; one bound to another key is refused.
         self._confirm(now)
-        held = self._held_by(caller)
+        held, domains = self._held_by(caller), self.domains
         held.drop_expired(now)
         refused: list[str] = []
         for token in tokens:
             try:
                 if hashlib.sha256(token).digest() in held.grants:
                     continue
+                # 1. What costs nothing first: a verification costs the loop a signature.
                 self._check_failures(held, now)
                 if held.is_full_for(len(token)):
                     raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
-                grant = self._verifier_of(token, caller).open(token, now)
-                check_holder(caller, grant, self.domains.label_of(grant.domain))
+                # 2. With the key of the domain the token says it is of; a foreigner has only own grants.
+                domain = peek(token).domain if domains.anchors.all_listed and not caller.is_foreign else ""
+                if domain and domains.anchors.listed_domain(domain) is not None:
+                    verifier = domains.verifier(domain)
+                else:
+                    delegates = (self._signer.public_key, *domains.own_delegates())
+                    check, own = self._revocations.check, self._anchor
+                    verifier = Verifier(own.public_key, own.domain, delegates, self.number, check)
+                grant = verifier.open(token, now)
+                # 3. It is the caller's own.
+                check_holder(caller, grant, domains.label_of(grant.domain))
                 held.put(token, grant)
             except HintedError as error:
                 held.count_failure(now)
@@ -249,16 +259,6 @@ class TrustState(ListInForce):
         if held.has_failed_too_often(now):
             raise GrantError("too many grants of this node were refused", f"wait {FAILURE_WINDOW} s")
 
-    def _verifier_of(self, token: bytes, caller: Caller) -> Verifier:
-        # With the key of the domain the token says it is of; a foreigner has only own grants.
-        anchor, domains = self._anchor, self.domains
-        if domains.anchors.all_listed and not caller.is_foreign:
-            domain = peek(token).domain
-            if domains.anchors.listed_domain(domain) is not None:
-                return domains.verifier(domain)
-        delegates = (self._signer.public_key, *domains.own_delegates())
-        return Verifier(anchor.public_key, anchor.domain, delegates, self.number, self._revocations.check)
-
     def _confirm(self, now: int) -> None:
         held, revocations, elsewhere = self._context, self._revocations, self.domains.generation
         if held.now != now or held.revocations is not revocations.data or held.elsewhere != elsewhere:
@@ -302,13 +302,12 @@ def enforce(registry: Registry, trust: TrustState, step: EnforcementStep, now: i
     caller = trust.caller_of(step.node, now)
     if caller is None:
         return [*registry.remove_node(step.node.name)]
-    uncovered = [key for key in step.keys if not _is_authorized(caller, step.kind, key)]
+    match step.kind:
+        case Kind.PARAMETER:  # something at or below its key; each update is authorized again anyway
+            allowed = [caller.may_some_below(Right.PARAM_GET, k.removesuffix("/") or "/") for k in step.keys]
+        case Kind.SUBSCRIBER:
+            allowed = [may_subscribe(caller, key) for key in step.keys]
+        case kind:
+            allowed = [caller.may(_REQUIRED_RIGHTS[kind], key) for key in step.keys]
+    uncovered = [key for key, is_allowed in zip(step.keys, allowed, strict=True) if not is_allowed]
     return [event for key in uncovered for event in registry.remove(step.kind, key, caller.name)]
-
-
-def _is_authorized(caller: Caller, kind: Kind, key: str) -> bool:
-    if kind is Kind.PARAMETER:  # something at or below its key; each update is authorized again anyway
-        return caller.may_some_below(Right.PARAM_GET, key.removesuffix("/") or "/")
-    if kind is Kind.SUBSCRIBER:
-        return may_subscribe(caller, key)
-    return caller.may(_REQUIRED_RIGHTS[kind], key)

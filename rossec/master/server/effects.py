@@ -1,7 +1,7 @@
 """The effects of a call: updates to nodes, journal records, lines of the audit. A shell.
 
 The cores return events; `deliver` maps each to its effect. Nothing is authorized here and nothing
-waits: `Updates` sends updates to nodes, `GraphChanges` notifies watchers. A new revocation list is
+waits: `Updates` sends updates to nodes, `LongPolls` wakes those that wait. A new revocation list is
 enforced before the call that delivered it is answered, except for what would take too long.
 """
 
@@ -23,6 +23,7 @@ from ca.revocation.lists import digest
 from grants.model import Right
 from grants.request import is_dispensable, needed_rule, own_form, rule_form
 from rossec import files
+from rossec.clock import time as host_time
 from rossec.master.api.methods import (
     Administered,
     CallDenied,
@@ -32,22 +33,20 @@ from rossec.master.api.methods import (
     DomainsChanged,
     GrantsDeposited,
     MasterEvent,
+    MasterTables,
     ParameterChanged,
     PersistParameter,
     RevocationsChanged,
     StopMaster,
 )
 from rossec.master.operation.admin import DENIALS
-from rossec.master.rights.caller import CertifiedPeer, RecentDenials
-from rossec.master.rights.publisher_views import AliasPublishers
-from rossec.master.rights.statements import TrustState, enforce, enforcement_steps
+from rossec.master.operation.config import MasterLimits
+from rossec.master.rights.caller import CertifiedPeer
+from rossec.master.rights.statements import enforce, enforcement_steps
 from rossec.master.server.saved_state import DepositFile, ParameterFile
-from rossec.master.server.updates import GrantChanges, GraphChanges, SitePolls, SlaveDialer, Updates
-from rossec.master.state.forwarded_ports import ForwardedPorts
-from rossec.master.state.graph import Graph
+from rossec.master.server.updates import MAX_CLOSING, LongPolls, SlaveDialer, Updates
 from rossec.master.state.imported_facts import TypeContradicted
-from rossec.master.state.imports import Imports
-from rossec.master.state.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
+from rossec.master.state.registry import NodeRef, PublishersChanged, ShutdownNode
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.peer_limits import printable
 from rossec.ros.names import DOMAINS_UPDATE, FOREIGN_UPDATE, REVOCATION_UPDATE
@@ -55,22 +54,20 @@ from rossec.ros.names import DOMAINS_UPDATE, FOREIGN_UPDATE, REVOCATION_UPDATE
 LINES_PER_NODE: Final = 200  # lines of one node
 MAX_LINES: Final = 10_000  # of all nodes beyond their quotas
 
+# Called with `now`, the node, the right it lacks, and the name
 OnDenial: TypeAlias = Callable[[int, str, Right, str], None]
-"""Called with `now`, the node, the right it lacks, and the name."""
 
 
 def ignore_denial(now: int, node: str, right: Right, name: str) -> None: ...
 
 
 class DenialLog:
-    """The denial log at `path`: one line for every right that a caller lacked, to learn a policy from.
+    """The denial log at `path`: one line for every right that a caller lacked, to learn a policy from."""
 
-    `rossec policy learn --from-log` reads it: callers of services and readers of parameters do not
-    appear in the graph. Each line is written once, and their number is limited: an enrolled node
-    chooses the names, and must not fill the disk with them. Each node has a quota that no other can
-    use up, else one of them could keep the others out of the log.
-    """
-
+    # `rossec policy learn --from-log` reads it: callers of services and readers of parameters do not appear
+    # in the graph. Each line is written once, and their number is limited: an enrolled node chooses the
+    # names, and must not fill the disk with them. Each node has a quota that no other can use up, else one of
+    # them could keep the others out of the log.
     def __init__(self, path: Path) -> None:
         from grants.policy.learn import log_line  # noqa: PLC0415 - not loaded without this log
 
@@ -110,14 +107,12 @@ class _Logged:
 
 
 class DenialCauses:
-    """Refusals for the log and the audit: one line for each cause, in the words of `rossec explain`.
+    """Refusals for the log and the audit: one line for each cause, in the words of `rossec explain`."""
 
-    A cause is a right that a node lacks on a name; names of one run of an anonymous node are the
-    same cause as those of the next. It is logged once an hour, with the number of refusals left
-    out. What every ROS program asks for by itself and works without is one cause for each node.
-    Refusals for other reasons, such as an address of another node, are all logged.
-    """
-
+    # A cause is a right that a node lacks on a name; names of one run of an anonymous node are the same cause
+    # as those of the next. It is logged once an hour, with the number of refusals left out. What every ROS
+    # program asks for by itself and works without is one cause for each node. Refusals for other reasons,
+    # such as an address of another node, are all logged.
     def __init__(self) -> None:
         self._logged: OrderedDict[_Cause, _Logged] = OrderedDict()
 
@@ -156,38 +151,40 @@ _denials = logging.getLogger(DENIALS)
 
 _CONTRADICTED: Final = "%s is not imported from site %s: it is of type %s there, of %s here"
 STEPS_AT_ONCE: Final = 1024  # enforcement steps before the next call is answered
-_Recorded = PersistParameter | Denied | CallerPresentedGrants | CallDenied | TypeContradicted
+GRANTS_WAIT: Final = 60.0  # seconds; an answer without grants shows that the master is alive
+MAX_WAITING: Final = 64  # calls of one key that wait for grants: the nodes of a wildcard identity
 
 
-@dataclass
-class MasterState:
+@dataclass(kw_only=True)
+class MasterState(MasterTables):
     """The state of one master, used in its event loop only."""
 
-    name: str
-    clock: Callable[[], float]
-    registry: Registry
-    trust: TrustState
-    parameter_file: ParameterFile | None  # the journal of parameters; None: they do not survive a restart
-    deposit_file: DepositFile | None = None  # the journal of deposited grants; None: none is accepted
-    graph_changes: GraphChanges = field(default_factory=GraphChanges)
-    grant_changes: GrantChanges = field(default_factory=GrantChanges)
+    clock: Callable[[], float] = host_time
+    limits: MasterLimits = field(default_factory=MasterLimits)
+    on_denial: OnDenial = ignore_denial
+    parameter_file: ParameterFile | None = None  # None: parameters do not survive a restart
+    deposit_file: DepositFile | None = None  # None: no deposit is accepted
     streams: set[SecureStream[Identity]] = field(default_factory=set)
-    recent_denials: RecentDenials = field(default_factory=RecentDenials)
-    # followers that wait for changes of the registrations
-    site_polls: SitePolls = field(default_factory=SitePolls)
+    graph_changes: LongPolls = field(default_factory=LongPolls)
+    grant_changes: LongPolls = field(default_factory=partial(LongPolls, 0.0, MAX_WAITING))
+    site_polls: LongPolls = field(default_factory=partial(LongPolls, limit=1))  # followers
+    relay_polls: LongPolls = field(default_factory=partial(LongPolls, 0.0, 1))
     # demand_changes, renewal_changes: what local nodes want of other masters, of the authority
-    demand_changes: GraphChanges = field(default_factory=GraphChanges)
-    renewal_changes: GraphChanges = field(default_factory=GraphChanges)
-    doors: ForwardedPorts = field(default_factory=ForwardedPorts)
-    # relays that wait for what is wanted
-    relay_polls: SitePolls = field(default_factory=partial(SitePolls, 0.0))
-    imports: Imports = field(init=False)
-    aliases: AliasPublishers = field(init=False)
+    demand_changes: LongPolls = field(default_factory=LongPolls)
+    renewal_changes: LongPolls = field(default_factory=LongPolls)
+    settled: LongPolls = field(default_factory=partial(LongPolls, 0.0))  # the sites have answered
 
     def __post_init__(self) -> None:
-        self.imports = Imports(self.registry)
-        self.aliases = AliasPublishers(Graph(self.registry, self.imports), self.trust.caller_of)
+        if self.parameter_file is not None:
+            self.parameters = self.parameter_file.parameters
+        if self.deposit_file is not None:
+            self.deposits = self.deposit_file.deposits
+        super().__post_init__()
+        self.parameter_bytes = self.limits.parameters
+        self.grants_wait = min(GRANTS_WAIT, self.limits.idle_seconds / 2)
         self.imports.filter.rules = self.trust.domains.imported
+        self.imports.on_settled = self.settled.notify
+        self.trust.domains.own_sites = self.imports.own_sites
         self.doors.on_wanted = self.relay_polls.notify
         self.trust.identities.on_asked = self.renewal_changes.notify
 
@@ -208,13 +205,12 @@ class MasterState:
 class Effects:
     """Delivers events; `calls` and `denials` are counters."""
 
-    def __init__(
-        self, state: MasterState, context: SecureContext[Identity], on_denial: OnDenial, max_clients: int
-    ) -> None:
+    def __init__(self, state: MasterState, context: SecureContext[Identity]) -> None:
         self._state = state
-        self._on_denial, self._denial_causes = on_denial, DenialCauses()
+        self._denial_causes = DenialCauses()
         self.dialer: Final = SlaveDialer(context, self.evict)
-        self.updates: Final = Updates(self.dialer.dial, max_clients, on_taken=self._record_taken)
+        most = state.limits.nodes_per_identity + MAX_CLOSING
+        self.updates: Final = Updates(self.dialer.dial, most, on_taken=self._record_taken)
         self.stopping: Final = asyncio.Event()
         self.list_changed: Final = asyncio.Event()  # the next round of maintenance must not wait
         self.on_served: Callable[[str], object] = lambda _topic: None  # its publishers have changed
@@ -229,10 +225,8 @@ class Effects:
         return outcome.answer
 
     def evict(self, node: NodeRef, found: CertifiedPeer) -> None:
-        """Remove a node that registered the address of another node, `found`.
-
-        Otherwise a node could keep another out by registering its address first.
-        """
+        # Remove a node that registered the address of another node, `found`. Otherwise a node could keep
+        # another out by registering its address first.
         self.updates.drop(node)
         if self._state.registry.is_current(node):
             gone, other = shown(node.name), shown(found.name)
@@ -241,26 +235,57 @@ class Effects:
                 self.deliver(event)
             self._state.notify()
 
-    def deliver(self, event: MasterEvent) -> None:
+    def deliver(self, event: MasterEvent) -> None:  # noqa: C901, PLR0912 - one case for each event
+        state, now = self._state, self._state.now
         match event:
+            # 1. Updates to nodes.
             case PublishersChanged():
                 if is_in_gateway(event.topic):
                     self.on_served(event.topic)
-                self.send_publishers(self._state.aliases.updates(event, self._state.now()))
+                self.send_publishers(state.aliases.updates(event, now()))
             case ParameterChanged(node, key, value):
                 self._notify(node, "paramUpdate", key, value)
             case ShutdownNode(node, reason):
                 self._notify(node, "shutdown", f"[{node.name}] Reason: {reason}")
-            case RevocationsChanged() | DomainsChanged():
-                self._list_changed(event)
-                self._state.notify_all()
+            # 2. What the authority has signed.
+            case RevocationsChanged(by):
+                _audit.info("%s delivered revocation list %d", by, state.trust.number)
+                self._enforce_list()
+                self._tell_new_list()
+            case DomainsChanged(by):
+                _audit.info("%s delivered list of domains %d", by, state.trust.domains.number)
+                self._enforce_list()
+                for changed in state.imports.taken_anew():
+                    self.deliver(changed)
+                data = state.trust.domains.anchors.data
+                for node in self._own_nodes(now()):
+                    self.updates.post(node, (DOMAINS_UPDATE, ""), state.name, data)
+                self._tell_new_list()
             case GrantsDeposited(by, holders, count):
                 _audit.info("%s deposited %d grants for %d keys", by, count, len(holders))
-                self._state.grant_changes.notify(holders)
+                state.grant_changes.wake(holders)
+            case CallerPresentedGrants(name, refused):
+                state.notify_all()  # it may see more or less now
+                self.send_publishers(state.aliases.changes_for(name, now()))
+                if refused:
+                    why = printable("; ".join(refused))
+                    _denials.warning("%s presented grants that are refused: %s", name, why)
+            # 3. What is written down.
+            case PersistParameter(change):
+                if state.parameter_file is not None:
+                    state.parameter_file.write(change)
+            case CallDenied(node):
+                self.denials += 1
+                if text := self._denial_causes.text(now(), event):
+                    level = logging.INFO if text.startswith(BASICS) else logging.WARNING
+                    _denials.log(level, "%s may not %s", node, printable(text))
+            case Denied(node, right, name):
+                state.recent_denials.add(now(), node, right, name)
+                state.on_denial(now(), node, right, name)
+            case TypeContradicted(label, topic, here, there):
+                _audit.warning(_CONTRADICTED, topic, label, there, here)
             case Administered(by, what):
                 _audit.info("%s %s", by, printable(what))
-            case PersistParameter() | Denied() | CallerPresentedGrants() | CallDenied() | TypeContradicted():
-                self._record(event)
             case StopMaster(reason):
                 _audit.warning("stopping: %s", printable(reason))
                 self.stopping.set()
@@ -270,44 +295,10 @@ class Effects:
             for node in nodes:
                 self._notify(node, "publisherUpdate", topic, list(uris))
 
-    def _list_changed(self, event: RevocationsChanged | DomainsChanged) -> None:
-        trust = self._state.trust
-        match event:
-            case RevocationsChanged(by):
-                _audit.info("%s delivered revocation list %d", by, trust.number)
-                self._enforce_list()
-            case DomainsChanged(by):
-                _audit.info("%s delivered list of domains %d", by, trust.domains.number)
-                self._enforce_list()
-                for changed in self._state.imports.taken_anew():
-                    self.deliver(changed)
-                now, data = self._state.now(), trust.domains.anchors.data
-                for node in self._own_nodes(now):
-                    self.updates.post(node, (DOMAINS_UPDATE, ""), self._state.name, data)
+    def _tell_new_list(self) -> None:
         for tell in self.on_new_lists:
             tell()
-
-    def _record(self, event: _Recorded) -> None:
-        match event:
-            case TypeContradicted(label, topic, here, there):
-                _audit.warning(_CONTRADICTED, topic, label, there, here)
-            case PersistParameter(change):
-                if self._state.parameter_file is not None:
-                    self._state.parameter_file.write(change)
-            case CallDenied(node):
-                self.denials += 1
-                if text := self._denial_causes.text(self._state.now(), event):
-                    level = logging.INFO if text.startswith(BASICS) else logging.WARNING
-                    _denials.log(level, "%s may not %s", node, printable(text))
-            case Denied(node, right, name):
-                self._state.recent_denials.add(self._state.now(), node, right, name)
-                self._on_denial(self._state.now(), node, right, name)
-            case CallerPresentedGrants(name, refused):
-                self._state.notify_all()  # it may see more or less now
-                self.send_publishers(self._state.aliases.changes_for(name, self._state.now()))
-                if refused:
-                    text = printable("; ".join(refused))
-                    _denials.warning("%s presented grants that are refused: %s", name, text)
+        self._state.notify_all()
 
     def _notify(self, node: NodeRef, method: str, subject: object, *rest: object) -> None:
         about = subject if isinstance(subject, str) and rest else ""

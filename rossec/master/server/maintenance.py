@@ -37,11 +37,10 @@ SOURCE: Final = "the authority on this host"
 
 _log = logging.getLogger("rossec.master.nearby")
 
+# Returns the newest signed list or tree, and the entries of a tree; None: unchanged
 FindRevocations: TypeAlias = Callable[[], tuple[bytes, bytes] | None]
-"""Returns the newest signed list or tree, and the entries of a tree; None: unchanged."""
-
+# Returns the newest signed list of domains; empty: unchanged, or there is none
 FindDomains: TypeAlias = Callable[[], bytes]
-"""Returns the newest signed list of domains; empty: unchanged, or there is none."""
 
 
 def no_authority() -> None: ...
@@ -52,13 +51,11 @@ def no_domains() -> bytes:
 
 
 class LocalAuthority:
-    """Reads the lists of an authority on the master's host, from its directory.
+    """Reads the lists of an authority on the master's host, from its directory."""
 
-    A list that could not be delivered, as the master was not running or not reachable, would
-    otherwise wait for a person, while the master keeps confirming the old one. An invalid list is
-    logged, and the list in force stays.
-    """
-
+    # A list that could not be delivered, as the master was not running or not reachable, would otherwise wait
+    # for a person, while the master keeps confirming the old one. An invalid list is logged, and the list in
+    # force stays.
     def __init__(
         self, find: FindRevocations, trust: TrustState, find_domains: FindDomains = no_domains
     ) -> None:
@@ -77,11 +74,8 @@ class LocalAuthority:
         return self._take("list", accept)
 
     def has_newer_domains(self) -> bool:
-        def accept() -> bool:
-            data = self._find_domains()
-            return data != b"" and self._trust.update_domains(data)
-
-        return self._take("list of domains", accept)
+        find, update = self._find_domains, self._trust.update_domains
+        return self._take("list of domains", lambda: (data := find()) != b"" and update(data))
 
     def _take(self, what: str, accept: Callable[[], bool]) -> bool:
         try:
@@ -101,19 +95,17 @@ _RETRY: Final = 600
 _GRACE: Final = 60  # seconds at most for the first answer
 _own_identity_log = logging.getLogger("rossec.master.own")
 
+# Answers a renewal request with the new bundle, or with what is waited for
 Renew = Callable[[bytes, int], RenewalAnswer]
-"""Answers a renewal request with the new bundle, or with what is waited for."""
 
 
 class OwnIdentity:
-    """The credentials of the master; `check` keeps them current.
+    """The credentials of the master; `check` keeps them current."""
 
-    A master runs for months, its certificate is valid for one. So it reloads a certificate that was
-    installed (`rossec node install`) and has its own renewed like that of any node, by the
-    authority's service or by an intermediate here; while that does not succeed, it logs a warning.
-    The key stays the same: nodes identify their master by it.
-    """
-
+    # A master runs for months, its certificate is valid for one. So it reloads a certificate that was
+    # installed (`rossec node install`) and has its own renewed like that of any node, by the authority's
+    # service or by an intermediate here; while that does not succeed, it logs a warning. The key stays the
+    # same: nodes identify their master by it.
     def __init__(self, home: NodeHome, now: int) -> None:
         self._home = home
         self._identity = home.identity(now)
@@ -197,14 +189,12 @@ _audit = logging.getLogger("rossec.audit")
 
 
 class Gateways:
-    """Gateways that have died: noticed, so that subscribers do not wait for them.
+    """Gateways that have died: noticed, so that subscribers do not wait for them."""
 
-    A gateway replaces the origin's publishers, so nobody else would notice. Each one that serves a
-    topic is asked for its process id, on one connection that stays: the end of a process ends it at
-    once. One without an answer is silent, and serves nothing until it answers again; where nobody
-    listens at its address any more it is unregistered. A master where nothing is served asks nobody.
-    """
-
+    # A gateway replaces the origin's publishers, so nobody else would notice. Each one that serves a topic is
+    # asked for its process id, on one connection that stays: the end of a process ends it at once. One
+    # without an answer is silent, and serves nothing until it answers again; where nobody listens at its
+    # address any more it is unregistered. A master where nothing is served asks nobody.
     def __init__(self, state: MasterState, effects: Effects) -> None:
         self._state = state
         self._effects = effects
@@ -343,14 +333,23 @@ class Maintenance:
     async def _run_once(self) -> None:
         if self._setbacks.any_new():
             _audit.warning(_CLOCK_SET_BACK)
+        # 1. Rights are enforced piece by piece: calls are answered between two steps.
         self._effects.close_revoked()
-        await self._enforce()
+        for _ in self._effects.enforcement():
+            self._state.notify()
+            await asyncio.sleep(0)
+        for updates in self._state.aliases.all_changes(self._state.now()):
+            self._effects.send_publishers(updates)
+            await asyncio.sleep(0)
+        self._state.notify_all()  # rights also narrow what watchers see
+        # 2. Nodes are told that the list is still the newest, and what nobody needs is forgotten.
         self._effects.send_revocations()
         self._effects.drop_deposits()
         nodes = frozenset(self._state.registry.nodes())
         self._effects.updates.prune(nodes)
         keys = self._connected_keys() | {node.thumbprint for node in nodes}
         self._state.trust.keep_only(keys, self._state.now())
+        # 3. The own identity, and what an authority on this host has signed since.
         self._check_own_identity(self._state.now())
         if self._local_authority.has_newer_list(self._state.now()):
             self._effects.deliver(RevocationsChanged(SOURCE))
@@ -369,15 +368,6 @@ class Maintenance:
             except Exception:  # noqa: BLE001 - as above
                 _maintenance_log.exception("parameters were not saved; it is tried again")
             await asyncio.sleep(min(_SAVE_PAUSE, self._interval))  # also after a failure
-
-    async def _enforce(self) -> None:
-        for _ in self._effects.enforcement():
-            self._state.notify()
-            await asyncio.sleep(0)
-        for updates in self._state.aliases.all_changes(self._state.now()):
-            self._effects.send_publishers(updates)
-            await asyncio.sleep(0)
-        self._state.notify_all()  # rights also narrow what watchers see
 
     def _connected_keys(self) -> frozenset[bytes]:
         return frozenset(stream.peer.thumbprint for stream in self._state.streams)

@@ -34,14 +34,12 @@ T = TypeVar("T")
 
 
 class ListFile:
-    """Saves lists and the entries of trees in `home`, later if not possible now.
+    """Saves lists and the entries of trees in `home`, later if not possible now."""
 
-    A list is made durable before it takes effect; but a revocation must not wait for room on a disk
-    that the revoked node may have filled. So a list that cannot be saved is in force all the same.
-    A master that is restarted before has the older list: nodes that hold the newer one refuse its
-    timestamps, and authorize nothing.
-    """
-
+    # A list is made durable before it takes effect; but a revocation must not wait for room on a disk that
+    # the revoked node may have filled. So a list that cannot be saved is in force all the same. A master that
+    # is restarted before has the older list: nodes that hold the newer one refuse its timestamps, and
+    # authorize nothing.
     def __init__(self, home: NodeHome) -> None:
         self._home = home
         # By what is written, in the order in which that must be.
@@ -76,151 +74,174 @@ class ListFile:
             _log.warning("the newest lists are saved now")
 
 
+class JournalFile:
+    """A journal on the disk: records are appended, and the whole is replaced when it has grown too long."""
+
+    # The one mechanism of both journals; what is synced when, and what a failure means, differs.
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.file: int | None = None  # None: not open
+        self.size = self.snapshot_size = 0  # of the file, and of the shortest one when it was replaced last
+
+    def read(self, decode: Callable[[bytes], tuple[list[T], int]]) -> list[T]:
+        data = b""
+        if self.path.exists():
+            with os.fdopen(ownership.open_trusted(self.path), "rb") as file:
+                data = file.read()
+        changes, valid = decode(data)
+        if valid < len(data):  # a power failure within a record; kept aside, as it may be something else
+            _journal_log.warning("%s: the last %d bytes are damaged", self.path.name, len(data) - valid)
+            files.replace(self.path.with_suffix(".damaged"), data)
+        return changes
+
+    def append(self, records: bytes, *, synced: bool = False) -> str:
+        # Why they were not written; empty: they were.
+        file, reason = self.file, "the disk is full"
+        if file is None:
+            return "it is not open"
+        try:
+            written = os.write(file, records)
+            if written == len(records):
+                if synced:
+                    os.fdatasync(file)
+                self.size += written
+                return ""
+        except OSError as error:
+            reason = str(error)
+        os.ftruncate(file, self.size)  # half a record would end the journal
+        return reason
+
+    def is_long(self) -> bool:
+        return self.size > max(REWRITE_MIN, REWRITE_FACTOR * self.snapshot_size)
+
+    def replace(self, data: bytes) -> None:
+        files.replace(self.path, data)
+        self.close()  # of the old file: what is appended there would be lost
+        self.take(os.open(self.path, _APPEND), len(data))
+
+    def take(self, file: int, size: int) -> None:
+        self.file, self.size, self.snapshot_size = file, size, size
+
+    def close(self) -> None:
+        if self.file is not None:
+            os.close(self.file)
+            self.file = None
+
+
 class DepositFile:
-    """The journal of deposited grants.
+    """The journal of deposited grants."""
 
-    A deposit is synced before it is acknowledged: the authority's operator is told that the master
-    has it, and may switch off his machine. That a holder has presented a grant is written in the
-    next maintenance round; if it is lost, the node presents it again.
-    """
-
+    # A deposit is synced before it is acknowledged: the authority's operator is told that the master has it,
+    # and may switch off his machine. That a holder has presented a grant is written in the next maintenance
+    # round; if it is lost, the node presents it again.
     def __init__(self, path: Path, verify: VerifyDeposit) -> None:
         self.deposits = Deposits(verify, self._append)
-        self._path = path
-        self._file: int | None = None
-        self._size = self._snapshot_size = 0
+        self._journal = JournalFile(path)
 
     def open(self) -> None:
-        self.deposits.restore(_read_journal(self._path, journals.decode_deposits))
+        self.deposits.restore(self._journal.read(journals.decode_deposits))
         self._rewrite()
 
     def sync(self) -> None:
         # Write what was presented since; compact the file when it has grown too long.
-        unsaved = self.deposits.unsaved
-        if self._file is None or not (unsaved or self._is_long()):
+        unsaved, journal = self.deposits.unsaved, self._journal
+        if journal.file is None or not (unsaved or journal.is_long()):
             return
         try:
-            if self._is_long():
+            if journal.is_long():
                 self._rewrite()
             else:
                 self._append(unsaved)
         except (NotWritten, OSError) as error:
-            _journal_log.warning("%s is not up to date: %s", self._path.name, error)
+            _journal_log.warning("%s is not up to date: %s", journal.path.name, error)
             return
         unsaved.clear()
 
     def close(self) -> None:
         self.sync()
-        if self._file is not None:
-            os.close(self._file)
-            self._file = None
+        self._journal.close()
 
     def _append(self, changes: Sequence[DepositChange]) -> None:
-        if self._file is None:
-            raise NotWritten(f"{self._path} is not open", "restart the master")
+        journal = self._journal
+        if journal.file is None:
+            raise NotWritten(f"{journal.path} is not open", "restart the master")
         records = b"".join(map(journals.encode_deposit, changes))
-        try:
-            written = os.write(self._file, records)
-            if written == len(records):
-                os.fdatasync(self._file)
-                self._size += written
-                return
-            reason = "the disk is full"
-        except OSError as error:
-            reason = str(error)
-        os.ftruncate(self._file, self._size)  # half a record would end the journal
-        raise NotWritten(f"{self._path.name} was not written: {reason}", "make room on the disk")
-
-    def _is_long(self) -> bool:
-        return self._size > max(REWRITE_MIN, REWRITE_FACTOR * self._snapshot_size)
+        if reason := journal.append(records, synced=True):
+            raise NotWritten(f"{journal.path.name} was not written: {reason}", "make room on the disk")
 
     def _rewrite(self) -> None:
         records = map(journals.encode_deposit, self.deposits.changes())
-        data = journals.DEPOSITS_MAGIC + b"".join(records)
-        files.replace(self._path, data)
-        if self._file is not None:  # of the old file: what is appended there would be lost
-            os.close(self._file)
-            self._file = None
-        self._file = os.open(self._path, _APPEND)
-        self._size = self._snapshot_size = len(data)
+        self._journal.replace(journals.DEPOSITS_MAGIC + b"".join(records))
 
 
 GROWN: Final = 64 * 1024 * 1024  # bytes written, after which the next round does not wait
 MAX_UNSYNCED: Final = 256 * 1024 * 1024  # bytes written between two rounds
-
 _CHUNK: Final = 1024 * 1024  # bytes that are written at a time
 _IN_FORCE: Final = "they are in force, and saved as soon as there is room"
 
 
 class ParameterFile:
-    """The journal of parameters.
+    """The journal of parameters."""
 
-    Every change is written before the call is answered, so a crash of the master loses none; it is
-    synced at most ten seconds later, so a power failure may lose these. That, and compacting, is
-    the work of a thread and of many passes of the loop: a disk may take seconds.
-    """
-
+    # Every change is written before the call is answered, so a crash of the master loses none; it is synced
+    # at most ten seconds later, so a power failure may lose these. That, and compacting, is the work of a
+    # thread and of many passes of the loop: a disk may take seconds.
     def __init__(self, path: Path) -> None:
         self.parameters = Parameters()
-        self._path = path
-        self._file: int | None = None
-        self._size = self._snapshot_size = 0
-        self._dirty = False
+        self._journal = JournalFile(path)
+        self._is_open = self._dirty = False
         self._complete = True  # False: a change is missing in the file
         self._compacted: bytearray | None = None  # what the next file gets, while it is made
-        self.grown = asyncio.Event()
-        """Whether so much was written that `save` is due now."""
+        self.grown = asyncio.Event()  # so much was written that `save` is due now
 
     def open(self) -> None:
-        journals.replay(self.parameters, _read_journal(self._path, journals.decode_parameters))
+        journals.replay(self.parameters, self._journal.read(journals.decode_parameters))
         self._rewrite()
+        self._is_open = True
 
     def write(self, change: ParameterChange) -> None:
         # Append a change that has been made; written, not synced, on return.
-        if self._file is None:
+        journal = self._journal
+        if not self._is_open:
             return
         record = journals.encode_parameter(change)
         if self._compacted is not None:
             self._compacted += record
-        written, reason = 0, "the disk is full"
-        try:
-            written = os.write(self._file, record)
-        except OSError as error:  # the call succeeds all the same: the change was made
-            reason = str(error)
         self._dirty = True
-        if written != len(record):
+        if reason := journal.append(record):  # the call succeeds all the same: it was made
             _journal_log.error("parameters cannot be saved: %s; %s", reason, _IN_FORCE)
-            os.ftruncate(self._file, self._size)  # half a record would end the journal
             self._complete = False
             return
-        self._size += len(record)
         if self._has_grown():
             self.grown.set()
-        if self._size > self._snapshot_size + MAX_UNSYNCED:  # a caller that sets without end
+        if journal.size > journal.snapshot_size + MAX_UNSYNCED:  # a caller that sets without end
             self.sync()
 
     def sync(self) -> None:
-        if self._file is None or not self._dirty:
+        file = self._journal.file
+        if not (self._is_open and self._dirty):
             return
         self._dirty = False
         try:
-            if self._is_long():
+            if file is None or self._is_long():
                 self._rewrite()
             else:
-                os.fdatasync(self._file)
+                os.fdatasync(file)
         except (NotWritten, OSError) as error:
             self._not_saved(error)
 
     async def save(self) -> None:
+        """As `sync`, beside the loop."""
         self.grown.clear()
-        if self._file is None or not self._dirty:
+        file = self._journal.file
+        if not (self._is_open and self._dirty):
             return
         self._dirty = False
         try:
-            if self._is_long():
+            if file is None or self._is_long():
                 await self._compact()
             else:
-                descriptor = os.dup(self._file)  # the file may be closed meanwhile
+                descriptor = os.dup(file)  # the file may be closed meanwhile
                 try:
                     await _in_thread(lambda: os.fdatasync(descriptor))
                 finally:
@@ -236,78 +257,59 @@ class ParameterFile:
         _journal_log.error("parameters cannot be saved: %s; %s", error, _IN_FORCE)
 
     def _has_grown(self) -> bool:
-        return self._size > self._snapshot_size + GROWN
+        return self._journal.size > self._journal.snapshot_size + GROWN
 
     def _is_long(self) -> bool:
-        long = self._size > max(REWRITE_MIN, REWRITE_FACTOR * self._snapshot_size)
-        return long or self._has_grown() or not self._complete
+        return self._journal.is_long() or self._has_grown() or not self._complete
 
     async def _compact(self) -> None:
-        # They are in the old file too, which is in its place until the new one is whole.
-        temporary = self._path.with_name(f".{self._path.name}.{secrets.token_hex(8)}")
+        # 1. Make the new file beside the old one, which is in its place and written until that is whole.
+        path = self._journal.path
+        temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
         made = os.open(temporary, _APPEND | os.O_CREAT | os.O_EXCL, 0o600)
         waiting, size = bytearray(), 0
         self._compacted = waiting
         try:
+            # 2. The parameters piece by piece; a change between two pieces follows those made before it.
             for piece in journals.pieces(self.parameters):
                 waiting += piece
                 await asyncio.sleep(0)
                 if len(waiting) >= _CHUNK:
-                    size += await self._move(waiting, made)
+                    size += await _move(waiting, made)
             while len(waiting) >= _CHUNK:
-                size += await self._move(waiting, made)
+                size += await _move(waiting, made)
             await _in_thread(lambda: os.fdatasync(made))
-            size += _write_all(made, bytes(waiting))  # as each change is written
-            old = self._file
-            if old is None:
-                raise NotWritten(f"{self._path.name} was closed meanwhile", "start the master again")
-            temporary.replace(self._path)
+            # 3. The rest and the exchange in one pass of the loop: no change can come between.
+            size += _write_all(made, bytes(waiting))
+            if not self._is_open:
+                raise NotWritten(f"{path.name} was closed meanwhile", "start the master again")
+            temporary.replace(path)
         except BaseException:
             os.close(made)
             temporary.unlink(missing_ok=True)
             raise
         finally:
             self._compacted = None
-        self._file = made
-        self._size = self._snapshot_size = size
+        self._journal.close()
+        self._journal.take(made, size)
         self._complete = True
-        os.close(old)
-        await _in_thread(lambda: files.sync_directory(self._path.parent))
-
-    @staticmethod
-    async def _move(waiting: bytearray, descriptor: int) -> int:
-        data = bytes(waiting)
-        waiting.clear()
-        await _in_thread(lambda: _write_all(descriptor, data))
-        return len(data)
+        await _in_thread(lambda: files.sync_directory(path.parent))
 
     def close(self) -> None:
         self.sync()
-        if self._file is not None:
-            os.close(self._file)
-            self._file = None
+        self._is_open = False
+        self._journal.close()
 
     def _rewrite(self) -> None:
-        data = journals.snapshot(self.parameters)
-        files.replace(self._path, data)
-        old = self._file
-        self._file = os.open(self._path, _APPEND)
-        self._size = self._snapshot_size = len(data)
+        self._journal.replace(journals.snapshot(self.parameters))
         self._complete = True
-        if old is not None:
-            os.close(old)
 
 
-def _read_journal(path: Path, decode: Callable[[bytes], tuple[list[T], int]]) -> list[T]:
-    data = b""
-    if path.exists():
-        with os.fdopen(ownership.open_trusted(path), "rb") as file:
-            data = file.read()
-    changes, valid = decode(data)
-    if valid < len(data):
-        _journal_log.warning("%s: the last %d bytes are damaged", path.name, len(data) - valid)
-        files.replace(path.with_suffix(".damaged"), data)
-    return changes
+async def _move(waiting: bytearray, descriptor: int) -> int:
+    data = bytes(waiting)
+    waiting.clear()
+    await _in_thread(lambda: _write_all(descriptor, data))
+    return len(data)
 
 
 async def _in_thread(work: Callable[[], object]) -> None:

@@ -21,19 +21,16 @@ from typing import Final
 from ca import svid
 from ca.certificates import Identity, TrustAnchor
 from ca.errors import HintedError, RevocationRefused
-from ca.keys.signing import Signer
 from ca.names import shown
 from ca.revocation.lists import is_tree
 from ca.revocation.trust_status import Revocations
-from rossec.channel.edhoc.credentials import KnownCertificates, OwnCredential, Verify
+from rossec.channel.edhoc.credentials import KnownCertificates, OwnCredential
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.records import ChannelLimits
-from rossec.clock import time as host_time
 from rossec.home import NodeHome
 from rossec.host.addresses import is_near
 from rossec.master.api.dispatch import CONNECTION_SECONDS, MasterApi, RevokedCalls, RevokedConnections
 from rossec.master.api.methods import StopMaster, TurnClock
-from rossec.master.api.parameter_calls import ParameterCalls
 from rossec.master.operation.admin import DENIALS
 from rossec.master.operation.config import MasterLimits
 from rossec.master.rights.domain_trust import DomainTrust
@@ -53,8 +50,8 @@ from rossec.master.server.maintenance import (
     no_domains,
 )
 from rossec.master.server.saved_state import DepositFile, ListFile, ParameterFile
-from rossec.master.server.updates import MAX_CLOSING, WAIT, GrantChanges
 from rossec.master.state.imported_facts import Site
+from rossec.master.state.imports import Imports
 from rossec.master.state.parameters import MirrorChange
 from rossec.master.state.registry import Kind, Registry
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
@@ -62,7 +59,7 @@ from rossec.net.limits import UNSHOWN_UNIT, HalfOpen, HalfOpenCount
 from rossec.net.rpc.calls import serve_calls
 from rossec.peer_limits import printable
 from rossec.ros.http import HEADERS_LIMIT
-from rossec.ros.names import MASTER, is_loopback
+from rossec.ros.names import is_loopback
 from rossec.saved_statements import DomainFiles, saved_revocations
 
 TIMESTAMP_EVERY: Final = 10.0  # seconds; a timestamp is valid for 30
@@ -73,70 +70,49 @@ _denials = logging.getLogger(DENIALS)
 
 
 class MasterServer:
-    """The master; not a context manager: `start`, then `stopped` or `close`.
+    """The master; not a context manager: `start`, then `stopped` or `close`."""
 
-    It listens at `host` (None: all), and nodes are sent `advertise` as its host; `check_own_identity`
-    is called with the time in each round of maintenance.
-    """
-
+    # It listens at `host` (None: all), and nodes are sent `advertise` as its host; `check_own_identity` is
+    # called with the time in each round of maintenance, in which `nearby` is read too.
     def __init__(
         self,
+        state: MasterState,
         credentials: OwnCredential,
-        verify: Verify[Identity],
-        trust: TrustState,
         *,
-        name: str = MASTER,
         host: str | None = None,
         port: int = 11311,
         advertise: str = "localhost",
-        clock: Callable[[], float] = host_time,
-        timestamp_every: float = TIMESTAMP_EVERY,
-        on_denial: OnDenial = ignore_denial,
-        parameter_file: ParameterFile | None = None,
-        deposit_file: DepositFile | None = None,
-        limits: MasterLimits = _LIMITS,
         suites: tuple[int, ...] = PRODUCTION,
+        timestamp_every: float = TIMESTAMP_EVERY,
         check_own_identity: Callable[[int], None] = lambda _: None,
+        nearby: LocalAuthority | None = None,
         turns: TurnClock | None = None,
-        find_revocations: FindRevocations = no_authority,
-        find_domains: FindDomains = no_domains,
     ) -> None:
         self._address = (host, port)
         self._advertise = advertise
-        self._limits = limits
         self._turns = TurnClock(time.monotonic) if turns is None else turns
-        channel_limits = ChannelLimits(
-            unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds
-        )
-        unshown = replace(channel_limits, preauth_limit=min(channel_limits.unit, UNSHOWN_UNIT))
+        self.state, limits = state, state.limits
+        dialled = ChannelLimits(unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds)
+        # Little is taken until grants are known: a certificate costs a foreign authority nothing.
+        unshown = replace(dialled, preauth_limit=min(dialled.unit, UNSHOWN_UNIT))
         self.context: Final = SecureContext(
             credentials,
-            verify,
+            state.trust.domains.anchors.verify,
             suites=suites,
             known=KnownCertificates(),
-            dial_limits={WireProtocol.HTTP: channel_limits},
+            dial_limits={WireProtocol.HTTP: dialled},
             accept_limits={WireProtocol.HTTP: unshown},
             half_open=HalfOpenCount(HalfOpen(limits.unfinished_per_address, limits.unfinished)),
             renews=Identity.renews,
         )
-        self.state = state = MasterState(
-            name,
-            clock,
-            Registry(limits.nodes_per_identity),
-            trust,
-            parameter_file,
-            deposit_file,
-            grant_changes=GrantChanges(min(WAIT, limits.idle_seconds / 2)),
-        )
-        trust.domains.own_sites = state.imports.own_sites
-        self.effects: Final = Effects(state, self.context, on_denial, limits.nodes_per_identity + MAX_CLOSING)
-        nearby = LocalAuthority(find_revocations, trust, find_domains)
+        self.effects: Final = Effects(state, self.context)
+        nearby = LocalAuthority(no_authority, state.trust) if nearby is None else nearby
         self._maintenance = Maintenance(state, self.effects, timestamp_every, check_own_identity, nearby)
         self._gateways = Gateways(state, self.effects)
-        self._admission = Admission(state, limits)
+        self._admission = Admission(state)
         self._revoked_connections = RevokedConnections()
-        self._parameters: ParameterCalls  # set by `start`
-        self._answers: CallAnswers  # set by `start`, before a connection is handled
+        self._api: MasterApi  # set by `start`, as it has the port
+        self._answers: CallAnswers  # likewise, before a connection is handled
         self._server: SecureServer[Identity] | None = None
 
     @property
@@ -149,35 +125,23 @@ class MasterServer:
         return f"http://{host}:{self.port}/"
 
     async def start(self) -> None:
-        state, parameters, deposits = self.state, None, None
+        state = self.state
         self._server = serve(self._handle, *self._address, self.context, WireProtocol.HTTP)
         if state.parameter_file is not None:
             state.parameter_file.open()
-            parameters = state.parameter_file.parameters
         if state.deposit_file is not None:
             state.deposit_file.open()
             self.effects.drop_deposits()
-            deposits = state.deposit_file.deposits
-        api = MasterApi(
-            state.registry,
-            state.trust,
-            name=state.name,
+        self._api = MasterApi(
+            state,
             uri=self.uri,
             pid=os.getpid(),
             instance=secrets.token_hex(8),
             started=state.now(),
-            parameters=parameters,
-            parameter_bytes=self._limits.parameters,
-            deposits=deposits,
-            denials=state.recent_denials,
             connected=lambda: [stream.peer for stream in state.streams],
-            imports=state.imports,
-            aliases=state.aliases,
-            doors=state.doors,
         )
-        self._parameters = api.parameters
-        self._answers = CallAnswers(api, state, self.effects, self._turns)
-        self._maintenance.start(api.keep_views)
+        self._answers = CallAnswers(self._api, state, self.effects, self._turns)
+        self._maintenance.start(self._api.keep_views)
         self._gateways.start()
 
     def mirror(self, site: Site, tree: dict[str, object]) -> None:
@@ -187,7 +151,7 @@ class MasterServer:
         self._send_mirrored(self.state.imports.mirrors.drop(label))
 
     def _send_mirrored(self, changes: Iterable[MirrorChange]) -> None:
-        for event in self._parameters.mirror(changes, self.state.now()):
+        for event in self._api.parameters.mirror(changes, self.state.now()):
             self.effects.deliver(event)
 
     def status(self) -> dict[str, str | int]:
@@ -252,9 +216,9 @@ class MasterServer:
         await serve_calls(
             stream,
             dispatch,
-            limit=self._limits.body,
-            request_deadline=self._limits.request_seconds,
-            idle_deadline=self._limits.idle_seconds,
+            limit=state.limits.body,
+            request_deadline=state.limits.request_seconds,
+            idle_deadline=state.limits.idle_seconds,
             bound=partial(self._admission.body_bound, stream.peer),
         )
 
@@ -268,7 +232,7 @@ class MasterServer:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(CONNECTION_SECONDS):
                     answer = RevokedCalls(self.state.trust, self.state.now).answer
-                    await serve_calls(stream, answer, limit=self._limits.body)
+                    await serve_calls(stream, answer, limit=self.state.limits.body)
         finally:
             stream.abort("the identity is revoked")
             self._revoked_connections.release(keys)
@@ -292,62 +256,18 @@ def master_of(
     find_revocations: FindRevocations = no_authority,
     find_domains: FindDomains = no_domains,
 ) -> MasterServer:
-    """The master whose identity is in `home`, not yet started.
-
-    `host` (ROS_HOSTNAME or ROS_IP) is advertised, and listened on alone when it is loopback, as in
-    ROS; None: this machine's name, and any address. `newest` is a revocation list (of a tree, with its
-    `entries`) that may be newer than the one saved, from an authority on this host. `renewer` renews
-    identities with an intermediate of this host; None: the authority's service does.
-    """
+    # The master whose identity is in `home`, not yet started. `host` (ROS_HOSTNAME or ROS_IP) is advertised,
+    # and listened on alone when it is loopback, as in ROS; None: this machine's name, and any address.
+    # `newest` is a revocation list (of a tree, with its `entries`) that may be newer than the one saved, from
+    # an authority on this host. `renewer` renews identities with an intermediate of this host; None: the
+    # authority's service does.
     anchor, own_identity, saved_list = home.anchor(), OwnIdentity(home, now), ListFile(home)
     signer = own_identity.credentials.current.signer
-    trust = _trust(home, saved_list, signer, newest, entries, renewer, now)
-    own_key = home.identity(now).thumbprint
-    own_identity.renew = lambda request, at: trust.identities.ask(own_key, request, at, trust.check)
-
-    def maintain(now: int) -> None:
-        own_identity.check(now)
-        saved_list.retry()
-
-    server = MasterServer(
-        own_identity.credentials,
-        trust.domains.anchors.verify,
-        trust,
-        name=home.name,
-        host=host if host is not None and is_loopback(host) else None,
-        port=port,
-        advertise=host or socket.gethostname(),
-        on_denial=on_denial,
-        parameter_file=ParameterFile(home.path / "parameters.journal"),
-        deposit_file=DepositFile(home.path / "deposits.journal", verifier(anchor, trust.check)),
-        limits=limits,
-        suites=suites,
-        check_own_identity=maintain,
-        find_revocations=find_revocations,
-        find_domains=find_domains,
-    )
-
-    def answered(key: bytes) -> None:
-        if key == own_key:
-            server.effects.list_changed.set()
-
-    trust.identities.on_answered = answered
-    return server
-
-
-def _trust(
-    home: NodeHome,
-    saved_list: ListFile,
-    signer: Signer,
-    newest: bytes | None,
-    entries: bytes | None,
-    renewer: Renewer | None,
-    now: int,
-) -> TrustState:
-    anchor = home.anchor()
+    # 1. The newest revocation list known here.
     revocations = saved_revocations(home, anchor, now)
     if newest is not None:
         revocations.update(newest, now, saved_list.save)
+    # 2. The authority's leave to renew grants; without it nodes ask the authority.
     delegate = TicketSigner(anchor, signer, home.save_delegation)
     delegation = home.load_delegation()
     if delegation is not None:
@@ -355,6 +275,7 @@ def _trust(
             delegate.take(delegation)
         except HintedError as error:
             _log.warning("grants are not renewed: %s", error)
+    # 3. All that is trusted, and the entries of a tree, in which only its root is signed.
     trust = TrustState(
         anchor,
         signer,
@@ -370,9 +291,43 @@ def _trust(
             if found is not None:
                 with contextlib.suppress(RevocationRefused):
                     trust.update_tree(revocations.data, found, now)
-                    return trust
-        _log.warning("the entries of the revocation tree are missing: rossec ca publish")
-    return trust
+                    break
+        else:
+            _log.warning("the entries of the revocation tree are missing: rossec ca publish")
+    # 4. The master is a node of its own site: its identity is renewed as theirs are.
+    own_key = home.identity(now).thumbprint
+    own_identity.renew = lambda request, at: trust.identities.ask(own_key, request, at, trust.check)
+
+    def maintain(now: int) -> None:
+        own_identity.check(now)
+        saved_list.retry()
+
+    state = MasterState(
+        name=home.name,
+        trust=trust,
+        imports=Imports(Registry(limits.nodes_per_identity)),
+        limits=limits,
+        on_denial=on_denial,
+        parameter_file=ParameterFile(home.path / "parameters.journal"),
+        deposit_file=DepositFile(home.path / "deposits.journal", verifier(anchor, trust.check)),
+    )
+    server = MasterServer(
+        state,
+        own_identity.credentials,
+        host=host if host is not None and is_loopback(host) else None,
+        port=port,
+        advertise=host or socket.gethostname(),
+        suites=suites,
+        check_own_identity=maintain,
+        nearby=LocalAuthority(find_revocations, trust, find_domains),
+    )
+
+    def answered(key: bytes) -> None:
+        if key == own_key:
+            server.effects.list_changed.set()
+
+    trust.identities.on_answered = answered
+    return server
 
 
 def _domains(

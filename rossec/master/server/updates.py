@@ -4,15 +4,12 @@ Stock rosmaster shares three threads between all nodes, so three dead nodes dela
 (ros_comm#1555). Here each node has its own task, its own connection and its own deadline. Pending
 updates are coalesced: only the newest publisher list of a topic, the newest value of a parameter,
 the newest revocation list. So a slow node costs a bounded amount of memory.
-
-Who polls waits on its own connection: the master needs no address of it, and queues nothing; a call
-that waited is answered again from the tables.
 """
 
 import asyncio
 import contextlib
 import logging
-from collections import deque
+import sys
 from collections.abc import Awaitable, Callable, Collection, Iterable
 from typing import Final
 
@@ -35,12 +32,10 @@ def is_node(peer: Identity, node: NodeRef) -> bool:
 
 
 class SlaveDialer:
-    """The only place from which the master connects to nodes; `probed` are being probed now.
+    """The only place from which the master connects to nodes; `probed` are being probed now."""
 
-    Nothing is sent to a peer that is not the node that registered the address: it is reported to
-    `on_mismatch`, with the node.
-    """
-
+    # Nothing is sent to a peer that is not the node that registered the address: it is reported to
+    # `on_mismatch`, with the node.
     def __init__(
         self, context: SecureContext[Identity], on_mismatch: Callable[[NodeRef, Identity], None]
     ) -> None:
@@ -76,12 +71,10 @@ _RETRY_AFTER: Final = (0.2, 1.0, 3.0)  # seconds; then the update is dropped
 
 _log = logging.getLogger("rossec.master.updates")
 
+# Connects to a slave API, or raises `RossecError`, also when another peer answers there
 Dial = Callable[[NodeRef], Awaitable[RpcClient]]
-"""Connects to a slave API, or raises `RossecError`, also when another peer answers there."""
-
+# Called with the method and parameters of an update that a node has accepted
 OnTaken = Callable[[NodeRef, str, tuple[object, ...]], object]
-"""Called with the method and parameters of an update that a node has accepted."""
-
 Key = tuple[str, str]  # Method and subject: of two pending updates with one key only the newer is sent
 
 
@@ -122,8 +115,7 @@ class NodeClient:
         self._client = SlaveClient(node, dial, deadline)
         self._on_taken = on_taken
         self._retry_after = retry_after
-        self._pending: dict[Key, tuple[object, ...]] = {}
-        self._encoded_sizes: dict[Key, int] = {}
+        self._pending: dict[Key, tuple[tuple[object, ...], int]] = {}  # the parameters and their size
         self._posted = asyncio.Event()
         self._failures = 0
 
@@ -132,15 +124,13 @@ class NodeClient:
         return not self._pending
 
     def post(self, key: Key, *params: object) -> None:
-        self._pending[key], self._encoded_sizes[key] = params, encoded_size(params)
+        self._pending[key] = params, encoded_size(params)
+        # A node that does not answer must not fill the memory: the oldest updates are dropped.
         while len(self._pending) > 1 and (
-            len(self._pending) > PENDING_LIMIT or sum(self._encoded_sizes.values()) > PENDING_BYTES
+            len(self._pending) > PENDING_LIMIT or sum(s for _, s in self._pending.values()) > PENDING_BYTES
         ):
-            self._discard(next(iter(self._pending)))
+            del self._pending[next(iter(self._pending))]
         self._posted.set()
-
-    def _discard(self, key: Key) -> None:
-        del self._pending[key], self._encoded_sizes[key]
 
     async def run(self) -> None:
         try:
@@ -148,16 +138,15 @@ class NodeClient:
                 await self._posted.wait()
                 self._posted.clear()
                 while self._pending:
-                    key, params = next(iter(self._pending.items()))
-                    if await self._deliver(key[0], params):
+                    key, update = next(iter(self._pending.items()))
+                    if await self._deliver(key[0], update[0]):
                         self._failures = 0
-                        if self._pending.get(key) is params:  # else a newer one was posted meanwhile
-                            self._discard(key)
+                        if self._pending.get(key) is update:  # else a newer one was posted meanwhile
+                            del self._pending[key]
                     elif self._failures >= len(self._retry_after):
                         _log.warning("gave up sending %s to %s", key[0], self.node.name)
                         self._failures = 0
                         self._pending.clear()
-                        self._encoded_sizes.clear()
                     else:
                         await asyncio.sleep(self._retry_after[self._failures])
                         self._failures += 1
@@ -230,139 +219,68 @@ class Updates:
         await self._closing.close()
 
 
-WAIT: Final = 60.0  # seconds; an answer without grants shows that the master is alive
-MAX_WAITING: Final = 64  # calls of one key: the nodes of a wildcard identity
-
-
-class GrantChanges:
-    """The calls that wait for deposited grants, by the key of the caller.
-
-    A new robot, which may register nothing yet, is notified like every other.
-    """
-
-    def __init__(self, longest: float = WAIT) -> None:
-        self._longest = longest
-        self._waiting: dict[bytes, deque[asyncio.Future[None]]] = {}
-
-    def __len__(self) -> int:
-        return sum(map(len, self._waiting.values()))
-
-    def notify(self, holders: Iterable[bytes]) -> None:
-        for holder in holders:
-            for waiting in self._waiting.pop(holder, ()):
-                _end(waiting)
-
-    async def wait(self, holder: bytes) -> None:
-        # Of too many calls of one key the oldest returns: its connection may be gone.
-        waiting = asyncio.get_running_loop().create_future()
-        calls = self._waiting.setdefault(holder, deque())
-        calls.append(waiting)
-        if len(calls) > MAX_WAITING:
-            _end(calls.popleft())
-        try:
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(self._longest):
-                    await waiting
-        finally:
-            with contextlib.suppress(ValueError):
-                calls.remove(waiting)
-            if not calls and self._waiting.get(holder) is calls:
-                del self._waiting[holder]
-
-
-def _end(waiting: asyncio.Future[None]) -> None:
-    if not waiting.done():
-        waiting.set_result(None)
-
-
-WATCH_WAIT: Final = 5.0  # seconds; an answer without changes shows that the master is alive
 BATCH_DELAY: Final = 0.05
 
 
-class GraphChanges:
-    """The calls that wait for a change of the graph.
+class LongPolls:
+    """The calls that wait for one kind of change, by the key of the caller: the master's one long poll."""
 
-    Changes in the `BATCH_DELAY` seconds after the first are sent in the same answer: the launch of a
-    hundred nodes does not take a hundred answers.
-    """
-
-    def __init__(self) -> None:
-        self._version = -1
-        self._changed: asyncio.Event | None = None  # while a call waits
-
-    def notify(self, version: int | None = None) -> None:
-        # The graph has changed, unless its `version` is the one notified before.
-        if version is None or version != self._version:
-            self._version = self._version if version is None else version
-            if self._changed is not None:
-                self._changed.set()
-                self._changed = None
-
-    def expect(self) -> asyncio.Event:
-        if self._changed is None:
-            self._changed = asyncio.Event()
-        return self._changed
-
-    async def wait(self, longest: float, expected: asyncio.Event | None = None) -> None:
-        # `expected`: of `expect`; without it changes count from the first step of this coroutine.
-        changed = self.expect() if expected is None else expected
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(longest):
-                await changed.wait()
-                await asyncio.sleep(BATCH_DELAY)
-
-
-class SitePolls:
-    """The followers and relays that wait, one call for each key: a new one ends the one before.
-
-    Only own registrations wake a follower, not imports: else each change in a mesh would be answered
-    by every master to every other.
-    """
-
-    def __init__(self, delay: float = BATCH_DELAY) -> None:
-        self._delay = delay  # seconds from a change to the answer, which has what changes meanwhile too
-        self._waiting: dict[bytes, asyncio.Event] = {}
+    # Nothing is queued: a call that was woken is answered again from the tables. Changes in the `delay`
+    # seconds after the first are in the same answer: the launch of a hundred nodes does not take a hundred
+    # answers. Of more than `limit` calls of one key the oldest returns: its connection may be gone.
+    def __init__(self, delay: float = BATCH_DELAY, limit: int = sys.maxsize) -> None:
+        self._delay = delay
+        self._limit = limit
+        self._waiting: dict[bytes, list[asyncio.Event]] = {}
         self._version = -1
         self._changes = 0
         self._answered: dict[bytes, int] = {}  # the changes so far, of those that ask by `missed`
 
     def __len__(self) -> int:
-        return len(self._waiting)
+        return sum(map(len, self._waiting.values()))
 
     def notify(self, version: int | None = None) -> None:
-        # The registrations have changed, unless their `version` was notified before.
-        # None: the rights or the lists have changed.
-        if version != self._version or version is None:
+        # Something has changed, unless its `version` is the one notified before.
+        if version is None or version != self._version:
             self._version = self._version if version is None else version
             self._changes += 1
-            for changed in self._waiting.values():
+            self.wake(tuple(self._waiting))
+
+    def wake(self, keys: Iterable[bytes]) -> None:
+        for key in keys:
+            for changed in self._waiting.pop(key, ()):
                 changed.set()
 
-    def supersede(self, follower: bytes) -> None:
-        before = self._waiting.pop(follower, None)
-        if before is not None:
-            before.set()
-
-    def missed(self, follower: bytes) -> bool:
+    def missed(self, key: bytes) -> bool:
         # Whether anything has changed since this was last asked, or since its last wait.
-        before = self._answered.get(follower)
-        self._answered[follower] = self._changes
+        before = self._answered.get(key)
+        self._answered[key] = self._changes
         return before != self._changes
 
-    def expect(self, follower: bytes) -> asyncio.Event:
-        changed = self._waiting[follower] = asyncio.Event()
+    def expect(self, key: bytes = b"") -> asyncio.Event:
+        # For a change from now on: the coroutine of a call begins later, and would miss what comes before.
+        changed = asyncio.Event()
+        calls = self._waiting.setdefault(key, [])
+        calls.append(changed)
+        if len(calls) > self._limit:
+            calls.pop(0).set()
         return changed
 
-    async def wait(self, follower: bytes, longest: float, expected: asyncio.Event | None = None) -> None:
-        # `expected`: of `expect`; without it changes count from the first step of this coroutine.
-        changed = self.expect(follower) if expected is None else expected
+    def forget(self, changed: asyncio.Event, key: bytes = b"") -> None:
+        calls = self._waiting.get(key, [])
+        if changed in calls:
+            calls.remove(changed)
+            if not calls:
+                del self._waiting[key]
+
+    async def wait(self, longest: float, key: bytes = b"", expected: asyncio.Event | None = None) -> None:
+        changed = self.expect(key) if expected is None else expected
         try:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(longest):
                     await changed.wait()
                     await asyncio.sleep(self._delay)
         finally:
-            if self._waiting.get(follower) is changed:
-                del self._waiting[follower]
-            if follower in self._answered:
-                self._answered[follower] = self._changes
+            self.forget(changed, key)
+            if key in self._answered:
+                self._answered[key] = self._changes

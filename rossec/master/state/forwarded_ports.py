@@ -21,8 +21,8 @@ SILENCE: Final = 12  # seconds; a relay polls every five
 MASTER, NODE, SERVICE = "master", "node", "service"
 KINDS: Final = (MASTER, NODE, SERVICE)
 
+# Names and URIs of the masters of the own domain that are followed without a relay
 Masters = Callable[[], Mapping[str, str]]
-"""Names and URIs of the masters of the own domain that are followed without a relay."""
 
 
 class Target(NamedTuple):
@@ -113,12 +113,10 @@ class ForwardedPorts:
         self._listeners[label] = changed
 
     def want(self, label: str, targets: Iterable[Target]) -> int:
-        """All that the follower of a site wants from now on; returns how many are too many.
-
-        Those are wanted when it asks again and others are wanted no longer. The master of a site
-        always has a door; of others a site has at most as many as are left for all: none takes
-        them from the next one, whatever it says that it has.
-        """
+        # All that the follower of a site wants from now on; returns how many are too many. Those are wanted
+        # when it asks again and others are wanted no longer. The master of a site always has a door; of
+        # others a site has at most as many as are left for all: none takes them from the next one, whatever
+        # it says that it has.
         wanted, held, before = set(targets), self._wants.setdefault(label, set()), self._version
         for target in held - wanted:
             held.discard(target)
@@ -176,20 +174,7 @@ class ForwardedPorts:
                 changed |= held.put(target, door)
         if changed:
             self._notify()
-        return self._change_since(relay, report.seen)
-
-    def expire(self, now: int) -> tuple[str, ...]:
-        silent = [name for name, held in self._relays.items() if now - held.heard > SILENCE]
-        for name in silent:
-            self._superseded.pop(name, None)
-            self._drop_relay(name)
-        if silent:
-            self._assign()
-            self._notify()
-        return tuple(silent)
-
-    def _change_since(self, relay: str, seen: int) -> WantedChange:
-        since = seen if seen <= self._version else 0  # it polled an earlier run of this master
+        since = report.seen if report.seen <= self._version else 0  # it polled an earlier run of this master
         wanted = [
             (version, target)
             for target, version in self._wanted.items()
@@ -201,6 +186,16 @@ class ForwardedPorts:
         new = tuple(target for _, target in told if target in self._wanted)
         old = tuple(target for _, target in told if target in self._gone)
         return WantedChange(version, new, old)
+
+    def expire(self, now: int) -> tuple[str, ...]:
+        silent = [name for name, held in self._relays.items() if now - held.heard > SILENCE]
+        for name in silent:
+            self._superseded.pop(name, None)
+            self._drop_relay(name)
+        if silent:
+            self._assign()
+            self._notify()
+        return tuple(silent)
 
     def _release(self, target: Target) -> None:
         if any(target in wants for wants in self._wants.values()):

@@ -29,15 +29,13 @@ class Published(NamedTuple):
 
 
 class PublisherLog:
-    """Who published what, from when to when, for those who may know it only to a slot.
+    """Who published what, from when to when, for those who may know it only to a slot."""
 
-    They are told who published at the beginning of the slot of the master's clock that is now, so
-    what they are told changes at the beginnings of slots alone (docs/spec/master.md). That is a
-    function of spans of time, so nothing is kept for a receiver. Only the own registrations are
-    noted; a span is in whole seconds, as slots are. What ended is kept for the longest slot, and
-    bounded. `now` is set by whoever uses the log, before.
-    """
-
+    # They are told who published at the beginning of the slot of the master's clock that is now, so what they
+    # are told changes at the beginnings of slots alone (docs/spec/master.md). That is a function of spans of
+    # time, so nothing is kept for a receiver. Only the own registrations are noted; a span is in whole
+    # seconds, as slots are. What ended is kept for the longest slot, and bounded. `now` is set by whoever
+    # uses the log, before.
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
         self._current: dict[str, dict[NodeRef, Published]] = {}
@@ -91,14 +89,12 @@ class PublisherLog:
 
 
 class ServedTopics:
-    """What gateways serve now, of the own registrations and of other masters of the domain.
+    """What gateways serve now, of the own registrations and of other masters of the domain."""
 
-    A gateway is an ordinary publisher of served names (`ca.names`). One that does not answer the
-    master serves nothing while that lasts: its registrations stay, `Registry.is_silent` says so.
-    Those of other masters serve where none does here, and then one of them: from two a subscriber
-    would get each message twice.
-    """
-
+    # A gateway is an ordinary publisher of served names (`ca.names`). One that does not answer the master
+    # serves nothing while that lasts: its registrations stay, `Registry.is_silent` says so. Those of other
+    # masters serve where none does here, and then one of them: from two a subscriber would get each message
+    # twice.
     def __init__(self, registry: Registry, imports: Imports) -> None:
         self._registry = registry
         self._imports = imports

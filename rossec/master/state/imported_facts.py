@@ -73,8 +73,8 @@ STEP: Final = 256  # facts that are taken over between two yields
 _KINDS: Final = {kind.value: kind for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)}
 _SCHEMES: Final = {NODE: "http", PROVIDER: "rosrpc"}
 
+# Kind, name and value, as `rossec.master.api.graph_calls` has them; names are the origin's
 Fact: TypeAlias = tuple[str, str, str]
-"""Kind, name and value, as `rossec.master.api.graph_calls` has them; names are the origin's."""
 
 
 class Address(NamedTuple):
@@ -215,13 +215,11 @@ def _remove_address(addresses: dict[str, Address], key: str, uri: str) -> None:
 
 
 class RetainedPublishers:
-    """The publishers of lost sites, for the local subscribers that are connected to them.
+    """The publishers of lost sites, for the local subscribers that are connected to them."""
 
-    A dead master ends nothing between nodes: they judge each other without it. Its names go, but a
-    list of publishers without them would make subscribers disconnect. So a list keeps the addresses
-    until the site has answered again, or is followed no longer.
-    """
-
+    # A dead master ends nothing between nodes: they judge each other without it. Its names go, but a list of
+    # publishers without them would make subscribers disconnect. So a list keeps the addresses until the site
+    # has answered again, or is followed no longer.
     def __init__(self) -> None:
         self._kept: dict[str, dict[str, Sequence[Address]]] = {}
 

@@ -41,13 +41,11 @@ NOTHING: Final = ("",)  # the empty name matches nothing
 
 
 class Demand:
-    """The names that local nodes want of other masters, as local names; `version` grows with them.
+    """The names that local nodes want of other masters, as local names; `version` grows with them."""
 
-    Facts travel by need, as in the thesis (chapter 6). Wanted is what local nodes subscribe, and for
-    a minute what they looked up; a tool that lists the graph wants everything for a minute. While a
-    name is wanted its sites report changes, so a further lookup is answered at once, also with no.
-    """
-
+    # Facts travel by need, as in the thesis (chapter 6). Wanted is what local nodes subscribe, and for a
+    # minute what they looked up; a tool that lists the graph wants everything for a minute. While a name is
+    # wanted its sites report changes, so a further lookup is answered at once, also with no.
     def __init__(self, registry: Registry) -> None:
         self.version = 0
         self._registry = registry
@@ -86,19 +84,16 @@ class Demand:
         yield from self._asked
 
 
+# What is taken from the foreign domain with a label, as names there; None: all it shows
 Rules = Callable[[str], Reach | None]
-"""What is taken from the foreign domain with a label, as names there; None: all it shows."""
 
 
 class ImportFilter:
-    """What is taken from foreign domains into the own graph, as the list of domains says.
+    """What is taken from foreign domains into the own graph, as the list of domains says."""
 
-    It is asked with every query, so another list counts at once, for what was imported before too.
-    A right decides on what it is used for: `subscribe` on the addresses of a topic's publishers,
-    `call` on that of a service, `param-get` on a mirrored parameter; to be seen in the graph, any
-    right does.
-    """
-
+    # It is asked with every query, so another list counts at once, for what was imported before too. A right
+    # decides on what it is used for: `subscribe` on the addresses of a topic's publishers, `call` on that of
+    # a service, `param-get` on a mirrored parameter; to be seen in the graph, any right does.
     def __init__(self, rules: Rules = lambda _label: None) -> None:
         self.rules = rules
 
@@ -135,7 +130,7 @@ class Imports:
         self.mirrors: Final = Mirrors()  # parameters of the sites
         self.filter: Final = ImportFilter()  # what is taken from foreign domains at all
         self.on_settled: Callable[[], object] = lambda: None  # called when `is_settled` has become true
-        self._registry = registry  # the own registrations; its events name imported publishers from now on
+        self.registry: Final = registry  # the own registrations: their events name the imported too
         self._limit = limit  # facts of one site
         self._sites: dict[str, SiteFacts] = {}
         self._entries: dict[Kind, dict[str, dict[_Entry, None]]] = {kind: {} for kind in Kind}
@@ -152,12 +147,9 @@ class Imports:
     def apply_in_steps(
         self, site: Site, added: Iterable[Fact], removed: Iterable[Fact], *, whole: bool = False
     ) -> Generator[None, None, list[ImportEvent]]:
-        """Take over a complete answer of a site: nothing takes effect if it is refused.
-
-        Yields where other calls may be answered, and returns the events. One answer of a site is
-        taken over at a time; `drop` ends it. Another site with this label takes its place; `whole`:
-        `added` is all that the site has.
-        """
+        # Take over a complete answer of a site: nothing takes effect if it is refused. Yields where other
+        # calls may be answered, and returns the events. One answer of a site is taken over at a time; `drop`
+        # ends it. Another site with this label takes its place; `whole`: `added` is all that the site has.
         held = self._sites.get(site.label)
         old = held.facts if held is not None and held.site == site else set[Fact]()
         new = set[Fact]()
@@ -215,8 +207,8 @@ class Imports:
     def taken_anew(self) -> list[PublishersChanged]:
         # What is taken from foreign domains may have changed: the subscribers there are told.
         self.version += 1
-        topics = [topic for topic in self._registry.keys(Kind.SUBSCRIBER) if is_alias(topic)]
-        return [self._registry.publishers_changed(topic) for topic in topics]
+        topics = [topic for topic in self.registry.keys(Kind.SUBSCRIBER) if is_alias(topic)]
+        return [self.registry.publishers_changed(topic) for topic in topics]
 
     def settle(self, label: str, demand: int) -> None:
         """A site has answered completely what was wanted when the demand had this version."""
@@ -300,10 +292,10 @@ class Imports:
     def _is_used(self, held: SiteFacts, name: str) -> bool:
         # Whether a node has an address, which is not one of this master's own nodes.
         address = held.nodes.get(name)
-        if address is None or self._registry.is_registered_endpoint(address.endpoint):
+        if address is None or self.registry.is_registered_endpoint(address.endpoint):
             return False
         if not held.site.domain:
-            return self._registry.node(name) is None
+            return self.registry.node(name) is None
         keys = (each.key for each in held.registered.get(name, ()))
         return self.filter.shows_node(address.name, keys)
 
@@ -312,7 +304,7 @@ class Imports:
         if not entries or not self.filter.shows(key):
             return []
         if kind is Kind.SERVICE:
-            if self._registry.service_uri(key) is not None:
+            if self.registry.service_uri(key) is not None:
                 return []
             for label, node in sorted(entries):
                 held = self._sites[label]
@@ -321,19 +313,16 @@ class Imports:
                     return [(label, node)]
             return []
         found = [each for each in sorted(entries) if self._is_used(self._sites[each[0]], each[1])]
-        type_name = self._type_that_counts(key)
+        # The type that counts: the own one, but of an alias the origin decides, not who subscribes it here.
+        type_name = ANY_TYPE if is_alias(key) else self.registry.topic_type(key)
+        if type_name == ANY_TYPE:
+            labels = {label for kind in _TOPIC_KINDS for label, _ in self._entries[kind].get(key, ())}
+            types = (self._sites[label].types.get(key) for label in sorted(labels))
+            type_name = next((name for name in types if name is not None), ANY_TYPE)
         return [each for each in found if (self._sites[each[0]].types.get(key, type_name) == type_name)]
 
     def _is_elsewhere(self, address: Address) -> bool:
-        return not self._registry.is_registered_endpoint(address.endpoint)
-
-    def _type_that_counts(self, topic: str) -> str:
-        own = ANY_TYPE if is_alias(topic) else self._registry.topic_type(topic)
-        if own != ANY_TYPE:  # of an alias the origin decides, not who subscribes it here
-            return own
-        labels = {label for kind in _TOPIC_KINDS for label, _ in self._entries[kind].get(topic, ())}
-        types = (self._sites[label].types.get(topic) for label in sorted(labels))
-        return next((name for name in types if name is not None), ANY_TYPE)
+        return not self.registry.is_registered_endpoint(address.endpoint)
 
     def _change(
         self, held: SiteFacts, new: set[Fact], gone: set[Fact]
@@ -354,7 +343,7 @@ class Imports:
 
     def _changed(self, before: Mapping[str, list[str]]) -> list[PublishersChanged]:
         return [
-            self._registry.publishers_changed(topic)
+            self.registry.publishers_changed(topic)
             for topic, uris in before.items()
             if self.publisher_uris(topic) != uris
         ]
@@ -375,7 +364,7 @@ class Imports:
                 self._entries[found.kind].pop(found.key, None)
 
     def _followed_topics(self, held: SiteFacts, changes: Iterable[Fact]) -> list[str]:
-        followed = self._registry.keys(Kind.SUBSCRIBER)
+        followed = self.registry.keys(Kind.SUBSCRIBER)
         found = held.keys(changes) if followed else set[str]()
         return sorted(k for k in found if k in followed or alias_of_served(k) in followed)
 

@@ -101,11 +101,9 @@ def snapshot(parameters: Parameters) -> bytes:
 
 
 def pieces(parameters: Parameters) -> Iterator[bytes]:
-    """The shortest journal piece by piece; the parameters may change between two of them.
-
-    Each piece is of what is set when it is made. So the pieces are a journal of all parameters if
-    each change is written behind the pieces that were made before it.
-    """
+    # The shortest journal piece by piece; the parameters may change between two of them. Each piece is of
+    # what is set when it is made. So the pieces are a journal of all parameters if each change is written
+    # behind the pieces that were made before it.
     yield PARAMETERS_MAGIC
     tree = parameters.get("/")
     for name in tuple(tree) if isinstance(tree, dict) else ():

@@ -139,7 +139,17 @@ class Parameters:
         check_value(value, DEPTH_LIMIT - len(segments))
         if not segments and not isinstance(value, dict):
             raise TypeError("cannot set root of parameter tree to non-dictionary")
-        parent, name, new = self._insertion_point(["", *segments], value)
+        # Where it goes: namespaces that are missing on the way are made, a value on the way is replaced.
+        path, parent, new = ["", *segments], self._top, value
+        for depth, name in enumerate(path, 1):
+            if depth == len(path):
+                break
+            below = parent.get(name)
+            if not isinstance(below, dict):
+                for missing in reversed(path[depth:]):
+                    new = {missing: new}
+                break
+            parent = below
         size = self.size + member_size(name, new)
         if name in parent:
             size -= member_size(name, parent[name])
@@ -147,17 +157,6 @@ class Parameters:
             raise TooLarge(size, limit)
         parent[name] = new
         self.size = size
-
-    def _insertion_point(self, path: list[str], value: object) -> tuple[Tree, str, object]:
-        node = self._top
-        for depth, name in enumerate(path[:-1], 1):
-            below = node.get(name)
-            if not isinstance(below, dict):
-                for missing in reversed(path[depth:]):
-                    value = {missing: value}
-                return node, name, value
-            node = below
-        return node, path[-1], value
 
     def delete(self, key: str) -> None:
         head, _, last = names.canonical(key).rpartition(names.SEPARATOR)
@@ -188,10 +187,8 @@ class Parameters:
 
 
 def search_candidates(namespace: str, key: str) -> list[tuple[str, str]]:
-    """The keys that a search for `key` from `namespace` tries, nearest first, and their results.
-
-    The search is for the first segment of `key`, upwards from `namespace`.
-    """
+    # The keys that a search for `key` from `namespace` tries, nearest first, and their results. The search is
+    # for the first segment of `key`, upwards from `namespace`.
     if not key or key.startswith(names.PRIVATE):
         raise ValueError("invalid key")
     if key.startswith(names.SEPARATOR):
@@ -210,12 +207,10 @@ def check_names(key: str, value: object) -> None:
 
 
 def updates(subscriptions: Collection[str], key: str, value: object) -> list[ParameterUpdate]:
-    """Which subscriptions a change of `key` to `value` concerns (keys of both end with '/').
-
-    A subscriber is notified of any change at, above or below its key; a key that a replaced tree
-    no longer contains is reported as unset. All `subscriptions` are searched only when a tree is
-    set: other nodes may have made many.
-    """
+    # Which subscriptions a change of `key` to `value` concerns (keys of both end with '/'). A subscriber is
+    # notified of any change at, above or below its key; a key that a replaced tree no longer contains is
+    # reported as unset. All `subscriptions` are searched only when a tree is set: other nodes may have made
+    # many.
     if not subscriptions:
         return []
     changed = _with_slash(key)
@@ -273,12 +268,10 @@ class _Mirror(NamedTuple):
 
 
 class Mirrors:
-    """The parameters of all sites, read-only below `/remote/<label>`; `limit`: bytes of one site.
+    """The parameters of all sites, read-only below `/remote/<label>`; `limit`: bytes of one site."""
 
-    Each has one writer, its origin, so there is no conflict and nothing circulates. `/` remains the
-    own tree alone: a node that reads or sets it reaches no mirror.
-    """
-
+    # Each has one writer, its origin, so there is no conflict and nothing circulates. `/` remains the own
+    # tree alone: a node that reads or sets it reaches no mirror.
     def __init__(self, limit: int = MIRROR_LIMIT) -> None:
         self._limit = limit
         self._mirrors: dict[str, _Mirror] = {}

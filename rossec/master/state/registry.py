@@ -64,10 +64,8 @@ def is_loopback_host(host: str) -> bool:
 
 
 def is_reachable_from_here(host: str) -> bool:
-    """Whether `host`, in an address that another host named, can be that host's.
-
-    Loopback and link-local addresses mean another machine here than there.
-    """
+    # Whether `host`, in an address that another host named, can be that host's. Loopback and link-local
+    # addresses mean another machine here than there.
     address = _address(host)
     if address is None:
         return not is_loopback_host(host)

@@ -1,19 +1,22 @@
 """Callers with chosen rights and a fake of the statements, for the tests of the pure folders."""
 
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 from grants.decision import Reach
 from grants.errors import GrantError, GrantMissing
 from grants.model import Permission, Right
 from rossec.master.api.dispatch import MULTICALL, MasterApi, Multicall
-from rossec.master.api.methods import CallOutcome, MasterEvent, TurnExpired, Work, advance
+from rossec.master.api.methods import CallOutcome, MasterEvent, MasterTables, TurnExpired, Work, advance
 from rossec.master.rights.caller import Caller, CertifiedPeer
 from rossec.master.rights.held_grants import Renewed, VerifiedGrants
 from rossec.master.rights.renewals import RenewalAnswer
 from rossec.master.rights.revocation_lists import HeldLists, ListStanding
 from rossec.master.rights.statements import TrustState
+from rossec.master.state.imports import Imports
+from rossec.master.state.registry import Registry
 
 ALL = Right(255)
 
@@ -52,6 +55,23 @@ def run_to_end(work: Work) -> CallOutcome:
     while (outcome := advance(work, never_expires)) is None:
         pass
     return outcome
+
+
+def master_api(
+    registry: Registry,
+    statements: TrustState,
+    *,
+    name: str = "/master",
+    uri: str = "http://m:1/",
+    pid: int = 7,
+    instance: str = "",
+    connected: Callable[[], Iterable[CertifiedPeer]] = tuple,
+    imports: Imports | None = None,
+    **tables: Any,
+) -> MasterApi:
+    """The API of a master with these registrations; `tables`: others of `MasterTables`."""
+    found = MasterTables(name, statements, Imports(registry) if imports is None else imports, **tables)
+    return MasterApi(found, uri=uri, pid=pid, instance=instance, connected=connected)
 
 
 def call_api(

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from grants.model import Right
 from rossec.errors import XmlRpcRefused
-from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import MasterEvent
 from rossec.master.rights.access_rules import RULES
 from rossec.master.rights.caller import Caller
@@ -25,7 +24,7 @@ from rossec.net.rpc.calls import RpcClient
 from rossec.ros.calls import METHODS, CallClient, CallServer, value_in
 from rossec.ros.names import SETTLE_RENEWALS, WATCH_RENEWALS
 from rossec.ros.xmlrpc import Fault
-from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, master_api
 from tests.rossec.master.test_differential import TABLES, Call, wired
 from tests.rossec.master.world import SlaveNode, World
 from tests.rossec.ros.values import VALUES, shape
@@ -77,7 +76,7 @@ class Side:
     """A master without sockets, asked in one form."""
 
     def __init__(self, *, compact: bool) -> None:
-        self.api = MasterApi(
+        self.api = master_api(
             Registry(), FakeStatements(), name="/master", uri="http://master:11311/", pid=7, instance="run"
         )
         self.client, self.server = CallClient("x", compact=compact), CallServer()

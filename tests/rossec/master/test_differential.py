@@ -13,7 +13,7 @@ import pytest
 
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.state.registry import Registry
-from tests.rossec.master.fakes import FakeStatements, call_api, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, everything, master_api
 
 pytestmark = pytest.mark.ros
 
@@ -267,7 +267,7 @@ def stock() -> Any:
 
 @pytest.fixture
 def ours() -> MasterApi:
-    return MasterApi(
+    return master_api(
         Registry(), FakeStatements(), name="/master", uri="http://master:11311/", pid=os.getpid()
     )
 

@@ -17,13 +17,12 @@ from ca.errors import HintedError
 from grants.document import grant_id, peek
 from grants.model import Right
 from grants.token import unpack
-from rossec.master.api.dispatch import MasterApi
 from rossec.master.rights.caller import VISIBILITY_RIGHTS
 from rossec.master.rights.renewals import TicketSigner
 from rossec.master.rights.statements import TrustState, enforce, enforcement_steps
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.participant.registrations import GraphView
-from tests.rossec.master.fakes import call_api
+from tests.rossec.master.fakes import call_api, master_api
 from tests.support.authority import EnrolledNode, Site
 
 NODES: Final = ("/a", "/b", "/watcher")
@@ -65,7 +64,7 @@ class Master(RuleBasedStateMachine):
         delegate.take(self.site.delegation(self.master, lifetime=1000 * HOUR))
         self.trust = TrustState(self.site.anchor, signer, self.site.revocations(), lambda _: None, delegate)
         self.registry = Registry()
-        self.api = MasterApi(
+        self.api = master_api(
             self.registry, self.trust, name="/master", uri="http://m:1/", pid=1, instance="x"
         )
         self.signed: list[tuple[str, bytes]] = []

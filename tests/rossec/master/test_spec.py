@@ -5,10 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from rossec.master.api.dispatch import MasterApi
 from rossec.master.rights.access_rules import RULES
 from rossec.master.state.registry import Registry
-from tests.rossec.master.fakes import FakeStatements
+from tests.rossec.master.fakes import FakeStatements, master_api
 from tests.rossec.master.test_differential import BY_NAME
 
 SPEC = Path(__file__).parents[3] / "docs" / "spec"
@@ -39,12 +38,12 @@ def test_every_method_is_listed_with_its_right() -> None:
 
 @pytest.mark.parametrize("name", ["master.md", "revocation.md"])
 def test_every_method_of_ours_that_is_named_exists(name: str) -> None:
-    api = MasterApi(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=7)
+    api = master_api(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=7)
     parameter_names = set(re.findall(r"rossec\.[a-z]+[A-Z]?\w+(?=[(`])", (SPEC / name).read_text()))
     assert len(parameter_names) > 4
     assert parameter_names - PUSHES <= api.methods.keys()
 
 
 def test_every_method_with_a_rule_exists_and_the_other_way_round() -> None:
-    api = MasterApi(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=7)
+    api = master_api(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=7)
     assert api.methods.keys() == RULES.keys()

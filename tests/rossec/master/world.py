@@ -11,8 +11,12 @@ from ca.certificates import Identity
 from grants.model import Right
 from rossec.errors import RossecError
 from rossec.master.api.methods import TurnClock
+from rossec.master.operation.config import MasterLimits
 from rossec.master.rights.statements import TrustState
+from rossec.master.server.effects import MasterState
 from rossec.master.server.server import MasterServer
+from rossec.master.state.imports import Imports
+from rossec.master.state.registry import Registry
 from rossec.net.aio import SecureStream, WireProtocol, connect, serve
 from rossec.net.rpc.calls import RpcClient, serve_calls
 from rossec.ros.names import parse_uri
@@ -71,17 +75,17 @@ class World:
         self.trust.update(self.site.revoke(), self.site.now)
 
     async def start(self, turns: TurnClock | None = None) -> None:
-        self.server = MasterServer(
-            self.master.credentials,
-            self.trust.domains.anchors.verify,
-            self.trust,
-            host="127.0.0.1",
-            port=0,
-            advertise="127.0.0.1",
-            turns=turns,
-        )
+        self.server = self.made(turns)
         await self.server.start()
         self.exit.push_async_callback(self.server.close)
+
+    def made(self, turns: TurnClock | None = None, **options: Any) -> MasterServer:
+        limits = options.get("limits", MasterLimits())
+        imports = Imports(Registry(limits.nodes_per_identity))
+        state = MasterState(name="/master", trust=self.trust, imports=imports, **options)
+        return MasterServer(
+            state, self.master.credentials, host="127.0.0.1", port=0, advertise="127.0.0.1", turns=turns
+        )
 
     async def node(self, name: str, rights: dict[str, Right] = EVERYTHING) -> SlaveNode:
         node = SlaveNode(self, self.site.enroll(name))

@@ -50,7 +50,7 @@ TAIL = "</params></methodCall>"
 
 def agree(data: bytes) -> bool:
     """Whether the short way took it; if so, the parser must say the same."""
-    found = scan(data, xmlrpc.DEPTH_LIMIT)
+    found = scan(data)
     if found is not None:
         assert xmlrpc.run_out(xmlrpc._parse(data)) == found
     return found is not None
@@ -75,12 +75,9 @@ def test_damage_is_noticed(data: st.DataObject) -> None:
     agree(whole[:at] + data.draw(st.binary(max_size=2)) + whole[at + 1 :])
 
 
-@pytest.mark.parametrize(
-    "value", ["/a/b", "", 5, -5, True, 2.5, b"\0\xff", [1, ["x"]], {"a": {"b": []}}, {}, []]
-)
-def test_plain_bodies_take_the_fast_path(value: object) -> None:
+@pytest.mark.parametrize("value", ["/a/b", "", 5, -5, True, 2.5])
+def test_plain_calls_take_the_fast_path(value: object) -> None:
     assert agree(xmlrpc.dump_call("m", (value, value)))
-    assert agree(xmlrpc.dump_response([1, "fine", value]))
 
 
 def test_roscpp_takes_the_fast_path() -> None:
@@ -89,7 +86,7 @@ def test_roscpp_takes_the_fast_path() -> None:
         b"<value>/a</value></param><param><value><i4>1</i4></value></param></params></methodCall>\r\n"
     )
     assert agree(data)
-    assert agree(data.replace(b'"1.0"', b"'1.0' encoding='UTF-8'"))
+    assert agree(data.replace(b"\r\n", b""))
 
 
 @pytest.mark.parametrize(
@@ -99,6 +96,11 @@ def test_roscpp_takes_the_fast_path() -> None:
         xmlrpc.dump_call("m", ("a&b",)),
         xmlrpc.dump_call("m", ("a\rb",)),
         xmlrpc.dump_call("m", (datetime.datetime(2026, 1, 2),)),  # noqa: DTZ001 - as XML-RPC
+        xmlrpc.dump_call("m", ([1],)),
+        xmlrpc.dump_call("m", (b"x",)),
+        xmlrpc.dump_call("m", (1,)).replace(b"<int>1<", b"<int>1_0<"),
+        xmlrpc.dump_call("m", (True,)).replace(b">1<", b">2<"),
+        xmlrpc.dump_response([1, "fine", 0]),
         xmlrpc.dump_response(xmlrpc.Fault(1, "x")),
         b"",
         b"<methodCall>",
@@ -113,8 +115,6 @@ def test_depth() -> None:
     def nested(depth: int) -> bytes:
         return xmlrpc.dump_call("m", (eval("[" * depth + "]" * depth),))
 
-    assert scan(nested(3), 3) is not None
-    assert scan(nested(4), 3) is None
-    assert agree(nested(xmlrpc.DEPTH_LIMIT))
+    xmlrpc.load_call(nested(xmlrpc.DEPTH_LIMIT))
     with pytest.raises(XmlRpcRefused, match="deeper"):
         xmlrpc.load_call(nested(xmlrpc.DEPTH_LIMIT + 2))

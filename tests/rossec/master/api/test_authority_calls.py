@@ -3,11 +3,10 @@ from dataclasses import replace
 import pytest
 
 from grants.model import Right
-from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.statement_calls import DENIALS, MAX_LACKING, STANDING
 from rossec.master.rights.caller import RecentDenials
 from rossec.master.state.registry import NodeRef, Registry
-from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, master_api
 
 NOW = 1_800_000_000
 CA = replace(caller("/ca"), is_authority=True)
@@ -23,13 +22,13 @@ class Office:
         self.statements, self.denials = FakeStatements(), RecentDenials()
         self.statements.update(LIST, NOW)
         self.connected: list[NodeRef] = []
-        self.api = MasterApi(
+        self.api = master_api(
             Registry(),
             self.statements,
             name="/master",
             uri="http://m:1/",
             pid=7,
-            denials=self.denials,
+            recent_denials=self.denials,
             connected=lambda: self.connected,
         )
 

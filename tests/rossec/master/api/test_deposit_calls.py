@@ -8,13 +8,12 @@ import pytest
 from grants import document
 from grants.errors import GrantError
 from grants.model import Right
-from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import GrantsDeposited
-from rossec.master.api.statement_calls import DEPOSIT_LIMIT, KNOWN_LIMIT, STATES_LIMIT, is_empty
+from rossec.master.api.statement_calls import DEPOSIT_LIMIT, KNOWN_LIMIT, STATES_LIMIT
 from rossec.master.rights.caller import Caller
 from rossec.master.rights.held_grants import Deposits, verifier
 from rossec.master.state.registry import Registry
-from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, master_api
 from tests.support.authority import EnrolledNode, Site
 
 DEPOSIT, FETCH, STATES = "rossec.depositGrants", "rossec.fetchGrants", "rossec.deliveryStates"
@@ -32,7 +31,7 @@ class Office:
         self.statements = FakeStatements()
         verify = verifier(self.site.anchor, lambda _entry, _now: None)
         self.deposits = Deposits(verify, self._persist)
-        self.api = MasterApi(
+        self.api = master_api(
             Registry(), self.statements, name="/master", uri="http://m:1/", pid=7, deposits=self.deposits
         )
 
@@ -133,9 +132,3 @@ def test_arguments_are_bounded(office: Office, method: str, argument: object) ->
     assert code == -1
     assert status.startswith(("ERROR: parameter", "rossec: "))
     assert not value
-
-
-def test_an_answer_without_grants_may_wait() -> None:
-    assert is_empty([1, "grants", {"grants": [], "more": False}])
-    assert not is_empty([1, "grants", {"grants": [b"x"], "more": False}])
-    assert not is_empty([-1, "rossec: refused", {}])

@@ -11,7 +11,7 @@ from rossec.master.api.methods import CallDenied, Denied, StopMaster
 from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import REGISTRATIONS_LIMIT, Registry
 from rossec.ros.xmlrpc import is_unknown_method
-from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, master_api
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def statements() -> FakeStatements:
 
 @pytest.fixture
 def api(statements: FakeStatements) -> MasterApi:
-    return MasterApi(Registry(), statements, name="/master", uri="http://m:1/", pid=7)
+    return master_api(Registry(), statements, name="/master", uri="http://m:1/", pid=7)
 
 
 def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:
@@ -38,7 +38,7 @@ def test_uri_and_pid_of_the_master(api: MasterApi) -> None:
 
 
 def test_all_parameters_together_are_bounded() -> None:
-    api = MasterApi(Registry(), FakeStatements(), name="/master", uri="u", pid=1, parameter_bytes=10_000)
+    api = master_api(Registry(), FakeStatements(), name="/master", uri="u", pid=1, parameter_bytes=10_000)
     for name in ("/a", "/b"):
         assert ask(api, everything(name), "setParam", name, name, "x" * 4500)[0] == 1
     code, status, _ = ask(api, everything("/c"), "setParam", "/c", "/c", "x" * 4500)

@@ -5,10 +5,9 @@ from typing import Any
 import pytest
 
 from ca.revocation.lists import digest
-from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import CallDenied, DomainsChanged
 from rossec.master.state.registry import Registry
-from tests.rossec.master.fakes import call_api
+from tests.rossec.master.fakes import call_api, master_api
 from tests.rossec.master.rights.test_statements_foreign import Home
 from tests.rossec.master.visiting import HOSPITAL
 
@@ -16,7 +15,7 @@ from tests.rossec.master.visiting import HOSPITAL
 class Calls(Home):
     def __init__(self) -> None:
         super().__init__()
-        self.api = MasterApi(Registry(), self.trust, name="/master", uri="http://m:1/", pid=7)
+        self.api = master_api(Registry(), self.trust, name="/master", uri="http://m:1/", pid=7)
         self.events: tuple[object, ...] = ()
 
     def ask(self, method: str, *params: object, foreign: bool = False) -> Any:

@@ -7,14 +7,14 @@ import pytest
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import Registry
-from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, master_api
 
 EMPTY: list[object] = [[], [], []]
 
 
 @pytest.fixture
 def api() -> MasterApi:
-    return MasterApi(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=7)
+    return master_api(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=7)
 
 
 def state(api: MasterApi, who: Caller) -> Any:

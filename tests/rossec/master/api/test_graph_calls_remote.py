@@ -8,13 +8,12 @@ import pytest
 from ca.names import origin_of
 from grants.decision import Reach
 from grants.model import Permission, Right
-from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.graph_calls import WATCH
 from rossec.master.rights.caller import Caller
 from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import EVERYTHING, NOTHING, Imports
 from rossec.master.state.registry import Registry
-from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, master_api
 
 T, URI = "std_msgs/String", "http://10.0.0.2:1/"
 FACTS = [
@@ -34,7 +33,7 @@ class Importing:
     def __init__(self) -> None:
         self.registry = Registry()
         self.imports = Imports(self.registry)
-        self.api = MasterApi(
+        self.api = master_api(
             self.registry, FakeStatements(), name="/master", uri="http://m:1/", pid=7, imports=self.imports
         )
         self.tool = everything("/tool")

@@ -20,12 +20,12 @@ from rossec.master.api.methods import CallDenied, Denied
 from rossec.master.rights.caller import NAMES_PER_YIELD, Caller
 from rossec.master.state.registry import Registry
 from rossec.ros.xmlrpc import dump_call, dump_response
-from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, step
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, master_api, step
 
 
 @pytest.fixture
 def api() -> MasterApi:
-    return MasterApi(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=7)
+    return master_api(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=7)
 
 
 def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:

@@ -12,7 +12,7 @@ from rossec.master.rights.caller import NAMES_PER_YIELD, Caller
 from rossec.master.state.journals import ParameterChange
 from rossec.master.state.registry import NodeRef, Registry
 from rossec.ros.xmlrpc import BODY_LIMIT, Fault
-from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, master_api
 
 A, B = NodeRef("/a", "http://a:1/", b"/a"), NodeRef("/b", "http://b:1/", b"/b")
 
@@ -24,7 +24,7 @@ def statements() -> FakeStatements:
 
 @pytest.fixture
 def api(statements: FakeStatements) -> MasterApi:
-    api = MasterApi(Registry(), statements, name="/master", uri="http://m:1/", pid=1)
+    api = master_api(Registry(), statements, name="/master", uri="http://m:1/", pid=1)
     for node in (A, B):
         ask(api, everything(node.name), "subscribeParam", node.uri, "/ns")
     return api
@@ -133,7 +133,9 @@ def test_a_search_finds_only_readable_parameters(api: MasterApi) -> None:
 
 
 def test_one_key_cannot_use_up_the_limit_of_all_parameters() -> None:
-    api = MasterApi(Registry(), FakeStatements(), name="/m", uri="http://m:1/", pid=1, parameter_bytes=10_000)
+    api = master_api(
+        Registry(), FakeStatements(), name="/m", uri="http://m:1/", pid=1, parameter_bytes=10_000
+    )
 
     def put(node: str, key: str, size: int) -> str:
         answer: list[str] = call_api(api, "setParam", (node, key, "x" * size), everything(node), 0).answer  # type: ignore[assignment]

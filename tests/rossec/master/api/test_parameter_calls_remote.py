@@ -6,13 +6,12 @@ import pytest
 
 from grants.decision import Reach
 from grants.model import Permission, Right
-from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import ParameterChanged
 from rossec.master.rights.caller import Caller
 from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import NodeRef, Registry
-from tests.rossec.master.fakes import FakeStatements, call_api, refuse
+from tests.rossec.master.fakes import FakeStatements, call_api, master_api, refuse
 
 KITCHEN, SPEED = Site("kitchen"), "/remote/kitchen/robot/speed"
 READER = NodeRef("/reader", "http://r:1/", b"/reader")
@@ -30,7 +29,7 @@ class Mirroring:
         registry = Registry()
         self.imports = Imports(registry)
         self.statements = FakeStatements({"/reader": reader("/robot/**")})
-        self.api = MasterApi(
+        self.api = master_api(
             registry, self.statements, name="/master", uri="http://m:1/", pid=1, imports=self.imports
         )
         self.imports.mirrors.replace(KITCHEN, {"robot": {"speed": 1.5}, "secret": {"key": 7}})

@@ -5,11 +5,10 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.site_calls import is_idle
 from rossec.master.state.forwarded_ports import Door, ForwardedPorts, Target
 from rossec.master.state.registry import NodeRef, Registry
-from tests.rossec.master.fakes import call_api
+from tests.rossec.master.fakes import call_api, master_api
 from tests.rossec.master.rights.test_statements_foreign import Home
 from tests.support.authority import EnrolledNode
 
@@ -24,7 +23,7 @@ class Calls(Home):
     def __init__(self, **changes: Any) -> None:
         super().__init__(**changes)
         self.doors, self.registry = ForwardedPorts(), Registry()
-        self.api = MasterApi(
+        self.api = master_api(
             self.registry, self.trust, name="/master", uri="http://m:11311/", pid=7, doors=self.doors
         )
         self.relay = self.site.enroll("/relay")

@@ -7,11 +7,10 @@ import pytest
 
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import Administered
-from rossec.master.api.statement_calls import has_no_renewal
 from rossec.master.rights.renewals import OFFER_LIMIT, IdentityRenewals, Settlement
 from rossec.master.state.registry import Registry
 from rossec.ros.names import RENEW_IDENTITY, SETTLE_RENEWALS, WATCH_RENEWALS
-from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, master_api
 from tests.support.authority import Site
 
 CA = replace(caller("/ca"), is_authority=True)
@@ -33,7 +32,7 @@ class Table(IdentityRenewals):
 def api() -> MasterApi:
     statements = FakeStatements()
     statements.identities = Table()  # type: ignore[misc]
-    return MasterApi(Registry(), statements, name="/master", uri="http://m:1/", pid=7)
+    return master_api(Registry(), statements, name="/master", uri="http://m:1/", pid=7)
 
 
 def ask(api: MasterApi, who: Any, method: str, *params: object) -> Any:
@@ -52,7 +51,6 @@ def test_an_identity_is_renewed_or_the_reason_is_returned(api: MasterApi) -> Non
 def test_the_service_of_the_authority_sees_and_answers(api: MasterApi) -> None:
     offered = ask(api, CA, WATCH_RENEWALS, 0)
     assert offered == [1, "renewals", {"renewals": [], "waiting": 0}]
-    assert has_no_renewal(offered)
     answers = [[b"1" * 32, b"bundle", ""], [b"2" * 32, b"", "no"]]
     outcome = call_api(api, SETTLE_RENEWALS, ("/ca", answers), CA, 0)
     assert outcome.answer == [1, "settled", 1]
@@ -84,8 +82,3 @@ def test_answers_have_one_form(api: MasterApi, answers: object) -> None:
     code, status, value = ask(api, CA, SETTLE_RENEWALS, answers)
     assert (code, value) == (-1, 0)
     assert status.startswith("ERROR: parameter [answers]")
-
-
-def test_an_offer_is_no_idle_answer() -> None:
-    assert not has_no_renewal([1, "renewals", {"renewals": [b"x"], "waiting": 1}])
-    assert not has_no_renewal([-1, "rossec: refused", {}])

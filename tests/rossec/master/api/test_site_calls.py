@@ -7,14 +7,13 @@ import pytest
 
 from grants.decision import Reach
 from grants.model import Permission, Right
-from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.graph_calls import is_unchanged
 from rossec.master.api.site_calls import FOLLOW, MAX_PATTERNS
 from rossec.master.rights.caller import Caller
 from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import NodeRef, Registry
-from tests.rossec.master.fakes import FakeStatements, call_api, caller, refuse
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, master_api, refuse
 
 T = "std_msgs/String"
 LASER, ARM = NodeRef("/laser", "http://l:1/", b"laser"), NodeRef("/arm", "http://a:1/", b"arm")
@@ -33,7 +32,7 @@ class Followed:
         self.registry = Registry()
         self.imports = Imports(self.registry)
         self.statements = FakeStatements()
-        self.api = MasterApi(
+        self.api = master_api(
             self.registry,
             self.statements,
             name="/master",

@@ -11,7 +11,7 @@ from rossec.master.api.methods import CallerPresentedGrants, CallOutcome, Revoca
 from rossec.master.api.statement_calls import PRESENT_LIMIT
 from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import Registry
-from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, run_to_end
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, master_api, run_to_end
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def statements() -> FakeStatements:
 
 @pytest.fixture
 def api(statements: FakeStatements) -> MasterApi:
-    return MasterApi(Registry(), statements, name="/master", uri="http://m:1/", pid=7)
+    return master_api(Registry(), statements, name="/master", uri="http://m:1/", pid=7)
 
 
 def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:

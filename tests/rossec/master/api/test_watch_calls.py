@@ -11,14 +11,14 @@ from rossec.master.api.graph_calls import MAX_VIEWS, WATCH, is_unchanged
 from rossec.master.rights.caller import Caller
 from rossec.master.state.registry import Registry
 from rossec.participant.registrations import GraphView
-from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything
+from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, master_api
 
 T = "std_msgs/String"
 ALL_GRAPH = {"/master": Right.GRAPH, "/**": Right.GRAPH}
 
 
 def master(instance: str = "first") -> MasterApi:
-    return MasterApi(
+    return master_api(
         Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=7, instance=instance
     )
 
@@ -152,15 +152,15 @@ def test_watchers_of_one_identity_do_not_disturb_each_other(api: MasterApi) -> N
     Watcher(api).look()
     assert watchers[-1].look() == ([], [], False)
     assert watchers[0].look()[2]  # the oldest view was discarded
-    assert len(api.watch_calls.views) <= MAX_VIEWS
+    assert len(api.graph.views) <= MAX_VIEWS
 
 
 def test_views_of_disconnected_keys_are_discarded(api: MasterApi) -> None:
     watcher = Watcher(api)
     watcher.look()
-    api.watch_calls.views.keep_only(frozenset({watcher.who.thumbprint}))
+    api.graph.views.keep_only(frozenset({watcher.who.thumbprint}))
     assert not watcher.look()[2]
-    api.watch_calls.views.keep_only(frozenset())
+    api.graph.views.keep_only(frozenset())
     assert watcher.look()[2]
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.state.registry import Registry
-from tests.rossec.master.fakes import FakeStatements, everything
+from tests.rossec.master.fakes import FakeStatements, everything, master_api
 from tests.rossec.master.rights.trust_world import World
 from tests.rossec.master.rights.victim import VICTIM_API, T, ask
 
@@ -19,7 +19,7 @@ def world() -> World:
 @pytest.fixture
 def api() -> MasterApi:
     """A master at which the victim publishes, subscribes and provides."""
-    api = MasterApi(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=7)
+    api = master_api(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=7)
     victim = everything("/victim")
     for call in (
         ("registerPublisher", "/victim", "/secret", T, VICTIM_API),

@@ -6,9 +6,8 @@ from typing import Any, Final
 from grants.decision import Reach
 from grants.model import Permission, Restriction, Right
 from rossec.master.api.dispatch import MasterApi
+from rossec.master.api.methods import MasterTables
 from rossec.master.rights.caller import Caller
-from rossec.master.rights.publisher_views import AliasPublishers
-from rossec.master.state.graph import Graph
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import PublishersChanged, Registry
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, refuse
@@ -31,19 +30,10 @@ class SlottedMaster:
 
     def __init__(self) -> None:
         self.registry = Registry()
-        imports = Imports(self.registry)
-        self.graph = Graph(self.registry, imports)
         self.statements = FakeStatements()
-        self.aliases = AliasPublishers(self.graph, self.statements.caller_of)
-        self.api = MasterApi(
-            self.registry,
-            self.statements,
-            name="/master",
-            uri="http://m:1/",
-            pid=7,
-            imports=imports,
-            aliases=self.aliases,
-        )
+        tables = MasterTables("/master", self.statements, Imports(self.registry))
+        self.graph, self.aliases = tables.graph, tables.aliases
+        self.api = MasterApi(tables, uri="http://m:1/", pid=7)
         self.watcher = with_permissions("/watcher", IN_SLOTS, WATCHES)
         self.witness = caller("/witness", {DOOR: Right.SUBSCRIBE})
         self.sensor = caller("/sensor", {DOOR: Right.PUBLISH})

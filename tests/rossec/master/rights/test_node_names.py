@@ -9,7 +9,7 @@ from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import Denied
 from rossec.master.rights.caller import Refused
 from rossec.master.state.registry import Registry
-from tests.rossec.master.fakes import ALL, FakeStatements, anonymous, call_api, caller, everything
+from tests.rossec.master.fakes import ALL, FakeStatements, anonymous, call_api, caller, everything, master_api
 from tests.rossec.master.rights.victim import BUT_ADMIN, EVIL_API, VICTIM_API, T, ask
 
 RVIZ = anonymous("/rviz")
@@ -136,7 +136,7 @@ def test_m8_a_node_on_another_host_cannot_register_loopback(
 
 
 def test_the_nodes_of_a_key_are_limited() -> None:
-    api = MasterApi(Registry(1), FakeStatements(), name="/master", uri="u", pid=1)
+    api = master_api(Registry(1), FakeStatements(), name="/master", uri="u", pid=1)
 
     def answer(name: str, uri: str) -> Any:
         return call_api(api, "registerPublisher", [name, "/t", "*", uri], anonymous("/rviz"), 0).answer

@@ -101,7 +101,7 @@ async def test_a_caller_revoked_during_a_query_is_not_answered(slow: World, ques
 
 async def test_a_call_that_waits_for_grants_is_answered_in_the_end(site: Site) -> None:
     assert site.master is not None
-    site.master.state.grant_changes._longest = 0.05
+    site.master.state.grants_wait = 0.05
     empty = [1, "grants", {"grants": [], "more": False}]
     async with caller(site, "/robot") as robot:
         assert await robot("rossec.watchGrants", b"") == empty

@@ -103,7 +103,7 @@ def test_the_file_is_compacted_when_it_has_grown(path: Path, monkeypatch: pytest
     file.sync()
     assert stored(path) == grants[:1]
     deposit(file, grants[1])
-    assert stored(opened(path)._path) == grants[:2]
+    assert stored(opened(path)._journal.path) == grants[:2]
 
 
 def test_a_full_disk_refuses_a_deposit_and_leaves_no_half_record(

@@ -43,7 +43,7 @@ async def test_an_older_key_of_a_name_cannot_disturb_the_node(world: World) -> N
     thief = await world.call_as(older)
     assert isinstance(await thief.ask("getPid", "/viewer"), int)
     assert await thief.ask("unregisterSubscriber", "/viewer", "/image", viewer.uri) == 0
-    await world.server._maintenance._enforce()
+    await world.server._maintenance._run_once()
     assert await camera.ask("registerPublisher", "/image", T, camera.uri) == [viewer.uri]
     await until(lambda: viewer.received_calls("publisherUpdate") == [("/image", [camera.uri])])
 

@@ -22,16 +22,7 @@ from tests.rossec.master.world import EVERYTHING, T, World, ends, until
 @asynccontextmanager
 async def another(world: World, **options: Any) -> AsyncIterator[MasterServer]:
     """Another master of the same site, in place of the first."""
-    first, credentials = world.server, world.master.credentials
-    made = MasterServer(
-        credentials,
-        world.site.anchor.verify,
-        world.trust,
-        host="127.0.0.1",
-        port=0,
-        advertise="127.0.0.1",
-        **options,
-    )
+    first, made = world.server, world.made(**options)
     await made.start()
     world.server = made
     try:

@@ -8,7 +8,8 @@ import pytest
 
 from rossec.errors import AnswerRefused
 from rossec.host.runner import TaskSet
-from rossec.master.server.answers import SiteAnswers
+from rossec.master.server.answers import SITES_WAIT
+from rossec.master.server.updates import LongPolls
 from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Registry
@@ -30,15 +31,17 @@ def imports() -> Imports:
 
 
 @pytest.fixture
-def waits(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
-    """What is asked of the sites: whether each had to be waited for."""
-    waited, wait = [], SiteAnswers.wait
+def waits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """How long each query for which the sites are waited for may wait."""
+    waited: list[float] = []
+    wait = LongPolls.wait
 
-    async def note(answers: SiteAnswers) -> None:
-        waited.append(not answers._imports.is_settled)
-        await wait(answers)
+    async def note(polls: LongPolls, longest: float, *given: Any) -> None:
+        if longest == SITES_WAIT:
+            waited.append(longest)
+        await wait(polls, longest, *given)
 
-    monkeypatch.setattr(SiteAnswers, "wait", note)
+    monkeypatch.setattr(LongPolls, "wait", note)
     return waited
 
 
@@ -47,20 +50,25 @@ async def finds_nothing(node: SlaveNode, service: str) -> None:
         await node.ask("lookupService", service)
 
 
+def settled_by(imports: Imports) -> LongPolls:
+    settled = LongPolls(0.0)
+    imports.on_settled = settled.notify
+    return settled
+
+
 async def test_a_wait_ends_when_the_sites_have_answered(imports: Imports) -> None:
-    answers, tasks = SiteAnswers(imports), TaskSet()
-    waiting = [tasks.spawn(answers.wait(30), "query") for _ in range(2)]
+    settled, tasks = settled_by(imports), TaskSet()
+    waiting = [tasks.spawn(settled.wait(30), "query") for _ in range(2)]
     await asyncio.sleep(0.01)
     imports.settle("kitchen", imports.demand.version)
     async with asyncio.timeout(10):
         await asyncio.gather(*waiting)
-        await answers.wait(30)  # settled
     await tasks.close()
 
 
 async def test_a_site_that_is_lost_is_not_waited_for(imports: Imports) -> None:
-    answers, tasks = SiteAnswers(imports), TaskSet()
-    waiting = tasks.spawn(answers.wait(30), "query")
+    settled, tasks = settled_by(imports), TaskSet()
+    waiting = tasks.spawn(settled.wait(30), "query")
     await asyncio.sleep(0.01)
     imports.lose("kitchen")
     async with asyncio.timeout(10):
@@ -68,12 +76,7 @@ async def test_a_site_that_is_lost_is_not_waited_for(imports: Imports) -> None:
     await tasks.close()
 
 
-async def test_a_slow_site_is_not_waited_for_long(imports: Imports) -> None:
-    await SiteAnswers(imports).wait(0.01)
-    imports.drop("kitchen")
-
-
-async def test_the_first_lookup_of_a_name_waits_for_the_sites(world: World, waits: list[bool]) -> None:
+async def test_the_first_lookup_of_a_name_waits_for_the_sites(world: World, waits: list[float]) -> None:
     node, imports, tasks = await world.node("/a"), world.server.state.imports, TaskSet()
     imports.apply(KITCHEN, [], [])
     imports.settle("kitchen", imports.demand.version)
@@ -88,11 +91,11 @@ async def test_the_first_lookup_of_a_name_waits_for_the_sites(world: World, wait
     await finds_nothing(node, "/none")  # the site does not answer
     assert time.monotonic() - begin >= 0.9
     await finds_nothing(node, "/none")  # which is known now
-    assert waits == [True]
+    assert len(waits) == 1
     await tasks.close()
 
 
-async def test_a_master_that_follows_nobody_answers_at_once(world: World, waits: list[bool]) -> None:
+async def test_a_master_that_follows_nobody_answers_at_once(world: World, waits: list[float]) -> None:
     node = await world.node("/a")
     for number in range(3):
         await finds_nothing(node, f"/none{number}")

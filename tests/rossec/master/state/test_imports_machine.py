@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from grants.decision import Reach
-from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.graph_calls import WATCH
 from rossec.master.api.site_calls import FOLLOW
 from rossec.master.rights.caller import Caller
@@ -21,7 +20,7 @@ from rossec.master.state.imported_facts import Site
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry
 from rossec.participant.registrations import GraphView
-from tests.rossec.master.fakes import FakeStatements, call_api, refuse
+from tests.rossec.master.fakes import FakeStatements, call_api, master_api, refuse
 
 LABELS = ("a", "b", "c")
 TOPICS = ("/t0", "/t1")
@@ -47,7 +46,7 @@ class Master:
         self.registry = Registry()
         self.imports = Imports(self.registry)
         self.imports.demand.ask_everything(1 << 40)
-        self.api = MasterApi(
+        self.api = master_api(
             self.registry,
             FakeStatements(),
             name="/master",
@@ -226,7 +225,7 @@ def test_nothing_grows_with_a_thousand_cycles() -> None:
             first.views["b"] = GraphView()
         kinds = [len(first.imports.keys(kind)) for kind in Kind]
         facts = sum(each.facts for each in first.imports.sites)
-        sizes.append((facts, len(second.api.site_calls.views), *kinds))
+        sizes.append((facts, len(second.api.sites.views), *kinds))
     assert max(sizes) <= (0, 4, 0, 0, 0, 0)
 
 

@@ -6,7 +6,6 @@ import pytest
 
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
-from rossec.master.api.dispatch import MasterApi
 from rossec.master.state.registry import Registry
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar.core.layers import (
@@ -23,7 +22,7 @@ from rossec.sidecar.core.layers import (
     local_endpoint,
 )
 from rossec.sidecar.core.master_calls import MULTICALL_LIMIT, RULES, handle_call
-from tests.rossec.master.fakes import FakeStatements
+from tests.rossec.master.fakes import FakeStatements, master_api
 from tests.rossec.sidecar.agent_setup import HOST, MASTER_URI, AgentSetup, run_layer
 from tests.rossec.sidecar.core.registering import INGRESS_URI, OK, OWN_URI, PEER, SERVICE, SLAVE, register
 
@@ -180,7 +179,7 @@ def test_invalid_parameters_are_left_to_the_master(setup: AgentSetup) -> None:
 
 def test_refusals_have_the_default_values_of_the_master() -> None:
     """The sidecar itself answers calls without caller_id, with the values of the master."""
-    api = MasterApi(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=1)
+    api = master_api(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=1)
     assert {name: rule.default for name, rule in RULES.items()} == {
         name: api.methods[name].default for name in RULES
     }
