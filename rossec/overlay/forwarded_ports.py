@@ -15,12 +15,11 @@ from typing import Final, NamedTuple, TypeAlias
 
 from ca.errors import HintedError
 from rossec.errors import LinkCrowded, RelayRefused
+from rossec.host.local_ports import LocalPort, Loopback, PortAdmission, PortPool
 from rossec.host.runner import TaskSet
 from rossec.master.state.forwarded_ports import Door, PeerWay, Target
 from rossec.overlay.mux import StreamTarget
 from rossec.participant import delivery
-from rossec.sidecar.core.layers import Loopback
-from rossec.sidecar.loopback_port import LocalPort, PortAdmission, PortPool
 
 LIMIT: Final = 4096
 _log = logging.getLogger("rossec.overlay")

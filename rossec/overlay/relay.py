@@ -28,6 +28,7 @@ from rossec.errors import (
     RelayRefused,
     StreamRefused,
 )
+from rossec.host.local_ports import PortAdmission
 from rossec.host.runner import TaskSet
 from rossec.master.state.forwarded_ports import PeerWay
 from rossec.net.aio import SecureStream
@@ -42,7 +43,6 @@ from rossec.overlay.targets import LinkPeer as RemoteRelay
 from rossec.overlay.targets import Targets, TopicPorts
 from rossec.participant import delivery
 from rossec.peer_limits import printable
-from rossec.sidecar.loopback_port import PortAdmission
 
 IDLE_FOR: Final = 300.0  # seconds without a stream, after which a link is closed
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 5.0  # seconds between two attempts

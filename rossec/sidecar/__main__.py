@@ -16,11 +16,12 @@ from ca.errors import HintedError
 from rossec.channel.opening import post_quantum
 from rossec.discovery.local_links import discover_master
 from rossec.environment import own_home, own_master
+from rossec.host import local_ports
 from rossec.host.addresses import warn_of_own_address
+from rossec.host.callers import Callers
 from rossec.peer_limits import LogRateLimit, printable
 from rossec.ros import names
-from rossec.sidecar import child, loopback_port
-from rossec.sidecar.callers import Callers
+from rossec.sidecar import child
 from rossec.sidecar.child import raise_limit
 from rossec.sidecar.server import Sidecar
 
@@ -57,7 +58,7 @@ async def _run(options: dict[str, Any]) -> int:
     users, ancestor = options["users"] or {os.getuid()}, None
     if options["command"]:
         users, ancestor = {os.getuid()}, os.getpid()
-    callers = Callers(users, ancestor, loopback_port.find_loopback())
+    callers = Callers(users, ancestor, local_ports.find_loopback())
     sidecar = Sidecar(
         own_home(before),
         names.read((), before, default_name="/sidecar"),

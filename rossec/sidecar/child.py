@@ -21,7 +21,7 @@ from typing import Final, TypeAlias
 
 from ca.errors import HintedError
 from rossec.errors import ConfigurationError
-from rossec.sidecar.core.layers import LOOPBACK, Loopback
+from rossec.host.local_ports import LOOPBACK, Loopback
 
 Limits: TypeAlias = tuple[int, int]  # the soft and the hard one
 ENOUGH: Final = 1 << 16

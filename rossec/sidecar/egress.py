@@ -18,6 +18,7 @@ from grants.request import MissingRight, is_dispensable, missing_right, refusal
 from rossec import clock
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp, PeerUnreachable, RossecError
+from rossec.host.local_ports import PortPool
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream
 from rossec.net.limits import message_limit, unit_limit
@@ -36,7 +37,7 @@ from rossec.sidecar.core.guards import ProgramMemories, ReplaceableGuard, Replac
 from rossec.sidecar.core.layers import AgentState, ListeningAddress
 from rossec.sidecar.core.node_connections import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
-from rossec.sidecar.loopback_port import LoopbackPort, PlainStream, PortPool
+from rossec.sidecar.loopback_port import LoopbackPort, PlainStream
 from rossec.sidecar.pump import split_header
 
 T = TypeVar("T")

@@ -16,6 +16,7 @@ from grants.model import Right
 from rossec import clock
 from rossec.channel.opening import WireProtocol
 from rossec.errors import PeerUnreachable, RossecError, XmlRpcRefused
+from rossec.host.callers import Callers
 from rossec.host.local_sockets import Holder
 from rossec.net.aio.client import dial
 from rossec.net.aio.stream import SecureStream
@@ -23,7 +24,6 @@ from rossec.net.rpc.calls import RpcClient
 from rossec.ros import tcpros
 from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.xmlrpc import FAULT_CODE, Fault
-from rossec.sidecar.callers import Callers
 from rossec.sidecar.core import layers
 from rossec.sidecar.loopback_port import PlainStream
 from rossec.sidecar.pump import split_header

@@ -19,6 +19,7 @@ from rossec import clock
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
 from rossec.errors import CallRefused, ChannelClosed, HangUp
+from rossec.host.local_ports import PortPool, bind_free_port
 from rossec.host.local_sockets import Holder
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream, connect
@@ -38,7 +39,7 @@ from rossec.sidecar.core.guards import CopyTracker, ProgramMemories, Replacing
 from rossec.sidecar.core.layers import AgentState, ListeningAddress
 from rossec.sidecar.core.node_connections import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
-from rossec.sidecar.loopback_port import PlainStream, PortPool, bind_free_port
+from rossec.sidecar.loopback_port import PlainStream
 from rossec.sidecar.pump import WishSender, split_header
 
 # Peers send headers and requests; what programs send leaves in small units.

@@ -22,6 +22,7 @@ from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConfigurationError, HangUp, PeerUnreachable
 from rossec.home import NodeHome
+from rossec.host.callers import Callers
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.net.limits import HalfOpen, HalfOpenCount
@@ -34,7 +35,6 @@ from rossec.participant.registrations import GRAPH, SEARCH, PublisherGrace
 from rossec.participant.slave_api import without_caller
 from rossec.ros.names import MASTER, Settings, is_loopback
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.callers import Callers
 from rossec.sidecar.core import master_calls
 from rossec.sidecar.core.layers import AgentState, EndpointMap, Layer, ListeningAddress
 from rossec.sidecar.core.master_calls import MULTICALL, ResubscribeQueue, rule_of

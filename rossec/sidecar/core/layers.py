@@ -8,7 +8,7 @@ command sends plaintext to another host.
 
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final, NamedTuple, TypeAlias, TypeVar
+from typing import Final, TypeAlias, TypeVar
 
 from ca.certificates import Identity
 from ca.errors import HintedError
@@ -23,16 +23,7 @@ from rossec.ros.names import DOOR_PATH, is_door, parse_uri
 _SCHEMES: Final = {WireProtocol.HTTP: "http", WireProtocol.TCPROS: "rosrpc"}
 
 Outcome = TypeVar("Outcome")
-
-
-class Loopback(NamedTuple):
-    """The loopback address of programs and sidecar, and its host name in URIs."""
-
-    address: str
-    host: str
-
-
-LOOPBACK: Final = Loopback("127.0.0.1", "127.0.0.1")
+_LOOPBACK: Final = "127.0.0.1"
 
 
 @dataclass(frozen=True)
@@ -55,7 +46,7 @@ class ListeningAddress:
 
 
 def local_endpoint(protocol: WireProtocol, port: int) -> ListeningAddress:
-    return ListeningAddress(protocol, LOOPBACK.host, port)
+    return ListeningAddress(protocol, _LOOPBACK, port)
 
 
 def topic_endpoint(api: ListeningAddress) -> ListeningAddress:
@@ -83,7 +74,7 @@ class EndpointMap:
     program writes; programs get the host name by which they reach loopback.
     """
 
-    def __init__(self, host: str, loopback_host: str = LOOPBACK.host) -> None:
+    def __init__(self, host: str, loopback_host: str = _LOOPBACK) -> None:
         self.host = host
         self._loopback_host = loopback_host
         self._ingress: dict[ListeningAddress, ListeningAddress] = {}  # network -> loopback

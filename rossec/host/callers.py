@@ -16,8 +16,8 @@ from typing import Final, NamedTuple
 
 from rossec.errors import PeerUserRefused
 from rossec.host import local_sockets
+from rossec.host.local_ports import LOOPBACK, Loopback
 from rossec.host.local_sockets import Holder
-from rossec.sidecar.core.layers import LOOPBACK, Loopback
 
 PROC: Final = Path("/proc")
 _MAX_STAT: Final = 4096  # usually some 300 bytes
