@@ -211,11 +211,9 @@ class ThingNode:
         self.closed = self._failed = False
         identity = self._load(clock.now())
         access = Access(shared.standing, master=shared.master)
+        verify = shared.standing.anchors.verify
         secure: SecureContext[Identity] = SecureContext(
-            self._credentials,
-            shared.standing.anchors.verify,
-            suites=shared.suites,
-            half_open=shared.half_open,
+            self._credentials, verify, suites=shared.suites, half_open=shared.half_open
         )
         own_addresses = OwnAddresses()
         dialer = Dialer(self.name, secure, access.check_peer, own_addresses)
@@ -224,18 +222,17 @@ class ThingNode:
         )
         self._directory = GrantDirectory(home, access)
         self._grants_at = 0
+
+        def dial_master() -> Awaitable[SecureStream[Identity]]:
+            return dialer.rpc(shared.settings.master_host, shared.settings.master_port)
+
         self._visits = MasterVisits(
-            self.name, self._dial_master, access, identity.thumbprint, self._directory, shared
+            self.name, dial_master, access, identity.thumbprint, self._directory, shared
         )
         self._grace = PublisherGrace(clock.counter())
+        scope = memory_scope(self.name)
         self.context = NodeContext(
-            self.name,
-            access,
-            self.connections,
-            self._visits.call,
-            dialer,
-            home.filter_key,
-            memory_scope(self.name),
+            self.name, access, self.connections, self._visits.call, dialer, home.filter_key, scope
         )
         self._topics = Topics(self.context, self._grace)
         self.services = Services(self.context)
@@ -335,10 +332,6 @@ class ThingNode:
         renewal = IdentityRenewal(self._home, self._credentials, now)
         if await renew_identity(self._visits.call, renewal, now):
             self._load(now)
-
-    async def _dial_master(self) -> SecureStream[Identity]:
-        where = self._shared.settings
-        return await self.context.dialer.rpc(where.master_host, where.master_port)
 
     # --- calls of the slave API (SlaveEvents) ---
 

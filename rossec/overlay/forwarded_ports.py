@@ -1,9 +1,7 @@
 """Forwarded ports of a relay ("doors"), each of which stands for one target at a peer's site.
 
 A port on loopback admits the programs of allowed users, as a sidecar's port does; one on a network
-address admits everybody, who gets no further than the handshake of the far node, but can hold up new
-connections of others. The pool is bounded, and the least recently requested port without connections is
-given up for a new one. There is one for a target, whichever masters want it.
+address admits everybody. There is one for a target, whichever masters want it.
 """
 
 import asyncio
@@ -37,6 +35,8 @@ Carry: TypeAlias = Callable[[PeerTarget, socket.socket], Awaitable[None]]
 
 class OpenDoors:
     """Admits everybody, at this address of the host; `host`: what URIs say, if not that."""
+
+    # They get no further than the handshake of the far node, but can hold up new connections of others.
 
     def __init__(self, address: str, host: str = "") -> None:
         self.loopback: Final = Loopback(address, host or address)

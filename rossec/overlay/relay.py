@@ -38,7 +38,7 @@ from rossec.overlay.forwarded_ports import DoorTable, PeerTarget
 from rossec.overlay.link_frames import mailbox
 from rossec.overlay.masters import OwnMasters, RelayMember
 from rossec.overlay.mux import Role, StreamTarget
-from rossec.overlay.streams import Dial, Pump, Streams
+from rossec.overlay.streams import Pump, Streams
 from rossec.overlay.targets import LinkPeer as RemoteRelay
 from rossec.overlay.targets import Targets, TopicPorts
 from rossec.participant import delivery
@@ -72,11 +72,8 @@ class PeerLinkState(Enum):
 
 
 class PeerLink:
-    """The link that is made to `peer`, while connections to it are wanted.
-
-    It is dialled when the first connection needs it and kept while it carries any, and a while longer.
-    A failure is told at once to those who ask soon after: nodes try again by themselves.
-    """
+    """The link that is made to `peer`: dialled when a connection needs it, kept while it carries any, and a
+    while longer."""
 
     def __init__(self, peer: Peer, dial: DialPeer, clock: Callable[[], float] = time.monotonic) -> None:
         self.peer: Final = peer
@@ -106,7 +103,18 @@ class PeerLink:
 
     async def carry(self, target: StreamTarget, sock: socket.socket) -> None:
         try:
-            streams = await self._open_streams()
+            streams = self._streams
+            if streams is None or streams.used_up:
+                if self._dialling is None:
+                    # Those who ask soon after a failure are told it at once: nodes try again by themselves.
+                    if self._clock() < self._not_before:
+                        raise RelayRefused(self.error, self.hint)
+                    self._dialling = self._tasks.spawn(self._make(), f"dialling {self.peer.label}")
+                    self._dialling.add_done_callback(self._dialled)
+                found = await asyncio.shield(self._dialling)
+                if isinstance(found, RelayRefused):
+                    raise copy(found)  # others wait for it too
+                streams = found
         except BaseException:
             sock.close()
             raise
@@ -122,19 +130,6 @@ class PeerLink:
         await self._tasks.close()
 
     # -- making one
-
-    async def _open_streams(self) -> Streams:
-        if self._streams is not None and not self._streams.used_up:
-            return self._streams
-        if self._dialling is None:
-            if self._clock() < self._not_before:
-                raise RelayRefused(self.error, self.hint)
-            self._dialling = self._tasks.spawn(self._make(), f"dialling {self.peer.label}")
-            self._dialling.add_done_callback(self._dialled)
-        found = await asyncio.shield(self._dialling)
-        if isinstance(found, RelayRefused):
-            raise copy(found)  # others wait for it too
-        return found
 
     async def _make(self) -> Streams | RelayRefused:
         try:
@@ -352,9 +347,15 @@ class Relay:
             delivery.warn(_audit, delivery.REFUSED, where, shown(stream.peer.name), error)
             return
         remote = RemoteRelay(peer.domain or "", peer.name)
-        dial = partial(self._connect, stream.peer, self._targets.dial_for(remote))
+        dial = self._targets.dial_for(remote)
+
+        async def connect(target: StreamTarget, pump: Pump) -> socket.socket:
+            # For each stream: a link may stand while revocations are stale, and lead to masters only.
+            self._member.check_target(stream.peer, target.kind)
+            return await dial(target, pump)
+
         round_trip = partial(idle_round_trip, stream)
-        streams = Streams(stream, Role.CALLED, peer.label, dial, round_trip=round_trip)
+        streams = Streams(stream, Role.CALLED, peer.label, connect, round_trip=round_trip)
         entry = stream, streams
         called = self._called.setdefault(peer.label, [])
         called.append(entry)
@@ -367,10 +368,6 @@ class Relay:
             _log.info("the link from %s ended: %s", peer.label, printable(error))
         finally:
             called.remove(entry)
-
-    async def _connect(self, found: Identity, dial: Dial, target: StreamTarget, pump: Pump) -> socket.socket:
-        self._member.check_target(found, target.kind)
-        return await dial(target, pump)
 
     # -- for people
 
