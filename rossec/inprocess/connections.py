@@ -306,7 +306,7 @@ class Connections:
             raise ConnectionHeaderRefused("calls that are restricted now were passed on unread")
         if calls is not None:
             restricted = bool(decision.restrictions)
-            calls.replace_guard(self._service_guard(kind, decision) if restricted else None)
+            calls.guard = self._service_guard(kind, decision) if restricted else None
 
     def _service_guard(self, kind: Any, decision: Decision) -> ServiceGuard:
         request, response = (

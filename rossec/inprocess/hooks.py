@@ -34,7 +34,7 @@ from rospy.impl.validators import ParameterInvalid
 from rossec.errors import ConfigurationError
 from rossec.inprocess.connections import Connections, ServiceProbe, SubscriptionLoop
 from rossec.inprocess.process import SecuredProcess
-from rossec.inprocess.publishing import forked_node, publish, queue_for, write_data
+from rossec.inprocess.publishing import publish, queue_for, write_data
 from rossec.inprocess.sockets import RosSocket, bracketed, parse_rosrpc
 from rossec.inprocess.xmlrpc_calls import REQUEST, XmlRpcClient, XmlRpcServer
 from rossec.ros.names import parse_uri
@@ -107,7 +107,7 @@ def hooks(process: SecuredProcess, start_node: StartNode) -> list[Hook]:
     stock_wait = service.wait_for_service
 
     def wait_for_service(service: Any, timeout: Any = None) -> None:
-        process.require_name()  # rospy's loop would catch the error and never end
+        process.require_begun()  # rospy's loop would catch the error and never end
         stock_wait(service, timeout)
 
     def parse_service_uri(uri: str) -> tuple[str, int]:
@@ -164,6 +164,7 @@ def install(table: list[Hook]) -> None:
     """Set every hook, or none."""
     for hook in table:
         found = getattr(hook.owner, hook.name, None)
+        # Another signature is another rospy: nothing at all is replaced then.
         if found is None or (hook.parameters is not None and _parameters(found) != hook.parameters):
             raise ConfigurationError(
                 f"{_path(hook)} of this rospy is not supported",
@@ -182,10 +183,6 @@ def hook_tools(process: SecuredProcess) -> None:
     if rosservice is not None:
         table.append(Hook(rosservice, "socket", ModuleProxy(socket, socket=_probes(process))))
     install(table)
-
-
-def watch_forks(process: SecuredProcess) -> None:
-    forked_node.start(process.reporter.warn)
 
 
 def _probes(process: SecuredProcess) -> Callable[..., ServiceProbe]:

@@ -90,10 +90,7 @@ class BufferPool:
 class SendQueue:
     """A connection with a queue: `write_data` never waits; a full queue drops the oldest.
 
-    The sending thread takes all queued messages and sends them as one unit. It is notified only
-    when idle: a publisher that is faster than the network makes larger batches. A small message
-    after a pause is sent in the publisher's thread if that does not block: switching threads costs
-    more time than the encryption.
+    The sending thread takes all queued messages and sends them as one unit.
     """
 
     def __init__(self, connection: Any, queue_size: int) -> None:
@@ -116,9 +113,12 @@ class SendQueue:
         if self._error is not None:
             error, self._error = self._error, None
             raise error
+        # A small message after a pause goes in this thread if that does not block: switching threads costs
+        # more time than the encryption.
         last, self._last = self._last, time.monotonic()
         if self._last > last + PAUSE and self._send_now(data):
             return True
+        # Notified only when idle: a publisher that is faster than the network makes larger batches.
         self._queue.append(data)
         idle = self._idle
         if idle:
@@ -158,34 +158,30 @@ class SendQueue:
                     self._idle = True
                 self._idle = False
             try:
-                self._send_waiting()
+                for batch in self._batches():
+                    write(self._connection, batch)
             except Exception as error:  # noqa: BLE001 - as rospy: the publisher's next call raises it
                 # Without what refers to frames, and so to messages, for who keeps it.
                 error.__cause__ = error.__context__ = None
                 self._error = error.with_traceback(None)
 
-    def _send_waiting(self) -> None:
-        for batch in _batches(self._queue):
-            write(self._connection, batch)
+    def _batches(self) -> Iterator[list[Pieces]]:
+        batch: list[Pieces] = []
+        size = 0
+        with suppress(IndexError):
+            while True:
+                message = self._queue.popleft()
+                batch.append(message)
+                size += _size(message)
+                if size >= _BATCH:
+                    yield batch
+                    batch, size = [], 0
+        if batch:
+            yield batch
 
 
 def _size(message: Pieces) -> int:
     return len(message) if isinstance(message, bytes) else sum(map(len, message))
-
-
-def _batches(queue: deque[Pieces]) -> Iterator[list[Pieces]]:
-    batch: list[Pieces] = []
-    size = 0
-    with suppress(IndexError):
-        while True:
-            message = queue.popleft()
-            batch.append(message)
-            size += _size(message)
-            if size >= _BATCH:
-                yield batch
-                batch, size = [], 0
-    if batch:
-        yield batch
 
 
 def write(transport: Any, messages: list[Pieces]) -> None:
@@ -300,16 +296,12 @@ class WishQueue(SendQueue):
         time.sleep(0)  # as rospy: lets the sending thread run
         return True
 
-    def _send_waiting(self) -> None:
+    def _batches(self) -> Iterator[list[Pieces]]:
         self._queue.clear()
         while self._waiting:  # nobody else takes from it
-            write(self._connection, [self._framed(self._waiting.popleft())])
-
-    def _framed(self, message: Deflatable) -> Pieces:
-        if not self._wishes.deflate:
-            return LENGTH.pack(sum(map(len, message.pieces))), *message.pieces
-        content = message.content()
-        return LENGTH.pack(len(content)), content
+            message = self._waiting.popleft()
+            pieces = (message.content(),) if self._wishes.deflate else message.pieces
+            yield [(LENGTH.pack(sum(map(len, pieces))), *pieces)]
 
 
 _buffer_pool: Final = BufferPool(4)
@@ -347,17 +339,18 @@ def publish(topic: Any, message: Any, connection_override: Any = None) -> bool |
     if not topic.has_connections():
         return False
     try:
-        sample = _sample(topic, message, latch)
+        sample = latch.newest if latch is not None else None
+        sample = sample or Sample(_serialized(topic, message))
     except ValueError:
         if not topic.closed:
             raise
         if is_shutdown():
             return None
         raise ROSException("topic was closed during publish()") from None
-    if connection_override is None:
-        dead = _send(topic, sample, topic.connections)
-    else:
-        dead = _send(topic, sample, [connection_override], latch)
+    if latch is not None:
+        latch.newest = sample
+    transports = topic.connections if connection_override is None else [connection_override]
+    dead = _send(topic, sample, transports, None if connection_override is None else latch)
     for transport in dead:
         with suppress(Exception):  # as rospy: a dead connection is dropped
             transport.close()
@@ -377,14 +370,6 @@ def _latched(topic: Any, message: Any, new_subscriber: Any) -> Latch[bytes]:
         latch.newest = None
     topic.latch = message
     return latch
-
-
-def _sample(topic: Any, message: Any, latch: Latch[bytes] | None) -> Sample[bytes]:
-    if latch is None:
-        return Sample(_serialized(topic, message))
-    if latch.newest is None:
-        latch.newest = Sample(_serialized(topic, message))
-    return latch.newest
 
 
 def _serialized(topic: Any, message: Any) -> bytes:

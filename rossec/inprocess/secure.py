@@ -82,7 +82,7 @@ class _Secured:
                 )
         except HintedError as error:
             _refuse_start(error)
-        self.hooks.watch_forks(self.process)
+        importlib.import_module("rossec.inprocess.publishing").forked_node.start(self.reporter.warn)
         background_loop, core = self.process.background_loop, self._rospy.core
         background_loop.on_publishers = self._publishers_changed
         background_loop.on_crash = lambda: self._rospy.signal_shutdown("rossec: the background loop failed")

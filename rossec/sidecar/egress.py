@@ -14,6 +14,7 @@ from typing import Final, Generic, TypeVar
 from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.names import shown
+from grants.model import Right
 from grants.request import MissingRight, is_dispensable, missing_right, refusal
 from rossec import clock
 from rossec.channel.opening import WireProtocol
@@ -24,10 +25,10 @@ from rossec.net.aio import SecureStream
 from rossec.net.limits import message_limit, unit_limit
 from rossec.net.rpc.calls import serve_calls
 from rossec.participant.authorized import AuthorizedConnection, memory_scope
-from rossec.participant.connections import FOLLOW_PERIOD, ConnectionTable, FollowedPublishers
+from rossec.participant.connections import ConnectionTable, FollowedPublishers
 from rossec.participant.definitions import FilterKey
 from rossec.participant.handshakes import text
-from rossec.participant.registrations import nothing_shown, shows_nothing, unheard_refusal
+from rossec.participant.registrations import REFUSED, nothing_shown, shows_nothing, unheard_refusal
 from rossec.peer_limits import printable
 from rossec.ros import tcpros
 from rossec.ros.tcpros import MESSAGE_LIMIT
@@ -42,7 +43,6 @@ from rossec.sidecar.pump import split_header
 
 T = TypeVar("T")
 _log = logging.getLogger("rossec.sidecar")
-_PREFIX = "rossec: "
 _WHERE: Final = "is ROS_IP or ROS_HOSTNAME right on its side, and its name known on this host?"
 COLLECTED_FOR: Final = 1.0  # seconds
 SAID_FOR: Final = 3600.0
@@ -90,13 +90,11 @@ class MissingRights:
 
     def take(self) -> list[str]:
         # One line for each node of what is new since the last call.
-        new, self._new = self._new, []
-        nodes: dict[str, list[MissingRight]] = {}
-        for each in new:
-            nodes.setdefault(each.node, []).append(each)
-        return [
-            refusal(node, [(each.right, each.in_rule) for each in found]) for node, found in nodes.items()
-        ]
+        nodes: dict[str, list[tuple[Right, str]]] = {}
+        for each in self._new:
+            nodes.setdefault(each.node, []).append((each.right, each.in_rule))
+        self._new = []
+        return [refusal(node, found) for node, found in nodes.items()]
 
 
 class RefusalLog:
@@ -108,10 +106,10 @@ class RefusalLog:
     def log(self, refuser: str, method: str, answer: object, params: Sequence[object] = ()) -> None:
         # Of an answer in which rossec refuses a call, or that does not reach the program.
         match answer:
-            case [code, str(status), *_] if code != 1 and status.startswith(_PREFIX):
+            case [code, str(status), *_] if code != 1 and status.startswith(REFUSED):
                 missing = missing_right(status)
                 if missing is None:
-                    self._refused(refuser, method, status.removeprefix(_PREFIX))
+                    self._refused(refuser, method, status.removeprefix(REFUSED))
                 elif self._missing.add(missing) and self._timer is None:
                     loop = asyncio.get_running_loop()
                     self._timer = loop.call_later(COLLECTED_FOR, self.flush)
@@ -123,9 +121,9 @@ class RefusalLog:
     def log_own(self, node: str, method: str, answer: object) -> None:
         # Of an answer that the sidecar itself gives; what the master refused went through `log`.
         match answer:
-            case [-1, str(status), *_] if status.startswith(_PREFIX):
+            case [-1, str(status), *_] if status.startswith(REFUSED):
                 if missing_right(status) is None:
-                    self._refused(f"the sidecar of {node}", method, status.removeprefix(_PREFIX))
+                    self._refused(f"the sidecar of {node}", method, status.removeprefix(REFUSED))
             case _ if shows_nothing(method, answer):
                 text = nothing_shown(node)
                 if self._reasons.add(text):
@@ -152,10 +150,7 @@ class RefusalLog:
 
 
 class Egress:
-    """The loopback ports of one identity.
-
-    `on_topic_ended` is called with the topic and the start (monotonic) of a connection that ended.
-    """
+    """The loopback ports of one identity; `on_topic_ended`: a topic, and when its connection began."""
 
     def __init__(
         self,
@@ -173,7 +168,7 @@ class Egress:
         self._tasks = TaskSet()
         self._refusals = RefusalLog()
         self._memories: ProgramMemories[CommandExecutor] = ProgramMemories(memory_scope(agent.identity.name))
-        self._followed: FollowedPublishers[ListeningAddress] = FollowedPublishers(agent.is_listed)
+        self.followed: FollowedPublishers[ListeningAddress] = FollowedPublishers(agent.is_listed)
         self.ports = PortPool(self._close_port)
 
     def open(self, remote: ListeningAddress) -> int:
@@ -249,7 +244,7 @@ class Egress:
                 began = time.monotonic()
                 api = self._agent.endpoints.api_of(remote)
                 if api is not None and "topic" in fields:
-                    self._followed.add(executor.stream, text(fields, "topic"), api)
+                    self.followed.add(executor.stream, text(fields, "topic"), api)
                 await self._forward(admitted, program, executor.stream, after_request, executor.after_header)
                 self._topic_ended(fields, began)
         except (RossecError, TimeoutError) as error:
@@ -257,13 +252,8 @@ class Egress:
         finally:
             self._memories.release(executor)
             if executor.stream is not None:
-                self._followed.discard(executor.stream)
+                self.followed.discard(executor.stream)
             await executor.close()
-
-    async def leave_publishers(self) -> None:
-        while True:
-            await asyncio.sleep(FOLLOW_PERIOD)
-            self._followed.leave_unlisted()
 
     def _topic_ended(self, fields: Mapping[str, bytes], began: float) -> None:
         # A connection with this header has ended, or could not be made; of a service: nothing.

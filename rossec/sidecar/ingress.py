@@ -2,8 +2,7 @@
 
 Each connection runs one layer after another; an error closes that connection on both sides. A refused
 peer is told why its own grants do not suffice, and no more. A network port leads to the socket that
-listened when it was opened, not to whoever has the number of its port later: the master would have
-another program shut down in the place of one that has ended.
+listened when it was opened, not to whoever has the number of its port later.
 """
 
 import asyncio
@@ -110,6 +109,8 @@ class Ingress:
     def open(self, local: ListeningAddress) -> int:
         listeners = self._services.callers.listeners(local.port)
         if not self.leads_to(local, listeners):
+            # The program has ended, and another one has its port. Peers keep the address of the network port:
+            # it stays bound, and refuses, or the master would have the new program shut down for the old one.
             for each in [each for each in self._listeners if each.port == local.port]:
                 self._retire(each)
         server = self.ports.get_or_open(local, lambda: self._listen(local))
@@ -236,14 +237,12 @@ class Ingress:
         after_request: bytes,
         after_answer: bytes,
     ) -> None:
-        decision, now, latching = admitted.decision, clock.time(), admitted.latching
-        with (
-            pump.log_end(shown(stream.peer.name)),
-            self._copies.share(admitted.guard, now, latching=latching) as (guard, initial),
-        ):
+        latching, peer = admitted.answer.get("latching") == b"1", shown(stream.peer.name)
+        shared = self._copies.share(admitted.guard, clock.time(), latching=latching)
+        with pump.log_end(peer), shared as (guard, initial):
             replacing = Replacing(guard, admitted.rebuild, to_peer=True)
             connection = AuthorizedConnection(
-                stream, decision, admitted.guard, replacing.rebuild, replacing.swap
+                stream, admitted.decision, admitted.guard, replacing.rebuild, replacing.swap
             )
             with self._connections.track(connection):
                 await stream.send(tcpros.encode(admitted.answer))
@@ -251,11 +250,11 @@ class Ingress:
                     stream.raise_unit_limit()
                     await pump.exchange(program, stream, after_answer, after_request)
                 elif after_request:
-                    _log.warning("%s sends data where it subscribes", shown(stream.peer.name))
+                    _log.warning("%s sends data where it subscribes", peer)
                 elif admitted.wishes:
                     sender = WishSender(stream, admitted.wishes)
                     sender.put(initial)
-                    await pump.publish_as_wished(program, stream, guard, after_answer, sender)
+                    await pump.publish_as_wished(program, guard, after_answer, sender)
                 else:
                     if initial:
                         await stream.send(*pump.framed(initial))

@@ -235,8 +235,9 @@ class Agent:
             self.state.endpoints.host = self._settings.address or stream.local_address
             self._started = True
             self._membership.start()
+            leaving = self._egress.followed.leave_regularly()
             self._membership.tasks.spawn(self._resubscriber.run(), f"{self.name}: resubscribe")
-            self._membership.tasks.spawn(self._egress.leave_publishers(), f"{self.name}: publishers to leave")
+            self._membership.tasks.spawn(leaving, f"{self.name}: publishers to leave")
 
     # --- hooks of the membership (MembershipHooks)
 

@@ -57,13 +57,7 @@ class _Group:
 
 
 class SharedGuard:
-    """The guard of one connection of a group.
-
-    A message equal to one that passed counts as its copy: once on each connection that was open at that
-    time, and within `WINDOW` seconds, since a constant message would otherwise keep passing. A new
-    connection to a latching program gets the last message that passed for its key, unless the rate limit
-    has room for a new one. So connecting does not reveal whether a message changed.
-    """
+    """The guard of one connection of a group."""
 
     def __init__(self, guard: Guard, group: _Group, *, latching: bool) -> None:
         self._guard = guard
@@ -78,12 +72,15 @@ class SharedGuard:
 
     def initial_message(self, now: float) -> list[Buffer]:
         """The last message that passed for the key, if the rate limit allows no newer one."""
+        # So connecting to a latching program does not reveal whether a message changed.
         last = self._group.last
         if last is None or not self._latching or self._guard.ready(now):
             return []
         return self._guard.apply(last.message, now, last.mark) or []
 
     def apply(self, message: bytes, now: float) -> list[Buffer] | None:
+        # Equal to one that passed: its copy, once on each connection that was open at that time, and within
+        # `WINDOW` seconds, since a constant message would otherwise keep passing.
         last = self._group.last
         is_recent = last is not None and self in last.pending and int(now) - int(last.at) <= WINDOW
         if last is not None and is_recent and message == last.message:
@@ -133,9 +130,7 @@ class _ProgramMemory(Generic[HolderT]):
 class ProgramMemories(Generic[HolderT]):
     """The memories of one identity: one for each program that runs at a time.
 
-    None per name, since `rostopic pub` and `rosbag play` use a new name in each run: a new program reuses
-    the memory of one that has ended, preferably of the same name. A subscriber cannot influence whether
-    a program counts as ended. `has_ended`: whether a holder that was not released has ended.
+    `has_ended`: whether a holder that was not released has ended; no subscriber can influence that.
     """
 
     def __init__(self, scope: MemoryScope, has_ended: Callable[[HolderT], bool] = lambda _: False) -> None:
@@ -145,10 +140,14 @@ class ProgramMemories(Generic[HolderT]):
 
     def acquire(self, name: str, holder: HolderT) -> MemoryScope:
         """The memory scope of `holder`, a program of this name."""
+        # Not one for each name: `rostopic pub` and `rosbag play` use a new one in each run.
         memories = self._memories
         memory = next((each for each in memories if holder in each.holders), None)
         memory = memory or next((each for each in memories if each.name == name), None)
-        memory = memory or self._released()
+        if memory is None:  # that of a program that has ended, or a new one
+            for each in memories:
+                self._drop_ended(each)
+            memory = next((each for each in memories if not each.holders), None)
         if memory is None:
             memory = _ProgramMemory("")
             memories.append(memory)
@@ -161,13 +160,6 @@ class ProgramMemories(Generic[HolderT]):
     def release(self, holder: HolderT) -> None:
         for memory in self._memories:
             memory.holders.discard(holder)
-
-    def _released(self) -> _ProgramMemory[HolderT] | None:
-        for memory in self._memories:
-            self._drop_ended(memory)
-            if not memory.holders:
-                return memory
-        return None
 
     def _drop_ended(self, memory: _ProgramMemory[HolderT]) -> None:
         memory.holders = {holder for holder in memory.holders if not self._has_ended(holder)}

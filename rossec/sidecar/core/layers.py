@@ -8,7 +8,7 @@ command sends plaintext to another host.
 
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final, TypeAlias, TypeVar
+from typing import Final, NamedTuple, TypeAlias, TypeVar
 
 from ca.certificates import Identity
 from ca.errors import HintedError
@@ -133,15 +133,13 @@ def _casefolded(endpoint: ListeningAddress) -> ListeningAddress:
     return replace(endpoint, host=endpoint.host.lower())
 
 
-@dataclass(frozen=True)
-class OpenIngress:
+class OpenIngress(NamedTuple):
     """Open a network port for a program's endpoint; always the same port. -> Opened"""
 
     local: ListeningAddress
 
 
-@dataclass(frozen=True)
-class OpenEgress:
+class OpenEgress(NamedTuple):
     """Open a loopback port for a peer's endpoint; always the same port. -> Opened
 
     With `probe` it listens only if the peer answers; otherwise the port stays reserved and the
@@ -152,23 +150,20 @@ class OpenEgress:
     probe: bool = False
 
 
-@dataclass(frozen=True)
-class Suspend:
+class Suspend(NamedTuple):
     """The program at this endpoint has ended: refuse callers, keep the port. -> CommandDone"""
 
     local: ListeningAddress
 
 
-@dataclass(frozen=True)
-class CallMaster:
+class CallMaster(NamedTuple):
     """Call the secured master. -> Answered, NoAnswer"""
 
     method: str
     params: tuple[object, ...]
 
 
-@dataclass(frozen=True)
-class CallProgram:
+class CallProgram(NamedTuple):
     """Call a program's slave API. -> Answered; NoAnswer"""
 
     local: ListeningAddress
@@ -176,8 +171,7 @@ class CallProgram:
     params: tuple[object, ...]
 
 
-@dataclass(frozen=True)
-class CallPeer:
+class CallPeer(NamedTuple):
     """Call a peer's slave API, after presenting the grants for `right` on it.
 
     -> Answered; RawResponse if not `parse`; NoAnswer
@@ -190,8 +184,7 @@ class CallPeer:
     parse: bool = True
 
 
-@dataclass(frozen=True)
-class AuthenticatePeer:
+class AuthenticatePeer(NamedTuple):
     """Connect to a peer, whose identity decides on the call or header that follows.
 
     The next `CallPeer` or `ConnectPeer` there uses this connection. -> PeerAuthenticated, NoAnswer
@@ -200,23 +193,20 @@ class AuthenticatePeer:
     remote: ListeningAddress
 
 
-@dataclass(frozen=True)
-class Probe:
+class Probe(NamedTuple):
     """Check whether the program still listens. -> CommandDone, NoAnswer"""
 
     local: ListeningAddress
 
 
-@dataclass(frozen=True)
-class ConnectProgram:
+class ConnectProgram(NamedTuple):
     """Connect to a program for TCPROS and send this header. -> HeaderArrived, NoAnswer"""
 
     local: ListeningAddress
     fields: Mapping[str, bytes]
 
 
-@dataclass(frozen=True)
-class ConnectPeer:
+class ConnectPeer(NamedTuple):
     """Connect to a peer for TCPROS and send this header. -> HeaderArrived, NoAnswer"""
 
     remote: ListeningAddress
@@ -227,36 +217,30 @@ Request = CallMaster | CallProgram | CallPeer | AuthenticatePeer | Probe | Conne
 Command = OpenIngress | OpenEgress | Suspend | Request
 
 
-@dataclass(frozen=True)
-class PortOpened:
+class PortOpened(NamedTuple):
     port: int  # on the network for `OpenIngress`, on loopback for `OpenEgress`
 
 
-@dataclass(frozen=True)
-class Answered:
+class Answered(NamedTuple):
     value: object  # of an XML-RPC call
     peer: Identity | None = None  # that answered
 
 
-@dataclass(frozen=True)
-class PeerAuthenticated:
+class PeerAuthenticated(NamedTuple):
     peer: Identity
 
 
-@dataclass(frozen=True)
-class RawResponse:
+class RawResponse(NamedTuple):
     body: bytes  # unparsed, to be forwarded unchanged
 
 
-@dataclass(frozen=True)
-class HeaderArrived:
+class HeaderArrived(NamedTuple):
     fields: Mapping[str, bytes]
     peer: Identity | None  # None: a program of this host
     now: int
 
 
-@dataclass(frozen=True)
-class NoAnswer:
+class NoAnswer(NamedTuple):
     reason: str
     dead: bool = False  # nothing listens there any more, as opposed to slow or broken
 

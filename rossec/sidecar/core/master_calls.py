@@ -43,7 +43,6 @@ MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096
 
 SUBSCRIBE: Final = "registerSubscriber"
-REFUSED: Final = "rossec: "  # a status that begins so is not one of the stock master
 # Registrations that succeed for a program that works without them, with their value.
 _DISPENSABLE: Final = {"registerPublisher": [], "registerService": 1}
 
@@ -127,7 +126,7 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
                 master_params[registrations.RELATIVE_NAME[method]], answer[2]
             )
         return (yield from _answer_for_program(agent, rule, _own_api(rule, params), answer))
-    if method in registrations.REGISTERS and str(answer[1]).startswith(REFUSED):
+    if method in registrations.REGISTERS and str(answer[1]).startswith(registrations.REFUSED):
         _record_registration(agent, method, rule, params, master_params, refused=True)
         missing = missing_right(str(answer[1]))
         if method in _DISPENSABLE and missing and is_dispensable(missing.right, missing.own):
