@@ -42,13 +42,11 @@ _READS: Final = 1024  # datagrams in one turn of the loop: 2 us each
 _STRANGERS: Final = 8  # datagrams of strangers in one turn: up to 0.2 ms each
 _BUFFER: Final = 4 << 20
 _RCVBUFFORCE: Final = 33  # socket(7): beyond the limit of the system, for who may
-
 SILENT: Final = 90_000.0  # seconds until a thing that sends nothing is gone (RFC 9176: 25 hours)
 UPDATE_PERIOD: Final = 60  # seconds between visits of a thing's node that wants for a grant
 CHECKED: Final = 16  # parts of the things: one of them is looked at each second
 WELL_KNOWN: Final = (".well-known", "core")
 _log = logging.getLogger("rossec.border")
-
 STATUS_FILE: Final = "border.status"
 STATUS_PERIOD: Final = 5.0  # seconds between two of them
 STATUS_OLD: Final = 20  # seconds after which nobody writes it any more

@@ -33,9 +33,7 @@ from rossec.saved_statements import ThingFiles
 
 _NANOSECONDS: Final = 10**9  # of a second
 _log = logging.getLogger("rossec.border")
-
 CALL_DEADLINE: Final = 30.0
-
 Cancel = Callable[[], None]
 Ask = Callable[[CoapRequest, OnAnswer], Cancel | None]  # None: the thing is not there
 
@@ -148,8 +146,7 @@ class ThingBridge:
     def __init__(self, node: ThingNode, credential: bytes, ask: Ask, tasks: TaskSet) -> None:
         self.node: Final = node
         self.credential: Final = credential
-        self._ask = ask
-        self._tasks = tasks
+        self._ask, self._tasks = ask, tasks
         self._lock = asyncio.Lock()  # offering and closing take turns
         self._offered: dict[Resource, Publisher | Subscriber | None] = {}
         self._running: dict[Resource, Cancel] = {}

@@ -49,11 +49,8 @@ from rossec.ros.xmlrpc import Fault
 
 HALF_OPEN: Final = HalfOpen(512, 1024)  # of all ports: the master connects to each thing's node
 AT_A_TIME: Final = 8  # things that connect to the master at the same time
-
 IDLE: Final = 2.0  # seconds without a call until the connection is closed
-
 _log = logging.getLogger("rossec.border")
-
 _RENEWED_AFTER: Final = 2 / 3  # of the lifetime of an identity
 _RETRY: Final = 600  # seconds
 
@@ -91,12 +88,8 @@ class MasterVisits:
         directory: GrantDirectory,
         shared: SharedIdentity,
     ) -> None:
-        self._name = name
-        self._dial = dial
-        self._access = access
-        self._holder = holder
-        self._directory = directory
-        self._shared = shared
+        self._name, self._dial, self._access = name, dial, access
+        self._holder, self._directory, self._shared = holder, directory, shared
         self._renewals = Renewals(access)
         self._client: RpcClient | None = None
         self._idle: asyncio.TimerHandle | None = None

@@ -23,10 +23,8 @@ MAX_BODY: Final = 16 * 1024  # octets, block by block
 SOURCE_RATE: Final = 10.0  # handshakes a second, of one address and port
 SOURCE_BURST: Final = 10.0
 MAX_SOURCES: Final = 4096
-
 CAPACITY: Final = 1024
 REMEMBERED: Final = 4  # answers to the last requests of a thing, in case they are repeated
-
 RATE: Final = 50.0  # datagrams a second of one thing that are taken at once
 BURST: Final = 100.0
 OF_PORT: Final = 4  # datagrams of one port that wait

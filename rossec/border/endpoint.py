@@ -24,7 +24,6 @@ RETRY: Final = 0.25  # seconds until a request is sent again that got an unprote
 RETRIES: Final = 7  # over half a minute: what tells the thing its context may be lost a few times
 _NONE: Final = -2  # lower than the sequence number of any answer
 _SZX: Final = 6  # blocks of 1024 octets
-
 HANDSHAKE_PATH: Final = (".well-known", "edhoc")
 REGISTRATION_PATH: Final = ("rd",)
 HANDSHAKES: Final = 50.0  # begun a second, at most
@@ -77,9 +76,7 @@ class Requests:
     def __init__(
         self, transmissions: messages.Transmissions, timers: messages.Timers, random: Callable[[int], bytes]
     ) -> None:
-        self._transmissions = transmissions
-        self._timers = timers
-        self._random = random
+        self._transmissions, self._timers, self._random = transmissions, timers, random
         self._exchanges: dict[bytes, PendingRequest] = {}
 
     def __len__(self) -> int:
@@ -273,9 +270,7 @@ class CoapEndpoint:
         random: Callable[[int], bytes],
         rand: Callable[[], float],
     ) -> None:
-        self._served = served
-        self._events = events
-        self._send = send
+        self._served, self._events, self._send = served, events, send
         self._random = random
         self.timers = messages.Timers()
         self.conversations = Conversations(self._ended)

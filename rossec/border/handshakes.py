@@ -32,7 +32,6 @@ _POINT: Final = 32  # octets of x
 _SUITE: Final = rb"(?:[\x00-\x17]|\x18[\x18-\xff])"
 _BEFORE_POINT: Final = re.compile(rb"\x03(?:%s|[\x82-\x97]%s{2,23})\x58\x20" % (_SUITE, _SUITE), re.DOTALL)
 _LEAVES: Final = (KeyboardInterrupt, SystemExit, GeneratorExit)
-
 ResultT = TypeVar("ResultT")
 FindKey = Callable[[bytes], ThingKey | None]
 
@@ -68,9 +67,7 @@ class Handshakes:
     def __init__(
         self, own: StaticKey, find: FindKey, is_taken: Callable[[bytes], bool], random: Callable[[int], bytes]
     ) -> None:
-        self._own = own
-        self._find = find
-        self._is_taken = is_taken
+        self._own, self._find, self._is_taken = own, find, is_taken
         self._random = random
         self._pending: OrderedDict[bytes, _Pending] = OrderedDict()
         self._answered: dict[tuple[Hashable, bytes], bytes] = {}

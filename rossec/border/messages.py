@@ -23,15 +23,11 @@ MAX_DATAGRAM: Final = 1280  # octets; IPv6's smallest MTU, more than a block of 
 TOKEN_SIZE: Final = 4
 CON, NON, ACK, RST = Type.CON, Type.NON, Type.ACK, Type.RST
 OBSERVE, DEREGISTER = 0, 1  # RFC 7641 section 2
-
 _SLACK: Final = 256
-
 ACK_TIMEOUT: Final = 2.0  # seconds; longer by up to a half, at random
 MAX_RETRANSMIT: Final = 4
-
 Address = tuple[Any, ...]
 Send = Callable[[bytes, Address], None]
-
 WINDOW: Final = 32
 SALT_SIZE: Final = 8
 KEY_SIZE: Final = 16
@@ -39,9 +35,7 @@ MAX_ID: Final = 7  # octets of an ID: 6 less than a nonce has (RFC 8613 section 
 _ALGORITHM: Final = oscore.algorithms["AES-CCM-16-64-128"]
 _HASH: Final = oscore.hashfunctions["sha256"]
 _H: Final = 0x10  # flag: there is a kid context
-
 RequestId = Any
-
 NONCE_SIZE: Final = 8  # of ID1 and R3
 R2_SIZE: Final = 16  # milliseconds (6), random (2), tag (8)
 MAX_ID1: Final = 32
@@ -139,9 +133,7 @@ class Transmissions:
     """
 
     def __init__(self, send: Send, timers: Timers, rand: Callable[[], float]) -> None:
-        self._send = send
-        self._timers = timers
-        self._rand = rand
+        self._send, self._timers, self._rand = send, timers, rand
         self._open: dict[tuple[Address, int], _Transmission] = {}
 
     def __len__(self) -> int:

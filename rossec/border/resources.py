@@ -32,7 +32,6 @@ _SEGMENT: Final = re.compile(r"[A-Za-z0-9_.-]{1,32}", re.ASCII)
 _VALUE: Final = r'"[^"\\]*"|[^",;\s\\]*'
 _PARAMETER: Final = re.compile(rf';\s*([^,;="\s]+)(?:=({_VALUE}))?')
 _LINK: Final = re.compile(rf'\s*<([^<>"]*)>((?:;\s*[^,;="\s]+(?:=(?:{_VALUE}))?)*)\s*(?:,|\Z)')
-
 _COUNT: Final = struct.Struct("<I")
 _OCTETS: Final = frozenset({"uint8", "char"})
 _PAIRS: Final = frozenset({"time", "duration"})

@@ -48,7 +48,6 @@ from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
 
 DEADLINE: Final = 5.0
 _LENGTH: Final = struct.Struct("<I")
-
 _RIGHTS: Final[dict[type, Right]] = {
     TCPROSSub: Right.SUBSCRIBE,
     TCPROSPub: Right.PUBLISH,
@@ -56,7 +55,6 @@ _RIGHTS: Final[dict[type, Right]] = {
     TCPService: Right.PROVIDE,
 }
 _HINT_PLAIN: Final = "secure it, or name what it offers in allow_plain while you migrate"
-
 _FIRST_PAUSE: Final = 0.5
 _LONGEST_PAUSE: Final = 30.0
 _SLICE: Final = 0.5  # seconds between checks whether the subscriber is still in use

@@ -41,9 +41,7 @@ from rossec.ros.names import parse_uri
 
 VERSIONS: Final = ("1.14", "1.15", "1.16", "1.17")
 _LATE: Final = "call rossec.secure() right after importing rospy, before anything else of it"
-
 _CALLER: Final = ("self", "request", "client_address")
-
 StartNode = Callable[..., Any]
 
 

@@ -35,13 +35,10 @@ from rossec.ros.names import MASTER
 
 P = ParamSpec("P")
 R = TypeVar("R")
-
 _READ: Final = 256 * 1024
 _PREFIX: Final = 4
 DEADLINE: Final = 5.0
-
 CONNECT_TIMEOUT: Final = 10.0
-
 Stream = SecureSocket[Identity]
 
 

@@ -19,7 +19,6 @@ from rossec.host.addresses import is_relayed
 
 _DOTS: Final = 2000  # tomllib takes square time and memory for the dots of one key
 _KEYS: Final = frozenset({"node", "allow_plain"})
-
 _HINT = "an entry is a topic's or a service's name, /name or /name@address"
 
 

@@ -43,26 +43,21 @@ REGISTRATIONS: Final[Mapping[str, object]] = {
     "registerService": 1,
 }
 _NODES: Final = 1024  # that were looked up
-
 REMEMBERED: Final = 512
 _BURST: Final = 30  # lines within PERIOD; unauthenticated peers must not fill a disk
 _SHARE: Final = 10  # of them about one peer, topic or address
 _FIRST: Final = 60  # beyond the burst: only the first line about each subject
 _PERIOD: Final = 10.0
-
 PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic and service it uses here
 _TIMERS_PERIOD: Final = 1.0
 _FIRST_WAIT: Final = 5.0  # for the first connection to the master
 _RECONNECT_WAIT: Final = 2.0  # how long a call waits for a reconnection
 _CALL_DEADLINE: Final = 30.0
-
 _ENDED: Final = (
     "the background loop of this process has ended, or is its parent's: a forked process has no"
     " connections, so start it with subprocess, or multiprocessing's spawn"
 )
-
 _log = logging.getLogger("rossec.rospy")
-
 RosConnection: TypeAlias = AuthorizedConnection[RosSocket, Guard | None]
 _NAMELESS: Final = (
     "call rospy.init_node first, or give the name it will have:"
@@ -189,8 +184,7 @@ class BackgroundLoop:
     def __init__(
         self, local_identity: LocalIdentity, registrations: Registrations, master: tuple[str, int]
     ) -> None:
-        self._local_identity = local_identity
-        self._registrations = registrations
+        self._local_identity, self._registrations = local_identity, registrations
         self.address = master
         self._loop = asyncio.new_event_loop()
         self._ready = asyncio.Event()
@@ -320,8 +314,7 @@ class BackgroundLoop:
 
 class SecuredProcess:
     def __init__(self, reporter: CallReporter, plain: PlainPeers = PlainPeers()) -> None:  # noqa: B008 - constant
-        self.reporter = reporter
-        self.plain = plain
+        self.reporter, self.plain = reporter, plain
         self.own_addresses = OwnAddresses()
         self._begun: tuple[LocalIdentity, Connector, Registrations, BackgroundLoop] | None = None
         self._begin_lock = RLock()

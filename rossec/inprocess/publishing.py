@@ -40,26 +40,19 @@ from rossec.participant import delivery
 from rossec.participant.delivery import Deflatable, Latch, Sample, SharedDeflation, WishedRate, Wishes
 
 _UNUSED: Final = 2  # references: the buffer's, and the argument of `getrefcount`
-
 LENGTH: Final = struct.Struct("<I")
 SEPARATE_UNIT: Final = 128 * 1024  # a longer message is sent as a separate unit
 _BATCH: Final = 256 * 1024  # a longer unit only adds latency
 _SMALL: Final = 16 * 1024  # the kernel has room for it, or is full
 PAUSE: Final = 0.001  # seconds; messages at shorter intervals are batched
-
 Pieces = bytes | tuple[Bytes, ...]  # a message with its length in front, whole or in parts
-
 _deflation: Final = SharedDeflation()  # publishing calls the queues of one message in a row
-
 _POOLED: Final = 16 * 1024 * 1024  # the memory of larger messages is freed at once
-
 _LATCH: Final = "rossec_latch"  # an attribute set on rospy's topics
-
 _FORKED: Final = (
     "this process was forked from a running node, and nobody receives what it publishes"
     " (hint: publish in the parent, or start another program with subprocess)"
 )
-
 Samples = Callable[[Guard], Iterable[Sample[bytes]]]  # what to try for a guard, until one passes
 _log = logging.getLogger("rossec.rospy")
 

@@ -34,19 +34,14 @@ from rossec.ros import tcpros as wire
 from rossec.ros.tcpros import MESSAGE_LIMIT, PATIENCE, FrameReader, Framing
 
 ROSRPC: Final = "rosrpc://"
-
 _ENDED: Final = (errno.ECONNRESET, errno.EPIPE, errno.ENOTCONN)
-
 _OK: Final = b"\1"
 _LENGTH: Final = 4
-
 Pieces = tuple[Bytes, ...]
-
 _OUT_OF_RESOURCES: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
 _READ_SIZE: Final = 256 * 1024
 _PUMP_EVERY: Final = 1.0  # seconds
 ACCEPT_PAUSE: Final = 1.0  # seconds, while the host is out of descriptors
-
 Received = TypeVar("Received")
 Admitted: TypeAlias = "AuthorizedConnection[RosSocket, Guard | None] | PlainConnection"
 

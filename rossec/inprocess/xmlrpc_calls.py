@@ -64,12 +64,10 @@ from rossec.ros.names import PRESENT_GRANTS, SIGNED_UPDATES, is_door, parse_uri
 from rossec.ros.xmlrpc import FAULT_CODE, Call, Encoded, Fault
 
 _log = logging.getLogger("rossec.rospy")
-
 Params = tuple[Any, ...]
 ResultT = TypeVar("ResultT")
 _parsing: Final = Lock()
 _PAUSE: Final = 0.001  # seconds between two steps, for the other threads
-
 REQUEST: Final = "_ServerProxy__request"  # every call of the library's proxies goes through it
 _MULTICALL: Final = "system.multicall"
 _WITH_SERVICE_URI: Final = ("registerService", "unregisterService")

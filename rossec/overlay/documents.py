@@ -20,17 +20,14 @@ from rossec.errors import ConfigurationError, RelayRefused
 from rossec.overlay.link_frames import BOX, is_mailbox, is_seat
 
 VERSION: Final = 1
-
 MAX_PEERS: Final = 64
 MAX_PEERS_FILE: Final = 64 * 1024
 _FORM: Final = "rossec-overlay"
 _BOX: Final = re.compile(r"[0-9a-f]{32}", re.ASCII)
 _HINT: Final = "it is written by `rossec relay card`, `add` and `remove`: use these"
-
 MAX_CARD: Final = 4 * 1024
 _RELAY_CARDS_FORM: Final = "rossec-relay-card"
 _RELAY_CARDS_HINT: Final = "ask for the file that `rossec relay card` wrote at the other site"
-
 MAX_SEAT_FILE: Final = 16 * 1024
 MAX_LOCATORS: Final = 16
 OPEN_SEAT: Final = "open"  # of everybody, at a router without seats

@@ -25,7 +25,6 @@ from rossec.overlay.link_frames import BOX, LINK_ID, LinkFrameKind, kind_of, lin
 from rossec.overlay.zenoh_carrier import Carrier
 
 STALLED: Final = 15.0  # seconds: half of what a link endures
-
 _log = logging.getLogger("rossec.overlay.endpoint")
 ADDRESS: Final = "a link"  # of the peer, in messages: keys of mailboxes are told to nobody
 OPENS_PER_SECOND: Final = 32
@@ -67,9 +66,7 @@ class LinkTransport:
         self.local_address = ""  # nobody who comes by a link is near
         self.reason: LinkEnded | None = None  # why the link ended, if not in order
         self.closed = False
-        self._key = key
-        self._carrier = carrier
-        self._on_closed = on_closed
+        self._key, self._carrier, self._on_closed = key, carrier, on_closed
         self._owner = owner
         self._loop = asyncio.get_running_loop()
         self._arrived: deque[Bytes] = deque()
@@ -301,8 +298,7 @@ class LinkListener(AcceptedStreams[PeerT]):
         address: str = ADDRESS,
     ) -> None:
         super().__init__(handler, context, PROTOCOL)
-        self._carrier = carrier
-        self._address = address
+        self._carrier, self._address = carrier, address
         self._links: dict[bytes, LinkTransport] = {}
         self._looks = TokenBucket(OPENS_PER_SECOND, OPENS_PER_SECOND)
         self._reader = carrier.subscribe(key, self._receive)
@@ -360,8 +356,7 @@ class RouterNetwork:
 
     def __init__(self, carrier: Carrier, routers: Routers, context: SecureContext[Identity]) -> None:
         self.seat: Final = routers.seat
-        self._carrier = carrier
-        self._context = context
+        self._carrier, self._context = carrier, context
 
     @property
     def router(self) -> str:

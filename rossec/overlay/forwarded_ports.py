@@ -55,9 +55,7 @@ class RelayPorts:
         on_given_up: Callable[[PeerTarget], None] = lambda _: None,
         limit: int = LIMIT,
     ) -> None:
-        self._admission = admission
-        self._carry = carry
-        self._on_given_up = on_given_up
+        self._admission, self._carry, self._on_given_up = admission, carry, on_given_up
         self._tasks = TaskSet()
         self._leaving: set[LocalPort] = set()  # let nobody in any more
         self._ending: set[LocalPort] = set()

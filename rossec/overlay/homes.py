@@ -31,7 +31,6 @@ RELAY_SEAT: Final = "seat.json"
 _NO_SEAT: Final = (
     "the routers' operator makes one: rossec router seats add NAME; here: rossec relay seat FILE"
 )
-
 DIRECTORY: Final = "router"  # below ROSSEC_HOME
 AUTHORITY_KEY: Final = "authority.key"
 AUTHORITY: Final = "authority.pem"

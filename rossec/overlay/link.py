@@ -55,8 +55,7 @@ class Link:
     def __init__(self, link_id: bytes, reply_key: str, now: float, *, opener: bool) -> None:
         if len(link_id) != frames.LINK_ID:
             raise ValueError(f"a link identifier has {frames.LINK_ID} bytes")
-        self.link_id = link_id
-        self.reply_key = reply_key
+        self.link_id, self.reply_key = link_id, reply_key
         self.state = LinkState.IDLE if opener else LinkState.RUNNING
         self._opener = opener
         self._validated = False

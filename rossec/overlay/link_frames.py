@@ -19,10 +19,8 @@ from rossec.errors import LinkEnded
 BOX: Final = 16  # bytes
 _KEY: Final = re.compile(r"rossec/1/[a-z0-9]{1,32}/[0-9a-f]{32}")
 _SEAT: Final = re.compile(r"[a-z0-9]{1,32}")
-
 _HEAD: Final = Struct(">B16sQQQ")
 _RANGE: Final = Struct(">QQ")
-
 HEAD: Final = _HEAD.size
 MAX_BODY: Final = HEADER + MAX_PLAINTEXT + TAG  # a whole record
 MAX_FRAME: Final = HEAD + MAX_BODY

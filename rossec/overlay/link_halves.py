@@ -25,10 +25,8 @@ QUEUE: Final = 0.1  # seconds that bytes of this link may wait in queues
 LEAST_WAIT: Final = 0.2  # seconds
 MOST_WAIT: Final = 2.0
 _SILENCE_PART: Final = 8  # the next try comes after an eighth of the silence so far
-
 MOST_FRAMES: Final = 512  # on the way: small writes are joined meanwhile
 _CUT: Final = 16 * 1024  # a smaller piece waits for room, rather than be cut for what there is
-
 ACK_DELAY: Final = 0.005  # seconds: most answers leave within that, and acknowledge by themselves
 _ACK_FRAMES: Final = 16
 _ACK_BYTES: Final = 32 * 1024

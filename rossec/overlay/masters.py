@@ -48,10 +48,8 @@ from rossec.ros.names import RELAY_DOORS, RELAY_TARGET, Settings, build_door, pa
 from rossec.ros.xmlrpc import Fault
 
 _log = logging.getLogger("rossec.overlay")
-
 OLD_MASTER: Final = 30.0  # seconds until a master that knows no relays is asked again
 _Failures: Final = (HintedError, OSError, TimeoutError)
-
 Dial = Callable[[], Awaitable[SecureStream[Identity]]]
 """Connects with the master as the relay, for HTTP; who answers is checked here."""
 
@@ -212,11 +210,8 @@ class MasterLink:
     ) -> None:
         self.name: Final = name
         self.error = ""  # why the master is not polled now; empty: it is
-        self._relay = relay
-        self._instance = instance
-        self._dial = dial
-        self._doors = doors
-        self._on_masters = on_masters
+        self._relay, self._instance, self._dial = relay, instance, dial
+        self._doors, self._on_masters = doors, on_masters
         self._wanted = WantedDoors()
         self._asking: RpcClient | None = None
         self._turn = asyncio.Lock()
@@ -323,9 +318,7 @@ class OwnMasters:
     """The links of a relay to masters of its own domain; `instance`: random, of this run of it."""
 
     def __init__(self, member: RelayMember, instance: str, doors: MasterPorts) -> None:
-        self._member = member
-        self._instance = instance
-        self._doors = doors
+        self._member, self._instance, self._doors = member, instance, doors
         self._links: dict[str, MasterLink] = {}
         self._runs: dict[str, asyncio.Task[None]] = {}
         self._uris: dict[str, str] = {}

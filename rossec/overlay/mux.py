@@ -20,22 +20,17 @@ MASTER: Final = "master"
 NODE: Final = "node"
 SERVICE: Final = "service"
 KINDS: Final = (MASTER, NODE, SERVICE)  # a kind's number is its place here
-
 HEADROOM: Final = 16  # bytes: no head of a data unit is longer
 MAX_DATA: Final = 64 * 1024 - HEADROOM  # payload of a unit; with its head it is one small record
 MAX_SEQUENCE: Final = 128 * 1024  # what arrives at once: a burst of small units, or one of data
 _MAX_STREAM: Final = (1 << 32) - 1
-
 _UINT, _BYTES, _TEXT, _ARRAY = 0, 0x40, 0x60, 0x80
 _WIDTHS: Final = {24: (1, 24), 25: (2, 1 << 8), 26: (4, 1 << 16)}  # bytes, and least value
-
 _LENGTHS: Final = (4, 3, 3, 2, 2)  # items of a unit, by its verb
-
 FIRST: Final = 256 * 1024  # bytes
 MOST: Final = 4 * 1024 * 1024  # the window of a link
 FUND: Final = 32 * 1024 * 1024
 SHORTEST_ROUND: Final = 0.005  # seconds: two relays and two programs take turns
-
 STREAMS: Final = 256
 FOR_ONE_NAME: Final = STREAMS // 2
 YOUNG: Final = 32

@@ -47,7 +47,6 @@ from rossec.peer_limits import printable
 IDLE_FOR: Final = 300.0  # seconds without a stream, after which a link is closed
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 5.0  # seconds between two attempts
 _log = logging.getLogger("rossec.overlay")
-
 DialPeer: TypeAlias = Callable[[Peer], Awaitable[SecureStream[Identity]]]
 """Makes a link to a peer, which is that peer and admitted. Raises a `HintedError` or `OSError`."""
 
@@ -56,11 +55,9 @@ _ENDED: Final = (
     "the other relay's log says why; it must trust this domain (there: rossec domain list) and have"
     " this relay's card (there: rossec relay list)"
 )
-
 MAX_CALLED: Final = 2  # links that one peer has made: a new one, and one that it may have given up
 _PERIOD: Final = 1.0
 _audit = logging.getLogger("rossec.audit")
-
 _Serve: TypeAlias = Callable[[SecureStream[Identity]], Awaitable[None]]
 
 
@@ -78,8 +75,7 @@ class PeerLink:
     def __init__(self, peer: Peer, dial: DialPeer, clock: Callable[[], float] = time.monotonic) -> None:
         self.peer: Final = peer
         self.error = self.hint = ""  # why there is no link, though one was wanted
-        self._dial = dial
-        self._clock = clock
+        self._dial, self._clock = dial, clock
         self._tasks = TaskSet()
         self.stream: SecureStream[Identity] | None = None
         self._streams: Streams | None = None
@@ -202,9 +198,7 @@ class Relay:
         admission: PortAdmission,
         read_peers: Callable[[], Peers],
     ) -> None:
-        self._member = member
-        self._network = network
-        self._read_peers = read_peers
+        self._member, self._network, self._read_peers = member, network, read_peers
         self._peers: dict[str, Peer] = {}
         self._links: dict[str, PeerLink] = {}
         self._mailboxes: dict[str, Closable] = {}

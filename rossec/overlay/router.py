@@ -26,9 +26,7 @@ class Router:
     """One router, of the directory `home`; used on one loop. `is_open`: whoever reaches it may use it."""
 
     def __init__(self, home: RouterHome, settings: RouterSettings, *, is_open: bool) -> None:
-        self._home = home
-        self._settings = settings
-        self._is_open = is_open
+        self._home, self._settings, self._is_open = home, settings, is_open
         self._seats_version: tuple[int, ...] = ()
         self._certificate_due = 0.0
         self._session: Any = None

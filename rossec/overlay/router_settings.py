@@ -31,13 +31,10 @@ _SEND: Final = "send"
 _ACCEPTED: Final = "router-accepted"
 _JOINED: Final = "router-joined"
 _FORWARD: Final = ("forward", "forward-declared")
-
 Entry = dict[str, Any]
-
 LEASE_MS: Final = 2000
 _WAIT_US: Final = 50_000
 _DROP: Final = "transport/link/tx/queue/congestion_control/drop/"
-
 COMMON: Final[dict[str, object]] = {
     "listen/endpoints": [],
     "scouting/multicast/enabled": False,

@@ -33,7 +33,6 @@ BACKDATE: Final = 3600  # seconds; clocks of hosts differ
 _ROOT: Final = "rossec routers"
 _SERVER: Final = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
 _DAMAGED: Final = "put back a copy of the directory, or remove it and give out new seats"
-
 MAX_SHARE_FILE: Final = 2 * router_settings.MAX_SEATS_FILE
 _FORM: Final = "rossec-routers"
 _KEYS: Final = frozenset({"authority_key", "authority", "seats", "join"})

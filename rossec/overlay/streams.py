@@ -27,7 +27,6 @@ _KEEPALIVE: Final = (
     (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 15),
 )
 Found = TypeVar("Found")
-
 CONNECT_SECONDS: Final = 10.0  # to find and reach a target; also how long a connection waits for room
 MOST_WAITING: Final = 256  # connections that wait for room
 MOST_UNSENT: Final = 8 * 1024 * 1024  # twice a link's window: the peer reads nothing, but asks
@@ -56,8 +55,7 @@ class Pump:
     """
 
     def __init__(self, stream: int, end: StreamEnd) -> None:
-        self._stream = stream
-        self._end = end
+        self._stream, self._end = stream, end
         self._transport: Transport | None = None
         self._early = bytearray()  # what arrived before there was a socket
         self._early_end = False
@@ -198,11 +196,8 @@ class Streams:
         *,
         round_trip: Callable[[], float] = float,
     ) -> None:
-        self._link = link
-        self._peer = peer
-        self._dial = dial
-        self._clock = clock
-        self._round_trip = round_trip
+        self._link, self._peer, self._dial = link, peer, dial
+        self._clock, self._round_trip = clock, round_trip
         self._mux = mux.Mux(role)
         self._pumps: dict[int, Pump] = {}
         self._buffer = memoryview(bytearray(mux.HEADROOM + mux.MAX_DATA))

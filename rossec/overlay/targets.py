@@ -31,14 +31,12 @@ KEPT_SECONDS: Final = 30.0
 MOST: Final = 4096
 _SERVICE: Final = ""  # as a node's name: of whichever node it is
 Place: TypeAlias = tuple[str, int]  # numeric address and port
-
 CONNECT_SECONDS: Final = 5.0
 HTTP: Final = WireProtocol.HTTP
 TCPROS: Final = WireProtocol.TCPROS
 _PROTOCOLS: Final = {MASTER: (HTTP,), NODE: (HTTP, TCPROS), SERVICE: (TCPROS,)}
 _LOOPBACK: Final = "127.0.0.1"
 _EVERY: Final = "0.0.0.0"  # noqa: S104 - dialled from `source` it would mean that
-
 Resolve: TypeAlias = Callable[[str, str, str], Awaitable[Place]]
 """What the own master answers for a domain's label, a kind and a name. Raises a `HintedError`."""
 
@@ -60,9 +58,7 @@ class TopicPorts:
     def __init__(
         self, context: SecureContext[Identity], name: str, check_peer: Callable[[Identity, int], None]
     ) -> None:
-        self._context = context
-        self._name = name
-        self._check_peer = check_peer
+        self._context, self._name, self._check_peer = context, name, check_peer
         self._nodes: dict[tuple[str, str, int], _Known] = {}  # the oldest first
 
     async def of(self, name: str, host: str, port: int) -> Place:
@@ -138,8 +134,7 @@ class NodePorts(Protocol):
 
 class Targets:
     def __init__(self, resolve: Resolve, node_ports: NodePorts) -> None:
-        self._resolve = resolve
-        self._node_ports = node_ports
+        self._resolve, self._node_ports = resolve, node_ports
 
     def dial_for(self, peer: LinkPeer) -> Callable[[StreamTarget, Pump], Awaitable[socket.socket]]:
         return partial(self._dial, peer)

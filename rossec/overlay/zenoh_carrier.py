@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 SLOW: Final = 0.02  # seconds
 CALM: Final = 1.0
 MOST_WAITING: Final = 4 * 1024 * 1024  # bytes, as one link may have on the way
-
 _log = logging.getLogger("rossec.overlay.carrier")
 _MOST_WAITING: Final = 16 * 1024 * 1024  # bytes for one subscription; a link sends at most 4 MiB
 _OVERHEAD: Final = 256  # bytes that a message costs beside its own

@@ -25,7 +25,6 @@ from rossec.host.local_ports import LOOPBACK, Loopback
 Limits: TypeAlias = tuple[int, int]  # the soft and the hard one
 ENOUGH: Final = 1 << 16
 _WHICH: Final = resource.RLIMIT_NOFILE
-
 OUTSIDE: Final = "ROSSEC_OUTSIDE"  # in it a nested `rossec run` finds what the outer one replaced
 _REPLACED: Final = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOSTNAME", "ROS_IPV6")
 _NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGCONT")

@@ -48,7 +48,6 @@ COLLECTED_FOR: Final = 1.0  # seconds
 SAID_FOR: Final = 3600.0
 _REMEMBERED: Final = 1024
 _LINE: Final = 2000  # characters
-
 HEADER_DEADLINE: Final = 15.0  # includes the handshake with the peer
 
 
@@ -160,11 +159,8 @@ class Egress:
         filter_key: FilterKey,
         on_topic_ended: Callable[[str, float], None],
     ) -> None:
-        self._services = services
-        self._agent = agent
-        self._connections = connections
-        self._filter_key = filter_key
-        self._on_topic_ended = on_topic_ended
+        self._services, self._agent, self._connections = services, agent, connections
+        self._filter_key, self._on_topic_ended = filter_key, on_topic_ended
         self._tasks = TaskSet()
         self._refusals = RefusalLog()
         self._memories: ProgramMemories[CommandExecutor] = ProgramMemories(memory_scope(agent.identity.name))

@@ -46,10 +46,8 @@ ACCEPT_LIMITS: Final = {
     **ACCEPTED,
     WireProtocol.TCPROS: ChannelLimits(unit=MESSAGE_LIMIT + BODY_LIMIT, preauth_limit=PREAUTH_LIMIT),
 }
-
 HEADER_DEADLINE: Final = 15.0  # includes the handshake with the program
 _ENDED: Final = 64  # ports of ended programs that are kept bound: `rosnode cleanup` tries them
-
 _log = logging.getLogger("rossec.sidecar")
 PushHandler = Callable[[str, tuple[object, ...], Identity], None]
 
@@ -58,8 +56,7 @@ class PeerConnector:
     """Connects one identity to peers, each checked before anything is sent to it, and listens for them."""
 
     def __init__(self, context: SecureContext[Identity], access: Access) -> None:
-        self._context = context
-        self._access = access
+        self._context, self._access = context, access
 
     async def dial(
         self, remote: ListeningAddress, *, allow_stale: bool = False, own_identity: bool = False
@@ -93,12 +90,8 @@ class Ingress:
         filter_key: FilterKey,
         on_push: PushHandler,
     ) -> None:
-        self._services = services
-        self._agent = agent
-        self._connector = connector
-        self._connections = connections
-        self._filter_key = filter_key
-        self._on_push = on_push
+        self._services, self._agent, self._connector = services, agent, connector
+        self._connections, self._filter_key, self._on_push = connections, filter_key, on_push
         self._tasks = TaskSet()
         self._copies = CopyTracker()
         self._memories = ProgramMemories(memory_scope(agent.identity.name), self._is_dead)

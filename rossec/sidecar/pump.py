@@ -34,7 +34,6 @@ End: TypeAlias = PlainStream | SecureStream[Identity]
 _LENGTH: Final = struct.Struct("<I")
 _log = logging.getLogger("rossec.sidecar")
 Buffer = bytes | bytearray | memoryview
-
 _LAGGING: Final = 64 * 1024  # bytes that wait, above which a peer lags
 
 

@@ -44,11 +44,8 @@ from rossec.sidecar.ingress import ACCEPT_LIMITS, Ingress, PeerConnector
 from rossec.sidecar.loopback_port import LoopbackPort, PlainStream
 
 LIFETIME: Final = 5.0
-
 _PERIOD: Final = 1.0
-
 _log = logging.getLogger("rossec.sidecar")
-
 _TAKEN: Final = "is roscore or another sidecar running? choose another port with --port"
 LIMIT: Final = 256  # identities in use
 
@@ -93,8 +90,7 @@ class Resubscriber:
     """
 
     def __init__(self, services: AgentServices, agent: AgentState) -> None:
-        self._services = services
-        self._agent = agent
+        self._services, self._agent = services, agent
         self._to_resubscribe = ResubscribeQueue()
 
     def on_topic_ended(self, topic: str, began: float) -> None:
@@ -140,9 +136,7 @@ class Agent:
         suites: tuple[int, ...] = PRODUCTION,
         master_name: str = MASTER,
     ) -> None:
-        self.home = home
-        self.callers = callers
-        self._settings = settings
+        self.home, self.callers, self._settings = home, callers, settings
         loaded = LoadedIdentity(home, home.name, master_name)
         access = Access(loaded.standing, master=master_name)
         endpoints = EndpointMap(settings.address or "", callers.loopback.host)
@@ -288,12 +282,8 @@ class Sidecar:
         suites: tuple[int, ...] = PRODUCTION,
         master_name: str = MASTER,
     ) -> None:
-        self._home = home
-        self._settings = settings
-        self._callers = callers
-        self._each = each
-        self._suites = suites
-        self._master_name = master_name
+        self._home, self._settings, self._callers = home, settings, callers
+        self._each, self._suites, self._master_name = each, suites, master_name
         self._half_open = HalfOpenCount(HalfOpen())
         self._agents: dict[str, Agent] = {}
         try:

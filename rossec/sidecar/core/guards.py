@@ -18,9 +18,7 @@ from grants.guard import Guard, Memory, MemoryScope
 from rossec.errors import ConnectionHeaderRefused
 
 WINDOW: Final = 1  # whole seconds
-
 HolderT = TypeVar("HolderT", bound=Hashable)
-
 Rebuild: TypeAlias = Callable[[Decision], Guard | None]
 
 
@@ -44,8 +42,7 @@ class ReplaceableGuard:
 
 class _LastMessage:
     def __init__(self, message: bytes, mark: object, now: float, pending: set["SharedGuard"]) -> None:
-        self.message = message
-        self.mark = mark
+        self.message, self.mark = message, mark
         self.at = now
         self.pending = pending  # connections that have not had it yet
 
@@ -60,9 +57,7 @@ class SharedGuard:
     """The guard of one connection of a group."""
 
     def __init__(self, guard: Guard, group: _Group, *, latching: bool) -> None:
-        self._guard = guard
-        self._group = group
-        self._latching = latching
+        self._guard, self._group, self._latching = guard, group, latching
 
     def replace(self, guard: Guard) -> None:
         self._guard = guard
@@ -134,8 +129,7 @@ class ProgramMemories(Generic[HolderT]):
     """
 
     def __init__(self, scope: MemoryScope, has_ended: Callable[[HolderT], bool] = lambda _: False) -> None:
-        self._scope = scope
-        self._has_ended = has_ended
+        self._scope, self._has_ended = scope, has_ended
         self._memories: list[_ProgramMemory[HolderT]] = []
 
     def acquire(self, name: str, holder: HolderT) -> MemoryScope:
@@ -175,9 +169,7 @@ class Replacing:
     def __init__(
         self, guard: SharedGuard | ReplaceableGuard | None, rebuild: Rebuild, *, to_peer: bool
     ) -> None:
-        self._guard = guard
-        self._rebuild = rebuild
-        self._to_peer = to_peer
+        self._guard, self._rebuild, self._to_peer = guard, rebuild, to_peer
 
     def rebuild(self, decision: Decision) -> Guard | None:
         """The guard for another decision."""

@@ -21,7 +21,6 @@ from rossec.participant.registrations import PublisherGrace, RegistrationTable
 from rossec.ros.names import DOOR_PATH, is_door, parse_uri
 
 _SCHEMES: Final = {WireProtocol.HTTP: "http", WireProtocol.TCPROS: "rosrpc"}
-
 Outcome = TypeVar("Outcome")
 _LOOPBACK: Final = "127.0.0.1"
 
@@ -75,8 +74,7 @@ class EndpointMap:
     """
 
     def __init__(self, host: str, loopback_host: str = _LOOPBACK) -> None:
-        self.host = host
-        self._loopback_host = loopback_host
+        self.host, self._loopback_host = host, loopback_host
         self._ingress: dict[ListeningAddress, ListeningAddress] = {}  # network -> loopback
         self._egress: dict[int, ListeningAddress] = {}  # loopback port -> remote
         self._own_uris: dict[ListeningAddress, str] = {}
@@ -251,7 +249,6 @@ class CommandDone:
 
 
 Event = PortOpened | Answered | PeerAuthenticated | RawResponse | HeaderArrived | NoAnswer | CommandDone
-
 Layer: TypeAlias = Generator[Command, Event, Outcome]
 
 

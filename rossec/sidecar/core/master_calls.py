@@ -41,17 +41,14 @@ from rossec.sidecar.core.layers import (
 
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096
-
 SUBSCRIBE: Final = "registerSubscriber"
 # Registrations that succeed for a program that works without them, with their value.
 _DISPENSABLE: Final = {"registerPublisher": [], "registerService": 1}
-
 _RIGHTS: Final = {
     "registerPublisher": Right.PUBLISH,
     SUBSCRIBE: Right.SUBSCRIBE,
     "registerService": Right.PROVIDE,
 }
-
 Holds: TypeAlias = Callable[[Right, str], bool]
 """Whether this identity has a right on a name now; without it the master would only refuse."""
 

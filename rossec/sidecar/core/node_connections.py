@@ -55,7 +55,6 @@ _UNPARSED: Final = frozenset({"getBusStats"})
 REQUEST_TOPIC: Final = "requestTopic"
 _INBOUND: Final = "i"
 _MAX_EGRESS_PORTS: Final = 64  # ports that one answer of a peer can open
-
 _CALLER = "callerid"
 _LONGEST_NAME = 255
 FindMemoryScope: TypeAlias = Callable[[str], MemoryScope]  # by the program's caller_id
