@@ -9,10 +9,10 @@ its registrations, or refused.
 import asyncio
 import contextlib
 import logging
-from collections.abc import Awaitable, Callable, Collection, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 from secrets import SystemRandom
-from typing import Final, Protocol
+from typing import Final
 
 from ca.certificates import Identity
 from ca.errors import HintedError, RevocationsStale
@@ -32,10 +32,10 @@ from rossec.errors import (
 )
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
-from rossec.master.state.forwarded_ports import Door, PeerWay, Target
 from rossec.master.state.registry import is_connectable
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
 from rossec.net.rpc.calls import CallFailed, RpcClient
+from rossec.overlay.forwarded_ports import DoorTable
 from rossec.overlay.mux import MASTER
 from rossec.overlay.wanted_ports import Orders, WantedDoors
 from rossec.participant.access import Access
@@ -182,13 +182,6 @@ class RelayMember:
             self._ended.set_exception(error)
 
 
-class MasterPorts(Protocol):
-    async def open(self, target: Target, master: str) -> Door: ...
-    def release(self, target: Target, master: str) -> None: ...
-    def take_dropped(self, master: str) -> Collection[Target]: ...  # what it wants, of peers that went
-    def ways(self) -> Mapping[str, PeerWay]: ...
-
-
 class MasterLink:
     """One master of the own domain.
 
@@ -205,7 +198,7 @@ class MasterLink:
         relay: str,
         instance: str,
         dial: Dial,
-        doors: MasterPorts,
+        doors: DoorTable,
         on_masters: Callable[[Mapping[str, str]], None],
     ) -> None:
         self.name: Final = name
@@ -317,7 +310,7 @@ class MasterLink:
 class OwnMasters:
     """The links of a relay to masters of its own domain; `instance`: random, of this run of it."""
 
-    def __init__(self, member: RelayMember, instance: str, doors: MasterPorts) -> None:
+    def __init__(self, member: RelayMember, instance: str, doors: DoorTable) -> None:
         self._member, self._instance, self._doors = member, instance, doors
         self._links: dict[str, MasterLink] = {}
         self._runs: dict[str, asyncio.Task[None]] = {}

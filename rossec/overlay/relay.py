@@ -14,7 +14,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from copy import copy
 from enum import Enum
 from functools import partial
-from typing import Any, Final, Protocol, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from ca.certificates import Identity
 from ca.errors import HintedError
@@ -33,7 +33,7 @@ from rossec.host.runner import TaskSet
 from rossec.master.state.forwarded_ports import PeerWay
 from rossec.net.aio import SecureStream
 from rossec.overlay.documents import Peer, Peers
-from rossec.overlay.endpoint import idle_round_trip
+from rossec.overlay.endpoint import LinkListener, RouterNetwork, idle_round_trip
 from rossec.overlay.forwarded_ports import DoorTable, PeerTarget
 from rossec.overlay.link_frames import mailbox
 from rossec.overlay.masters import OwnMasters, RelayMember
@@ -58,7 +58,6 @@ _ENDED: Final = (
 MAX_CALLED: Final = 2  # links that one peer has made: a new one, and one that it may have given up
 _PERIOD: Final = 1.0
 _audit = logging.getLogger("rossec.audit")
-_Serve: TypeAlias = Callable[[SecureStream[Identity]], Awaitable[None]]
 
 
 class PeerLinkState(Enum):
@@ -175,33 +174,20 @@ class PeerLink:
                 self.stream = self._streams = self._carrying = None
 
 
-class Closable(Protocol):
-    async def close(self) -> None: ...
-
-
-class LinkNetwork(Protocol):
-    @property
-    def router(self) -> str: ...
-    @property
-    def seat(self) -> str: ...
-    async def dial(self, mailbox: str) -> SecureStream[Identity]: ...
-    def listen(self, mailbox: str, serve: _Serve, label: str) -> Closable: ...
-
-
 class Relay:
     """One relay, from `run` to its end; `admission`: where forwarded ports are, and for whom."""
 
     def __init__(
         self,
         member: RelayMember,
-        network: LinkNetwork,
+        network: RouterNetwork,
         admission: PortAdmission,
         read_peers: Callable[[], Peers],
     ) -> None:
         self._member, self._network, self._read_peers = member, network, read_peers
         self._peers: dict[str, Peer] = {}
         self._links: dict[str, PeerLink] = {}
-        self._mailboxes: dict[str, Closable] = {}
+        self._mailboxes: dict[str, LinkListener[Identity]] = {}
         self._called: dict[str, list[tuple[SecureStream[Identity], Streams]]] = {}
         self._table: Final = DoorTable(admission, self._carry, self.ways)
         self._masters = OwnMasters(member, secrets.token_hex(16), self._table)

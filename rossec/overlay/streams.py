@@ -11,12 +11,13 @@ import logging
 import socket
 import time
 from collections.abc import Awaitable, Callable
-from typing import Final, Protocol, TypeAlias, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 from ca.errors import HintedError
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelError, LinkCrowded, StreamRefused
 from rossec.host.runner import TaskSet
+from rossec.net.aio.stream import SecureStream
 from rossec.net.aio.transport import Transport
 from rossec.overlay import mux
 from rossec.participant import delivery
@@ -38,14 +39,6 @@ _FEWER: Final = (
 _log = logging.getLogger("rossec.overlay")
 
 
-class StreamEnd(Protocol):
-    def buffer_for(self, stream: int) -> memoryview | None: ...  # None: `Pump.resume` says when
-    def send(self, stream: int, count: int) -> None: ...
-    def took(self, stream: int, count: int) -> None: ...  # so many received bytes, by the program
-    def end(self, stream: int) -> bool: ...
-    def reset(self, stream: int) -> None: ...
-
-
 class Pump:
     """One TCP connection of this site and its stream of a link: bytes both ways, ends as ends.
 
@@ -54,7 +47,7 @@ class Pump:
     the credit given. A broken connection is passed on as a broken one.
     """
 
-    def __init__(self, stream: int, end: StreamEnd) -> None:
+    def __init__(self, stream: int, end: "Streams") -> None:
         self._stream, self._end = stream, end
         self._transport: Transport | None = None
         self._early = bytearray()  # what arrived before there was a socket
@@ -160,18 +153,6 @@ Dial: TypeAlias = Callable[[mux.StreamTarget, Pump], Awaitable[socket.socket]]
 """Connects to a target. Raises a `HintedError` or an `OSError`."""
 
 
-class LinkStream(Protocol):
-    @property
-    def backlog(self) -> int: ...
-    def on_ready(
-        self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
-    ) -> None: ...
-    def next_unit(self) -> bytes | None: ...
-    def write_nowait(self, data: Bytes) -> bool: ...
-    async def drain(self) -> None: ...
-    def abort(self, reason: str) -> None: ...
-
-
 async def refuse_streams(target: mux.StreamTarget, _pump: Pump) -> socket.socket:
     raise StreamRefused(f"a stream to {target} where none is opened")
 
@@ -188,7 +169,7 @@ class Streams:
 
     def __init__(
         self,
-        link: LinkStream,
+        link: SecureStream[Any],
         role: mux.Role,
         peer: str,
         dial: Dial = refuse_streams,

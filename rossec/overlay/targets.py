@@ -10,7 +10,7 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Final, NamedTuple, Protocol, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from ca.certificates import Identity
 from ca.names import shown
@@ -126,14 +126,8 @@ class LinkPeer(NamedTuple):
     name: str  # its name here, `/remote/hospital/relay` or `/relay/ward`
 
 
-class NodePorts(Protocol):
-    async def of(self, name: str, host: str, port: int) -> Place: ...
-    async def provider(self, host: str, port: int) -> Place: ...
-    def forget(self, name: str, host: str, port: int) -> None: ...
-
-
 class Targets:
-    def __init__(self, resolve: Resolve, node_ports: NodePorts) -> None:
+    def __init__(self, resolve: Resolve, node_ports: TopicPorts) -> None:
         self._resolve, self._node_ports = resolve, node_ports
 
     def dial_for(self, peer: LinkPeer) -> Callable[[StreamTarget, Pump], Awaitable[socket.socket]]:
