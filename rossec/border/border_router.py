@@ -348,7 +348,7 @@ class BorderRouter:
                 self.server.drop(name)
                 self._end(name, "the thing is revoked, or is not served any more")
         self._end_silent()
-        # A part of the things each second: a thousand of them at once would stop the loop.
+        # A part of the things each second, not a thousand of them at once.
         self._tick += 1
         part = list(self.bridges.values())[self._tick % CHECKED :: CHECKED]
         for bridge in part:

@@ -1,8 +1,7 @@
 """The hooks: exactly what is replaced in rospy and rosgraph.
 
-A hook names a module, an attribute path and the parameters its stock function must have: a rospy
-in which one of them differs is refused before anything is replaced. `check` repeats the check when
-the node starts, in case something was put back (attack F12).
+A hook names a module, an attribute path and the parameters its stock function must have. `check` repeats
+the check when the node starts.
 """
 
 import inspect
@@ -191,6 +190,7 @@ def _probes(process: SecuredProcess) -> Callable[..., ServiceProbe]:
 
 
 def check(table: list[Hook]) -> None:
+    # When the node starts, too, in case something was put back (attack F12).
     for hook in table:
         if inspect.getattr_static(hook.owner, hook.name, None) is not hook.new:
             raise ConfigurationError(

@@ -1,9 +1,8 @@
 """What the hooks of one process share: its identity, connections and background loop.
 
 Until the node has a name there is no identity, and no connection can be made: every hook that needs
-one raises. A call before `rospy.init_node` uses the name the node will have, if that is known. The
-background loop, a thread, runs the membership of the process, whose session with the master also
-carries rospy's calls. If it fails, no connection would be cut any more: then all are.
+one raises. The background loop, a thread, runs the membership of the process, whose session with the
+master also carries rospy's calls.
 """
 
 import asyncio
@@ -306,7 +305,7 @@ class BackgroundLoop:
 
     def crashed(self, error: BaseException) -> None:
         _log.error("the background loop failed, all connections are closed: %s", error)
-        self.connections.close("the background loop failed")
+        self.connections.close("the background loop failed")  # no right would end one any more
         # It unregisters this node at the master, which must not happen in the thread of this loop.
         Thread(target=self.on_crash, name="rossec end", daemon=True).start()
         self._stop.set()
@@ -333,6 +332,7 @@ class SecuredProcess:
 
     def require_begun(self) -> tuple[LocalIdentity, Connector, Registrations, BackgroundLoop]:
         """What exists once the node has a name; raises `ConfigurationError` while it has none."""
+        # A call before `rospy.init_node` uses the name that the node will have, if that is known.
         if self._begun is None:
             with self._begin_lock:
                 if self._begun is None:

@@ -1,10 +1,8 @@
 """Publishing from rospy: one serialization, one filtered copy per distinct filter, and the send queues.
 
 `publish` does what `rospy.topics._PublisherImpl.publish` does, and between serializing and sending
-applies each connection's guard. A connection that was not authorized gets nothing. A new subscriber
-of a latching topic gets the message as it was published, not as the program changed it since.
-`SendQueue` replaces rospy's `QueuedConnection`: queued messages are sent as one unit; `write_data` is
-for connections without a queue.
+applies each connection's guard. `SendQueue` replaces rospy's `QueuedConnection`; `write_data` is for
+connections without a queue.
 """
 
 import logging
@@ -58,10 +56,9 @@ _log = logging.getLogger("rossec.rospy")
 
 
 class BufferPool:
-    """The last `count` buffers whose bytes were handed out; threads share it.
+    """The last `count` buffers whose bytes were handed out; threads share it."""
 
-    New pages for a large message cost the publisher about as much as encrypting it.
-    """
+    # New pages for a large message cost the publisher about as much as encrypting it.
 
     def __init__(self, count: int) -> None:
         self._buffers: deque[BytesIO] = deque(maxlen=count)
@@ -257,12 +254,7 @@ def queue_for(connection: Any, queue_size: int) -> SendQueue:
 
 
 class WishQueue(SendQueue):
-    """For a subscriber with wishes: thinned out, the newest only, deflated.
-
-    What comes here has passed the guard. The sending thread takes a message when those before it are
-    with the kernel, which takes no more than it can send soon; only then the message is deflated.
-    Without a queue (`queue_size=None`) a publisher waits for each subscriber: no wish is taken then.
-    """
+    """For a subscriber with wishes: thinned out, the newest only, deflated. It has passed the guard."""
 
     def __init__(self, connection: Any, queue_size: int, wishes: Wishes) -> None:
         size = 1 if wishes.newest else queue_size
@@ -290,6 +282,7 @@ class WishQueue(SendQueue):
         return True
 
     def _batches(self) -> Iterator[list[Pieces]]:
+        # The kernel takes no more than it can send soon; a message is deflated only when it is its turn.
         self._queue.clear()
         while self._waiting:  # nobody else takes from it
             message = self._waiting.popleft()
@@ -358,6 +351,7 @@ def _latch(topic: Any) -> Latch[bytes]:
 
 
 def _latched(topic: Any, message: Any, new_subscriber: Any) -> Latch[bytes]:
+    # A new subscriber gets the message as it was published, not as the program changed it since.
     latch = _latch(topic)
     if new_subscriber is None or message is not topic.latch:
         latch.newest = None
@@ -394,6 +388,7 @@ def _send(
     for transport in transports:
         try:
             connection: RosConnection | PlainConnection | None = transport.socket.connection
+            # Not authorized (yet), or no more: it gets nothing.
             if connection is None or moment >= connection.ends:
                 continue
             pieces: Pieces | None = sample.data

@@ -1,9 +1,7 @@
 """The socket that rospy gets in place of `socket.socket`, and the filter of service calls on it.
 
-`fileno` is the kernel's: rospy only polls it for a hang-up. Nothing can be read or written around
-the channel, which sends no plain bytes. The handshake is in the first read, never in `accept` (N8).
-A call is one frame, bounded before it is buffered, and forwarded only while the caller's right lasts.
-Where a grant restricts the right, requests and responses are filtered as in the built-in node
+Nothing can be read or written around the channel, which sends no plain bytes. Where a grant restricts the
+right to a service, requests and responses are filtered as in the built-in node
 (`rossec.participant.service_types`): what is not allowed never reaches the program, and the other side
 gets the reason.
 """
@@ -113,6 +111,7 @@ class ServerFilter:
         self._check, self._on_refusal, self._now = check, on_refusal, now
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
+        # One frame, bounded before it is buffered.
         request = self.framing.feed_one(data, int(self._now()))
         if request is None:
             return b"", ()
@@ -269,6 +268,7 @@ class RosSocket(Renewing):
                 sock.close()
                 continue
             with suppress(OSError):  # an error here would end rospy's thread that accepts
+                # The handshake is in the first read, never here: a silent caller would keep out others (N8).
                 stream = self._owner.connector.respond(sock, WireProtocol.TCPROS)
                 return RosSocket(self._owner, sock, stream), where
 
@@ -315,6 +315,7 @@ class RosSocket(Renewing):
             self.send_unit(data)
 
     def send_unit(self, *pieces: Bytes) -> None:
+        # What the peer says (renewals, the end) is looked at now and then also while this side only writes.
         stream = self.stream
         if time.monotonic() >= self._pump_at:
             stream.pump()
@@ -347,6 +348,7 @@ class RosSocket(Renewing):
     # -- options and closing
 
     def fileno(self) -> int:
+        # The kernel's: rospy only polls it for a hang-up.
         return self._socket.fileno()
 
     def settimeout(self, value: float | None) -> None:

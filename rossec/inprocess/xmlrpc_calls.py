@@ -1,9 +1,7 @@
 """XML-RPC of this process: its own slave API, and rospy's calls to the master and to nodes.
 
 Calls and answers are parsed by `rossec.ros`, within its limits, never by the standard library.
-`rossec.participant.slave_api` authorizes each call of a peer; a call from here that needs a right is
-preceded by the grants that prove it. Errors are those rospy handles: OSError. Proxies that a program
-makes itself, as rostest does, are secured if they lead to the master, or to a node that it has named.
+`rossec.participant.slave_api` authorizes each call of a peer. Errors are those rospy handles: OSError.
 """
 
 import errno
@@ -97,6 +95,7 @@ class XmlRpcServer:
             peer = stream.do_handshake()
             caller = shown(peer.name)
             self._process.connections.accept(stream, peer, lambda _: stream.shutdown())
+            # Only the master may send long calls: of others nothing more is buffered.
             if self._is_master(peer):
                 stream.raise_unit_limit()
             self._serve(server, stream, peer)
@@ -271,6 +270,7 @@ class XmlRpcClient:
         plain = type(proxy("transport")) is xmlrpc.client.Transport
         uri = f"http://{proxy._ServerProxy__host}/" if plain else ""  # noqa: SLF001 - the library has no accessor
         address, process = _address(uri), self._process
+        # Proxies that a program makes itself, as rostest does.
         # Secured: what leads to the master, or to a node that it has named; others are the program's affair.
         if address is None:
             secured = False

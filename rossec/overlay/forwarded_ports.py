@@ -76,6 +76,7 @@ class RelayPorts:
         port = self._pool.remove(door)
         if port is None:
             return
+        # Connections that it carries go on: the master wants it no more, their ends still may.
         port.suspend()
         self._leaving.add(port)
         self._close_idle()

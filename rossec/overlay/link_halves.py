@@ -310,7 +310,7 @@ class Receiver:
 
     def _keep(self, offset: int, end: int, body: memoryview) -> None:
         kept = self._kept
-        # 3.3: nothing is kept for a peer that is not authenticated, nor of pieces that are very small.
+        # 3.3: nothing is kept for a peer that is not authenticated; 3.4: nor more than so many frames.
         if self._window == FIRST_WINDOW or len(kept) >= _MOST_KEPT:
             return
         at = bisect_left(kept, offset, key=itemgetter(0))

@@ -1,9 +1,7 @@
 """The masters of a relay's site, and the relay as a node of its own domain. A shell.
 
 The own master names the others, which follow each other in a mesh; each says which forwarded ports it
-wants, and where targets that are registered at it are. It is polled, so it needs no address of the
-relay, and only it decides where a target is: what a relay of another site asks for is answered from
-its registrations, or refused.
+wants, and where targets that are registered at it are. It is polled, so it needs no address of the relay.
 """
 
 import asyncio
@@ -57,10 +55,8 @@ Dial = Callable[[], Awaitable[SecureStream[Identity]]]
 class RelayMember:
     """The identity of the relay that is certified as `name`, kept current at its own master.
 
-    As every form of a node it keeps a session with its master, so that lists of domains, revocations
-    and a renewed certificate arrive. It registers nothing and has no slave API: the master's answer
-    to a call that waits (`rossec.relayDoors`) is the sign that lists may have changed, and it asks
-    for them then (`refresh`). Every link is in its table of connections, which cuts it.
+    As every form of a node it keeps a session with its master, so that lists and a renewed certificate
+    arrive. Every link is in its table of connections, which cuts it.
     """
 
     def __init__(self, name: str, environ: Mapping[str, str]) -> None:
@@ -105,21 +101,17 @@ class RelayMember:
         self._ended.cancel()
 
     async def refresh(self) -> None:
-        """Ask the master now for lists that are new, and cut what they end.
-
-        A master that is out of reach, or refuses, is asked again with the next heartbeat.
-        """
+        """Ask the master now for lists that are new, and cut what they end."""
+        # It has no slave API: the master's answer to a call that waits is the sign that lists may have
+        # changed.
         try:
             await self._membership.session.refresh()
         except (HintedError, OSError, TimeoutError, Fault) as error:
+            # Asked again with the next heartbeat.
             _log.debug("%s: no lists from the master: %s", self.name, error)
 
     def admit(self, link: SecureStream[Identity]) -> None:
-        """Count a link with an authenticated relay until it is closed; it is cut when it must end.
-
-        A foreign relay may come while its domain's revocations are stale, or the masters of two
-        domains could never tell each other: `check_target` says for what.
-        """
+        """Count a link with an authenticated relay until it is closed; it is cut when it must end."""
         self._connections.accept(link, link.peer, link.abort)  # a list may arrive meanwhile
         self._links.add(link)
         link.when_closed(partial(self._forget, link))
@@ -128,6 +120,8 @@ class RelayMember:
         try:
             self.check_peer(link.peer)
         except RevocationsStale:
+            # A foreign relay may come while its domain's revocations are stale, or the masters of two domains
+            # could never tell each other (`check_target` says for what); never while the own list is.
             if not link.peer.is_foreign:
                 raise
             for key in link.peer.keys:
@@ -253,6 +247,7 @@ class MasterLink:
     async def _connected(self) -> SecureStream[Identity]:
         stream = await self._dial()
         peer = stream.peer
+        # A master answers for its site: a node with an anonymous name, or another domain's, must not.
         if peer.is_foreign or peer.wildcard or peer.name != self.name:
             stream.abort("not the master of this relay")
             raise RelayRefused(
@@ -368,6 +363,7 @@ class OwnMasters:
 
     def _answered(self, masters: Mapping[str, str]) -> None:
         self._lists_due.set()
+        # Only the own master says which others there are; one with another URI is another one.
         own = self._member.master
         named = {name: uri for name, uri in masters.items() if name != own}
         for name in [name for name, uri in self._uris.items() if named.get(name) != uri]:
@@ -381,7 +377,7 @@ class OwnMasters:
                 link = MasterLink(
                     name, self._member.name, self._instance, dial, self._doors, lambda _masters: None
                 )
-                self._begin(link)  # only the own master says which others there are
+                self._begin(link)
 
     async def _dial(self, uri: str) -> SecureStream[Identity]:
         address = parse_uri(uri, "the master's URI")

@@ -1,8 +1,6 @@
 """TLS of one operator's routers: their authority, their certificates, and what they share. Pure.
 
-The authority is trusted by sites for routers alone, and by nothing else (no browser, no system store):
-so it has no name constraints, and may certify whatever host the operator moves a router to. It issues
-to no other authority (pathlen 0), for TLS servers alone. P-256: what every TLS library knows.
+P-256: what every TLS library knows.
 """
 
 from dataclasses import dataclass, field
@@ -48,6 +46,9 @@ class RouterAuthority:
 
     @classmethod
     def create(cls, key: ec.EllipticCurvePrivateKey, *, now: int, serial: int) -> Self:
+        # Trusted by sites for routers alone (no browser, no system store): so without name constraints, as
+        # the operator may move a router to any host. It issues to no other authority, for TLS servers
+        # alone.
         builder = (
             _builder(key.public_key(), _ROOT, serial, now - BACKDATE, now + LIFETIME)
             .issuer_name(_subject(_ROOT))

@@ -1,9 +1,7 @@
 """The streams of one link at work: a `Mux` on a secure stream, a `Pump` for each connection.
 
 What arrives for a stream is written to its connection at once, and never waited for: a connection that
-lags gets no credit, and the others go on. While the link itself lags, connections are not read;
-afterwards each is read once, in the order in which they had to wait. What is malformed ends the link,
-and with it every connection it carried.
+lags gets no credit, and the others go on. What is malformed ends the link, with all that it carried.
 """
 
 import asyncio
@@ -42,9 +40,7 @@ _log = logging.getLogger("rossec.overlay")
 class Pump:
     """One TCP connection of this site and its stream of a link: bytes both ways, ends as ends.
 
-    No queue: the socket is read when the stream has credit and the link has room, straight into the
-    buffer from which the unit is sealed. Bytes for a program that lags wait here, no more of them than
-    the credit given. A broken connection is passed on as a broken one.
+    Bytes for a program that lags wait here, no more of them than the credit given.
     """
 
     def __init__(self, stream: int, end: "Streams") -> None:
@@ -125,6 +121,8 @@ class Pump:
     # -- called by the transport
 
     def get_buffer(self) -> memoryview:
+        # No queue: the socket is read when the stream has credit and the link has room, straight into the
+        # buffer from which the unit is sealed.
         buffer = self._end.buffer_for(self._stream)
         if buffer is None:
             if self._transport is not None:
@@ -353,6 +351,8 @@ class Streams:
         except ChannelError as error:
             self._fail(error)
             return
+        # While the link lags no connection is read; answers to a peer that asks without reading have their
+        # end.
         if not writable and not self._draining:
             self._draining = True
             self._tasks.spawn(self._drain(), "a link that lags")
@@ -365,6 +365,7 @@ class Streams:
         except ChannelError as error:
             self._fail(error)
             return
+        # Each that had to wait is read once, in the order in which they came.
         self._draining = False
         for stream in tuple(self._waiting):
             if self._draining:  # again; the others keep their turn

@@ -1,7 +1,6 @@
 """Loopback ports for peers: programs call a peer's slave API, subscribe to topics, call services. A shell.
 
-Each connection runs one layer after another; an error closes that connection on both sides. Faults that
-a program may not print are logged here: rosnode says "killed" whatever a node answers.
+Each connection runs one layer after another; an error closes that connection on both sides.
 """
 
 import asyncio
@@ -70,18 +69,14 @@ class Said(Generic[T]):
 
 
 class MissingRights:
-    """What the programs of one identity asked for and no grant gives.
-
-    A program asks for much at its start. What no rule gives it is collected for a second and logged as
-    one line, which says what rule is missing; the same is not logged again within an hour. What a client
-    library asks for by itself is no warning: the program works without it (`grants.request`).
-    """
+    """What the programs of one identity asked for and no grant gives, as lines that say what is missing."""
 
     def __init__(self, now: Callable[[], float]) -> None:
         self._said = Said[MissingRight](now)
         self._new: list[MissingRight] = []
 
     def add(self, missing: MissingRight) -> bool:
+        # What a client library asks for by itself is no warning: the program works without it.
         if is_dispensable(missing.right, missing.own) or not self._said.add(missing):
             return False
         self._new.append(missing)
@@ -110,6 +105,7 @@ class RefusalLog:
                 if missing is None:
                     self._refused(refuser, method, status.removeprefix(REFUSED))
                 elif self._missing.add(missing) and self._timer is None:
+                    # A program asks for much at its start: that is one line.
                     loop = asyncio.get_running_loop()
                     self._timer = loop.call_later(COLLECTED_FOR, self.flush)
             case _ if (reason := unheard_refusal(method, params, answer)) is not None:
@@ -202,6 +198,7 @@ class Egress:
         async def dispatch(method: str, params: tuple[object, ...], _: str) -> object:
             layer = node_connections.handle_program_call(self._agent, remote, method, params)
             answer = await executor.run(layer)
+            # A program may not print it: rosnode says "killed" whatever a node answers.
             self._refusals.log(remote.uri, method, answer)
             return answer
 

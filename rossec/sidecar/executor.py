@@ -1,7 +1,6 @@
 """Executes the commands of one connection's layers, and owns the connections this opens.
 
-A shell: it connects, calls and reports; it decides nothing. A peer is checked before anything is
-sent to it, and a program that listens before it is connected to.
+A shell: it connects, calls and reports; it decides nothing.
 """
 
 import asyncio

@@ -1,8 +1,7 @@
 """Network ports for programs: peers call a slave API, subscribe to topics, call services. A shell.
 
-Each connection runs one layer after another; an error closes that connection on both sides. A refused
-peer is told why its own grants do not suffice, and no more. A network port leads to the socket that
-listened when it was opened, not to whoever has the number of its port later.
+Each connection runs one layer after another; an error closes that connection on both sides. A network port
+leads to the socket that listened when it was opened, not to whoever has the number of its port later.
 """
 
 import asyncio
@@ -183,6 +182,7 @@ class Ingress:
             except HangUp:
                 raise
             except HintedError as error:
+                # The peer is told why its own grants do not suffice, and no hint, which is for people here.
                 _log.warning("refused %s: %s (%s)", shown(peer.name), error, error.hint)
                 return [-1, f"rossec: {error}", 0]
 

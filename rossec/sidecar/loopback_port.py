@@ -20,8 +20,7 @@ _CLOSED: Final = "the program closed the connection"
 class PlainStream(BaseStream):
     """A plain TCP connection with a program of this host: bytes as they come, with back-pressure.
 
-    It has the methods of `SecureStream`, so that both kinds can be served and forwarded alike. Its
-    buffer is small until a program fills it: fifty idle nodes must not cost fifty large buffers.
+    It has the methods of `SecureStream`, so that both kinds can be served and forwarded alike.
     """
 
     peer = "a program of this host"
@@ -40,6 +39,7 @@ class PlainStream(BaseStream):
 
     def buffer_updated(self, count: int) -> None:
         self._deliver(self._buffer[:count])
+        # Small until a program fills it: fifty idle nodes must not cost fifty large buffers.
         if count == len(self._buffer) < _LARGE:
             self._buffer = memoryview(bytearray(_LARGE))
         if self._units:

@@ -1,8 +1,7 @@
 """Forwards bytes between a program and a peer, after the TCPROS handshake. A shell.
 
 Unrestricted bytes are forwarded without inspection; restricted messages pass the guard one by one. An
-end that lags slows the other end down, or misses messages if the guard keeps state. When one end
-closes, the other is closed after it got what was sent; on any error, also of a guard, both are aborted.
+end that lags slows the other end down, or misses messages if the guard keeps state.
 """
 
 import asyncio
@@ -160,6 +159,7 @@ async def expect_no_data(end: End) -> None:
 async def run_both(
     program: PlainStream, peer: SecureStream[Identity], *directions: "asyncio._CoroutineLike[None]"
 ) -> None:
+    # When one end closes, the other is closed after it got what was sent; on any error both are aborted.
     try:
         try:
             async with asyncio.TaskGroup() as group:

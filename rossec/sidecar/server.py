@@ -1,8 +1,7 @@
 """The sidecar of a host or of one program: a master on loopback, and an agent for each identity. A shell.
 
 The identity of a call follows from the caller_id, never from data of a peer: with `identity` it is
-always that one; otherwise each program uses the one enrolled for its name. The caller_id of roscpp's
-`NodeHandle::searchParam` is a namespace of its node: there it is the program.
+always that one; otherwise each program uses the one enrolled for its name.
 """
 
 import asyncio
@@ -51,10 +50,9 @@ LIMIT: Final = 256  # identities in use
 
 
 class ConnectionCache:
-    """Connections to peers' slave APIs, cached briefly for the program that looked them up.
+    """Connections to peers' slave APIs, cached briefly for the program that looked them up."""
 
-    A port is opened only if the peer answers; the program that then connects to it reuses that one.
-    """
+    # A port is opened only if the peer answers; the program that then connects to it reuses that one.
 
     def __init__(self) -> None:
         self._clients: dict[ListeningAddress, SlaveApiClient] = {}
@@ -63,7 +61,16 @@ class ConnectionCache:
     def put(self, remote: ListeningAddress, client: SlaveApiClient) -> None:
         old = self._clients.pop(remote, None)
         self._clients[remote] = client
-        self._tasks.spawn(self._close_later(remote, client, old), "a cached connection")
+
+        async def close_later() -> None:
+            if old is not None:
+                await old.rpc.close()
+            await asyncio.sleep(LIFETIME)
+            if self._clients.get(remote) is client:
+                del self._clients[remote]
+                await client.rpc.close()
+
+        self._tasks.spawn(close_later(), "a cached connection")
 
     def take(self, remote: ListeningAddress) -> SlaveApiClient | None:
         return self._clients.pop(remote, None)
@@ -71,23 +78,12 @@ class ConnectionCache:
     async def close(self) -> None:
         await self._tasks.close()
 
-    async def _close_later(
-        self, remote: ListeningAddress, client: SlaveApiClient, old: SlaveApiClient | None
-    ) -> None:
-        if old is not None:
-            await old.rpc.close()
-        await asyncio.sleep(LIFETIME)
-        if self._clients.get(remote) is client:
-            del self._clients[remote]
-            await client.rpc.close()
-
 
 class Resubscriber:
-    """Publisher updates for the programs of one identity where no master sends one.
+    """Publisher updates for the programs of one identity where no master sends one."""
 
-    Programs need not handle a topic whose connection ended and that they may subscribe to again, or
-    publishers that a restarted master did not list again.
-    """
+    # Programs need not handle a topic whose connection ended and that they may subscribe to again, or
+    # publishers that a restarted master did not list again.
 
     def __init__(self, services: AgentServices, agent: AgentState) -> None:
         self._services, self._agent = services, agent
@@ -338,7 +334,8 @@ class Sidecar:
             return [-1, f"rossec: {error}", 0]
 
     async def _searching(self, program: PlainStream, space: str) -> Agent | None:
-        # Several nodes in `space`, or one that has this very name: the process decides.
+        # roscpp's `searchParam` calls with a namespace of its node. Several nodes in it, or one that has
+        # this very name: the process decides.
         if self._default is not None and not self._each:
             return None
         prefix = space.rstrip("/") + "/"

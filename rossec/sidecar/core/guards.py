@@ -1,9 +1,8 @@
 """The guards of forwarded connections: copies of a message, memory per program, renewed grants. Pure.
 
 A program sends a copy of one message to each connection, also to those of one key: what passed once
-passes on all of them. Each program has its own memory of limits, also if others publish the same topic:
-their values would reset its hysteresis. What would need another way of forwarding is refused when a
-grant is renewed, and the connection is made anew.
+passes on all of them. What would need another way of forwarding is refused when a grant is renewed, and
+the connection is made anew.
 """
 
 from collections.abc import Callable, Hashable, Iterator
@@ -134,6 +133,7 @@ class ProgramMemories(Generic[HolderT]):
 
     def acquire(self, name: str, holder: HolderT) -> MemoryScope:
         """The memory scope of `holder`, a program of this name."""
+        # Each program has its own, also if others publish the topic: their values would reset its hysteresis.
         # Not one for each name: `rostopic pub` and `rosbag play` use a new one in each run.
         memories = self._memories
         memory = next((each for each in memories if holder in each.holders), None)
@@ -160,11 +160,7 @@ class ProgramMemories(Generic[HolderT]):
 
 
 class Replacing:
-    """Replaces the guard of one forwarded connection; None: bytes pass unread.
-
-    Bytes that pass unread have no known beginnings of messages, and a connection `to_peer` with limits
-    must not let its messages wait.
-    """
+    """Replaces the guard of one forwarded connection; None: bytes pass unread."""
 
     def __init__(
         self, guard: SharedGuard | ReplaceableGuard | None, rebuild: Rebuild, *, to_peer: bool
@@ -175,11 +171,12 @@ class Replacing:
         """The guard for another decision."""
         renewed = self._rebuild(decision)
         if self._guard is None:
-            if renewed is not None:
+            if renewed is not None:  # bytes that passed unread have no known beginnings of messages
                 raise ConnectionHeaderRefused("messages that are restricted now were passed on unread")
             return None
         if renewed is None:
             return Guard(None, decision)  # lets everything pass until it expires
+        # With limits no message may wait for its reader: see `pump.send_filtered_nowait`.
         has_limits = renewed.memory is not None
         if has_limits and self._to_peer and not isinstance(self._guard, SharedGuard):
             raise ConnectionHeaderRefused("messages that are limited now had to wait for the peer")

@@ -1,9 +1,7 @@
 """What all layers share: commands, events, and the state of the identity they act for. Pure.
 
 A layer is a generator: it yields a command, is sent the one event that fits it, and returns the outcome.
-Any exception of a layer closes its connection; errors fail closed. An event that does not fit is a bug
-of the shell. Programs are reached only at loopback ports, peers only through the secure channel: no
-command sends plaintext to another host.
+Any exception of a layer closes its connection; errors fail closed.
 """
 
 from collections.abc import Generator, Mapping
@@ -68,9 +66,8 @@ class EndpointMap:
     """The endpoint mapping of one identity; peers reach this host at `host`.
 
     A program keeps its loopback port and gets a network port (ingress); a peer keeps its address and
-    gets a loopback port (egress). A program's own URI is returned to it byte for byte: roscpp compares
-    it so to recognize itself. An endpoint on this host is identified by its port, whatever host a
-    program writes; programs get the host name by which they reach loopback.
+    gets a loopback port (egress). An endpoint on this host is identified by its port, whatever host a
+    program writes.
     """
 
     def __init__(self, host: str, loopback_host: str = _LOOPBACK) -> None:
@@ -110,6 +107,7 @@ class EndpointMap:
         self._own_uris[local] = uri
 
     def own_uri(self, local: ListeningAddress) -> str:
+        # Byte for byte as the program wrote it: roscpp compares it so to recognize itself.
         return self._own_uris.get(local, replace(local, host=self._loopback_host).uri)
 
     def network_of(self, local: ListeningAddress) -> ListeningAddress:
@@ -128,6 +126,7 @@ class EndpointMap:
 
 
 def _casefolded(endpoint: ListeningAddress) -> ListeningAddress:
+    # Names of hosts have no case (RFC 4343), and a peer may write the own one as it likes.
     return replace(endpoint, host=endpoint.host.lower())
 
 
@@ -211,6 +210,8 @@ class ConnectPeer(NamedTuple):
     fields: Mapping[str, bytes]
 
 
+# Programs are reached only at loopback ports, peers only through the secure channel: no command sends
+# plaintext to another host.
 Request = CallMaster | CallProgram | CallPeer | AuthenticatePeer | Probe | ConnectProgram | ConnectPeer
 Command = OpenIngress | OpenEgress | Suspend | Request
 
@@ -275,10 +276,8 @@ class AgentState:
     programs: dict[ListeningAddress, Program] = field(default_factory=dict)  # by their slave APIs
 
     def name_for(self, caller: str) -> str:
-        """The caller_id for peers: the program's own if the identity covers it, else the identity.
-
-        So it is always a certified name (attack L7).
-        """
+        """The caller_id for peers: the program's own if the identity covers it, else the identity."""
+        # So it is always a certified name (attack L7).
         return caller if self.covers(caller) else self.identity.name
 
     def name_for_peer(self, caller: str, peer: Identity) -> str:
@@ -295,6 +294,7 @@ class AgentState:
     ) -> Layer[str]:
         """The URI at which a program reaches `remote`; its own URI is returned as it wrote it."""
         local = self.endpoints.program_at(remote)
+        # Its own URI, as it wrote it; not a port at which the sidecar would call itself.
         if local is not None and local == own_api:
             return self.endpoints.own_uri(local)
         port = opened_port((yield OpenEgress(remote, probe=probe)))

@@ -154,7 +154,7 @@ def _refusal(
 
 def rule_of(method: str) -> CallRule:
     rule = RULES.get(method)
-    if rule is None:
+    if rule is None:  # what is not in the table might carry an address that nobody rewrote
         raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
     return rule
 
@@ -288,11 +288,9 @@ def _answer_for_program(
 
 
 def restore(agent: AgentState, holds: Holds) -> Layer[None]:
-    """Make every registration again with a restarted master, except those of dead programs.
-
-    A dead program could replace a new one of the same name, which the master would shut down. One
-    that was refused before is made if this identity `holds` the right now.
-    """
+    """Make every registration again with a restarted master, except those of dead programs."""
+    # A dead program could replace a new one of the same name, which the master would shut down. One that was
+    # refused before is made if this identity holds the right now.
     for own_api, program in tuple(agent.programs.items()):
         if (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
             continue
@@ -373,11 +371,10 @@ def _is_gone(agent: AgentState, own_api: ListeningAddress, event: Event) -> Laye
 
 
 class ResubscribeQueue:
-    """The topics of one identity to resubscribe; times are seconds of one clock.
+    """The topics of one identity to resubscribe; times are seconds of one clock."""
 
-    rospy drops a connection that ended until it gets a publisherUpdate; the sidecar sends one once it
-    holds a grant again. The delay doubles while connections keep ending soon.
-    """
+    # rospy drops a connection that ended until it gets a publisherUpdate; the sidecar sends one once it
+    # holds a grant again.
 
     def __init__(self) -> None:
         self._due: dict[str, float] = {}
@@ -385,6 +382,7 @@ class ResubscribeQueue:
 
     def add(self, topic: str, began: float, now: float) -> None:
         """A connection for `topic`, made at `began`, has ended."""
+        # The delay doubles while connections keep ending soon.
         lasted = now - began > MAX_DELAY
         delay = FIRST_DELAY if lasted else self._delays.get(topic, FIRST_DELAY)
         self._due[topic] = now + delay

@@ -1,9 +1,7 @@
 """Between nodes: calls of slave APIs and TCPROS handshakes, of peers and programs. Pure layers.
 
 Both directions are default deny and drop UDPROS, which would bypass the channel (attack N10). A peer is
-authorized before the program is called. Answers are parsed and serialized again, and hold a value only
-if the code is 1: rospy takes any positive code for success, and stock parsers accept what ours refuses;
-a program would connect in plaintext to an address that the sidecar did not see.
+authorized before the program is called.
 
 A header is read once, authorized and sent to the other end, and its answer is authorized in turn; grants
 are added towards the network and removed towards the program, names of other origins are mapped.
@@ -113,6 +111,9 @@ def _answer_at_once(peer: Identity, method: str, params: tuple[object, ...]) -> 
 
 
 def succeeded(code: object) -> bool:
+    # Answers are parsed and serialized again, and hold a value only if the code is 1: rospy takes any
+    # positive code for success, and a program would connect in plaintext to an address that the sidecar did
+    # not see.
     return type(code) is int and code == 1  # not True, not 1.0
 
 
@@ -286,17 +287,19 @@ def admit_peer(
     memory_scope_of: FindMemoryScope,
     now: int,
 ) -> Layer[AdmittedConnection]:
+    # 1. What is asked for, at the port for that; 2. the peer's right to it, before the program hears of it.
     service, wishes = _is_service(fields), delivery.NO_WISHES
     if service is local.via_slave_api:
         raise ConnectionHeaderRefused(f"this port is not for {'services' if service else 'topics'}")
     if service:
         decision = handshakes.admit_caller(fields, peer, agent.access, now)
-        decision.require_unrestricted()
+        decision.require_unrestricted()  # calls pass unread here
         target = local
     else:
         decision = handshakes.admit_subscriber(fields, peer, agent.access, now)
         wishes = delivery.carried_out(delivery.requested_wishes(fields), decision)
         target = yield from _request_topic(agent, local, fields, peer)
+    # 3. The program's own answer, without what only peers may see; 4. the proof of this side, and the guard.
     event = yield ConnectProgram(target, handshakes.fields_here(without_grants(fields), peer))
     if isinstance(event, NoAnswer) and event.dead:
         yield Suspend(local)
@@ -386,6 +389,8 @@ def connect_to_peer(
         decision.require_unrestricted()
         answer = handshakes.fields_here(without_grants(arrived.fields), peer)
         return AdmittedConnection(answer, decision, None, service)
+    # 1. Ask under the name that the grants have; 2. the publisher's right, before the program hears of it;
+    # 3. its type, which the guard reads.
     own, program = definitions.from_header(fields), _program_name(fields)
     granted, caller = yield from _name_granted(agent, remote, fields)
     request = {**without_grants(fields), _CALLER: caller, "topic": origin_of(granted).encode()}
