@@ -41,8 +41,7 @@ class CoapAnswer(NamedTuple):
 OnAnswer = Callable[[CoapAnswer | ThingUnreachable], None]
 
 
-@dataclass(frozen=True, slots=True)
-class CoapRequest:
+class CoapRequest(NamedTuple):
     code: Code
     path: tuple[str, ...]
     body: bytes = b""

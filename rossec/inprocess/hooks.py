@@ -41,7 +41,6 @@ from rossec.ros.names import parse_uri
 VERSIONS: Final = ("1.14", "1.15", "1.16", "1.17")
 _LATE: Final = "call rossec.secure() right after importing rospy, before anything else of it"
 _CALLER: Final = ("self", "request", "client_address")
-StartNode = Callable[..., Any]
 
 
 class ModuleProxy:
@@ -87,7 +86,7 @@ def check_in_time() -> None:
         raise ConfigurationError("a topic was created before rossec.secure()", _LATE)
 
 
-def hooks(process: SecuredProcess, start_node: StartNode) -> list[Hook]:
+def hooks(process: SecuredProcess, start_node: Callable[..., Any]) -> list[Hook]:
     base, pubsub, service = rospy.impl.tcpros_base, rospy.impl.tcpros_pubsub, rospy.impl.tcpros_service
     connections, client, server = Connections(process), XmlRpcClient(process), XmlRpcServer(process)
 

@@ -35,10 +35,9 @@ from rossec.peer_limits import printable
 from rossec.ros.names import parse_uri
 from rossec.ros.xmlrpc import FAULT_CODE, Fault
 
-# Each with the value that a master without other nodes answers.
-_NOBODY: Final[list[object]] = []
-REGISTRATIONS: Final[Mapping[str, object]] = {
-    **dict.fromkeys(("registerPublisher", "registerSubscriber"), _NOBODY),
+REGISTRATIONS: Final[Mapping[str, object]] = {  # each with what a master without other nodes answers
+    "registerPublisher": [],
+    "registerSubscriber": [],
     "registerService": 1,
 }
 _NODES: Final = 1024  # that were looked up

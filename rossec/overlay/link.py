@@ -5,9 +5,8 @@ call `tick` at `deadline`. Nothing here is authenticated: the bytes inside are. 
 identifier of a link, can end it, as they could by dropping. Numbers are sections of docs/spec/overlay.md.
 """
 
-from dataclasses import dataclass
 from enum import IntEnum, auto
-from typing import Final, Self
+from typing import Final, NamedTuple, Self
 
 from rossec.channel.records import Bytes
 from rossec.errors import LinkEnded
@@ -40,8 +39,7 @@ NEXT: Final = {
 """What changes a state; a reset ends every one, and the rest changes none."""
 
 
-@dataclass(frozen=True, slots=True)
-class LinkStats:
+class LinkStats(NamedTuple):
     """What a link measured: round trips (smoothed, least; 0: none yet), octets of its streams."""
 
     srtt_s: float

@@ -8,10 +8,9 @@ name, label, domain or topic in it.
 """
 
 import re
-from dataclasses import dataclass
 from enum import IntEnum
 from struct import Struct
-from typing import Final
+from typing import Final, NamedTuple
 
 from rossec.channel.records import HEADER, MAX_PLAINTEXT, TAG, Bytes
 from rossec.errors import LinkEnded
@@ -65,8 +64,7 @@ _LENGTHS: Final[dict[int, tuple[int, int]]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class LinkFrame:
+class LinkFrame(NamedTuple):
     kind: int
     link: bytes
     offset: int

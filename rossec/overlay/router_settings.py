@@ -11,7 +11,7 @@ import ipaddress
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 from rossec.errors import ConfigurationError
 from rossec.overlay import documents
@@ -271,8 +271,7 @@ class RouterSettings:
         return tuple(found)
 
 
-@dataclass(frozen=True)
-class RouterFiles:
+class RouterFiles(NamedTuple):
     users: Path
     root_certificate: Path
     key: Path

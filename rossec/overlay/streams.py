@@ -284,9 +284,7 @@ class Streams:
             self._wake_openers()
         return True
 
-    def _handle(
-        self, event: mux.StreamOpened | mux.OpeningRefused | mux.Data | mux.Credit | mux.End | mux.Reset
-    ) -> None:
+    def _handle(self, event: mux.Event) -> None:
         match event:
             case mux.StreamOpened(number, target):
                 self._tasks.spawn(self._connect(number, self._add(number), target), str(target))

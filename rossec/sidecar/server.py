@@ -175,7 +175,11 @@ class Agent:
         return self.home.name
 
     async def handle_call(self, method: str, params: tuple[object, ...]) -> object:
-        await self._ensure_started()
+        async with self._start_lock:  # the first call of a program connects with the master
+            if self._has_failed:
+                raise HangUp("a task of this identity has failed")
+            if not self._started:
+                await self._start()
         answer = await run_layer(self, master_calls.handle_call(self.state, method, params))
         if method not in GRAPH or not self._holds(Right.GRAPH, self.name):
             self._refusals.log_own(self.name, method, answer)
@@ -211,23 +215,18 @@ class Agent:
 
     # --- master and watchdog
 
-    async def _ensure_started(self) -> None:
-        async with self._start_lock:
-            if self._has_failed:
-                raise HangUp("a task of this identity has failed")
-            if self._started:
-                return
-            try:
-                stream = await self._membership.session.open()
-            except (HintedError, OSError, TimeoutError) as error:
-                _log.warning("%s: the master does not answer: %s", self.name, error)
-                raise HangUp(str(error)) from error
-            self.state.endpoints.host = self._settings.address or stream.local_address
-            self._started = True
-            self._membership.start()
-            leaving = self._egress.followed.leave_regularly()
-            self._membership.tasks.spawn(self._resubscriber.run(), f"{self.name}: resubscribe")
-            self._membership.tasks.spawn(leaving, f"{self.name}: publishers to leave")
+    async def _start(self) -> None:
+        try:
+            stream = await self._membership.session.open()
+        except (HintedError, OSError, TimeoutError) as error:
+            _log.warning("%s: the master does not answer: %s", self.name, error)
+            raise HangUp(str(error)) from error
+        self.state.endpoints.host = self._settings.address or stream.local_address
+        self._started = True
+        self._membership.start()
+        leaving = self._egress.followed.leave_regularly()
+        self._membership.tasks.spawn(self._resubscriber.run(), f"{self.name}: resubscribe")
+        self._membership.tasks.spawn(leaving, f"{self.name}: publishers to leave")
 
     # --- hooks of the membership (MembershipHooks)
 
@@ -381,17 +380,10 @@ class Sidecar:
         return self._agent(home)
 
     def _agent(self, home: NodeHome) -> Agent:
-        if home.name not in self._agents:
-            self._agents[home.name] = Agent(
-                home,
-                self._settings,
-                self._callers,
-                self.uri,
-                self._half_open,
-                self._suites,
-                self._master_name,
-            )
-        return self._agents[home.name]
+        agent = self._agents[home.name] = Agent(
+            home, self._settings, self._callers, self.uri, self._half_open, self._suites, self._master_name
+        )
+        return agent
 
 
 def _caller(method: str, params: tuple[object, ...]) -> str:

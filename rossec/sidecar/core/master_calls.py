@@ -7,9 +7,8 @@ ended, for rights that are new, and for publishers that the master did not name 
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from enum import Enum
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from grants.model import Right
 from grants.request import is_dispensable, missing_right
@@ -64,8 +63,7 @@ class Result(Enum):
     MASTER = "the master's own URI"
 
 
-@dataclass(frozen=True)
-class CallRule:
+class CallRule(NamedTuple):
     """Where one method carries addresses; indices count the caller_id as 0."""
 
     api: int | None = None  # the caller's slave API URI
@@ -201,11 +199,8 @@ def _params_for_master(
     agent: AgentState, method: str, rule: CallRule, caller: str, params: tuple[object, ...]
 ) -> Layer[tuple[object, ...] | None]:
     # The parameters for the secured master; None: the address is not the program's own.
-    name = caller
-    if (
-        method not in registrations.UNREGISTERS
-    ):  # `rosnode cleanup` names dead nodes; the master authorizes it
-        name = agent.name_for(caller)
+    # `rosnode cleanup` names dead nodes; the master authorizes it.
+    name = caller if method in registrations.UNREGISTERS else agent.name_for(caller)
     changed = list(params if name == caller else registrations.resolve_params(method, params, caller))
     changed[0] = name
     for index, protocol in ((rule.api, WireProtocol.HTTP), (rule.service, WireProtocol.TCPROS)):
@@ -329,15 +324,13 @@ def _register_again(
     event = yield CallMaster(method, params)
     program = agent.programs.get(own_api)
     match event:
-        case Answered(value=[1, _, _]) if program is not None:
-            program.registrations.record(method, params)
-        case _:
-            pass
-    match event:
-        case Answered(value=[1, _, value]) if method == SUBSCRIBE:
-            topic = str(params[registrations.RELATIVE_NAME[SUBSCRIBE]])
-            publishers = agent.followed_publishers(topic, value)
-            yield from _update_publishers(agent, own_api, topic, publishers)
+        case Answered(value=[1, _, value]):
+            if program is not None:
+                program.registrations.record(method, params)
+            if method == SUBSCRIBE:
+                topic = str(params[registrations.RELATIVE_NAME[SUBSCRIBE]])
+                publishers = agent.followed_publishers(topic, value)
+                yield from _update_publishers(agent, own_api, topic, publishers)
         case NoAnswer(reason=reason):
             raise HangUp(reason)
         case _:
