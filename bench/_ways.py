@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, Final
 from xmlrpc.server import SimpleXMLRPCServer
 
+from rossec.host.local_ports import free_port
 from rossec.ros.names import MASTER
-from rossec.sidecar.loopback_port import free_port
 from tests.support.roscpp import compiled
 from tests.support.site import Site
 

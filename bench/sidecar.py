@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from bench._ways import SIZES, WAYS, Ways, master, registered
 from grants.model import Right
-from rossec.sidecar.loopback_port import free_port
+from rossec.host.local_ports import free_port
 
 NODES: Final = 50
 ROUNDS: Final = 11

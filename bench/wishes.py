@@ -22,10 +22,10 @@ from statistics import median
 from typing import Any, Final
 
 from grants.model import Right
+from rossec.host.callers import descendants, parents
 from rossec.node import Node
 from rossec.participant.delivery import deflated
 from rossec.participant.message_types import message_type
-from rossec.sidecar.callers import descendants, parents
 from tests.integration.sidecarworld import ROSSEC
 from tests.support.fleet import SECURE, Program, entitle, environment
 from tests.support.kinds import KINDS, command

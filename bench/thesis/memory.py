@@ -21,9 +21,9 @@ from bench.thesis.gateways import GATEWAY
 from bench.thesis.programs import Program, Programs, programs
 from bench.thesis.talk import TOPIC
 from grants.model import Right
+from rossec.host.callers import descendants, parents
 from rossec.overlay.documents import OPEN_SEAT, Routers
 from rossec.ros.names import MASTER
-from rossec.sidecar.callers import descendants, parents
 from tests.support.hosts import Host
 from tests.support.ports import free_port
 from tests.support.site import Site

@@ -2,9 +2,7 @@
 
 Only its own node has a session with the master. What that learns of revocations holds for all things at
 once: a thing whose statement or key is revoked ends here, with every connection of its node, as soon as
-the list arrives. A thing gets its node when it registers. What a running router says of its things is
-in a file of its directory, without secrets; it is written every few seconds, so an old one shows that
-the router does not run.
+the list arrives. A thing gets its node when it registers.
 """
 
 import asyncio
@@ -44,13 +42,11 @@ _READS: Final = 1024  # datagrams in one turn of the loop: 2 us each
 _STRANGERS: Final = 8  # datagrams of strangers in one turn: up to 0.2 ms each
 _BUFFER: Final = 4 << 20
 _RCVBUFFORCE: Final = 33  # socket(7): beyond the limit of the system, for who may
-
 SILENT: Final = 90_000.0  # seconds until a thing that sends nothing is gone (RFC 9176: 25 hours)
 UPDATE_PERIOD: Final = 60  # seconds between visits of a thing's node that wants for a grant
 CHECKED: Final = 16  # parts of the things: one of them is looked at each second
 WELL_KNOWN: Final = (".well-known", "core")
 _log = logging.getLogger("rossec.border")
-
 STATUS_FILE: Final = "border.status"
 STATUS_PERIOD: Final = 5.0  # seconds between two of them
 STATUS_OLD: Final = 20  # seconds after which nobody writes it any more
@@ -60,10 +56,7 @@ MAX_STATUS: Final = 4 * 1024 * 1024
 class Server:
     """Serves things at one UDP address; `host`: `::` for everywhere, IPv4 as well.
 
-    The port is bound without SO_REUSEPORT: nobody else on this host may take a part of its datagrams.
-    What the network does not take is lost, as any datagram may be; things and router repeat. A lost
-    datagram costs its thing seconds, so the socket is emptied before anything of a stranger is looked
-    at, and strangers get a part of each turn (`Intake`).
+    What the network does not take is lost, as any datagram may be; things and router repeat.
     """
 
     def __init__(
@@ -71,6 +64,7 @@ class Server:
     ) -> None:
         self._loop = asyncio.get_running_loop()
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        # Without SO_REUSEPORT: nobody else on this host may take a part of its datagrams.
         sock = socket.socket(family, socket.SOCK_DGRAM)
         try:
             if family == socket.AF_INET6:
@@ -125,6 +119,7 @@ class Server:
                 handle.cancel()
 
     def _read(self) -> None:
+        # A lost datagram costs its thing seconds: the socket is emptied before a stranger is looked at.
         at = self.endpoint.conversations.at
         for _ in range(_READS):
             try:
@@ -145,6 +140,7 @@ class Server:
         self._arm()
 
     def _take_strangers(self) -> None:
+        # They get a part of each turn of the loop.
         self._turn = None
         for _ in range(_STRANGERS):
             taken = self._intake.take()
@@ -344,14 +340,15 @@ class BorderRouter:
                 with contextlib.suppress(CAError):
                     self.node.revocations.check(entry, now)
             if self.node.revocations.unproved:
-                self._tasks.spawn(self._prove_all(), "proofs")
+                self._tasks.spawn(self._prove(), "proofs")
         for name, bridge in tuple(self.bridges.items()):
             if self.roster.is_served(name, bridge.credential):
                 bridge.node.maintain(now)
             else:
                 self.server.drop(name)
                 self._end(name, "the thing is revoked, or is not served any more")
-        self._check_conversations()
+        self._end_silent()
+        # A part of the things each second, not a thousand of them at once.
         self._tick += 1
         part = list(self.bridges.values())[self._tick % CHECKED :: CHECKED]
         for bridge in part:
@@ -359,13 +356,12 @@ class BorderRouter:
             if wants or bridge.node.is_due(now):
                 self._tasks.spawn(bridge.update(), f"{bridge.node.name}: update")
 
-    def _check_conversations(self) -> None:
+    def _end_silent(self) -> None:
         oldest = asyncio.get_running_loop().time() - SILENT
         for conversation in self.server.endpoint.conversations.all():
             statement = self.roster.statement(conversation.name)
             credential = b"" if statement is None else statement.credential.thumbprint
-            silent = conversation.seen < oldest
-            if silent or not self.roster.is_served(conversation.name, credential):
+            if conversation.seen < oldest or not self.roster.is_served(conversation.name, credential):
                 self.server.drop(conversation.name)
                 self._end(conversation.name, "the thing is silent, or not served any more")
 
@@ -376,7 +372,7 @@ class BorderRouter:
             bridge.node.cut(reason)
             self._tasks.spawn(bridge.close(reason), f"{name}: ended")
 
-    async def _prove_all(self) -> None:
+    async def _prove(self) -> None:
         with contextlib.suppress(HintedError, OSError, Fault):  # the session asks for the rest
             while await self.node.prove():
                 pass
@@ -384,9 +380,20 @@ class BorderRouter:
 
 
 def describe_status(router: BorderRouter, now: int) -> dict[str, Any]:
-    endpoint = router.server.endpoint
     host, port = router.server.address
-    counts = endpoint.counts
+    counts = router.server.endpoint.counts
+    things: dict[str, dict[str, Any]] = {}
+    for name in router.roster.names:
+        bridge, conversation = router.bridges.get(name), router.server.endpoint.conversations.of(name)
+        things[name] = {"there": conversation is not None}
+        if bridge is not None:
+            things[name] |= {
+                "offered": bridge.offered,
+                "resources": len(bridge.resources),
+                "received": bridge.received,
+                "refused": bridge.refused,
+                "over_rate": 0 if conversation is None else conversation.quota.dropped,
+            }
     return {
         "at": now,
         "address": [host, port],
@@ -398,26 +405,11 @@ def describe_status(router: BorderRouter, now: int) -> dict[str, Any]:
             "derivations": counts.derivations,
             "lost": router.server.lost,
         },
-        "things": {name: _thing(router, name) for name in router.roster.names},
+        "things": things,
     }
 
 
-def _thing(router: BorderRouter, name: str) -> dict[str, Any]:
-    bridge = router.bridges.get(name)
-    conversation = router.server.endpoint.conversations.of(name)
-    here = {"there": conversation is not None}
-    if bridge is None:
-        return here
-    return {
-        **here,
-        "offered": bridge.offered,
-        "resources": len(bridge.resources),
-        "received": bridge.received,
-        "refused": bridge.refused,
-        "over_rate": 0 if conversation is None else conversation.quota.dropped,
-    }
-
-
+# A file without secrets, written every few seconds: an old one shows that the router does not run.
 def write_status(directory: Path, status: dict[str, Any]) -> None:
     files.replace(directory / STATUS_FILE, json.dumps(status, separators=(",", ":")).encode())
 

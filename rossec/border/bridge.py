@@ -21,7 +21,7 @@ from grants.filters.layout import Layout
 from rossec.border.constrained_node import ThingNode
 from rossec.border.conversations import MESSAGE_RATE
 from rossec.border.endpoint import CoapAnswer, CoapRequest, OnAnswer
-from rossec.border.resources import PUBLISHER, SERVICE, SUBSCRIBER, Resource, from_ros, to_ros
+from rossec.border.resources import PUBLISHER, SUBSCRIBER, Resource, from_ros, to_ros
 from rossec.errors import BodyRefused, ServiceFailed, ThingUnreachable
 from rossec.host.runner import TaskSet
 from rossec.node.publisher import Publisher
@@ -33,9 +33,7 @@ from rossec.saved_statements import ThingFiles
 
 _NANOSECONDS: Final = 10**9  # of a second
 _log = logging.getLogger("rossec.border")
-
 CALL_DEADLINE: Final = 30.0
-
 Cancel = Callable[[], None]
 Ask = Callable[[CoapRequest, OnAnswer], Cancel | None]  # None: the thing is not there
 
@@ -46,13 +44,7 @@ class ServedThing(NamedTuple):
 
 
 class Roster:
-    """The things of one border router: those of its statements that are valid and not revoked.
-
-    What its directory holds is read again when that changes, and once a second right after. A thing is
-    served by a statement that names this router's key (`saved_statements` checks that), in time, and
-    known not to be revoked; so is its credential, which the authority may revoke by itself. What is not
-    known counts as no.
-    """
+    """The things of one border router: those of its statements that are valid and not revoked."""
 
     def __init__(self, files: ThingFiles, revocations: Revocations, clock: Callable[[], int]) -> None:
         self._files = files
@@ -133,6 +125,8 @@ class Roster:
         return [entry for statement, _ in things for entry in (statement.id, statement.credential.thumbprint)]
 
     def _usable(self, kids: dict[bytes, list[str]], kid: bytes) -> ServedThing | None:
+        # By a statement that names this router's key (`saved_statements` checks that), in time, and known not
+        # to be revoked; so is its credential, which the authority may revoke by itself. Unknown counts as no.
         for name in reversed(kids.get(kid, [])):
             found, now = self._things[name], self._clock()
             try:
@@ -152,8 +146,7 @@ class ThingBridge:
     def __init__(self, node: ThingNode, credential: bytes, ask: Ask, tasks: TaskSet) -> None:
         self.node: Final = node
         self.credential: Final = credential
-        self._ask = ask
-        self._tasks = tasks
+        self._ask, self._tasks = ask, tasks
         self._lock = asyncio.Lock()  # offering and closing take turns
         self._offered: dict[Resource, Publisher | Subscriber | None] = {}
         self._running: dict[Resource, Cancel] = {}
@@ -170,29 +163,35 @@ class ThingBridge:
             await self._follow(resources)
 
     async def _follow(self, resources: list[Resource]) -> None:
-        gone = self._offered.keys() - set(resources)
-        for resource in gone:
-            await self._withdraw(resource)
+        for resource in self._offered.keys() - set(resources):
+            self._cancel(resource)
+            offered = self._offered.pop(resource)
+            if isinstance(offered, Subscriber):
+                await offered.close()
+            elif isinstance(offered, Publisher):
+                await self.node.unpublish(resource.name)
+            else:
+                await self.node.services.withdraw(resource.name)
         self.resources = tuple(resources)
         for resource in resources:
             if resource not in self._offered and not self.node.closed:
                 try:
-                    match resource.kind:
-                        case kind if kind == PUBLISHER:
-                            self._offered[resource] = await self.node.publish(resource.name, resource.type)
-                        case kind if kind == SUBSCRIBER:
-                            subscriber = await self.node.subscribe(resource.name, resource.type)
-                            self._offered[resource] = subscriber
-                            self._tasks.spawn(self._write(resource, subscriber), f"{resource.name}: PUT")
-                        case kind if kind == SERVICE:
-                            offered = service_type(resource.type)
-                            await self.node.services.provide(
-                                resource.name, offered, partial(self._call, resource, offered)
-                            )
-                            self._offered[resource] = None
+                    await self._offer(resource)
                 except (HintedError, OSError, TimeoutError, Fault) as error:
                     _log.warning("%s: %s is not offered: %s", self.node.name, resource.name, error)
         self.observe()
+
+    async def _offer(self, resource: Resource) -> None:
+        if resource.kind == PUBLISHER:
+            self._offered[resource] = await self.node.publish(resource.name, resource.type)
+        elif resource.kind == SUBSCRIBER:
+            subscriber = await self.node.subscribe(resource.name, resource.type)
+            self._offered[resource] = subscriber
+            self._tasks.spawn(self._write(resource, subscriber), f"{resource.name}: PUT")
+        else:
+            kind = service_type(resource.type)
+            await self.node.services.provide(resource.name, kind, partial(self._call, resource, kind))
+            self._offered[resource] = None
 
     def observe(self) -> None:
         # Not again what sent notifications since the last time.
@@ -225,18 +224,6 @@ class ThingBridge:
             for resource in tuple(self._running):
                 self._cancel(resource)
             await self.node.close(reason)
-
-    # --- what is offered
-
-    async def _withdraw(self, resource: Resource) -> None:
-        self._cancel(resource)
-        offered = self._offered.pop(resource)
-        if isinstance(offered, Subscriber):
-            await offered.close()
-        elif isinstance(offered, Publisher):
-            await self.node.unpublish(resource.name)
-        else:
-            await self.node.services.withdraw(resource.name)
 
     def _cancel(self, resource: Resource) -> None:
         cancel = self._running.pop(resource, None)

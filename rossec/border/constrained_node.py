@@ -49,11 +49,8 @@ from rossec.ros.xmlrpc import Fault
 
 HALF_OPEN: Final = HalfOpen(512, 1024)  # of all ports: the master connects to each thing's node
 AT_A_TIME: Final = 8  # things that connect to the master at the same time
-
 IDLE: Final = 2.0  # seconds without a call until the connection is closed
-
 _log = logging.getLogger("rossec.border")
-
 _RENEWED_AFTER: Final = 2 / 3  # of the lifetime of an identity
 _RETRY: Final = 600  # seconds
 
@@ -91,12 +88,8 @@ class MasterVisits:
         directory: GrantDirectory,
         shared: SharedIdentity,
     ) -> None:
-        self._name = name
-        self._dial = dial
-        self._access = access
-        self._holder = holder
-        self._directory = directory
-        self._shared = shared
+        self._name, self._dial, self._access = name, dial, access
+        self._holder, self._directory, self._shared = holder, directory, shared
         self._renewals = Renewals(access)
         self._client: RpcClient | None = None
         self._idle: asyncio.TimerHandle | None = None
@@ -211,11 +204,9 @@ class ThingNode:
         self.closed = self._failed = False
         identity = self._load(clock.now())
         access = Access(shared.standing, master=shared.master)
+        verify = shared.standing.anchors.verify
         secure: SecureContext[Identity] = SecureContext(
-            self._credentials,
-            shared.standing.anchors.verify,
-            suites=shared.suites,
-            half_open=shared.half_open,
+            self._credentials, verify, suites=shared.suites, half_open=shared.half_open
         )
         own_addresses = OwnAddresses()
         dialer = Dialer(self.name, secure, access.check_peer, own_addresses)
@@ -224,18 +215,17 @@ class ThingNode:
         )
         self._directory = GrantDirectory(home, access)
         self._grants_at = 0
+
+        def dial_master() -> Awaitable[SecureStream[Identity]]:
+            return dialer.rpc(shared.settings.master_host, shared.settings.master_port)
+
         self._visits = MasterVisits(
-            self.name, self._dial_master, access, identity.thumbprint, self._directory, shared
+            self.name, dial_master, access, identity.thumbprint, self._directory, shared
         )
         self._grace = PublisherGrace(clock.counter())
+        scope = memory_scope(self.name)
         self.context = NodeContext(
-            self.name,
-            access,
-            self.connections,
-            self._visits.call,
-            dialer,
-            home.filter_key,
-            memory_scope(self.name),
+            self.name, access, self.connections, self._visits.call, dialer, home.filter_key, scope
         )
         self._topics = Topics(self.context, self._grace)
         self.services = Services(self.context)
@@ -335,10 +325,6 @@ class ThingNode:
         renewal = IdentityRenewal(self._home, self._credentials, now)
         if await renew_identity(self._visits.call, renewal, now):
             self._load(now)
-
-    async def _dial_master(self) -> SecureStream[Identity]:
-        where = self._shared.settings
-        return await self.context.dialer.rpc(where.master_host, where.master_port)
 
     # --- calls of the slave API (SlaveEvents) ---
 

@@ -23,10 +23,8 @@ MAX_BODY: Final = 16 * 1024  # octets, block by block
 SOURCE_RATE: Final = 10.0  # handshakes a second, of one address and port
 SOURCE_BURST: Final = 10.0
 MAX_SOURCES: Final = 4096
-
 CAPACITY: Final = 1024
 REMEMBERED: Final = 4  # answers to the last requests of a thing, in case they are repeated
-
 RATE: Final = 50.0  # datagrams a second of one thing that are taken at once
 BURST: Final = 100.0
 OF_PORT: Final = 4  # datagrams of one port that wait
@@ -35,10 +33,7 @@ OF_ALL: Final = 1024
 
 
 class Quota:
-    """Messages of one thing: `take` says whether one more is within its rate.
-
-    A thing that goes on is told so a few times; then what it sends is not even decrypted.
-    """
+    """Messages of one thing: `take` says whether one more is within its rate."""
 
     __slots__ = ("_beyond", "_bucket", "dropped")
 
@@ -56,6 +51,7 @@ class Quota:
         return True
 
     def is_spent(self, now: float) -> bool:
+        # A thing that goes on is told so a few times; then what it sends is not even decrypted.
         spent = self._bucket.refill(now) < 1 and self._beyond.refill(now) < 1
         self.dropped += spent
         return spent
@@ -64,9 +60,8 @@ class Quota:
 class Unauthenticated:
     """What senders may cost before they are authenticated: each of them, and all together.
 
-    One port, one host (of IPv6 its network of 64 bits), all: who has many ports or addresses still
-    leaves half to others. The most recent ones are remembered. A sender that forges addresses uses
-    up what all have together; things that are authenticated already do not need it.
+    A sender that forges addresses uses up what all have together; things that are authenticated
+    already do not need it.
     """
 
     def __init__(self, total: float) -> None:
@@ -75,6 +70,7 @@ class Unauthenticated:
         self._sources: OrderedDict[Hashable, TokenBucket] = OrderedDict()
 
     def take(self, host: str, port: int, now: float) -> bool:
+        # One port, one host (of IPv6 its network of 64 bits), all: who has many leaves half to others.
         half = self._total / 2
         buckets = (
             self._bucket((host, port), SOURCE_RATE, SOURCE_BURST),
@@ -224,13 +220,7 @@ class _Host:
 
 
 class DatagramQueue:
-    """Datagrams of strangers until it is their turn.
-
-    What comes from where an authenticated thing was last is taken at once, in front of everything here,
-    up to several times the rate of a thing; more is lost, as the address may be forged. The rest waits:
-    hosts take turns (of IPv6 networks of 64 bits), and of one host its ports, so that who sends much
-    delays itself. Bounded in all and for each; what does not fit is lost, as any datagram may be.
-    """
+    """Datagrams of strangers until it is their turn; bounded in all and for each."""
 
     def __init__(self) -> None:
         self._waiting: OrderedDict[bytes, _Host] = OrderedDict()
@@ -242,6 +232,8 @@ class DatagramQueue:
         return self._count
 
     def is_first(self, address: Address, now: float) -> bool:
+        # From where an authenticated thing was last: taken at once, up to several times the rate of a thing.
+        # More is lost, as the address may be forged.
         bucket = self._things.pop(address, None) or TokenBucket(RATE, BURST)
         self._things[address] = bucket
         if len(self._things) > CAPACITY:
@@ -264,6 +256,7 @@ class DatagramQueue:
     def take(self) -> tuple[bytes, Address] | None:
         if not self._waiting:
             return None
+        # Hosts take turns (of IPv6 networks of 64 bits), and of one host its ports: who sends much is late.
         network, host = self._waiting.popitem(last=False)
         taken = host.take()
         if host:

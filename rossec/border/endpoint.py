@@ -1,9 +1,7 @@
 """The border router's side of CoAP: datagrams in, datagrams and events out. Pure.
 
-Nothing is answered to a sender who proved nothing but a refusal without a reason, and that only if
-it asked for an acknowledgement. What authenticated things send is handled at once; handshakes, and
-attempts to derive a context anew, each have a budget of their own, so that a flood of one of them
-keeps out neither the other nor the things that are there.
+What authenticated things send is handled at once; handshakes, and attempts to derive a context anew,
+each have a budget of their own.
 """
 
 from collections.abc import Callable
@@ -26,7 +24,6 @@ RETRY: Final = 0.25  # seconds until a request is sent again that got an unprote
 RETRIES: Final = 7  # over half a minute: what tells the thing its context may be lost a few times
 _NONE: Final = -2  # lower than the sequence number of any answer
 _SZX: Final = 6  # blocks of 1024 octets
-
 HANDSHAKE_PATH: Final = (".well-known", "edhoc")
 REGISTRATION_PATH: Final = ("rd",)
 HANDSHAKES: Final = 50.0  # begun a second, at most
@@ -44,8 +41,7 @@ class CoapAnswer(NamedTuple):
 OnAnswer = Callable[[CoapAnswer | ThingUnreachable], None]
 
 
-@dataclass(frozen=True, slots=True)
-class CoapRequest:
+class CoapRequest(NamedTuple):
     code: Code
     path: tuple[str, ...]
     body: bytes = b""
@@ -73,17 +69,13 @@ class PendingRequest:
 class Requests:
     """Requests to things that are under way: blocks (RFC 7959), observations (RFC 7641).
 
-    Answers are matched by token, by the address of the thing and by OSCORE's binding to the request. An
-    answer to an observation counts only if its sequence number is higher than that of the one before,
-    whether or not it says that it is a notification: no tag covers that option.
+    Answers are matched by token, by the address of the thing and by OSCORE's binding to the request.
     """
 
     def __init__(
         self, transmissions: messages.Transmissions, timers: messages.Timers, random: Callable[[int], bytes]
     ) -> None:
-        self._transmissions = transmissions
-        self._timers = timers
-        self._random = random
+        self._transmissions, self._timers, self._random = transmissions, timers, random
         self._exchanges: dict[bytes, PendingRequest] = {}
 
     def __len__(self) -> int:
@@ -121,9 +113,17 @@ class Requests:
             # Nobody has vouched for such an answer, so it ends nothing.
             pause = RETRY * 2**exchange.tries
             exchange.tries += 1
-            exchange.retry = self._timers.at(now + pause, lambda at: self._ask_again(exchange, at))
+
+            def ask_again(at: float) -> None:
+                self.cancel(exchange)
+                self._send(exchange, at)
+
+            exchange.retry = self._timers.at(now + pause, ask_again)
+        # RFC 8613 section 8.4: verified by the context and the request it answers; nothing counts before.
         opened, _ = exchange.conversation.context.open(message, exchange.identifier)
         self._transmissions.acknowledge(exchange.conversation.address, exchange.mid)
+        # RFC 8613 section 7.4.1: a notification counts if its sequence number is higher than all before,
+        # and so does any answer to an observation: no tag covers the option that says it is one.
         if exchange.request.observe:
             number = messages.partial_iv(message)
             if number <= exchange.newest:
@@ -136,10 +136,6 @@ class Requests:
         else:
             self.cancel(exchange)
             self._answered(exchange, opened, now)
-
-    def _ask_again(self, exchange: PendingRequest, now: float) -> None:
-        self.cancel(exchange)
-        self._send(exchange, now)
 
     def _notified(self, exchange: PendingRequest, opened: Message, now: float) -> None:
         if not exchange.conversation.quota.take(now):
@@ -158,6 +154,7 @@ class Requests:
         self._next_block(rest, opened, now)
 
     def _answered(self, exchange: PendingRequest, opened: Message, now: float) -> None:
+        # RFC 7959 section 2.5: the block was taken, the next one follows.
         if opened.code == codes.CONTINUE:
             exchange.sent += 1
             if exchange.sent * MAX_BLOCK >= len(exchange.request.body):
@@ -165,6 +162,7 @@ class Requests:
             else:
                 self._send(exchange, now)
             return
+        # RFC 7959 section 2.4: more of the answer is to be fetched, or this was the last of it.
         block = opened.opt.block2
         if opened.code.is_successful() and block is not None and block.more:
             self._next_block(exchange, opened, now)
@@ -200,6 +198,7 @@ class Requests:
                 if len(request.body) > MAX_BLOCK:
                     more = end < len(request.body)
                     message.opt.block1 = BlockOption.BlockwiseTuple(exchange.sent, more, _SZX)
+        # A token is random and used once (RFC 7252 section 5.3.1): a late answer of before fits none.
         sealed, exchange.identifier = conversation.context.seal(message)
         while (token := self._random(messages.TOKEN_SIZE)) in self._exchanges:
             pass
@@ -270,44 +269,49 @@ class CoapEndpoint:
         random: Callable[[int], bytes],
         rand: Callable[[], float],
     ) -> None:
-        self._served = served
-        self._events = events
-        self._send = send
+        self._served, self._events, self._send = served, events, send
         self._random = random
         self.timers = messages.Timers()
         self.conversations = Conversations(self._ended)
         self.counts = EndpointCounts()
         self._transmissions = messages.Transmissions(send, self.timers, rand)
         self.requests = Requests(self._transmissions, self.timers, random)
-        self._handshakes = Handshakes(own, self._find_key, self._is_taken, random)
+
+        def find_key(kid: bytes) -> ThingKey | None:
+            found = served.by_key(kid)
+            return None if found is None else found[1]
+
+        def is_taken(own_id: bytes) -> bool:
+            return self.conversations.find(own_id) is not None or served.by_secret(own_id) is not None
+
+        self._handshakes = Handshakes(own, find_key, is_taken, random)
         self._challenges = messages.ContextChallenges(random(16))
         self._handshake_budget = Unauthenticated(HANDSHAKES)
         self._derivation_budget = Unauthenticated(DERIVATIONS)
         self._decoy = messages.OscoreContext(random(16), b"", b"\0", b"\1")
 
     def receive(self, data: bytes, address: messages.Address, now: float) -> None:
+        """RFC 7252 section 4: what a datagram is by its type and code."""
         self.counts.datagrams += 1
         try:
             message = messages.read(data)
-            self._take(message, address, now)
+            mid, kind = messages.number_of(message), message.mtype
+            if kind == messages.RST:  # 4.2: it is not protected, so it counts as lost (see `Transmissions`)
+                return
+            if messages.is_empty(message):
+                if kind == messages.ACK:
+                    self._transmissions.acknowledge(address, mid)
+                elif kind == messages.CON:  # a ping: rejected
+                    self._send(messages.empty(messages.RST, mid), address)
+            elif message.code.is_response():
+                self._take_response(message, address, now)
+            elif message.code.is_request() and kind in {messages.CON, messages.NON}:
+                self._take_request(message, address, now)
         except ThingError:
             self.counts.refused += 1
 
-    def _take(self, message: Message, address: messages.Address, now: float) -> None:
-        mid = messages.number_of(message)
-        if message.mtype == messages.RST:
-            return  # as if it was lost: see `transmissions`
-        if messages.is_empty(message):
-            if message.mtype == messages.ACK:
-                self._transmissions.acknowledge(address, mid)
-            elif message.mtype == messages.CON:  # a ping
-                self._send(messages.empty(messages.RST, mid), address)
-        elif message.code.is_response():
-            self._take_response(message, address, now)
-        elif message.code.is_request() and message.mtype in {messages.CON, messages.NON}:
-            self._take_request(message, address, now)
-
     def _take_response(self, message: Message, address: messages.Address, now: float) -> None:
+        # RFC 7252 section 5.3.2: matched by token and address, or rejected.
         exchange = self.requests.find(message, address)
         if exchange is None:
             if message.mtype == messages.CON:
@@ -317,7 +321,7 @@ class CoapEndpoint:
         if exchange.request.observe and talk.quota.is_spent(now):
             raise DatagramRefused("a thing that sends far more than its rate")
         talk.seen = now
-        if message.mtype == messages.CON:
+        if message.mtype == messages.CON:  # 5.2.2: a separate answer; acknowledged before it is decrypted
             self._send(messages.empty(messages.ACK, messages.number_of(message)), address)
         self.requests.take(exchange, message, now)
 
@@ -330,6 +334,8 @@ class CoapEndpoint:
             else:
                 raise DatagramRefused("a request without protection")
         except ThingError:
+            # The same for every reason, and nothing to what needs no acknowledgement: a stranger learns
+            # nothing, and forged addresses get no more than they sent.
             if message.mtype == messages.CON:
                 self._answer(message, Message(code=codes.UNAUTHORIZED), address)
             raise
@@ -339,6 +345,7 @@ class CoapEndpoint:
     def _take_handshake(self, message: Message, address: messages.Address, now: float) -> None:
         payload = bytes(message.payload)
         if payload[:1] != _MESSAGE_1:
+            # A.2.1: C_R goes before message_3, as a byte string of three octets.
             head = bytes((0x40 | ID_SIZE,))
             if payload[:1] != head or len(payload) <= 1 + ID_SIZE:
                 raise ThingUnauthenticated("a message_3 without a connection identifier")
@@ -346,6 +353,7 @@ class CoapEndpoint:
             found = self._finish(own_id, message_3, address, now)
             self._answer(message, Message(code=codes.CHANGED, payload=found.message_4), address)
             return
+        # A repetition gets the answer of before, and costs no budget; a new one is paid for first.
         message_2 = self._handshakes.repeated(payload[1:], address)
         if message_2 is None:
             self._spend(self._handshake_budget, address, now)
@@ -358,7 +366,7 @@ class CoapEndpoint:
     ) -> HandshakeCompleted:
         found = self._handshakes.finish(own_id, message_3, now)
         served = self._served.by_key(found.key.kid)
-        if served is None:
+        if served is None:  # revoked while the handshake was under way
             raise ThingUnauthenticated("a thing that is not served any more")
         self.counts.octets["message_3"] = len(message_3)
         self.counts.handshakes += 1
@@ -370,21 +378,27 @@ class CoapEndpoint:
     # --- protected requests
 
     def _take_protected(self, message: Message, address: messages.Address, now: float) -> None:
+        # 1. RFC 8613 section 8.2, step 2: the context, by what the option says.
         kid, kid_context = messages.unprotected(message)
         conversation = self.conversations.find(kid)
+        # 2. RFC 7252 section 4.5: a repetition gets the answer of before, and is not carried out again.
         if conversation is not None and messages.is_in(conversation.context, kid_context):
             known = conversation.remembered(address, messages.number_of(message))
             if known is not None:
                 self._send(known, address)
                 return
+        # 3. RFC 9668 section 3.3.1: message_3 comes first in the payload, and makes the context of the rest.
         if message.opt.edhoc:
             message_3, rest = _split_combined(bytes(message.payload))
             self._finish(kid, message_3, address, now)
             message.payload, message.opt.edhoc = rest, False
             conversation = self.conversations.find(kid)
+        # 4. RFC 8613 appendix B.2: a context that is named is current, or is derived.
         if kid_context is not None:
             self._take_derived(message, kid, kid_context, address, now)
             return
+        # 5. RFC 8613 section 8.2, steps 3 to 7. An unknown kid costs the work of a known one: who tries kids
+        #    cannot tell by the time which ones are in use.
         if conversation is not None and conversation.address == address:
             self._check_rate(conversation, now)
         if conversation is None:
@@ -397,7 +411,7 @@ class CoapEndpoint:
     def _take_derived(
         self, message: Message, kid: bytes, kid_context: bytes, address: messages.Address, now: float
     ) -> None:
-        # A request that names the context it is in (RFC 8613 appendix B.2).
+        # A request that names the context it is in: RFC 8613 appendix B.2, as steps in docs/spec/border.md.
         value = messages.unwrapped(kid_context)
         current = self.conversations.find(kid)
         if current is not None and current.context.id_context == value:
@@ -406,6 +420,7 @@ class CoapEndpoint:
             opened, identifier = current.context.open(message)
             self._serve(current, message, opened, identifier, address, now)
             return
+        # A budget of its own: a flood of these keeps out no handshakes, nor the things that are there.
         self._spend(self._derivation_budget, address, now)
         served = self._served.by_secret(kid)
         name, secret = ("", b"\0" * 16) if served is None else served
@@ -413,6 +428,7 @@ class CoapEndpoint:
         opened, identifier = context.open(message)
         if served is None:
             raise DatagramRefused("no thing with this kid")
+        # Steps 1 and 2: not of an R2 that is recent and new, so it is not carried out but answered with one.
         if not self._challenges.take(kid, value, now):
             value_2 = self._challenges.make(kid, now, self._random(2))
             challenge = messages.border_context(secret, kid, value_2 + value)
@@ -420,6 +436,7 @@ class CoapEndpoint:
             messages.name_context(sealed, messages.wrapped(value_2))
             self._answer(message, sealed, address)
             return
+        # Step 3: from now on both sides use this context.
         self.counts.derivations += 1
         conversation = Conversation(name, context, address, self._number())
         self.conversations.add(conversation)
@@ -445,7 +462,7 @@ class CoapEndpoint:
             response = Message(code=codes.DELETED)
         else:
             response = Message(code=codes.NOT_FOUND)
-        code = response.code
+        code = response.code  # sealing changes it
         sealed, _ = conversation.context.seal(response, identifier)
         answer = self._answer(message, sealed, address, conversation.new_mid())
         conversation.remember(address, messages.number_of(message), answer)
@@ -476,21 +493,14 @@ class CoapEndpoint:
             self.counts.over_budget += 1
             raise ThingUnauthenticated("more attempts than are looked at")
 
-    def _find_key(self, kid: bytes) -> ThingKey | None:
-        found = self._served.by_key(kid)
-        return None if found is None else found[1]
-
-    def _is_taken(self, own_id: bytes) -> bool:
-        in_use = self.conversations.find(own_id) is not None
-        return in_use or self._served.by_secret(own_id) is not None
-
     def _ended(self, conversation: Conversation) -> None:
         self.requests.end(conversation)
         self._events.ended(conversation)
 
 
 def _split_combined(payload: bytes) -> tuple[bytes, bytes]:
-    # message_3, and the protected request that came with it (RFC 9668 section 3.3).
+    # message_3, and the protected request that came with it (RFC 9668 section 3.3): one byte string, with its
+    # length in the first octet or in the second.
     size = payload[1] if payload[:1] == b"\x58" and len(payload) > 1 else -1
     begin, length = (2, size) if size >= 0 else (1, payload[0] - 0x40 if payload else -1)
     if not 0 < length <= MAX_MESSAGE_3 or (begin == 1 and length >= _ALONE):

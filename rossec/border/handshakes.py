@@ -1,17 +1,14 @@
 """EDHOC of things (RFC 9528, method 3, suite 2), as the responder: lakers behind a boundary.
 
-Both sides have a static P-256 key, named by a kid. A thing whose kid is unknown costs the same work
-and gets the same answer as one whose proof is wrong. Unfinished handshakes are bounded, and dropped
-oldest first; they have IDs that no context of a thing has. lakers may panic on malformed input, as
-an exception that is no `Exception`: nothing of it leaves this module. A point that is not on the
-curve is refused before, since that panic would also write a stack trace to stderr.
+Both sides have a static P-256 key, named by a kid. lakers may panic on malformed input, as an exception
+that is no `Exception`: nothing of it leaves this module. Numbers are sections of RFC 9528.
 """
 
 import re
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import lakers
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -35,13 +32,11 @@ _POINT: Final = 32  # octets of x
 _SUITE: Final = rb"(?:[\x00-\x17]|\x18[\x18-\xff])"
 _BEFORE_POINT: Final = re.compile(rb"\x03(?:%s|[\x82-\x97]%s{2,23})\x58\x20" % (_SUITE, _SUITE), re.DOTALL)
 _LEAVES: Final = (KeyboardInterrupt, SystemExit, GeneratorExit)
-
 ResultT = TypeVar("ResultT")
 FindKey = Callable[[bytes], ThingKey | None]
 
 
-@dataclass(frozen=True, slots=True)
-class HandshakeCompleted:
+class HandshakeCompleted(NamedTuple):
     key: ThingKey
     context: OscoreContext
     message_4: bytes
@@ -72,9 +67,7 @@ class Handshakes:
     def __init__(
         self, own: StaticKey, find: FindKey, is_taken: Callable[[bytes], bool], random: Callable[[int], bytes]
     ) -> None:
-        self._own = own
-        self._find = find
-        self._is_taken = is_taken
+        self._own, self._find, self._is_taken = own, find, is_taken
         self._random = random
         self._pending: OrderedDict[bytes, _Pending] = OrderedDict()
         self._answered: dict[tuple[Hashable, bytes], bytes] = {}
@@ -90,17 +83,20 @@ class Handshakes:
     def begin(self, message_1: bytes, source: Hashable, now: float) -> bytes:
         if len(message_1) > MAX_MESSAGE_1:
             raise ThingUnauthenticated(f"a message_1 of {len(message_1)} octets")
-        # Check G_X, after METHOD and SUITES_I (RFC 9528 section 5.2.1); the rest is for lakers.
+        # 5.2.3: G_X, after METHOD and SUITES_I. lakers would panic on a point that is not on the curve, and
+        # write a stack trace to stderr; what else is wrong it refuses.
         head = _BEFORE_POINT.match(message_1)
         x = message_1[head.end() : head.end() + _POINT] if head else b""
         try:
             ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), b"\x02" + x)
         except ValueError:
             raise ThingUnauthenticated("no key that is on the curve") from None
+        # 5.2.3: process message_1; a critical EAD that is not known ends the session (3.8).
         responder = lakers.EdhocResponder(r=self._own.private, cred_r=self._own.credential.ccs)
         raw_id, extensions = _guarded(responder.process_message_1, message_1)
         peer_id = bytes(raw_id)
         _check_extensions(extensions)
+        # 5.3.2: choose C_R, another than C_I (RFC 9528 section 3.3.3), and of no context or handshake here.
         for _ in range(_TRIES):
             own_id = self._random(ID_SIZE)
             if own_id != peer_id and own_id not in self._pending and not self._is_taken(own_id):
@@ -111,7 +107,7 @@ class Handshakes:
             _guarded(responder.prepare_message_2, lakers.CredentialTransfer.ByReference, own_id, None)
         )
         self.expire(now)
-        if len(self._pending) >= MAX_PENDING:
+        if len(self._pending) >= MAX_PENDING:  # the oldest makes room: nobody here is authenticated yet
             self._drop(next(iter(self._pending)))
         self._pending[own_id] = _Pending(responder, peer_id, source, message_1, message_2, now + PENDING_FOR)
         self._answered[source, message_1] = own_id
@@ -126,13 +122,21 @@ class Handshakes:
             is_message_3 = False
         if pending is None or not is_message_3:
             raise ThingUnauthenticated("no such handshake, or no message_3")
+        # 5.4.3: process message_3: decrypt, read ID_CRED_I, verify by the credential that it names. One that
+        # nobody has costs the same work and gets the same answer as a wrong proof.
         responder = pending.responder
         id_cred, extensions = _guarded(responder.parse_message_3, message_3)
         _check_extensions(extensions)
-        key = self._find(_kid(bytes(id_cred)))
+        try:
+            named = decode(bytes(id_cred), limit=MAX_MESSAGE_3)
+        except EncodingError:
+            named = None
+        kid = named.get(4) if isinstance(named, dict) and len(named) == 1 else None
+        key = self._find(kid if isinstance(kid, bytes) else b"")
         _guarded(responder.verify_message_3, (self._decoy if key is None else key).ccs)
         if key is None:
             raise ThingUnauthenticated("the key of no thing that is served here")
+        # 5.5.2: message_4; appendix A.1: the context, whose IDs are C_I and C_R.
         message_4 = bytes(_guarded(responder.prepare_message_4))
         secret = bytes(_guarded(responder.edhoc_exporter, _KEY, [], KEY_SIZE))
         salt = bytes(_guarded(responder.edhoc_exporter, _SALT, [], SALT_SIZE))
@@ -151,18 +155,6 @@ class Handshakes:
         if pending is not None:
             self._answered.pop((pending.source, pending.message_1), None)
         return pending
-
-
-def _kid(id_cred: bytes) -> bytes:
-    try:
-        value = decode(id_cred, limit=MAX_MESSAGE_3)
-    except EncodingError:
-        return b""
-    match value:
-        case {4: bytes() as kid, **rest} if not rest:
-            return kid
-        case _:
-            return b""
 
 
 def _check_extensions(extensions: Any) -> None:

@@ -23,15 +23,11 @@ MAX_DATAGRAM: Final = 1280  # octets; IPv6's smallest MTU, more than a block of 
 TOKEN_SIZE: Final = 4
 CON, NON, ACK, RST = Type.CON, Type.NON, Type.ACK, Type.RST
 OBSERVE, DEREGISTER = 0, 1  # RFC 7641 section 2
-
 _SLACK: Final = 256
-
 ACK_TIMEOUT: Final = 2.0  # seconds; longer by up to a half, at random
 MAX_RETRANSMIT: Final = 4
-
 Address = tuple[Any, ...]
 Send = Callable[[bytes, Address], None]
-
 WINDOW: Final = 32
 SALT_SIZE: Final = 8
 KEY_SIZE: Final = 16
@@ -39,9 +35,7 @@ MAX_ID: Final = 7  # octets of an ID: 6 less than a nonce has (RFC 8613 section 
 _ALGORITHM: Final = oscore.algorithms["AES-CCM-16-64-128"]
 _HASH: Final = oscore.hashfunctions["sha256"]
 _H: Final = 0x10  # flag: there is a kid context
-
 RequestId = Any
-
 NONCE_SIZE: Final = 8  # of ID1 and R3
 R2_SIZE: Final = 16  # milliseconds (6), random (2), tag (8)
 MAX_ID1: Final = 32
@@ -135,14 +129,11 @@ class _Transmission:
 class Transmissions:
     """Confirmable messages until they are acknowledged (RFC 7252 section 4.2).
 
-    A reset has four octets and nobody's signature, so it counts as not delivered: the message is sent
-    again, and fails when nobody has acknowledged it after the last time.
+    A reset has four octets and nobody's signature, so it counts as not delivered.
     """
 
     def __init__(self, send: Send, timers: Timers, rand: Callable[[], float]) -> None:
-        self._send = send
-        self._timers = timers
-        self._rand = rand
+        self._send, self._timers, self._rand = send, timers, rand
         self._open: dict[tuple[Address, int], _Transmission] = {}
 
     def __len__(self) -> int:
@@ -174,11 +165,7 @@ class Transmissions:
 
 
 class OscoreContext(oscore.CanProtect, oscore.CanUnprotect, oscore.SecurityContextUtils):  # type: ignore[misc]
-    """One context, made of aiocoap's protection; `id_context`: if several are derived from one secret.
-
-    It seals requests and answers in both directions: a thing registers by a request, and the border
-    router's requests to the thing use the same context with the same kid.
-    """
+    """One context, made of aiocoap's protection; `id_context`: if several are derived from one secret."""
 
     # Not None: then what is repeated is decrypted before it is refused, as what is forged is. The
     # window is always initialized, so nothing is compared with it.
@@ -242,11 +229,9 @@ def partial_iv(message: Message) -> int:
 
 
 def name_context(message: Message, kid_context: bytes) -> None:
-    """Add a kid context to the option of a sealed message, which no tag covers.
-
-    aiocoap writes one in requests only, and that of the derivation itself; Appendix B.2 needs
-    others, and one in an answer.
-    """
+    """Add a kid context to the option of a sealed message, which no tag covers."""
+    # RFC 8613 section 6.1. aiocoap writes one in requests only, and that of the derivation itself; appendix
+    # B.2 needs others, and one in an answer.
     option: bytes = message.opt.oscore or b"\0"
     size = option[0] & 0x07
     flags = bytes((option[0] | _H,))
@@ -280,16 +265,14 @@ class ContextChallenges:
     """Makes and recognizes R2, for contexts of a thing with a secret of its own (RFC 8613 Appendix B.2).
 
     Neither side writes sequence numbers to a disk. After a restart of either, both contribute a random
-    value to a new context: ID1 by the thing, R2 by the border router, R3 by the thing. R2 shows itself
-    to be of this process and recent, so an attempt costs no memory. Only one that is newer than any
-    that the thing has answered makes a new context, also when the former one was dropped: who repeats
-    recorded requests changes nothing, and no context begins a second time with its nonces.
+    value to a new context: ID1 by the thing, R2 by the border router, R3 by the thing.
     """
 
     key: bytes  # 16 random octets of this process
     _answered: dict[bytes, int] = field(default_factory=dict)  # by kids that proved their secret
 
     def make(self, kid: bytes, now: float, random: bytes) -> bytes:
+        # It shows itself to be of this process and recent, so an attempt costs no memory.
         head = int(now * 1000).to_bytes(_TIME) + random
         return head + self._tag(kid, head)
 
@@ -304,6 +287,8 @@ class ContextChallenges:
     def take(self, kid: bytes, value: bytes, now: float) -> bool:
         if len(value) != R2_SIZE + NONCE_SIZE:
             return False
+        # Newer than any that the thing has answered, also when the former context was dropped: who repeats
+        # recorded requests changes nothing, and no context begins a second time with its nonces.
         issued = self.issued(kid, value, now)
         if issued <= self._answered.get(kid, 0):
             return False

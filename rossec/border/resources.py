@@ -32,7 +32,6 @@ _SEGMENT: Final = re.compile(r"[A-Za-z0-9_.-]{1,32}", re.ASCII)
 _VALUE: Final = r'"[^"\\]*"|[^",;\s\\]*'
 _PARAMETER: Final = re.compile(rf';\s*([^,;="\s]+)(?:=({_VALUE}))?')
 _LINK: Final = re.compile(rf'\s*<([^<>"]*)>((?:;\s*[^,;="\s]+(?:=(?:{_VALUE}))?)*)\s*(?:,|\Z)')
-
 _COUNT: Final = struct.Struct("<I")
 _OCTETS: Final = frozenset({"uint8", "char"})
 _PAIRS: Final = frozenset({"time", "duration"})
@@ -137,9 +136,6 @@ def _read_whole(message: bytes, layout: Layout) -> Value:
     return value
 
 
-# --- from CBOR
-
-
 def _write(value: Value, kind: Type, where: str, out: list[bytes]) -> None:
     match kind:
         case Primitive():
@@ -199,13 +195,14 @@ def _pack(kind: Primitive, where: str, *values: Value) -> bytes:
         raise BodyRefused(f"{where} is out of the range of {kind.name}") from None
 
 
-# --- from ROS
-
-
 def _read(data: bytes, at: int, kind: Type) -> tuple[Value, int]:
     match kind:
         case Primitive():
-            return _read_primitive(data, at, kind)
+            values = struct.unpack("<" + kind.code, _slice(data, at, kind.size))
+            if kind is _BOOL and values[0] > 1:
+                raise BodyRefused("a bool that is neither 0 nor 1")
+            value = list(values) if kind.name in _PAIRS else bool(values[0]) if kind is _BOOL else values[0]
+            return value, at + kind.size
         case Text():
             size, at = _read_count(data, at)
             raw = _slice(data, at, size)
@@ -233,18 +230,6 @@ def _read_array(data: bytes, at: int, kind: Array) -> tuple[Value, int]:
         value, at = _read(data, at, kind.element)
         values.append(value)
     return values, at
-
-
-def _read_primitive(data: bytes, at: int, kind: Primitive) -> tuple[Value, int]:
-    values = struct.unpack("<" + kind.code, _slice(data, at, kind.size))
-    if kind.name in _PAIRS:
-        return list(values), at + kind.size
-    value = values[0]
-    if kind is _BOOL:
-        if value > 1:
-            raise BodyRefused("a bool that is neither 0 nor 1")
-        return bool(value), at + 1
-    return value, at + kind.size
 
 
 def _read_count(data: bytes, at: int) -> tuple[int, int]:

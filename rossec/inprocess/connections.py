@@ -1,8 +1,7 @@
 """TCPROS in rospy: connection headers of both sides, the admission of peers, and a subscriber's loop.
 
 The header hooks serve services as well: rospy's protocol class determines which right each side has to
-prove. The field that holds grants is binary; rospy, which expects text, does not get it. Headers are
-read whole, within a deadline and a limit.
+prove.
 """
 
 import socket
@@ -48,7 +47,6 @@ from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
 
 DEADLINE: Final = 5.0
 _LENGTH: Final = struct.Struct("<I")
-
 _RIGHTS: Final[dict[type, Right]] = {
     TCPROSSub: Right.SUBSCRIBE,
     TCPROSPub: Right.PUBLISH,
@@ -56,7 +54,6 @@ _RIGHTS: Final[dict[type, Right]] = {
     TCPService: Right.PROVIDE,
 }
 _HINT_PLAIN: Final = "secure it, or name what it offers in allow_plain while you migrate"
-
 _FIRST_PAUSE: Final = 0.5
 _LONGEST_PAUSE: Final = 30.0
 _SLICE: Final = 0.5  # seconds between checks whether the subscriber is still in use
@@ -83,6 +80,7 @@ def max_unit_size(kind: Any) -> int:
 
 
 def receive(sock: RosSocket) -> dict[str, bytes]:
+    # Whole, within a deadline, and within a limit that is checked before anything is buffered.
     end = time.monotonic() + DEADLINE
     (length,) = _LENGTH.unpack(_exactly(sock, _LENGTH.size, end))
     if length > tcpros.HEADER_LIMIT:
@@ -105,6 +103,7 @@ def _exactly(sock: RosSocket, size: int, end: float) -> bytes:
 
 
 def for_rospy(fields: Mapping[str, bytes]) -> dict[str, str]:
+    # Without the grants, which are binary: rospy expects text.
     return {key: value.decode(errors="replace") for key, value in fields.items() if key != FIELD}
 
 
@@ -143,6 +142,7 @@ class Connections:
             if not self._process.allows_plain(protocol.resolved_name, sock.getpeername()[0]):
                 raise PlainPeer("the peer is a plain ROS node", _HINT_PLAIN)
             return dict(protocol.get_header_fields())
+        # The peer is judged before it is sent anything.
         self._local_identity.access.check_peer(sock.peer, now())
         name = _granted_name(protocol, sock.peer, protocol.resolved_name)
         proof = self._local_identity.access.present(_RIGHTS[type(protocol)], name, now())
@@ -162,6 +162,7 @@ class Connections:
         try:
             with tried_again():
                 fields = receive(sock)
+            # The right first, and rospy's own checks only on what is left of the header.
             connection = None
             if not sock.is_plain:
                 connection = self._admit_server(protocol, fields, sock)
@@ -221,6 +222,7 @@ class Connections:
         try:
             if self._process.plain and self._serve_plain(server, sock, where):
                 return
+            # In the table before it is judged: a revocation that arrives meanwhile finds it there.
             peer = sock.handshake()
             caller = shown(peer.name)
             self._process.connections.accept(sock, peer, sock.abort)
@@ -229,6 +231,7 @@ class Connections:
             self._admit_caller(server, sock, where, fields)
         except HintedError as error:
             self._process.reporter.warn(f"refused {caller}", error)
+            # Whoever is not authenticated is told nothing.
             if sock.is_plain or sock.stream.peer is not None:
                 refuse(sock, error)
             sock.close()
@@ -240,6 +243,7 @@ class Connections:
             raise
 
     def _serve_plain(self, server: Any, sock: RosSocket, where: Any) -> bool:
+        # Read without consuming it: a caller that is not named goes on with the handshake, which refuses it.
         fields = plain_fields(sock.peek())
         kind = "service" if "service" in fields else "topic"
         name = fields.get(kind, b"").decode(errors="replace")
@@ -270,6 +274,7 @@ class Connections:
                 raise ConnectionHeaderRefused(f"{self._local_identity.name} does not publish {topic}")
             kind = definition_of(published.data_class)
             wishes = delivery.carried_out(delivery.requested_wishes(fields), decision)
+            # Without a queue a publisher waits for each subscriber: no wish is taken then.
             sock.wishes = delivery.NO_WISHES if published.queue_size is None else wishes
 
             def guard_under(decision: Decision) -> Guard | None:
@@ -302,17 +307,19 @@ class Connections:
 
     def _refilter(self, sock: RosSocket, kind: Any, decision: Decision) -> None:
         calls = sock.service_filter
+        # What passed unread has no known beginnings of calls: the connection is made anew.
         if calls is None and decision.restrictions:
             raise ConnectionHeaderRefused("calls that are restricted now were passed on unread")
         if calls is not None:
             restricted = bool(decision.restrictions)
-            calls.replace_guard(self._service_guard(kind, decision) if restricted else None)
+            calls.guard = self._service_guard(kind, decision) if restricted else None
 
     def _service_guard(self, kind: Any, decision: Decision) -> ServiceGuard:
         request, response = (
             MessageType(part._type, part._md5sum, part._full_text)  # noqa: SLF001 - rospy's
             for part in (kind._request_class, kind._response_class)  # noqa: SLF001 - rospy's
         )
+        # What is filtered by a definition must be what rospy serializes by.
         both = ServiceType(kind._type, request, response)  # noqa: SLF001 - rospy's
         if both.md5sum != kind._md5sum:  # noqa: SLF001 - rospy's
             raise DefinitionRefused(f"the definition of {kind._type} is not that of its messages")  # noqa: SLF001 - rospy's
@@ -329,10 +336,9 @@ def _description(protocol: Any) -> str:
 
 
 class ServiceProbe(RosSocket):
-    """`wait_for_service` in rospy: it needs the right of a client, and waits for the answer.
+    """`wait_for_service` in rospy, and `rosservice`: a socket of its own, whose header it writes itself.
 
-    Clients and providers go through the header hooks; the probe has its own socket and writes its
-    header itself. `rosservice` probes in the same way, and reads the answer.
+    It needs the right of a client, and waits for the answer.
     """
 
     def __init__(self, process: SecuredProcess, sock: socket.socket) -> None:

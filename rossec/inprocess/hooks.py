@@ -1,8 +1,7 @@
 """The hooks: exactly what is replaced in rospy and rosgraph.
 
-A hook names a module, an attribute path and the parameters its stock function must have: a rospy
-in which one of them differs is refused before anything is replaced. `check` repeats the check when
-the node starts, in case something was put back (attack F12).
+A hook names a module, an attribute path and the parameters its stock function must have. `check` repeats
+the check when the node starts.
 """
 
 import inspect
@@ -34,17 +33,14 @@ from rospy.impl.validators import ParameterInvalid
 from rossec.errors import ConfigurationError
 from rossec.inprocess.connections import Connections, ServiceProbe, SubscriptionLoop
 from rossec.inprocess.process import SecuredProcess
-from rossec.inprocess.publishing import forked_node, publish, queue_for, write_data
+from rossec.inprocess.publishing import publish, queue_for, write_data
 from rossec.inprocess.sockets import RosSocket, bracketed, parse_rosrpc
 from rossec.inprocess.xmlrpc_calls import REQUEST, XmlRpcClient, XmlRpcServer
 from rossec.ros.names import parse_uri
 
 VERSIONS: Final = ("1.14", "1.15", "1.16", "1.17")
 _LATE: Final = "call rossec.secure() right after importing rospy, before anything else of it"
-
 _CALLER: Final = ("self", "request", "client_address")
-
-StartNode = Callable[..., Any]
 
 
 class ModuleProxy:
@@ -90,7 +86,7 @@ def check_in_time() -> None:
         raise ConfigurationError("a topic was created before rossec.secure()", _LATE)
 
 
-def hooks(process: SecuredProcess, start_node: StartNode) -> list[Hook]:
+def hooks(process: SecuredProcess, start_node: Callable[..., Any]) -> list[Hook]:
     base, pubsub, service = rospy.impl.tcpros_base, rospy.impl.tcpros_pubsub, rospy.impl.tcpros_service
     connections, client, server = Connections(process), XmlRpcClient(process), XmlRpcServer(process)
 
@@ -107,7 +103,7 @@ def hooks(process: SecuredProcess, start_node: StartNode) -> list[Hook]:
     stock_wait = service.wait_for_service
 
     def wait_for_service(service: Any, timeout: Any = None) -> None:
-        process.require_name()  # rospy's loop would catch the error and never end
+        process.require_begun()  # rospy's loop would catch the error and never end
         stock_wait(service, timeout)
 
     def parse_service_uri(uri: str) -> tuple[str, int]:
@@ -164,6 +160,7 @@ def install(table: list[Hook]) -> None:
     """Set every hook, or none."""
     for hook in table:
         found = getattr(hook.owner, hook.name, None)
+        # Another signature is another rospy: nothing at all is replaced then.
         if found is None or (hook.parameters is not None and _parameters(found) != hook.parameters):
             raise ConfigurationError(
                 f"{_path(hook)} of this rospy is not supported",
@@ -184,10 +181,6 @@ def hook_tools(process: SecuredProcess) -> None:
     install(table)
 
 
-def watch_forks(process: SecuredProcess) -> None:
-    forked_node.start(process.reporter.warn)
-
-
 def _probes(process: SecuredProcess) -> Callable[..., ServiceProbe]:
     def make_probe(family: int = socket.AF_INET, kind: int = socket.SOCK_STREAM) -> ServiceProbe:
         return ServiceProbe(process, socket.socket(family, kind))
@@ -196,6 +189,7 @@ def _probes(process: SecuredProcess) -> Callable[..., ServiceProbe]:
 
 
 def check(table: list[Hook]) -> None:
+    # When the node starts, too, in case something was put back (attack F12).
     for hook in table:
         if inspect.getattr_static(hook.owner, hook.name, None) is not hook.new:
             raise ConfigurationError(

@@ -1,9 +1,4 @@
-"""The node that this process is, thread-safe, and the connections it makes, both ways.
-
-A plain connection that `allow_plain` names has the interface of a secure one. What a caller sends first
-is read without consuming it, so that a caller that is not named continues with the handshake, which
-refuses it.
-"""
+"""The node that this process is, thread-safe, and the connections it makes, both ways."""
 
 import socket
 import struct
@@ -35,13 +30,10 @@ from rossec.ros.names import MASTER
 
 P = ParamSpec("P")
 R = TypeVar("R")
-
 _READ: Final = 256 * 1024
 _PREFIX: Final = 4
 DEADLINE: Final = 5.0
-
 CONNECT_TIMEOUT: Final = 10.0
-
 Stream = SecureSocket[Identity]
 
 
@@ -56,12 +48,11 @@ def _locked(method: Callable[Concatenate[Access, P], R]) -> Callable[Concatenate
 
 
 class LockedAccess:
-    """What this process uses of `Access`, one thread at a time.
+    """What this process uses of `Access`, one thread at a time."""
 
-    Not a subclass: a method that is added to `Access` cannot be called here without the lock. One lock
-    makes a list and its confirmation one step: between the two no revocation data would be fresh, and
-    every peer that is checked would be refused.
-    """
+    # Not a subclass: a method that is added to `Access` cannot be called here without the lock. One lock
+    # makes a list and its confirmation one step: between the two no revocation data would be fresh, and
+    # every peer that is checked would be refused.
 
     def __init__(self, access: Access) -> None:
         self._access = access
@@ -133,7 +124,7 @@ def now() -> int:
 
 
 class PlainSocketStream:
-    """What is used of a `SecureSocket`; the peer is not authenticated."""
+    """What is used of a `SecureSocket`, for what `allow_plain` names: the peer is not authenticated."""
 
     peer = None
     awaits_peer = False
@@ -171,9 +162,8 @@ class PlainSocketStream:
 
 
 def peek(sock: socket.socket) -> bytes:
-    """The first bytes of a plain caller, not consumed: a whole connection header, or the beginning
-    of an HTTP request; empty for any other caller, and for one that sends nothing in time.
-    """
+    """The first bytes of a plain caller: a header, or the beginning of an HTTP request; else empty."""
+    # Not consumed: a caller that is not named goes on with the handshake, which refuses it.
     end = time.monotonic() + DEADLINE
     try:
         first = _peek_bytes(sock, _PREFIX, end)

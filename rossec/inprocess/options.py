@@ -1,7 +1,6 @@
 """The options of `rossec.secure`: its arguments, else the environment, else a file. Pure.
 
-The file is TOML, with a table `[rospy]`: `$ROSSEC_CONFIG`, or `rossec.toml` in ROSSEC_HOME. An
-unknown key or an invalid value is refused: a misspelling must not open anything (F13).
+The file is TOML, with a table `[rospy]`: `$ROSSEC_CONFIG`, or `rossec.toml` in ROSSEC_HOME.
 """
 
 import ipaddress
@@ -19,7 +18,6 @@ from rossec.host.addresses import is_relayed
 
 _DOTS: Final = 2000  # tomllib takes square time and memory for the dots of one key
 _KEYS: Final = frozenset({"node", "allow_plain"})
-
 _HINT = "an entry is a topic's or a service's name, /name or /name@address"
 
 
@@ -69,6 +67,7 @@ def _table(text: str) -> Mapping[str, object]:
         table = tomllib.loads(text).get("rospy", {})
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, and what `int` refuses
         raise ConfigurationError(f"the options' file is not TOML: {error}") from error
+    # A misspelling must not open anything (F13).
     if not isinstance(table, dict) or not table.keys() <= _KEYS:
         raise ConfigurationError(
             "the table [rospy] of the options' file holds something unknown",
@@ -92,8 +91,7 @@ class PlainPeers:
     """What may stay plain while a fleet migrates: named topics and services, nothing else.
 
     An entry is a name (`/chatter`), for any peer, or a name and an address, for one
-    (`/chatter@192.168.1.7`). A plain connection is neither encrypted nor authenticated. It never takes
-    the way of a relay: behind that loopback address is anyone.
+    (`/chatter@192.168.1.7`). A plain connection is neither encrypted nor authenticated.
     """
 
     def __init__(self, entries: Iterable[str] = ()) -> None:
@@ -104,7 +102,7 @@ class PlainPeers:
         return bool(self._allowed)
 
     def allows(self, name: str, address: str) -> bool:
-        if is_relayed(address):
+        if is_relayed(address):  # behind that loopback address is anyone
             return False
         return (name, None) in self._allowed or (name, _canonical(address)) in self._allowed
 

@@ -1,9 +1,8 @@
 """What the hooks of one process share: its identity, connections and background loop.
 
 Until the node has a name there is no identity, and no connection can be made: every hook that needs
-one raises. A call before `rospy.init_node` uses the name the node will have, if that is known. The
-background loop, a thread, runs the membership of the process, whose session with the master also
-carries rospy's calls. If it fails, no connection would be cut any more: then all are.
+one raises. The background loop, a thread, runs the membership of the process, whose session with the
+master also carries rospy's calls.
 """
 
 import asyncio
@@ -29,47 +28,34 @@ from rossec.inprocess.sockets import RosSocket
 from rossec.net.aio import SecureStream
 from rossec.net.context import forget_in_children
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.connections import (
-    FOLLOW_PERIOD,
-    ConnectionTable,
-    Dialer,
-    FollowedPublishers,
-    OwnAddresses,
-)
+from rossec.participant.connections import ConnectionTable, Dialer, FollowedPublishers, OwnAddresses
 from rossec.participant.membership import Membership
-from rossec.participant.registrations import UNREGISTERS, PublisherGrace, RegistrationTable
+from rossec.participant.registrations import REFUSED, UNREGISTERS, PublisherGrace, RegistrationTable
 from rossec.peer_limits import printable
 from rossec.ros.names import parse_uri
 from rossec.ros.xmlrpc import FAULT_CODE, Fault
 
-REGISTRATIONS: Final[Mapping[str, object]] = {
+REGISTRATIONS: Final[Mapping[str, object]] = {  # each with what a master without other nodes answers
     "registerPublisher": [],
     "registerSubscriber": [],
     "registerService": 1,
 }
-"""Registrations, each with the value a master without other nodes answers."""
-REFUSED: Final = "rossec: "
 _NODES: Final = 1024  # that were looked up
-
 REMEMBERED: Final = 512
 _BURST: Final = 30  # lines within PERIOD; unauthenticated peers must not fill a disk
 _SHARE: Final = 10  # of them about one peer, topic or address
 _FIRST: Final = 60  # beyond the burst: only the first line about each subject
 _PERIOD: Final = 10.0
-
 PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic and service it uses here
 _TIMERS_PERIOD: Final = 1.0
 _FIRST_WAIT: Final = 5.0  # for the first connection to the master
 _RECONNECT_WAIT: Final = 2.0  # how long a call waits for a reconnection
 _CALL_DEADLINE: Final = 30.0
-
 _ENDED: Final = (
     "the background loop of this process has ended, or is its parent's: a forked process has no"
     " connections, so start it with subprocess, or multiprocessing's spawn"
 )
-
 _log = logging.getLogger("rossec.rospy")
-
 RosConnection: TypeAlias = AuthorizedConnection[RosSocket, Guard | None]
 _NAMELESS: Final = (
     "call rospy.init_node first, or give the name it will have:"
@@ -118,12 +104,7 @@ class Registrations:
 
 
 class CallReporter:
-    """Warnings for the developer: one for each cause, not for each retry.
-
-    Lines are limited per ten seconds, and per subject: no peer can suppress the lines about others.
-    Written by a thread of its own: `rospy.logwarn` publishes on /rosout and asks the master for a
-    parameter, so it must never be called by the thread that speaks to the master, nor with a lock held.
-    """
+    """Warnings for the developer: one for each cause, not for each retry, by a thread of its own."""
 
     def __init__(self, write: Callable[[str], None]) -> None:
         self._write = write
@@ -148,27 +129,25 @@ class CallReporter:
             self._reported[line] = None
             if len(self._reported) > REMEMBERED:
                 self._reported.popitem(last=False)
-            if self._within_limits(what.partition(":")[0]):
+            # No peer may suppress the lines about others, nor fill the disk: a share for each subject.
+            subject, moment = what.partition(":")[0], time.monotonic()
+            if moment - self._since > _PERIOD:
+                self._since, self._counts, self._suppressed = moment, Counter(), False
+            most = _BURST if self._counts[subject] else _FIRST
+            if self._counts[subject] < _SHARE and self._counts.total() < most:
+                self._counts[subject] += 1
                 self._put(line)
+            elif not self._suppressed:
+                self._put("rossec: too many different warnings; some are suppressed")
+                self._suppressed = True
 
     def _put(self, line: str) -> None:
+        # `rospy.logwarn` publishes on /rosout and asks the master for a parameter: it must never be called by
+        # the thread that speaks to the master, nor with a lock held.
         if self._thread is None:
             self._thread = Thread(target=self._run, name="rossec report", daemon=True)
             self._thread.start()
         self._queue.put(line)
-
-    def _within_limits(self, subject: str) -> bool:
-        moment = time.monotonic()
-        if moment - self._since > _PERIOD:
-            self._since, self._counts, self._suppressed = moment, Counter(), False
-        most = _BURST if self._counts[subject] else _FIRST
-        if self._counts[subject] < _SHARE and self._counts.total() < most:
-            self._counts[subject] += 1
-            return True
-        if not self._suppressed:
-            self._put("rossec: too many different warnings; some are suppressed")
-        self._suppressed = True
-        return False
 
     def forget(self, what: str) -> None:
         # `what` has succeeded since: if it fails again, it is logged again.
@@ -203,17 +182,14 @@ class BackgroundLoop:
     def __init__(
         self, local_identity: LocalIdentity, registrations: Registrations, master: tuple[str, int]
     ) -> None:
-        self._local_identity = local_identity
-        self._registrations = registrations
+        self._local_identity, self._registrations = local_identity, registrations
         self.address = master
         self._loop = asyncio.new_event_loop()
         self._ready = asyncio.Event()
         self._stop = asyncio.Event()
         self._first_attempt = Event()
-        self._dialer = Dialer(
-            local_identity.name, local_identity.live_context, local_identity.access.check_peer
-        )
         access = local_identity.access
+        self._dialer = Dialer(local_identity.name, local_identity.live_context, access.check_peer)
         self.connections: ConnectionTable[RosSocket] = ConnectionTable(
             local_identity.standing, access.lock, PEER_CONNECTIONS, local_identity.master
         )
@@ -259,18 +235,18 @@ class BackgroundLoop:
     # -- in the loop
 
     def _run(self) -> None:
+        async def main() -> None:
+            self.membership.start(self._open_session)
+            self.membership.tasks.spawn(self._run_timers(), "timers of idle connections")
+            self.membership.tasks.spawn(self.followed.leave_regularly(), "publishers to leave")
+            await self._stop.wait()
+            await self.membership.close()
+
         try:
             with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
-                runner.run(self._main())  # its end cancels the calls that wait
+                runner.run(main())  # its end cancels the calls that wait
         finally:
             self._first_attempt.set()
-
-    async def _main(self) -> None:
-        self.membership.start(self._open_session)
-        self.membership.tasks.spawn(self._run_timers(), "timers of idle connections")
-        self.membership.tasks.spawn(self._leave_publishers(), "publishers to leave")
-        await self._stop.wait()
-        await self.membership.close()
 
     async def _open_session(self) -> None:
         try:
@@ -284,11 +260,6 @@ class BackgroundLoop:
             await asyncio.sleep(_TIMERS_PERIOD)
             for connection in self.connections:
                 connection.stream.run_timers()
-
-    async def _leave_publishers(self) -> None:
-        while True:
-            await asyncio.sleep(FOLLOW_PERIOD)
-            self.followed.leave_unlisted()
 
     async def _answer(self, method: str, params: tuple[object, ...]) -> object:
         if not self._ready.is_set():
@@ -333,7 +304,7 @@ class BackgroundLoop:
 
     def crashed(self, error: BaseException) -> None:
         _log.error("the background loop failed, all connections are closed: %s", error)
-        self.connections.close("the background loop failed")
+        self.connections.close("the background loop failed")  # no right would end one any more
         # It unregisters this node at the master, which must not happen in the thread of this loop.
         Thread(target=self.on_crash, name="rossec end", daemon=True).start()
         self._stop.set()
@@ -341,8 +312,7 @@ class BackgroundLoop:
 
 class SecuredProcess:
     def __init__(self, reporter: CallReporter, plain: PlainPeers = PlainPeers()) -> None:  # noqa: B008 - constant
-        self.reporter = reporter
-        self.plain = plain
+        self.reporter, self.plain = reporter, plain
         self.own_addresses = OwnAddresses()
         self._begun: tuple[LocalIdentity, Connector, Registrations, BackgroundLoop] | None = None
         self._begin_lock = RLock()
@@ -359,7 +329,9 @@ class SecuredProcess:
     def has_begun(self) -> bool:
         return self._begun is not None
 
-    def _require_begun(self) -> tuple[LocalIdentity, Connector, Registrations, BackgroundLoop]:
+    def require_begun(self) -> tuple[LocalIdentity, Connector, Registrations, BackgroundLoop]:
+        """What exists once the node has a name; raises `ConfigurationError` while it has none."""
+        # A call before `rospy.init_node` uses the name that the node will have, if that is known.
         if self._begun is None:
             with self._begin_lock:
                 if self._begun is None:
@@ -370,25 +342,21 @@ class SecuredProcess:
             raise error
         return self._begun
 
-    def require_name(self) -> None:
-        self._require_begun()
-
     @property
     def local_identity(self) -> LocalIdentity:
-        # The node. Raises `ConfigurationError` while it has no name; so do the next five.
-        return self._require_begun()[0]
+        return self.require_begun()[0]
 
     @property
     def connector(self) -> Connector:
-        return self._require_begun()[1]
+        return self.require_begun()[1]
 
     @property
     def registrations(self) -> Registrations:
-        return self._require_begun()[2]
+        return self.require_begun()[2]
 
     @property
     def background_loop(self) -> BackgroundLoop:
-        return self._require_begun()[3]
+        return self.require_begun()[3]
 
     @property
     def membership(self) -> Membership:

@@ -1,10 +1,8 @@
 """Publishing from rospy: one serialization, one filtered copy per distinct filter, and the send queues.
 
 `publish` does what `rospy.topics._PublisherImpl.publish` does, and between serializing and sending
-applies each connection's guard. A connection that was not authorized gets nothing. A new subscriber
-of a latching topic gets the message as it was published, not as the program changed it since.
-`SendQueue` replaces rospy's `QueuedConnection`: queued messages are sent as one unit; `write_data` is
-for connections without a queue.
+applies each connection's guard. `SendQueue` replaces rospy's `QueuedConnection`; `write_data` is for
+connections without a queue.
 """
 
 import logging
@@ -40,35 +38,27 @@ from rossec.participant import delivery
 from rossec.participant.delivery import Deflatable, Latch, Sample, SharedDeflation, WishedRate, Wishes
 
 _UNUSED: Final = 2  # references: the buffer's, and the argument of `getrefcount`
-
 LENGTH: Final = struct.Struct("<I")
 SEPARATE_UNIT: Final = 128 * 1024  # a longer message is sent as a separate unit
 _BATCH: Final = 256 * 1024  # a longer unit only adds latency
 _SMALL: Final = 16 * 1024  # the kernel has room for it, or is full
 PAUSE: Final = 0.001  # seconds; messages at shorter intervals are batched
-
 Pieces = bytes | tuple[Bytes, ...]  # a message with its length in front, whole or in parts
-
 _deflation: Final = SharedDeflation()  # publishing calls the queues of one message in a row
-
 _POOLED: Final = 16 * 1024 * 1024  # the memory of larger messages is freed at once
-
 _LATCH: Final = "rossec_latch"  # an attribute set on rospy's topics
-
 _FORKED: Final = (
     "this process was forked from a running node, and nobody receives what it publishes"
     " (hint: publish in the parent, or start another program with subprocess)"
 )
-
 Samples = Callable[[Guard], Iterable[Sample[bytes]]]  # what to try for a guard, until one passes
 _log = logging.getLogger("rossec.rospy")
 
 
 class BufferPool:
-    """The last `count` buffers whose bytes were handed out; threads share it.
+    """The last `count` buffers whose bytes were handed out; threads share it."""
 
-    New pages for a large message cost the publisher about as much as encrypting it.
-    """
+    # New pages for a large message cost the publisher about as much as encrypting it.
 
     def __init__(self, count: int) -> None:
         self._buffers: deque[BytesIO] = deque(maxlen=count)
@@ -90,10 +80,7 @@ class BufferPool:
 class SendQueue:
     """A connection with a queue: `write_data` never waits; a full queue drops the oldest.
 
-    The sending thread takes all queued messages and sends them as one unit. It is notified only
-    when idle: a publisher that is faster than the network makes larger batches. A small message
-    after a pause is sent in the publisher's thread if that does not block: switching threads costs
-    more time than the encryption.
+    The sending thread takes all queued messages and sends them as one unit.
     """
 
     def __init__(self, connection: Any, queue_size: int) -> None:
@@ -116,9 +103,12 @@ class SendQueue:
         if self._error is not None:
             error, self._error = self._error, None
             raise error
+        # A small message after a pause goes in this thread if that does not block: switching threads costs
+        # more time than the encryption.
         last, self._last = self._last, time.monotonic()
         if self._last > last + PAUSE and self._send_now(data):
             return True
+        # Notified only when idle: a publisher that is faster than the network makes larger batches.
         self._queue.append(data)
         idle = self._idle
         if idle:
@@ -158,34 +148,30 @@ class SendQueue:
                     self._idle = True
                 self._idle = False
             try:
-                self._send_waiting()
+                for batch in self._batches():
+                    write(self._connection, batch)
             except Exception as error:  # noqa: BLE001 - as rospy: the publisher's next call raises it
                 # Without what refers to frames, and so to messages, for who keeps it.
                 error.__cause__ = error.__context__ = None
                 self._error = error.with_traceback(None)
 
-    def _send_waiting(self) -> None:
-        for batch in _batches(self._queue):
-            write(self._connection, batch)
+    def _batches(self) -> Iterator[list[Pieces]]:
+        batch: list[Pieces] = []
+        size = 0
+        with suppress(IndexError):
+            while True:
+                message = self._queue.popleft()
+                batch.append(message)
+                size += _size(message)
+                if size >= _BATCH:
+                    yield batch
+                    batch, size = [], 0
+        if batch:
+            yield batch
 
 
 def _size(message: Pieces) -> int:
     return len(message) if isinstance(message, bytes) else sum(map(len, message))
-
-
-def _batches(queue: deque[Pieces]) -> Iterator[list[Pieces]]:
-    batch: list[Pieces] = []
-    size = 0
-    with suppress(IndexError):
-        while True:
-            message = queue.popleft()
-            batch.append(message)
-            size += _size(message)
-            if size >= _BATCH:
-                yield batch
-                batch, size = [], 0
-    if batch:
-        yield batch
 
 
 def write(transport: Any, messages: list[Pieces]) -> None:
@@ -268,12 +254,7 @@ def queue_for(connection: Any, queue_size: int) -> SendQueue:
 
 
 class WishQueue(SendQueue):
-    """For a subscriber with wishes: thinned out, the newest only, deflated.
-
-    What comes here has passed the guard. The sending thread takes a message when those before it are
-    with the kernel, which takes no more than it can send soon; only then the message is deflated.
-    Without a queue (`queue_size=None`) a publisher waits for each subscriber: no wish is taken then.
-    """
+    """For a subscriber with wishes: thinned out, the newest only, deflated. It has passed the guard."""
 
     def __init__(self, connection: Any, queue_size: int, wishes: Wishes) -> None:
         size = 1 if wishes.newest else queue_size
@@ -300,16 +281,13 @@ class WishQueue(SendQueue):
         time.sleep(0)  # as rospy: lets the sending thread run
         return True
 
-    def _send_waiting(self) -> None:
+    def _batches(self) -> Iterator[list[Pieces]]:
+        # The kernel takes no more than it can send soon; a message is deflated only when it is its turn.
         self._queue.clear()
         while self._waiting:  # nobody else takes from it
-            write(self._connection, [self._framed(self._waiting.popleft())])
-
-    def _framed(self, message: Deflatable) -> Pieces:
-        if not self._wishes.deflate:
-            return LENGTH.pack(sum(map(len, message.pieces))), *message.pieces
-        content = message.content()
-        return LENGTH.pack(len(content)), content
+            message = self._waiting.popleft()
+            pieces = (message.content(),) if self._wishes.deflate else message.pieces
+            yield [(LENGTH.pack(sum(map(len, pieces))), *pieces)]
 
 
 _buffer_pool: Final = BufferPool(4)
@@ -347,17 +325,18 @@ def publish(topic: Any, message: Any, connection_override: Any = None) -> bool |
     if not topic.has_connections():
         return False
     try:
-        sample = _sample(topic, message, latch)
+        sample = latch.newest if latch is not None else None
+        sample = sample or Sample(_serialized(topic, message))
     except ValueError:
         if not topic.closed:
             raise
         if is_shutdown():
             return None
         raise ROSException("topic was closed during publish()") from None
-    if connection_override is None:
-        dead = _send(topic, sample, topic.connections)
-    else:
-        dead = _send(topic, sample, [connection_override], latch)
+    if latch is not None:
+        latch.newest = sample
+    transports = topic.connections if connection_override is None else [connection_override]
+    dead = _send(topic, sample, transports, None if connection_override is None else latch)
     for transport in dead:
         with suppress(Exception):  # as rospy: a dead connection is dropped
             transport.close()
@@ -372,19 +351,12 @@ def _latch(topic: Any) -> Latch[bytes]:
 
 
 def _latched(topic: Any, message: Any, new_subscriber: Any) -> Latch[bytes]:
+    # A new subscriber gets the message as it was published, not as the program changed it since.
     latch = _latch(topic)
     if new_subscriber is None or message is not topic.latch:
         latch.newest = None
     topic.latch = message
     return latch
-
-
-def _sample(topic: Any, message: Any, latch: Latch[bytes] | None) -> Sample[bytes]:
-    if latch is None:
-        return Sample(_serialized(topic, message))
-    if latch.newest is None:
-        latch.newest = Sample(_serialized(topic, message))
-    return latch.newest
 
 
 def _serialized(topic: Any, message: Any) -> bytes:
@@ -416,6 +388,7 @@ def _send(
     for transport in transports:
         try:
             connection: RosConnection | PlainConnection | None = transport.socket.connection
+            # Not authorized (yet), or no more: it gets nothing.
             if connection is None or moment >= connection.ends:
                 continue
             pieces: Pieces | None = sample.data

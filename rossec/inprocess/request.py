@@ -1,8 +1,6 @@
 """`rossec.ask`: the running program requests a right, and waits for it or continues.
 
-The request is signed with the node's key. It is stored in the `inbox/` of an authority in the
-same ROSSEC_HOME; if the authority is elsewhere, in the node's directory `requests/`, to be copied
-there. When the grant arrives, registrations that the master had refused are repeated.
+When the grant arrives, registrations that the master had refused are repeated.
 """
 
 import secrets
@@ -64,6 +62,8 @@ def _send(local_identity: LocalIdentity, right: Right, name: str, why: str) -> N
         why,
     )
     data = sign_request(local_identity.credentials.signer, request)
+    # Into the inbox of an authority in the same ROSSEC_HOME; if it is elsewhere, into a directory of the
+    # node's, to be copied there.
     authority = local_identity.home.path.parent.parent / "ca"
     if (authority / "ca.pem").exists():
         requests.put_in_inbox(authority, request, data)

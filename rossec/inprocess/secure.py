@@ -1,9 +1,8 @@
 """`rossec.secure()`: every connection that rospy opens afterwards is secured.
 
 It ends the program if it fails: called too late, without an identity, with an unsupported rospy, or
-again with other options (modules of one program may each call it). A process that survives this, as
-a notebook does, can start no node. The node's identity is loaded when its name is known: from the
-options; else when it is first needed, if `__name:=` gives the name; else in `rospy.init_node`.
+again with other options. The node's identity is loaded when its name is known: from the options; else
+when it is first needed, if `__name:=` gives the name; else in `rospy.init_node`.
 """
 
 import importlib
@@ -34,7 +33,12 @@ _MAX_FILE = 64 * 1024
 class _Secured:
     def __init__(self, options: Options) -> None:
         self.options = options
-        self.hooks = _hooks_module()
+        try:  # it imports rospy, which `rossec` alone must not
+            self.hooks: Any = importlib.import_module("rossec.inprocess.hooks")
+        except ModuleNotFoundError as error:
+            raise ConfigurationError(
+                f"rospy is not installed: {error}", "install ROS, or use rossec.node, which does not need it"
+            ) from error
         self.hooks.rospy_version()
         self.hooks.check_in_time()
         self._rospy = importlib.import_module("rospy")
@@ -69,6 +73,7 @@ class _Secured:
         port: int = 0,
         tcpros_port: int = 0,
     ) -> Any:
+        # Once more: something may have put back what was replaced (F12).
         try:
             self.hooks.check(self.table)
             self.hooks.hook_tools(self.process)
@@ -82,7 +87,7 @@ class _Secured:
                 )
         except HintedError as error:
             _refuse_start(error)
-        self.hooks.watch_forks(self.process)
+        importlib.import_module("rossec.inprocess.publishing").forked_node.start(self.reporter.warn)
         background_loop, core = self.process.background_loop, self._rospy.core
         background_loop.on_publishers = self._publishers_changed
         background_loop.on_crash = lambda: self._rospy.signal_shutdown("rossec: the background loop failed")
@@ -137,7 +142,7 @@ def secure(node: str | None = None, *, allow_plain: Sequence[str] | None = None)
     """
     global _secured  # noqa: PLW0603 - a process is secured once
     try:
-        if _secured is not None:
+        if _secured is not None:  # modules of one program may each call it
             now = _options(node, allow_plain)
             if _secured.options != now:
                 raise ConfigurationError(
@@ -149,6 +154,7 @@ def secure(node: str | None = None, *, allow_plain: Sequence[str] | None = None)
         made = _Secured(_options(node, allow_plain))
         made.install()
     except HintedError as error:
+        # A process that survives this, as a notebook does, can start no node.
         if _secured is None:
             _start_block.set(error)
         stop(error)
@@ -208,12 +214,3 @@ def _options(node: str | None, allow_plain: Sequence[str] | None) -> Options:
     options = read(os.environ, text, node=node, allow_plain=allow_plain)
     ownership.check_directory(options.home)
     return options
-
-
-def _hooks_module() -> Any:
-    try:
-        return importlib.import_module("rossec.inprocess.hooks")
-    except ModuleNotFoundError as error:
-        raise ConfigurationError(
-            f"rospy is not installed: {error}", "install ROS, or use rossec.node, which does not need it"
-        ) from error

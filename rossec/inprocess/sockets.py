@@ -1,9 +1,7 @@
 """The socket that rospy gets in place of `socket.socket`, and the filter of service calls on it.
 
-`fileno` is the kernel's: rospy only polls it for a hang-up. Nothing can be read or written around
-the channel, which sends no plain bytes. The handshake is in the first read, never in `accept` (N8).
-A call is one frame, bounded before it is buffered, and forwarded only while the caller's right lasts.
-Where a grant restricts the right, requests and responses are filtered as in the built-in node
+Nothing can be read or written around the channel, which sends no plain bytes. Where a grant restricts the
+right to a service, requests and responses are filtered as in the built-in node
 (`rossec.participant.service_types`): what is not allowed never reaches the program, and the other side
 gets the reason.
 """
@@ -34,19 +32,14 @@ from rossec.ros import tcpros as wire
 from rossec.ros.tcpros import MESSAGE_LIMIT, PATIENCE, FrameReader, Framing
 
 ROSRPC: Final = "rosrpc://"
-
 _ENDED: Final = (errno.ECONNRESET, errno.EPIPE, errno.ENOTCONN)
-
 _OK: Final = b"\1"
 _LENGTH: Final = 4
-
 Pieces = tuple[Bytes, ...]
-
 _OUT_OF_RESOURCES: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
 _READ_SIZE: Final = 256 * 1024
 _PUMP_EVERY: Final = 1.0  # seconds
 ACCEPT_PAUSE: Final = 1.0  # seconds, while the host is out of descriptors
-
 Received = TypeVar("Received")
 Admitted: TypeAlias = "AuthorizedConnection[RosSocket, Guard | None] | PlainConnection"
 
@@ -102,14 +95,6 @@ def tried_again() -> Iterator[None]:
         raise ConnectionAbortedError(errno.ECONNABORTED, str(error)) from error
 
 
-class ServiceFilter(Protocol):
-    framing: Framing
-
-    def incoming(self, data: bytes) -> tuple[bytes, Pieces]: ...
-    def replace_guard(self, guard: ServiceGuard | None) -> None: ...
-    def outgoing(self, data: bytes) -> Pieces: ...
-
-
 class ServerFilter:
     """The provider's side; `check` raises when the connection must be closed now."""
 
@@ -122,20 +107,16 @@ class ServerFilter:
         limit: int = MESSAGE_LIMIT,
     ) -> None:
         self.framing = Framing(FrameReader(limit))
-        self._check = check
-        self._guard = guard
-        self._on_refusal = on_refusal
-        self._now = now
-
-    def replace_guard(self, guard: ServiceGuard | None) -> None:
-        self._guard = guard
+        self.guard = guard  # another thread may put another in its place
+        self._check, self._on_refusal, self._now = check, on_refusal, now
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
+        # One frame, bounded before it is buffered.
         request = self.framing.feed_one(data, int(self._now()))
         if request is None:
             return b"", ()
-        self._check()
-        guard = self._guard
+        self._check()  # a call is forwarded only while the caller's right lasts
+        guard = self.guard
         if guard is None:
             return b"".join(wire.framed([request])), ()
         try:
@@ -144,7 +125,7 @@ class ServerFilter:
             return b"", self._refusal(error)
 
     def outgoing(self, data: bytes) -> Pieces:
-        guard = self._guard
+        guard = self.guard
         if guard is None or data[:1] != _OK:
             return (data,)
         response = memoryview(data)[len(_OK) + _LENGTH :]
@@ -163,18 +144,14 @@ class ClientFilter:
         self, guard: ServiceGuard | None, now: Callable[[], float], limit: int = MESSAGE_LIMIT
     ) -> None:
         self.framing = Framing(FrameReader(limit, lead=len(_OK)))
-        self._guard = guard
-        self._now = now
-
-    def replace_guard(self, guard: ServiceGuard | None) -> None:
-        self._guard = guard
+        self.guard, self._now = guard, now
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
         content = self.framing.feed_one(data, int(self._now()))
         if content is None:
             return b"", ()
         mark, response = content[: len(_OK)], content[len(_OK) :]
-        guard = self._guard
+        guard = self.guard
         if mark != _OK or guard is None:
             return b"".join((mark, *wire.framed([response]))), ()
         try:
@@ -183,7 +160,7 @@ class ClientFilter:
             return b"".join(wire.failure(f"rossec: {error}")), ()
 
     def outgoing(self, data: bytes) -> Pieces:
-        guard = self._guard
+        guard = self.guard
         if guard is None:
             return (data,)
         request = memoryview(data)[_LENGTH:]
@@ -210,7 +187,7 @@ class RosSocket(Renewing):
         self.connection: Admitted | None = None  # after the peer is admitted
         self.aborted = False  # its right has ended; what had arrived before is discarded
         self.closed_locally = False  # later failures are not reported
-        self.service_filter: ServiceFilter | None = None
+        self.service_filter: ServerFilter | ClientFilter | None = None
         self.wishes = NO_WISHES  # what a subscriber is promised of how it is sent messages
         self._ready = memoryview(b"")
         self._pump_at = 0.0
@@ -256,23 +233,20 @@ class RosSocket(Renewing):
 
     def connect(self, address: tuple[str, int]) -> None:
         with tried_again():
-            self._connect(address)
-
-    def _connect(self, address: tuple[str, int]) -> None:
-        self._socket.settimeout(CONNECT_TIMEOUT)
-        self._socket.connect(for_family(self._socket.family, address))
-        try:
-            self._stream = self._owner.connector.initiate(self._socket, WireProtocol.TCPROS, address)
-        except PlainPeer as error:
-            if not self._owner.plain:
+            self._socket.settimeout(CONNECT_TIMEOUT)
+            self._socket.connect(for_family(self._socket.family, address))
+            try:
+                self._stream = self._owner.connector.initiate(self._socket, WireProtocol.TCPROS, address)
+            except PlainPeer as error:
+                if not self._owner.plain:
+                    raise self._owner.connect_error(address, error) from error
+                # Checked with the header, which names the topic or service; nothing is sent before.
+                self._socket = socket.create_connection(address, CONNECT_TIMEOUT)
+                self._stream = PlainSocketStream(self._socket)
+            except ChannelError as error:
+                if self.closed_locally:
+                    raise ConnectionAbortedError(errno.ECONNABORTED, "closed") from error
                 raise self._owner.connect_error(address, error) from error
-            # Checked with the header, which names the topic or service; nothing is sent before.
-            self._socket = socket.create_connection(address, CONNECT_TIMEOUT)
-            self._stream = PlainSocketStream(self._socket)
-        except ChannelError as error:
-            if self.closed_locally:
-                raise ConnectionAbortedError(errno.ECONNABORTED, "closed") from error
-            raise self._owner.connect_error(address, error) from error
 
     def bind(self, address: tuple[str, int]) -> None:
         self._socket.bind(address)
@@ -294,6 +268,7 @@ class RosSocket(Renewing):
                 sock.close()
                 continue
             with suppress(OSError):  # an error here would end rospy's thread that accepts
+                # The handshake is in the first read, never here: a silent caller would keep out others (N8).
                 stream = self._owner.connector.respond(sock, WireProtocol.TCPROS)
                 return RosSocket(self._owner, sock, stream), where
 
@@ -302,20 +277,19 @@ class RosSocket(Renewing):
     def recv(self, size: int) -> bytes:
         with resets():
             calls = self.service_filter
-            return self.stream.recv(size) if calls is None else self._receive_calls(calls, size)
-
-    def _receive_calls(self, calls: ServiceFilter, size: int) -> bytes:
-        while not self._ready:
-            receive = partial(self.stream.recv, _READ_SIZE)
-            data = self.receive_before_deadline(calls.framing, receive)
-            if not data:
-                return b""
-            ready, reply = calls.incoming(data)
-            self._ready = memoryview(ready)
-            if reply:
-                self.send_unit(*reply)
-        part, self._ready = self._ready[:size], self._ready[size:]
-        return bytes(part)
+            if calls is None:
+                return self.stream.recv(size)
+            while not self._ready:
+                receive = partial(self.stream.recv, _READ_SIZE)
+                data = self.receive_before_deadline(calls.framing, receive)
+                if not data:
+                    return b""
+                ready, reply = calls.incoming(data)
+                self._ready = memoryview(ready)
+                if reply:
+                    self.send_unit(*reply)
+            part, self._ready = self._ready[:size], self._ready[size:]
+            return bytes(part)
 
     def receive_before_deadline(self, framing: Framing, receive: Callable[[], Received]) -> Received:
         while framing.incomplete and self.gettimeout() is None:
@@ -341,6 +315,7 @@ class RosSocket(Renewing):
             self.send_unit(data)
 
     def send_unit(self, *pieces: Bytes) -> None:
+        # What the peer says (renewals, the end) is looked at now and then also while this side only writes.
         stream = self.stream
         if time.monotonic() >= self._pump_at:
             stream.pump()
@@ -373,6 +348,7 @@ class RosSocket(Renewing):
     # -- options and closing
 
     def fileno(self) -> int:
+        # The kernel's: rospy only polls it for a hang-up.
         return self._socket.fileno()
 
     def settimeout(self, value: float | None) -> None:

@@ -1,9 +1,7 @@
 """XML-RPC of this process: its own slave API, and rospy's calls to the master and to nodes.
 
 Calls and answers are parsed by `rossec.ros`, within its limits, never by the standard library.
-`rossec.participant.slave_api` authorizes each call of a peer; a call from here that needs a right is
-preceded by the grants that prove it. Errors are those rospy handles: OSError. Proxies that a program
-makes itself, as rostest does, are secured if they lead to the master, or to a node that it has named.
+`rossec.participant.slave_api` authorizes each call of a peer. Errors are those rospy handles: OSError.
 """
 
 import errno
@@ -36,7 +34,7 @@ from rossec.errors import (
     XmlRpcRefused,
 )
 from rossec.inprocess.identity import CONNECT_TIMEOUT, PlainSocketStream, Stream, now, peek
-from rossec.inprocess.process import REFUSED, REGISTRATIONS, SecuredProcess
+from rossec.inprocess.process import REGISTRATIONS, SecuredProcess
 from rossec.inprocess.sockets import bracketed
 from rossec.net.limits import UNSHOWN_BODY
 from rossec.net.rpc.calls import CALL_DEADLINE, REQUEST_DEADLINE
@@ -45,6 +43,7 @@ from rossec.participant import slave_api
 from rossec.participant.access import wire_name
 from rossec.participant.handshakes import answer_for, answer_here, offer_refusal
 from rossec.participant.registrations import (
+    REFUSED,
     SEARCH,
     not_found,
     nothing_shown,
@@ -63,12 +62,10 @@ from rossec.ros.names import PRESENT_GRANTS, SIGNED_UPDATES, is_door, parse_uri
 from rossec.ros.xmlrpc import FAULT_CODE, Call, Encoded, Fault
 
 _log = logging.getLogger("rossec.rospy")
-
 Params = tuple[Any, ...]
 ResultT = TypeVar("ResultT")
 _parsing: Final = Lock()
 _PAUSE: Final = 0.001  # seconds between two steps, for the other threads
-
 REQUEST: Final = "_ServerProxy__request"  # every call of the library's proxies goes through it
 _MULTICALL: Final = "system.multicall"
 _WITH_SERVICE_URI: Final = ("registerService", "unregisterService")
@@ -98,6 +95,7 @@ class XmlRpcServer:
             peer = stream.do_handshake()
             caller = shown(peer.name)
             self._process.connections.accept(stream, peer, lambda _: stream.shutdown())
+            # Only the master may send long calls: of others nothing more is buffered.
             if self._is_master(peer):
                 stream.raise_unit_limit()
             self._serve(server, stream, peer)
@@ -271,18 +269,17 @@ class XmlRpcClient:
         # The URI of a proxy of the standard library; empty: not plain HTTP.
         plain = type(proxy("transport")) is xmlrpc.client.Transport
         uri = f"http://{proxy._ServerProxy__host}/" if plain else ""  # noqa: SLF001 - the library has no accessor
-        address = _address(uri)
-        if address is not None and self._is_secured(address):
-            return self.call(uri, method, params)
-        return self._stock_request(proxy, method, params)
-
-    def _is_secured(self, address: tuple[str, int]) -> bool:
-        # Whether the master is there, or a node that it has named; others are not secured.
-        process = self._process
-        if not process.has_begun:
-            return address == _address(rosgraph.get_master_uri() or "")
-        own, known = process.own_addresses.is_own, process.registrations.is_node
-        return address == process.background_loop.address or own(address) or known(address)
+        address, process = _address(uri), self._process
+        # Proxies that a program makes itself, as rostest does.
+        # Secured: what leads to the master, or to a node that it has named; others are the program's affair.
+        if address is None:
+            secured = False
+        elif not process.has_begun:
+            secured = address == _address(rosgraph.get_master_uri() or "")
+        else:
+            own, known = process.own_addresses.is_own, process.registrations.is_node
+            secured = address == process.background_loop.address or own(address) or known(address)
+        return self.call(uri, method, params) if secured else self._stock_request(proxy, method, params)
 
     def call(self, uri: str, method: str, params: Params) -> object:
         address = parse_uri(uri)
@@ -388,23 +385,20 @@ class XmlRpcClient:
             peer = stream.do_handshake()
             local_identity.access.check_peer(peer, now())
             calls = CallClient(_host(address))
-            self._present_grants(method, stream, calls)
+            right = SLAVE_CALLS.get(method)
+            if right is not None:  # the grants that prove it come first
+                grants = local_identity.access.present(right, peer.name, now())
+                _exchange(stream, calls, PRESENT_GRANTS, (local_identity.name, grants))
             named = _named(method, params, local_identity.name_for(peer), peer)
             answer = _exchange(stream, calls, method, named)
             match answer:
                 case [1, status, value]:
-                    domain = self._process.local_identity.identity.domain
+                    domain = local_identity.identity.domain
                     return [1, status, answer_here(peer, domain, method, value)]
                 case _:
                     return answer
         finally:
             stream.close()
-
-    def _present_grants(self, method: str, stream: Stream, calls: CallClient) -> None:
-        right, local_identity = SLAVE_CALLS.get(method), self._process.local_identity
-        if right is not None and stream.peer is not None:
-            grants = local_identity.access.present(right, stream.peer.name, now())
-            _exchange(stream, calls, PRESENT_GRANTS, (local_identity.name, grants))
 
     def _call_plain(self, address: tuple[str, int], named: Params, params: Params) -> object:
         sock = socket.create_connection(address, CONNECT_TIMEOUT)
@@ -445,15 +439,13 @@ def _exchange(stream: Stream | PlainSocketStream, calls: CallClient, method: str
     end = time.monotonic() + CALL_DEADLINE
     stream.settimeout(CALL_DEADLINE)
     stream.sendall(request)
-    while (answer := _taken(calls, receive_some(stream, end))) is None:
-        pass
+    answer: object = None
+    while answer is None:
+        data = receive_some(stream, end)
+        answer = calls.take(data) if len(data) <= AT_ONCE else in_steps(calls.take_steps(data), _parsing)
     if isinstance(answer, Encoded) and len(answer.body) > AT_ONCE:
         return in_steps(value_steps(answer), _parsing)
     return value_in(answer)
-
-
-def _taken(calls: CallClient, data: bytes) -> object:
-    return calls.take(data) if len(data) <= AT_ONCE else in_steps(calls.take_steps(data), _parsing)
 
 
 def _stock_types(value: Any) -> Any:

@@ -1,8 +1,6 @@
 """The JSON files of relays and routers: a relay's peers, its card, and the seat file. Pure.
 
-Each is one object that names its form, with exactly these keys. A file of another kind is told from a
-damaged one, so that the message says what was mistaken. A key that occurs twice, `NaN` and anything
-nested without end are refused (RFC 8259 section 4 leaves the first to each reader).
+Each is one object that names its form, with exactly these keys.
 """
 
 import json
@@ -20,17 +18,14 @@ from rossec.errors import ConfigurationError, RelayRefused
 from rossec.overlay.link_frames import BOX, is_mailbox, is_seat
 
 VERSION: Final = 1
-
 MAX_PEERS: Final = 64
 MAX_PEERS_FILE: Final = 64 * 1024
 _FORM: Final = "rossec-overlay"
 _BOX: Final = re.compile(r"[0-9a-f]{32}", re.ASCII)
 _HINT: Final = "it is written by `rossec relay card`, `add` and `remove`: use these"
-
 MAX_CARD: Final = 4 * 1024
 _RELAY_CARDS_FORM: Final = "rossec-relay-card"
 _RELAY_CARDS_HINT: Final = "ask for the file that `rossec relay card` wrote at the other site"
-
 MAX_SEAT_FILE: Final = 16 * 1024
 MAX_LOCATORS: Final = 16
 OPEN_SEAT: Final = "open"  # of everybody, at a router without seats
@@ -49,10 +44,13 @@ _AGAIN: Final = "ask the operator of the router for it again: rossec router seat
 def read_document(data: bytes, form: str, keys: frozenset[str], *, limit: int, hint: str) -> dict[str, Any]:
     if len(data) > limit:
         raise ConfigurationError(f"a {form} file has at most {limit} bytes", hint)
+    # A key that occurs twice, `NaN` and what is nested without end: RFC 8259 section 4 leaves the first to
+    # each reader.
     try:
         found = json.loads(data, object_pairs_hook=_once, parse_constant=_refuse_constant)
     except (ValueError, RecursionError):
         raise ConfigurationError(f"the {form} file is not JSON", hint) from None
+    # A file of another kind is told from a damaged one: the message says what was mistaken.
     if not isinstance(found, dict) or form not in found:
         raise ConfigurationError(f"this is no {form} file", hint)
     version = found.pop(form)
@@ -84,12 +82,10 @@ def _refuse_constant(name: str) -> NoReturn:
 
 @dataclass(frozen=True)
 class Peer:
-    """A relay of another site, as `label`.
+    """A relay of another site, as `label`; without its card, `relay` and `mailbox` are empty."""
 
-    For each peer there is a mailbox of its own, told to nobody else, so that each peer is cut alone. A
-    link that arrives in it must come from that peer's domain and relay, and a link to that peer must be
-    answered by it (docs/spec/overlay.md). Without its card, `relay` and `mailbox` are empty.
-    """
+    # For each peer there is a mailbox of its own, told to nobody else, so that each peer is cut alone
+    # (decision 0034). A link that arrives in it must come from that peer's domain and relay.
 
     label: str
     box: str = field(repr=False)  # of the own mailbox that is told to it alone, hexadecimal
@@ -193,12 +189,11 @@ def _peer(row: object, name: str) -> Peer:
 
 @dataclass(frozen=True)
 class RelayCard:
-    """What one relay's operator hands to another's, to link their sites.
+    """What one relay's operator hands to another's, to link their sites."""
 
-    It is not signed: the peer proves by its certificate who it is, and a forged card only leads to a
-    mailbox where that proof fails. Whoever reads a card can send to that mailbox, and no more, so it is
-    handed to its receiver alone. Routers are not in it: each site has its own.
-    """
+    # Not signed: the peer proves by its certificate who it is, and a forged card only leads to a mailbox
+    # where that proof fails. Whoever reads it can send to that mailbox, so it is handed to its receiver
+    # alone. Routers are not in it: each site has its own.
 
     domain: str  # the trust domain of the relay, as its authority has named it
     relay: str

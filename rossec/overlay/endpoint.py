@@ -1,9 +1,4 @@
-"""Both ends of a link with a secure stream on it: `dial_link`, and `LinkListener` for a mailbox.
-
-Anybody who learned the key of a mailbox may put to it, and may name any mailbox for the answer. So
-of OPENs only so many a second are looked at, the handshakes of a mailbox are limited as those of an
-address are, and a peer that is not authenticated is sent three times what it sent, at most.
-"""
+"""Both ends of a link with a secure stream on it: `dial_link`, and `LinkListener` for a mailbox."""
 
 import asyncio
 import logging
@@ -30,7 +25,6 @@ from rossec.overlay.link_frames import BOX, LINK_ID, LinkFrameKind, kind_of, lin
 from rossec.overlay.zenoh_carrier import Carrier
 
 STALLED: Final = 15.0  # seconds: half of what a link endures
-
 _log = logging.getLogger("rossec.overlay.endpoint")
 ADDRESS: Final = "a link"  # of the peer, in messages: keys of mailboxes are told to nobody
 OPENS_PER_SECOND: Final = 32
@@ -72,9 +66,7 @@ class LinkTransport:
         self.local_address = ""  # nobody who comes by a link is near
         self.reason: LinkEnded | None = None  # why the link ended, if not in order
         self.closed = False
-        self._key = key
-        self._carrier = carrier
-        self._on_closed = on_closed
+        self._key, self._carrier, self._on_closed = key, carrier, on_closed
         self._owner = owner
         self._loop = asyncio.get_running_loop()
         self._arrived: deque[Bytes] = deque()
@@ -110,6 +102,7 @@ class LinkTransport:
 
     def _flush(self) -> None:
         self._flush_due = False
+        self._deliver()  # what came while the owner did not read
         if self.closed:
             return
         self._send()
@@ -119,7 +112,7 @@ class LinkTransport:
         self._settle()
 
     def _settle(self) -> None:
-        if self.closed:
+        if self.closed:  # the owner may end it in each of its calls
             return
         link = self.link
         if link.peer_ended and self._reading and not self._arrived and not self._ending:
@@ -150,12 +143,7 @@ class LinkTransport:
         if not (self._reading or self._ending or self.closed):
             self._reading = True
             if self._arrived or self.link.peer_ended:
-                self._loop.call_soon(self._read_on)
-
-    def _read_on(self) -> None:
-        if not self.closed:
-            self._deliver()
-            self._flush_soon()
+                self._flush_soon()
 
     def pause_reading(self) -> None:
         self._reading = False
@@ -244,8 +232,8 @@ class LinkTransport:
         except LinkEnded as error:
             self._break(error)
             return
-        since = self.link.silent_since
         # Nothing at all came from the routers: the session with them is at fault, not the link.
+        since = self.link.silent_since
         if since is not None and now - max(since, self._carrier.heard_at) > STALLED:
             self._carrier.reopen()
         self._flush()
@@ -266,10 +254,8 @@ def stats_of(stream: BaseStream) -> LinkStats:
 async def dial_link(
     carrier: FrameCarrier, key: str, seat: str, context: SecureContext[PeerT]
 ) -> SecureStream[PeerT]:
-    """Open a link to a mailbox and authenticate; the caller judges who answered (`peer`).
-
-    Certificates are sent whole: a link is dialled seldom, and lasts.
-    """
+    """Open a link to a mailbox and authenticate; the caller judges who answered (`peer`)."""
+    # A mailbox of its own for each link: who knows the one of before learns nothing of this one (section 2).
     reply_key = mailbox(seat, secrets.token_bytes(BOX))
     link = Link.open(secrets.token_bytes(LINK_ID), reply_key, _now())
     transport: LinkTransport | None = None
@@ -312,8 +298,7 @@ class LinkListener(AcceptedStreams[PeerT]):
         address: str = ADDRESS,
     ) -> None:
         super().__init__(handler, context, PROTOCOL)
-        self._carrier = carrier
-        self._address = address
+        self._carrier, self._address = carrier, address
         self._links: dict[bytes, LinkTransport] = {}
         self._looks = TokenBucket(OPENS_PER_SECOND, OPENS_PER_SECOND)
         self._reader = carrier.subscribe(key, self._receive)
@@ -326,6 +311,7 @@ class LinkListener(AcceptedStreams[PeerT]):
         if transport is not None:
             transport.frame_received(frame)
         elif kind_of(frame) in {LinkFrameKind.OPEN, LinkFrameKind.PROBE} and self._looks.refill(_now()) >= 1:
+            # Whoever knows the mailbox may put to it: only so many frames of unknown links cost anything.
             self._looks.tokens -= 1
             if kind_of(frame) == LinkFrameKind.OPEN:
                 self._open(frame)
@@ -338,16 +324,18 @@ class LinkListener(AcceptedStreams[PeerT]):
         except LinkEnded as error:
             _log.info("%s refused: %s", self._address, error)
             return
+
+        def make(owner: TransportOwner) -> LinkTransport:
+            forget = partial(self._links.__delitem__, link.link_id)
+            transport = LinkTransport(link, link.reply_key, self._carrier, forget, owner)
+            self._links[link.link_id] = transport
+            return transport
+
+        # The same limits as at a port: half-open handshakes of this mailbox, as of an address (section 2).
         slot = self._admit(self._address)
         if slot is not None:
-            self._begin(partial(self._make, link), self._address, slot)
+            self._begin(make, self._address, slot)
             self._links[link.link_id].frame_received(frame)
-
-    def _make(self, link: Link, owner: TransportOwner) -> LinkTransport:
-        forget = partial(self._links.__delitem__, link.link_id)
-        transport = LinkTransport(link, link.reply_key, self._carrier, forget, owner)
-        self._links[link.link_id] = transport
-        return transport
 
     def _on_authenticated(self, stream: SecureStream[PeerT]) -> None:
         if isinstance(stream.transport, LinkTransport):
@@ -368,8 +356,7 @@ class RouterNetwork:
 
     def __init__(self, carrier: Carrier, routers: Routers, context: SecureContext[Identity]) -> None:
         self.seat: Final = routers.seat
-        self._carrier = carrier
-        self._context = context
+        self._carrier, self._context = carrier, context
 
     @property
     def router(self) -> str:

@@ -1,9 +1,7 @@
 """Forwarded ports of a relay ("doors"), each of which stands for one target at a peer's site.
 
 A port on loopback admits the programs of allowed users, as a sidecar's port does; one on a network
-address admits everybody, who gets no further than the handshake of the far node, but can hold up new
-connections of others. The pool is bounded, and the least recently requested port without connections is
-given up for a new one. There is one for a target, whichever masters want it.
+address admits everybody. There is one for a target, whichever masters want it.
 """
 
 import asyncio
@@ -15,12 +13,11 @@ from typing import Final, NamedTuple, TypeAlias
 
 from ca.errors import HintedError
 from rossec.errors import LinkCrowded, RelayRefused
+from rossec.host.local_ports import LocalPort, Loopback, PortAdmission, PortPool
 from rossec.host.runner import TaskSet
 from rossec.master.state.forwarded_ports import Door, PeerWay, Target
 from rossec.overlay.mux import StreamTarget
 from rossec.participant import delivery
-from rossec.sidecar.core.layers import Loopback
-from rossec.sidecar.loopback_port import LocalPort, PortAdmission, PortPool
 
 LIMIT: Final = 4096
 _log = logging.getLogger("rossec.overlay")
@@ -39,6 +36,8 @@ Carry: TypeAlias = Callable[[PeerTarget, socket.socket], Awaitable[None]]
 class OpenDoors:
     """Admits everybody, at this address of the host; `host`: what URIs say, if not that."""
 
+    # They get no further than the handshake of the far node, but can hold up new connections of others.
+
     def __init__(self, address: str, host: str = "") -> None:
         self.loopback: Final = Loopback(address, host or address)
 
@@ -56,9 +55,7 @@ class RelayPorts:
         on_given_up: Callable[[PeerTarget], None] = lambda _: None,
         limit: int = LIMIT,
     ) -> None:
-        self._admission = admission
-        self._carry = carry
-        self._on_given_up = on_given_up
+        self._admission, self._carry, self._on_given_up = admission, carry, on_given_up
         self._tasks = TaskSet()
         self._leaving: set[LocalPort] = set()  # let nobody in any more
         self._ending: set[LocalPort] = set()
@@ -79,6 +76,7 @@ class RelayPorts:
         port = self._pool.remove(door)
         if port is None:
             return
+        # Connections that it carries go on: the master wants it no more, their ends still may.
         port.suspend()
         self._leaving.add(port)
         self._close_idle()

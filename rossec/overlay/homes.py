@@ -2,9 +2,7 @@
 
 A relay has `overlay.json`, its peers, and `seat.json`, its routers. A router has its TLS authority, its
 certificate, its seats and what it was told; the authority's key and the seats are the operator's, and
-the same at all their routers. Everything secret is 0600: a mailbox is told only in a card, and whoever
-has the seat's password has the seat. Files are written under the directory's lock and replaced whole,
-keys are made with O_EXCL. What Zenoh reads by itself (`users`) is written again at each start.
+the same at all their routers. Files are written under the directory's lock and replaced whole.
 """
 
 import os
@@ -31,7 +29,6 @@ RELAY_SEAT: Final = "seat.json"
 _NO_SEAT: Final = (
     "the routers' operator makes one: rossec router seats add NAME; here: rossec relay seat FILE"
 )
-
 DIRECTORY: Final = "router"  # below ROSSEC_HOME
 AUTHORITY_KEY: Final = "authority.key"
 AUTHORITY: Final = "authority.pem"
@@ -128,6 +125,7 @@ class RouterHome:
         return RouterAuthority.load(key, pem)
 
     def write_authority(self, authority: RouterAuthority) -> None:
+        # The key last, and with O_EXCL: with it the authority is there, and no other takes its place.
         files.replace(self.path / AUTHORITY, authority.pem, 0o644)
         files.create(self.path / AUTHORITY_KEY, key_pem(authority.key))
 
@@ -175,6 +173,7 @@ class RouterHome:
         with files.locked_directory(self.path):
             if not (self.path / AUTHORITY_KEY).exists():
                 self.write_authority(share.authority)
+            # Seat files of this one trust its own authority alone: they would end without a word.
             elif self.authority().pem != share.authority.pem:
                 raise ConfigurationError(
                     f"{self.path} belongs to routers of another authority",
@@ -205,6 +204,7 @@ class RouterHome:
     def _private(self, name: str, limit: int) -> bytes:
         path = self.path / name
         data = files.read_own(path, limit, self._missing(name))
+        # Whoever has a seat's password has the seat.
         if os.lstat(path).st_mode & 0o077:
             raise ConfigurationError(f"{path} can be read by others", f"chmod 600 {path}")
         return data

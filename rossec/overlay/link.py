@@ -1,14 +1,12 @@
 """One link: a reliable stream of bytes each way over a carrier that may lose frames. Pure.
 
 `now` is a monotonic clock in seconds. After every call: put what `frames_to_send` returns, and
-call `tick` at `deadline`. Nothing here is authenticated: the bytes inside are. So the side that was
-called sends at most three times what it received until `validated` (a forged reply key must not
-amplify), and routers, who see the identifier of a link, can end it, as they could by dropping.
+call `tick` at `deadline`. Nothing here is authenticated: the bytes inside are. So routers, who see the
+identifier of a link, can end it, as they could by dropping. Numbers are sections of docs/spec/overlay.md.
 """
 
-from dataclasses import dataclass
 from enum import IntEnum, auto
-from typing import Final, Self
+from typing import Final, NamedTuple, Self
 
 from rossec.channel.records import Bytes
 from rossec.errors import LinkEnded
@@ -41,8 +39,7 @@ NEXT: Final = {
 """What changes a state; a reset ends every one, and the rest changes none."""
 
 
-@dataclass(frozen=True, slots=True)
-class LinkStats:
+class LinkStats(NamedTuple):
     """What a link measured: round trips (smoothed, least; 0: none yet), octets of its streams."""
 
     srtt_s: float
@@ -56,8 +53,7 @@ class Link:
     def __init__(self, link_id: bytes, reply_key: str, now: float, *, opener: bool) -> None:
         if len(link_id) != frames.LINK_ID:
             raise ValueError(f"a link identifier has {frames.LINK_ID} bytes")
-        self.link_id = link_id
-        self.reply_key = reply_key
+        self.link_id, self.reply_key = link_id, reply_key
         self.state = LinkState.IDLE if opener else LinkState.RUNNING
         self._opener = opener
         self._validated = False
@@ -89,6 +85,7 @@ class Link:
         if self.state in ENDED:
             return []
         try:
+            # 3.1: what is not in form ends the link. 3.3: what is in form pays for three times as much.
             read = frames.read(frame)
             self._octets_in += len(frame)
             return self._take(read, now)
@@ -99,6 +96,7 @@ class Link:
             raise
 
     def _take(self, frame: LinkFrame, now: float) -> list[Bytes]:
+        # 3.2: does it belong here, and what does it do to the state?
         kind = frame.kind
         if frame.link != self.link_id:
             raise LinkEnded("a frame of another link")
@@ -108,7 +106,9 @@ class Link:
             raise LinkEnded("an answer to a link that was not opened")
         if self.state is LinkState.OPENING:
             self._move("answer")
+        # 3.5: its head, which every kind has: how far this side's bytes came, and may go.
         progress = self._sender.received(frame.received, frame.limit, now)
+        # 3.4: its own part.
         found: list[Bytes] = []
         if kind == LinkFrameKind.DATA:
             found = self._receiver.data(frame.offset, frame.body, now)
@@ -175,6 +175,7 @@ class Link:
         self._out.append(frame)
 
     def _allowance(self) -> int:
+        # 3.3: the reply mailbox may be forged: until the peer is authenticated it must not amplify.
         if self._validated or self._opener:
             return MAX_FRAME
         return AMPLIFICATION * self._octets_in - self._octets_out - HEAD
@@ -195,6 +196,7 @@ class Link:
         return out
 
     def _pump(self, now: float) -> None:
+        # 3.5: what was lost goes again before anything new; 3.2: in OPENING nothing but the OPEN.
         sender = self._sender
         while (frame := sender.resend(self._allowance(), now)) is not None:
             self._put(frame)
@@ -205,6 +207,7 @@ class Link:
             if not pieces:
                 return
             self._transmit(LinkFrameKind.DATA, pieces, sum(map(len, pieces)), now)
+        # 3.1: END counts as one byte, and needs no leave of `limit`.
         draining = self.state is LinkState.DRAINING and self._end_offset is None
         if draining and self._allowance() >= HEAD:
             self._end_offset = sender.next
@@ -214,6 +217,7 @@ class Link:
         receiver = self._receiver
         if receiver.ack_at is None or receiver.ack_at > now:
             return
+        # 3.4: what came beyond a gap is announced, or the peer would send all of it again.
         body = frames.pack_ranges(receiver.ranges())
         if HEAD + len(body) <= self._allowance():
             self._put(self._head(LinkFrameKind.ACK, max(receiver.seen, receiver.expected)) + body)
@@ -261,12 +265,14 @@ class Link:
         # After a frame of the peer: is all said, and until when must it answer again?
         sender = self._sender
         if self._end_offset is not None and sender.base >= self._end_offset:
+            # 3.2: all before END is acknowledged: the five seconds begin, unless both sides are done.
             if self._receiver.ended and not sender.in_flight:
                 self._acknowledge(now)
                 self._move("drained")
                 return
             if self._end_at is None:
                 self._end_at = now + LINGER
+        # 3.5: progress is that more arrived there, or any frame while nothing is to be acknowledged.
         if sender.in_flight and not progress:
             return
         self.silent_since = now if sender.in_flight else None
@@ -280,6 +286,7 @@ class Link:
         return min((at for at in times if at is not None), default=None)
 
     def _over_at(self) -> float | None:
+        # 3.3: a link whose peer is not authenticated has so long in all, whatever it sends meanwhile.
         since = self.silent_since
         if not self._validated and (since is None or self._began < since):
             since = self._began
@@ -298,22 +305,20 @@ class Link:
         if self._end_at is not None and now >= self._end_at:
             self._move("drained")
         elif self._probe_at is not None and now >= self._probe_at:
-            self._probe(now)
-
-    def _probe(self, now: float) -> None:
-        if self.silent_since is None:
-            self.silent_since = now
-        silence = now - self.silent_since
-        self._probe_at = now + self._sender.round_trip.again(silence)
-        if self.state is LinkState.OPENING:
-            self._put(self._sender.repeat_first(now))
-            return
-        body = b""
-        if self._opener:  # a relay that was started again learns where to refuse
-            padded = 0 if self._validated else OPEN_SIZE - HEAD
-            body = frames.return_address(self.reply_key, padded)
-        if HEAD + len(body) <= self._allowance():
-            self._put(self._head(LinkFrameKind.PROBE, self._sender.next) + body)
+            # 3.5: the peer is asked, in OPENING with the OPEN.
+            if self.silent_since is None:
+                self.silent_since = now
+            self._probe_at = now + self._sender.round_trip.again(now - self.silent_since)
+            if self.state is LinkState.OPENING:
+                self._put(self._sender.repeat_first(now))
+                return
+            body = b""
+            if self._opener:  # a relay that was started again learns where to refuse
+                # 3.3: padded until the handshake is complete: it pays for a long answer.
+                padded = 0 if self._validated else OPEN_SIZE - HEAD
+                body = frames.return_address(self.reply_key, padded)
+            if HEAD + len(body) <= self._allowance():
+                self._put(self._head(LinkFrameKind.PROBE, self._sender.next) + body)
 
     # -- measured
 

@@ -3,16 +3,14 @@
     kind(1) link(16) offset(8) received(8) limit(8) body
 
 Every frame says how far the sender of it has received, and how far it may be sent to. Nothing in it
-is authenticated: the bytes that it carries are, inside. What is not in form is `LinkEnded`. A mailbox is
-`rossec/1/<seat>/<box>`: its key has no name, label, domain or topic in it. Whoever puts to a key that
-came from outside checks it here first: a key with a wildcard would be put to many mailboxes.
+is authenticated: the bytes that it carries are, inside. A mailbox is `rossec/1/<seat>/<box>`: its key has no
+name, label, domain or topic in it.
 """
 
 import re
-from dataclasses import dataclass
 from enum import IntEnum
 from struct import Struct
-from typing import Final
+from typing import Final, NamedTuple
 
 from rossec.channel.records import HEADER, MAX_PLAINTEXT, TAG, Bytes
 from rossec.errors import LinkEnded
@@ -20,10 +18,8 @@ from rossec.errors import LinkEnded
 BOX: Final = 16  # bytes
 _KEY: Final = re.compile(r"rossec/1/[a-z0-9]{1,32}/[0-9a-f]{32}")
 _SEAT: Final = re.compile(r"[a-z0-9]{1,32}")
-
 _HEAD: Final = Struct(">B16sQQQ")
 _RANGE: Final = Struct(">QQ")
-
 HEAD: Final = _HEAD.size
 MAX_BODY: Final = HEADER + MAX_PLAINTEXT + TAG  # a whole record
 MAX_FRAME: Final = HEAD + MAX_BODY
@@ -68,8 +64,7 @@ _LENGTHS: Final[dict[int, tuple[int, int]]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class LinkFrame:
+class LinkFrame(NamedTuple):
     kind: int
     link: bytes
     offset: int
@@ -83,7 +78,7 @@ def head(kind: LinkFrameKind, link: bytes, offset: int, received: int, limit: in
 
 
 def link_of(data: bytes) -> bytes | None:
-    """The link that a frame is of, to find who reads it; None: too short to be a frame."""
+    # To find who reads the frame; None: too short to be one.
     return data[1 : 1 + LINK_ID] if HEAD <= len(data) <= MAX_FRAME else None
 
 
@@ -115,6 +110,7 @@ def split_return_address(body: memoryview) -> tuple[str, memoryview]:
     key = bytes(body[1 : 1 + length]).decode("ascii", "replace")
     padding = int.from_bytes(body[1 + length : 3 + length])
     begin = 3 + length + padding
+    # A key with a wildcard would be put to many mailboxes.
     if begin > len(body) or not is_mailbox(key):
         raise LinkEnded("a frame that does not say where to answer")
     if any(body[3 + length : begin]):
@@ -143,11 +139,8 @@ def joined(head_: bytes, pieces: list[Bytes]) -> bytes:
 
 
 def refusal(frame: bytes) -> tuple[str, bytes] | None:
-    """What to put where, when a PROBE arrives of a link that is not known here: a RESET.
-
-    So a relay that was started again ends at once what it knows nothing of. None: nothing, as for
-    every other frame of an unknown link.
-    """
+    """What to put where, when a frame of an unknown link arrives: a RESET for a PROBE; None: nothing."""
+    # So a relay that was started again ends at once what it knows nothing of.
     if kind_of(frame) != LinkFrameKind.PROBE:
         return None
     try:

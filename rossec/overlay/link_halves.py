@@ -1,10 +1,7 @@
 """The two halves of a link, and its timing: what may be on the way, what is overdue. Pure.
 
 A sent frame stays here, as it was sent, until it is acknowledged. It is lost when the peer saw what was
-sent after it, and not it: routers keep the order. So only what is missing is sent again, and a frame is
-never cut anew. Nothing passes the limit that the peer told, and the congestion window. What comes
-beyond a gap is kept, within the limit that the peer was told, and only from a peer that is
-authenticated. The limit moves with what the application took, so a slow one closes it.
+sent after it, and not it. So only what is missing is sent again, and a frame is never cut anew.
 """
 
 from bisect import bisect_left
@@ -28,10 +25,8 @@ QUEUE: Final = 0.1  # seconds that bytes of this link may wait in queues
 LEAST_WAIT: Final = 0.2  # seconds
 MOST_WAIT: Final = 2.0
 _SILENCE_PART: Final = 8  # the next try comes after an eighth of the silence so far
-
 MOST_FRAMES: Final = 512  # on the way: small writes are joined meanwhile
 _CUT: Final = 16 * 1024  # a smaller piece waits for room, rather than be cut for what there is
-
 ACK_DELAY: Final = 0.005  # seconds: most answers leave within that, and acknowledge by themselves
 _ACK_FRAMES: Final = 16
 _ACK_BYTES: Final = 32 * 1024
@@ -73,13 +68,7 @@ class RoundTrip:
 
 
 class CongestionWindow:
-    """How many bytes may be on the way.
-
-    It doubles each round trip until something is lost, then grows by 64 KiB; a loss halves it, once for
-    all that was on the way then: routers drop what they cannot queue. Before that, the kernel and routers
-    queue megabytes, behind which every other stream of the link would wait for seconds on a slow line:
-    so a round trip that grew by `QUEUE` shrinks the window too (as LEDBAT, RFC 6817).
-    """
+    """How many bytes may be on the way (docs/spec/overlay.md section 3.5)."""
 
     def __init__(self) -> None:
         self.size = FIRST_WINDOW
@@ -89,19 +78,24 @@ class CongestionWindow:
 
     def acknowledged(self, count: int, on_the_way: int, queued_s: float = 0.0) -> None:
         # So many bytes arrived, of so many that were on the way, after waiting in queues.
+        # 1. The kernel and routers queue megabytes before they drop, behind which every other stream of the
+        #    link would wait for seconds: a round trip that grew shrinks the window (LEDBAT, RFC 6817).
         if queued_s > QUEUE:
             self._delayed += count
             if self._delayed >= self.size:
                 self._delayed = 0
                 self.size = self._threshold = max(LEAST_WINDOW, self.size - self.size // 4)
             return
-        if on_the_way < self.size // 2:  # the writer is slower than the window
+        # 2. A writer that is slower than the window says nothing about the line.
+        if on_the_way < self.size // 2:
             return
+        # 3. Doubled each round trip until something is lost, then by a step.
         if self.size >= self._threshold:
             count = min(count, STEP * count // self.size)
         self.size = min(MOST_WINDOW, self.size + count)
 
     def lost(self, offset: int, sent: int) -> None:
+        # Routers drop what they cannot queue: halved once for all that was on the way then.
         if offset >= self._recovery:
             self._recovery = sent
             self.size = self._threshold = max(LEAST_WINDOW, self.size // 2)
@@ -241,6 +235,7 @@ class Sender:
                     self._on_the_way -= sent.end - sent.offset
         if len(ranges) == MAX_RANGES:  # what is beyond the last may have arrived: nobody says
             seen = min(seen, ranges[-1][1])
+        # Routers keep the order of what they do not lose: what was passed by later frames is lost.
         repeat = self.round_trip.repeat
         for sent in self._flight:
             if sent.end > seen:
@@ -315,6 +310,7 @@ class Receiver:
 
     def _keep(self, offset: int, end: int, body: memoryview) -> None:
         kept = self._kept
+        # 3.3: nothing is kept for a peer that is not authenticated; 3.4: nor more than so many frames.
         if self._window == FIRST_WINDOW or len(kept) >= _MOST_KEPT:
             return
         at = bisect_left(kept, offset, key=itemgetter(0))
@@ -343,6 +339,7 @@ class Receiver:
         self._ask(now)
 
     def consumed(self, count: int, now: float) -> None:
+        # The limit moves with what the application took, so a slow one closes it.
         self._consumed += count
         if self._consumed > self.expected:
             raise ValueError("more was consumed than was received")

@@ -1,18 +1,16 @@
 """The masters of a relay's site, and the relay as a node of its own domain. A shell.
 
 The own master names the others, which follow each other in a mesh; each says which forwarded ports it
-wants, and where targets that are registered at it are. It is polled, so it needs no address of the
-relay, and only it decides where a target is: what a relay of another site asks for is answered from
-its registrations, or refused.
+wants, and where targets that are registered at it are. It is polled, so it needs no address of the relay.
 """
 
 import asyncio
 import contextlib
 import logging
-from collections.abc import Awaitable, Callable, Collection, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 from secrets import SystemRandom
-from typing import Final, Protocol
+from typing import Final
 
 from ca.certificates import Identity
 from ca.errors import HintedError, RevocationsStale
@@ -32,10 +30,10 @@ from rossec.errors import (
 )
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
-from rossec.master.state.forwarded_ports import Door, PeerWay, Target
 from rossec.master.state.registry import is_connectable
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
 from rossec.net.rpc.calls import CallFailed, RpcClient
+from rossec.overlay.forwarded_ports import DoorTable
 from rossec.overlay.mux import MASTER
 from rossec.overlay.wanted_ports import Orders, WantedDoors
 from rossec.participant.access import Access
@@ -48,10 +46,8 @@ from rossec.ros.names import RELAY_DOORS, RELAY_TARGET, Settings, build_door, pa
 from rossec.ros.xmlrpc import Fault
 
 _log = logging.getLogger("rossec.overlay")
-
 OLD_MASTER: Final = 30.0  # seconds until a master that knows no relays is asked again
 _Failures: Final = (HintedError, OSError, TimeoutError)
-
 Dial = Callable[[], Awaitable[SecureStream[Identity]]]
 """Connects with the master as the relay, for HTTP; who answers is checked here."""
 
@@ -59,10 +55,8 @@ Dial = Callable[[], Awaitable[SecureStream[Identity]]]
 class RelayMember:
     """The identity of the relay that is certified as `name`, kept current at its own master.
 
-    As every form of a node it keeps a session with its master, so that lists of domains, revocations
-    and a renewed certificate arrive. It registers nothing and has no slave API: the master's answer
-    to a call that waits (`rossec.relayDoors`) is the sign that lists may have changed, and it asks
-    for them then (`refresh`). Every link is in its table of connections, which cuts it.
+    As every form of a node it keeps a session with its master, so that lists and a renewed certificate
+    arrive. Every link is in its table of connections, which cuts it.
     """
 
     def __init__(self, name: str, environ: Mapping[str, str]) -> None:
@@ -107,21 +101,17 @@ class RelayMember:
         self._ended.cancel()
 
     async def refresh(self) -> None:
-        """Ask the master now for lists that are new, and cut what they end.
-
-        A master that is out of reach, or refuses, is asked again with the next heartbeat.
-        """
+        """Ask the master now for lists that are new, and cut what they end."""
+        # It has no slave API: the master's answer to a call that waits is the sign that lists may have
+        # changed.
         try:
             await self._membership.session.refresh()
         except (HintedError, OSError, TimeoutError, Fault) as error:
+            # Asked again with the next heartbeat.
             _log.debug("%s: no lists from the master: %s", self.name, error)
 
     def admit(self, link: SecureStream[Identity]) -> None:
-        """Count a link with an authenticated relay until it is closed; it is cut when it must end.
-
-        A foreign relay may come while its domain's revocations are stale, or the masters of two
-        domains could never tell each other: `check_target` says for what.
-        """
+        """Count a link with an authenticated relay until it is closed; it is cut when it must end."""
         self._connections.accept(link, link.peer, link.abort)  # a list may arrive meanwhile
         self._links.add(link)
         link.when_closed(partial(self._forget, link))
@@ -130,6 +120,8 @@ class RelayMember:
         try:
             self.check_peer(link.peer)
         except RevocationsStale:
+            # A foreign relay may come while its domain's revocations are stale, or the masters of two domains
+            # could never tell each other (`check_target` says for what); never while the own list is.
             if not link.peer.is_foreign:
                 raise
             for key in link.peer.keys:
@@ -184,13 +176,6 @@ class RelayMember:
             self._ended.set_exception(error)
 
 
-class MasterPorts(Protocol):
-    async def open(self, target: Target, master: str) -> Door: ...
-    def release(self, target: Target, master: str) -> None: ...
-    def take_dropped(self, master: str) -> Collection[Target]: ...  # what it wants, of peers that went
-    def ways(self) -> Mapping[str, PeerWay]: ...
-
-
 class MasterLink:
     """One master of the own domain.
 
@@ -207,16 +192,13 @@ class MasterLink:
         relay: str,
         instance: str,
         dial: Dial,
-        doors: MasterPorts,
+        doors: DoorTable,
         on_masters: Callable[[Mapping[str, str]], None],
     ) -> None:
         self.name: Final = name
         self.error = ""  # why the master is not polled now; empty: it is
-        self._relay = relay
-        self._instance = instance
-        self._dial = dial
-        self._doors = doors
-        self._on_masters = on_masters
+        self._relay, self._instance, self._dial = relay, instance, dial
+        self._doors, self._on_masters = doors, on_masters
         self._wanted = WantedDoors()
         self._asking: RpcClient | None = None
         self._turn = asyncio.Lock()
@@ -265,6 +247,7 @@ class MasterLink:
     async def _connected(self) -> SecureStream[Identity]:
         stream = await self._dial()
         peer = stream.peer
+        # A master answers for its site: a node with an anonymous name, or another domain's, must not.
         if peer.is_foreign or peer.wildcard or peer.name != self.name:
             stream.abort("not the master of this relay")
             raise RelayRefused(
@@ -322,10 +305,8 @@ class MasterLink:
 class OwnMasters:
     """The links of a relay to masters of its own domain; `instance`: random, of this run of it."""
 
-    def __init__(self, member: RelayMember, instance: str, doors: MasterPorts) -> None:
-        self._member = member
-        self._instance = instance
-        self._doors = doors
+    def __init__(self, member: RelayMember, instance: str, doors: DoorTable) -> None:
+        self._member, self._instance, self._doors = member, instance, doors
         self._links: dict[str, MasterLink] = {}
         self._runs: dict[str, asyncio.Task[None]] = {}
         self._uris: dict[str, str] = {}
@@ -382,6 +363,7 @@ class OwnMasters:
 
     def _answered(self, masters: Mapping[str, str]) -> None:
         self._lists_due.set()
+        # Only the own master says which others there are; one with another URI is another one.
         own = self._member.master
         named = {name: uri for name, uri in masters.items() if name != own}
         for name in [name for name, uri in self._uris.items() if named.get(name) != uri]:
@@ -395,7 +377,7 @@ class OwnMasters:
                 link = MasterLink(
                     name, self._member.name, self._instance, dial, self._doors, lambda _masters: None
                 )
-                self._begin(link)  # only the own master says which others there are
+                self._begin(link)
 
     async def _dial(self, uri: str) -> SecureStream[Identity]:
         address = parse_uri(uri, "the master's URI")

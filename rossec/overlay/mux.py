@@ -1,10 +1,8 @@
 """The streams of one link between two relays: numbers, credit, limits, and their units as bytes. Pure.
 
-Only the relay that made the link opens streams; it numbers them 0, 1, 2, ... and no number is used
-again. Each direction of a stream has its own credit, so that no stream fills the link's memory and a
-slow one stops itself alone. What a relay may not do ends the link; what it may do too often is refused
-for that stream. A unit is a deterministic CBOR array `[stream, verb, ...]`; what arrives at once is a
-sequence of them (RFC 8742). Specification: docs/spec/overlay.md.
+What a relay may not do ends the link; what it may do too often is refused for that stream. A unit is a
+deterministic CBOR array `[stream, verb, ...]`; what arrives at once is a sequence of them (RFC 8742).
+Specification: docs/spec/overlay.md section 5.
 """
 
 from collections import Counter
@@ -22,22 +20,17 @@ MASTER: Final = "master"
 NODE: Final = "node"
 SERVICE: Final = "service"
 KINDS: Final = (MASTER, NODE, SERVICE)  # a kind's number is its place here
-
 HEADROOM: Final = 16  # bytes: no head of a data unit is longer
 MAX_DATA: Final = 64 * 1024 - HEADROOM  # payload of a unit; with its head it is one small record
 MAX_SEQUENCE: Final = 128 * 1024  # what arrives at once: a burst of small units, or one of data
 _MAX_STREAM: Final = (1 << 32) - 1
-
 _UINT, _BYTES, _TEXT, _ARRAY = 0, 0x40, 0x60, 0x80
 _WIDTHS: Final = {24: (1, 24), 25: (2, 1 << 8), 26: (4, 1 << 16)}  # bytes, and least value
-
 _LENGTHS: Final = (4, 3, 3, 2, 2)  # items of a unit, by its verb
-
 FIRST: Final = 256 * 1024  # bytes
 MOST: Final = 4 * 1024 * 1024  # the window of a link
 FUND: Final = 32 * 1024 * 1024
 SHORTEST_ROUND: Final = 0.005  # seconds: two relays and two programs take turns
-
 STREAMS: Final = 256
 FOR_ONE_NAME: Final = STREAMS // 2
 YOUNG: Final = 32
@@ -67,31 +60,27 @@ class Verb(IntEnum):
 _DATA: Final = int(Verb.DATA)
 
 
-@dataclass(frozen=True, slots=True)
-class Open:
+class Open(NamedTuple):
     stream: int
     target: StreamTarget
 
 
-@dataclass(slots=True)  # one for each unit: frozen ones take three times as long to make
+@dataclass(slots=True)  # one for each unit: a frozen one takes three times as long to make
 class Data:
     stream: int
     payload: memoryview  # of what arrived
 
 
-@dataclass(frozen=True, slots=True)
-class Credit:
+class Credit(NamedTuple):
     stream: int
     amount: int
 
 
-@dataclass(frozen=True, slots=True)
-class End:
+class End(NamedTuple):
     stream: int
 
 
-@dataclass(frozen=True, slots=True)
-class Reset:
+class Reset(NamedTuple):
     stream: int
 
 
@@ -132,32 +121,25 @@ def read_units(data: Bytes) -> list[Unit]:
     reader = _Reader(memoryview(data))
     units: list[Unit] = []
     while reader.at < reader.size:
-        units.append(_read_unit(reader))
-    return units
-
-
-def _read_unit(reader: "_Reader") -> Unit:
-    length = reader.head(_ARRAY, 4)
-    stream = reader.head(_UINT, _MAX_STREAM)
-    verb = reader.head(_UINT, 4)
-    if length != _LENGTHS[verb]:
-        raise StreamRefused(f"a unit of {length} items with the verb {verb}")
-    if verb == _DATA:  # the usual one first
-        return Data(stream, reader.take(reader.head(_BYTES, MAX_DATA, 1)))
-    match Verb(verb):
-        case Verb.CREDIT:
-            return Credit(stream, reader.head(_UINT, _MAX_STREAM, 1))
-        case Verb.OPEN:
+        length = reader.head(_ARRAY, 4)
+        stream = reader.head(_UINT, _MAX_STREAM)
+        verb = reader.head(_UINT, 4)
+        if length != _LENGTHS[verb]:
+            raise StreamRefused(f"a unit of {length} items with the verb {verb}")
+        if verb == _DATA:  # the usual one first
+            units.append(Data(stream, reader.take(reader.head(_BYTES, MAX_DATA, 1))))
+        elif verb == Verb.CREDIT:
+            units.append(Credit(stream, reader.head(_UINT, _MAX_STREAM, 1)))
+        elif verb == Verb.OPEN:
             kind = KINDS[reader.head(_UINT, len(KINDS) - 1)]
             raw = bytes(reader.take(reader.head(_TEXT, MAX_NAME)))
             try:
-                return Open(stream, StreamTarget(kind, check_name(raw.decode("ascii"))))
+                units.append(Open(stream, StreamTarget(kind, check_name(raw.decode("ascii")))))
             except (UnicodeDecodeError, NameRefused) as error:
                 raise StreamRefused(f"a stream to {raw!r}, which is not a name") from error
-        case Verb.END:
-            return End(stream)
-        case _:
-            return Reset(stream)
+        else:
+            units.append(End(stream) if verb == Verb.END else Reset(stream))
+    return units
 
 
 class _Reader:
@@ -207,9 +189,7 @@ class Fund:
 class ReceiveWindow:
     """One direction of a stream at its receiver; `allowed`: what the peer may still send.
 
-    `allowed` and `held` (bytes that arrived and were not taken) are never more than `size`. It grows
-    while the program takes half of it within a round trip and lets nothing wait (as TCP's "dynamic
-    right-sizing"). Measured by the round trip of an idle way: the queue that it makes must not widen it.
+    `allowed` and `held` (bytes that arrived and were not taken) are never more than `size`.
     """
 
     __slots__ = ("_began", "_fund", "_taken", "allowed", "held", "size")
@@ -230,6 +210,8 @@ class ReceiveWindow:
             raise ValueError("more was taken than arrived")
         self.held -= count
         self._taken += count
+        # It grows while the program takes half of it in a round trip (TCP's "dynamic right-sizing"). That of
+        # an idle way: the queue that a window makes must not widen it.
         round_s = max(round_trip_s, SHORTEST_ROUND)
         elapsed = now - self._began
         if round_trip_s > 0 and elapsed >= round_s:
@@ -277,14 +259,12 @@ _AFTER_END: Final[dict[tuple[StreamPhase, Side], StreamPhase | None]] = {  # Non
 }
 
 
-@dataclass(frozen=True, slots=True)
-class StreamOpened:
+class StreamOpened(NamedTuple):
     stream: int
     target: StreamTarget
 
 
-@dataclass(frozen=True, slots=True)
-class OpeningRefused:
+class OpeningRefused(NamedTuple):
     stream: int
     target: StreamTarget
     reply: bytes
@@ -334,6 +314,7 @@ class Mux:
     # -- opening
 
     def crowded(self, target: StreamTarget, now: float) -> str:
+        # "Limits": all, to one name, and those that are new, of which each makes the called side look.
         if len(self._streams) >= STREAMS:
             return f"{STREAMS} streams are open"
         if self._for_name[target] >= FOR_ONE_NAME:
@@ -411,6 +392,7 @@ class Mux:
         return [event for event in events if event is not None]
 
     def _opened(self, unit: Open, now: float) -> Event:
+        # "Numbers": only the relay that made the link opens, in this order, and no number is used again.
         if self._caller or unit.stream != self._next:
             raise StreamRefused(f"stream {unit.stream} is opened, which is not its turn")
         if self.crowded(unit.target, now):

@@ -14,7 +14,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from copy import copy
 from enum import Enum
 from functools import partial
-from typing import Any, Final, Protocol, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from ca.certificates import Identity
 from ca.errors import HintedError
@@ -28,26 +28,25 @@ from rossec.errors import (
     RelayRefused,
     StreamRefused,
 )
+from rossec.host.local_ports import PortAdmission
 from rossec.host.runner import TaskSet
 from rossec.master.state.forwarded_ports import PeerWay
 from rossec.net.aio import SecureStream
 from rossec.overlay.documents import Peer, Peers
-from rossec.overlay.endpoint import idle_round_trip
+from rossec.overlay.endpoint import LinkListener, RouterNetwork, idle_round_trip
 from rossec.overlay.forwarded_ports import DoorTable, PeerTarget
 from rossec.overlay.link_frames import mailbox
 from rossec.overlay.masters import OwnMasters, RelayMember
 from rossec.overlay.mux import Role, StreamTarget
-from rossec.overlay.streams import Dial, Pump, Streams
+from rossec.overlay.streams import Pump, Streams
 from rossec.overlay.targets import LinkPeer as RemoteRelay
 from rossec.overlay.targets import Targets, TopicPorts
 from rossec.participant import delivery
 from rossec.peer_limits import printable
-from rossec.sidecar.loopback_port import PortAdmission
 
 IDLE_FOR: Final = 300.0  # seconds without a stream, after which a link is closed
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 5.0  # seconds between two attempts
 _log = logging.getLogger("rossec.overlay")
-
 DialPeer: TypeAlias = Callable[[Peer], Awaitable[SecureStream[Identity]]]
 """Makes a link to a peer, which is that peer and admitted. Raises a `HintedError` or `OSError`."""
 
@@ -56,12 +55,9 @@ _ENDED: Final = (
     "the other relay's log says why; it must trust this domain (there: rossec domain list) and have"
     " this relay's card (there: rossec relay list)"
 )
-
 MAX_CALLED: Final = 2  # links that one peer has made: a new one, and one that it may have given up
 _PERIOD: Final = 1.0
 _audit = logging.getLogger("rossec.audit")
-
-_Serve: TypeAlias = Callable[[SecureStream[Identity]], Awaitable[None]]
 
 
 class PeerLinkState(Enum):
@@ -72,17 +68,13 @@ class PeerLinkState(Enum):
 
 
 class PeerLink:
-    """The link that is made to `peer`, while connections to it are wanted.
-
-    It is dialled when the first connection needs it and kept while it carries any, and a while longer.
-    A failure is told at once to those who ask soon after: nodes try again by themselves.
-    """
+    """The link that is made to `peer`: dialled when a connection needs it, kept while it carries any, and a
+    while longer."""
 
     def __init__(self, peer: Peer, dial: DialPeer, clock: Callable[[], float] = time.monotonic) -> None:
         self.peer: Final = peer
         self.error = self.hint = ""  # why there is no link, though one was wanted
-        self._dial = dial
-        self._clock = clock
+        self._dial, self._clock = dial, clock
         self._tasks = TaskSet()
         self.stream: SecureStream[Identity] | None = None
         self._streams: Streams | None = None
@@ -106,7 +98,18 @@ class PeerLink:
 
     async def carry(self, target: StreamTarget, sock: socket.socket) -> None:
         try:
-            streams = await self._open_streams()
+            streams = self._streams
+            if streams is None or streams.used_up:
+                if self._dialling is None:
+                    # Those who ask soon after a failure are told it at once: nodes try again by themselves.
+                    if self._clock() < self._not_before:
+                        raise RelayRefused(self.error, self.hint)
+                    self._dialling = self._tasks.spawn(self._make(), f"dialling {self.peer.label}")
+                    self._dialling.add_done_callback(self._dialled)
+                found = await asyncio.shield(self._dialling)
+                if isinstance(found, RelayRefused):
+                    raise copy(found)  # others wait for it too
+                streams = found
         except BaseException:
             sock.close()
             raise
@@ -122,19 +125,6 @@ class PeerLink:
         await self._tasks.close()
 
     # -- making one
-
-    async def _open_streams(self) -> Streams:
-        if self._streams is not None and not self._streams.used_up:
-            return self._streams
-        if self._dialling is None:
-            if self._clock() < self._not_before:
-                raise RelayRefused(self.error, self.hint)
-            self._dialling = self._tasks.spawn(self._make(), f"dialling {self.peer.label}")
-            self._dialling.add_done_callback(self._dialled)
-        found = await asyncio.shield(self._dialling)
-        if isinstance(found, RelayRefused):
-            raise copy(found)  # others wait for it too
-        return found
 
     async def _make(self) -> Streams | RelayRefused:
         try:
@@ -184,35 +174,20 @@ class PeerLink:
                 self.stream = self._streams = self._carrying = None
 
 
-class Closable(Protocol):
-    async def close(self) -> None: ...
-
-
-class LinkNetwork(Protocol):
-    @property
-    def router(self) -> str: ...
-    @property
-    def seat(self) -> str: ...
-    async def dial(self, mailbox: str) -> SecureStream[Identity]: ...
-    def listen(self, mailbox: str, serve: _Serve, label: str) -> Closable: ...
-
-
 class Relay:
     """One relay, from `run` to its end; `admission`: where forwarded ports are, and for whom."""
 
     def __init__(
         self,
         member: RelayMember,
-        network: LinkNetwork,
+        network: RouterNetwork,
         admission: PortAdmission,
         read_peers: Callable[[], Peers],
     ) -> None:
-        self._member = member
-        self._network = network
-        self._read_peers = read_peers
+        self._member, self._network, self._read_peers = member, network, read_peers
         self._peers: dict[str, Peer] = {}
         self._links: dict[str, PeerLink] = {}
-        self._mailboxes: dict[str, Closable] = {}
+        self._mailboxes: dict[str, LinkListener[Identity]] = {}
         self._called: dict[str, list[tuple[SecureStream[Identity], Streams]]] = {}
         self._table: Final = DoorTable(admission, self._carry, self.ways)
         self._masters = OwnMasters(member, secrets.token_hex(16), self._table)
@@ -352,9 +327,15 @@ class Relay:
             delivery.warn(_audit, delivery.REFUSED, where, shown(stream.peer.name), error)
             return
         remote = RemoteRelay(peer.domain or "", peer.name)
-        dial = partial(self._connect, stream.peer, self._targets.dial_for(remote))
+        dial = self._targets.dial_for(remote)
+
+        async def connect(target: StreamTarget, pump: Pump) -> socket.socket:
+            # For each stream: a link may stand while revocations are stale, and lead to masters only.
+            self._member.check_target(stream.peer, target.kind)
+            return await dial(target, pump)
+
         round_trip = partial(idle_round_trip, stream)
-        streams = Streams(stream, Role.CALLED, peer.label, dial, round_trip=round_trip)
+        streams = Streams(stream, Role.CALLED, peer.label, connect, round_trip=round_trip)
         entry = stream, streams
         called = self._called.setdefault(peer.label, [])
         called.append(entry)
@@ -367,10 +348,6 @@ class Relay:
             _log.info("the link from %s ended: %s", peer.label, printable(error))
         finally:
             called.remove(entry)
-
-    async def _connect(self, found: Identity, dial: Dial, target: StreamTarget, pump: Pump) -> socket.socket:
-        self._member.check_target(found, target.kind)
-        return await dial(target, pump)
 
     # -- for people
 

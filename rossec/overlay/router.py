@@ -1,9 +1,6 @@
 """A router as a process: Zenoh does the routing, this begins, watches and ends it. A shell.
 
-Zenoh reads its users, rules and certificate once. When seats were added or removed, and each day
-for the certificate, the session is closed and opened again, which takes less than a second: links
-of relays survive that, as they survive the end of a router. Zenoh's own log is never begun: at its
-finer levels it would name mailboxes.
+Zenoh's own log is never begun: at its finer levels it would name mailboxes.
 """
 
 import asyncio
@@ -26,9 +23,7 @@ class Router:
     """One router, of the directory `home`; used on one loop. `is_open`: whoever reaches it may use it."""
 
     def __init__(self, home: RouterHome, settings: RouterSettings, *, is_open: bool) -> None:
-        self._home = home
-        self._settings = settings
-        self._is_open = is_open
+        self._home, self._settings, self._is_open = home, settings, is_open
         self._seats_version: tuple[int, ...] = ()
         self._certificate_due = 0.0
         self._session: Any = None
@@ -78,7 +73,8 @@ class Router:
         return 0 if self._session is None else len(self._session.info.routers_zid())
 
     async def _take_over(self) -> None:
-        # Begin anew if seats changed, if the certificate may be old, or if it is not listening.
+        # Begin anew if seats changed, if the certificate may be old, or if it is not listening: Zenoh reads
+        # its users, rules and certificate once. It takes less than a second, which links of relays survive.
         due = asyncio.get_running_loop().time() >= self._certificate_due
         if self._session is not None and not due:
             version = self._home.seats_version()

@@ -1,11 +1,8 @@
 """What a router is told by its operator, its seats, and Zenoh's settings that follow from both. Pure.
 
 Seats are the accounts at the routers of one operator. A seat may read the mailboxes below its own name
-and send to any mailbox; everything else is denied: reading others', asking which mailboxes exist,
-queries, presence, Zenoh's own administration. A router is found by no scouting, and keeps what is
-malformed or too large for a mailbox from everybody. Routers with seats join each other over TLS or QUIC
-alone: the side that connects is told no user, knows by the certificate whom it joined, and would
-otherwise forward nothing. What the settings are for is in section 3.6 of docs/spec/overlay.md.
+and send to any mailbox; everything else is denied. What the settings are for is in sections 3.6 and 4 of
+docs/spec/overlay.md.
 """
 
 import base64
@@ -14,7 +11,7 @@ import ipaddress
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 from rossec.errors import ConfigurationError
 from rossec.overlay import documents
@@ -31,13 +28,10 @@ _SEND: Final = "send"
 _ACCEPTED: Final = "router-accepted"
 _JOINED: Final = "router-joined"
 _FORWARD: Final = ("forward", "forward-declared")
-
 Entry = dict[str, Any]
-
 LEASE_MS: Final = 2000
 _WAIT_US: Final = 50_000
 _DROP: Final = "transport/link/tx/queue/congestion_control/drop/"
-
 COMMON: Final[dict[str, object]] = {
     "listen/endpoints": [],
     "scouting/multicast/enabled": False,
@@ -277,8 +271,7 @@ class RouterSettings:
         return tuple(found)
 
 
-@dataclass(frozen=True)
-class RouterFiles:
+class RouterFiles(NamedTuple):
     users: Path
     root_certificate: Path
     key: Path
@@ -307,6 +300,8 @@ def zenoh_settings(settings: RouterSettings, seats: Seats | None, files: RouterF
         }
     if seats is None:
         return {**found, "access_control": open_access_control()}
+    # The side that connects is told no user: it knows by the certificate whom it joined (section 4.3), and
+    # would otherwise forward nothing.
     plain = [each for each in settings.join if not documents.is_encrypted(each)]
     if plain:
         raise ConfigurationError(

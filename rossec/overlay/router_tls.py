@@ -1,8 +1,6 @@
 """TLS of one operator's routers: their authority, their certificates, and what they share. Pure.
 
-The authority is trusted by sites for routers alone, and by nothing else (no browser, no system store):
-so it has no name constraints, and may certify whatever host the operator moves a router to. It issues
-to no other authority (pathlen 0), for TLS servers alone. P-256: what every TLS library knows.
+P-256: what every TLS library knows.
 """
 
 from dataclasses import dataclass, field
@@ -30,7 +28,6 @@ LIFETIME: Final = 20 * 365 * DAY  # every seat file has it: a new authority mean
 LEAF_LIFETIME: Final = 365 * DAY
 _ROOT: Final = "rossec routers"
 _DAMAGED: Final = "put back a copy of the directory, or remove it and give out new seats"
-
 MAX_SHARE_FILE: Final = 2 * router_settings.MAX_SEATS_FILE
 _FORM: Final = "rossec-routers"
 _KEYS: Final = frozenset({"authority_key", "authority", "seats", "join"})
@@ -46,6 +43,8 @@ class RouterAuthority:
 
     @classmethod
     def create(cls, key: ec.EllipticCurvePrivateKey, *, now: int, serial: int) -> Self:
+        # Trusted by sites for routers alone (no browser, no system store): so without name constraints, as
+        # the operator may move a router to any host. It issues to no other authority, for TLS servers alone.
         return cls(key, tls_authority(key, _ROOT, serial, (now - BACKDATE, now + LIFETIME)))
 
     @classmethod

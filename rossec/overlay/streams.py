@@ -1,9 +1,7 @@
 """The streams of one link at work: a `Mux` on a secure stream, a `Pump` for each connection.
 
 What arrives for a stream is written to its connection at once, and never waited for: a connection that
-lags gets no credit, and the others go on. While the link itself lags, connections are not read;
-afterwards each is read once, in the order in which they had to wait. What is malformed ends the link,
-and with it every connection it carried.
+lags gets no credit, and the others go on. What is malformed ends the link, with all that it carried.
 """
 
 import asyncio
@@ -11,12 +9,13 @@ import logging
 import socket
 import time
 from collections.abc import Awaitable, Callable
-from typing import Final, Protocol, TypeAlias, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 from ca.errors import HintedError
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelError, LinkCrowded, StreamRefused
 from rossec.host.runner import TaskSet
+from rossec.net.aio.stream import SecureStream
 from rossec.net.aio.transport import Transport
 from rossec.overlay import mux
 from rossec.participant import delivery
@@ -27,7 +26,6 @@ _KEEPALIVE: Final = (
     (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 15),
 )
 Found = TypeVar("Found")
-
 CONNECT_SECONDS: Final = 10.0  # to find and reach a target; also how long a connection waits for room
 MOST_WAITING: Final = 256  # connections that wait for room
 MOST_UNSENT: Final = 8 * 1024 * 1024  # twice a link's window: the peer reads nothing, but asks
@@ -39,25 +37,14 @@ _FEWER: Final = (
 _log = logging.getLogger("rossec.overlay")
 
 
-class StreamEnd(Protocol):
-    def buffer_for(self, stream: int) -> memoryview | None: ...  # None: `Pump.resume` says when
-    def send(self, stream: int, count: int) -> None: ...
-    def took(self, stream: int, count: int) -> None: ...  # so many received bytes, by the program
-    def end(self, stream: int) -> bool: ...
-    def reset(self, stream: int) -> None: ...
-
-
 class Pump:
     """One TCP connection of this site and its stream of a link: bytes both ways, ends as ends.
 
-    No queue: the socket is read when the stream has credit and the link has room, straight into the
-    buffer from which the unit is sealed. Bytes for a program that lags wait here, no more of them than
-    the credit given. A broken connection is passed on as a broken one.
+    Bytes for a program that lags wait here, no more of them than the credit given.
     """
 
-    def __init__(self, stream: int, end: StreamEnd) -> None:
-        self._stream = stream
-        self._end = end
+    def __init__(self, stream: int, end: "Streams") -> None:
+        self._stream, self._end = stream, end
         self._transport: Transport | None = None
         self._early = bytearray()  # what arrived before there was a socket
         self._early_end = False
@@ -134,6 +121,8 @@ class Pump:
     # -- called by the transport
 
     def get_buffer(self) -> memoryview:
+        # No queue: the socket is read when the stream has credit and the link has room, straight into the
+        # buffer from which the unit is sealed.
         buffer = self._end.buffer_for(self._stream)
         if buffer is None:
             if self._transport is not None:
@@ -162,18 +151,6 @@ Dial: TypeAlias = Callable[[mux.StreamTarget, Pump], Awaitable[socket.socket]]
 """Connects to a target. Raises a `HintedError` or an `OSError`."""
 
 
-class LinkStream(Protocol):
-    @property
-    def backlog(self) -> int: ...
-    def on_ready(
-        self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
-    ) -> None: ...
-    def next_unit(self) -> bytes | None: ...
-    def write_nowait(self, data: Bytes) -> bool: ...
-    async def drain(self) -> None: ...
-    def abort(self, reason: str) -> None: ...
-
-
 async def refuse_streams(target: mux.StreamTarget, _pump: Pump) -> socket.socket:
     raise StreamRefused(f"a stream to {target} where none is opened")
 
@@ -190,7 +167,7 @@ class Streams:
 
     def __init__(
         self,
-        link: LinkStream,
+        link: SecureStream[Any],
         role: mux.Role,
         peer: str,
         dial: Dial = refuse_streams,
@@ -198,11 +175,8 @@ class Streams:
         *,
         round_trip: Callable[[], float] = float,
     ) -> None:
-        self._link = link
-        self._peer = peer
-        self._dial = dial
-        self._clock = clock
-        self._round_trip = round_trip
+        self._link, self._peer, self._dial = link, peer, dial
+        self._clock, self._round_trip = clock, round_trip
         self._mux = mux.Mux(role)
         self._pumps: dict[int, Pump] = {}
         self._buffer = memoryview(bytearray(mux.HEADROOM + mux.MAX_DATA))
@@ -310,9 +284,7 @@ class Streams:
             self._wake_openers()
         return True
 
-    def _handle(
-        self, event: mux.StreamOpened | mux.OpeningRefused | mux.Data | mux.Credit | mux.End | mux.Reset
-    ) -> None:
+    def _handle(self, event: mux.Event) -> None:
         match event:
             case mux.StreamOpened(number, target):
                 self._tasks.spawn(self._connect(number, self._add(number), target), str(target))
@@ -377,6 +349,8 @@ class Streams:
         except ChannelError as error:
             self._fail(error)
             return
+        # While the link lags no connection is read; answers to a peer that asks without reading have their
+        # end.
         if not writable and not self._draining:
             self._draining = True
             self._tasks.spawn(self._drain(), "a link that lags")
@@ -389,6 +363,7 @@ class Streams:
         except ChannelError as error:
             self._fail(error)
             return
+        # Each that had to wait is read once, in the order in which they came.
         self._draining = False
         for stream in tuple(self._waiting):
             if self._draining:  # again; the others keep their turn

@@ -1,10 +1,7 @@
 """The called side of a stream: to which address it leads, and a connection to there.
 
-A relay connects to nothing but what its own master says is registered there and, for a foreign peer,
-exported to it; an address is never the peer's. A target on this host is dialled from an address that
-says by whom: through a relay nobody is near (`rossec.host.addresses`). The first bytes show whether
-the caller speaks rossec, without which nothing is connected, and which of a node's two ports is meant.
-A program that is no node is not connected either: `TopicPorts` finds out.
+A relay connects to nothing but nodes that its own master says are registered there and, for a foreign
+peer, exported to it (docs/spec/overlay.md section 5, "The target").
 """
 
 import asyncio
@@ -13,7 +10,7 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Final, NamedTuple, Protocol, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from ca.certificates import Identity
 from ca.names import shown
@@ -21,6 +18,7 @@ from rossec import clock
 from rossec.channel.opening import Accepted, classify_caller
 from rossec.errors import RelayRefused
 from rossec.host.addresses import is_near, source_for
+from rossec.host.local_ports import is_here
 from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.aio.client import dial
 from rossec.net.rpc.calls import RpcClient
@@ -33,14 +31,12 @@ KEPT_SECONDS: Final = 30.0
 MOST: Final = 4096
 _SERVICE: Final = ""  # as a node's name: of whichever node it is
 Place: TypeAlias = tuple[str, int]  # numeric address and port
-
 CONNECT_SECONDS: Final = 5.0
 HTTP: Final = WireProtocol.HTTP
 TCPROS: Final = WireProtocol.TCPROS
 _PROTOCOLS: Final = {MASTER: (HTTP,), NODE: (HTTP, TCPROS), SERVICE: (TCPROS,)}
 _LOOPBACK: Final = "127.0.0.1"
 _EVERY: Final = "0.0.0.0"  # noqa: S104 - dialled from `source` it would mean that
-
 Resolve: TypeAlias = Callable[[str, str, str], Awaitable[Place]]
 """What the own master answers for a domain's label, a kind and a name. Raises a `HintedError`."""
 
@@ -55,18 +51,14 @@ class _Known:
 class TopicPorts:
     """Where nodes of the own domain are: the relay `name` calls at each place, and checks who answers.
 
-    An address that a node registered may be anybody's. So a relay brings callers to it only after a
-    handshake of its own, and to the numeric address where that was: a name may be resolved to another
-    one the next time. A node there has the name that is registered; at a service's address it is some
-    node of the domain, as callers check which one. Whom it admits is that node's decision.
+    An address that a node registered may be anybody's: so callers are brought to it only after a
+    handshake of the relay's own. Whom the node there admits is its decision.
     """
 
     def __init__(
         self, context: SecureContext[Identity], name: str, check_peer: Callable[[Identity, int], None]
     ) -> None:
-        self._context = context
-        self._name = name
-        self._check_peer = check_peer
+        self._context, self._name, self._check_peer = context, name, check_peer
         self._nodes: dict[tuple[str, str, int], _Known] = {}  # the oldest first
 
     async def of(self, name: str, host: str, port: int) -> Place:
@@ -97,6 +89,7 @@ class TopicPorts:
     async def _call_at(self, host: str, port: int) -> Place:
         stream = await connect(host, port, self._context, WireProtocol.TCPROS)
         try:
+            # Some node of the own domain: the caller checks which one provides the service.
             if stream.peer.is_foreign:
                 raise RelayRefused(f"{shown(stream.peer.name)} answers at a service's address")
             self._check_peer(stream.peer, clock.now())
@@ -120,6 +113,7 @@ class TopicPorts:
             await stream.close()
         match answer:
             case [int() as found] if 0 < found < 1 << 16 and not isinstance(found, bool):
+                # The numeric address: the name may be resolved to another one the next time.
                 return stream.address, found
             case _:
                 raise RelayRefused(f"{shown(name)} does not say where its topics are")
@@ -132,31 +126,28 @@ class LinkPeer(NamedTuple):
     name: str  # its name here, `/remote/hospital/relay` or `/relay/ward`
 
 
-class NodePorts(Protocol):
-    async def of(self, name: str, host: str, port: int) -> Place: ...
-    async def provider(self, host: str, port: int) -> Place: ...
-    def forget(self, name: str, host: str, port: int) -> None: ...
-
-
 class Targets:
-    def __init__(self, resolve: Resolve, node_ports: NodePorts) -> None:
-        self._resolve = resolve
-        self._node_ports = node_ports
+    def __init__(self, resolve: Resolve, node_ports: TopicPorts) -> None:
+        self._resolve, self._node_ports = resolve, node_ports
 
     def dial_for(self, peer: LinkPeer) -> Callable[[StreamTarget, Pump], Awaitable[socket.socket]]:
         return partial(self._dial, peer)
 
     async def _dial(self, peer: LinkPeer, target: StreamTarget, pump: Pump) -> socket.socket:
+        # 1. No connection before the caller speaks rossec: a stream reaches nothing but handshakes of nodes.
         protocol = await pump.first_bytes(_protocol)
         if protocol not in _PROTOCOLS[target.kind]:
             raise RelayRefused(f"a caller of the {target.kind} {target.name} in {protocol.value}")
+        # 2. Where the own master says it is, if it is shown to that domain; never an address of the peer's.
         host, port = await self._resolve(peer.domain, target.kind, target.name)
+        # 3. Who is there: a handshake of the relay's own.
         place = host, port  # of a master: it says where it is itself
         if target.kind == SERVICE:
             place = await self._node_ports.provider(host, port)
         elif target.kind == NODE:
             address, topics = await self._node_ports.of(target.name, host, port)
             place = address, topics if protocol is TCPROS else port
+        # 4. From an address that says for whom: through a relay nobody is near.
         try:
             return await dial_from(source_for(peer.name), *place)
         except OSError:
@@ -178,9 +169,11 @@ def _protocol(first: bytes) -> WireProtocol | None:
 async def dial_from(source: str, host: str, port: int) -> socket.socket:
     loop = asyncio.get_running_loop()
     found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    here = [address for *_, (address, *_) in found if _is_here(str(address))]
+    # On this host: also where it would take the address for its own, as 0.0.0.0.
+    addresses = [str(address) for *_, (address, *_) in found]
+    here = [each for each in addresses if is_here(each) or is_loopback(each)]
     if here:
-        address = str(here[0])
+        address = here[0]
         sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:
             sock.setblocking(False)
@@ -201,13 +194,3 @@ async def dial_from(source: str, host: str, port: int) -> socket.socket:
         sock.close()
         raise
     return sock
-
-
-def _is_here(address: str) -> bool:
-    # Whether this host has the address, or would take it for its own, as 0.0.0.0.
-    try:
-        with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as sock:
-            sock.bind((address, 0))
-    except OSError:
-        return is_loopback(address)
-    return True

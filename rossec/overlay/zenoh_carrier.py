@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 SLOW: Final = 0.02  # seconds
 CALM: Final = 1.0
 MOST_WAITING: Final = 4 * 1024 * 1024  # bytes, as one link may have on the way
-
 _log = logging.getLogger("rossec.overlay.carrier")
 _MOST_WAITING: Final = 16 * 1024 * 1024  # bytes for one subscription; a link sends at most 4 MiB
 _OVERHEAD: Final = 256  # bytes that a message costs beside its own
@@ -39,10 +38,8 @@ _TURN_OVERHEAD: Final = 16 * 1024  # bytes that are opened in the time a message
 class CarrierQueue:
     """Messages on their way to the session: at once, unless that would stop the loop.
 
-    A put takes microseconds, until the uplink is full: then Zenoh waits 50 ms for room before it drops
-    the message, and everything else in the process would wait too. From the first put that was slow, a
-    thread puts, until it has nothing left and was quick for a second. What finds no room in its queue
-    is dropped, as Zenoh would.
+    From the first put that was slow, a thread puts, until it has nothing left and was quick for a
+    second. What finds no room in its queue is dropped, as Zenoh would.
     """
 
     def __init__(self, send: Callable[[str, bytes], None]) -> None:
@@ -67,6 +64,7 @@ class CarrierQueue:
         began = monotonic()
         self._send(key, data)
         ended = monotonic()
+        # A put takes microseconds until the uplink is full; then Zenoh waits 50 ms before it drops.
         if ended - began > SLOW:
             self._slow_until = ended + CALM
 
@@ -173,7 +171,21 @@ class Carrier:
         return subscription
 
     def _declare(self, subscription: CarrierSubscription) -> None:
-        receive = self._receiver(subscription)
+        def receive(sample: "zenoh.Sample") -> None:  # in a thread of Zenoh's
+            if str(sample.key_expr) != subscription.key:
+                return  # put to a pattern: whoever did does not know this mailbox
+            data = sample.payload.to_bytes()
+            with self._lock:
+                # Anybody with a seat may put to a mailbox that it knows: what waits is bounded for each.
+                if subscription.waiting > _MOST_WAITING:
+                    return
+                subscription.waiting += len(data) + _OVERHEAD
+                self._arrived.append((subscription, data))
+                wake, self._woken = not self._woken, True
+            if wake:
+                with suppress(RuntimeError):  # the loop is closed
+                    self._loop.call_soon_threadsafe(self._deliver)
+
         try:
             subscription.subscriber = self._session.declare_subscriber(subscription.key, receive)
         except self._failure as error:
@@ -185,23 +197,6 @@ class Carrier:
         if subscriber is not None:
             with suppress(self._failure):  # of a session that is gone
                 subscriber.undeclare()  # type: ignore[no-untyped-call]
-
-    def _receiver(self, subscription: CarrierSubscription) -> "Callable[[zenoh.Sample], None]":
-        def receive(sample: "zenoh.Sample") -> None:
-            if str(sample.key_expr) != subscription.key:
-                return  # put to a pattern: whoever did does not know this mailbox
-            data = sample.payload.to_bytes()
-            with self._lock:
-                if subscription.waiting > _MOST_WAITING:
-                    return
-                subscription.waiting += len(data) + _OVERHEAD
-                self._arrived.append((subscription, data))
-                wake, self._woken = not self._woken, True
-            if wake:
-                with suppress(RuntimeError):  # the loop is closed
-                    self._loop.call_soon_threadsafe(self._deliver)
-
-        return receive
 
     def _deliver(self) -> None:
         self.heard_at = self._loop.time()
@@ -222,45 +217,39 @@ class Carrier:
     # -- the session
 
     def reopen(self) -> None:
-        """Replace the session: nothing arrives, though it should; links live on.
-
-        It goes on until a router takes the seat.
-        """
+        """Replace the session until a router takes the seat: nothing arrives, though it should."""
         if self._reopening is None and not self.closed:
-            self._reopening = self._loop.create_task(self._reopen(), name="rossec overlay session")
-            self._reopening.add_done_callback(self._reopened)
+            self._reopening = self._loop.create_task(self._replace_session(), name="rossec overlay session")
 
-    def _reopened(self, task: asyncio.Task[None]) -> None:
-        self._reopening = None
-        if not task.cancelled() and (error := task.exception()) is not None:
-            _log.error("the session with the routers was not replaced", exc_info=error)
-
-    async def _reopen(self) -> None:
-        session = await self._open_again()
-        old, self._session = self._session, session
-        self.heard_at = self._loop.time()
-        for subscription in list(self._subscriptions):
-            subscription.subscriber = None
-            self._declare(subscription)
-        _log.warning("nothing came through the routers: the session was replaced")
-        await asyncio.to_thread(old.close)
-
-    async def _open_again(self) -> "zenoh.Session":
-        said = False
-        while True:
-            try:
-                return await _open(self.routers)
-            except OverlayUnavailable as error:
-                if not said:
-                    _log.warning("%s; trying again until one does", error)
-                said = True
-                await asyncio.sleep(_REOPEN_AFTER)
+    async def _replace_session(self) -> None:
+        said, session = False, None
+        try:
+            while session is None:
+                try:
+                    session = await _open(self.routers)
+                except OverlayUnavailable as error:
+                    if not said:
+                        _log.warning("%s; trying again until one does", error)
+                    said = True
+                    await asyncio.sleep(_REOPEN_AFTER)
+            old, self._session = self._session, session
+            self.heard_at = self._loop.time()
+            for subscription in list(self._subscriptions):
+                subscription.subscriber = None
+                self._declare(subscription)
+            _log.warning("nothing came through the routers: the session was replaced")
+            await asyncio.to_thread(old.close)
+        except Exception:  # noqa: BLE001 - reported; the next frame that is missed begins anew
+            _log.exception("the session with the routers was not replaced")
+        finally:
+            self._reopening = None
 
     async def close(self) -> None:
         self.closed = True
         if self._reopening is not None:
             self._reopening.cancel()
             await asyncio.wait([self._reopening])
+            self._reopening = None  # it may have been cancelled before it began
         for subscription in list(self._subscriptions):
             subscription.close()
         self._queue.close()

@@ -286,6 +286,12 @@ class FollowedPublishers(Generic[PublisherT]):
         with self._lock:
             self._followed.pop(stream, None)
 
+    async def leave_regularly(self) -> None:
+        """Leave publishers that are not listed; it does not return."""
+        while True:
+            await asyncio.sleep(FOLLOW_PERIOD)
+            self.leave_unlisted()
+
     def leave_unlisted(self) -> None:
         with self._lock:
             followed = tuple(self._followed.items())

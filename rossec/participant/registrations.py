@@ -26,6 +26,7 @@ FIRST: Final = 0.25
 FAST_PERIOD: Final = 30.0  # seconds from the loss on
 _LONGEST_FAST: Final = 1.0
 _LONGEST: Final = 5.0
+REFUSED: Final = "rossec: "  # a status that begins so is not one of the stock master
 MAX_REFUSED: Final = 256  # refused registrations of one program that are kept
 WATCH_GRAPH: Final = "rossec.watchGraph"
 SEARCH: Final = "searchParam"
@@ -99,7 +100,7 @@ def search_result(answer: list[object], found: str) -> list[object] | None:
     match answer:
         case [1, *_]:
             return [1, f"Found [{found}]", found]
-        case [-1, str(status), _] if not status.startswith("rossec: "):
+        case [-1, str(status), _] if not status.startswith(REFUSED):
             return None
         case _:
             return answer

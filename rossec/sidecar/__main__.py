@@ -16,11 +16,13 @@ from ca.errors import HintedError
 from rossec.channel.opening import post_quantum
 from rossec.discovery.local_links import discover_master
 from rossec.environment import own_home, own_master
+from rossec.host import local_ports
 from rossec.host.addresses import warn_of_own_address
+from rossec.host.callers import Callers
+from rossec.host.runner import stop_on_signals
 from rossec.peer_limits import LogRateLimit, printable
 from rossec.ros import names
-from rossec.sidecar import child, loopback_port
-from rossec.sidecar.callers import Callers
+from rossec.sidecar import child
 from rossec.sidecar.child import raise_limit
 from rossec.sidecar.server import Sidecar
 
@@ -42,13 +44,11 @@ def main() -> int:
             handler.addFilter(LogRateLimit())
     try:
         return asyncio.run(_run(options))
-    except child.NoSuchProgram as error:
-        return _fail(error, error.code)
-    except HintedError as error:
-        return _fail(error, _REFUSED)
-    except OSError as error:
+    except (HintedError, OSError) as error:
         sys.stderr.write(f"rossec: error: {printable(error)}\n")
-        return _REFUSED
+        if isinstance(error, HintedError) and error.hint:
+            sys.stderr.write(f"rossec: hint: {printable(error.hint)}\n")
+        return error.code if isinstance(error, child.NoSuchProgram) else _REFUSED
 
 
 async def _run(options: dict[str, Any]) -> int:
@@ -57,7 +57,7 @@ async def _run(options: dict[str, Any]) -> int:
     users, ancestor = options["users"] or {os.getuid()}, None
     if options["command"]:
         users, ancestor = {os.getuid()}, os.getpid()
-    callers = Callers(users, ancestor, loopback_port.find_loopback())
+    callers = Callers(users, ancestor, local_ports.find_loopback())
     sidecar = Sidecar(
         own_home(before),
         names.read((), before, default_name="/sidecar"),
@@ -77,22 +77,13 @@ async def _run(options: dict[str, Any]) -> int:
             child.adopt_orphans()
             environ = child.program_environment(os.environ, before, sidecar.uri, callers.loopback)
             return await child.run(options["command"], environ, limits)
-        stop = asyncio.Event()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, stop.set)
+        stop = stop_on_signals()
         sys.stdout.write(f"sidecar at {sidecar.uri}\n")
         sys.stdout.flush()
         await stop.wait()
         return 0
     finally:
         await sidecar.close()
-
-
-def _fail(error: HintedError, code: int) -> int:
-    sys.stderr.write(f"rossec: error: {printable(error)}\n")
-    if error.hint:
-        sys.stderr.write(f"rossec: hint: {printable(error.hint)}\n")
-    return code
 
 
 if __name__ == "__main__":

@@ -3,8 +3,7 @@
 The program gets the loopback master in its environment, nothing else: no secret is there or on its
 command line. It inherits the descriptors passed to us, as with `<(...)` of a shell, and its own limit of
 them. Its orphans become our children (subreaper), so that they remain its descendants. Signals of other
-processes are forwarded; signals of the kernel (Ctrl-C) the terminal has sent to the program as well.
-Only signalfd(2) tells the two apart.
+processes are forwarded; only signalfd(2) tells them from those of the kernel.
 """
 
 import asyncio
@@ -15,38 +14,26 @@ import os
 import resource
 import signal
 import struct
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Final, TypeAlias
 
 from ca.errors import HintedError
 from rossec.errors import ConfigurationError
-from rossec.sidecar.core.layers import LOOPBACK, Loopback
+from rossec.host.local_ports import LOOPBACK, Loopback
 
 Limits: TypeAlias = tuple[int, int]  # the soft and the hard one
 ENOUGH: Final = 1 << 16
 _WHICH: Final = resource.RLIMIT_NOFILE
-
 OUTSIDE: Final = "ROSSEC_OUTSIDE"  # in it a nested `rossec run` finds what the outer one replaced
 _REPLACED: Final = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOSTNAME", "ROS_IPV6")
-_FORWARDED: Final = (
-    signal.SIGINT,
-    signal.SIGTERM,
-    signal.SIGHUP,
-    signal.SIGQUIT,
-    signal.SIGUSR1,
-    signal.SIGUSR2,
-    signal.SIGCONT,
-)
+_NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGCONT")
+_FORWARDED: Final = tuple(signal.Signals[name] for name in _NAMES)
+_TOOLS: Final = ("rosbag", "roslaunch", "rosmsg", "rosnode", "rosparam", "rosservice", "rostopic")
 _PACKAGES: Final = {  # of Debian, for a tool that is not installed
-    "rosrun": "rosbash",
-    "roscd": "rosbash",
-    "rosed": "rosbash",
+    **dict.fromkeys(("rosrun", "roscd", "rosed"), "rosbash"),
     "rviz": "rviz",
-    **{
-        tool: f"python3-{tool}"
-        for tool in ("rosbag", "roslaunch", "rosmsg", "rosnode", "rosparam", "rosservice", "rostopic")
-    },
+    **{tool: f"python3-{tool}" for tool in _TOOLS},
 }
 _NOT_FOUND, _NOT_EXECUTABLE, _SIGNALLED = 127, 126, 128
 _SUBREAPER: Final = 36  # PR_SET_CHILD_SUBREAPER
@@ -110,24 +97,19 @@ async def run(command: Sequence[str], environ: Mapping[str, str], limits: Limits
             if limits is not None:
                 restore_limit(limits)
 
-        program = await _start(command, environ, prepare)
+        try:
+            # Its descriptors stay open: what was passed to us is for it, as with `<(...)` of a shell.
+            program = await asyncio.create_subprocess_exec(
+                *command, env=dict(environ), preexec_fn=prepare, close_fds=False
+            )
+        except FileNotFoundError:
+            raise NoSuchProgram(f"{command[0]}: there is no such program", _NOT_FOUND, command[0]) from None
+        except OSError as error:
+            reason = error.strerror or "no reason given"
+            raise NoSuchProgram(f"{command[0]} cannot be executed: {reason}", _NOT_EXECUTABLE) from None
         with _forwarding_signals(program, signals):
             code = await program.wait()
     return code if code >= 0 else _SIGNALLED - code
-
-
-async def _start(
-    command: Sequence[str], environ: Mapping[str, str], prepare: Callable[[], None]
-) -> asyncio.subprocess.Process:
-    try:
-        return await asyncio.create_subprocess_exec(
-            *command, env=dict(environ), preexec_fn=prepare, close_fds=False
-        )
-    except FileNotFoundError:
-        raise NoSuchProgram(f"{command[0]}: there is no such program", _NOT_FOUND, command[0]) from None
-    except OSError as error:
-        reason = error.strerror or "no reason given"
-        raise NoSuchProgram(f"{command[0]} cannot be executed: {reason}", _NOT_EXECUTABLE) from None
 
 
 class NoSuchProgram(HintedError):
@@ -165,31 +147,26 @@ def _forwarding_signals(program: asyncio.subprocess.Process, signals: int) -> It
     loop = asyncio.get_running_loop()
 
     def forward() -> None:
-        for number, code in _pending_signals(signals):
-            if code != _BY_KERNEL:
-                with contextlib.suppress(ProcessLookupError):
-                    program.send_signal(number)
+        with suppress(BlockingIOError):
+            while True:
+                number, _, code = _SIGNAL.unpack(os.read(signals, _SIGNAL.size))
+                # Those of the kernel (Ctrl-C) the terminal has sent to the program as well.
+                if code != _BY_KERNEL:
+                    with suppress(ProcessLookupError):
+                        program.send_signal(number)
+
+    def reap_orphans() -> None:
+        with suppress(ChildProcessError):
+            while (found := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is not None:
+                if found.si_pid == program.pid:  # asyncio waits for that one
+                    return
+                os.waitpid(found.si_pid, os.WNOHANG)
 
     loop.add_reader(signals, forward)
-    loop.add_signal_handler(signal.SIGCHLD, _reap, program.pid)
+    loop.add_signal_handler(signal.SIGCHLD, reap_orphans)
     try:
         yield
     finally:
         forward()  # a signal that came last was for the program and must not end us
         loop.remove_reader(signals)
         loop.remove_signal_handler(signal.SIGCHLD)
-
-
-def _pending_signals(signals: int) -> Iterator[tuple[int, int]]:
-    with contextlib.suppress(BlockingIOError):
-        while True:
-            number, _, code = _SIGNAL.unpack(os.read(signals, _SIGNAL.size))
-            yield number, code
-
-
-def _reap(own: int) -> None:
-    with contextlib.suppress(ChildProcessError):
-        while (found := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is not None:
-            if found.si_pid == own:
-                return
-            os.waitpid(found.si_pid, os.WNOHANG)

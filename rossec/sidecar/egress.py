@@ -1,7 +1,6 @@
 """Loopback ports for peers: programs call a peer's slave API, subscribe to topics, call services. A shell.
 
-Each connection runs one layer after another; an error closes that connection on both sides. Faults that
-a program may not print are logged here: rosnode says "killed" whatever a node answers.
+Each connection runs one layer after another; an error closes that connection on both sides.
 """
 
 import asyncio
@@ -14,19 +13,21 @@ from typing import Final, Generic, TypeVar
 from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.names import shown
+from grants.model import Right
 from grants.request import MissingRight, is_dispensable, missing_right, refusal
 from rossec import clock
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp, PeerUnreachable, RossecError
+from rossec.host.local_ports import PortPool
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream
 from rossec.net.limits import message_limit, unit_limit
 from rossec.net.rpc.calls import serve_calls
 from rossec.participant.authorized import AuthorizedConnection, memory_scope
-from rossec.participant.connections import FOLLOW_PERIOD, ConnectionTable, FollowedPublishers
+from rossec.participant.connections import ConnectionTable, FollowedPublishers
 from rossec.participant.definitions import FilterKey
 from rossec.participant.handshakes import text
-from rossec.participant.registrations import nothing_shown, shows_nothing, unheard_refusal
+from rossec.participant.registrations import REFUSED, nothing_shown, shows_nothing, unheard_refusal
 from rossec.peer_limits import printable
 from rossec.ros import tcpros
 from rossec.ros.tcpros import MESSAGE_LIMIT
@@ -36,18 +37,16 @@ from rossec.sidecar.core.guards import ProgramMemories, ReplaceableGuard, Replac
 from rossec.sidecar.core.layers import AgentState, ListeningAddress
 from rossec.sidecar.core.node_connections import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
-from rossec.sidecar.loopback_port import LoopbackPort, PlainStream, PortPool
+from rossec.sidecar.loopback_port import LoopbackPort, PlainStream
 from rossec.sidecar.pump import split_header
 
 T = TypeVar("T")
 _log = logging.getLogger("rossec.sidecar")
-_PREFIX = "rossec: "
 _WHERE: Final = "is ROS_IP or ROS_HOSTNAME right on its side, and its name known on this host?"
 COLLECTED_FOR: Final = 1.0  # seconds
 SAID_FOR: Final = 3600.0
 _REMEMBERED: Final = 1024
 _LINE: Final = 2000  # characters
-
 HEADER_DEADLINE: Final = 15.0  # includes the handshake with the peer
 
 
@@ -70,18 +69,14 @@ class Said(Generic[T]):
 
 
 class MissingRights:
-    """What the programs of one identity asked for and no grant gives.
-
-    A program asks for much at its start. What no rule gives it is collected for a second and logged as
-    one line, which says what rule is missing; the same is not logged again within an hour. What a client
-    library asks for by itself is no warning: the program works without it (`grants.request`).
-    """
+    """What the programs of one identity asked for and no grant gives, as lines that say what is missing."""
 
     def __init__(self, now: Callable[[], float]) -> None:
         self._said = Said[MissingRight](now)
         self._new: list[MissingRight] = []
 
     def add(self, missing: MissingRight) -> bool:
+        # What a client library asks for by itself is no warning: the program works without it.
         if is_dispensable(missing.right, missing.own) or not self._said.add(missing):
             return False
         self._new.append(missing)
@@ -89,13 +84,11 @@ class MissingRights:
 
     def take(self) -> list[str]:
         # One line for each node of what is new since the last call.
-        new, self._new = self._new, []
-        nodes: dict[str, list[MissingRight]] = {}
-        for each in new:
-            nodes.setdefault(each.node, []).append(each)
-        return [
-            refusal(node, [(each.right, each.in_rule) for each in found]) for node, found in nodes.items()
-        ]
+        nodes: dict[str, list[tuple[Right, str]]] = {}
+        for each in self._new:
+            nodes.setdefault(each.node, []).append((each.right, each.in_rule))
+        self._new = []
+        return [refusal(node, found) for node, found in nodes.items()]
 
 
 class RefusalLog:
@@ -107,11 +100,12 @@ class RefusalLog:
     def log(self, refuser: str, method: str, answer: object, params: Sequence[object] = ()) -> None:
         # Of an answer in which rossec refuses a call, or that does not reach the program.
         match answer:
-            case [code, str(status), *_] if code != 1 and status.startswith(_PREFIX):
+            case [code, str(status), *_] if code != 1 and status.startswith(REFUSED):
                 missing = missing_right(status)
                 if missing is None:
-                    self._refused(refuser, method, status.removeprefix(_PREFIX))
+                    self._refused(refuser, method, status.removeprefix(REFUSED))
                 elif self._missing.add(missing) and self._timer is None:
+                    # A program asks for much at its start: that is one line.
                     loop = asyncio.get_running_loop()
                     self._timer = loop.call_later(COLLECTED_FOR, self.flush)
             case _ if (reason := unheard_refusal(method, params, answer)) is not None:
@@ -122,9 +116,9 @@ class RefusalLog:
     def log_own(self, node: str, method: str, answer: object) -> None:
         # Of an answer that the sidecar itself gives; what the master refused went through `log`.
         match answer:
-            case [-1, str(status), *_] if status.startswith(_PREFIX):
+            case [-1, str(status), *_] if status.startswith(REFUSED):
                 if missing_right(status) is None:
-                    self._refused(f"the sidecar of {node}", method, status.removeprefix(_PREFIX))
+                    self._refused(f"the sidecar of {node}", method, status.removeprefix(REFUSED))
             case _ if shows_nothing(method, answer):
                 text = nothing_shown(node)
                 if self._reasons.add(text):
@@ -151,10 +145,7 @@ class RefusalLog:
 
 
 class Egress:
-    """The loopback ports of one identity.
-
-    `on_topic_ended` is called with the topic and the start (monotonic) of a connection that ended.
-    """
+    """The loopback ports of one identity; `on_topic_ended`: a topic, and when its connection began."""
 
     def __init__(
         self,
@@ -164,15 +155,12 @@ class Egress:
         filter_key: FilterKey,
         on_topic_ended: Callable[[str, float], None],
     ) -> None:
-        self._services = services
-        self._agent = agent
-        self._connections = connections
-        self._filter_key = filter_key
-        self._on_topic_ended = on_topic_ended
+        self._services, self._agent, self._connections = services, agent, connections
+        self._filter_key, self._on_topic_ended = filter_key, on_topic_ended
         self._tasks = TaskSet()
         self._refusals = RefusalLog()
         self._memories: ProgramMemories[CommandExecutor] = ProgramMemories(memory_scope(agent.identity.name))
-        self._followed: FollowedPublishers[ListeningAddress] = FollowedPublishers(agent.is_listed)
+        self.followed: FollowedPublishers[ListeningAddress] = FollowedPublishers(agent.is_listed)
         self.ports = PortPool(self._close_port)
 
     def open(self, remote: ListeningAddress) -> int:
@@ -210,6 +198,7 @@ class Egress:
         async def dispatch(method: str, params: tuple[object, ...], _: str) -> object:
             layer = node_connections.handle_program_call(self._agent, remote, method, params)
             answer = await executor.run(layer)
+            # A program may not print it: rosnode says "killed" whatever a node answers.
             self._refusals.log(remote.uri, method, answer)
             return answer
 
@@ -248,7 +237,7 @@ class Egress:
                 began = time.monotonic()
                 api = self._agent.endpoints.api_of(remote)
                 if api is not None and "topic" in fields:
-                    self._followed.add(executor.stream, text(fields, "topic"), api)
+                    self.followed.add(executor.stream, text(fields, "topic"), api)
                 await self._forward(admitted, program, executor.stream, after_request, executor.after_header)
                 self._topic_ended(fields, began)
         except (RossecError, TimeoutError) as error:
@@ -256,13 +245,8 @@ class Egress:
         finally:
             self._memories.release(executor)
             if executor.stream is not None:
-                self._followed.discard(executor.stream)
+                self.followed.discard(executor.stream)
             await executor.close()
-
-    async def leave_publishers(self) -> None:
-        while True:
-            await asyncio.sleep(FOLLOW_PERIOD)
-            self._followed.leave_unlisted()
 
     def _topic_ended(self, fields: Mapping[str, bytes], began: float) -> None:
         # A connection with this header has ended, or could not be made; of a service: nothing.

@@ -1,13 +1,11 @@
 """Executes the commands of one connection's layers, and owns the connections this opens.
 
-A shell: it connects, calls and reports; it decides nothing. A peer is checked before anything is
-sent to it, and a program that listens before it is connected to.
+A shell: it connects, calls and reports; it decides nothing.
 """
 
 import asyncio
 import contextlib
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Final, Protocol, assert_never
 
 from ca.certificates import Identity
@@ -16,6 +14,7 @@ from grants.model import Right
 from rossec import clock
 from rossec.channel.opening import WireProtocol
 from rossec.errors import PeerUnreachable, RossecError, XmlRpcRefused
+from rossec.host.callers import Callers
 from rossec.host.local_sockets import Holder
 from rossec.net.aio.client import dial
 from rossec.net.aio.stream import SecureStream
@@ -23,10 +22,9 @@ from rossec.net.rpc.calls import RpcClient
 from rossec.ros import tcpros
 from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.xmlrpc import FAULT_CODE, Fault
-from rossec.sidecar.callers import Callers
 from rossec.sidecar.core import layers
 from rossec.sidecar.loopback_port import PlainStream
-from rossec.sidecar.pump import split_header
+from rossec.sidecar.pump import End, split_header
 
 DEADLINE: Final = 10.0
 
@@ -114,12 +112,10 @@ class CommandExecutor:
                 self._services.suspend_ingress(local)
                 return layers.CommandDone()
             case _:
-                return await self._execute_request(command)
-
-    async def _execute_request(self, request: layers.Request) -> layers.Event:
+                pass
         try:
             async with asyncio.timeout(DEADLINE):
-                return await self._perform(request)
+                return await self._perform(command)
         except ConnectionRefusedError as error:
             return layers.NoAnswer(str(error), dead=True)
         except XmlRpcRefused as error:  # an answer, or the program would call again for ever
@@ -136,7 +132,7 @@ class CommandExecutor:
             case layers.CallPeer(remote, method, params, right, parse):
                 client = await self._client_of_peer(remote, right)
                 event = await _call(client.rpc, method, params, parse=parse)
-                return replace(event, peer=client.peer) if isinstance(event, layers.Answered) else event
+                return event._replace(peer=client.peer) if isinstance(event, layers.Answered) else event
             case layers.Probe(local):
                 await self._rpc_to_program(local)
                 return layers.CommandDone()
@@ -150,12 +146,17 @@ class CommandExecutor:
                 assert_never(request)
 
     async def _connect(self, request: layers.ConnectProgram | layers.ConnectPeer) -> layers.Event:
+        end: End
+        peer = None
         if isinstance(request, layers.ConnectPeer):
-            stream = await self._stream_to(request.remote)
-            return await self._exchange_headers(stream, stream.peer, request.fields)
-        await self._close_program_rpc()
-        self.program = await self._connect_program(request.local)
-        return await self._exchange_headers(self.program, None, request.fields)
+            end = stream = await self._stream_to(request.remote)
+            peer = stream.peer
+        else:
+            await self._close_program_rpc()
+            end = self.program = await self._connect_program(request.local)
+        await end.send(tcpros.encode(request.fields))
+        answer, self.after_header = await split_header(end)
+        return layers.HeaderArrived(answer, peer, clock.now())
 
     async def _stream_to(self, remote: layers.ListeningAddress) -> SecureStream[Identity]:
         if self.stream is None:
@@ -166,13 +167,6 @@ class CommandExecutor:
                 raise
         return self.stream
 
-    async def _exchange_headers(
-        self, end: PlainStream | SecureStream[Identity], peer: Identity | None, fields: Mapping[str, bytes]
-    ) -> layers.Event:
-        await end.send(tcpros.encode(fields))
-        answer, self.after_header = await split_header(end)
-        return layers.HeaderArrived(answer, peer, clock.now())
-
     async def _rpc_to_program(self, local: layers.ListeningAddress) -> RpcClient:
         if self._program_rpc is None or self._program_rpc.closed:
             self._program_rpc = RpcClient(
@@ -181,6 +175,7 @@ class CommandExecutor:
         return self._program_rpc
 
     async def _connect_program(self, local: layers.ListeningAddress) -> PlainStream:
+        # Checked before and after: between the two the program may have ended, and another have its port.
         callers = self._services.callers
         holders = await callers.check_listener(local.port)
         if not self._services.leads_to(local, holders):

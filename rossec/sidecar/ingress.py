@@ -1,9 +1,7 @@
 """Network ports for programs: peers call a slave API, subscribe to topics, call services. A shell.
 
-Each connection runs one layer after another; an error closes that connection on both sides. A refused
-peer is told why its own grants do not suffice, and no more. A network port leads to the socket that
-listened when it was opened, not to whoever has the number of its port later: the master would have
-another program shut down in the place of one that has ended.
+Each connection runs one layer after another; an error closes that connection on both sides. A network port
+leads to the socket that listened when it was opened, not to whoever has the number of its port later.
 """
 
 import asyncio
@@ -19,6 +17,7 @@ from rossec import clock
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
 from rossec.errors import CallRefused, ChannelClosed, HangUp
+from rossec.host.local_ports import PortPool, bind_free_port
 from rossec.host.local_sockets import Holder
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream, connect
@@ -38,7 +37,7 @@ from rossec.sidecar.core.guards import CopyTracker, ProgramMemories, Replacing
 from rossec.sidecar.core.layers import AgentState, ListeningAddress
 from rossec.sidecar.core.node_connections import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
-from rossec.sidecar.loopback_port import PlainStream, PortPool, bind_free_port
+from rossec.sidecar.loopback_port import PlainStream
 from rossec.sidecar.pump import WishSender, split_header
 
 # Peers send headers and requests; what programs send leaves in small units.
@@ -46,10 +45,8 @@ ACCEPT_LIMITS: Final = {
     **ACCEPTED,
     WireProtocol.TCPROS: ChannelLimits(unit=MESSAGE_LIMIT + BODY_LIMIT, preauth_limit=PREAUTH_LIMIT),
 }
-
 HEADER_DEADLINE: Final = 15.0  # includes the handshake with the program
 _ENDED: Final = 64  # ports of ended programs that are kept bound: `rosnode cleanup` tries them
-
 _log = logging.getLogger("rossec.sidecar")
 PushHandler = Callable[[str, tuple[object, ...], Identity], None]
 
@@ -58,8 +55,7 @@ class PeerConnector:
     """Connects one identity to peers, each checked before anything is sent to it, and listens for them."""
 
     def __init__(self, context: SecureContext[Identity], access: Access) -> None:
-        self._context = context
-        self._access = access
+        self._context, self._access = context, access
 
     async def dial(
         self, remote: ListeningAddress, *, allow_stale: bool = False, own_identity: bool = False
@@ -93,12 +89,8 @@ class Ingress:
         filter_key: FilterKey,
         on_push: PushHandler,
     ) -> None:
-        self._services = services
-        self._agent = agent
-        self._connector = connector
-        self._connections = connections
-        self._filter_key = filter_key
-        self._on_push = on_push
+        self._services, self._agent, self._connector = services, agent, connector
+        self._connections, self._filter_key, self._on_push = connections, filter_key, on_push
         self._tasks = TaskSet()
         self._copies = CopyTracker()
         self._memories = ProgramMemories(memory_scope(agent.identity.name), self._is_dead)
@@ -109,6 +101,8 @@ class Ingress:
     def open(self, local: ListeningAddress) -> int:
         listeners = self._services.callers.listeners(local.port)
         if not self.leads_to(local, listeners):
+            # The program has ended, and another one has its port. Peers keep the address of the network port:
+            # it stays bound, and refuses, or the master would have the new program shut down for the old one.
             for each in [each for each in self._listeners if each.port == local.port]:
                 self._retire(each)
         server = self.ports.get_or_open(local, lambda: self._listen(local))
@@ -188,6 +182,7 @@ class Ingress:
             except HangUp:
                 raise
             except HintedError as error:
+                # The peer is told why its own grants do not suffice, and no hint, which is for people here.
                 _log.warning("refused %s: %s (%s)", shown(peer.name), error, error.hint)
                 return [-1, f"rossec: {error}", 0]
 
@@ -235,14 +230,12 @@ class Ingress:
         after_request: bytes,
         after_answer: bytes,
     ) -> None:
-        decision, now, latching = admitted.decision, clock.time(), admitted.latching
-        with (
-            pump.log_end(shown(stream.peer.name)),
-            self._copies.share(admitted.guard, now, latching=latching) as (guard, initial),
-        ):
+        latching, peer = admitted.answer.get("latching") == b"1", shown(stream.peer.name)
+        shared = self._copies.share(admitted.guard, clock.time(), latching=latching)
+        with pump.log_end(peer), shared as (guard, initial):
             replacing = Replacing(guard, admitted.rebuild, to_peer=True)
             connection = AuthorizedConnection(
-                stream, decision, admitted.guard, replacing.rebuild, replacing.swap
+                stream, admitted.decision, admitted.guard, replacing.rebuild, replacing.swap
             )
             with self._connections.track(connection):
                 await stream.send(tcpros.encode(admitted.answer))
@@ -250,11 +243,11 @@ class Ingress:
                     stream.raise_unit_limit()
                     await pump.exchange(program, stream, after_answer, after_request)
                 elif after_request:
-                    _log.warning("%s sends data where it subscribes", shown(stream.peer.name))
+                    _log.warning("%s sends data where it subscribes", peer)
                 elif admitted.wishes:
                     sender = WishSender(stream, admitted.wishes)
                     sender.put(initial)
-                    await pump.publish_as_wished(program, stream, guard, after_answer, sender)
+                    await pump.publish_as_wished(program, guard, after_answer, sender)
                 else:
                     if initial:
                         await stream.send(*pump.framed(initial))

@@ -1,8 +1,7 @@
 """Forwards bytes between a program and a peer, after the TCPROS handshake. A shell.
 
 Unrestricted bytes are forwarded without inspection; restricted messages pass the guard one by one. An
-end that lags slows the other end down, or misses messages if the guard keeps state. When one end
-closes, the other is closed after it got what was sent; on any error, also of a guard, both are aborted.
+end that lags slows the other end down, or misses messages if the guard keeps state.
 """
 
 import asyncio
@@ -10,9 +9,9 @@ import contextlib
 import logging
 import struct
 from collections import deque
-from collections.abc import Coroutine, Iterator
+from collections.abc import Iterator
 from time import monotonic
-from typing import Final
+from typing import Final, TypeAlias
 
 from ca.certificates import Identity
 from ca.errors import HintedError
@@ -30,27 +29,24 @@ from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
 from rossec.sidecar.core.guards import MessageGuard, SharedGuard
 from rossec.sidecar.loopback_port import PlainStream
 
+End: TypeAlias = PlainStream | SecureStream[Identity]
 _LENGTH: Final = struct.Struct("<I")
 _log = logging.getLogger("rossec.sidecar")
 Buffer = bytes | bytearray | memoryview
-
 _LAGGING: Final = 64 * 1024  # bytes that wait, above which a peer lags
 
 
-async def split_header(end: PlainStream | SecureStream[Identity]) -> tuple[Fields, bytes]:
+async def split_header(end: End) -> tuple[Fields, bytes]:
     """The connection header that `end` sends first, and the bytes that came after it."""
-    data = b""
-    while len(data) < _LENGTH.size or len(data) < _LENGTH.size + _length(data):
+    data, size = b"", _LENGTH.size
+    while len(data) < size:
         data += await end.receive()
-    size = _LENGTH.size + _length(data)
+        if size == _LENGTH.size and len(data) >= size:
+            (length,) = _LENGTH.unpack_from(data)
+            if length > tcpros.HEADER_LIMIT:  # before it is buffered
+                raise HeaderRefused(f"a connection header of {length} bytes")
+            size += length
     return tcpros.decode(data[_LENGTH.size : size]), data[size:]
-
-
-def _length(data: bytes) -> int:
-    (length,) = _LENGTH.unpack_from(data)
-    if length > tcpros.HEADER_LIMIT:
-        raise HeaderRefused(f"a connection header of {length} bytes")
-    return int(length)
 
 
 @contextlib.contextmanager
@@ -69,7 +65,13 @@ async def exchange(program: PlainStream, peer: SecureStream[Identity], outward: 
 async def publish(
     program: PlainStream, peer: SecureStream[Identity], guard: MessageGuard | None, initial: bytes
 ) -> None:
-    await run_both(program, peer, outgoing(program, peer, guard, initial), expect_no_data(peer))
+    if guard is None:
+        direction = to_peer(program, peer, initial)
+    elif isinstance(guard, SharedGuard):
+        direction = send_filtered_nowait(program, peer, guard, initial)
+    else:
+        direction = send_filtered(program, peer, guard, initial)
+    await run_both(program, peer, direction, expect_no_data(peer))
 
 
 async def subscribe(
@@ -99,22 +101,8 @@ async def to_program(peer: SecureStream[Identity], program: PlainStream, initial
     await peer.forward(program.write_nowait, program.drain)
 
 
-def outgoing(
-    program: PlainStream, peer: SecureStream[Identity], guard: MessageGuard | None, initial: bytes
-) -> Coroutine[None, None, None]:
-    if guard is None:
-        return to_peer(program, peer, initial)
-    if isinstance(guard, SharedGuard):
-        return send_filtered_nowait(program, peer, guard, initial)
-    return send_filtered(program, peer, guard, initial)
-
-
 async def send_filtered(
-    source: PlainStream | SecureStream[Identity],
-    sink: PlainStream | SecureStream[Identity],
-    guard: MessageGuard,
-    initial: bytes,
-    max_length: int = MESSAGE_LIMIT,
+    source: End, sink: End, guard: MessageGuard, initial: bytes, max_length: int = MESSAGE_LIMIT
 ) -> None:
     """Forward each message as the guard returns it; one that cannot be checked is withheld."""
     framing = Framing(FrameReader(max_length))
@@ -132,11 +120,9 @@ async def send_filtered(
 async def send_filtered_nowait(
     program: PlainStream, peer: SecureStream[Identity], guard: SharedGuard, initial: bytes
 ) -> None:
-    """As `send_filtered`, but each message is checked at once, and a lagging peer misses it.
-
-    Connections of a key share the guard's state. If one could wait for its reader, old messages
-    would be checked after new ones, and the reader could reset a field with hysteresis at will.
-    """
+    """As `send_filtered`, but each message is checked at once, and a lagging peer misses it."""
+    # Connections of a key share the guard's state. If one could wait for its reader, old messages would be
+    # checked after new ones, and the reader could reset a field with hysteresis at will.
     framing = Framing(FrameReader())
     messages = framing.feed(initial, clock.now())
     while True:
@@ -165,28 +151,22 @@ def framed(pieces: list[Buffer]) -> list[Buffer]:
     return [_LENGTH.pack(sum(map(len, pieces))), *pieces] if pieces else []
 
 
-async def expect_no_data(end: PlainStream | SecureStream[Identity]) -> None:
+async def expect_no_data(end: End) -> None:
     await end.receive()
     raise ConnectionHeaderRefused("a subscriber that sends data")
-
-
-@contextlib.contextmanager
-def _until_closed() -> Iterator[None]:
-    # Nothing is awaited in `except*`: it would turn a cancellation there into a group, a crash.
-    try:
-        yield
-    except* ChannelClosed:
-        pass
 
 
 async def run_both(
     program: PlainStream, peer: SecureStream[Identity], *directions: "asyncio._CoroutineLike[None]"
 ) -> None:
+    # When one end closes, the other is closed after it got what was sent; on any error both are aborted.
     try:
-        with _until_closed():
+        try:
             async with asyncio.TaskGroup() as group:
                 for direction in directions:
                     group.create_task(direction)
+        except* ChannelClosed:
+            pass  # nothing is awaited in `except*`: a cancellation there would become a group, a crash
         await asyncio.gather(program.close(), peer.close())  # deliver what was sent
     finally:
         program.abort()
@@ -198,7 +178,7 @@ class WishSender:
 
     def __init__(self, peer: SecureStream[Identity], wishes: Wishes) -> None:
         self.newest = wishes.newest  # a message replaces those that wait
-        self._peer = peer
+        self.peer: Final = peer
         self._deflate = wishes.deflate
         self._rate = None if wishes.rate is None else WishedRate(wishes.rate)
         self._held = 0  # bytes that wait
@@ -210,7 +190,7 @@ class WishSender:
 
     @property
     def lags(self) -> bool:
-        return self._held > _LAGGING or self._peer.lags
+        return self._held > _LAGGING or self.peer.lags
 
     def put(self, pieces: list[Buffer]) -> None:
         if not pieces or (self._rate is not None and not self._rate.admits(monotonic())):
@@ -229,24 +209,21 @@ class WishSender:
             self._wake.clear()
             while self._waiting:
                 if self.newest:
-                    await self._peer.flushed()
+                    await self.peer.flushed()
                 pieces = self._waiting.popleft()
                 size = sum(map(len, pieces))
                 self._held -= size
                 if self._deflate:
                     large = size >= LARGE
                     pieces = [await asyncio.to_thread(deflated, pieces) if large else deflated(pieces)]
-                await self._peer.send(*framed(pieces))
+                await self.peer.send(*framed(pieces))
             self._idle.set()
 
 
 async def publish_as_wished(
-    program: PlainStream,
-    peer: SecureStream[Identity],
-    guard: MessageGuard | None,
-    initial: bytes,
-    sender: WishSender,
+    program: PlainStream, guard: MessageGuard | None, initial: bytes, sender: WishSender
 ) -> None:
+    peer = sender.peer
     forwarding = forward_as_wished(program, shown(peer.peer.name), guard, initial, sender)
     await run_both(program, peer, forwarding, sender.run(), expect_no_data(peer))
 

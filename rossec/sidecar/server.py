@@ -1,8 +1,7 @@
 """The sidecar of a host or of one program: a master on loopback, and an agent for each identity. A shell.
 
 The identity of a call follows from the caller_id, never from data of a peer: with `identity` it is
-always that one; otherwise each program uses the one enrolled for its name. The caller_id of roscpp's
-`NodeHandle::searchParam` is a namespace of its node: there it is the program.
+always that one; otherwise each program uses the one enrolled for its name.
 """
 
 import asyncio
@@ -22,6 +21,7 @@ from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConfigurationError, HangUp, PeerUnreachable
 from rossec.home import NodeHome
+from rossec.host.callers import Callers
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.net.limits import HalfOpen, HalfOpenCount
@@ -34,7 +34,6 @@ from rossec.participant.registrations import GRAPH, SEARCH, PublisherGrace
 from rossec.participant.slave_api import without_caller
 from rossec.ros.names import MASTER, Settings, is_loopback
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.callers import Callers
 from rossec.sidecar.core import master_calls
 from rossec.sidecar.core.layers import AgentState, EndpointMap, Layer, ListeningAddress
 from rossec.sidecar.core.master_calls import MULTICALL, ResubscribeQueue, rule_of
@@ -44,20 +43,16 @@ from rossec.sidecar.ingress import ACCEPT_LIMITS, Ingress, PeerConnector
 from rossec.sidecar.loopback_port import LoopbackPort, PlainStream
 
 LIFETIME: Final = 5.0
-
 _PERIOD: Final = 1.0
-
 _log = logging.getLogger("rossec.sidecar")
-
 _TAKEN: Final = "is roscore or another sidecar running? choose another port with --port"
 LIMIT: Final = 256  # identities in use
 
 
 class ConnectionCache:
-    """Connections to peers' slave APIs, cached briefly for the program that looked them up.
+    """Connections to peers' slave APIs, cached briefly for the program that looked them up."""
 
-    A port is opened only if the peer answers; the program that then connects to it reuses that one.
-    """
+    # A port is opened only if the peer answers; the program that then connects to it reuses that one.
 
     def __init__(self) -> None:
         self._clients: dict[ListeningAddress, SlaveApiClient] = {}
@@ -66,7 +61,16 @@ class ConnectionCache:
     def put(self, remote: ListeningAddress, client: SlaveApiClient) -> None:
         old = self._clients.pop(remote, None)
         self._clients[remote] = client
-        self._tasks.spawn(self._close_later(remote, client, old), "a cached connection")
+
+        async def close_later() -> None:
+            if old is not None:
+                await old.rpc.close()
+            await asyncio.sleep(LIFETIME)
+            if self._clients.get(remote) is client:
+                del self._clients[remote]
+                await client.rpc.close()
+
+        self._tasks.spawn(close_later(), "a cached connection")
 
     def take(self, remote: ListeningAddress) -> SlaveApiClient | None:
         return self._clients.pop(remote, None)
@@ -74,27 +78,15 @@ class ConnectionCache:
     async def close(self) -> None:
         await self._tasks.close()
 
-    async def _close_later(
-        self, remote: ListeningAddress, client: SlaveApiClient, old: SlaveApiClient | None
-    ) -> None:
-        if old is not None:
-            await old.rpc.close()
-        await asyncio.sleep(LIFETIME)
-        if self._clients.get(remote) is client:
-            del self._clients[remote]
-            await client.rpc.close()
-
 
 class Resubscriber:
-    """Publisher updates for the programs of one identity where no master sends one.
+    """Publisher updates for the programs of one identity where no master sends one."""
 
-    Programs need not handle a topic whose connection ended and that they may subscribe to again, or
-    publishers that a restarted master did not list again.
-    """
+    # Programs need not handle a topic whose connection ended and that they may subscribe to again, or
+    # publishers that a restarted master did not list again.
 
     def __init__(self, services: AgentServices, agent: AgentState) -> None:
-        self._services = services
-        self._agent = agent
+        self._services, self._agent = services, agent
         self._to_resubscribe = ResubscribeQueue()
 
     def on_topic_ended(self, topic: str, began: float) -> None:
@@ -140,9 +132,7 @@ class Agent:
         suites: tuple[int, ...] = PRODUCTION,
         master_name: str = MASTER,
     ) -> None:
-        self.home = home
-        self.callers = callers
-        self._settings = settings
+        self.home, self.callers, self._settings = home, callers, settings
         loaded = LoadedIdentity(home, home.name, master_name)
         access = Access(loaded.standing, master=master_name)
         endpoints = EndpointMap(settings.address or "", callers.loopback.host)
@@ -185,7 +175,11 @@ class Agent:
         return self.home.name
 
     async def handle_call(self, method: str, params: tuple[object, ...]) -> object:
-        await self._ensure_started()
+        async with self._start_lock:  # the first call of a program connects with the master
+            if self._has_failed:
+                raise HangUp("a task of this identity has failed")
+            if not self._started:
+                await self._start()
         answer = await run_layer(self, master_calls.handle_call(self.state, method, params))
         if method not in GRAPH or not self._holds(Right.GRAPH, self.name):
             self._refusals.log_own(self.name, method, answer)
@@ -221,22 +215,18 @@ class Agent:
 
     # --- master and watchdog
 
-    async def _ensure_started(self) -> None:
-        async with self._start_lock:
-            if self._has_failed:
-                raise HangUp("a task of this identity has failed")
-            if self._started:
-                return
-            try:
-                stream = await self._membership.session.open()
-            except (HintedError, OSError, TimeoutError) as error:
-                _log.warning("%s: the master does not answer: %s", self.name, error)
-                raise HangUp(str(error)) from error
-            self.state.endpoints.host = self._settings.address or stream.local_address
-            self._started = True
-            self._membership.start()
-            self._membership.tasks.spawn(self._resubscriber.run(), f"{self.name}: resubscribe")
-            self._membership.tasks.spawn(self._egress.leave_publishers(), f"{self.name}: publishers to leave")
+    async def _start(self) -> None:
+        try:
+            stream = await self._membership.session.open()
+        except (HintedError, OSError, TimeoutError) as error:
+            _log.warning("%s: the master does not answer: %s", self.name, error)
+            raise HangUp(str(error)) from error
+        self.state.endpoints.host = self._settings.address or stream.local_address
+        self._started = True
+        self._membership.start()
+        leaving = self._egress.followed.leave_regularly()
+        self._membership.tasks.spawn(self._resubscriber.run(), f"{self.name}: resubscribe")
+        self._membership.tasks.spawn(leaving, f"{self.name}: publishers to leave")
 
     # --- hooks of the membership (MembershipHooks)
 
@@ -287,12 +277,8 @@ class Sidecar:
         suites: tuple[int, ...] = PRODUCTION,
         master_name: str = MASTER,
     ) -> None:
-        self._home = home
-        self._settings = settings
-        self._callers = callers
-        self._each = each
-        self._suites = suites
-        self._master_name = master_name
+        self._home, self._settings, self._callers = home, settings, callers
+        self._each, self._suites, self._master_name = each, suites, master_name
         self._half_open = HalfOpenCount(HalfOpen())
         self._agents: dict[str, Agent] = {}
         try:
@@ -347,7 +333,8 @@ class Sidecar:
             return [-1, f"rossec: {error}", 0]
 
     async def _searching(self, program: PlainStream, space: str) -> Agent | None:
-        # Several nodes in `space`, or one that has this very name: the process decides.
+        # roscpp's `searchParam` calls with a namespace of its node. Several nodes in it, or one that has
+        # this very name: the process decides.
         if self._default is not None and not self._each:
             return None
         prefix = space.rstrip("/") + "/"
@@ -393,17 +380,10 @@ class Sidecar:
         return self._agent(home)
 
     def _agent(self, home: NodeHome) -> Agent:
-        if home.name not in self._agents:
-            self._agents[home.name] = Agent(
-                home,
-                self._settings,
-                self._callers,
-                self.uri,
-                self._half_open,
-                self._suites,
-                self._master_name,
-            )
-        return self._agents[home.name]
+        agent = self._agents[home.name] = Agent(
+            home, self._settings, self._callers, self.uri, self._half_open, self._suites, self._master_name
+        )
+        return agent
 
 
 def _caller(method: str, params: tuple[object, ...]) -> str:

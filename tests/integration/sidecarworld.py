@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Final
 
 from grants.model import Right
+from rossec.host.callers import descendants, parents
 from rossec.ros.names import MASTER
-from rossec.sidecar.callers import descendants, parents
 from tests.support.hosts import Host, Hosts
 from tests.support.ports import free_port
 from tests.support.site import DAY, Site

@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import AsyncIterator
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -47,7 +47,7 @@ class Place:
         }
         self.member = RelayMember(relay, environ)
         network = WireNetwork(wires, label, self.member.link_context)
-        self.relay = Relay(self.member, network, OpenDoors("127.0.0.1"), self.files.peers)
+        self.relay = Relay(self.member, cast("Any", network), OpenDoors("127.0.0.1"), self.files.peers)
 
     @property
     def mailbox(self) -> str:

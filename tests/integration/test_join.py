@@ -16,7 +16,7 @@ from typing import Final
 import pytest
 
 from ca.enrollment import invitation
-from rossec.sidecar.callers import descendants, parents
+from rossec.host.callers import descendants, parents
 from tests.integration.sidecarworld import wait
 from tests.support.ports import free_port
 

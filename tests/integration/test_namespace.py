@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from rossec.host.callers import descendants, parents
 from rossec.naming import rule_runner
-from rossec.sidecar.callers import descendants, parents
 from tests.integration.sidecarworld import ROSSEC, Running, World, wait
 from tests.rossec.namespace.launch_texts import FIGURES
 from tests.support.fleet import SECURE

@@ -7,6 +7,7 @@ import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, cast
 
 from ca.certificates import Identity
 from ca.domains.trust import Anchors, ForeignDomain
@@ -115,7 +116,7 @@ class RelayedSite:
         }
         self.member = RelayMember("/relay", environ)
         self.network = WireNetwork(self.wires, self.label, self.member.link_context)
-        self.relay = Relay(self.member, self.network, OpenDoors("127.0.0.1"), self.files.peers)
+        self.relay = Relay(self.member, cast("Any", self.network), OpenDoors("127.0.0.1"), self.files.peers)
         self.running = asyncio.ensure_future(self.relay.run())
 
     async def stop(self) -> None:

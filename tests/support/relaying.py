@@ -9,7 +9,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 from ca.certificates import Identity
 from rossec.errors import RelayRefused, RossecError
@@ -33,7 +33,9 @@ class StraightRelay:
         self.sources: list[str] = []  # from where it has connected for others
         self._master = master
         self._home = master.site.enroll(name)
-        self.link = MasterLink(master.name, name, instance, self._dial, self, lambda masters: None)
+        self.link = MasterLink(
+            master.name, name, instance, self._dial, cast("Any", self), lambda masters: None
+        )
         self._tasks: set[asyncio.Task[Any]] = set()
 
     def meet(self, label: str, other: "StraightRelay", domain: str = "") -> None:

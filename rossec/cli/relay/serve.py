@@ -16,6 +16,8 @@ from rossec.cli.shared.master import with_master
 from rossec.environment import own_relay
 from rossec.errors import ConfigurationError, OverlayUnavailable
 from rossec.host.audit import audit_written
+from rossec.host.callers import Callers
+from rossec.host.local_ports import PortAdmission, find_loopback
 from rossec.host.local_sockets import process_lock
 from rossec.host.runner import stop_on_signals, until_reached, until_stopped
 from rossec.master.operation.admin import AdminPort, raise_descriptor_limit
@@ -25,8 +27,6 @@ from rossec.overlay.forwarded_ports import OpenDoors
 from rossec.overlay.masters import RelayMember
 from rossec.overlay.relay import Relay
 from rossec.overlay.zenoh_carrier import Carrier
-from rossec.sidecar.callers import Callers
-from rossec.sidecar.loopback_port import PortAdmission, find_loopback
 from rossec.terminal import note, printable, say, say_json
 
 _log = logging.getLogger("rossec.overlay")

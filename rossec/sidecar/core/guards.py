@@ -1,9 +1,8 @@
 """The guards of forwarded connections: copies of a message, memory per program, renewed grants. Pure.
 
 A program sends a copy of one message to each connection, also to those of one key: what passed once
-passes on all of them. Each program has its own memory of limits, also if others publish the same topic:
-their values would reset its hysteresis. What would need another way of forwarding is refused when a
-grant is renewed, and the connection is made anew.
+passes on all of them. What would need another way of forwarding is refused when a grant is renewed, and
+the connection is made anew.
 """
 
 from collections.abc import Callable, Hashable, Iterator
@@ -18,9 +17,7 @@ from grants.guard import Guard, Memory, MemoryScope
 from rossec.errors import ConnectionHeaderRefused
 
 WINDOW: Final = 1  # whole seconds
-
 HolderT = TypeVar("HolderT", bound=Hashable)
-
 Rebuild: TypeAlias = Callable[[Decision], Guard | None]
 
 
@@ -44,8 +41,7 @@ class ReplaceableGuard:
 
 class _LastMessage:
     def __init__(self, message: bytes, mark: object, now: float, pending: set["SharedGuard"]) -> None:
-        self.message = message
-        self.mark = mark
+        self.message, self.mark = message, mark
         self.at = now
         self.pending = pending  # connections that have not had it yet
 
@@ -57,18 +53,10 @@ class _Group:
 
 
 class SharedGuard:
-    """The guard of one connection of a group.
-
-    A message equal to one that passed counts as its copy: once on each connection that was open at that
-    time, and within `WINDOW` seconds, since a constant message would otherwise keep passing. A new
-    connection to a latching program gets the last message that passed for its key, unless the rate limit
-    has room for a new one. So connecting does not reveal whether a message changed.
-    """
+    """The guard of one connection of a group."""
 
     def __init__(self, guard: Guard, group: _Group, *, latching: bool) -> None:
-        self._guard = guard
-        self._group = group
-        self._latching = latching
+        self._guard, self._group, self._latching = guard, group, latching
 
     def replace(self, guard: Guard) -> None:
         self._guard = guard
@@ -78,12 +66,15 @@ class SharedGuard:
 
     def initial_message(self, now: float) -> list[Buffer]:
         """The last message that passed for the key, if the rate limit allows no newer one."""
+        # So connecting to a latching program does not reveal whether a message changed.
         last = self._group.last
         if last is None or not self._latching or self._guard.ready(now):
             return []
         return self._guard.apply(last.message, now, last.mark) or []
 
     def apply(self, message: bytes, now: float) -> list[Buffer] | None:
+        # Equal to one that passed: its copy, once on each connection that was open at that time, and within
+        # `WINDOW` seconds, since a constant message would otherwise keep passing.
         last = self._group.last
         is_recent = last is not None and self in last.pending and int(now) - int(last.at) <= WINDOW
         if last is not None and is_recent and message == last.message:
@@ -133,22 +124,24 @@ class _ProgramMemory(Generic[HolderT]):
 class ProgramMemories(Generic[HolderT]):
     """The memories of one identity: one for each program that runs at a time.
 
-    None per name, since `rostopic pub` and `rosbag play` use a new name in each run: a new program reuses
-    the memory of one that has ended, preferably of the same name. A subscriber cannot influence whether
-    a program counts as ended. `has_ended`: whether a holder that was not released has ended.
+    `has_ended`: whether a holder that was not released has ended; no subscriber can influence that.
     """
 
     def __init__(self, scope: MemoryScope, has_ended: Callable[[HolderT], bool] = lambda _: False) -> None:
-        self._scope = scope
-        self._has_ended = has_ended
+        self._scope, self._has_ended = scope, has_ended
         self._memories: list[_ProgramMemory[HolderT]] = []
 
     def acquire(self, name: str, holder: HolderT) -> MemoryScope:
         """The memory scope of `holder`, a program of this name."""
+        # Each program has its own, also if others publish the topic: their values would reset its hysteresis.
+        # Not one for each name: `rostopic pub` and `rosbag play` use a new one in each run.
         memories = self._memories
         memory = next((each for each in memories if holder in each.holders), None)
         memory = memory or next((each for each in memories if each.name == name), None)
-        memory = memory or self._released()
+        if memory is None:  # that of a program that has ended, or a new one
+            for each in memories:
+                self._drop_ended(each)
+            memory = next((each for each in memories if not each.holders), None)
         if memory is None:
             memory = _ProgramMemory("")
             memories.append(memory)
@@ -162,40 +155,28 @@ class ProgramMemories(Generic[HolderT]):
         for memory in self._memories:
             memory.holders.discard(holder)
 
-    def _released(self) -> _ProgramMemory[HolderT] | None:
-        for memory in self._memories:
-            self._drop_ended(memory)
-            if not memory.holders:
-                return memory
-        return None
-
     def _drop_ended(self, memory: _ProgramMemory[HolderT]) -> None:
         memory.holders = {holder for holder in memory.holders if not self._has_ended(holder)}
 
 
 class Replacing:
-    """Replaces the guard of one forwarded connection; None: bytes pass unread.
-
-    Bytes that pass unread have no known beginnings of messages, and a connection `to_peer` with limits
-    must not let its messages wait.
-    """
+    """Replaces the guard of one forwarded connection; None: bytes pass unread."""
 
     def __init__(
         self, guard: SharedGuard | ReplaceableGuard | None, rebuild: Rebuild, *, to_peer: bool
     ) -> None:
-        self._guard = guard
-        self._rebuild = rebuild
-        self._to_peer = to_peer
+        self._guard, self._rebuild, self._to_peer = guard, rebuild, to_peer
 
     def rebuild(self, decision: Decision) -> Guard | None:
         """The guard for another decision."""
         renewed = self._rebuild(decision)
         if self._guard is None:
-            if renewed is not None:
+            if renewed is not None:  # bytes that passed unread have no known beginnings of messages
                 raise ConnectionHeaderRefused("messages that are restricted now were passed on unread")
             return None
         if renewed is None:
             return Guard(None, decision)  # lets everything pass until it expires
+        # With limits no message may wait for its reader: see `pump.send_filtered_nowait`.
         has_limits = renewed.memory is not None
         if has_limits and self._to_peer and not isinstance(self._guard, SharedGuard):
             raise ConnectionHeaderRefused("messages that are limited now had to wait for the peer")

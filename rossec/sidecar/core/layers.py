@@ -1,9 +1,7 @@
 """What all layers share: commands, events, and the state of the identity they act for. Pure.
 
 A layer is a generator: it yields a command, is sent the one event that fits it, and returns the outcome.
-Any exception of a layer closes its connection; errors fail closed. An event that does not fit is a bug
-of the shell. Programs are reached only at loopback ports, peers only through the secure channel: no
-command sends plaintext to another host.
+Any exception of a layer closes its connection; errors fail closed.
 """
 
 from collections.abc import Generator, Mapping
@@ -21,18 +19,8 @@ from rossec.participant.registrations import PublisherGrace, RegistrationTable
 from rossec.ros.names import DOOR_PATH, is_door, parse_uri
 
 _SCHEMES: Final = {WireProtocol.HTTP: "http", WireProtocol.TCPROS: "rosrpc"}
-
 Outcome = TypeVar("Outcome")
-
-
-class Loopback(NamedTuple):
-    """The loopback address of programs and sidecar, and its host name in URIs."""
-
-    address: str
-    host: str
-
-
-LOOPBACK: Final = Loopback("127.0.0.1", "127.0.0.1")
+_LOOPBACK: Final = "127.0.0.1"
 
 
 @dataclass(frozen=True)
@@ -55,7 +43,7 @@ class ListeningAddress:
 
 
 def local_endpoint(protocol: WireProtocol, port: int) -> ListeningAddress:
-    return ListeningAddress(protocol, LOOPBACK.host, port)
+    return ListeningAddress(protocol, _LOOPBACK, port)
 
 
 def topic_endpoint(api: ListeningAddress) -> ListeningAddress:
@@ -78,14 +66,12 @@ class EndpointMap:
     """The endpoint mapping of one identity; peers reach this host at `host`.
 
     A program keeps its loopback port and gets a network port (ingress); a peer keeps its address and
-    gets a loopback port (egress). A program's own URI is returned to it byte for byte: roscpp compares
-    it so to recognize itself. An endpoint on this host is identified by its port, whatever host a
-    program writes; programs get the host name by which they reach loopback.
+    gets a loopback port (egress). An endpoint on this host is identified by its port, whatever host a
+    program writes.
     """
 
-    def __init__(self, host: str, loopback_host: str = LOOPBACK.host) -> None:
-        self.host = host
-        self._loopback_host = loopback_host
+    def __init__(self, host: str, loopback_host: str = _LOOPBACK) -> None:
+        self.host, self._loopback_host = host, loopback_host
         self._ingress: dict[ListeningAddress, ListeningAddress] = {}  # network -> loopback
         self._egress: dict[int, ListeningAddress] = {}  # loopback port -> remote
         self._own_uris: dict[ListeningAddress, str] = {}
@@ -121,6 +107,7 @@ class EndpointMap:
         self._own_uris[local] = uri
 
     def own_uri(self, local: ListeningAddress) -> str:
+        # Byte for byte as the program wrote it: roscpp compares it so to recognize itself.
         return self._own_uris.get(local, replace(local, host=self._loopback_host).uri)
 
     def network_of(self, local: ListeningAddress) -> ListeningAddress:
@@ -139,18 +126,17 @@ class EndpointMap:
 
 
 def _casefolded(endpoint: ListeningAddress) -> ListeningAddress:
+    # Names of hosts have no case (RFC 4343), and a peer may write the own one as it likes.
     return replace(endpoint, host=endpoint.host.lower())
 
 
-@dataclass(frozen=True)
-class OpenIngress:
+class OpenIngress(NamedTuple):
     """Open a network port for a program's endpoint; always the same port. -> Opened"""
 
     local: ListeningAddress
 
 
-@dataclass(frozen=True)
-class OpenEgress:
+class OpenEgress(NamedTuple):
     """Open a loopback port for a peer's endpoint; always the same port. -> Opened
 
     With `probe` it listens only if the peer answers; otherwise the port stays reserved and the
@@ -161,23 +147,20 @@ class OpenEgress:
     probe: bool = False
 
 
-@dataclass(frozen=True)
-class Suspend:
+class Suspend(NamedTuple):
     """The program at this endpoint has ended: refuse callers, keep the port. -> CommandDone"""
 
     local: ListeningAddress
 
 
-@dataclass(frozen=True)
-class CallMaster:
+class CallMaster(NamedTuple):
     """Call the secured master. -> Answered, NoAnswer"""
 
     method: str
     params: tuple[object, ...]
 
 
-@dataclass(frozen=True)
-class CallProgram:
+class CallProgram(NamedTuple):
     """Call a program's slave API. -> Answered; NoAnswer"""
 
     local: ListeningAddress
@@ -185,8 +168,7 @@ class CallProgram:
     params: tuple[object, ...]
 
 
-@dataclass(frozen=True)
-class CallPeer:
+class CallPeer(NamedTuple):
     """Call a peer's slave API, after presenting the grants for `right` on it.
 
     -> Answered; RawResponse if not `parse`; NoAnswer
@@ -199,8 +181,7 @@ class CallPeer:
     parse: bool = True
 
 
-@dataclass(frozen=True)
-class AuthenticatePeer:
+class AuthenticatePeer(NamedTuple):
     """Connect to a peer, whose identity decides on the call or header that follows.
 
     The next `CallPeer` or `ConnectPeer` there uses this connection. -> PeerAuthenticated, NoAnswer
@@ -209,63 +190,56 @@ class AuthenticatePeer:
     remote: ListeningAddress
 
 
-@dataclass(frozen=True)
-class Probe:
+class Probe(NamedTuple):
     """Check whether the program still listens. -> CommandDone, NoAnswer"""
 
     local: ListeningAddress
 
 
-@dataclass(frozen=True)
-class ConnectProgram:
+class ConnectProgram(NamedTuple):
     """Connect to a program for TCPROS and send this header. -> HeaderArrived, NoAnswer"""
 
     local: ListeningAddress
     fields: Mapping[str, bytes]
 
 
-@dataclass(frozen=True)
-class ConnectPeer:
+class ConnectPeer(NamedTuple):
     """Connect to a peer for TCPROS and send this header. -> HeaderArrived, NoAnswer"""
 
     remote: ListeningAddress
     fields: Mapping[str, bytes]
 
 
+# Programs are reached only at loopback ports, peers only through the secure channel: no command sends
+# plaintext to another host.
 Request = CallMaster | CallProgram | CallPeer | AuthenticatePeer | Probe | ConnectProgram | ConnectPeer
 Command = OpenIngress | OpenEgress | Suspend | Request
 
 
-@dataclass(frozen=True)
-class PortOpened:
+class PortOpened(NamedTuple):
     port: int  # on the network for `OpenIngress`, on loopback for `OpenEgress`
 
 
-@dataclass(frozen=True)
-class Answered:
+class Answered(NamedTuple):
     value: object  # of an XML-RPC call
     peer: Identity | None = None  # that answered
 
 
-@dataclass(frozen=True)
-class PeerAuthenticated:
+class PeerAuthenticated(NamedTuple):
     peer: Identity
 
 
-@dataclass(frozen=True)
-class RawResponse:
+class RawResponse(NamedTuple):
     body: bytes  # unparsed, to be forwarded unchanged
 
 
-@dataclass(frozen=True)
-class HeaderArrived:
+class HeaderArrived(NamedTuple):
     fields: Mapping[str, bytes]
     peer: Identity | None  # None: a program of this host
     now: int
 
 
-@dataclass(frozen=True)
-class NoAnswer:
+class NoAnswer(NamedTuple):
     reason: str
     dead: bool = False  # nothing listens there any more, as opposed to slow or broken
 
@@ -276,7 +250,6 @@ class CommandDone:
 
 
 Event = PortOpened | Answered | PeerAuthenticated | RawResponse | HeaderArrived | NoAnswer | CommandDone
-
 Layer: TypeAlias = Generator[Command, Event, Outcome]
 
 
@@ -303,10 +276,8 @@ class AgentState:
     programs: dict[ListeningAddress, Program] = field(default_factory=dict)  # by their slave APIs
 
     def name_for(self, caller: str) -> str:
-        """The caller_id for peers: the program's own if the identity covers it, else the identity.
-
-        So it is always a certified name (attack L7).
-        """
+        """The caller_id for peers: the program's own if the identity covers it, else the identity."""
+        # So it is always a certified name (attack L7).
         return caller if self.covers(caller) else self.identity.name
 
     def name_for_peer(self, caller: str, peer: Identity) -> str:
@@ -323,6 +294,7 @@ class AgentState:
     ) -> Layer[str]:
         """The URI at which a program reaches `remote`; its own URI is returned as it wrote it."""
         local = self.endpoints.program_at(remote)
+        # Its own URI, as it wrote it; not a port at which the sidecar would call itself.
         if local is not None and local == own_api:
             return self.endpoints.own_uri(local)
         port = opened_port((yield OpenEgress(remote, probe=probe)))

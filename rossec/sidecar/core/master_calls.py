@@ -7,9 +7,8 @@ ended, for rights that are new, and for publishers that the master did not name 
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from enum import Enum
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from grants.model import Right
 from grants.request import is_dispensable, missing_right
@@ -41,18 +40,14 @@ from rossec.sidecar.core.layers import (
 
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096
-
 SUBSCRIBE: Final = "registerSubscriber"
-REFUSED: Final = "rossec: "  # a status that begins so is not one of the stock master
 # Registrations that succeed for a program that works without them, with their value.
 _DISPENSABLE: Final = {"registerPublisher": [], "registerService": 1}
-
 _RIGHTS: Final = {
     "registerPublisher": Right.PUBLISH,
     SUBSCRIBE: Right.SUBSCRIBE,
     "registerService": Right.PROVIDE,
 }
-
 Holds: TypeAlias = Callable[[Right, str], bool]
 """Whether this identity has a right on a name now; without it the master would only refuse."""
 
@@ -68,8 +63,7 @@ class Result(Enum):
     MASTER = "the master's own URI"
 
 
-@dataclass(frozen=True)
-class CallRule:
+class CallRule(NamedTuple):
     """Where one method carries addresses; indices count the caller_id as 0."""
 
     api: int | None = None  # the caller's slave API URI
@@ -127,7 +121,7 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
                 master_params[registrations.RELATIVE_NAME[method]], answer[2]
             )
         return (yield from _answer_for_program(agent, rule, _own_api(rule, params), answer))
-    if method in registrations.REGISTERS and str(answer[1]).startswith(REFUSED):
+    if method in registrations.REGISTERS and str(answer[1]).startswith(registrations.REFUSED):
         _record_registration(agent, method, rule, params, master_params, refused=True)
         missing = missing_right(str(answer[1]))
         if method in _DISPENSABLE and missing and is_dispensable(missing.right, missing.own):
@@ -158,7 +152,7 @@ def _refusal(
 
 def rule_of(method: str) -> CallRule:
     rule = RULES.get(method)
-    if rule is None:
+    if rule is None:  # what is not in the table might carry an address that nobody rewrote
         raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
     return rule
 
@@ -205,11 +199,8 @@ def _params_for_master(
     agent: AgentState, method: str, rule: CallRule, caller: str, params: tuple[object, ...]
 ) -> Layer[tuple[object, ...] | None]:
     # The parameters for the secured master; None: the address is not the program's own.
-    name = caller
-    if (
-        method not in registrations.UNREGISTERS
-    ):  # `rosnode cleanup` names dead nodes; the master authorizes it
-        name = agent.name_for(caller)
+    # `rosnode cleanup` names dead nodes; the master authorizes it.
+    name = caller if method in registrations.UNREGISTERS else agent.name_for(caller)
     changed = list(params if name == caller else registrations.resolve_params(method, params, caller))
     changed[0] = name
     for index, protocol in ((rule.api, WireProtocol.HTTP), (rule.service, WireProtocol.TCPROS)):
@@ -292,11 +283,9 @@ def _answer_for_program(
 
 
 def restore(agent: AgentState, holds: Holds) -> Layer[None]:
-    """Make every registration again with a restarted master, except those of dead programs.
-
-    A dead program could replace a new one of the same name, which the master would shut down. One
-    that was refused before is made if this identity `holds` the right now.
-    """
+    """Make every registration again with a restarted master, except those of dead programs."""
+    # A dead program could replace a new one of the same name, which the master would shut down. One that was
+    # refused before is made if this identity holds the right now.
     for own_api, program in tuple(agent.programs.items()):
         if (yield from _is_gone(agent, own_api, (yield Probe(own_api)))):
             continue
@@ -335,15 +324,13 @@ def _register_again(
     event = yield CallMaster(method, params)
     program = agent.programs.get(own_api)
     match event:
-        case Answered(value=[1, _, _]) if program is not None:
-            program.registrations.record(method, params)
-        case _:
-            pass
-    match event:
-        case Answered(value=[1, _, value]) if method == SUBSCRIBE:
-            topic = str(params[registrations.RELATIVE_NAME[SUBSCRIBE]])
-            publishers = agent.followed_publishers(topic, value)
-            yield from _update_publishers(agent, own_api, topic, publishers)
+        case Answered(value=[1, _, value]):
+            if program is not None:
+                program.registrations.record(method, params)
+            if method == SUBSCRIBE:
+                topic = str(params[registrations.RELATIVE_NAME[SUBSCRIBE]])
+                publishers = agent.followed_publishers(topic, value)
+                yield from _update_publishers(agent, own_api, topic, publishers)
         case NoAnswer(reason=reason):
             raise HangUp(reason)
         case _:
@@ -377,11 +364,10 @@ def _is_gone(agent: AgentState, own_api: ListeningAddress, event: Event) -> Laye
 
 
 class ResubscribeQueue:
-    """The topics of one identity to resubscribe; times are seconds of one clock.
+    """The topics of one identity to resubscribe; times are seconds of one clock."""
 
-    rospy drops a connection that ended until it gets a publisherUpdate; the sidecar sends one once it
-    holds a grant again. The delay doubles while connections keep ending soon.
-    """
+    # rospy drops a connection that ended until it gets a publisherUpdate; the sidecar sends one once it
+    # holds a grant again.
 
     def __init__(self) -> None:
         self._due: dict[str, float] = {}
@@ -389,6 +375,7 @@ class ResubscribeQueue:
 
     def add(self, topic: str, began: float, now: float) -> None:
         """A connection for `topic`, made at `began`, has ended."""
+        # The delay doubles while connections keep ending soon.
         lasted = now - began > MAX_DELAY
         delay = FIRST_DELAY if lasted else self._delays.get(topic, FIRST_DELAY)
         self._due[topic] = now + delay

@@ -1,9 +1,7 @@
 """Between nodes: calls of slave APIs and TCPROS handshakes, of peers and programs. Pure layers.
 
 Both directions are default deny and drop UDPROS, which would bypass the channel (attack N10). A peer is
-authorized before the program is called. Answers are parsed and serialized again, and hold a value only
-if the code is 1: rospy takes any positive code for success, and stock parsers accept what ours refuses;
-a program would connect in plaintext to an address that the sidecar did not see.
+authorized before the program is called.
 
 A header is read once, authorized and sent to the other end, and its answer is authorized in turn; grants
 are added towards the network and removed towards the program, names of other origins are mapped.
@@ -11,7 +9,7 @@ are added towards the network and removed towards the program, names of other or
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias, TypeGuard
 
 from ca.certificates import Identity
 from ca.names import is_alias, origin_of, split_alias
@@ -55,7 +53,6 @@ _UNPARSED: Final = frozenset({"getBusStats"})
 REQUEST_TOPIC: Final = "requestTopic"
 _INBOUND: Final = "i"
 _MAX_EGRESS_PORTS: Final = 64  # ports that one answer of a peer can open
-
 _CALLER = "callerid"
 _LONGEST_NAME = 255
 FindMemoryScope: TypeAlias = Callable[[str], MemoryScope]  # by the program's caller_id
@@ -80,7 +77,12 @@ def handle_peer_call(
     if answer is not None:
         return answer
     if method in (REQUEST_TOPIC, PORTS):
-        return (yield from _answer_with_port(agent, local, method))
+        # The same for every topic: the program is asked once an authorized peer connects there (N5).
+        yield from _require_alive(agent, local, (yield Probe(local)))
+        ingress = yield from agent.ingress_endpoint(topic_endpoint(local))
+        if method == PORTS:
+            return slave_api.ports_answer(ingress.port)
+        return [1, "ready", [slave_api.TCPROS, ingress.host, ingress.port]]
     changed = (handshakes.caller_here(peer, str(params[0])), *params[1:])
     if method == "publisherUpdate" and len(params) == 3:
         followed = agent.followed_publishers(params[1], params[2])
@@ -108,16 +110,10 @@ def _answer_at_once(peer: Identity, method: str, params: tuple[object, ...]) -> 
     return refused
 
 
-def _answer_with_port(agent: AgentState, local: ListeningAddress, method: str) -> Layer[object]:
-    # The same for every topic: the program is asked once an authorized peer connects there (N5).
-    yield from _require_alive(agent, local, (yield Probe(local)))
-    ingress = yield from agent.ingress_endpoint(topic_endpoint(local))
-    if method == PORTS:
-        return slave_api.ports_answer(ingress.port)
-    return [1, "ready", [slave_api.TCPROS, ingress.host, ingress.port]]
-
-
 def succeeded(code: object) -> bool:
+    # Answers are parsed and serialized again, and hold a value only if the code is 1: rospy takes any
+    # positive code for success, and a program would connect in plaintext to an address that the sidecar did
+    # not see.
     return type(code) is int and code == 1  # not True, not 1.0
 
 
@@ -157,26 +153,33 @@ def _answer_for_peer(
         case "getMasterUri", _:
             return [1, status, ""]
         case "getBusInfo", list() as entries:
-            return [1, status, (yield from _program_bus_info(agent, local, entries))]
-        case _:
-            return [1, status, value]
-
-
-def _program_bus_info(
-    agent: AgentState, local: ListeningAddress, entries: list[object]
-) -> Layer[list[object]]:
-    rewritten: list[object] = []
-    for entry in entries:
-        match entry:
-            case [number, str() as uri, "i", *rest]:
+            uris: dict[str, str] = {}
+            for uri in _inbound(entries):
                 endpoint = parse_endpoint(uri, WireProtocol.HTTP)
                 remote = None if endpoint is None else agent.endpoints.peer_at(endpoint)
                 if own_endpoint(uri) == local:
                     remote = yield from agent.ingress_endpoint(local)
-                rewritten.append([number, uri if remote is None else remote.uri, _INBOUND, *rest])
-            case _:
-                rewritten.append(entry)
-    return rewritten
+                if remote is not None:
+                    uris[uri] = remote.uri
+            return [1, status, _with_uris(entries, uris)]
+        case _:
+            return [1, status, value]
+
+
+def _inbound(entries: list[object]) -> list[str]:
+    """The publishers in an answer to getBusInfo: only these are named by their URIs."""
+    return [entry[1] for entry in entries if _is_inbound(entry)]
+
+
+def _is_inbound(entry: object) -> TypeGuard[list[Any]]:
+    return isinstance(entry, list) and len(entry) > 2 and isinstance(entry[1], str) and entry[2] == _INBOUND
+
+
+def _with_uris(entries: list[object], uris: Mapping[str, str]) -> list[object]:
+    return [
+        [entry[0], uris.get(entry[1], entry[1]), *entry[2:]] if _is_inbound(entry) else entry
+        for entry in entries
+    ]
 
 
 def handle_program_call(
@@ -198,10 +201,9 @@ def handle_program_call(
         case RawResponse(body=body) if method in _UNPARSED:
             return Encoded(body)
         case Answered(value=[code, str() as status, value], peer=peer) if succeeded(code):
-            named = (
-                value if peer is None else handshakes.answer_here(peer, agent.identity.domain, method, value)
-            )
-            return (yield from _answer_for_program(agent, remote, method, status, named))
+            if peer is not None:
+                value = handshakes.answer_here(peer, agent.identity.domain, method, value)
+            return (yield from _answer_for_program(agent, remote, method, status, value))
         case Answered(value=value):
             return _refusal(value)
         case NoAnswer(reason=reason):
@@ -215,7 +217,7 @@ def _request_for_peer(
 ) -> Layer[tuple[object, ...]]:
     if not is_alias(topic):
         return agent.name_for(caller), topic, [[slave_api.TCPROS]]
-    split_alias(topic)
+    split_alias(topic)  # malformed: refused; who the peer is decides what the topic is called there
     peer = authenticated_peer((yield AuthenticatePeer(remote)))
     return agent.name_for_peer(caller, peer), wire_name(peer, topic), [[slave_api.TCPROS]]
 
@@ -224,9 +226,11 @@ def _answer_for_program(
     agent: AgentState, remote: ListeningAddress, method: str, status: object, value: object
 ) -> Layer[object]:
     match method, value:
-        case "requestTopic", ["TCPROS", str() as host, int() as port] if (
-            host and 0 < port < 1 << 16
-        ) and not _leads_back(agent, remote, _topics_of(remote, host, port)):
+        case "requestTopic", ["TCPROS", str() as host, int() as port] if (host and 0 < port < 1 << 16) and (
+            # Not back to a program here, unless it asked that one: the sidecar would connect to itself.
+            agent.endpoints.program_at(_topics_of(remote, host, port)) is None
+            or agent.endpoints.program_at(remote) is not None
+        ):
             topics = _topics_of(remote, host, port)
             uri = yield from agent.egress_uri(topics)
             agent.endpoints.set_api(topics, remote)
@@ -239,7 +243,12 @@ def _answer_for_program(
         case "getMasterUri", _:
             return [1, status, agent.master_uri]
         case "getBusInfo", list() as entries:
-            return [1, status, (yield from _peer_bus_info(agent, entries))]
+            uris: dict[str, str] = {}
+            for uri in dict.fromkeys(_inbound(entries)):
+                api = parse_endpoint(uri, WireProtocol.HTTP)
+                if api is not None and len(uris) < _MAX_EGRESS_PORTS:
+                    uris[uri] = yield from agent.egress_uri(api, agent.endpoints.program_at(api))
+            return [1, status, _with_uris(entries, uris)]
         case _:
             return [1, status, value]
 
@@ -249,27 +258,6 @@ def _topics_of(remote: ListeningAddress, host: str, port: int) -> ListeningAddre
     if remote.door:
         host, port = remote.host, remote.port
     return ListeningAddress(WireProtocol.TCPROS, host, port)
-
-
-def _leads_back(agent: AgentState, remote: ListeningAddress, endpoint: ListeningAddress) -> bool:
-    program_at = agent.endpoints.program_at
-    return program_at(endpoint) is not None and program_at(remote) is None
-
-
-def _peer_bus_info(agent: AgentState, entries: list[object]) -> Layer[list[object]]:
-    uris: dict[str, str] = {}
-    rewritten: list[object] = []
-    for entry in entries:
-        match entry:
-            case [number, str() as uri, "i", *rest]:
-                remote = parse_endpoint(uri, WireProtocol.HTTP)
-                if remote is not None and uri not in uris and len(uris) < _MAX_EGRESS_PORTS:
-                    own_api = agent.endpoints.program_at(remote)
-                    uris[uri] = yield from agent.egress_uri(remote, own_api)
-                rewritten.append([number, uris.get(uri, uri), _INBOUND, *rest])
-            case _:
-                rewritten.append(entry)
-    return rewritten
 
 
 def unrestricted(decision: Decision) -> None:
@@ -289,10 +277,6 @@ class AdmittedConnection:
     wishes: delivery.Wishes = delivery.NO_WISHES  # of a peer that subscribes
     rebuild: Callable[[Decision], Guard | None] = unrestricted  # for another decision of the same peer
 
-    @property
-    def latching(self) -> bool:
-        return self.answer.get("latching") == b"1"
-
 
 def admit_peer(
     agent: AgentState,
@@ -303,25 +287,32 @@ def admit_peer(
     memory_scope_of: FindMemoryScope,
     now: int,
 ) -> Layer[AdmittedConnection]:
+    # 1. What is asked for, at the port for that; 2. the peer's right to it, before the program hears of it.
     service, wishes = _is_service(fields), delivery.NO_WISHES
     if service is local.via_slave_api:
         raise ConnectionHeaderRefused(f"this port is not for {'services' if service else 'topics'}")
     if service:
         decision = handshakes.admit_caller(fields, peer, agent.access, now)
-        decision.require_unrestricted()
+        decision.require_unrestricted()  # calls pass unread here
         target = local
     else:
         decision = handshakes.admit_subscriber(fields, peer, agent.access, now)
         wishes = delivery.carried_out(delivery.requested_wishes(fields), decision)
         target = yield from _request_topic(agent, local, fields, peer)
+    # 3. The program's own answer, without what only peers may see; 4. the proof of this side, and the guard.
     event = yield ConnectProgram(target, handshakes.fields_here(without_grants(fields), peer))
     if isinstance(event, NoAnswer) and event.dead:
         yield Suspend(local)
     arrived = _require_header(event)
-    answer = _tcpros_answer_for_peer(agent, fields, arrived.fields, peer)
-    own = {**_own_proof(agent, fields, arrived.now), **wishes.fields}
+    if "error" in arrived.fields:
+        raise ConnectionHeaderRefused(handshakes.text(arrived.fields, "error"))
+    answer = without_grants(arrived.fields)
+    answer[_CALLER] = _caller_name(agent, answer, peer.is_foreign)
     if service:
+        own = handshakes.provider_proof(handshakes.text(fields, "service"), agent.access, arrived.now)
         return AdmittedConnection({**answer, **own}, decision, None, service)
+    answer["topic"], topic = fields["topic"], handshakes.text(fields, "topic")
+    own = {FIELD: agent.access.present(Right.PUBLISH, topic, arrived.now), **wishes.fields}
     sent, program = definitions.from_header(answer), _program_name(arrived.fields)
 
     def guard_under(decision: Decision) -> Guard | None:
@@ -369,17 +360,6 @@ def _is_service(fields: Mapping[str, bytes]) -> bool:
     return "service" in fields
 
 
-def _tcpros_answer_for_peer(
-    agent: AgentState, request: Mapping[str, bytes], answer: Mapping[str, bytes], peer: Identity
-) -> dict[str, bytes]:
-    if "error" in answer:
-        raise ConnectionHeaderRefused(handshakes.text(answer, "error"))
-    completed = {**without_grants(answer), _CALLER: _caller_name(agent, answer, peer.is_foreign)}
-    if "topic" in request:
-        completed["topic"] = request["topic"]
-    return completed
-
-
 def _program_name(fields: Mapping[str, bytes]) -> str:
     return handshakes.text(fields, _CALLER)[:_LONGEST_NAME] if _CALLER in fields else ""
 
@@ -387,12 +367,6 @@ def _program_name(fields: Mapping[str, bytes]) -> str:
 def _caller_name(agent: AgentState, fields: Mapping[str, bytes], foreign: bool) -> bytes:
     given = handshakes.text(fields, _CALLER) if _CALLER in fields and not foreign else ""
     return agent.name_for(given).encode()
-
-
-def _own_proof(agent: AgentState, request: Mapping[str, bytes], now: int) -> handshakes.Fields:
-    if "service" in request:
-        return handshakes.provider_proof(handshakes.text(request, "service"), agent.access, now)
-    return {FIELD: agent.access.present(Right.PUBLISH, handshakes.text(request, "topic"), now)}
 
 
 def connect_to_peer(
@@ -415,6 +389,8 @@ def connect_to_peer(
         decision.require_unrestricted()
         answer = handshakes.fields_here(without_grants(arrived.fields), peer)
         return AdmittedConnection(answer, decision, None, service)
+    # 1. Ask under the name that the grants have; 2. the publisher's right, before the program hears of it;
+    # 3. its type, which the guard reads.
     own, program = definitions.from_header(fields), _program_name(fields)
     granted, caller = yield from _name_granted(agent, remote, fields)
     request = {**without_grants(fields), _CALLER: caller, "topic": origin_of(granted).encode()}

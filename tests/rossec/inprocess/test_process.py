@@ -70,7 +70,7 @@ def test_without_a_name_no_connection_can_be_made(nameless: SecuredProcess, name
         getattr(nameless, name)
     assert "rospy.init_node" in caught.value.__notes__[0]
     with pytest.raises(ConfigurationError):
-        nameless.require_name()
+        nameless.require_begun()
 
 
 def test_it_begins_early_if_the_name_is_known(
@@ -84,7 +84,7 @@ def test_it_begins_early_if_the_name_is_known(
 
     nameless.begin_early = begin
     assert nameless.local_identity is local_identity
-    nameless.require_name()
+    nameless.require_begun()
     assert begun == [1]
     nameless.background_loop.stop()
 

@@ -9,11 +9,11 @@ from collections.abc import AsyncIterator
 import pytest
 
 from rossec.errors import ConfigurationError, LinkCrowded, StreamRefused
+from rossec.host.callers import Callers
 from rossec.net.aio.client import dial
 from rossec.overlay import forwarded_ports as module
 from rossec.overlay.forwarded_ports import OpenDoors, PeerTarget, RelayPorts
 from rossec.overlay.mux import NODE, SERVICE, StreamTarget
-from rossec.sidecar.callers import Callers
 
 ROBOT = PeerTarget("hospital", StreamTarget(NODE, "/robot"))
 CLOCK = PeerTarget("hospital", StreamTarget(SERVICE, "/clock"))

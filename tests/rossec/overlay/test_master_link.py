@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterator, Mapping
 from contextlib import AsyncExitStack
+from typing import Any, cast
 
 import pytest
 
@@ -57,7 +58,7 @@ class Relay:
         self.member = world.site.enroll("/relay")
         self.dialled = 0
         self.streams: list[SecureStream[Identity]] = []
-        self.link = MasterLink(name, "/relay", "one", self.dial, self.table, self._take)
+        self.link = MasterLink(name, "/relay", "one", self.dial, cast("Any", self.table), self._take)
 
     async def dial(self) -> SecureStream[Identity]:
         self.dialled += 1

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import socket
 from collections.abc import AsyncIterator
+from typing import Any, cast
 
 import pytest
 
@@ -64,7 +65,7 @@ async def wait_for(end: FakeEnd, what: object) -> None:
 @contextlib.asynccontextmanager
 async def connected() -> AsyncIterator[tuple[Pump, FakeEnd, socket.socket]]:
     end = FakeEnd()
-    pump = Pump(7, end)
+    pump = Pump(7, cast("Any", end))
     mine, theirs = await tcp_pair()
     pump.connect(theirs)
     try:
@@ -113,7 +114,7 @@ async def test_what_a_slow_program_has_not_taken_is_not_counted() -> None:
 
 async def test_bytes_before_there_is_a_socket_are_kept() -> None:
     end = FakeEnd()
-    pump = Pump(7, end)
+    pump = Pump(7, cast("Any", end))
     pump.resume()
     pump.arrived(b"early ")
     pump.arrived(b"bird")
@@ -132,7 +133,7 @@ async def test_bytes_before_there_is_a_socket_are_kept() -> None:
 
 
 async def test_the_first_bytes_decide() -> None:
-    pump = Pump(7, FakeEnd())
+    pump = Pump(7, cast("Any", FakeEnd()))
     decided = asyncio.ensure_future(pump.first_bytes(lambda first: len(first) if len(first) > 2 else None))
     for part in (b"a", b"b", b"c"):
         await asyncio.sleep(0)
@@ -143,7 +144,7 @@ async def test_the_first_bytes_decide() -> None:
 
 @pytest.mark.parametrize("broken", [True, False], ids=["broken off", "ended"])
 async def test_a_stream_that_ends_before_its_first_bytes(broken: bool) -> None:
-    pump = Pump(7, FakeEnd())
+    pump = Pump(7, cast("Any", FakeEnd()))
 
     async def undecided() -> None:
         await pump.first_bytes(lambda _: None)
@@ -202,7 +203,7 @@ async def test_a_stream_that_is_broken_off_resets_the_connection() -> None:
 
 
 async def test_a_socket_that_comes_too_late_is_closed() -> None:
-    pump = Pump(7, FakeEnd())
+    pump = Pump(7, cast("Any", FakeEnd()))
     pump.break_off()
     mine, theirs = await tcp_pair()
     pump.connect(theirs)

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import socket
 from collections.abc import AsyncIterator, Callable
+from typing import Any, cast
 
 import pytest
 
@@ -71,7 +72,7 @@ def is_data(unit: Unit) -> bool:
 @contextlib.asynccontextmanager
 async def on_slow_link(link: SlowLink, count: int) -> AsyncIterator[list[socket.socket]]:
     """That many connections, with more to send than the link takes."""
-    streams = Streams(link, Role.CALLER, "hospital")
+    streams = Streams(cast("Any", link), Role.CALLER, "hospital")
     running = asyncio.ensure_future(streams.run())
     await asyncio.sleep(0)
     pairs = [await tcp_pair() for _ in range(count)]
@@ -108,7 +109,9 @@ async def test_connections_wait_their_turn_while_the_link_lags() -> None:
 async def test_a_program_that_takes_all_in_a_round_trip_may_be_sent_more() -> None:
     link, now = SlowLink(1000), [100.0]
     loop = asyncio.get_running_loop()
-    streams = Streams(link, Role.CALLER, "hospital", clock=lambda: now[-1], round_trip=lambda: 0.1)
+    streams = Streams(
+        cast("Any", link), Role.CALLER, "hospital", clock=lambda: now[-1], round_trip=lambda: 0.1
+    )
     running = asyncio.ensure_future(streams.run())
     await asyncio.sleep(0)
     near, far = await tcp_pair()

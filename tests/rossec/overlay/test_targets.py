@@ -3,6 +3,7 @@
 import asyncio
 import socket
 from collections.abc import Iterator
+from typing import Any, cast
 
 import pytest
 
@@ -57,7 +58,7 @@ class SiteOfTargets:
 
     async def reach(self, target: StreamTarget, opening: bytes) -> tuple[bytes, str]:
         """What the program behind the target gets first, and from which address."""
-        targets = Targets(self.resolve, self)
+        targets = Targets(self.resolve, cast("Any", self))
         listeners = [each for each in (self.api, self.topics) if each.fileno() >= 0]
         loop = asyncio.get_running_loop()
         async with linked(targets.dial_for(PEER)) as link, carried(link.caller, target) as ends:

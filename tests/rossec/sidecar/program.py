@@ -8,12 +8,12 @@ from collections.abc import AsyncIterator, Collection
 from typing import Self
 
 from rossec.channel.opening import WireProtocol
+from rossec.host.callers import Callers
 from rossec.net.aio.client import dial
 from rossec.net.rpc.calls import RpcClient, serve_calls
 from rossec.participant.handshakes import Fields
 from rossec.ros import tcpros
 from rossec.ros.names import parse_uri, read
-from rossec.sidecar.callers import Callers
 from rossec.sidecar.core.layers import ListeningAddress, parse_endpoint
 from rossec.sidecar.loopback_port import LoopbackPort, PlainStream
 from rossec.sidecar.pump import split_header

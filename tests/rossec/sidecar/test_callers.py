@@ -10,7 +10,7 @@ import pytest
 
 from rossec.errors import PeerUserRefused
 from rossec.host import local_sockets
-from rossec.sidecar.callers import Callers
+from rossec.host.callers import Callers
 from tests.rossec.sidecar.child_programs import programs
 
 CONNECT = "import socket,sys; s=socket.create_connection(('127.0.0.1',int(sys.argv[1]))); s.recv(1)"

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import ConfigurationError
+from rossec.host.local_ports import Loopback
 from rossec.sidecar import child
 from rossec.sidecar.child import OUTSIDE, NoSuchProgram, outer_environment, program_environment
-from rossec.sidecar.core.layers import Loopback
 
 ENVIRON = {"ROS_MASTER_URI": "http://far:11311", "ROS_HOSTNAME": "near", "HOME": "/home/me"}
 LOOPBACK_URI = "http://127.0.0.1:4000/"

@@ -8,10 +8,10 @@ import pytest
 from ca.certificates import Identity
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
+from rossec.host import local_ports
+from rossec.host.local_ports import free_port
 from rossec.net.aio import SecureStream
-from rossec.sidecar import loopback_port
 from rossec.sidecar.core.layers import ListeningAddress
-from rossec.sidecar.loopback_port import free_port
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.site import Site
@@ -62,12 +62,12 @@ async def test_another_port_is_bound_if_one_is_taken(site: Site, monkeypatch: py
     """Another port is tried; if none is free, the error is raised."""
     with socket.create_server(("127.0.0.1", 0)) as taken:
         ports = [taken.getsockname()[1]]
-        monkeypatch.setattr(loopback_port, "free_port", lambda: ports.pop() if ports else free_port())
+        monkeypatch.setattr(local_ports, "free_port", lambda: ports.pop() if ports else free_port())
         async with sidecar(site) as running:
             robot = running._agent_for("/robot")._connector
             server = robot.listen(ignore, "127.0.0.1", WireProtocol.HTTP)
             assert server.port != taken.getsockname()[1]
             await server.close()
-            monkeypatch.setattr(loopback_port, "free_port", lambda: taken.getsockname()[1])
+            monkeypatch.setattr(local_ports, "free_port", lambda: taken.getsockname()[1])
             with pytest.raises(OSError, match="in use"):
                 robot.listen(ignore, "127.0.0.1", WireProtocol.HTTP)

@@ -7,11 +7,11 @@ import socket
 import pytest
 
 from rossec.errors import ChannelClosed, ConfigurationError
+from rossec.host import local_ports
+from rossec.host.callers import Callers
+from rossec.host.local_ports import LOOPBACK, Loopback, bind_loopback
 from rossec.net.aio.client import dial
-from rossec.sidecar import loopback_port
-from rossec.sidecar.callers import Callers
-from rossec.sidecar.core.layers import LOOPBACK, Loopback
-from rossec.sidecar.loopback_port import LoopbackPort, PlainStream, bind_loopback
+from rossec.sidecar.loopback_port import LoopbackPort, PlainStream
 
 ANY_CALLER = Callers({os.getuid()})
 
@@ -82,7 +82,7 @@ async def test_programs_of_other_users_are_dropped_before_reading() -> None:
 
 
 async def test_the_connections_of_a_port_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loopback_port, "CONNECTIONS", 1)
+    monkeypatch.setattr(local_ports, "CONNECTIONS", 1)
     listener = LoopbackPort(ANY_CALLER, echo)
     listener.open()
     first = PlainStream(await dial("127.0.0.1", listener.port, 10))
@@ -111,8 +111,8 @@ async def test_accepting_pauses_without_descriptors(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The socket stays readable: retrying at once would be a busy loop."""
-    monkeypatch.setattr(loopback_port, "bind_loopback", lambda *_: Exhausted(fileno=bind_loopback().detach()))
-    monkeypatch.setattr(loopback_port, "PAUSE", 0.05)
+    monkeypatch.setattr(local_ports, "bind_loopback", lambda *_: Exhausted(fileno=bind_loopback().detach()))
+    monkeypatch.setattr(local_ports, "PAUSE", 0.05)
     listener = LoopbackPort(ANY_CALLER, echo)
     listener.open()
     assert await exchange_hello(listener.port) == b"hello"
@@ -152,7 +152,7 @@ async def test_a_slow_program_slows_the_sender() -> None:
 async def test_connections_above_the_limit_are_closed(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(loopback_port, "CONNECTIONS", 1)
+    monkeypatch.setattr(local_ports, "CONNECTIONS", 1)
     listener = LoopbackPort(ANY_CALLER, echo)
     listener.open()
     stream = PlainStream(await dial("127.0.0.1", listener.port, 10))
@@ -180,20 +180,20 @@ async def test_an_error_in_the_check_refuses_the_caller(monkeypatch: pytest.Monk
 async def test_binding_fails_when_every_free_port_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        monkeypatch.setattr(loopback_port, "free_port", lambda: port)
+        monkeypatch.setattr(local_ports, "free_port", lambda: port)
         with pytest.raises(OSError, match="in use"):
             bind_loopback()
 
 
 def resolving(monkeypatch: pytest.MonkeyPatch, here: set[str], names: dict[str, set[str]]) -> None:
-    monkeypatch.setattr(loopback_port, "_is_here", here.__contains__)
-    monkeypatch.setattr(loopback_port, "_addresses", lambda name: names.get(name, set()))
+    monkeypatch.setattr(local_ports, "is_here", here.__contains__)
+    monkeypatch.setattr(local_ports, "_addresses", lambda name: names.get(name, set()))
 
 
 def test_loopback_is_ipv4_if_possible(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert loopback_port.find_loopback() == LOOPBACK
+    assert local_ports.find_loopback() == LOOPBACK
     resolving(monkeypatch, {"127.0.0.1", "::1"}, {"localhost": {"::1"}})
-    assert loopback_port.find_loopback() == LOOPBACK
+    assert local_ports.find_loopback() == LOOPBACK
 
 
 @pytest.mark.parametrize(
@@ -207,18 +207,18 @@ def test_without_ipv4_loopback_is_a_name_that_resolves_to_ipv6_alone(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, names: dict[str, set[str]], name: str
 ) -> None:
     resolving(monkeypatch, {"::1"}, names)
-    assert loopback_port.find_loopback() == ("::1", name)
+    assert local_ports.find_loopback() == ("::1", name)
     assert f"no 127.0.0.1: programs get the host name {name} and ROS_IPV6=on" in caplog.text
 
 
 def test_a_host_without_loopback_gets_a_hint(monkeypatch: pytest.MonkeyPatch) -> None:
     resolving(monkeypatch, set(), {"localhost": {"::1"}})
     with pytest.raises(ConfigurationError, match="this host has no loopback address") as caught:
-        loopback_port.find_loopback()
+        local_ports.find_loopback()
     assert caught.value.hint == "ip link set lo up"
     resolving(monkeypatch, {"::1"}, {"localhost": {"::ffff:127.0.0.1"}})
     with pytest.raises(ConfigurationError, match="no name for ::1") as caught:
-        loopback_port.find_loopback()
+        local_ports.find_loopback()
     assert caught.value.hint == "write in /etc/hosts: ::1 localhost ip6-localhost"
 
 
@@ -230,11 +230,11 @@ def test_names_resolve_to_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
         raise socket.gaierror(socket.EAI_NONAME, "no such name")
 
     monkeypatch.setattr(socket, "getaddrinfo", found)
-    assert loopback_port._addresses("localhost") == {"::1"}
+    assert local_ports._addresses("localhost") == {"::1"}
     monkeypatch.setattr(socket, "getaddrinfo", missing)
-    assert loopback_port._addresses("localhost") == set()
-    assert loopback_port._is_here("127.0.0.1")
-    assert not loopback_port._is_here("192.0.2.1")
+    assert local_ports._addresses("localhost") == set()
+    assert local_ports.is_here("127.0.0.1")
+    assert not local_ports.is_here("192.0.2.1")
 
 
 async def test_an_ipv6_port_checks_callers_too(caplog: pytest.LogCaptureFixture) -> None:

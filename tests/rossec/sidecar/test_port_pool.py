@@ -4,8 +4,8 @@ import pytest
 
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConfigurationError
+from rossec.host.local_ports import PortPool
 from rossec.sidecar.core.layers import ListeningAddress, local_endpoint
-from rossec.sidecar.loopback_port import PortPool
 
 
 @dataclass

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from rossec.sidecar import callers
-from rossec.sidecar.callers import descendants, descends, descriptors, parents, process, socket_at
+from rossec.host import callers
+from rossec.host.callers import descendants, descends, descriptors, parents, process, socket_at
 
 NO_PID = 1 << 30
 

@@ -18,9 +18,17 @@ from grants.model import Restriction, Right
 from rossec.errors import ChannelClosed, HeaderRefused, RossecError
 from rossec.net.aio import connect, serve
 from rossec.ros import tcpros
-from rossec.sidecar.core.guards import CopyTracker
+from rossec.sidecar.core.guards import CopyTracker, SharedGuard
 from rossec.sidecar.loopback_port import PlainStream
-from rossec.sidecar.pump import exchange, log_end, outgoing, publish, send_filtered, split_header, subscribe
+from rossec.sidecar.pump import (
+    exchange,
+    log_end,
+    publish,
+    send_filtered,
+    send_filtered_nowait,
+    split_header,
+    subscribe,
+)
 from tests.rossec.sidecar.test_plain_stream import pair
 from tests.support.contexts import context
 from tests.support.secure_streams import Stream
@@ -131,7 +139,8 @@ async def test_a_lagging_peer_misses_messages() -> None:
     peer: Any = LaggingPeer()
     guard = Guard(None, decision, None, lambda _: Memory())
     with CopyTracker().share(guard, 0, latching=False) as (shared, _):
-        forwarding = asyncio.ensure_future(outgoing(right, peer, shared, tcpros.frame(b"one")))
+        assert isinstance(shared, SharedGuard)
+        forwarding = asyncio.ensure_future(send_filtered_nowait(right, peer, shared, tcpros.frame(b"one")))
         await until(lambda: bool(peer.received))
         await left.send(tcpros.frame(b"missed") * 20)
         for _ in range(100):  # iterations of the loop

@@ -11,14 +11,14 @@ import pytest
 from grants.model import Right
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
+from rossec.host.callers import Callers
+from rossec.host.local_ports import Loopback
 from rossec.net.aio.client import dial
 from rossec.net.rpc.calls import RpcClient
 from rossec.ros import xmlrpc
 from rossec.ros.names import parse_uri, read
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar import server
-from rossec.sidecar.callers import Callers
-from rossec.sidecar.core.layers import Loopback
 from rossec.sidecar.loopback_port import PlainStream
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar

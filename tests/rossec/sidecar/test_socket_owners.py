@@ -6,9 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from rossec.host import local_sockets
-from rossec.sidecar import callers
-from rossec.sidecar.callers import Process, SocketOwners
+from rossec.host import callers, local_sockets
+from rossec.host.callers import Process, SocketOwners
 from tests.rossec.sidecar.child_programs import programs
 
 

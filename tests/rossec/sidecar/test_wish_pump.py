@@ -70,7 +70,7 @@ async def everything(peer: Any, wishes: Wishes, *messages: bytes, guard: Message
     closing = asyncio.ensure_future(speak())
     sender = WishSender(peer, wishes)
     try:
-        await publish_as_wished(right, peer, guard, tcpros.frame(messages[0]), sender)
+        await publish_as_wished(right, guard, tcpros.frame(messages[0]), sender)
     finally:
         right.abort()
         with contextlib.suppress(ChannelClosed):
@@ -114,7 +114,7 @@ async def test_of_what_waits_only_the_newest_is_sent() -> None:
     left, right = pair()
     stream: Any = peer
     sender = WishSender(stream, Wishes(newest=True))
-    running = asyncio.ensure_future(publish_as_wished(right, stream, None, b"", sender))
+    running = asyncio.ensure_future(publish_as_wished(right, None, b"", sender))
     for message in messages:
         await left.send(tcpros.frame(message))
     closing = asyncio.ensure_future(left.close())

@@ -92,7 +92,7 @@ def test_a_foreign_subscriber_is_known_to_the_program_by_its_alias(setup: AgentS
         setup.agent, TOPICS_VIA_API, REQUEST, viewer, no_key, memory_scope("/robot").child, setup.site.now()
     )
     caller = {"callerid": b"/remote/hospital/viewer"}
-    request = dataclasses.replace(REQUEST_TOPIC, params=(viewer.name, *REQUEST_TOPIC.params[1:]))
+    request = REQUEST_TOPIC._replace(params=(viewer.name, *REQUEST_TOPIC.params[1:]))
     admitted = run_layer(
         layer,
         (request, REQUEST_ANSWERED[1]),

@@ -16,8 +16,8 @@ from typing import Final, NamedTuple
 
 from rossec.errors import PeerUserRefused
 from rossec.host import local_sockets
+from rossec.host.local_ports import LOOPBACK, Loopback
 from rossec.host.local_sockets import Holder
-from rossec.sidecar.core.layers import LOOPBACK, Loopback
 
 PROC: Final = Path("/proc")
 _MAX_STAT: Final = 4096  # usually some 300 bytes
@@ -31,11 +31,7 @@ _HINT: Final = "start it with `rossec run`; a program with capabilities needs `r
 
 
 class Process(NamedTuple):
-    """One process; `started` is in clock ticks since boot.
-
-    A PID alone does not identify it: PIDs are reused. It starts no earlier than its parent: a chain of
-    parents that violates this contains a PID that was reused while the chain was read.
-    """
+    """One process; `started` is in clock ticks since boot: a PID alone may be reused."""
 
     pid: int
     started: int
@@ -74,6 +70,7 @@ def descends(pid: int, ancestor: int) -> bool:
         if stat is None:
             return False
         parent, started = stat
+        # No earlier than its parent: else this chain has a PID that was reused while it was read.
         if child_started is not None and started > child_started:
             return False
         if parent == ancestor:
@@ -118,9 +115,7 @@ class SocketOwners:
     """Whether a descendant of a process holds a socket: found by a search, verified by its descriptor.
 
     A search reads the descriptors of every descendant, which grows with programs and connections. So
-    callers that wait during a search share the next one; descriptors seen before are read last; and a
-    search yields to the loop every few milliseconds. A cached location is not trusted: each time it is
-    read again that the process, the same before and after, is a descendant and has the socket.
+    callers that wait during a search share the next one, and a search yields to the loop.
     """
 
     def __init__(self, ancestor: int) -> None:
@@ -148,6 +143,8 @@ class SocketOwners:
         location = self._locations.get(inode)
         if location is None:
             return False
+        # A cached location is not trusted: it is read again each time, with the same process before and
+        # after.
         pid = location.process.pid
         is_held = (
             process(pid) == location.process
@@ -185,7 +182,7 @@ class SocketOwners:
             seen.intersection_update(names)
             for name in names:
                 location = _SocketLocation(each, name)
-                if name in seen:
+                if name in seen:  # it was no caller's socket: read last
                     later.append(location)
                 else:
                     seen.add(name)
