@@ -7,7 +7,6 @@ listed root and the admitted names say how far that counts; the grant binds the 
 recorded certificate a foreign name means nothing here.
 """
 
-import contextlib
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -65,7 +64,7 @@ class Domains:
 
     def changed(self, label: str, **changes: Any) -> ForeignDomain:
         # What the terms of a trusted domain would be; see `limit`.
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             return replace(store.domains.get(label).read(), **changes)
 
     def limit(self, label: str, **changes: Any) -> DomainList:

@@ -84,7 +84,7 @@ class Grants:
         never renewed: no master of this domain is asked by nodes of others.
         """
         at = self._session.now()
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             foreign, root = None, b""
             if is_alias(node) and certificate:
                 foreign, root = domain_operations.verify(store, node, certificate, at)
@@ -111,7 +111,7 @@ class Grants:
 
     def revoke(self, beginning: str, reason: str) -> tuple[RevocationList, bytes]:
         """Revoke the one grant whose id begins so; returns the list to publish, and the id."""
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             known = [row.id for row in store.grants()]
         found = [each for each in known if beginning and each.hex().startswith(beginning.lower())]
         if len(found) != 1:
@@ -215,7 +215,7 @@ class Grants:
 
     def _in_force(self) -> Iterator[tuple[Grant, bytes]]:
         now = self._session.now()
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             rows, revoked = store.grants(), store.revoked_entries()
         for row in rows:
             grant = document.peek(row.data)
@@ -326,7 +326,7 @@ class PolicyWork:
         # An anonymous node is denied with all others of its identity: a rule tells them not apart.
         from rossec.authority.policyfile import add_denial  # noqa: PLC0415 - see above
 
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             known = name in {row.name for row in store.identities.all()}
             certified = store.identities.certified_name(name, self._session.now())
         if certified != name and (is_node or lasting_name(name) != name):
@@ -357,7 +357,7 @@ class PolicyWork:
         from rossec.authority.policyfile import PlanOptions, make_plan  # noqa: PLC0415 - see above
 
         policy.require_tests()
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             at = self._session.now()
             until = self._session.home.renewed_until(at)
             moment = Moment(at, SKEW, renews=at < until, renew_due=renew_due, renewed_until=until or None)
@@ -420,7 +420,7 @@ class PolicyWork:
             report("the master has the new list")
 
     def complete(self) -> None:
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             ours, revoked = store.policy_grants().keys(), store.revoked_entries()
         refused = self._deposit_all() if ours else []
         if not revoked.isdisjoint(ours):
@@ -446,7 +446,7 @@ class PolicyWork:
         return []
 
     def _deposit_all(self) -> list[RefusedDeposit]:
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             rules, rows = store.policy_grants(), store.unrevoked_grants()
         refused = []
         for row in rows:

@@ -42,7 +42,7 @@ from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET, open_delegati
 from rossec import clock
 from rossec.authority import renewals
 from rossec.authority.console.access import check_bound
-from rossec.authority.console.approving import Approved, ApprovedAct, Arguments, Conclude, ToApprove, tried
+from rossec.authority.console.approving import Approved, ApprovedAct, Wanted, tried
 from rossec.authority.console.grant_requests import checked_reason, keys_of
 from rossec.authority.console.phone_codes import Proposals
 from rossec.authority.home import AuthorityHome
@@ -65,15 +65,21 @@ class EnrollAct(ApprovedAct):
     `policy`: the file by which the node gets its first grants.
     """
 
+    kind = StatementKind.ENROLL
+
     def __init__(self, policy: Path) -> None:
         self._policy = policy
 
-    def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        match arguments:
-            case [bytes(csr), str(source), bool(wildcard), int(lifetime), bool(replaces)]:
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of an enrollment", "")
+    def prepare(
+        self,
+        service: AuthorityService,
+        now: int,
+        csr: bytes,
+        source: str,
+        wildcard: bool,
+        lifetime: int,
+        replaces: bool,
+    ) -> Wanted:
         asked = check_request(csr, service.home.domain, wildcard=wildcard)
         if asked.name == OWN_NODE:
             raise KeyServiceRefused(
@@ -86,26 +92,24 @@ class EnrollAct(ApprovedAct):
                 store.requests.add(asked, csr, printable(source)[:MAX_SOURCE], now)
             with tried(store):
                 _approve(store, what, now, "")
-        return ToApprove(what, csr)
+        return what, csr
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
-        _approve(store, approved.what(Enroll), approved.approval.at, approved.reason)
+    def admit(self, store: Store, approved: Approved) -> str | None:
+        _approve(store, approved.what(Enroll), approved.at, approved.reason)
         return None
 
-    def carry_out(
-        self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
-    ) -> None:
+    def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
         what, authority = approved.what(Enroll), service.unlock()
         with authority.store.transaction():
             _check_unchanged(authority.store, what, now)
             authority.issue(
-                approved.approval.payload,
+                approved.payload,
                 now,
                 what.lifetime,
                 replace_key=what.name if what.replaces else None,
                 wildcard=what.wildcard,
             )
-            conclude(authority.store, f"{what.name} is enrolled")
+            approved.conclude(authority.store, f"{what.name} is enrolled", now)
         name = what.name
         # What the policy gives the name; the identity is signed by then, so a mistake is logged.
         try:
@@ -114,19 +118,18 @@ class EnrollAct(ApprovedAct):
         except HintedError as error:
             _log.error("%s has no grants yet: %s", name, printable(str(error)))
 
-    def made(self, service: AuthorityService, approved: Approved, /) -> bytes:
+    def made(self, service: AuthorityService, approved: Approved) -> bytes:
         with closing(service.home.store()) as store:
             found = store.identities.issued_for(approved.what(Enroll).csr)
         return b"" if found is None else _bundle(service.home, found)
 
 
 class IntermediateAct(ApprovedAct):
-    def prepare(self, service: AuthorityService, arguments: Arguments, _now: int, /) -> ToApprove:
-        match arguments:
-            case [bytes(csr), bool(enrolls), int(lifetime)]:
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of an intermediate", "")
+    kind = StatementKind.INTERMEDIATE
+
+    def prepare(
+        self, service: AuthorityService, _now: int, csr: bytes, enrolls: bool, lifetime: int
+    ) -> Wanted:
         home = service.home
         if home.is_intermediate:
             raise KeyServiceRefused("an intermediate makes no other", "do it at the root")
@@ -134,22 +137,20 @@ class IntermediateAct(ApprovedAct):
         key = thumbprint(check_intermediate_request(csr, home.domain))
         with closing(home.store()) as store:
             store.identities.check_not_revoked("the intermediate", key)
-        return ToApprove(IntermediateStatement(sha256(csr).digest(), enrolls, lifetime), csr)
+        return IntermediateStatement(sha256(csr).digest(), enrolls, lifetime), csr
 
-    def carry_out(
-        self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
-    ) -> None:
+    def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
         what, authority = approved.what(IntermediateStatement), service.unlock()
-        csr = approved.approval.payload
+        csr = approved.payload
         with authority.store.transaction():
             name, _ = renewals.sign_intermediate(
                 authority, csr, now, may_enroll=what.enrolls, lifetime=what.lifetime
             )
-            conclude(authority.store, f"signed {name}")
+            approved.conclude(authority.store, f"signed {name}", now)
 
-    def made(self, service: AuthorityService, approved: Approved, /) -> bytes:
+    def made(self, service: AuthorityService, approved: Approved) -> bytes:
         home = service.home
-        key = thumbprint(check_intermediate_request(approved.approval.payload, home.domain))
+        key = thumbprint(check_intermediate_request(approved.payload, home.domain))
         with closing(home.store()) as store:
             found = store.identities.by_name(f"{INTERMEDIATE}{key.hex()[:16]}")
         return _bundle(home, found[-1]) if found else b""
@@ -195,24 +196,21 @@ CODES_KEPT: Final = 600.0  # seconds
 
 
 class PasskeyAct(ApprovedAct):
+    kind = StatementKind.PASSKEY
+
     def __init__(self, proposals: Proposals) -> None:
         self._proposals = proposals
 
-    def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        match arguments:
-            case [bytes(number)]:
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of a passkey", "")
+    def prepare(self, service: AuthorityService, now: int, number: bytes) -> Wanted:
         passkey = self._proposals.get(number)
         with closing(service.home.store()) as store, tried(store):
             store.passkeys.add(passkey._replace(at=now))
-        return ToApprove(to_approve(passkey))
+        return to_approve(passkey), b""
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
+    def admit(self, store: Store, approved: Approved) -> str | None:
         number, passkey = self._find(approved)
         check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
-        store.passkeys.add(passkey._replace(approval=approved.id, at=approved.approval.at))
+        store.passkeys.add(passkey._replace(approval=approved.id, at=approved.at))
         self._proposals.drop(number)
         return f"{passkey.name} can approve"
 
@@ -231,6 +229,8 @@ class InvitationAct(ApprovedAct):
     `address`: where nodes reach the join port, `host:port`.
     """
 
+    kind = StatementKind.INVITATION
+
     def __init__(
         self, home: AuthorityHome, address: Callable[[], str], elapsed: clock.Seconds | None = None
     ) -> None:
@@ -240,20 +240,17 @@ class InvitationAct(ApprovedAct):
         self._lock = threading.Lock()
         self._codes: OrderedDict[bytes, tuple[str, float]] = OrderedDict()
 
-    def prepare(self, _service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
+    def prepare(
+        self, _service: AuthorityService, now: int, pattern: str, uses: int, seconds: int, wildcard: bool
+    ) -> Wanted:
         # Check what it would allow.
-        match arguments:
-            case [str(pattern), int(uses), int(seconds), bool(wildcard)]:
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of a join code", "")
         check_invitation(pattern, wildcard=wildcard)
         if not (1 <= uses <= MAX_USES and MIN_INVITATION <= seconds <= MAX_INVITATION):
             raise KeyServiceRefused(f"a join code is for 1 to {MAX_USES} nodes, and for at most 30 days", "")
         self._address()
-        return ToApprove(Invitation(pattern, uses, now + seconds, wildcard))
+        return Invitation(pattern, uses, now + seconds, wildcard), b""
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
+    def admit(self, store: Store, approved: Approved) -> str | None:
         what = approved.what(Invitation)
         code, row = make_invitation(
             self._home,
@@ -261,7 +258,7 @@ class InvitationAct(ApprovedAct):
             what.uses,
             what.until,
             self._address(),
-            approved.approval.at,
+            approved.at,
             wildcard=what.wildcard,
         )
         store.invitations.add(row)
@@ -271,27 +268,26 @@ class InvitationAct(ApprovedAct):
                 self._codes.popitem(last=False)
         return f"join code {row.id.hex()[:8]}"
 
-    def made(self, _service: AuthorityService, approved: Approved, /) -> bytes:
+    def made(self, _service: AuthorityService, approved: Approved) -> bytes:
         with self._lock:
             text, end = self._codes.get(approved.id, ("", 0.0))
         return text.encode() if self._elapsed() < end else b""
 
 
 class RevokeMasterAct(ApprovedAct):
-    def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        match arguments:
-            case [str(reason), str(master)] if is_master_name(master):
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of a revocation", "")
+    kind = StatementKind.REVOKE_MASTER
+
+    def prepare(self, service: AuthorityService, now: int, reason: str, master: str) -> Wanted:
+        if not is_master_name(master):
+            raise KeyServiceRefused("these are not the arguments of a revocation", "")
         if service.home.is_intermediate:
             raise ConfigurationError("an intermediate cannot revoke", "do it at the root")
         with closing(service.home.store()) as store:
             keys_of(master)(store, now)
-        return ToApprove(RevokeMaster(checked_reason(reason), master))
+        return RevokeMaster(checked_reason(reason), master), b""
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
-        what, at = approved.what(RevokeMaster), approved.approval.at
+    def admit(self, store: Store, approved: Approved) -> str | None:
+        what, at = approved.what(RevokeMaster), approved.at
         for entry in sorted(keys_of(what.master)(store, at)):
             store.revoke(entry, what.reason or approved.reason, at)
         return f"{what.master} is revoked"
@@ -303,15 +299,12 @@ _LATER: Final = "it is tried again"
 
 
 class PolicyAct(ApprovedAct):
+    kind = StatementKind.POLICY
+
     def __init__(self, policy: Path) -> None:
         self._policy = policy
 
-    def prepare(self, service: AuthorityService, arguments: Arguments, _now: int, /) -> ToApprove:
-        match arguments:
-            case [bytes(digest)]:
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of a policy", "")
+    def prepare(self, service: AuthorityService, _now: int, digest: bytes) -> Wanted:
         if service.home.is_intermediate:
             raise KeyServiceRefused("an intermediate signs no grants", "do it at the root")
         file = self._read(digest)
@@ -321,9 +314,9 @@ class PolicyAct(ApprovedAct):
         with closing(service.home.store()) as store:
             old = _last_approved(store)
         what = PolicyChange(old, digest, plan.effect(service.home.domain))
-        return ToApprove(what, file.text.encode())
+        return what, file.text.encode()
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
+    def admit(self, store: Store, approved: Approved) -> str | None:
         # Return if no other policy was approved since it was shown.
         what = approved.what(PolicyChange)
         self._read(what.new)
@@ -331,14 +324,12 @@ class PolicyAct(ApprovedAct):
             raise StoreError("another policy was approved meanwhile", _AGAIN)
         return None
 
-    def carry_out(
-        self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
-    ) -> None:
+    def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
         what, authority = approved.what(PolicyChange), service.unlock()
         plan = service.policy.plan(self._read(what.new))
         if plan.effect(authority.domain) != what.effect:
             raise StoreError("what this policy would change is not what was approved", _AGAIN)
-        signed = _put_in_force(authority, plan, approved, conclude, now)
+        signed = _put_in_force(authority, plan, approved, now)
         try:
             if plan.revoke:
                 service.grants.deposit(signed)
@@ -361,12 +352,9 @@ class DelegateAct(ApprovedAct):
     Its serial is the id of the approval: signed again after a crash, it is the same.
     """
 
-    def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        match arguments:
-            case [int(lifetime), int(max_ttl)]:
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of a delegation", "")
+    kind = StatementKind.DELEGATE
+
+    def prepare(self, service: AuthorityService, now: int, lifetime: int, max_ttl: int) -> Wanted:
         if service.home.is_intermediate:
             raise KeyServiceRefused("an intermediate delegates nothing", "do it at the root")
         if not 0 < lifetime <= MAX_DELEGATION or not MIN_TICKET <= max_ttl <= MAX_TICKET:
@@ -375,25 +363,23 @@ class DelegateAct(ApprovedAct):
             )
         with closing(service.home.store()) as store:
             holder = store.valid_certificate(MASTER, now).thumbprint
-        return ToApprove(DelegateStatement(holder, lifetime, max_ttl))
+        return DelegateStatement(holder, lifetime, max_ttl), b""
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
-        _check_holder(store, approved, approved.approval.at)
+    def admit(self, store: Store, approved: Approved) -> str | None:
+        _check_holder(store, approved, approved.at)
         return None
 
-    def carry_out(
-        self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
-    ) -> None:
+    def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
         what, authority = approved.what(DelegateStatement), service.unlock()
         _check_holder(authority.store, approved, now)
         data = authority.issue_delegation(
-            what.holder, what.lifetime, what.max_ttl, approved.approval.at, serial=approved.id
+            what.holder, what.lifetime, what.max_ttl, approved.at, serial=approved.id
         )
         node = service.home.node()
         service.deliver(StatementCall(node, "rossec.updateDelegation", (data,), "the delegation", _LATER))
         given = open_delegation(data, authority.signer.public_key)
         service.home.confirm_delegation(given.id, now)
-        conclude(authority.store, f"{MASTER} may renew grants")
+        approved.conclude(authority.store, f"{MASTER} may renew grants", now)
 
 
 def _last_approved(store: Store) -> bytes:
@@ -408,9 +394,7 @@ def _last_approved(store: Store) -> bytes:
     return found[-1] if found else NONE_BEFORE
 
 
-def _put_in_force(
-    authority: SigningAuthority, plan: PolicyPlan, approved: Approved, conclude: Conclude, now: int
-) -> list[bytes]:
+def _put_in_force(authority: SigningAuthority, plan: PolicyPlan, approved: Approved, now: int) -> list[bytes]:
     reason, revoked = f"policy, {approved.reason}", sorted(grant.id for grant in plan.revoke)
 
     def check() -> None:
@@ -418,7 +402,7 @@ def _put_in_force(
         check_record(authority, plan)
         for entry in revoked:
             authority.store.revoke(entry, reason, now)
-        conclude(authority.store, _done(plan.signs, len(revoked), plan))
+        approved.conclude(authority.store, _done(plan.signs, len(revoked), plan), now)
 
     drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
     try:
@@ -434,7 +418,7 @@ def _put_in_force(
             for grant in left.revoke:
                 authority.store.revoke(grant.id, reason, now)
             authority.refresh_list(now)
-            conclude(authority.store, _done(len(signed), len(left.revoke), left))
+            approved.conclude(authority.store, _done(len(signed), len(left.revoke), left), now)
         return [data for _, data in signed]
 
 

@@ -40,7 +40,7 @@ from rossec.authority.approvals import (
     VerdictChange,
     verdict_change,
 )
-from rossec.authority.console.approving import Approved, ApprovedAct, Arguments, Conclude, ToApprove
+from rossec.authority.console.approving import Approved, ApprovedAct, Wanted
 from rossec.authority.console.messages import AskedRight, GrantQuestion, QuestionAnswer, given, to_value
 from rossec.authority.console.queries import bounded
 from rossec.authority.invitations import InvitationStatus
@@ -214,15 +214,16 @@ class GrantAnswer(NamedTuple):
 class GrantAct(ApprovedAct):
     """Grants for a question: its id, a coarser filter, at most so many seconds (0: as asked)."""
 
+    kind = StatementKind.GRANT
+
     def __init__(self, policy: Path) -> None:
         self._policy = policy
 
-    def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        match arguments:
-            case [bytes(question), str(coarse), int(seconds)] if seconds >= 0:
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of a grant", "")
+    def prepare(
+        self, service: AuthorityService, now: int, question: bytes, coarse: str, seconds: int
+    ) -> Wanted:
+        if seconds < 0:
+            raise KeyServiceRefused("these are not the arguments of a grant", "")
         if service.home.is_intermediate:
             raise KeyServiceRefused("an intermediate signs no grants", "do it at the root")
         file = PolicyFile.read(self._policy, own=True)
@@ -238,10 +239,10 @@ class GrantAct(ApprovedAct):
             tuple((encode(document.from_draft(draft, issuer)), rules) for draft, rules in made),
         )
         payload = answer.to_bytes()
-        return ToApprove(GrantStatement(question, sha256(payload).digest()), payload)
+        return GrantStatement(question, sha256(payload).digest()), payload
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
-        answer = GrantAnswer.from_bytes(approved.approval.payload)
+    def admit(self, store: Store, approved: Approved) -> str | None:
+        answer = GrantAnswer.from_bytes(approved.payload)
         self._check_policy(answer)
         table, question = GrantRequestStore(store.database), approved.approval.subject
         found = {
@@ -252,13 +253,11 @@ class GrantAct(ApprovedAct):
         for right in answer.rights:
             if right not in found:
                 raise _answered()
-            table.answer(found[right], GRANTED, approved.reason, approved.approval.at)
+            table.answer(found[right], GRANTED, approved.reason, approved.at)
         return None
 
-    def carry_out(
-        self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
-    ) -> None:
-        answer, authority = GrantAnswer.from_bytes(approved.approval.payload), service.unlock()
+    def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
+        answer, authority = GrantAnswer.from_bytes(approved.payload), service.unlock()
         drafts, issuer = answer.drafts(), thumbprint(authority.signer.public_key)
         for (draft, _), (body, _) in zip(drafts, answer.grants, strict=True):
             if encode(document.from_draft(draft, issuer)) != body or now >= draft.expires:
@@ -270,13 +269,13 @@ class GrantAct(ApprovedAct):
                 held = authority.store.valid_certificate(draft.subject, now)
                 if held.thumbprint != draft.holder:
                     raise StoreError(f"{draft.subject} has another key now", "it has to ask again")
-            conclude(authority.store, given([body for body, _ in answer.grants]))
+            approved.conclude(authority.store, given([body for body, _ in answer.grants]), now)
 
         for data in authority.issue_grants(drafts, now, check):
             service.grants.store(data)
 
-    def made(self, _service: AuthorityService, approved: Approved, /) -> bytes:
-        bodies: list[Value] = [body for body, _ in GrantAnswer.from_bytes(approved.approval.payload).grants]
+    def made(self, _service: AuthorityService, approved: Approved) -> bytes:
+        bodies: list[Value] = [body for body, _ in GrantAnswer.from_bytes(approved.payload).grants]
         return encode(bodies)
 
     def _check_policy(self, answer: GrantAnswer) -> None:

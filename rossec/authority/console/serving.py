@@ -365,16 +365,17 @@ def acts_of(
 ) -> Mapping[StatementKind, ApprovedAct]:
     """What a phone can approve; `elapsed` counts seconds and cannot be set."""
     policy = work.policy_path()
-    return {
-        StatementKind.ENROLL: EnrollAct(policy),
-        StatementKind.GRANT: GrantAct(policy),
-        StatementKind.POLICY: PolicyAct(policy),
-        StatementKind.DELEGATE: DelegateAct(),
-        StatementKind.INTERMEDIATE: IntermediateAct(),
-        StatementKind.PASSKEY: PasskeyAct(access.proposed),
-        StatementKind.INVITATION: InvitationAct(work.home(), join_address, elapsed),
-        StatementKind.REVOKE_MASTER: RevokeMasterAct(),
-    }
+    acts: tuple[ApprovedAct, ...] = (
+        EnrollAct(policy),
+        GrantAct(policy),
+        PolicyAct(policy),
+        DelegateAct(),
+        IntermediateAct(),
+        PasskeyAct(access.proposed),
+        InvitationAct(work.home(), join_address, elapsed),
+        RevokeMasterAct(),
+    )
+    return {act.kind: act for act in acts}
 
 
 def _fail(call: StatementCall) -> object:

@@ -110,18 +110,15 @@ class KeyServiceClient:
 class RemoteSigner:
     def __init__(self, client: KeyServiceClient, public_key: ec.EllipticCurvePublicKey) -> None:
         self._client = client
-        self._public_key = public_key
-
-    @property
-    def public_key(self) -> ec.EllipticCurvePublicKey:
-        return self._public_key
+        self.public_key = public_key
 
     def sign(self, message: bytes) -> bytes:
         answer = self._client.ask(ServiceRequest(messages.SIGN, (message,)))
         signature = answer if isinstance(answer, bytes) and len(answer) == 64 else bytes(64)
         r, s = int.from_bytes(signature[:32]), int.from_bytes(signature[32:])
         try:
-            self._public_key.verify(encode_dss_signature(r, s), message, _ECDSA)
+            # 64 zeros are no signature of any key. It is verified here: the service is another process.
+            self.public_key.verify(encode_dss_signature(r, s), message, _ECDSA)
         except InvalidSignature:
             raise KeyServiceFailed("the service signed with another key", _HINT) from None
         return signature

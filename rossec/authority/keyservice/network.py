@@ -14,7 +14,7 @@ from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Protocol, Self, TypeVar
+from typing import Final, Self, TypeVar
 
 from ca.encoding import Value
 from ca.enrollment.invitation import JoinClaim, JoinRequest
@@ -122,10 +122,6 @@ QUIET: Final = 60.0  # seconds out of reach until it is said: it may start after
 Renew = Callable[[list[bytes]], Awaitable[list[tuple[bytes, bytes, str]]]]
 
 
-class CallsMaster(Protocol):
-    async def call(self, method: str, arguments: list[Value], within: int) -> Value: ...
-
-
 class RenewalWatch:
     """Renews identities: waits at the master for requests, so that a node has its new one in seconds.
 
@@ -134,7 +130,7 @@ class RenewalWatch:
     `work`: says whether the key is held. `renew`: answers requests, in the thread of the work.
     """
 
-    def __init__(self, face: CallsMaster, work: AuthorityWork, renew: Renew) -> None:
+    def __init__(self, face: FrontEndProcess, work: AuthorityWork, renew: Renew) -> None:
         self._face = face
         self._work = work
         self._renew = renew
@@ -301,7 +297,7 @@ class NetworkWork:
 
     async def _give_to_joined(self) -> None:
         give = self.work.apply if self._applies else self.work.grant_outright
-        async with self._giving:
+        async with self._giving:  # nodes that join meanwhile are all given theirs by the next
             names, self._joined = self._joined, []
             if names:
                 await self._in_thread(give, names)
@@ -312,13 +308,14 @@ class NetworkWork:
         except ConfigurationError:
             return  # `rossec ca serve` reports it, and ends
         if self._renewals is not None and not self.work.home().is_intermediate:
-            self.rounds.add(self._renewals_again)
+            loop, wake = asyncio.get_running_loop(), self._renewals.wake
+
+            def look_again() -> None:  # called in the thread of the work
+                loop.call_soon_threadsafe(wake)
+
+            self.rounds.add(look_again)
             self._tasks.spawn(self._renewals.run(), name="identities that nodes renew")
         await self.rounds.run()
-
-    def _renewals_again(self) -> None:
-        if self._loop is not None and self._renewals is not None:
-            self._loop.call_soon_threadsafe(self._renewals.wake)
 
     async def _renew(self, requests: list[bytes]) -> list[tuple[bytes, bytes, str]]:
         return await self._in_thread(self.work.renew_identities, requests)

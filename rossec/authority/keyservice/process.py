@@ -2,9 +2,8 @@
 
 Every connection to the socket is one caller, admitted by the user id that the kernel reports. Its
 number of connections, the size of a message and the time for one are bounded; what is malformed is
-answered with a refusal and ends the connection. The network process is executed anew, so that
-nothing of the service's memory is in it, and started first while the service has no key; its end of
-a socketpair is the only descriptor it inherits. One that dies is replaced, each time later.
+answered with a refusal and ends the connection. The network process is a worker (`rossec.host.workers`)
+that inherits its end of a socketpair and no other descriptor.
 """
 
 import asyncio
@@ -12,7 +11,6 @@ import logging
 import os
 import socket
 import subprocess
-import sys
 from collections.abc import Awaitable, Callable, Collection, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -32,6 +30,7 @@ from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefus
 from rossec.host.audit import AUDIT, AuditFile
 from rossec.host.local_sockets import UnixPeer, listen_at, raw_socket, require_user, unix_peer
 from rossec.host.runner import reap
+from rossec.host.workers import keep_running, start_worker, worker_command
 from rossec.peer_limits import printable
 
 _MAX_READ: Final = 4096  # bytes
@@ -270,7 +269,6 @@ class KeyServiceProcess:
 CREDENTIALS: Final = "CREDENTIALS_DIRECTORY"  # of systemd: the passphrase may be there
 MODULE: Final = "rossec.authority.keyservice.front_end"
 START: Final = 30.0  # seconds until it listens
-MAX_DELAY: Final = 60.0
 _END: Final = 5.0  # seconds between the end of the connection and SIGKILL
 
 
@@ -287,26 +285,21 @@ class FrontEndProcess:
         self, home: AuthorityHome, options: FrontEndOptions, environ: Mapping[str, str], module: str = MODULE
     ) -> None:
         self.port = 0
-        self._command = [sys.executable, "-I", "-m", module]
+        self._command = worker_command(module)
         self._arguments = [str(home.node().path), *options]
         self._environ = {name: text for name, text in environ.items() if name != CREDENTIALS}
+        self._handlers: dict[str, Handler] = {}
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
         self._channel: InnerChannel | None = None
         self._started: asyncio.Future[int] | None = None
 
     def spawn(self) -> None:
-        ours, theirs = socket.socketpair()
+        """Start it; the first one before the service has a key."""
+        self._socket, theirs = socket.socketpair()
         with theirs:
-            self._process = subprocess.Popen(  # noqa: S603 - this program's own module
-                [*self._command, str(theirs.fileno()), *self._arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                pass_fds=(theirs.fileno(),),
-                env=self._environ,
-                start_new_session=True,  # Ctrl-C is for the service, which ends the face
-            )
-        self._socket = ours
+            command = [*self._command, str(theirs.fileno()), *self._arguments]
+            self._process = start_worker(command, self._environ, [theirs.fileno()])
 
     def admit(self, peer: UnixPeer) -> None:
         """Raise for the face itself, which may start no other process: it may not ask for keys."""
@@ -315,24 +308,29 @@ class FrontEndProcess:
 
     async def run(self, join: Handler, name: Handler | None = None) -> None:
         """Keep a face running until this is cancelled; `join` and `name` answer its requests."""
-        delay = 0.5
-        while True:
-            begin = asyncio.get_running_loop().time()
-            try:
-                await self._run_once(join, name)
-            except KeyMessageRefused as error:
-                _log.error("the network process breaks the protocol: %s", error)
-            finally:
-                if (process := self._process) is not None:
-                    try:
-                        await reap(process, _END)
-                    finally:
-                        self._process = None
-            lasted = asyncio.get_running_loop().time() - begin
-            delay = 1.0 if lasted > MAX_DELAY else min(MAX_DELAY, 2 * delay)
-            _log.error("the network process ended; it is started again in %.0f s", delay)
-            await asyncio.sleep(delay)
+        self._handlers = {messages.READY: self._ready, messages.FAILED: self._failed, messages.JOIN: join}
+        if name is not None:
+            self._handlers[messages.NAME] = name
+        await keep_running("network process", _log, self._run_once, self._end)
+
+    async def _run_once(self) -> None:
+        if self._socket is None:
             self.spawn()
+        assert self._socket is not None  # noqa: S101 - `spawn` made it
+        self._channel = InnerChannel(self._socket, self._handlers, messages.MAX_FROM_FACE)
+        self._socket = None
+        try:
+            await self._channel.run()
+        finally:
+            self._channel = None
+
+    async def _end(self) -> None:
+        # Until it is reaped its number is refused at the socket: it may linger without its connection.
+        try:
+            if self._process is not None:
+                await reap(self._process, _END)
+        finally:
+            self._process = None
 
     async def started(self) -> int:
         """Wait until the first face listens; returns its port."""
@@ -349,23 +347,6 @@ class FrontEndProcess:
             raise KeyServiceRefused("the network process does not run", "it is started again")
         operation = messages.CALL
         return await self._channel.call(operation, method, arguments, within, within=within + 1)
-
-    async def _run_once(self, join: Handler, name: Handler | None) -> None:
-        if self._socket is None:
-            return
-        handlers: dict[str, Handler] = {
-            messages.READY: self._ready,
-            messages.FAILED: self._failed,
-            messages.JOIN: join,
-        }
-        if name is not None:
-            handlers[messages.NAME] = name
-        self._channel = InnerChannel(self._socket, handlers, messages.MAX_FROM_FACE)
-        self._socket = None
-        try:
-            await self._channel.run()
-        finally:
-            self._channel = None
 
     def close(self) -> None:
         """End a face that was started and never connected."""
