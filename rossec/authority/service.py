@@ -30,6 +30,7 @@ from rossec.saved_statements import ThingFiles
 SERIAL: Final = 16
 
 
+@dataclass(eq=False, repr=False)
 class AuthorityService(AuthoritySession):
     def __post_init__(self) -> None:
         self.identities = Identities(self)

@@ -58,7 +58,7 @@ class _Signed(NamedTuple):
     domains: tuple[int, int]
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class AuthoritySession:
     """The authority below ROSSEC_HOME; for one thread, as its record is.
 
