@@ -2,9 +2,7 @@
 
 The request that was shown is the one that is signed: its digest is in the statement. What was
 approved while the key is locked is *approved* in the record, and can still be denied. What needs no
-key is done in the transaction of its approval. A policy is put in force if the file and what it
-would change are still those that were approved: what is new is signed, what goes is revoked and the
-approval ends in one transaction; then nodes get the new grants, and the master the list.
+key is done in the transaction of its approval.
 """
 
 import logging
@@ -17,7 +15,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
-from ca.approvals.passkeys import Passkey, to_approve
+from ca.approvals.passkeys import to_approve
 from ca.approvals.statement import (
     DelegateStatement,
     Enroll,
@@ -100,23 +98,27 @@ class EnrollAct(ApprovedAct):
 
     def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
         what, authority = approved.what(Enroll), service.unlock()
-        with authority.store.transaction():
-            _check_unchanged(authority.store, what, now)
-            authority.issue(
-                approved.payload,
-                now,
-                what.lifetime,
-                replace_key=what.name if what.replaces else None,
-                wildcard=what.wildcard,
-            )
-            approved.conclude(authority.store, f"{what.name} is enrolled", now)
-        name = what.name
-        # What the policy gives the name; the identity is signed by then, so a mistake is logged.
+        store, key = authority.store, what.name if what.replaces else None
+        with store.transaction():
+            # 1. The request is still as it was approved: meanwhile it may have been denied, or have expired.
+            if store.identities.issued_for(what.csr) is None:
+                row = store.requests.find(what.csr)
+                expired = row is None or now > row.expires
+                if row is None or expired or row.state is not RequestState.APPROVED:
+                    state = "has expired" if row is None or expired else f"was {row.state}"
+                    because = "" if row is None or expired or not row.reason else f": {row.reason}"
+                    raise RequestClosed(f"the request of {what.name} {state}{because}", "ask the node again")
+                if (row.wildcard, row.replaces) != (what.wildcard, what.replaces):
+                    raise RequestClosed(f"the request of {what.name} was approved otherwise", "look at it")
+            # 2. The identity and the end of the approval, together.
+            authority.issue(approved.payload, now, what.lifetime, replace_key=key, wildcard=what.wildcard)
+            approved.conclude(store, f"{what.name} is enrolled", now)
+        # 3. What the policy gives the name; the identity is signed by then, so a mistake is logged.
         try:
-            for _, data in service.policy.grant_outright(name, place=self._policy):
+            for _, data in service.policy.grant_outright(what.name, place=self._policy):
                 service.grants.store(data)
         except HintedError as error:
-            _log.error("%s has no grants yet: %s", name, printable(str(error)))
+            _log.error("%s has no grants yet: %s", what.name, printable(str(error)))
 
     def made(self, service: AuthorityService, approved: Approved) -> bytes:
         with closing(service.home.store()) as store:
@@ -166,19 +168,6 @@ def _approve(store: Store, what: Enroll, at: int, reason: str) -> None:
     store.requests.approve(what.csr, at, reason, replace_key=replaced, wildcard=what.wildcard)
 
 
-def _check_unchanged(store: Store, what: Enroll, now: int) -> None:
-    if store.identities.issued_for(what.csr) is not None:
-        return
-    row = store.requests.find(what.csr)
-    expired = row is None or now > row.expires
-    if row is None or expired or row.state is not RequestState.APPROVED:
-        state = "has expired" if row is None or expired else f"was {row.state}"
-        because = "" if row is None or expired or not row.reason else f": {row.reason}"
-        raise RequestClosed(f"the request of {what.name} {state}{because}", "ask the node again")
-    if (row.wildcard, row.replaces) != (what.wildcard, what.replaces):
-        raise RequestClosed(f"the request of {what.name} was approved otherwise", "look at it")
-
-
 def _check_lifetime(lifetime: int) -> None:
     if not 0 < lifetime <= MAX_LIFETIME:
         raise KeyServiceRefused(f"a lifetime of {lifetime} s where 1 to {MAX_LIFETIME} are allowed", "")
@@ -208,19 +197,18 @@ class PasskeyAct(ApprovedAct):
         return to_approve(passkey), b""
 
     def admit(self, store: Store, approved: Approved) -> str | None:
-        number, passkey = self._find(approved)
-        check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
-        store.passkeys.add(passkey._replace(approval=approved.id, at=approved.at))
-        self._proposals.drop(number)
-        return f"{passkey.name} can approve"
-
-    def _find(self, approved: Approved) -> tuple[bytes, Passkey]:
         what = approved.what(NewPasskey)
         for shown in self._proposals.all():
             passkey = self._proposals.get(shown.id)
             if to_approve(passkey) == what:
-                return shown.id, passkey
-        raise PasskeyUnknown("this phone does not wait any more", "propose it again")
+                break
+        else:
+            raise PasskeyUnknown("this phone does not wait any more", "propose it again")
+        # Also here: of two proposals of different pages that are approved, the second is refused.
+        check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
+        store.passkeys.add(passkey._replace(approval=approved.id, at=approved.at))
+        self._proposals.drop(shown.id)
+        return f"{passkey.name} can approve"
 
 
 class InvitationAct(ApprovedAct):
@@ -252,15 +240,8 @@ class InvitationAct(ApprovedAct):
 
     def admit(self, store: Store, approved: Approved) -> str | None:
         what = approved.what(Invitation)
-        code, row = make_invitation(
-            self._home,
-            what.pattern,
-            what.uses,
-            what.until,
-            self._address(),
-            approved.at,
-            wildcard=what.wildcard,
-        )
+        given, address = (what.pattern, what.uses, what.until), self._address()
+        code, row = make_invitation(self._home, *given, address, approved.at, wildcard=what.wildcard)
         store.invitations.add(row)
         with self._lock:
             self._codes[approved.id] = code.text(), self._elapsed() + CODES_KEPT
@@ -326,10 +307,13 @@ class PolicyAct(ApprovedAct):
 
     def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
         what, authority = approved.what(PolicyChange), service.unlock()
+        # 1. The file and what it would change are still those that were approved.
         plan = service.policy.plan(self._read(what.new))
         if plan.effect(authority.domain) != what.effect:
             raise StoreError("what this policy would change is not what was approved", _AGAIN)
+        # 2. What is new is signed, what goes is revoked and the approval ends, in one transaction.
         signed = _put_in_force(authority, plan, approved, now)
+        # 3. Nodes get the grants, and the master the list.
         try:
             if plan.revoke:
                 service.grants.deposit(signed)
@@ -378,6 +362,7 @@ class DelegateAct(ApprovedAct):
         node = service.home.node()
         service.deliver(StatementCall(node, "rossec.updateDelegation", (data,), "the delegation", _LATER))
         given = open_delegation(data, authority.signer.public_key)
+        # Only when the master has it: grants count as renewed from then on.
         service.home.confirm_delegation(given.id, now)
         approved.conclude(authority.store, f"{MASTER} may renew grants", now)
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from contextlib import closing
 from hashlib import sha256
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 from ca.approvals.statement import MAX_PAYLOAD, GrantStatement, StatementKind
 from ca.encoding import Value, decode, encode
@@ -54,6 +54,8 @@ from rossec.errors import AuthorityLocked, ConfigurationError, KeyServiceRefused
 
 MAX_SECONDS: Final = 10 * 366 * 86400
 _PART: Final = "rossec-question-part"
+_ANSWERED: Final = "this question was answered", "look at what happened to it"
+_T = TypeVar("_T")
 
 
 class Questions:
@@ -67,7 +69,15 @@ class Questions:
         with contextlib.closing(self._queue(file)) as queue:
             queue.read_inbox()
             waiting = [each for each in queue.pending() if not each.is_allowed]
-        return bounded("questions", [_question(file, each) for each in waiting], by_node)
+        views, timeout = [], file.policy.defaults.prompt_timeout
+        for each in waiting:
+            stored, verdict = each.stored, approve(each.verdict)
+            number, key, asked = question_id(stored), verdict.subject.key, stored.request
+            times = stored.at, stored.at + timeout, longest(verdict)
+            offered, rights = tuple(_filters(file, verdict)), (_right(file, verdict),)
+            views.append(GrantQuestion(number, asked.node, key, asked.why, *times, offered, rights, asked.id))
+        # By node: none pushes another node's questions out of the list.
+        return bounded("questions", views, lambda view: view.node)
 
     def consider(self, question: bytes, coarse: str, seconds: int) -> Value:
         # What would be granted, through the filter `coarse`, for at most `seconds`.
@@ -82,28 +92,15 @@ class Questions:
     def question_answers(self, question: bytes) -> Value:
         with contextlib.closing(self._work.home().store()) as store:
             found = GrantRequestStore(store.database).answers()
-        return to_value(
-            tuple(
-                QuestionAnswer(
-                    each.stored.request.node,
-                    int(each.stored.requested.right),
-                    each.stored.requested.pattern,
-                    each.answer,
-                    each.reason,
-                    each.at,
-                )
-                for each in found
-                if is_about(each.stored, question)
-            )
-        )
+        views = []
+        for stored, answer, reason, at in found:
+            if is_about(stored, question):
+                node, asked = stored.request.node, stored.requested
+                views.append(QuestionAnswer(node, int(asked.right), asked.pattern, answer, reason, at))
+        return to_value(tuple(views))
 
     def _queue(self, file: PolicyFile) -> ApprovalQueue:
         return ApprovalQueue(self._work.home(), file, self._work.now())
-
-
-def by_node(question: GrantQuestion) -> str:
-    """Whose question it is: none pushes another node's out of the list."""
-    return question.node
 
 
 def question_id(stored: StoredRequest) -> bytes:
@@ -121,7 +118,7 @@ def is_about(stored: StoredRequest, question: bytes) -> bool:
 def pending_of(queue: ApprovalQueue, question: bytes) -> list[PendingApproval]:
     found = [each for each in queue.pending() if is_about(each.stored, question) and not each.is_allowed]
     if not found:
-        raise StoreError("this question was answered", "look at what happened to it")
+        raise StoreError(*_ANSWERED)
     return found
 
 
@@ -141,36 +138,15 @@ def longest(verdict: Verdict) -> int:
     return max(verdict.lifetime, verdict.renew_until)
 
 
-def _question(file: PolicyFile, waiting: PendingApproval) -> GrantQuestion:
-    stored, verdict = waiting.stored, approve(waiting.verdict)
-    return GrantQuestion(
-        question_id(stored),
-        stored.request.node,
-        verdict.subject.key,
-        stored.request.why,
-        stored.at,
-        stored.at + file.policy.defaults.prompt_timeout,
-        longest(verdict),
-        tuple(_filters(file, verdict)),
-        (_right(file, verdict),),
-        stored.request.id,
-    )
-
-
 def _filters(file: PolicyFile, verdict: Verdict) -> list[str]:
     if verdict.right is not Right.SUBSCRIBE:
         return []
-    names = dict.fromkeys((*file.policy.filters, *PRESETS))
-    return [name for name in names if _fits(file, name, verdict)]
-
-
-def _fits(file: PolicyFile, name: str, verdict: Verdict) -> bool:
-    change = verdict_change(file, name, 0, only_today=False)
-    try:
-        permissions(change(verdict))
-    except HintedError:
-        return False
-    return True
+    found = []
+    for name in dict.fromkeys((*file.policy.filters, *PRESETS)):
+        with contextlib.suppress(HintedError):  # it does not fit messages of this type
+            permissions(verdict_change(file, name, 0, only_today=False)(verdict))
+            found.append(name)
+    return found
 
 
 def _right(file: PolicyFile, verdict: Verdict) -> AskedRight:
@@ -203,7 +179,8 @@ class GrantAnswer(NamedTuple):
     def from_bytes(cls, data: bytes) -> "GrantAnswer":
         match decode(data, limit=MAX_PAYLOAD):
             case [bytes(policy), [*rights], [*grants]]:
-                return cls(policy, tuple(map(_grant_acts_right, rights)), tuple(map(_grant, grants)))
+                found = tuple(_pair(bytes, each) for each in grants)
+                return cls(policy, tuple(_pair(int, each) for each in rights), found)
             case _:
                 raise ConfigurationError(*_MALFORMED)
 
@@ -230,7 +207,10 @@ class GrantAct(ApprovedAct):
         change = changed_by(file, coarse, seconds, now)
         with closing(ApprovalQueue(service.home, file, now)) as queue:
             found = pending_of(queue, question)
-            check_seconds(seconds, min(longest(each.verdict) for each in found))
+            most = min(longest(each.verdict) for each in found)
+            if seconds > most:  # what was approved is what is signed: it is not made shorter without a word
+                allowed = f"the policy allows this for {format_duration(most)} at most"
+                raise KeyServiceRefused(allowed, "choose a shorter time")
             made = queue.drafts(service.home.domain, found, change)
         issuer = thumbprint(service.home.own_key())
         answer = GrantAnswer(
@@ -252,7 +232,7 @@ class GrantAct(ApprovedAct):
         }
         for right in answer.rights:
             if right not in found:
-                raise _answered()
+                raise StoreError(*_ANSWERED)
             table.answer(found[right], GRANTED, approved.reason, approved.at)
         return None
 
@@ -284,49 +264,18 @@ class GrantAct(ApprovedAct):
             raise ConfigurationError("the policy was changed meanwhile", "look at it again")
 
 
-def check_seconds(seconds: int, most: int) -> None:
-    """Return if the policy allows a grant for so long; 0: as long as it allows.
-
-    What was approved is what is signed: a month is not made seven days without a word.
-    """
-    if seconds > most:
-        raise KeyServiceRefused(
-            f"the policy allows this for {format_duration(most)} at most", "choose a shorter time"
-        )
-
-
-def _grant_acts_right(value: Value) -> tuple[int, str]:
+def _pair(kind: type[_T], value: Value) -> tuple[_T, str]:
     match value:
-        case [int(right), str(pattern)]:
-            return right, pattern
-        case _:
-            raise ConfigurationError(*_MALFORMED)
-
-
-def _grant(value: Value) -> tuple[bytes, str]:
-    match value:
-        case [bytes(body), str(rules)]:
-            return body, rules
+        case [first, str(text)] if isinstance(first, kind):
+            return first, text
         case _:
             raise ConfigurationError(*_MALFORMED)
 
 
 def _draft(body: bytes) -> Draft:
     found = document.read_claims(body, bytes(ID_SIZE))
-    return Draft(
-        found.domain,
-        found.subject,
-        found.holder,
-        found.not_before,
-        found.expires,
-        found.cap,
-        found.serial,
-        found.permissions,
-    )
-
-
-def _answered() -> StoreError:
-    return StoreError("this question was answered", "look at what happened to it")
+    about = found.domain, found.subject, found.holder, found.not_before, found.expires, found.cap
+    return Draft(*about, found.serial, found.permissions)
 
 
 PURPOSE: Final = "a revocation at the console"
@@ -367,7 +316,7 @@ class Removals:
             parts = {request, *map(question_id, table.find(request))}
             ended = [_end_about(store, StatementKind.GRANT, part, why, at) for part in sorted(parts)]
             if not found and not any(ended):
-                raise StoreError("this question was answered", "look at what happened to it")
+                raise StoreError(*_ANSWERED)
         return None
 
     def revoke_grant(self, grant: bytes, reason: str) -> Value:

@@ -16,7 +16,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -80,12 +79,10 @@ class StatusQuery:
             size, phones = store.log.head(now).size, len(store.passkeys.active())
         remaining, has_master = self._held.remaining(), self._has_master()
         files = (self._work.policy_path(), home.path / INBOX)
-        number = _number(size, remaining is None, has_master, *map(_changed, files), *self._seen())
-        return to_value(
-            Status(
-                self._domain, self._fingerprint, remaining is None, remaining, number, now, phones, has_master
-            )
-        )
+        state = size, remaining is None, has_master, *map(_changed, files), *self._seen()
+        number = int.from_bytes(hashlib.sha256(repr(state).encode()).digest()[:6])
+        about = self._domain, self._fingerprint, remaining is None, remaining
+        return to_value(Status(*about, number, now, phones, has_master))
 
 
 def _changed(path: Path) -> tuple[int, ...]:
@@ -96,13 +93,8 @@ def _changed(path: Path) -> tuple[int, ...]:
     return status.st_mtime_ns, status.st_size, status.st_ino
 
 
-def _number(*state: object) -> int:
-    return int.from_bytes(hashlib.sha256(repr(state).encode()).digest()[:6])
-
-
 _START: Final = 19  # of the fields after the command's name, proc(5): starttime
 _LIMIT: Final = b"Max processes"
-_REFUSED: Final = "a process of the console's pages may not use the service's socket"
 
 
 class ConsolePeers:
@@ -125,11 +117,17 @@ class ConsolePeers:
 
     def refuse(self, peer: UnixPeer) -> None:
         with self._lock:
-            is_known = peer.process in self._known and not self._is_gone(peer.process)
-        if is_known or self._is_confined(peer.process):
-            raise PeerUserRefused(_REFUSED)
+            is_refused = peer.process in self._known and not self._is_gone(peer.process)
+        with contextlib.suppress(OSError):
+            for line in (self._proc / str(peer.process) / "limits").read_bytes().splitlines():
+                # RLIMIT_NPROC of 0 is what `confine_processes` leaves.
+                if line.startswith(_LIMIT) and line.removeprefix(_LIMIT).split()[:2] == [b"0", b"0"]:
+                    is_refused = True
+        if is_refused:
+            raise PeerUserRefused("a process of the console's pages may not use the service's socket")
 
     def _is_gone(self, process: int) -> bool:
+        # Where it cannot be told, it is not gone: unless there is a /proc that says so.
         remembered, now = self._known[process], self._started(process)
         if now is None:
             return not (self._proc / str(process)).exists() and (self._proc / "self").exists()
@@ -143,21 +141,10 @@ class ConsolePeers:
         fields = stat.rpartition(b")")[2].split()  # its name may have spaces and parentheses
         return fields[_START] if len(fields) > _START else None
 
-    def _is_confined(self, process: int) -> bool:
-        try:
-            limits = (self._proc / str(process) / "limits").read_bytes()
-        except OSError:
-            return False
-        rows = [line for line in limits.splitlines() if line.startswith(_LIMIT)]
-        return any(row.removeprefix(_LIMIT).split()[:2] == [b"0", b"0"] for row in rows)
-
 
 _log = logging.getLogger("rossec.authority.service")
 
 Handler = Callable[..., Value]
-
-
-def _unaudited(_: str) -> None: ...
 
 
 def handlers_of(part: object) -> dict[str, Handler]:
@@ -172,7 +159,7 @@ class ConsoleService:
     line. Raises `HintedError` if it cannot: then nothing is done.
     """
 
-    def __init__(self, *parts: object, audit: Callable[[str], None] = _unaudited) -> None:
+    def __init__(self, *parts: object, audit: Callable[[str], None] = lambda _: None) -> None:
         self._audit = audit
         self._threads = [ThreadPoolExecutor(1, thread_name_prefix="console") for _ in parts]
         self._handlers: dict[str, tuple[ThreadPoolExecutor, Handler]] = {}
@@ -191,25 +178,17 @@ class ConsoleService:
             raise KeyServiceRefused(
                 f"this service does not do {request.operation}", "restart it: rossec ca serve"
             )
-        if OPERATIONS[request.operation].changes:
-            self._audit(f"{_described(request)}, asked by the console of {caller}")
+        if OPERATIONS[request.operation].changes:  # before it is done: without a line nothing is
+            about = request.arguments[0]
+            shown = about.hex() if isinstance(about, bytes) else printable(str(about))
+            self._audit(f"{request.operation} {shown}, asked by the console of {caller}")
         thread, handler = self._handlers[request.operation]
-        call = partial(_answer, handler, request.arguments)
+        call = lambda: checked(handler(*request.arguments))  # noqa: E731 - in the thread, as a whole
         return await asyncio.get_running_loop().run_in_executor(thread, call)
 
     async def close(self) -> None:
         for thread in self._threads:
             await asyncio.to_thread(thread.shutdown, cancel_futures=True)
-
-
-def _described(request: ServiceRequest) -> str:
-    about = request.arguments[0]
-    shown = about.hex() if isinstance(about, bytes) else printable(str(about))
-    return f"{request.operation} {shown}"
-
-
-def _answer(handler: Handler, arguments: tuple[Value, ...]) -> Value:
-    return checked(handler(*arguments))
 
 
 MAX_CALLERS: Final = 16
@@ -238,22 +217,19 @@ def place(directory: Path, path: Path | None, user: str | None) -> ConsolePlace:
             f"{user} cannot enter {directory}, where the socket would be",
             "name a directory for it: --console-socket /run/rossec/console.sock",
         )
-    _check_directory(path.parent)
-    return ConsolePlace(path, frozenset({os.geteuid(), number}))
-
-
-def _check_directory(directory: Path) -> None:
+    parent = path.parent
     try:
-        found = directory.stat()
+        found = parent.stat()
     except OSError as error:
         raise ConfigurationError(
-            f"{directory}: {error.strerror}", "make it, as the user of the service"
+            f"{parent}: {error.strerror}", "make it, as the user of the service"
         ) from None
     if found.st_mode & 0o022 or found.st_uid not in {0, os.geteuid()}:
         raise ConfigurationError(
-            f"another user could replace the socket in {directory}",
+            f"another user could replace the socket in {parent}",
             "choose a directory of your own, which no other user can write",
         )
+    return ConsolePlace(path, frozenset({os.geteuid(), number}))
 
 
 class ConsoleSocket:
