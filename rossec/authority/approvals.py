@@ -109,7 +109,7 @@ class ApprovalQueue:
     def _decided(self) -> list[PendingApproval]:
         approvals: list[PendingApproval] = []
         self.denied = []
-        waiting: dict[str, int] = {}
+        waiting = Counter[str]()
         unanswered = self._requests.unanswered()
         counts = Counter(stored.request.node for stored in unanswered)
         for stored in unanswered:
@@ -117,7 +117,8 @@ class ApprovalQueue:
                 verdict = self._verdict(stored)
             except HintedError as error:
                 # Its identity may only have expired, by a clock that is ahead.
-                if not self._had_identity(stored) or self._is_for_good(stored, counts):
+                had_identity = bool(self._store.identities.valid(stored.request.node, stored.at))
+                if not had_identity or self._is_for_good(stored, counts):
                     self._requests.answer(stored, DENIED, str(error), self._now)
                 self.denied.append(Denial(stored, str(error)))
                 continue
@@ -126,7 +127,14 @@ class ApprovalQueue:
                 self._requests.answer(stored, DENIED, f"rule {rule.id}" if rule else "by default", self._now)
                 self.denied.append(Denial(stored, f"by {rule.reason}" if rule else _NO_RULE))
                 continue
-            if verdict.effect is Effect.PROMPT and (why := self._automatic_denial(stored, waiting)):
+            why, node = "", stored.request.node
+            if verdict.effect is Effect.PROMPT:
+                if self._now > stored.at + self._decider.policy.defaults.prompt_timeout:
+                    why = LATE
+                else:
+                    waiting[node] += 1
+                    why = TOO_MANY if waiting[node] > MAX_PENDING else ""
+            if why:
                 if why != LATE or self._is_for_good(stored, counts):
                     self._requests.answer(stored, DENIED, why, self._now)
                 self.denied.append(Denial(stored, why))
@@ -219,22 +227,11 @@ class ApprovalQueue:
         subject = Subject(row.name, row.thumbprint, row.wildcard)
         return self._decider.decide(subject, stored.requested.right, stored.requested.pattern)
 
-    def _had_identity(self, stored: StoredRequest) -> bool:
-        # Whether its node has a key that is not revoked, and was valid when it asked.
-        return bool(self._store.identities.valid(stored.request.node, stored.at))
-
     def _is_for_good(self, stored: StoredRequest, counts: Counter[str]) -> bool:
         # Whether to record what only the clock says; else it comes back when that is set right.
         # `counts`: what has no answer yet, by node; oldest first, so the newest stay.
         counts[stored.request.node] -= 1
         return counts[stored.request.node] >= MAX_LATE
-
-    def _automatic_denial(self, stored: StoredRequest, waiting: dict[str, int]) -> str:
-        if self._now > stored.at + self._decider.policy.defaults.prompt_timeout:
-            return LATE
-        node = stored.request.node
-        waiting[node] = waiting.get(node, 0) + 1
-        return TOO_MANY if waiting[node] > MAX_PENDING else ""
 
 
 def _parts(approvals: list[PendingApproval]) -> list[list[PendingApproval]]:

@@ -70,13 +70,8 @@ def undeclared(directory: Path) -> list[str]:
 
 
 def kept(directory: Path) -> dict[str, bytes]:
-    content: dict[str, bytes] = {}
-    for name in _files(directory):
-        found = owner(name)
-        if found is None or not found.kept or name == authority_home.RECORD:
-            continue
-        content[name] = read(directory, name)
-    return content
+    found = ((name, owner(name)) for name in _files(directory) if name != RECORD)
+    return {name: read(directory, name) for name, owned in found if owned is not None and owned.kept}
 
 
 def staying(directory: Path) -> list[str]:
@@ -117,7 +112,6 @@ def _files(directory: Path) -> Iterable[str]:
             yield name
 
 
-_HINT: Final = "take another backup, and find out who made this one"
 _TAKE_OVER: Final = "only to revoke what a newer list revokes: rossec ca refresh --list FILE"
 
 
@@ -136,7 +130,7 @@ def back_up(home: AuthorityHome, passphrase: str) -> bytes:
     content = kept(home.path)
     with contextlib.closing(home.store()) as store:
         content[RECORD] = store.database.snapshot()
-    salt, nonce = (secrets.token_bytes(passphrases.SALT_SIZE), secrets.token_bytes(passphrases.NONCE_SIZE))
+    salt, nonce = map(secrets.token_bytes, (passphrases.SALT_SIZE, passphrases.NONCE_SIZE))
     return passphrases.seal(content, passphrase, salt=salt, nonce=nonce)
 
 
@@ -159,6 +153,7 @@ def restore(
     said = _Said(over, forget, needs_list and newest_list is None, policy_of_backup)
     target = home / "ca"
     with _staging_beside(target) as staging:
+        # 1. Written next to the target, where nothing uses it.
         content, left = restorable(passphrases.unseal(data, passphrase))
         uri = None
         if KEY_URI in content:
@@ -168,7 +163,9 @@ def restore(
             path = staging / name
             files.make_private_directory(path.parent)
             files.create(path, part, mode(name))
+        # 2. The key opens and is that of the certificate, the log and the newest list verify.
         authority = _open_verified(AuthorityHome(staging), secret or passphrase, uri)
+        # 3. What is newer than the backup is taken over, and the authority put in its place.
         newer = restored_lists.read_newer(authority, newest_list, entries, newest_domains)
         done = _put_in_place(authority, target, newer, said, now)
     return replace(done, left_out=tuple(left))
@@ -242,7 +239,10 @@ def _open_verified(staging: AuthorityHome, secret: str, uri: KeyUri | None) -> S
         raise
     except (HintedError, ValueError) as error:
         reason = error if isinstance(error, HintedError) else "not exactly one certificate"
-        raise BackupRefused(f"the backup does not contain a valid authority: {reason}", _HINT) from error
+        raise BackupRefused(
+            f"the backup does not contain a valid authority: {reason}",
+            "take another backup, and find out who made this one",
+        ) from error
     return authority
 
 
@@ -276,7 +276,6 @@ def _keep_what_stays(target: Path, staging: Path, policy: str, said: _Said) -> s
 
 
 def _check_replacement(there: AuthorityHome, found: SigningAuthority, said: _Said) -> None:
-    # Refuse to replace an existing authority unless `said.over` and `said.forget` match.
     anchor, held = _read(there)
     if anchor.thumbprint != found.authority.anchor.thumbprint:
         raise BackupRefused(
@@ -317,8 +316,8 @@ def _begin_anew(
 ) -> tuple[int, int, int]:
     # Returns how many passkeys and domains ended, and how many revocations came back.
     with authority.store.transaction():
-        # Note the restore, and end what the backup does not know enough of; returns how many passkeys.
-        # Of an invitation's uses some may have been taken since, a passkey may have been removed, an approval
+        # What the backup does not know enough of ends (`restored-approval`). Of an invitation's uses some
+        # may have been taken since, a passkey may have been removed, an approval
         # been carried out, and a request that was approved been denied.
         store = authority.store
         store.log_event(RESTORED, "record", f"from {entries} entries", now)

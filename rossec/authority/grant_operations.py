@@ -94,17 +94,8 @@ class Grants:
             else:
                 holder = store.valid_certificate(node, at).thumbprint
         authority, at = self._session.unlock(), self._session.now()
-        draft = Draft(
-            domain=authority.domain,
-            subject=node,
-            holder=holder,
-            not_before=at - SKEW,
-            expires=at + lifetime,
-            cap=at + max(lifetime, renewal),
-            serial=secrets.token_bytes(16),
-            permissions=permissions,
-            may_narrow=may_narrow,
-        )
+        span, serial = (at - SKEW, at + lifetime, at + max(lifetime, renewal)), secrets.token_bytes(16)
+        draft = Draft(authority.domain, node, holder, *span, serial, permissions, may_narrow=may_narrow)
         if foreign is not None:
             authority.store.domains.add_certificate(root, foreign, at)
         return draft, authority.issue_grant(draft, at)
@@ -164,7 +155,21 @@ class Grants:
             if not is_alias(document.peek(data).subject):
                 everything.append(data)
         for batch in _batches(everything):
-            refused += self._deposit_with_list(batch)
+            here = self._deposit(batch)
+            if not here:
+                continue
+            try:
+                lacks_list = not self._session.master_has_list()
+                if lacks_list:
+                    self._session.publish()
+            except (ConfigurationError, NotDelivered) as error:
+                hint = f"{error.hint}; {_AFTERWARDS}" if error.hint else _AFTERWARDS
+                refused += [each._replace(hint=hint) for each in here]
+                continue
+            if lacks_list:
+                ids = {each.grant_id for each in here}
+                here = self._deposit([data for data in batch if document.grant_id(data) in ids])
+            refused += here
         return refused
 
     def try_to_store(self, data: bytes) -> RefusedDeposit | None:
@@ -183,12 +188,8 @@ class Grants:
     def deposit_missing(self) -> tuple[int, list[RefusedDeposit]]:
         # Deposit every grant in force that the master does not have.
         # Returns how many it has now besides, and those it refuses or that cannot be stored here.
-        states = self.delivery_states(within=DEPOSIT_SECONDS)
-        missing = [
-            data
-            for grant, data in self._in_force()
-            if not states.get(grant.id) and not is_alias(grant.subject)
-        ]
+        states, found = self.delivery_states(within=DEPOSIT_SECONDS), self._in_force()
+        missing = [data for grant, data in found if not states.get(grant.id) and not is_alias(grant.subject)]
         refused = self.deposit(missing)
         return len(missing) - sum(not each.is_here for each in refused), refused
 
@@ -222,30 +223,14 @@ class Grants:
             if now < grant.cap and revoked.isdisjoint((grant.id, grant.holder)):
                 yield grant, row.data
 
-    def _deposit_with_list(self, batch: list[bytes]) -> list[RefusedDeposit]:
-        refused = self._deposit(batch)
-        if not refused:
-            return []
-        try:
-            lacking = not self._session.master_has_list()
-            if lacking:
-                self._session.publish()
-        except (ConfigurationError, NotDelivered) as error:
-            hint = f"{error.hint}; {_AFTERWARDS}" if error.hint else _AFTERWARDS
-            return [each._replace(hint=hint) for each in refused]
-        if not lacking:
-            return refused
-        ids = {each.grant_id for each in refused}
-        return self._deposit([data for data in batch if document.grant_id(data) in ids])
-
     def _deposit(self, batch: list[bytes]) -> list[RefusedDeposit]:
+        refused = []
         reasons = self._ask("rossec.depositGrants", batch, DEPOSIT_SECONDS)
-        return [
-            RefusedDeposit(grant.id, grant.subject, printable(reason), hint=_AFTERWARDS)
-            for data, reason in zip(batch, reasons, strict=True)
-            if reason
-            for grant in (document.peek(data),)
-        ]
+        for data, reason in zip(batch, reasons, strict=True):
+            if reason:
+                grant = document.peek(data)
+                refused.append(RefusedDeposit(grant.id, grant.subject, printable(reason), hint=_AFTERWARDS))
+        return refused
 
 
 def require_delivered(refused: Iterable[RefusedDeposit]) -> None:
@@ -382,18 +367,20 @@ class PolicyWork:
 
     def apply(self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None) -> list[SignedGrant]:
         # `report` is called with each step that was done. Returns the new grants.
-
         from rossec.authority import policyfile  # noqa: PLC0415 - see above
 
         authority, failed = self._session.unlock(), list[HintedError | OSError]()
+        # 1. What is only taken away goes first: it waits for nothing.
         listed, left = policyfile.take_away(authority, plan, self._session.now())
         if listed is not None:
             report(f"revoked: {len(plan.taken)} (list {listed.seq})")
             self._publish_new(report, failed)
+        # 2. What is new is signed and delivered.
         signed, left = policyfile.sign_each(authority, left, self._session.now())
         if signed:
             report(f"signed: {len(signed)}")
         refused = self._deliver_new(signed, left, failed)
+        # 3. What that replaces goes, and what is not allowed, whether or not the new ones were delivered.
         listed = policyfile.revoke_planned(authority, left, self._session.now())
         if listed is not None:
             report(f"revoked: {len(left.revoke)} (list {listed.seq})")
@@ -430,9 +417,8 @@ class PolicyWork:
     def _deliver_new(
         self, signed: list[SignedGrant], plan: "PolicyPlan", failed: list[HintedError | OSError]
     ) -> list[RefusedDeposit]:
-        # What is not allowed is revoked all the same.
-        # Before a revocation, also those that an interrupted command signed. A node of this ROSSEC_HOME has
-        # its grants as files, also while no master runs.
+        # Before a revocation, also those that an interrupted command signed: they replace what goes. A node
+        # of this ROSSEC_HOME has its grants as files, also while no master runs.
         try:
             if plan.revoke:
                 return self._deposit_all()

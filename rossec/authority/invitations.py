@@ -8,6 +8,7 @@ decides by the record and changes it, or nothing is done. The same request gets 
 """
 
 import secrets
+from contextlib import closing
 from hashlib import sha256
 from typing import Final, NamedTuple
 
@@ -45,7 +46,6 @@ _REASONS: Final[tuple[tuple[type[CAError], RefuseReason], ...]] = (
     (NameCovered, RefuseReason.NAME),
     (TooManyRequests, RefuseReason.BUSY),
 )
-_OTHER: Final = RefuseReason.DENIED  # a revoked key, an identity that is not valid any more
 
 
 def join(authority: SigningAuthority, request: JoinRequest, now: int) -> JoinAnswer:
@@ -58,13 +58,14 @@ def join(authority: SigningAuthority, request: JoinRequest, now: int) -> JoinAns
             raise RequestRefused("the request is not the one that was proved")
         if is_reserved(found.name) or not pattern_covers(invitation.pattern, found.name):
             raise NameRefused(f"the invitation is not for {found.name}")
-        asked = found
         with authority.store.transaction():
-            return _decide(authority, invitation, asked, request.csr, now)
+            return _decide(authority, invitation, found, request.csr, now)
     except RecordUnusable:
         raise
     except (StoreError, InvitationRefused, RequestRefused, NameRefused) as error:
-        return RefusedMessage(_reason(error))
+        # What has no reason of its own: a revoked key, an identity that is not valid any more.
+        reasons = (reason for kind, reason in _REASONS if isinstance(error, kind))
+        return RefusedMessage(next(reasons, RefuseReason.DENIED))
 
 
 def join_locked(store: Store, request: JoinRequest, now: int) -> JoinAnswer:
@@ -164,10 +165,6 @@ def _needs_person(authority: SigningAuthority, asked: IdentityRequest, now: int)
     return any(waiting) or bool(store.identities.ever_shared(name, key, shared))
 
 
-def _reason(error: CAError) -> RefuseReason:
-    return next((reason for kind, reason in _REASONS if isinstance(error, kind)), _OTHER)
-
-
 MAX_USES: Final = 10_000
 
 
@@ -204,11 +201,8 @@ def invite(
     """Record an invitation for `uses` new names within `pattern`; returns its code, a secret."""
     check_invitation(pattern, wildcard=wildcard)
     code, row = make_invitation(home, pattern, uses, expires, address, now, wildcard=wildcard)
-    store = home.store()
-    try:
+    with closing(home.store()) as store:
         store.invitations.add(row)
-    finally:
-        store.close()
     return code
 
 

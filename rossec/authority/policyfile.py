@@ -211,17 +211,8 @@ class PolicyPlan:
                 yield _draft(domain, node.subject, group, now, serial())
         for grant, left in self.pruned:
             if left and now < grant.expires:
-                draft = Draft(
-                    domain,
-                    grant.subject,
-                    grant.holder,
-                    grant.not_before,
-                    grant.expires,
-                    grant.cap,
-                    serial(),
-                    left,
-                )
-                yield draft, ""
+                who, span = (grant.subject, grant.holder), (grant.not_before, grant.expires, grant.cap)
+                yield Draft(domain, *who, *span, serial(), left), ""
 
 
 def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Moment) -> PolicyPlan:
@@ -234,14 +225,13 @@ def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Mo
     with store.database.read_transaction():
         names = options.names
         revoked, rules = store.revoked_entries(), store.policy_grants(names)
-        found: dict[_Holder, list[RecordedGrant]] = {}
+        recorded: dict[_Holder, list[RecordedGrant]] = {}
         for row in store.unrevoked_grants(names):
             grant = document.peek(row.data)
             if moment.now < grant.cap and grant.holder not in revoked:
-                of = found.setdefault((grant.subject, grant.holder), [])
+                of = recorded.setdefault((grant.subject, grant.holder), [])
                 of.append(RecordedGrant(grant, rules.get(row.id, "")))
-        recorded = found
-        getting = _subjects(store, options.names, moment.now)
+        getting = _subjects(store, names, moment.now)
         nodes = tuple(
             difference(
                 state, getting.get(each, Subject(*each)), recorded.get(each, ()), moment, gets=each in getting
@@ -250,7 +240,17 @@ def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Mo
         )
         pruned = tuple(_pruned(nodes)) if options.prune else ()
         plan = PolicyPlan(policy, options, moment, nodes, pruned, store.log.head(0).size)
-        return _measured(store, plan)
+        gone = {grant.id for grant in plan.revoke}
+        if not gone:
+            return plan
+        listed = len(signing.required_entries(store, moment.now) | gone)
+    # A list that is longer could not be signed: then no revocation at all could be put in force.
+    if listed <= MAX_LEAVES:
+        return replace(plan, listed=listed)
+    why = f"a list has room for {MAX_LEAVES} revocations, this would make {listed}"
+    if plan.pruned:
+        raise RevocationRefused(why, _OVER)
+    return _within(plan, MAX_LEAVES - (listed - len(gone)), why)
 
 
 def _subjects(store: Store, names: Collection[str] | None, now: int) -> dict[_Holder, Subject]:
@@ -278,21 +278,8 @@ def _pruned(nodes: tuple[NodeDifference, ...]) -> Iterator[tuple[Grant, tuple[Pe
             yield grant, tuple(item for entries in kept for item in entries)
 
 
-def _measured(store: Store, plan: PolicyPlan) -> PolicyPlan:
-    # The plan with the length of the list that it would make.
-    gone = {grant.id for grant in plan.revoke}
-    if not gone:
-        return plan
-    listed = len(signing.required_entries(store, plan.moment.now) | gone)
-    if listed <= MAX_LEAVES:
-        return replace(plan, listed=listed)
-    why = f"a list has room for {MAX_LEAVES} revocations, this would make {listed}"
-    if plan.pruned:
-        raise RevocationRefused(why, _OVER)
-    return _within(plan, MAX_LEAVES - (listed - len(gone)), why)
-
-
 def _within(plan: PolicyPlan, room: int, why: str) -> PolicyPlan:
+    # Those that lose least first, so that as many nodes as possible get what the policy says.
     room, nodes = max(0, room), list(plan.nodes)
     left = room
     for at in sorted(range(len(nodes)), key=lambda at: len(nodes[at].revoke)):
@@ -307,21 +294,13 @@ def _draft(
 ) -> tuple[Draft, str]:
     lifetime = min(each.lifetime for each in group)
     renewal = min(max(each.lifetime, each.renew_until) for each in group)
-    draft = Draft(
-        domain=domain,
-        subject=subject.name,
-        holder=subject.key,
-        not_before=now - CLOCK_SKEW,
-        expires=now + lifetime,
-        cap=now + renewal,
-        serial=serial,
-        permissions=tuple(item for each in group for item in each.permissions),
-    )
+    span = now - CLOCK_SKEW, now + lifetime, now + renewal
+    permissions = tuple(item for each in group for item in each.permissions)
+    draft = Draft(domain, subject.name, subject.key, *span, serial, permissions)
     return draft, rule_ids(rule for each in group for rule in each.rules)
 
 
 def sign_planned(authority: SigningAuthority, plan: PolicyPlan, now: int) -> list[tuple[Draft, bytes]]:
-
     def check() -> None:
         plan.policy.check_unchanged()
         check_record(authority, plan)
@@ -377,11 +356,8 @@ def sign_each(
         except OF_ALL:
             raise
         except HintedError as error:
-            at = next(
-                at
-                for at, node in enumerate(nodes)
-                if any(grant == each.grant for each in node.contradictions)
-            )
+            against = ([each.grant for each in node.contradictions] for node in nodes)
+            at = next(at for at, found in enumerate(against) if grant in found)
             nodes[at] = replace(nodes[at], refused=(*nodes[at].refused, f"{grant.subject}: {error}"))
             left = ()  # noqa: PLW2901 - it goes all the same
         pruned.append((grant, left))
@@ -429,9 +405,7 @@ def check_record(authority: SigningAuthority, plan: PolicyPlan) -> None:
 
 def revoke_planned(authority: SigningAuthority, plan: PolicyPlan, now: int) -> RevocationList | None:
     gone = frozenset(grant.id for grant in plan.revoke)
-    if not gone:
-        return None
-    return authority.revoke_all(gone, _reason(plan), now)
+    return authority.revoke_all(gone, _reason(plan), now) if gone else None
 
 
 def _reason(plan: PolicyPlan) -> str:
@@ -498,14 +472,6 @@ def _revoke(
             permissions.append(replace(item, rights=rights))
     if not permissions or grant.expires <= now:
         return None
-    draft = Draft(
-        grant.domain,
-        grant.subject,
-        grant.holder,
-        grant.not_before,
-        grant.expires,
-        grant.cap,
-        secrets.token_bytes(16),
-        tuple(permissions),
-    )
+    about = grant.domain, grant.subject, grant.holder, grant.not_before, grant.expires, grant.cap
+    draft = Draft(*about, secrets.token_bytes(16), tuple(permissions))
     return authority.issue_grant(draft, now, rules)

@@ -16,7 +16,6 @@ from ca.authority import DAY, LIFETIME, MAX_LIFETIME, Authority
 from ca.certificates import (
     Identity,
     Intermediate,
-    Renewal,
     TrustAnchor,
     build_intermediate_request,
     from_pem,
@@ -83,31 +82,19 @@ def _renew(
     answered = authority.store.identities.issued_for(renewal.request.digest)
     if answered is not None:
         return authority.issued_bundle(answered, now, wildcard=renewal.identity.wildcard)
-    held = _already_renewed(authority, renewal, now)
-    if held is not None:
-        return authority.bundle(held.der)
+    # A newer identity for the same key that is not due itself is the answer to other requests. Otherwise a
+    # node could have any number signed and recorded, as long as its old one is valid.
+    for row in reversed(authority.store.identities.valid(renewal.identity.name, now)):
+        is_newer = row.thumbprint == renewal.request.thumbprint and row.not_after > renewal.identity.not_after
+        is_due = now >= renew_at(row.not_before, row.not_after)
+        is_own = authority.store.identities.issuer(row) is None
+        if is_newer and not is_due and is_own and row.wildcard is renewal.identity.wildcard:
+            return authority.bundle(row.der)
     der = authority.authority.renew(renewal, now=now, serial=_serial(), lifetime=lifetime)
-    authority.store.add_certificate(
-        certificate_row(authority.verify(der, now)),
-        now,
-        request=renewal.request.digest,
-        renews=renewal.identity.thumbprint,
-    )
+    made, old = certificate_row(authority.verify(der, now)), renewal.identity.thumbprint
+    authority.store.add_certificate(made, now, request=renewal.request.digest, renews=old)
     authority.refresh_list(now)  # the key may be that of a master
     return authority.bundle(der)
-
-
-def _already_renewed(authority: SigningAuthority, renewal: Renewal, now: int) -> CertificateRow | None:
-    # A newer identity for the same key that is not due itself: the answer to other requests.
-    # Otherwise a node could have any number signed and recorded, as long as its old one is valid.
-    identities, wanted = authority.store.identities, renewal.request.thumbprint
-    for row in reversed(identities.valid(renewal.identity.name, now)):
-        is_newer = row.thumbprint == wanted and row.not_after > renewal.identity.not_after
-        is_due = now >= renew_at(row.not_before, row.not_after)
-        is_own = identities.issuer(row) is None
-        if is_newer and not is_due and is_own and row.wildcard is renewal.identity.wildcard:
-            return row
-    return None
 
 
 def renew_by_name(
@@ -239,14 +226,13 @@ def begin(home: Path, domain: str, passphrase: str) -> Path:
 
 def install(home: Path, bundle: bytes, passphrase: str, now: int) -> Intermediate:
     path = home / "ca"
-    match from_pem(bundle):
-        case (der, root):
-            pass
-        case found:
-            raise ConfigurationError(
-                f"a bundle of {len(found)} certificates where two are expected",
-                "take the file `rossec ca intermediate sign` wrote",
-            )
+    found = from_pem(bundle)
+    if len(found) != 2:
+        raise ConfigurationError(
+            f"a bundle of {len(found)} certificates where two are expected",
+            "take the file `rossec ca intermediate sign` wrote",
+        )
+    der, root = found
     anchor = TrustAnchor.load(root)
     made = anchor.check_intermediate(der, now)
     signer = KeySigner(private_keys.load_private(path / "ca.key", passphrase))

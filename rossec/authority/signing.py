@@ -100,10 +100,7 @@ def required_entries(store: Store, now: int) -> frozenset[bytes]:
 
 
 def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> frozenset[bytes]:
-    """The entries that the newest signed list lacks; all, where that is unknown.
-
-    `key` is the authority's.
-    """
+    """The entries that the newest list, signed with `key`, lacks; all, where that is unknown."""
     with store.database.read_transaction():
         data = store.newest_list()
         listed = frozenset[bytes]()
@@ -158,14 +155,8 @@ def sign_domain_list(
         epoch, seq = store.domains.next_number()
         if new_epoch:
             epoch, seq = max(epoch + 1, above + 1, now), 1
-        listed = DomainList(
-            epoch,
-            seq,
-            now,
-            now + DOMAIN_LIST_LIFETIME,
-            required_domains(store, now),
-            required_masters(store, now),
-        )
+        said = required_domains(store, now), required_masters(store, now)
+        listed = DomainList(epoch, seq, now, now + DOMAIN_LIST_LIFETIME, *said)
         data = sign_domains(authority.signer, listed, authority.anchor.domain)
         store.domains.save_list(listed.number, data, now)
     return listed
@@ -179,10 +170,8 @@ OTHER_KEY: Final = "its border router has another key"
 
 
 class ThingState(NamedTuple):
-    """A statement, and what it is now: in force, renewed, expired, revoked, or of a former key."""
-
     row: ThingRow
-    state: str
+    state: str  # one of those above
 
 
 def states(store: Store, now: int) -> list[ThingState]:
@@ -192,26 +181,21 @@ def states(store: Store, now: int) -> list[ThingState]:
         newest = {row.name: row.id for row in store.things.in_force(now)}
         valid = {name: store.identities.valid(name, now) for name in {row.border for row in rows}}
         keys = {name: found[-1].thumbprint if found else b"" for name, found in valid.items()}
-    return [ThingState(row, _state(row, now, newest, revoked, keys)) for row in rows]
 
+    def state(row: ThingRow) -> str:
+        if row.id in revoked:
+            return REVOKED
+        if now >= row.expires:
+            return EXPIRED
+        if newest[row.name] != row.id:
+            return RENEWED
+        return IN_FORCE if row.read().border == keys[row.border] else OTHER_KEY
 
-def _state(
-    row: ThingRow, now: int, newest: dict[str, bytes], revoked: frozenset[bytes], keys: dict[str, bytes]
-) -> str:
-    if row.id in revoked:
-        return REVOKED
-    if now >= row.expires:
-        return EXPIRED
-    if newest[row.name] != row.id:
-        return RENEWED
-    return IN_FORCE if row.read().border == keys[row.border] else OTHER_KEY
+    return [ThingState(row, state(row)) for row in rows]
 
 
 def ended_with(store: Store, name: str, now: int) -> frozenset[bytes]:
-    """What must be revoked with the keys of the node `name`, besides these.
-
-    The statements about it, if it is a thing, and what ends with a border router of that name.
-    """
+    """What must be revoked with the keys of `name`: statements about it, what ends with it as a router."""
     about = (row.id for row in _not_revoked(store) if row.name == name)
     return ended_with_router(store, name, now) | frozenset(about)
 
@@ -258,13 +242,13 @@ def replaced_by(
     return frozenset(entries)
 
 
-SKEW: Final = CLOCK_SKEW  # backdates grants, for hosts whose clock is behind
+SKEW: Final = CLOCK_SKEW  # backdates grants
 DELEGATIONS: Final = "delegations"
 OWNED: Final = (files.Owned(rf"{DELEGATIONS}/[0-9a-f]{{1,128}}\.cose"),)
 OWN_NODE: Final = "/ca"  # the identity of the authority's tools
 _SIZE_LIMIT: Final = 256 * 1024
 _LIST_LIFETIME: Final = 90 * 86400
-_LIST_REFRESH: Final = 7 * 86400
+_LIST_REFRESH: Final = 7 * 86400  # long before it expires
 
 
 @dataclass
@@ -293,16 +277,15 @@ class SigningAuthority:
     ) -> bytes:
         """Approve a request, sign and record its identity; returns the node's bundle (PEM).
 
-        A repeated request gets the same certificate. With `wildcard` the identity is for anonymous
-        nodes as well. `replace_key` is the request's name again, if its key may replace another
-        one; that key is revoked, and the list must be delivered.
+        With `wildcard` the identity is for anonymous nodes as well. `replace_key` is the request's name
+        again, if its key may replace another one; that key is revoked, and the list must be delivered.
         """
         asked = check_request(request, self.domain, wildcard=wildcard)
         if replace_key is not None:
             self._check_root()
         self.refresh_list(now)
         answered = self.store.identities.issued_for(asked.digest)
-        if answered is not None:
+        if answered is not None:  # the first answer may have been lost
             self.store.identities.check_not_revoked(asked.name, asked.thumbprint)
             return self.issued_bundle(answered, now, wildcard=wildcard)
         row = self.store.requests.add(asked, request, source, now)
@@ -312,11 +295,9 @@ class SigningAuthority:
         der = self.authority.issue(row.der, now=now, serial=serial, lifetime=lifetime, wildcard=row.wildcard)
         identity = self.verify(der, now)
         with self.store.transaction():
+            replaced = row.name if row.replaces else None
             self.store.add_certificate(
-                certificate_row(identity),
-                now,
-                request=row.digest,
-                replace_key=row.name if row.replaces else None,
+                certificate_row(identity), now, request=row.digest, replace_key=replaced
             )
             if row.replaces:
                 end_with_router(self.store, row.name, now)
@@ -334,7 +315,6 @@ class SigningAuthority:
         return to_pem(der, *self.authority.chain, self.authority.anchor.certificate)
 
     def issued_bundle(self, row: CertificateRow, now: int, *, wildcard: bool) -> bytes:
-        """The bundle issued for a request before, as the first answer may be lost."""
         is_valid = row in self.store.identities.valid(row.name, now)
         if not is_valid and row.wildcard is wildcard and now > row.not_after:
             self.store.valid_certificate(row.name, now)  # says how an identity that is over comes back
@@ -346,7 +326,6 @@ class SigningAuthority:
         return self.bundle(row.der)
 
     def issue_grant(self, draft: Draft, now: int, rules: str = "") -> bytes:
-        """Sign and record a grant; `rules`: those of the policy it came from, if it did."""
         (data,) = self.issue_grants([(draft, rules)], now)
         return data
 
@@ -364,6 +343,7 @@ class SigningAuthority:
         with self.store.transaction():
             check()
             for draft, _ in drafts:
+                # Again, with the record locked: the key may have been revoked since the draft was made.
                 self.store.identities.check_not_revoked(draft.subject, draft.holder)
                 check_tail(draft, self.store.identities.valid(draft.subject, now))
             self.refresh_list(now)
@@ -382,9 +362,8 @@ class SigningAuthority:
         """
         self.refresh_list(now)
         begin = now - SKEW
-        draft = Delegation(
-            self.domain, holder, begin, begin + lifetime, max_ttl, serial or secrets.token_bytes(16)
-        )
+        number = serial or secrets.token_bytes(16)
+        draft = Delegation(self.domain, holder, begin, begin + lifetime, max_ttl, number)
         data = sign_delegation(self.signer, draft)
         files.make_private_directory(self.path / DELEGATIONS)
         name = open_delegation(data, self.signer.public_key).id.hex()
@@ -448,8 +427,7 @@ class SigningAuthority:
         with self.store.transaction():
             held = self.store.newest_list()
             issued = 0 if held is None else open_statement(held, self.signer.public_key).issued
-            late = now - issued > _LIST_REFRESH
-            if late or missing_entries(self.store, self.signer.public_key, now):
+            if now - issued > _LIST_REFRESH or missing_entries(self.store, self.signer.public_key, now):
                 self.sign_list(now)
             if is_domain_list_due(self.store, self.authority.anchor, now):
                 self.sign_domains(now)
@@ -465,14 +443,13 @@ class SigningAuthority:
     def sign_list(self, now: int, *, new_epoch: bool = False, above: int = 0) -> RevocationList:
         """Sign the list of all revocations that still matter, with the next number.
 
-        With `new_epoch` it is newer than every list before, also those this record lacks: the epoch
-        is the time, so that a backup restored twice does not use the same number twice. `above` is
+        With `new_epoch` it is newer than every list before, also those this record lacks. `above` is
         an epoch that was used since, perhaps with a clock that was ahead.
         """
         self._check_root()
         with self.store.transaction():
             epoch, seq = self.store.next_number()
-            if new_epoch:
+            if new_epoch:  # the time, so that a backup restored twice does not use a number twice
                 epoch, seq = max(epoch + 1, above + 1, now), 1
             entries = required_entries(self.store, now)
             listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
@@ -504,11 +481,5 @@ def delegations(authority: Path, key: ec.EllipticCurvePublicKey) -> list[OpenDel
 
 
 def certificate_row(identity: Identity) -> CertificateRow:
-    return CertificateRow(
-        identity.serial,
-        identity.name,
-        identity.thumbprint,
-        identity.certificate,
-        identity.not_before,
-        identity.not_after,
-    )
+    who, key = (identity.serial, identity.name), identity.thumbprint
+    return CertificateRow(*who, key, identity.certificate, identity.not_before, identity.not_after)

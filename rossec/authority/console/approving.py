@@ -227,6 +227,8 @@ class Approving:
     def prepare(self, name: str, arguments: list[Value], owner: str = "") -> Value:
         # Make a statement for `owner`, with all that it would give away.
         kind, at = KINDS[name], self._work.now()
+        if tuple(map(type, arguments)) != messages.PREPARED[name]:  # whoever calls this, not only the socket
+            raise KeyServiceRefused(f"these are not the arguments of {name}", "")
         with self._work.service(_PREPARING) as service:
             if kind is StatementKind.ENROLL:
                 self._lookers.check(service.home, arguments, owner, at)

@@ -358,7 +358,19 @@ class Removals:
         return None
 
     def _revoke(self, find: Find, reason: str) -> Value:
-        number = revoke(self._work, find, checked_reason(reason), PURPOSE)
+        # Recorded at once, with its list unless the key is locked: then it is signed when that is unlocked.
+        why, at, number = checked_reason(reason), self._work.now(), UNSIGNED
+        with self._work.service(PURPOSE) as service:
+            if service.home.is_intermediate:
+                raise ConfigurationError("an intermediate cannot revoke", "do it at the root")
+            try:
+                authority = service.unlock()
+                with authority.store.transaction():
+                    number = authority.revoke_all(find(authority.store, at), why, at).number
+            except AuthorityLocked:
+                with contextlib.closing(service.home.store()) as store, store.transaction():
+                    for entry in sorted(find(store, at)):
+                        store.revoke(entry, why, at)
         self._wake()
         return [*number]
 
@@ -372,10 +384,7 @@ def checked_reason(text: str) -> str:
 
 
 def keys_of(name: str) -> Find:
-    """Finds the keys of `name`, and the things that end with them.
-
-    It raises `ConfigurationError` if there is no key to revoke.
-    """
+    """Finds the keys of `name`, and the things that end with them; none is a refusal."""
 
     def find(store: Store, at: int) -> frozenset[bytes]:
         sought = name if name.startswith(INTERMEDIATE) else check_name(name)
@@ -387,30 +396,6 @@ def keys_of(name: str) -> Find:
         return found | signing.ended_with(store, sought, at)
 
     return find
-
-
-def revoke(work: AuthorityWork, find: Find, reason: str, purpose: str) -> tuple[int, int]:
-    """Record a revocation of what `find` finds, with its list unless the key is locked.
-
-    Returns the number of the list, or `UNSIGNED`.
-    """
-    at = work.now()
-    with work.service(purpose) as service:
-        if service.home.is_intermediate:
-            raise ConfigurationError("an intermediate cannot revoke", "do it at the root")
-        try:
-            authority = service.unlock()
-            with authority.store.transaction():
-                entries = find(authority.store, at)
-                listed = authority.revoke_all(entries, reason, at)
-        except AuthorityLocked:
-            pass
-        else:
-            return listed.number
-        with contextlib.closing(service.home.store()) as store, store.transaction():
-            for entry in sorted(find(store, at)):
-                store.revoke(entry, reason, at)
-    return UNSIGNED
 
 
 def _end_about(store: Store, kind: StatementKind, subject: bytes, reason: str, at: int) -> bool:

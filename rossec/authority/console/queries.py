@@ -12,6 +12,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
+from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from ca.approvals.statement import StatementKind
@@ -211,7 +212,13 @@ def _end(revoked: RevocationRow | None) -> tuple[int, str]:
     return (0, "") if revoked is None else (revoked.at, revoked.reason)
 
 
-_NOTHING: Final = (0, 0, 0)
+def stamp(path: Path) -> tuple[int, ...]:
+    """What differs when the file was changed or replaced; empty: there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return ()
+    return status.st_mtime_ns, status.st_size, status.st_ino
 
 
 class PolicyNames:
@@ -220,17 +227,15 @@ class PolicyNames:
 
     def __init__(self, work: AuthorityWork) -> None:
         self._work = work
-        self._read = _NOTHING
+        self._read: tuple[int, ...] = ()
         self._names: tuple[PolicyName, ...] = ()
 
     def policy_names(self) -> Value:
-        path, found = self._work.policy_path(), _NOTHING
-        with contextlib.suppress(OSError):
-            status = path.stat()
-            found = status.st_mtime_ns, status.st_size, status.st_ino
+        path = self._work.policy_path()
+        found = stamp(path)  # before reading: a later change is then seen
         if found != self._read:
             names: tuple[PolicyName, ...] = ()
-            if found != _NOTHING:
+            if found:
                 with contextlib.suppress(HintedError):  # told on the page of the policy
                     policy = PolicyFile.read(path, own=True).policy
                     names = tuple(

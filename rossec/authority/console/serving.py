@@ -37,7 +37,7 @@ from rossec.authority.console.approved_acts import (
 from rossec.authority.console.approving import ApprovedAct, Approving, Of
 from rossec.authority.console.grant_requests import GrantAct, Questions, Removals
 from rossec.authority.console.messages import OPERATIONS, Status, checked, to_value
-from rossec.authority.console.queries import MasterView, PolicyNames, PolicyQuery, RecordQueries
+from rossec.authority.console.queries import MasterView, PolicyNames, PolicyQuery, RecordQueries, stamp
 from rossec.authority.home import fingerprint
 from rossec.authority.keyservice.messages import ServiceRequest
 from rossec.authority.keyservice.network import NetworkWork, Scheduler
@@ -79,18 +79,10 @@ class StatusQuery:
             size, phones = store.log.head(now).size, len(store.passkeys.active())
         remaining, has_master = self._held.remaining(), self._has_master()
         files = (self._work.policy_path(), home.path / INBOX)
-        state = size, remaining is None, has_master, *map(_changed, files), *self._seen()
+        state = size, remaining is None, has_master, *map(stamp, files), *self._seen()
         number = int.from_bytes(hashlib.sha256(repr(state).encode()).digest()[:6])
         about = self._domain, self._fingerprint, remaining is None, remaining
         return to_value(Status(*about, number, now, phones, has_master))
-
-
-def _changed(path: Path) -> tuple[int, ...]:
-    try:
-        status = path.stat()
-    except OSError:
-        return ()
-    return status.st_mtime_ns, status.st_size, status.st_ino
 
 
 _START: Final = 19  # of the fields after the command's name, proc(5): starttime

@@ -62,7 +62,7 @@ class AuthorityWork:
         self._operations = operations
         self._deliver = deliver
         self._policy = policy
-        self._now = now
+        self.now = now
         self._applied: tuple[object, int] = None, 0
         self._undelivered_since: int | None = None  # nothing reached the master since then
         self.published = b""  # the list that the master has from here
@@ -71,9 +71,6 @@ class AuthorityWork:
     @property
     def is_locked(self) -> bool:
         return self._operations.held.remaining() is None
-
-    def now(self) -> int:
-        return self._now()
 
     def policy_path(self) -> Path:
         return policyfile.place(self._rossec_home, self._policy)
@@ -89,10 +86,10 @@ class AuthorityWork:
                 return write(RefusedMessage(RefuseReason.REFUSED)), None
         with self.service(JOIN_PURPOSE) as service:
             try:
-                answer = invitations.join(service.unlock(), request, self._now())
+                answer = invitations.join(service.unlock(), request, self.now())
             except AuthorityLocked:
                 with contextlib.closing(service.home.store()) as store:
-                    answer = invitations.join_locked(store, request, self._now())
+                    answer = invitations.join_locked(store, request, self.now())
         return write(answer), request.name if isinstance(answer, Issued) else None
 
     def renew_identities(self, requests: Iterable[bytes]) -> list[tuple[bytes, bytes, str]]:
@@ -106,7 +103,7 @@ class AuthorityWork:
             for request in requests:
                 bundle, reason = b"", ""
                 try:
-                    bundle = renewals.renew_recorded(service.unlock(), request, self._now())
+                    bundle = renewals.renew_recorded(service.unlock(), request, self.now())
                 except (AuthorityLocked, RecordUnusable, KeyServiceRefused):
                     break
                 except HintedError as error:
@@ -124,7 +121,7 @@ class AuthorityWork:
     def allowed_pattern(self, asked: JoinClaim | JoinRequest) -> str | RefusedMessage:
         """The names that the invitation allows whose secret is proved, or why there is no answer."""
         with contextlib.closing(self.home().store()) as store:
-            return invitations.allowed_pattern(store, asked, self._now())
+            return invitations.allowed_pattern(store, asked, self.now())
 
     def was_issued(self, request: JoinRequest) -> bool:
         with contextlib.closing(self.home().store()) as store:
@@ -176,15 +173,15 @@ class AuthorityWork:
         """As `apply` for all, if the policy or the record changed, or `PERIOD` is over."""
         try:
             status = self.policy_path().stat()
-            with contextlib.closing(AuthorityHome.at(self._rossec_home).store()) as store:
-                state = status.st_mtime_ns, status.st_size, store.log.head(self._now()).size
+            with contextlib.closing(self.home().store()) as store:
+                state = status.st_mtime_ns, status.st_size, store.log.head(self.now()).size
         except (HintedError, OSError) as error:
             _log.error("the policy is not applied: %s", printable(error))
             return
         last, at = self._applied
-        if state != last or not 0 <= self._now() - at < PERIOD:
+        if state != last or not 0 <= self.now() - at < PERIOD:
             if not self.is_locked:
-                self._applied = state, self._now()
+                self._applied = state, self.now()
             self.apply()
 
     def maintain(self) -> None:
@@ -197,8 +194,8 @@ class AuthorityWork:
 
         def renew_own_node(service: AuthorityService) -> None:
             authority = service.unlock()
-            if renewals.own_node_is_due(authority, self._now()):
-                renewals.renew_own_node(authority, self._now())
+            if renewals.own_node_is_due(authority, self.now()):
+                renewals.renew_own_node(authority, self.now())
 
         def deposit_missing(service: AuthorityService) -> None:
             _log_refused(service.grants.deposit_missing()[1])
@@ -223,8 +220,8 @@ class AuthorityWork:
         if not isinstance(error, NotDelivered):
             return logging.WARNING
         if self._undelivered_since is None:
-            self._undelivered_since = self._now()
-        is_new = not self.published and 0 <= self._now() - self._undelivered_since < GRACE
+            self._undelivered_since = self.now()
+        is_new = not self.published and 0 <= self.now() - self._undelivered_since < GRACE
         return logging.INFO if is_new else logging.WARNING
 
     def _publish(self, service: AuthorityService) -> None:
@@ -233,9 +230,7 @@ class AuthorityWork:
         found = service.home.domain_list()
         newest, domains = service.home.revocation_list(), b"" if found is None else found[0]
         known = (newest, domains) == (self.published, self._published_domains)
-        with contextlib.suppress(
-            NotDelivered
-        ):  # it is away, and asked again, or of a version that does not tell
+        with contextlib.suppress(NotDelivered):  # it is away, and asked again
             known = known and service.master_has_list()
         if not known:
             service.publish()
@@ -253,7 +248,7 @@ class AuthorityWork:
             self._operations.held.check()
             return OwnSigner(self._operations, home.own_key(), purpose)
 
-        service = AuthorityService(self._rossec_home, _no_passphrase, self._deliver, self._now, find_signer)
+        service = AuthorityService(self._rossec_home, _no_passphrase, self._deliver, self.now, find_signer)
         with contextlib.closing(service):
             yield service
 
