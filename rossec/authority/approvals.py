@@ -59,10 +59,7 @@ class Denial(NamedTuple):
 
 
 class ApprovalQueue:
-    """The pending grant requests at `now`, decided by `policy`.
-
-    `denied` are those that the last call of `pending` left out, each with the reason.
-    """
+    """`denied` are those that the last call of `pending` left out, each with the reason."""
 
     def __init__(self, home: AuthorityHome, policy: PolicyFile, now: int) -> None:
         self._home = home
@@ -77,7 +74,6 @@ class ApprovalQueue:
         self._store.close()
 
     def add_request(self, data: bytes) -> GrantRequest:
-        """Record one request, verified with the key its node was enrolled with."""
         named = peek_request(data).node
         row = self._store.valid_certificate(named, self._now)
         key = x509.load_der_x509_certificate(row.der).public_key()
@@ -143,7 +139,6 @@ class ApprovalQueue:
         return approvals
 
     def chosen(self, beginning: str) -> list[PendingApproval]:
-        """The rights that wait for a person, of the one request whose id begins so."""
         found = [
             item
             for item in self.pending()
@@ -179,10 +174,8 @@ class ApprovalQueue:
     def sign_each(
         self, authority: SigningAuthority, approvals: Iterable[PendingApproval], reason: str
     ) -> tuple[list[tuple[Draft, bytes]], list[Denial]]:
-        """Sign what the policy allows; what cannot be in a grant is denied alone, and returned.
-
-        All together if that is possible, else each request alone, and of one each right.
-        """
+        """Sign what the policy allows; what cannot be in a grant is denied alone, and returned."""
+        # All together if that is possible, else each request alone, and of one each right.
         chosen = list(approvals)
         try:
             return self.sign(authority, chosen, lambda verdict: verdict, reason), []
@@ -205,10 +198,8 @@ class ApprovalQueue:
     def drafts(
         self, domain: str, approvals: Iterable[PendingApproval], change: VerdictChange
     ) -> list[tuple[Draft, str]]:
-        """The grants to sign for the verdicts, modified by `change`.
-
-        With the rules of those that the policy allows by itself.
-        """
+        """The grants to sign for the verdicts, modified by `change`."""
+        # With the rules of those that the policy allows by itself.
         groups: dict[str, list[Verdict]] = {}
         for approval in approvals:
             verdict = change(approve(approval.verdict))
@@ -242,7 +233,6 @@ def _parts(approvals: list[PendingApproval]) -> list[list[PendingApproval]]:
 
 
 def verdict_change(file: PolicyFile, coarse: str | None, now: int, *, only_today: bool) -> VerdictChange:
-    """How a person restricts a verdict: through the filter `coarse`, until midnight."""
     if coarse is not None and coarse not in {*file.policy.filters, *PRESETS}:
         known = ", ".join({**file.policy.filters, **PRESETS})
         raise ConfigurationError(f"no filter {coarse!r} in {file.path}", f"there are: {known}")

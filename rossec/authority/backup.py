@@ -86,11 +86,9 @@ def read(directory: Path, name: str) -> bytes:
 
 
 def restorable(content: Mapping[str, bytes]) -> tuple[dict[str, bytes], list[str]]:
-    """The files of a backup that are written, and the names of those that are left out.
-
-    A backup is of whoever made it: only what a part of rossec says is its own, and is kept in
-    backups, is written. An older version may have taken other files along from some places.
-    """
+    """The files of a backup that are written, and the names of those that are left out."""
+    # A backup is of whoever made it: only what a part of rossec says is its own, and is kept in backups, is
+    # written. An older version may have taken other files along from some places.
     found = {name: owner(name) for name in content}
     for name, owned in found.items():
         if owned is None and not _OLDER.fullmatch(name):

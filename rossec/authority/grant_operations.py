@@ -78,11 +78,9 @@ class Grants:
         may_narrow: int = 0,
         certificate: bytes = b"",
     ) -> SignedGrant:
-        """Sign a grant for the current key of `node`; the master may renew it for `renewal` s.
-
-        `node` may be an alias: `certificate` (PEM) names its key, else one recorded before. It is
-        never renewed: no master of this domain is asked by nodes of others.
-        """
+        """Sign a grant for the current key of `node`; the master may renew it for `renewal` s."""
+        # `node` may be an alias: `certificate` (PEM) names its key, else one recorded before. It is never
+        # renewed: no master of this domain is asked by nodes of others.
         at = self._session.now()
         with self._session.record() as store:
             foreign, root = None, b""
@@ -101,7 +99,6 @@ class Grants:
         return draft, authority.issue_grant(draft, at)
 
     def revoke(self, beginning: str, reason: str) -> tuple[RevocationList, bytes]:
-        """Revoke the one grant whose id begins so; returns the list to publish, and the id."""
         with self._session.record() as store:
             known = [row.id for row in store.grants()]
         found = [each for each in known if beginning and each.hex().startswith(beginning.lower())]
@@ -113,7 +110,6 @@ class Grants:
     def delegate(
         self, lifetime: int, max_ttl: int, master: str = MASTER
     ) -> tuple[OpenDelegation, StatementCall]:
-        """Let `master` renew grants: sign the delegation, which is to be delivered to it."""
         authority, at = self._session.unlock(), self._session.now()
         holder = authority.store.valid_certificate(master, at).thumbprint
         data = authority.issue_delegation(holder, lifetime, max_ttl, at)

@@ -120,11 +120,9 @@ class AuthorityHome:
 
     @classmethod
     def create(cls, home: Path, domain: str, passphrase: str, now: int, uri: KeyUri | None = None) -> Self:
-        """Create a new authority with its own node `/ca` and an empty revocation list.
-
-        Its key is in a file encrypted with `passphrase`; with `uri` it is generated in that token,
-        and `passphrase` is the PIN.
-        """
+        """Create a new authority with its own node `/ca` and an empty revocation list."""
+        # Its key is in a file encrypted with `passphrase`; with `uri` it is generated in that token, and
+        # `passphrase` is the PIN.
         path = cls.check_new(home)
         check_domain(domain)
         key = private_keys.generate()
@@ -177,10 +175,8 @@ class AuthorityHome:
         return SigningAuthority(authority, self.store(), self.path)
 
     def load_key(self, secret: str, modules: Collection[str] | None = None) -> Signer:
-        """The key: in a file that `secret` decrypts, or in the token for which it is the PIN.
-
-        `modules`: those of PKCS#11 that the operator named; by default those named for the home.
-        """
+        """The key: in a file that `secret` decrypts, or in the token for which it is the PIN."""
+        # `modules`: those of PKCS#11 that the operator named; by default those named for the home.
         uri = self.key_uri()
         if uri is None:
             return KeySigner(private_keys.load_private(self.path / "ca.key", secret))
@@ -233,17 +229,14 @@ class AuthorityHome:
             raise ConfigurationError("the entries of the tree are missing", "rossec ca refresh") from None
 
     def domain_list(self) -> tuple[bytes, DomainList] | None:
-        """The newest signed list of domains, and what it says; None: there is none."""
         with contextlib.closing(self.store()) as store:
             data = store.domains.newest_list()
         return (data, open_domains(data, self.anchor())) if data else None
 
     def renewed_until(self, now: int) -> int:
-        """Until when grants are renewed whichever master their nodes ask, seconds; 0: they are not.
-
-        Each valid master needs a delegation to its present key that it has confirmed to have: what
-        was only signed, or is another master's, renews nothing.
-        """
+        """Until when grants are renewed whichever master their nodes ask, seconds; 0: they are not."""
+        # Each valid master needs a delegation to its present key that it has confirmed to have: what was
+        # only signed, or is another master's, renews nothing.
         given = [item for item in delegations(self.path, self.own_key()) if now < item.expires]
         if not given:
             return 0
@@ -257,12 +250,10 @@ class AuthorityHome:
         return min((until.get(key, 0) for key in keys.values()), default=0)
 
     def confirm_delegation(self, delegation: bytes, now: int) -> None:
-        """Record that the master has the delegation with this id: it answered so."""
         with contextlib.closing(self.store()) as store:
             store.log_event(DELIVERED, delegation.hex(), "the master has the delegation", now)
 
     def count_unlisted(self, now: int) -> int:
-        """The number of recorded revocations that are not in the signed list."""
         if self.is_intermediate:
             return 0
         return len(signing.missing_entries(self.store(), self.anchor().public_key, now))
@@ -288,7 +279,6 @@ def check_new(node: NodeHome) -> None:
 
 
 def enroll_here(authority: SigningAuthority, node: NodeHome, now: int) -> int:
-    """Make the key of `node`, sign its identity and install it; returns when it expires."""
     check_new(node)
     node.create_request(authority.domain)
     bundle = authority.issue(node.request(), now, LIFETIME, source="this host")

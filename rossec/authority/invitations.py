@@ -82,11 +82,9 @@ def join_locked(store: Store, request: JoinRequest, now: int) -> JoinAnswer:
 
 
 def allowed_pattern(store: Store, asked: JoinClaim | JoinRequest, now: int) -> str | RefusedMessage:
-    """The pattern of the invitation whose secret `asked` proves, or why it is not answered.
-
-    What a node says of itself may be looked at only then. An invitation that somebody has joined by
-    is answered also after its end, as that may be the node which asks: it may have lost its answer.
-    """
+    """The pattern of the invitation whose secret `asked` proves, or why it is not answered."""
+    # What a node says of itself may be looked at only then. An invitation that somebody has joined by is
+    # answered also after its end, as that may be the node which asks: it may have lost its answer.
     invitation = _proved(store, asked)
     if invitation is None:
         return RefusedMessage(RefuseReason.REFUSED)
@@ -198,7 +196,6 @@ def invite(
     *,
     wildcard: bool = False,
 ) -> InvitationCode:
-    """Record an invitation for `uses` new names within `pattern`; returns its code, a secret."""
     check_invitation(pattern, wildcard=wildcard)
     code, row = make_invitation(home, pattern, uses, expires, address, now, wildcard=wildcard)
     with closing(home.store()) as store:
@@ -207,7 +204,6 @@ def invite(
 
 
 def check_invitation(pattern: str, *, wildcard: bool) -> None:
-    """Return if there can be an invitation for names within `pattern`."""
     check_pattern(pattern)
     if wildcard and "*" not in pattern:
         check_wildcard(check_name(pattern))
@@ -243,10 +239,8 @@ def find(store: Store, beginning: str) -> InvitationStatus:
 
 
 def end(store: Store, invitation: InvitationStatus, reason: str, now: int) -> int:
-    """End an invitation, and deny what waits because of it; returns their number.
-
-    Also what a person approved while the key was locked, and is not issued yet.
-    """
+    """End an invitation, and deny what waits because of it; returns their number."""
+    # Also what a person approved while the key was locked, and is not issued yet.
     with store.transaction():
         store.invitations.end(invitation.row.id, reason, now)
         waiting = [row for row in store.requests.open(now) if row.source == source(invitation.row)]
@@ -258,10 +252,8 @@ def end(store: Store, invitation: InvitationStatus, reason: str, now: int) -> in
 def revoke_nodes(
     authority: SigningAuthority, invitation: InvitationStatus, reason: str, now: int
 ) -> tuple[RevocationList | None, list[str]]:
-    """Revoke every key of the names that joined by an invitation; returns the list, and the names.
-
-    A key that a node has renewed since is one of them. Without any there is no new list.
-    """
+    """Revoke every key of the names that joined by an invitation; returns the list, and the names."""
+    # A key that a node has renewed since is one of them. Without any there is no new list.
     with authority.store.transaction():
         names = sorted({use.name for use in authority.store.invitations.uses(invitation.row.id)})
         keys = {name: authority.store.unrevoked_keys(name, now) for name in names}

@@ -27,7 +27,6 @@ class LocalList:
         self._seen_domains: _Stamp = ()
 
     def newest(self) -> tuple[bytes, bytes] | None:
-        """The newest list or tree, with the entries of a tree; None: there is no authority."""
         authority = self._authority()
         if authority is None:
             return None
@@ -40,7 +39,6 @@ class LocalList:
         return self.newest() if self._stamp() != self._seen else None
 
     def domains(self) -> bytes:
-        """The newest list of domains; empty: there is no authority, or it has signed none."""
         authority = self._authority()
         if authority is None:
             return b""

@@ -70,7 +70,6 @@ class PolicyFile:
         return cls(path, text, parse_policy(text, str(path)))
 
     def replace(self, text: str) -> "PolicyFile":
-        """Replace the text, which is checked first: a policy with mistakes is never written."""
         policy = parse_policy(text, str(self.path))
         with files.locked_directory(self.path.parent):
             if self.path.exists():  # otherwise it is a new file
@@ -99,7 +98,6 @@ class PolicyFile:
 
 
 def place(home: Path, given: Path | None) -> Path:
-    """The path of the policy: as given, else next to the authority's key."""
     return given if given is not None else home / "ca" / NAME
 
 
@@ -122,10 +120,8 @@ _OVER: Final = "apply it in parts (--node NAME), or wait until revoked grants ha
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """What is asked of a plan.
-
-    `names`: only these nodes; None for all. `prune`: revoke grants made by hand against a denial;
-    what else they allow is granted anew.
+    """`names`: only these nodes; None for all. `prune`: revoke grants made by hand against a denial; what
+    else they allow is granted anew.
     """
 
     names: Collection[str] | None = None
@@ -134,11 +130,9 @@ class PlanOptions:
 
 @dataclass(frozen=True)
 class PolicyPlan:
-    """What applying a policy would do.
-
-    `pruned`: grants made by hand that go, each with what it allows and the policy does not deny.
-    `entries`: of the log of the record from which it was made. `listed`: the number of entries of
-    the revocation list afterwards; 0 if nothing is revoked.
+    """`pruned`: grants made by hand that go, each with what it allows and the policy does not deny.
+    `entries`: of the log of the record from which it was made. `listed`: the number of entries of the
+    revocation list afterwards; 0 if nothing is revoked.
     """
 
     policy: PolicyFile
@@ -194,18 +188,15 @@ class PolicyPlan:
         return min((node.ends for node in self.nodes if node.ends is not None), default=None)
 
     def effect(self, domain: str) -> bytes:
-        """The digest of what it signs and revokes; plans that do the same have the same, whenever.
-
-        SHA-256 of the CBOR of the claims of its grants, as if they were signed at the time `SKEW`
-        with serials of zeros by a key with a thumbprint of zeros, and of the ids that it revokes.
-        """
+        """The digest of what it signs and revokes; plans that do the same have the same, whenever."""
+        # SHA-256 of the CBOR of the claims of its grants, as if they were signed at the time `SKEW` with
+        # serials of zeros by a key with a thumbprint of zeros, and of the ids that it revokes.
         drafts = self.drafts(domain, CLOCK_SKEW, lambda: bytes(ID_SIZE))
         signs: list[Value] = [[document.from_draft(draft, bytes(KEY_SIZE)), rules] for draft, rules in drafts]
         revokes: list[Value] = [*sorted(grant.id for grant in self.revoke)]
         return sha256(encode([signs, revokes])).digest()
 
     def drafts(self, domain: str, now: int, serial: Callable[[], bytes]) -> Iterator[tuple[Draft, str]]:
-        """The grants to sign at `now`, each with the rules it comes from."""
         for node in self.nodes:
             for group in node.sign:
                 yield _draft(domain, node.subject, group, now, serial())
@@ -216,11 +207,9 @@ class PolicyPlan:
 
 
 def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Moment) -> PolicyPlan:
-    """Compare what `policy` allows outright with the grants in the record.
-
-    A node that cannot get all of it, or has more to lose than a list has room for, is among its
-    `refused`, and changes nothing for the others.
-    """
+    """Compare what `policy` allows outright with the grants in the record."""
+    # A node that cannot get all of it, or has more to lose than a list has room for, is among its
+    # `refused`, and changes nothing for the others.
     state = WantedState(policy.decider)
     with store.database.read_transaction():
         names = options.names
@@ -327,10 +316,8 @@ def take_away(
 def sign_each(
     authority: SigningAuthority, plan: PolicyPlan, now: int
 ) -> tuple[list[tuple[Draft, bytes]], PolicyPlan]:
-    """As `sign_planned`, and where it refuses, for each node alone.
-
-    Returns the grants, and the plan with what is refused: what it revokes is left to do.
-    """
+    """As `sign_planned`, and where it refuses, for each node alone."""
+    # Returns the grants, and the plan with what is refused: what it revokes is left to do.
     try:
         return sign_planned(authority, plan, now), plan
     except OF_ALL:
@@ -380,10 +367,8 @@ def grant_outright(
     *,
     renewed_until: int | None = None,
 ) -> list[tuple[Draft, bytes]]:
-    """Sign what `policy` gives the nodes `names` outright and they do not have; revokes nothing.
-
-    `renewed_until`: until when the master can renew grants; None: it cannot.
-    """
+    """Sign what `policy` gives the nodes `names` outright and they do not have; revokes nothing."""
+    # `renewed_until`: until when the master can renew grants; None: it cannot.
     renews = renewed_until is not None
     moment = Moment(now, SKEW, renews=renews, renewed_until=renewed_until)
     plan = make_plan(authority.store, policy, PlanOptions(names), moment)
@@ -446,10 +431,8 @@ def add_denial(policy: PolicyFile, name: str, now: int, *, is_node: bool) -> Opt
 def revoke_shown(
     authority: SigningAuthority, opted_out: OptOut, now: int
 ) -> list[tuple[Grant, bytes | None]]:
-    """Revoke all grants that hold, or will, and show what is denied; or, if one fails, none.
-
-    They are returned with the signed grants of their other rights, where there are any.
-    """
+    """Revoke all grants that hold, or will, and show what is denied; or, if one fails, none."""
+    # They are returned with the signed grants of their other rights, where there are any.
     store = authority.store
     with store.transaction():
         revoked, rules = store.revoked_entries(), store.policy_grants()

@@ -46,11 +46,9 @@ def renew(
     check: Callable[[bytes, int], None] | None = None,
     lifetime: int = LIFETIME,
 ) -> bytes:
-    """Answer a node's renewal (`ca.certificates.sign_renewal`) with its new bundle (PEM).
-
-    `check(entry, now)` raises for revoked entries; the default uses the authority's record. The
-    host of an intermediate has no such record and passes `Revocations.check`.
-    """
+    """Answer a node's renewal (`ca.certificates.sign_renewal`) with its new bundle (PEM)."""
+    # `check(entry, now)` raises for revoked entries; the default uses the authority's record. The host of
+    # an intermediate has no such record and passes `Revocations.check`.
     with authority.store.transaction():
         return _renew(authority, data, now, check or _check_in_record(authority), lifetime)
 
@@ -100,11 +98,9 @@ def _renew(
 def renew_by_name(
     authority: SigningAuthority, name: str, now: int, lifetime: int = LIFETIME, *, expired: bool = False
 ) -> bytes:
-    """Certify the current key of `name` again; returns the node's new bundle (PEM).
-
-    A node enrolled by an intermediate is then certified by this authority, for the same key.
-    With `expired`, the newest identity may have ended: its key, and so its grants, are kept.
-    """
+    """Certify the current key of `name` again; returns the node's new bundle (PEM)."""
+    # A node enrolled by an intermediate is then certified by this authority, for the same key. With
+    # `expired`, the newest identity may have ended: its key, and so its grants, are kept.
     authority.refresh_list(now)
     with authority.store.transaction():
         held = authority.store.renewable_certificate(name, now, expired=expired)
@@ -130,7 +126,6 @@ def renew_own_node(authority: SigningAuthority, now: int) -> int:
 
 
 def own_node_is_due(authority: SigningAuthority, now: int) -> bool:
-    """Whether the authority's own node is due for renewal; an intermediate has none."""
     rows = authority.store.identities.by_name(OWN_NODE)
     return bool(rows) and now >= renew_at(rows[-1].not_before, rows[-1].not_after)
 
@@ -156,10 +151,8 @@ def sign_intermediate(
 def import_identity(
     authority: SigningAuthority, bundle: bytes, now: int, replaced: Collection[str] = ()
 ) -> tuple[Identity, bool]:
-    """Record an identity signed by an intermediate of this root; the boolean says if it is new.
-
-    `replaced` are names whose current key may be replaced; that key is revoked.
-    """
+    """Record an identity signed by an intermediate of this root; the boolean says if it is new."""
+    # `replaced` are names whose current key may be replaced; that key is revoked.
     identity = authority.authority.anchor.verify(from_pem(bundle)[:-1], now)
     if identity.name == OWN_NODE or not authority.authority.is_root:
         raise ConfigurationError(

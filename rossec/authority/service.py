@@ -45,7 +45,6 @@ class Identities:
         self._session = session
 
     def add_request(self, request: IdentityRequest, csr: bytes, source: str) -> RequestRow:
-        """Record a request for an identity; returns its row: pending, or answered before."""
         at = self._session.now()
         with self._session.record() as store:
             if store.identities.issued_for(request.digest) is None:
@@ -68,7 +67,6 @@ class Identities:
     def issue(
         self, csr: bytes, lifetime: int, *, replace_key: str | None, wildcard: bool, source: str
     ) -> bytes:
-        """Approve a request and sign its identity; see `SigningAuthority.issue`."""
         authority, at = self._session.unlock(), self._session.now()
         return authority.issue(csr, at, lifetime, replace_key=replace_key, wildcard=wildcard, source=source)
 
@@ -76,7 +74,6 @@ class Identities:
         return renewals.renew_own_node(self._session.unlock(), self._session.now())
 
     def renew(self, name: str, lifetime: int, *, expired: bool = False) -> bytes:
-        """Certify the current key of another node again; returns its new bundle (PEM)."""
         if name.startswith(INTERMEDIATE):
             raise ConfigurationError(
                 f"{name} is an intermediate", "sign its request again: `rossec ca intermediate sign`"
@@ -88,7 +85,6 @@ class Identities:
         return renewals.import_identity(self._session.unlock(), bundle, self._session.now(), replaced)
 
     def sign_intermediate(self, csr: bytes, *, may_enroll: bool, lifetime: int) -> tuple[str, bytes]:
-        """Sign an intermediate; returns its name for revocation, and its bundle (PEM)."""
         authority, at = self._session.unlock(), self._session.now()
         return renewals.sign_intermediate(authority, csr, at, may_enroll=may_enroll, lifetime=lifetime)
 
@@ -96,7 +92,6 @@ class Identities:
         return self._session.unlock().revoke_identity(name, reason, self._session.now())
 
     def intermediates(self) -> list[str]:
-        """The intermediates of this root that are valid now."""
         with self._session.record() as store:
             rows = store.identities.all_valid(self._session.now())
         return sorted({row.name for row in rows if row.name.startswith(INTERMEDIATE)})
@@ -104,13 +99,10 @@ class Identities:
 
 @dataclass(frozen=True)
 class ThingOrder:
-    """What is to be stated.
-
-    `name`: of the thing, and of the node that stands for it. `border`: the name of the border
-    router that serves it. `credential`: how the thing proves who it is. `lifetime`: of the
-    statement, seconds. `replaced`: names of things whose statements end by this one. `request`: for
-    the identity of the node (DER), if it is to be signed as well. `identity_lifetime`: of that
-    identity, seconds.
+    """`name`: of the thing, and of the node that stands for it. `border`: the name of the border router
+    that serves it. `credential`: how the thing proves who it is. `lifetime`: of the statement, seconds.
+    `replaced`: names of things whose statements end by this one. `request`: for the identity of the node
+    (DER), if it is to be signed as well. `identity_lifetime`: of that identity, seconds.
     """
 
     name: str

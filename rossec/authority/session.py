@@ -83,10 +83,8 @@ class AuthoritySession:
         return closing(self.home.store())
 
     def unlock(self) -> SigningAuthority:
-        """The authority with its key: that of its service where one runs (`rossec ca serve`).
-
-        Otherwise it asks for the passphrase, unless this was done before.
-        """
+        """The authority with its key: that of its service where one runs (`rossec ca serve`)."""
+        # Otherwise it asks for the passphrase, unless this was done before.
         if self._unlocked is None:
             home = self.home
             signer = self.find_signer(home)
@@ -103,10 +101,8 @@ class AuthoritySession:
             self._unlocked = None
 
     def refresh(self) -> tuple[RevocationList, int | None]:
-        """Sign the list anew; returns it, and the end of the own node's identity if renewed.
-
-        The list of domains, if there is one, is signed anew as well.
-        """
+        """Sign the list anew; returns it, and the end of the own node's identity if renewed."""
+        # The list of domains, if there is one, is signed anew as well.
         authority, at = self.unlock(), self.now()
         due = renewals.own_node_is_due(authority, at)
         renewed = renewals.renew_own_node(authority, at) if due else None
@@ -145,7 +141,6 @@ class AuthoritySession:
         return _Signed(store.count_revoked(), store.next_number(), store.domains.next_number())
 
     def publish(self) -> None:
-        """Deliver the newest list to the master, and the list of domains if there is one."""
         home, at = self.home, self.now()
         data, entries = home.newest_statement()
         expires = open_statement(data, home.anchor().public_key).expires
@@ -162,7 +157,6 @@ class AuthoritySession:
         self.publish_domains()
 
     def publish_domains(self) -> bool:
-        """Deliver the list of domains; whether there is one."""
         home, at = self.home, self.now()
         found = home.domain_list()
         if found is None:
@@ -178,7 +172,6 @@ class AuthoritySession:
         return True
 
     def master_has_list(self) -> bool:
-        """Whether the master says that it has the newest list."""
         node, what = self.home.node(), "the question for its list"
         method, hint = "rossec.revocationStanding", "rossec ca publish"
         answer = self.deliver(StatementCall(node, method, (), what, hint, within=DEPOSIT_SECONDS))
@@ -189,7 +182,6 @@ class AuthoritySession:
         return isinstance(answer, dict) and answer.get("list") == f"{epoch}.{seq}"
 
     def deliver(self, call: StatementCall) -> object:
-        """Deliver a statement to the master; returns the value of its answer."""
         try:
             call.node.identity(self.now())
         except CertificateExpired as error:

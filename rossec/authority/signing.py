@@ -87,13 +87,11 @@ CLOCK_SKEW: Final = 60  # seconds that another host's clock may be behind
 
 
 def required_entries(store: Store, now: int) -> frozenset[bytes]:
-    """The entries of a list signed at `now`.
-
-    Grants that have expired and cannot be renewed are left out, and so are statements about things.
-    A node refuses a list from its future, so a node without the entry finds the grant expired (RFC
-    9770 removes entries in the same way). Keys stay: they are few, and a certificate renewed by the
-    master may be valid longer than those recorded here.
-    """
+    """The entries of a list signed at `now`."""
+    # Grants that have expired and cannot be renewed are left out, and so are statements about things. A
+    # node refuses a list from its future, so a node without the entry finds the grant expired (RFC 9770
+    # removes entries in the same way). Keys stay: they are few, and a certificate renewed by the master may
+    # be valid longer than those recorded here.
     ended = (row.id for row in store.revoked_grants() if document.peek(row.data).cap + CLOCK_SKEW < now)
     expired = (row.id for row in store.things.revoked() if row.expires + CLOCK_SKEW < now)
     return store.revoked_entries() - frozenset(ended) - frozenset(expired)
@@ -138,7 +136,6 @@ def required_masters(store: Store, now: int) -> tuple[bytes, ...]:
 # An authority without foreign domains and with one master signs none; once one was signed, there always is
 # one.
 def is_domain_list_due(store: Store, anchor: TrustAnchor, now: int) -> bool:
-    """Whether a list has to be signed: there is none, or it is old, or it says something else."""
     with store.database.read_transaction():
         data, domains = store.domains.newest_list(), required_domains(store, now)
         if not data:
@@ -201,10 +198,8 @@ def ended_with(store: Store, name: str, now: int) -> frozenset[bytes]:
 
 
 def ended_with_router(store: Store, border: str, now: int) -> frozenset[bytes]:
-    """What must be revoked with a key of the border router `border`.
-
-    The statements about its things, expired or not, and the keys of their nodes, which it has.
-    """
+    """What must be revoked with a key of the border router `border`."""
+    # The statements about its things, expired or not, and the keys of their nodes, which it has.
     alive = [row for row in _not_revoked(store) if row.border == border]
     entries = {row.id for row in alive}
     for thing in {row.name for row in alive}:
@@ -226,11 +221,9 @@ def _not_revoked(store: Store) -> list[ThingRow]:
 def replaced_by(
     store: Store, name: str, border: bytes, replaced: frozenset[str], now: int
 ) -> frozenset[bytes]:
-    """What ends where a statement about `name` at the router with the key `border` is signed.
-
-    For each thing that it replaces: the statements in force, and the keys of its node where that
-    node has to be another one, under the new name or at another router.
-    """
+    """What ends where a statement about `name` at the router with the key `border` is signed."""
+    # For each thing that it replaces: the statements in force, and the keys of its node where that node has
+    # to be another one, under the new name or at another router.
     entries: set[bytes] = set()
     for former in sorted(replaced):
         ids = store.things.ids(former, now)
@@ -275,11 +268,9 @@ class SigningAuthority:
         wildcard: bool = False,
         source: str = "file",
     ) -> bytes:
-        """Approve a request, sign and record its identity; returns the node's bundle (PEM).
-
-        With `wildcard` the identity is for anonymous nodes as well. `replace_key` is the request's name
-        again, if its key may replace another one; that key is revoked, and the list must be delivered.
-        """
+        """Approve a request, sign and record its identity; returns the node's bundle (PEM)."""
+        # With `wildcard` the identity is for anonymous nodes as well. `replace_key` is the request's name
+        # again, if its key may replace another one; that key is revoked, and the list must be delivered.
         asked = check_request(request, self.domain, wildcard=wildcard)
         if replace_key is not None:
             self._check_root()
@@ -305,7 +296,6 @@ class SigningAuthority:
         return self.bundle(der)
 
     def verify(self, der: bytes, now: int) -> Identity:
-        """The identity in a leaf signed by this authority, or by the root directly."""
         try:
             return self.authority.anchor.verify([der, *self.authority.chain], now)
         except ForeignCertificate:
@@ -332,10 +322,8 @@ class SigningAuthority:
     def issue_grants(
         self, drafts: Sequence[tuple[Draft, str]], now: int, check: Callable[[], None] = lambda: None
     ) -> list[bytes]:
-        """Sign grants, each with its rules, and record all of them or none.
-
-        `check` raises if they must not be recorded; no other command changes the record after it.
-        """
+        """Sign grants, each with its rules, and record all of them or none."""
+        # `check` raises if they must not be recorded; no other command changes the record after it.
         self._check_root("sign grants")
         for draft, _ in drafts:
             check_own_names(draft.permissions)
@@ -356,10 +344,8 @@ class SigningAuthority:
     def issue_delegation(
         self, holder: bytes, lifetime: int, max_ttl: int, now: int, *, serial: bytes = b""
     ) -> bytes:
-        """Let the master with the key `holder` renew grants; recorded before it is delivered.
-
-        `serial`: 16 bytes, random if not given. With the same serial and time it is the same one.
-        """
+        """Let the master with the key `holder` renew grants; recorded before it is delivered."""
+        # `serial`: 16 bytes, random if not given. With the same serial and time it is the same one.
         self.refresh_list(now)
         begin = now - SKEW
         number = serial or secrets.token_bytes(16)
@@ -372,7 +358,6 @@ class SigningAuthority:
         return data
 
     def revoke_delegations(self, reason: str, now: int) -> tuple[RevocationList, int]:
-        """Revoke every delegation that has not expired; returns the list, and their number."""
         given = delegations(self.path, self.signer.public_key)
         living = frozenset(item.id for item in given if now < item.expires)
         with self.store.transaction():
@@ -418,10 +403,8 @@ class SigningAuthority:
             return self.sign_list(now)
 
     def refresh_list(self, now: int) -> None:
-        """Sign a new list if it lacks a revocation, and long before it expires; domains likewise.
-
-        Every command that has the key does this, and so completes an interrupted one.
-        """
+        """Sign a new list if it lacks a revocation, and long before it expires; domains likewise."""
+        # Every command that has the key does this, and so completes an interrupted one.
         if not self.authority.is_root:
             return
         with self.store.transaction():
@@ -433,7 +416,6 @@ class SigningAuthority:
                 self.sign_domains(now)
 
     def sign_domains(self, now: int, *, new_epoch: bool = False, above: int = 0) -> DomainList:
-        """Sign the list of domains with the next number; see `domain_list` and `sign_list`."""
         self._check_root("say which domains are trusted")
         with self.store.transaction():
             listed = sign_domain_list(self.authority, self.store, now, new_epoch=new_epoch, above=above)
@@ -441,11 +423,9 @@ class SigningAuthority:
         return listed
 
     def sign_list(self, now: int, *, new_epoch: bool = False, above: int = 0) -> RevocationList:
-        """Sign the list of all revocations that still matter, with the next number.
-
-        With `new_epoch` it is newer than every list before, also those this record lacks. `above` is
-        an epoch that was used since, perhaps with a clock that was ahead.
-        """
+        """Sign the list of all revocations that still matter, with the next number."""
+        # With `new_epoch` it is newer than every list before, also those this record lacks. `above` is an
+        # epoch that was used since, perhaps with a clock that was ahead.
         self._check_root()
         with self.store.transaction():
             epoch, seq = self.store.next_number()
@@ -467,7 +447,6 @@ class SigningAuthority:
             raise ConfigurationError(f"an intermediate cannot {act}", "do it at the root")
 
     def sign_head(self, now: int) -> bytes:
-        """Sign the head of the log, which shows whether the log was rewritten since."""
         with self.store.transaction():
             head = sign_head(self.signer, self.store.log.head(now))
             self.store.log.add_head(head, now)

@@ -20,10 +20,8 @@ from rossec.authority.keyservice.work import AuthorityWork
 
 
 class ConsoleAccess:
-    """The operations of who looks.
-
-    `audit`: writes a line. Raises `HintedError` if it cannot. `elapsed`: seconds of a clock that
-    cannot be set.
+    """`audit`: writes a line. Raises `HintedError` if it cannot. `elapsed`: seconds of a clock that cannot
+    be set.
     """
 
     def __init__(

@@ -69,10 +69,8 @@ class Approved:
         return self.statement.what
 
     def conclude(self, store: Store, result: str, at: int) -> None:
-        """Record, in the transaction of the act, that it is done, with a result for people.
-
-        Raises `ApprovalOver` if it was done or ended before: so nothing is done twice.
-        """
+        """Record, in the transaction of the act, that it is done, with a result for people."""
+        # Raises `ApprovalOver` if it was done or ended before: so nothing is done twice.
         store.approvals.end(self.id, ApprovalState.DONE, result[:MAX_RESULT], at)
 
 
@@ -86,10 +84,8 @@ class ApprovedAct(ABC):
         """What the statement says, and its payload: all that it gives away; nothing is given yet."""
 
     def admit(self, store: Store, approved: Approved) -> str | None:  # noqa: ARG002
-        """In the transaction that records the approval, so of two approvals of one thing one is refused.
-
-        Returns the result if it is done thereby; None: `carry_out` follows.
-        """
+        """In the transaction that records the approval, so of two approvals of one thing one is refused."""
+        # Returns the result if it is done thereby; None: `carry_out` follows.
         return None
 
     def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:  # noqa: ARG002
@@ -105,7 +101,6 @@ class _Undo(Exception):
 
 @contextlib.contextmanager
 def tried(store: Store) -> Iterator[None]:
-    """A transaction that is rolled back: shows whether it would be refused."""
     with contextlib.suppress(_Undo), store.transaction():
         yield
         raise _Undo
@@ -193,10 +188,8 @@ _log = logging.getLogger("rossec.authority.service")
 
 
 class Of(NamedTuple):
-    """What approving needs of the rest of the service.
-
-    `audit`: writes a line. Raises `HintedError` if it cannot. `wake`: begins a round of the
-    service, which tells the master. `counter`: of a passkey at its last login.
+    """`audit`: writes a line. Raises `HintedError` if it cannot. `wake`: begins a round of the service,
+    which tells the master. `counter`: of a passkey at its last login.
     """
 
     work: AuthorityWork
@@ -206,10 +199,8 @@ class Of(NamedTuple):
 
 
 class Approving:
-    """The operations of approving.
-
-    `of`: the rest of the service. `acts`: each kind that can be approved. `elapsed`: seconds of a
-    clock that cannot be set.
+    """`of`: the rest of the service. `acts`: each kind that can be approved. `elapsed`: seconds of a clock
+    that cannot be set.
     """
 
     def __init__(

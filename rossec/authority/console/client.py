@@ -48,7 +48,6 @@ class ConsoleClient(Operations):
         self._strangers = asyncio.Semaphore(STRANGERS)
 
     async def close(self) -> None:
-        """End the connections."""
         while self._free:
             self._free.pop().writer.transport.abort()
         await asyncio.sleep(0)

@@ -134,7 +134,6 @@ def changed_by(file: PolicyFile, coarse: str, seconds: int, now: int) -> Verdict
 
 
 def longest(verdict: Verdict) -> int:
-    """The seconds that the policy gives, renewals by the master included."""
     return max(verdict.lifetime, verdict.renew_until)
 
 
@@ -286,10 +285,7 @@ Find = Callable[[Store, int], frozenset[bytes]]
 
 
 class Removals:
-    """The operations that take away.
-
-    `wake`: begins a round of the service, which tells the master.
-    """
+    """`wake`: begins a round of the service, which tells the master."""
 
     def __init__(self, work: AuthorityWork, wake: Callable[[], None]) -> None:
         self._work = work

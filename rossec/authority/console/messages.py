@@ -544,7 +544,6 @@ _MOST: Final = 4  # rights that are listed
 
 
 def sentence(statement: Statement, payload: bytes) -> str:
-    """What `statement` is about; `payload` is what it has a digest of."""
     match statement.what:
         case kinds.Enroll(name=name, replaces=replaces):
             text = f"identity of {name}" + ", with another key than before" * replaces

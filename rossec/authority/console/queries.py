@@ -64,9 +64,7 @@ Deliveries = Callable[[], Mapping[bytes, str]]
 
 
 class RecordQueries:
-    """The operations that read the record.
-
-    `last_used`: when passkeys were last used to log in. `deliveries`: what the master says of each
+    """`last_used`: when passkeys were last used to log in. `deliveries`: what the master says of each
     grant; without one, nothing.
     """
 
@@ -304,11 +302,9 @@ _HINT: Final = "it is asked again"
 
 
 class MasterView:
-    """The operations that need the master.
-
-    `deliver`: calls the master. Raises `NotDelivered`. `elapsed`: seconds of a clock that cannot be
-    set. `begin`: calls a function in another thread. `came_back`: called when the master answers
-    again: something may wait for it.
+    """`deliver`: calls the master. Raises `NotDelivered`. `elapsed`: seconds of a clock that cannot be set.
+    `begin`: calls a function in another thread. `came_back`: called when the master answers again:
+    something may wait for it.
     """
 
     def __init__(

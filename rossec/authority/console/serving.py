@@ -53,9 +53,7 @@ INBOX = "inbox"  # in the authority's directory (`rossec.authority.requests`)
 
 
 class StatusQuery:
-    """The operation that is asked every second, so it looks at little: sizes and times.
-
-    `has_master`: whether the last call to the master succeeded. `seen`: whatever else differs when
+    """`has_master`: whether the last call to the master succeeded. `seen`: whatever else differs when
     something to be shown has changed.
     """
 
@@ -145,10 +143,8 @@ def handlers_of(part: object) -> dict[str, Handler]:
 
 
 class ConsoleService:
-    """All operations.
-
-    `parts`: which have one handler for each operation of the table between them. `audit`: writes a
-    line. Raises `HintedError` if it cannot: then nothing is done.
+    """`parts`: which have one handler for each operation of the table between them. `audit`: writes a line.
+    Raises `HintedError` if it cannot: then nothing is done.
     """
 
     def __init__(self, *parts: object, audit: Callable[[str], None] = lambda _: None) -> None:
@@ -225,10 +221,7 @@ def place(directory: Path, path: Path | None, user: str | None) -> ConsolePlace:
 
 
 class ConsoleSocket:
-    """Answers the console.
-
-    `service`: carries out what is asked. `peers`: is told who connects.
-    """
+    """`service`: carries out what is asked. `peers`: is told who connects."""
 
     def __init__(self, where: ConsolePlace, service: ConsoleService, peers: ConsolePeers) -> None:
         rules = SocketRules(messages.read_request, messages.MAX_REQUEST, MAX_CALLERS, where.users)
@@ -254,10 +247,8 @@ PURPOSE: Final = "a look at the console"
 
 
 class Console:
-    """What the service has for the console.
-
-    `network`: None: no master is called, and no node joins. `policy`: its file; None: the usual
-    place. `join_address`: where nodes reach the join port, `host:port`, for join codes.
+    """`network`: None: no master is called, and no node joins. `policy`: its file; None: the usual place.
+    `join_address`: where nodes reach the join port, `host:port`, for join codes.
     """
 
     def __init__(

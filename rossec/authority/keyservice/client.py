@@ -32,7 +32,6 @@ OWNED: Final = (files.Owned(r"service\.lock", kept=False),)  # of a process
 
 
 def service_lock(directory: Path) -> AbstractContextManager[None]:
-    """The lock of the service of the authority in `directory`; it ends with the process."""
     busy = ConfigurationError(
         f"the authority's service runs from {directory}",
         "end it first: Ctrl-C where it runs, or systemctl stop rossec-ca",
@@ -88,7 +87,6 @@ class KeyServiceClient:
         return _as_status(self.ask(ServiceRequest(messages.LOCK)))
 
     def phone_code(self) -> str:
-        """A one-time code for the console: to look, or to add a phone."""
         code = self.ask(ServiceRequest(messages.PHONE_CODE))
         if not isinstance(code, str):
             raise KeyServiceFailed("the service gives no code", _HINT)

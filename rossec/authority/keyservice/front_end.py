@@ -52,10 +52,7 @@ _log = logging.getLogger("rossec.authority.face")
 
 
 class FrontEnd:
-    """The join port, and calls at the master, as `/ca`.
-
-    `node`: the directory of `/ca`. `join_address`: `host:port`; the host may be `ANY`.
-    """
+    """`node`: the directory of `/ca`. `join_address`: `host:port`; the host may be `ANY`."""
 
     def __init__(self, node: NodeHome, join_address: str, master_uri: str, suites: tuple[int, ...]) -> None:
         self._node = node

@@ -27,11 +27,8 @@ Handler = Callable[..., Awaitable[Value]]
 
 
 class InnerChannel:
-    """One end.
-
-    `sock`: the end of the socketpair. `handlers`: what the other side may ask; called with the
-    arguments of the operation. Raise `HintedError` to refuse. `limit`: bytes of a message from the
-    other side.
+    """`sock`: the end of the socketpair. `handlers`: what the other side may ask; called with the arguments
+    of the operation. Raise `HintedError` to refuse. `limit`: bytes of a message from the other side.
     """
 
     def __init__(self, sock: socket.socket, handlers: Mapping[str, Handler], limit: int) -> None:

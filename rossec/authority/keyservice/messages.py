@@ -146,7 +146,6 @@ def write_answer(value: Value) -> bytes:
 
 
 def write_refusal(error: HintedError) -> bytes:
-    """The frame of a refusal; an error that is not in the table is `refused`."""
     kinds = {refusal: kind for kind, refusal in REFUSALS.items()}
     return frame([1, kinds.get(type(error), "refused"), str(error), error.hint])
 

@@ -38,10 +38,7 @@ Task = Callable[[], None]
 
 
 class Scheduler:
-    """Calls its tasks, one after the other.
-
-    `in_thread`: calls a task in a thread.
-    """
+    """`in_thread`: calls a task in a thread."""
 
     def __init__(self, in_thread: Callable[[Task], Awaitable[None]]) -> None:
         self._in_thread = in_thread
@@ -77,10 +74,7 @@ SECONDS: Final = 1.0  # for one answer of the rules
 
 
 class JoinNames:
-    """The rules of one authority; without rules no node is named.
-
-    `rules`: a stylesheet, or None.
-    """
+    """`rules`: a stylesheet, or None."""
 
     def __init__(self, rules: bytes | None) -> None:
         self._runner: RuleRunner | None = None
@@ -241,7 +235,6 @@ class NetworkWork:
         self._resume = 0.0
 
     def deliver(self, call: StatementCall) -> Value:
-        """Call the master through the face; for the thread of the work."""
         if self._loop is None:
             raise NotDelivered(f"the master did not get {call.what}: not started", call.hint)
         began = time.monotonic()

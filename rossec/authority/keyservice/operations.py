@@ -35,10 +35,8 @@ _MAX_DOUBLINGS: Final = 6
 
 
 class HeldKey:
-    """Holds the key, or does not.
-
-    `load`: the key that a passphrase or PIN opens. Raises `KeyRefused`. `elapsed`: seconds of a
-    clock that counts sleep.
+    """`load`: the key that a passphrase or PIN opens. Raises `KeyRefused`. `elapsed`: seconds of a clock
+    that counts sleep.
     """
 
     def __init__(self, load: Callable[[str], Signer], elapsed: clock.Seconds | None = None) -> None:
@@ -119,10 +117,8 @@ ITSELF: Final = "the service itself"
 
 
 class KeyOperations:
-    """Signs, locks and unlocks.
-
-    `authority`: whose key it is. `audit`: writes a line; raises `HintedError` if it cannot.
-    `describe`: what `status` says besides whether the key is held.
+    """`authority`: whose key it is. `audit`: writes a line; raises `HintedError` if it cannot. `describe`:
+    what `status` says besides whether the key is held.
     """
 
     def __init__(

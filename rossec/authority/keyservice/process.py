@@ -72,11 +72,9 @@ def admit_all(_: UnixPeer) -> None: ...
 
 
 class SocketRules(NamedTuple):
-    """What a socket takes, and from whom.
-
-    `read_request`: reads the body of a frame. Raises `KeyMessageRefused`. `max_request`: bytes of
-    the body. `max_callers`: connections at a time. `users`: who may connect; empty: the user of
-    this process.
+    """`read_request`: reads the body of a frame. Raises `KeyMessageRefused`. `max_request`: bytes of the
+    body. `max_callers`: connections at a time. `users`: who may connect; empty: the user of this
+    process.
     """
 
     read_request: Callable[[bytes], ServiceRequest] = messages.read_request
@@ -89,9 +87,7 @@ KEY_RULES: Final = SocketRules()
 
 
 class KeyServer:
-    """Listens at `path`.
-
-    `path`: of the socket; a stale one is replaced, so the caller holds the lock of the service.
+    """`path`: of the socket; a stale one is replaced, so the caller holds the lock of the service.
     `carry_out`: carries out one request. Raises `HintedError` for a refusal. `admit`: raises
     `PeerUserRefused` for a process that may not ask.
     """
@@ -186,10 +182,8 @@ TICK: Final = 1.0  # seconds between two looks at the clock
 def operations_of(
     home: AuthorityHome, audit: Callable[[str], None], join_port: Callable[[], int] = int
 ) -> KeyOperations:
-    """The operations on the key of the authority in `home`, which is locked.
-
-    `join_port`: where nodes join now; 0: nowhere.
-    """
+    """The operations on the key of the authority in `home`, which is locked."""
+    # `join_port`: where nodes join now; 0: nowhere.
     anchor, own = home.anchor(), home.intermediate()
     subject = anchor.subject if own is None else anchor.read_intermediate(own).subject
     about: dict[int | str, Value] = {
@@ -220,10 +214,8 @@ def audit_to(file: AuditFile) -> Callable[[str], None]:
 
 
 class KeyServiceProcess:
-    """Answers commands at the socket, and drops the key when its time is over.
-
-    `admit`: raises `PeerUserRefused` for a process that may not ask. `phone_code`: makes a code for
-    the console, for a caller; audited.
+    """`admit`: raises `PeerUserRefused` for a process that may not ask. `phone_code`: makes a code for the
+    console, for a caller; audited.
     """
 
     def __init__(
@@ -245,10 +237,8 @@ class KeyServiceProcess:
         self.operations.held.lock()
 
     async def watch_time(self) -> None:
-        """Drop the key when its time is over, until this is cancelled.
-
-        The loop's clock stops while the machine sleeps: so the other one is read every second.
-        """
+        """Drop the key when its time is over, until this is cancelled."""
+        # The loop's clock stops while the machine sleeps: so the other one is read every second.
         while True:
             try:
                 self.operations.lock_if_over()
@@ -333,7 +323,6 @@ class FrontEndProcess:
             self._process = None
 
     async def started(self) -> int:
-        """Wait until the first face listens; returns its port."""
         try:
             async with asyncio.timeout(START):
                 return await self._future()
@@ -349,7 +338,6 @@ class FrontEndProcess:
         return await self._channel.call(operation, method, arguments, within, within=within + 1)
 
     def close(self) -> None:
-        """End a face that was started and never connected."""
         if self._socket is not None:
             self._socket.close()
         if self._process is not None:

@@ -44,10 +44,8 @@ _log = logging.getLogger("rossec.authority.service")
 
 
 class AuthorityWork:
-    """The tasks of the service.
-
-    `deliver`: calls the master. Raises `NotDelivered`. `policy`: the file; None: its usual place.
-    `now`: seconds since the epoch.
+    """`deliver`: calls the master. Raises `NotDelivered`. `policy`: the file; None: its usual place. `now`:
+    seconds since the epoch.
     """
 
     def __init__(
@@ -79,7 +77,6 @@ class AuthorityWork:
         return AuthorityHome.at(self._rossec_home)
 
     def join(self, data: bytes) -> tuple[bytes, str | None]:
-        """Decide a node's request; returns the message for it, and its name if it was issued."""
         request = JoinRequest.from_bytes(data)
         with contextlib.closing(self.home().store()) as store:
             if not invitations.is_proved(store, request):  # before the authority is opened
@@ -93,11 +90,9 @@ class AuthorityWork:
         return write(answer), request.name if isinstance(answer, Issued) else None
 
     def renew_identities(self, requests: Iterable[bytes]) -> list[tuple[bytes, bytes, str]]:
-        """Answer nodes whose identity is due: for each request, its SHA-256, a bundle or a reason.
-
-        What is signed is in the record, so that the same node gets the same one again. Requests are
-        left out, to be asked for later, when the key is locked meanwhile.
-        """
+        """Answer nodes whose identity is due: for each request, its SHA-256, a bundle or a reason."""
+        # What is signed is in the record, so that the same node gets the same one again. Requests are left
+        # out, to be asked for later, when the key is locked meanwhile.
         answers = list[tuple[bytes, bytes, str]]()
         with self.service(RENEWAL_PURPOSE) as service:
             for request in requests:
@@ -119,7 +114,6 @@ class AuthorityWork:
         return answers
 
     def allowed_pattern(self, asked: JoinClaim | JoinRequest) -> str | RefusedMessage:
-        """The names that the invitation allows whose secret is proved, or why there is no answer."""
         with contextlib.closing(self.home().store()) as store:
             return invitations.allowed_pattern(store, asked, self.now())
 
@@ -128,10 +122,8 @@ class AuthorityWork:
             return store.identities.issued_for(request.digest) is not None
 
     def apply(self, names: Collection[str] | None = None) -> None:
-        """Make the policy true, for the nodes `names` or for all; does nothing while locked.
-
-        Grants are renewed at two thirds of their time.
-        """
+        """Make the policy true, for the nodes `names` or for all; does nothing while locked."""
+        # Grants are renewed at two thirds of their time.
         if self.is_locked:
             return
         try:
@@ -156,7 +148,6 @@ class AuthorityWork:
                 _log.error("the policy is not applied: %s", printable(error))
 
     def grant_outright(self, names: Collection[str]) -> None:
-        """Give nodes that joined what the policy in force gives their names, if there is one."""
         try:
             with self.service(APPLY_PURPOSE) as service:
                 signed = service.policy.grant_outright(*names, place=self._policy)
@@ -185,10 +176,8 @@ class AuthorityWork:
             self.apply()
 
     def maintain(self) -> None:
-        """Renew the own node's identity and the list long before they expire; deliver grants.
-
-        One that fails holds no other back.
-        """
+        """Renew the own node's identity and the list long before they expire; deliver grants."""
+        # One that fails holds no other back.
         if self.is_locked:
             return
 
@@ -238,12 +227,10 @@ class AuthorityWork:
 
     @contextlib.contextmanager
     def service(self, purpose: str) -> Iterator[AuthorityService]:
-        """What the authority does for its users; `purpose` is audited with every signature.
+        """What the authority does for its users; `purpose` is audited with every signature."""
 
-        For one thread, and closed afterwards. Where the key is needed and not held, it raises
-        `AuthorityLocked`.
-        """
-
+        # For one thread, and closed afterwards. Where the key is needed and not held, it raises
+        # `AuthorityLocked`.
         def find_signer(home: AuthorityHome) -> OwnSigner:
             self._operations.held.check()
             return OwnSigner(self._operations, home.own_key(), purpose)
