@@ -147,15 +147,9 @@ class Things:
         with store.transaction():
             router = store.valid_certificate(order.border, at)
             store.identities.check_not_revoked(order.name, order.credential.thumbprint)
-            statement = ThingStatement(
-                authority.domain,
-                order.name,
-                order.credential,
-                router.thumbprint,
-                at - SKEW,
-                at + order.lifetime,
-                secrets.token_bytes(SERIAL),
-            )
+            about = authority.domain, order.name, order.credential, router.thumbprint
+            serial = secrets.token_bytes(SERIAL)
+            statement = ThingStatement(*about, at - SKEW, at + order.lifetime, serial)
             # 1. what it replaces ends: its statements, and the keys of its node
             ended = signing.replaced_by(store, order.name, router.thumbprint, order.replaced, at)
             # 2. the identity of the node, which is not ended by its own statement
@@ -166,11 +160,8 @@ class Things:
                         f"the request is of {asked.name}, not of {order.name}",
                         f"on the border router: rossec border add {order.name}",
                     )
-                replaced, lifetime = order.name in order.replaced, order.identity_lifetime
-                replace_key = order.name if replaced else None
-                bundle = authority.issue(
-                    order.request, at, lifetime, replace_key=replace_key, source="border"
-                )
+                key, lifetime = order.name if order.name in order.replaced else None, order.identity_lifetime
+                bundle = authority.issue(order.request, at, lifetime, replace_key=key, source="border")
                 own_key = frozenset({asked.thumbprint})
             # 3. the list without what was replaced
             ended -= own_key

@@ -22,13 +22,14 @@ from ca.errors import (
 from grants import document
 from rossec.authority.backup import back_up, restore
 from rossec.authority.console.grant_requests import Questions
-from rossec.authority.console.messages import ApprovalOutcome, GrantQuestion, Prepared, many
+from rossec.authority.console.messages import ApprovalOutcome, GrantQuestion, Prepared
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.requests import GrantRequestStore
 from rossec.errors import KeyServiceRefused
 from rossec.ros.names import MASTER
 from tests.support.consoleacts import DAY, SECRET, Acts
+from tests.support.consolework import many
 from tests.support.passkeys import UP, Assertion, Passkey
 
 PROMPTED = "prompt: {subscribe: [/pose, /odom]}"

@@ -142,12 +142,6 @@ def from_value(kind: type[_T], value: Value) -> _T:
     return found
 
 
-def many(kind: type[_T], value: Value) -> tuple[_T, ...]:
-    if not isinstance(value, list):
-        raise KeyMessageRefused("records that are no list", _HINT)
-    return tuple(from_value(kind, each) for each in value)
-
-
 def _read(kind: Any, value: Value) -> Any:
     if kind in _PLAIN or kind is NoneType:
         if type(value) is not kind:

@@ -1,9 +1,7 @@
 """The console's side of `rossec ca serve`: its socket, who carries out what it asks, how the service is.
 
 Whoever may connect can read the record's names and take rights away, so it is the authority's own
-user; one other may be named, whose socket is then outside of the directory of the key. Handlers
-come in parts. Each part is called in a thread of its own, one task after the other: so it needs no
-lock, and none waits for a master that does not answer but those who ask for it.
+user; one other may be named, whose socket is then outside of the directory of the key.
 """
 
 import asyncio
@@ -72,6 +70,7 @@ class StatusQuery:
         self._domain, self._fingerprint = anchor.domain, fingerprint(anchor)
 
     def status(self) -> Value:
+        # Asked every second, so it looks at little: sizes and times.
         home, now = self._work.home(), self._work.now()
         with contextlib.closing(home.store()) as store, store.database.read_transaction():
             size, phones = store.log.head(now).size, len(store.passkeys.active())
@@ -149,6 +148,8 @@ class ConsoleService:
 
     def __init__(self, *parts: object, audit: Callable[[str], None] = lambda _: None) -> None:
         self._audit = audit
+        # Each part has a thread: it needs no lock, and none waits for a master that does not answer but those
+        # who ask for it.
         self._threads = [ThreadPoolExecutor(1, thread_name_prefix="console") for _ in parts]
         self._handlers: dict[str, tuple[ThreadPoolExecutor, Handler]] = {}
         for part, thread in zip(parts, self._threads, strict=True):
@@ -220,20 +221,9 @@ def place(directory: Path, path: Path | None, user: str | None) -> ConsolePlace:
     return ConsolePlace(path, frozenset({os.geteuid(), number}))
 
 
-class ConsoleSocket:
-    """`service`: carries out what is asked. `peers`: is told who connects."""
-
-    def __init__(self, where: ConsolePlace, service: ConsoleService, peers: ConsolePeers) -> None:
-        rules = SocketRules(messages.read_request, messages.MAX_REQUEST, MAX_CALLERS, where.users)
-        self._service = service
-        self._server = KeyServer(where.path, service.carry_out, peers.remember, rules)
-
-    async def start(self) -> None:
-        await self._server.start()
-
-    async def close(self) -> None:
-        await self._server.close()
-        await self._service.close()
+def console_server(where: ConsolePlace, service: ConsoleService, peers: ConsolePeers) -> KeyServer:
+    rules = SocketRules(messages.read_request, messages.MAX_REQUEST, MAX_CALLERS, where.users)
+    return KeyServer(where.path, service.carry_out, peers.remember, rules)
 
 
 def _no_address() -> str:
@@ -283,7 +273,14 @@ class Console:
             Removals(work, self.rounds.wake),
             audit=operations.audit,
         )
-        self.socket = ConsoleSocket(where, self.service, self.peers)
+        self._server = console_server(where, self.service, self.peers)
+
+    async def start(self) -> None:
+        await self._server.start()
+
+    async def close(self) -> None:
+        await self._server.close()
+        await self.service.close()
 
     def _has_master(self) -> bool:
         return self._network is not None and self._network.has_master

@@ -1,9 +1,7 @@
 """The side of a command: asks the service that runs in the authority's directory, if one does.
 
 A command opens the record itself, as it does without a service; only the signatures come from the
-service, over `ca/service.sock`. Both ends must be of one user, and each signature is verified
-before it is used. A request that the service ended the connection instead of answering is sent once
-more: services are restarted, and drop those that are idle. One service of an authority runs at a
+service, over `ca/service.sock`. Both ends must be of one user. One service of an authority runs at a
 time, and none while a backup is restored over it.
 """
 
@@ -67,7 +65,7 @@ class KeyServiceClient:
         try:
             try:
                 return messages.read_answer(self._exchange(data))
-            except ConnectionError:
+            except ConnectionError:  # once more: services are restarted, and drop those that are idle
                 self.close()
                 return messages.read_answer(self._exchange(data))
         except OSError as error:
@@ -115,7 +113,7 @@ class RemoteSigner:
         signature = answer if isinstance(answer, bytes) and len(answer) == 64 else bytes(64)
         r, s = int.from_bytes(signature[:32]), int.from_bytes(signature[32:])
         try:
-            # 64 zeros are no signature of any key. It is verified here: the service is another process.
+            # Each one, before it is used: it comes from another process. 64 zeros are no signature.
             self.public_key.verify(encode_dss_signature(r, s), message, _ECDSA)
         except InvalidSignature:
             raise KeyServiceFailed("the service signed with another key", _HINT) from None

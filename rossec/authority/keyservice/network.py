@@ -1,10 +1,7 @@
 """What the service does at the network: joins, rounds, identities that nodes renew. A shell.
 
 Tasks that need the record run in one thread, one after the other; a round, every minute and at once
-when there is a reason, is a task as a join is. So a master whose host is off, which fails slowly,
-is not called for a while. The service holds the authority's key, so it reads no metadata of nodes:
-they go to the process for rules (`rossec.naming`), and only when the secret of an invitation was
-proved.
+when there is a reason, is a task as a join is.
 """
 
 import asyncio
@@ -13,7 +10,6 @@ import time
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import TracebackType
 from typing import Final, Self, TypeVar
 
 from ca.encoding import Value
@@ -74,26 +70,21 @@ SECONDS: Final = 1.0  # for one answer of the rules
 
 
 class JoinNames:
-    """`rules`: a stylesheet, or None."""
-
     def __init__(self, rules: bytes | None) -> None:
-        self._runner: RuleRunner | None = None
-        if rules is not None:
-            self._runner = RuleRunner(rules, children=CHILDREN, seconds=SECONDS)
+        self._runner = None if rules is None else RuleRunner(rules, children=CHILDREN, seconds=SECONDS)
 
     async def __aenter__(self) -> Self:
         if self._runner is not None:
             await self._runner.__aenter__()
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         if self._runner is not None:
             self._runner.close()
 
     async def answer(self, metadata: bytes, pattern: str) -> NameAnswer:
-        # For the claim, and again for the request that follows it, since what is between may lie.
+        # For the claim, and again for the request that follows it, since what is between may lie. Metadata of
+        # strangers are never read here, where the key is: they go to the confined process for rules.
         if self._runner is None:
             return RefusedMessage(RefuseReason.UNNAMED)
         try:
@@ -247,6 +238,7 @@ class NetworkWork:
             answer = asyncio.run_coroutine_threadsafe(asked, self._loop).result()
         except (HintedError, TimeoutError) as error:
             self.has_master = False
+            # A master whose host is off fails slowly, and all tasks share one thread.
             if time.monotonic() - began > SLOW and not call.waits:
                 self._resume = time.monotonic() + PAUSE
             reason = str(error) or "no answer in time"
@@ -270,9 +262,11 @@ class NetworkWork:
 
     async def _named(self, asked: JoinClaim | JoinRequest) -> NameAnswer:
         # The name for the metadata in there, which are looked at by the process for rules only.
+        # 1. Only when the secret of an invitation was proved.
         pattern = await self._in_thread(self.work.allowed_pattern, asked)
         if isinstance(pattern, RefusedMessage):
             return pattern
+        # 2. The name, which must be within what that invitation allows.
         return await self._names.answer(asked.metadata, pattern)
 
     async def _join(self, data: bytes) -> Value:

@@ -1,9 +1,7 @@
 """The process that holds the key, while it runs: its socket, time and audit, and the network process.
 
-Every connection to the socket is one caller, admitted by the user id that the kernel reports. Its
-number of connections, the size of a message and the time for one are bounded; what is malformed is
-answered with a refusal and ends the connection. The network process is a worker (`rossec.host.workers`)
-that inherits its end of a socketpair and no other descriptor.
+Every connection to the socket is one caller, admitted by the user id that the kernel reports. The network
+process is a worker (`rossec.host.workers`) that inherits its end of a socketpair and no other descriptor.
 """
 
 import asyncio
@@ -141,6 +139,8 @@ class KeyServer:
             await _send(writer, messages.write_refusal(busy))
             return
         while True:
+            # `key-socket`: sizes are checked before reading, and time and connections bounded, so that nobody
+            # blocks the service. What is malformed is answered with a refusal and ends the connection.
             async with asyncio.timeout(IDLE):
                 first = await reader.readexactly(1)
             try:
@@ -251,7 +251,7 @@ class KeyServiceProcess:
             if self._phone_code is None:
                 raise KeyServiceRefused("this service has no console", "restart: rossec ca serve")
             return self._phone_code(caller)
-        if request.operation == messages.UNLOCK:
+        if request.operation == messages.UNLOCK:  # scrypt takes a tenth of a second
             return await asyncio.to_thread(self.operations.carry_out, request, caller)
         return self.operations.carry_out(request, caller)
 
