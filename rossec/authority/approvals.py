@@ -27,7 +27,7 @@ from rossec.authority import requests
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, layout_of
 from rossec.authority.requests import GrantRequestStore, StoredRequest
-from rossec.authority.signing import OF_ALL, SKEW, SigningAuthority
+from rossec.authority.signing import OF_ALL, SKEW, SignedGrants, SigningAuthority
 from rossec.clock import seconds_left_today
 from rossec.errors import ConfigurationError
 
@@ -159,7 +159,7 @@ class ApprovalQueue:
         approvals: Iterable[PendingApproval],
         change: VerdictChange,
         reason: str,
-    ) -> list[tuple[Draft, bytes]]:
+    ) -> SignedGrants:
         """Sign the verdicts, modified by `change`; returns the grants with their drafts."""
         chosen = list(approvals)
         made = self.drafts(authority.domain, chosen, change)
@@ -173,7 +173,7 @@ class ApprovalQueue:
 
     def sign_each(
         self, authority: SigningAuthority, approvals: Iterable[PendingApproval], reason: str
-    ) -> tuple[list[tuple[Draft, bytes]], list[Denial]]:
+    ) -> tuple[SignedGrants, list[Denial]]:
         """Sign what the policy allows; what cannot be in a grant is denied alone, and returned."""
         # All together if that is possible, else each request alone, and of one each right.
         chosen = list(approvals)
@@ -188,7 +188,7 @@ class ApprovalQueue:
                 with contextlib.suppress(StoreError):  # it may have been answered meanwhile
                     self.deny(chosen[0], denial.reason)
                 return [], [denial]
-        signed, refused = list[tuple[Draft, bytes]](), list[Denial]()
+        signed, refused = SignedGrants(), list[Denial]()
         for part in _parts(chosen):
             found, left = self.sign_each(authority, part, reason)
             signed += found

@@ -16,7 +16,7 @@ from grants.request import lasting_name
 from rossec import files
 from rossec.authority import domain_operations
 from rossec.authority.session import DEPOSIT_SECONDS, AuthoritySession, StatementCall
-from rossec.authority.signing import DELEGATIONS, SKEW
+from rossec.authority.signing import DELEGATIONS, SKEW, SignedGrants
 from rossec.errors import ConfigurationError, NotDelivered, PolicyIncomplete
 from rossec.home import NodeHome
 from rossec.peer_limits import printable
@@ -251,7 +251,7 @@ def _batches(grants: Iterable[bytes]) -> Iterator[list[bytes]]:
 
 
 class Decided(NamedTuple):
-    grants: list[SignedGrant]
+    grants: SignedGrants
     allowed: int
     waiting: int
     denied: "list[Denial]"
@@ -289,7 +289,7 @@ class PolicyWork:
             denied = [*queue.denied, *refused]
             return Decided(grants, len(allowed) - len(refused), waiting, denied)
 
-    def approve(self, policy: "PolicyFile", beginning: str, change: "VerdictChange") -> list[SignedGrant]:
+    def approve(self, policy: "PolicyFile", beginning: str, change: "VerdictChange") -> SignedGrants:
         # Approve the one pending request whose id begins so, and sign its grants.
         with self._queue(policy) as queue:
             chosen = queue.chosen(beginning)
@@ -344,7 +344,7 @@ class PolicyWork:
             moment = Moment(at, SKEW, renews=at < until, renew_due=renew_due, renewed_until=until or None)
             return make_plan(store, policy, PlanOptions(names, prune), moment)
 
-    def grant_outright(self, *names: str, place: Path | None = None) -> list[SignedGrant]:
+    def grant_outright(self, *names: str, place: Path | None = None) -> SignedGrants:
         # `place`: of its file; None: the usual one. What it no longer allows waits for `apply`.
         from rossec.authority import policyfile  # noqa: PLC0415 - see above
 
@@ -361,7 +361,7 @@ class PolicyWork:
             self._session.unlock(), policy, names, at, renewed_until=until or None
         )
 
-    def apply(self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None) -> list[SignedGrant]:
+    def apply(self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None) -> SignedGrants:
         # `report` is called with each step that was done. Returns the new grants.
         from rossec.authority import policyfile  # noqa: PLC0415 - see above
 
@@ -411,7 +411,7 @@ class PolicyWork:
         require_delivered(refused)
 
     def _deliver_new(
-        self, signed: list[SignedGrant], plan: "PolicyPlan", failed: list[HintedError | OSError]
+        self, signed: SignedGrants, plan: "PolicyPlan", failed: list[HintedError | OSError]
     ) -> list[RefusedDeposit]:
         # Before a revocation, also those that an interrupted command signed: they replace what goes. A node
         # of this ROSSEC_HOME has its grants as files, also while no master runs.

@@ -38,7 +38,7 @@ from grants.policy.wanted import WantedRight, WantedState, rule_ids
 from rossec import files
 from rossec.authority import domain_operations, signing
 from rossec.authority.home import AuthorityHome
-from rossec.authority.signing import CLOCK_SKEW, OF_ALL, SKEW, SigningAuthority
+from rossec.authority.signing import CLOCK_SKEW, OF_ALL, SKEW, SignedGrants, SigningAuthority
 from rossec.errors import ConfigurationError
 from rossec.participant.host_types import definition_of, layout_of
 from rossec.participant.message_types import type_names
@@ -289,7 +289,7 @@ def _draft(
     return draft, rule_ids(rule for each in group for rule in each.rules)
 
 
-def sign_planned(authority: SigningAuthority, plan: PolicyPlan, now: int) -> list[tuple[Draft, bytes]]:
+def sign_planned(authority: SigningAuthority, plan: PolicyPlan, now: int) -> SignedGrants:
     def check() -> None:
         plan.policy.check_unchanged()
         check_record(authority, plan)
@@ -313,9 +313,7 @@ def take_away(
         return listed, plan.without(taken, authority.store.log.head(0).size)
 
 
-def sign_each(
-    authority: SigningAuthority, plan: PolicyPlan, now: int
-) -> tuple[list[tuple[Draft, bytes]], PolicyPlan]:
+def sign_each(authority: SigningAuthority, plan: PolicyPlan, now: int) -> tuple[SignedGrants, PolicyPlan]:
     """As `sign_planned`, and where it refuses, for each node alone."""
     # Returns the grants, and the plan with what is refused: what it revokes is left to do.
     try:
@@ -325,7 +323,7 @@ def sign_each(
     except HintedError:
         plan.policy.check_unchanged()
         check_record(authority, plan)
-    signed: list[tuple[Draft, bytes]] = []
+    signed: SignedGrants = []
     nodes, pruned = [], []
     for node in plan.nodes:
         try:
@@ -351,9 +349,7 @@ def sign_each(
     return signed, replace(plan, nodes=tuple(nodes), pruned=tuple(pruned))
 
 
-def _sign(
-    authority: SigningAuthority, plan: PolicyPlan, now: int, check: Callable[[], None]
-) -> list[tuple[Draft, bytes]]:
+def _sign(authority: SigningAuthority, plan: PolicyPlan, now: int, check: Callable[[], None]) -> SignedGrants:
     drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
     signed = authority.issue_grants(drafts, now, check) if drafts else []
     return [(draft, data) for (draft, _), data in zip(drafts, signed, strict=True)]
@@ -366,7 +362,7 @@ def grant_outright(
     now: int,
     *,
     renewed_until: int | None = None,
-) -> list[tuple[Draft, bytes]]:
+) -> SignedGrants:
     """Sign what `policy` gives the nodes `names` outright and they do not have; revokes nothing."""
     # `renewed_until`: until when the master can renew grants; None: it cannot.
     renews = renewed_until is not None

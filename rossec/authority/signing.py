@@ -51,6 +51,7 @@ from rossec.errors import (
     SigningRefused,
 )
 
+SignedGrants = list[tuple[Draft, bytes]]
 OF_ALL: Final = (
     AuthorityLocked,
     KeyServiceFailed,

@@ -26,6 +26,7 @@ from rossec.authority.console.messages import Proposal
 from rossec.errors import KeyServiceRefused, PhoneCodeRefused
 from rossec.peer_limits import SharedTable
 
+Random = Callable[[int], bytes]
 CHALLENGE_LIFETIME: Final = 300  # seconds
 MAX_USED: Final = 1024  # by passkeys of this authority, within `LIFETIME`; then they wait
 _MAC: Final = 32  # bytes
@@ -36,9 +37,7 @@ class LoginChallenges:
     # this process (HMAC-SHA-256, as the cookies of RFC 4987 3.6 and RFC 9147 5.1). Only those that were
     # used are kept.
 
-    def __init__(
-        self, elapsed: clock.Seconds | None = None, random: Callable[[int], bytes] = secrets.token_bytes
-    ) -> None:
+    def __init__(self, elapsed: clock.Seconds | None = None, random: Random = secrets.token_bytes) -> None:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._random = random
         self._key = secrets.token_bytes(32)
@@ -109,9 +108,7 @@ class _Code(NamedTuple):
 class Codes:
     """The codes that were made and not used yet; threads may share it."""
 
-    def __init__(
-        self, elapsed: clock.Seconds | None = None, random: Callable[[int], bytes] = secrets.token_bytes
-    ) -> None:
+    def __init__(self, elapsed: clock.Seconds | None = None, random: Random = secrets.token_bytes) -> None:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._random = random
         self._lock = threading.Lock()  # guards what follows
@@ -188,9 +185,7 @@ class _Proposed(NamedTuple):
 
 
 class Proposals:
-    def __init__(
-        self, elapsed: clock.Seconds | None = None, random: Callable[[int], bytes] = secrets.token_bytes
-    ) -> None:
+    def __init__(self, elapsed: clock.Seconds | None = None, random: Random = secrets.token_bytes) -> None:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._random = random
         self._lock = threading.Lock()

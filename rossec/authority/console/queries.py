@@ -12,6 +12,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -63,20 +64,18 @@ _log = logging.getLogger("rossec.authority.service")
 Deliveries = Callable[[], Mapping[bytes, str]]
 
 
+@dataclass(eq=False, repr=False)
 class RecordQueries:
     """`last_used`: when passkeys were last used to log in. `deliveries`: what the master says of each
     grant; without one, nothing.
     """
 
-    def __init__(
-        self, work: AuthorityWork, last_used: Callable[[bytes], int], deliveries: Deliveries = dict
-    ) -> None:
-        self._work = work
-        self._last_used = last_used
-        self._deliveries = deliveries
+    work: AuthorityWork
+    last_used: Callable[[bytes], int]
+    deliveries: Deliveries = dict
 
     def nodes(self) -> Value:
-        at = self._work.now()
+        at = self.work.now()
         with self._store() as store, store.database.read_transaction():
             ended = {row.entry: row for row in store.revocations()}
             rows = store.identities.all()
@@ -93,12 +92,12 @@ class RecordQueries:
         return bounded("identities", reversed(views), lambda view: view.name)
 
     def grants(self) -> Value:
-        oldest = self._work.now() - KEPT
+        oldest = self.work.now() - KEPT
         with self._store() as store, store.database.read_transaction():
             ended = {row.entry: row for row in store.revocations()}
             rules, signed = store.policy_grants(), store.signed_at()
             rows = store.grants()
-        states, views = self._deliveries(), []
+        states, views = self.deliveries(), []
         for row in shared(reversed(rows), lambda row: row.name, _MAX_ROWS):
             grant = document.peek(row.data)
             revoked = ended.get(row.id) or ended.get(grant.holder)
@@ -110,7 +109,7 @@ class RecordQueries:
         return bounded("grants", views, lambda view: view.node)
 
     def identity_requests(self) -> Value:
-        at = self._work.now()
+        at = self.work.now()
         with self._store() as store:
             store.requests.collect(at)
             views = []
@@ -122,7 +121,7 @@ class RecordQueries:
         return bounded("requests", reversed(views))
 
     def invitations(self) -> Value:
-        at = self._work.now()
+        at = self.work.now()
         with self._store() as store, store.database.read_transaction():
             found = [(each, each.row, each.state(at)) for each in invitations.invitations(store)]
         views = []
@@ -139,7 +138,7 @@ class RecordQueries:
         names = {each.id: each.name for each in known}
         views = []
         for each in known:
-            last = max(used.get(each.id, 0), self._last_used(each.id))
+            last = max(used.get(each.id, 0), self.last_used(each.id))
             by_whom, why = names.get(by.get(each.approval, b""), ""), ended.get(each.id)
             end = "" if why is None else why or "removed"
             views.append(PhoneView(each.id, each.name, each.at, last, by_whom, end))
@@ -169,7 +168,7 @@ class RecordQueries:
         return bounded("entries", [EventView(*each[:5]) for each in found])
 
     def _store(self) -> contextlib.closing[Store]:
-        return contextlib.closing(self._work.home().store())
+        return contextlib.closing(self.work.home().store())
 
 
 V = TypeVar("V", bound=tuple[Any, ...])

@@ -10,6 +10,7 @@ import hashlib
 import math
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -116,23 +117,17 @@ class HeldKey:
 ITSELF: Final = "the service itself"
 
 
+@dataclass(eq=False, repr=False)
 class KeyOperations:
     """`authority`: whose key it is. `audit`: writes a line; raises `HintedError` if it cannot. `describe`:
     what `status` says besides whether the key is held.
     """
 
-    def __init__(
-        self,
-        held: HeldKey,
-        authority: ServedAuthority,
-        audit: Callable[[str], None],
-        describe: Callable[[], dict[int | str, Value]] = dict,
-    ) -> None:
-        self.held = held
-        self.audit = audit
-        self._authority = authority
-        self._describe = describe
-        self.on_unlock: Callable[[], None] = lambda: None  # there may be work that waited for the key
+    held: HeldKey
+    authority: ServedAuthority
+    audit: Callable[[str], None]
+    describe: Callable[[], dict[int | str, Value]] = dict
+    on_unlock: Callable[[], None] = lambda: None  # there may be work that waited for the key
 
     def carry_out(self, request: ServiceRequest, caller: object) -> Value:
         match request:
@@ -147,11 +142,11 @@ class KeyOperations:
 
     def status(self) -> Value:
         remaining = self.held.remaining()
-        return {**self._describe(), "locked": remaining is None, "remaining": remaining}
+        return {**self.describe(), "locked": remaining is None, "remaining": remaining}
 
     def sign(self, message: bytes, caller: object = ITSELF) -> bytes:
         try:
-            kind = kind_of(message, self._authority)
+            kind = kind_of(message, self.authority)
         except SigningRefused:
             self.audit(f"refused to sign {len(message)} unknown bytes for {caller}")
             raise
@@ -190,13 +185,11 @@ class KeyOperations:
             self.audit("locked: its time is over")
 
 
+@dataclass(eq=False, repr=False)
 class OwnSigner:
-    def __init__(
-        self, operations: KeyOperations, public_key: ec.EllipticCurvePublicKey, purpose: str = ITSELF
-    ) -> None:
-        self._operations = operations
-        self.public_key = public_key
-        self.purpose = purpose
+    operations: KeyOperations
+    public_key: ec.EllipticCurvePublicKey
+    purpose: str = ITSELF
 
     def sign(self, message: bytes) -> bytes:
-        return self._operations.sign(message, self.purpose)
+        return self.operations.sign(message, self.purpose)

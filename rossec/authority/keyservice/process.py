@@ -11,6 +11,7 @@ import socket
 import subprocess
 from collections.abc import Awaitable, Callable, Collection, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -84,37 +85,33 @@ class SocketRules(NamedTuple):
 KEY_RULES: Final = SocketRules()
 
 
+@dataclass(eq=False, repr=False)
 class KeyServer:
     """`path`: of the socket; a stale one is replaced, so the caller holds the lock of the service.
     `carry_out`: carries out one request. Raises `HintedError` for a refusal. `admit`: raises
     `PeerUserRefused` for a process that may not ask.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        carry_out: CarryOut,
-        admit: Callable[[UnixPeer], None] = admit_all,
-        rules: SocketRules = KEY_RULES,
-    ) -> None:
-        self._path = path
-        self._carry_out = carry_out
-        self._admit = admit
-        self._rules = rules
+    path: Path
+    carry_out: CarryOut
+    admit: Callable[[UnixPeer], None] = admit_all
+    rules: SocketRules = KEY_RULES
+
+    def __post_init__(self) -> None:
         self._server: asyncio.Server | None = None
         self._callers: set[asyncio.StreamWriter] = set()
 
     async def start(self) -> None:
-        self._path.unlink(missing_ok=True)
-        sock = listen_at(self._path)
-        if self._rules.users:
-            self._path.chmod(0o666)  # the directory, and who connects, decide
-        self._server = await asyncio.start_unix_server(self._serve, sock=sock, limit=self._rules.max_request)
+        self.path.unlink(missing_ok=True)
+        sock = listen_at(self.path)
+        if self.rules.users:
+            self.path.chmod(0o666)  # the directory, and who connects, decide
+        self._server = await asyncio.start_unix_server(self._serve, sock=sock, limit=self.rules.max_request)
 
     async def close(self) -> None:
         if self._server is not None:
             self._server.close()
-            self._path.unlink(missing_ok=True)
+            self.path.unlink(missing_ok=True)
         for writer in self._callers:
             writer.transport.abort()
         await asyncio.sleep(0)  # the sockets are closed by then
@@ -132,9 +129,9 @@ class KeyServer:
 
     async def _answer_all(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         caller = self._admitted(writer)
-        if len(self._callers) > self._rules.max_callers:
+        if len(self._callers) > self.rules.max_callers:
             busy = KeyServiceRefused(
-                f"{self._rules.max_callers} programs use the authority's service now", "try again"
+                f"{self.rules.max_callers} programs use the authority's service now", "try again"
             )
             await _send(writer, messages.write_refusal(busy))
             return
@@ -145,15 +142,15 @@ class KeyServer:
                 first = await reader.readexactly(1)
             try:
                 async with asyncio.timeout(DEADLINE):
-                    limit = self._rules.max_request
+                    limit = self.rules.max_request
                     head = first + await reader.readexactly(messages.HEAD - 1)
                     body = await reader.readexactly(messages.frame_size(head, limit))
-                    request = self._rules.read_request(body)
+                    request = self.rules.read_request(body)
             except KeyMessageRefused as error:
                 await _send(writer, messages.write_refusal(error))
                 return
             try:
-                answer = messages.write_answer(await self._carry_out(request, caller))
+                answer = messages.write_answer(await self.carry_out(request, caller))
             except HintedError as error:
                 answer = messages.write_refusal(error)
             await _send(writer, answer)
@@ -161,9 +158,9 @@ class KeyServer:
     def _admitted(self, writer: asyncio.StreamWriter) -> AuditedCaller:
         try:
             sock = raw_socket(writer.get_extra_info("socket"))
-            require_user(sock, self._rules.users or {os.geteuid()})
+            require_user(sock, self.rules.users or {os.geteuid()})
             peer = unix_peer(sock)
-            self._admit(peer)
+            self.admit(peer)
         except PeerUserRefused as error:
             _log.warning("refused at the authority's service: %s", error)
             raise OSError("refused") from error

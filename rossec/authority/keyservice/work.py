@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import logging
 from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -43,24 +44,19 @@ RENEWAL_PURPOSE: Final = "a node that renews its identity"
 _log = logging.getLogger("rossec.authority.service")
 
 
+@dataclass(eq=False, repr=False)
 class AuthorityWork:
     """`deliver`: calls the master. Raises `NotDelivered`. `policy`: the file; None: its usual place. `now`:
     seconds since the epoch.
     """
 
-    def __init__(
-        self,
-        rossec_home: Path,
-        operations: KeyOperations,
-        deliver: Callable[[StatementCall], object],
-        policy: Path | None = None,
-        now: Callable[[], int] = clock.now,
-    ) -> None:
-        self._rossec_home = rossec_home
-        self._operations = operations
-        self._deliver = deliver
-        self._policy = policy
-        self.now = now
+    rossec_home: Path
+    operations: KeyOperations
+    deliver: Callable[[StatementCall], object]
+    policy: Path | None = None
+    now: Callable[[], int] = clock.now
+
+    def __post_init__(self) -> None:
         self._applied: tuple[object, int] = None, 0
         self._undelivered_since: int | None = None  # nothing reached the master since then
         self.published = b""  # the list that the master has from here
@@ -68,13 +64,13 @@ class AuthorityWork:
 
     @property
     def is_locked(self) -> bool:
-        return self._operations.held.remaining() is None
+        return self.operations.held.remaining() is None
 
     def policy_path(self) -> Path:
-        return policyfile.place(self._rossec_home, self._policy)
+        return policyfile.place(self.rossec_home, self.policy)
 
     def home(self) -> AuthorityHome:
-        return AuthorityHome.at(self._rossec_home)
+        return AuthorityHome.at(self.rossec_home)
 
     def join(self, data: bytes) -> tuple[bytes, str | None]:
         request = JoinRequest.from_bytes(data)
@@ -127,7 +123,7 @@ class AuthorityWork:
         if self.is_locked:
             return
         try:
-            policy = policyfile.read_policy(self._rossec_home, self._policy, signs=True)
+            policy = policyfile.read_policy(self.rossec_home, self.policy, signs=True)
             with self.service(APPLY_PURPOSE) as service:
                 plan = service.policy.plan(policy, names, renew_due=True)
                 for reason in plan.refused:
@@ -150,7 +146,7 @@ class AuthorityWork:
     def grant_outright(self, names: Collection[str]) -> None:
         try:
             with self.service(APPLY_PURPOSE) as service:
-                signed = service.policy.grant_outright(*names, place=self._policy)
+                signed = service.policy.grant_outright(*names, place=self.policy)
                 if signed:
                     _log_refused(service.grants.deposit([data for _, data in signed]))
         except HintedError as error:
@@ -232,10 +228,10 @@ class AuthorityWork:
         # For one thread, and closed afterwards. Where the key is needed and not held, it raises
         # `AuthorityLocked`.
         def find_signer(home: AuthorityHome) -> OwnSigner:
-            self._operations.held.check()
-            return OwnSigner(self._operations, home.own_key(), purpose)
+            self.operations.held.check()
+            return OwnSigner(self.operations, home.own_key(), purpose)
 
-        service = AuthorityService(self._rossec_home, _no_passphrase, self._deliver, self.now, find_signer)
+        service = AuthorityService(self.rossec_home, _no_passphrase, self.deliver, self.now, find_signer)
         with contextlib.closing(service):
             yield service
 
