@@ -2,8 +2,6 @@
 
 Only `sign` needs the authority's key. A request that nobody answers in time is not shown any more,
 and denied for good only when its node has sent many after it: a clock may be ahead for one look.
-Those of a node that has too many pending are denied. Two people may use the queue at the same time:
-an answer is recorded together with the grants it gives, or not at all.
 """
 
 import contextlib
@@ -164,6 +162,7 @@ class ApprovalQueue:
         chosen = list(approvals)
         made = self.drafts(authority.domain, chosen, change)
         answers = GrantRequestStore(authority.store.database)
+        # Two people may use the queue at once: an answer is recorded with the grants it gives, or not at all.
         with authority.store.transaction():
             self._policy.check_unchanged()
             for approval in chosen:

@@ -1,12 +1,9 @@
 """Back up an authority into one file, and restore it without losing data by accident.
 
 What is in a backup, each part of rossec says that writes files, in its `OWNED`: a test holds every
-file of a home that has used all of them against this. A restore verifies the backup first, next to
-its target: the key opens and matches its certificate, the log verifies; code that it names is not
-run. An existing authority is replaced only if the operator names its trust domain, and in one step;
-newer log entries are lost only if the operator gives their number, and what it has revoked stays
-revoked. The backup lacks what was signed after it, so a new epoch of lists begins, and signed lists
-from the master or a node give back what is missing (`restored_lists`).
+file of a home that has used all of them against this. The backup lacks what was signed after it, so a
+new epoch of lists begins, and signed lists from the master or a node give back what is missing
+(`restored_lists`).
 """
 
 import contextlib
@@ -195,6 +192,7 @@ def _put_in_place(
     authority: SigningAuthority, target: Path, newer: NewerLists, said: _Said, now: int
 ) -> Restored:
     staging, size = AuthorityHome(authority.path), authority.store.log.head(now).size
+    # Neither a service nor a command may change what is compared, until it was replaced.
     with _locked(target):
         policy = "of the backup" if (staging.path / policyfile.NAME).exists() else ""
         if target.exists():
@@ -215,6 +213,7 @@ def _put_in_place(
         if (uri := staging.key_uri()) is not None:
             authority_home.trust(target.parent, uri.module)
         phones, ended, revived = _begin_anew(authority, size, newer, now)
+        # In one step: cut off before it, all is as it was (ADR 0050).
         if target.exists():
             paths = (target.with_name(f"ca.replaced.{number}") for number in count(now))
             files.replace_directory(staging.path, target, next(path for path in paths if not path.exists()))
@@ -225,6 +224,7 @@ def _put_in_place(
 
 def _open_verified(staging: AuthorityHome, secret: str, uri: KeyUri | None) -> SigningAuthority:
     try:
+        # Of modules only the one that the operator named is run (`backup-runs-code`).
         key = staging.load_key(secret, () if uri is None else (uri.module,))
         authority = staging.open(key)
         authority.store.log.audit(authority.signer.public_key)
@@ -286,6 +286,7 @@ def _check_replacement(there: AuthorityHome, found: SigningAuthority, said: _Sai
             f"there is an authority in {there.path}",
             f"{_TAKE_OVER}; to replace it with the backup: --over {there.domain}{listed}",
         )
+    # Newer entries of the log are lost only if the operator says how many; what was revoked stays revoked.
     backed = found.store.log.entries()
     shared = sum(1 for ours, theirs in zip(held, backed, strict=False) if ours == theirs)
     lost = held[shared:]

@@ -2,9 +2,6 @@
 
 The code exists only where it is printed. What is recorded is the public half of the key in it, so
 neither the record nor a backup lets anybody join, and making one needs no key of the authority.
-
-The proof is verified first, over hashes: a stranger's request is not parsed. Then one transaction
-decides by the record and changes it, or nothing is done. The same request gets the same answer.
 """
 
 import secrets
@@ -49,15 +46,18 @@ _REASONS: Final[tuple[tuple[type[CAError], RefuseReason], ...]] = (
 
 
 def join(authority: SigningAuthority, request: JoinRequest, now: int) -> JoinAnswer:
+    # 1. The proof, over hashes: until it is verified, a stranger's request is not parsed.
     invitation = _proved(authority.store, request)
     if invitation is None:
         return RefusedMessage(RefuseReason.REFUSED)
     try:
+        # 2. What is asked is what was proved, and within the invitation.
         found = check_request(request.csr, authority.domain, wildcard=invitation.wildcard)
         if found.name != request.name or found.wildcard != invitation.wildcard:
             raise RequestRefused("the request is not the one that was proved")
         if is_reserved(found.name) or not pattern_covers(invitation.pattern, found.name):
             raise NameRefused(f"the invitation is not for {found.name}")
+        # 3. One transaction decides by the record and changes it, or nothing is done.
         with authority.store.transaction():
             return _decide(authority, invitation, found, request.csr, now)
     except RecordUnusable:
@@ -125,6 +125,7 @@ def _decide(
             return _repeated(row)
         if row is None and _needs_person(authority, asked, now):
             store.invitations.check_open(invitation.id, now)
+            # So that one code, which strangers may have, fills no record with what waits.
             if sum(each.source == origin for each in store.requests.open(now)) >= MAX_WAITING:
                 return RefusedMessage(RefuseReason.BUSY)
             return _repeated(store.requests.add(asked, csr, origin, now))

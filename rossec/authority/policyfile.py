@@ -1,14 +1,10 @@
 """The policy file of an authority, the plan to put it in force, and the plan carried out.
 
-Without a file there is no policy, and it permits nothing. A plan changes nothing; the record is the
-authority's own, so its grants are read without verifying their signatures again. `/ca` and
-`/master` act by their identity and get none; the grants of other keys only lose what the policy no
-longer allows.
+Without a file there is no policy, and it permits nothing. A plan changes nothing.
 
 Carried out, what is only taken away goes first; then what is new is signed, and what that replaces
 goes, so that no node is without what it keeps. Each step is one transaction: cut off between the
-last two, the next plan finds the new ones exact, and what is left is to revoke the old. A plan made
-from another record, or by another policy, than there is now does nothing.
+last two, the next plan finds the new ones exact, and what is left is to revoke the old.
 """
 
 import secrets
@@ -216,7 +212,7 @@ def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Mo
         revoked, rules = store.revoked_entries(), store.policy_grants(names)
         recorded: dict[_Holder, list[RecordedGrant]] = {}
         for row in store.unrevoked_grants(names):
-            grant = document.peek(row.data)
+            grant = document.peek(row.data)  # not verified again: the record is the authority's own
             if moment.now < grant.cap and grant.holder not in revoked:
                 of = recorded.setdefault((grant.subject, grant.holder), [])
                 of.append(RecordedGrant(grant, rules.get(row.id, "")))
@@ -248,6 +244,7 @@ def _subjects(store: Store, names: Collection[str] | None, now: int) -> dict[_Ho
         if names is None
         else [row for name in names for row in store.identities.valid(name, now)]
     )
+    # `/ca` and masters act by their identity and get none; other keys than the newest only lose grants.
     newest = {row.name: row for row in found if row.name.startswith("/")}
     own = [
         Subject(name, row.thumbprint, row.wildcard) for name, row in newest.items() if not is_reserved(name)
@@ -374,6 +371,7 @@ def grant_outright(
 
 
 def check_record(authority: SigningAuthority, plan: PolicyPlan) -> None:
+    # In the transaction that signs: a plan made from another record than there is now does nothing.
     if authority.store.log.head(0).size == plan.entries:
         return
     again = make_plan(authority.store, plan.policy, plan.options, plan.moment)

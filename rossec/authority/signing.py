@@ -2,11 +2,7 @@
 
 Everything is recorded before it is delivered. Two commands may run at the same time: decisions by
 the record (a list number, the valid identities, the entries of a list) are made, signed and
-recorded in one transaction, and so is a revocation with its list. What a list must have is computed
-from the record: everything revoked that could still be valid.
-
-A border router has the keys of the nodes that stand for its things. So where a router, or the node
-of a thing, loses its key, what depended on it ends in the same list.
+recorded in one transaction, and so is a revocation with its list.
 """
 
 import contextlib
@@ -201,6 +197,7 @@ def ended_with(store: Store, name: str, now: int) -> frozenset[bytes]:
 def ended_with_router(store: Store, border: str, now: int) -> frozenset[bytes]:
     """What must be revoked with a key of the border router `border`."""
     # The statements about its things, expired or not, and the keys of their nodes, which it has.
+    # A router has the keys of the nodes that stand for its things, so they end in the same list as its own.
     alive = [row for row in _not_revoked(store) if row.border == border]
     entries = {row.id for row in alive}
     for thing in {row.name for row in alive}:

@@ -1,11 +1,8 @@
 """Approving: a statement is prepared, a phone touches it, and what it says is done, once.
 
 The service makes the statement and verifies the touch: whoever asks for it could show a person
-anything, and gains nothing. Recording, admitting and auditing are one transaction, before any
-signature. What waits for the key is carried out when it is unlocked, for a day, in one transaction
-with the end of the approval; then it has come to nothing. A clock that was set back carries out
-nothing that is recorded as of later, and makes no statement last longer: its time ends by the
-host's clock and by one that cannot be set.
+anything, and gains nothing. What waits for the key is carried out when it is unlocked, for a day, in
+one transaction with the end of the approval; then it has come to nothing.
 """
 
 import contextlib
@@ -140,6 +137,7 @@ class Statements:
         found = next(filter(None, taken), None)
         if found is None:
             raise ApprovalOutdated("this is not waiting for a touch, or not any more", _HINT)
+        # By the host's clock too; by the other one it ended above, so a clock set back makes nothing last.
         if not found.statement.made <= now <= found.statement.until:
             raise ApprovalOutdated("the touch came too late, or the clock was set", _HINT)
         return found
@@ -288,8 +286,9 @@ class Approving:
     def _carry_out(self, approved: Approved) -> None:
         # Carry out, unless that is not possible now.
         act, at = self._acts.get(approved.statement.kind), self._work.now()
-        if act is None or at < approved.at:  # the clock was set back
+        if act is None or at < approved.at:  # a clock that was set back: nothing recorded as of later
             return
+        # One at a time: a round of the service and a touch may both find it waiting.
         with self._carrying_out, closing(self._work.home().store()) as store:
             if store.approvals.state(approved.id) is not ApprovalState.WAITING:
                 return

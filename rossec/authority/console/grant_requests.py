@@ -1,12 +1,8 @@
 """What nodes ask for, as a person answers it: questions, approved grants, and taking away.
 
 The policy decides first: what it denies is denied, what it allows waits only for the key and is no
-question. Each right is a question of its own: who may see a camera may not drive for that. Grants
-are made when they are shown, and signed as shown, times and serials included.
-
-Taking away needs no passkey: denying is never harder. Everything is recorded at once, also while
-the key is locked: a revocation is then on the list that is signed at unlock. What was approved and
-still waits for the key comes to nothing as soon as what it is about is denied or ended.
+question. Taking away needs no passkey: denying is never harder. What was approved and still waits for
+the key comes to nothing as soon as what it is about is denied or ended.
 """
 
 import contextlib
@@ -104,6 +100,7 @@ class Questions:
 
 
 def question_id(stored: StoredRequest) -> bytes:
+    # Each right is a question of its own: who may see a camera may not drive for that.
     request, asked = stored.request, stored.requested
     if len(request.rights) == 1:
         return request.id
@@ -212,6 +209,7 @@ class GrantAct(ApprovedAct):
                 raise KeyServiceRefused(allowed, "choose a shorter time")
             made = queue.drafts(service.home.domain, found, change)
         issuer = thumbprint(service.home.own_key())
+        # The grants are made now, and signed as they are shown, times and serials included.
         answer = GrantAnswer(
             sha256(file.text.encode()).digest(),
             tuple((int(each.stored.requested.right), each.stored.requested.pattern) for each in found),
