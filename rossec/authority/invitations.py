@@ -125,7 +125,7 @@ def _decide(
             return _repeated(row)
         if row is None and _needs_person(authority, asked, now):
             store.invitations.check_open(invitation.id, now)
-            # So that one code, which strangers may have, fills no record with what waits.
+            # The record has room for few requests that wait, and one code must not fill it.
             if sum(each.source == origin for each in store.requests.open(now)) >= MAX_WAITING:
                 return RefusedMessage(RefuseReason.BUSY)
             return _repeated(store.requests.add(asked, csr, origin, now))

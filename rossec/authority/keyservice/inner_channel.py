@@ -66,9 +66,7 @@ class InnerChannel:
         number = next(self._numbers) % messages.MAX_NUMBER
         frame = messages.write(InnerRequest(number, operation, arguments))
         answer: asyncio.Future[Value] = asyncio.get_running_loop().create_future()
-        self._waiting[number] = (
-            answer  # taken out below, also where this is cancelled: else they would add up
-        )
+        self._waiting[number] = answer  # taken out below, also where this is cancelled
         try:
             async with asyncio.timeout(within):
                 self._writer.write(frame)
