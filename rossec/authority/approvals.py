@@ -2,8 +2,6 @@
 
 Only `sign` needs the authority's key. A request that nobody answers in time is not shown any more,
 and denied for good only when its node has sent many after it: a clock may be ahead for one look.
-Those of a node that has too many pending are denied. Two people may use the queue at the same time:
-an answer is recorded together with the grants it gives, or not at all.
 """
 
 import contextlib
@@ -27,7 +25,7 @@ from rossec.authority import requests
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, layout_of
 from rossec.authority.requests import GrantRequestStore, StoredRequest
-from rossec.authority.signing import OF_ALL, SKEW, SigningAuthority
+from rossec.authority.signing import OF_ALL, SKEW, SignedGrants, SigningAuthority
 from rossec.clock import seconds_left_today
 from rossec.errors import ConfigurationError
 
@@ -59,10 +57,7 @@ class Denial(NamedTuple):
 
 
 class ApprovalQueue:
-    """The pending grant requests at `now`, decided by `policy`.
-
-    `denied` are those that the last call of `pending` left out, each with the reason.
-    """
+    """`denied` are those that the last call of `pending` left out, each with the reason."""
 
     def __init__(self, home: AuthorityHome, policy: PolicyFile, now: int) -> None:
         self._home = home
@@ -77,7 +72,6 @@ class ApprovalQueue:
         self._store.close()
 
     def add_request(self, data: bytes) -> GrantRequest:
-        """Record one request, verified with the key its node was enrolled with."""
         named = peek_request(data).node
         row = self._store.valid_certificate(named, self._now)
         key = x509.load_der_x509_certificate(row.der).public_key()
@@ -109,7 +103,7 @@ class ApprovalQueue:
     def _decided(self) -> list[PendingApproval]:
         approvals: list[PendingApproval] = []
         self.denied = []
-        waiting: dict[str, int] = {}
+        waiting = Counter[str]()
         unanswered = self._requests.unanswered()
         counts = Counter(stored.request.node for stored in unanswered)
         for stored in unanswered:
@@ -117,7 +111,8 @@ class ApprovalQueue:
                 verdict = self._verdict(stored)
             except HintedError as error:
                 # Its identity may only have expired, by a clock that is ahead.
-                if not self._had_identity(stored) or self._is_for_good(stored, counts):
+                had_identity = bool(self._store.identities.valid(stored.request.node, stored.at))
+                if not had_identity or self._is_for_good(stored, counts):
                     self._requests.answer(stored, DENIED, str(error), self._now)
                 self.denied.append(Denial(stored, str(error)))
                 continue
@@ -126,7 +121,14 @@ class ApprovalQueue:
                 self._requests.answer(stored, DENIED, f"rule {rule.id}" if rule else "by default", self._now)
                 self.denied.append(Denial(stored, f"by {rule.reason}" if rule else _NO_RULE))
                 continue
-            if verdict.effect is Effect.PROMPT and (why := self._automatic_denial(stored, waiting)):
+            why, node = "", stored.request.node
+            if verdict.effect is Effect.PROMPT:
+                if self._now > stored.at + self._decider.policy.defaults.prompt_timeout:
+                    why = LATE
+                else:
+                    waiting[node] += 1
+                    why = TOO_MANY if waiting[node] > MAX_PENDING else ""
+            if why:
                 if why != LATE or self._is_for_good(stored, counts):
                     self._requests.answer(stored, DENIED, why, self._now)
                 self.denied.append(Denial(stored, why))
@@ -135,7 +137,6 @@ class ApprovalQueue:
         return approvals
 
     def chosen(self, beginning: str) -> list[PendingApproval]:
-        """The rights that wait for a person, of the one request whose id begins so."""
         found = [
             item
             for item in self.pending()
@@ -156,11 +157,12 @@ class ApprovalQueue:
         approvals: Iterable[PendingApproval],
         change: VerdictChange,
         reason: str,
-    ) -> list[tuple[Draft, bytes]]:
+    ) -> SignedGrants:
         """Sign the verdicts, modified by `change`; returns the grants with their drafts."""
         chosen = list(approvals)
         made = self.drafts(authority.domain, chosen, change)
         answers = GrantRequestStore(authority.store.database)
+        # Two people may use the queue at once: an answer is recorded with the grants it gives, or not at all.
         with authority.store.transaction():
             self._policy.check_unchanged()
             for approval in chosen:
@@ -170,11 +172,9 @@ class ApprovalQueue:
 
     def sign_each(
         self, authority: SigningAuthority, approvals: Iterable[PendingApproval], reason: str
-    ) -> tuple[list[tuple[Draft, bytes]], list[Denial]]:
-        """Sign what the policy allows; what cannot be in a grant is denied alone, and returned.
-
-        All together if that is possible, else each request alone, and of one each right.
-        """
+    ) -> tuple[SignedGrants, list[Denial]]:
+        """Sign what the policy allows; what cannot be in a grant is denied alone, and returned."""
+        # All together if that is possible, else each request alone, and of one each right.
         chosen = list(approvals)
         try:
             return self.sign(authority, chosen, lambda verdict: verdict, reason), []
@@ -187,7 +187,7 @@ class ApprovalQueue:
                 with contextlib.suppress(StoreError):  # it may have been answered meanwhile
                     self.deny(chosen[0], denial.reason)
                 return [], [denial]
-        signed, refused = list[tuple[Draft, bytes]](), list[Denial]()
+        signed, refused = SignedGrants(), list[Denial]()
         for part in _parts(chosen):
             found, left = self.sign_each(authority, part, reason)
             signed += found
@@ -197,10 +197,8 @@ class ApprovalQueue:
     def drafts(
         self, domain: str, approvals: Iterable[PendingApproval], change: VerdictChange
     ) -> list[tuple[Draft, str]]:
-        """The grants to sign for the verdicts, modified by `change`.
-
-        With the rules of those that the policy allows by itself.
-        """
+        """The grants to sign for the verdicts, modified by `change`."""
+        # With the rules of those that the policy allows by itself.
         groups: dict[str, list[Verdict]] = {}
         for approval in approvals:
             verdict = change(approve(approval.verdict))
@@ -219,22 +217,11 @@ class ApprovalQueue:
         subject = Subject(row.name, row.thumbprint, row.wildcard)
         return self._decider.decide(subject, stored.requested.right, stored.requested.pattern)
 
-    def _had_identity(self, stored: StoredRequest) -> bool:
-        # Whether its node has a key that is not revoked, and was valid when it asked.
-        return bool(self._store.identities.valid(stored.request.node, stored.at))
-
     def _is_for_good(self, stored: StoredRequest, counts: Counter[str]) -> bool:
         # Whether to record what only the clock says; else it comes back when that is set right.
         # `counts`: what has no answer yet, by node; oldest first, so the newest stay.
         counts[stored.request.node] -= 1
         return counts[stored.request.node] >= MAX_LATE
-
-    def _automatic_denial(self, stored: StoredRequest, waiting: dict[str, int]) -> str:
-        if self._now > stored.at + self._decider.policy.defaults.prompt_timeout:
-            return LATE
-        node = stored.request.node
-        waiting[node] = waiting.get(node, 0) + 1
-        return TOO_MANY if waiting[node] > MAX_PENDING else ""
 
 
 def _parts(approvals: list[PendingApproval]) -> list[list[PendingApproval]]:
@@ -245,7 +232,6 @@ def _parts(approvals: list[PendingApproval]) -> list[list[PendingApproval]]:
 
 
 def verdict_change(file: PolicyFile, coarse: str | None, now: int, *, only_today: bool) -> VerdictChange:
-    """How a person restricts a verdict: through the filter `coarse`, until midnight."""
     if coarse is not None and coarse not in {*file.policy.filters, *PRESETS}:
         known = ", ".join({**file.policy.filters, **PRESETS})
         raise ConfigurationError(f"no filter {coarse!r} in {file.path}", f"there are: {known}")

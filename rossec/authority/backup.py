@@ -1,12 +1,9 @@
 """Back up an authority into one file, and restore it without losing data by accident.
 
 What is in a backup, each part of rossec says that writes files, in its `OWNED`: a test holds every
-file of a home that has used all of them against this. A restore verifies the backup first, next to
-its target: the key opens and matches its certificate, the log verifies; code that it names is not
-run. An existing authority is replaced only if the operator names its trust domain, and in one step;
-newer log entries are lost only if the operator gives their number, and what it has revoked stays
-revoked. The backup lacks what was signed after it, so a new epoch of lists begins, and signed lists
-from the master or a node give back what is missing (`restored_lists`).
+file of a home that has used all of them against this. The backup lacks what was signed after it, so a
+new epoch of lists begins, and signed lists from the master or a node give back what is missing
+(`restored_lists`).
 """
 
 import contextlib
@@ -70,13 +67,8 @@ def undeclared(directory: Path) -> list[str]:
 
 
 def kept(directory: Path) -> dict[str, bytes]:
-    content: dict[str, bytes] = {}
-    for name in _files(directory):
-        found = owner(name)
-        if found is None or not found.kept or name == authority_home.RECORD:
-            continue
-        content[name] = read(directory, name)
-    return content
+    found = ((name, owner(name)) for name in _files(directory) if name != RECORD)
+    return {name: read(directory, name) for name, owned in found if owned is not None and owned.kept}
 
 
 def staying(directory: Path) -> list[str]:
@@ -91,11 +83,9 @@ def read(directory: Path, name: str) -> bytes:
 
 
 def restorable(content: Mapping[str, bytes]) -> tuple[dict[str, bytes], list[str]]:
-    """The files of a backup that are written, and the names of those that are left out.
-
-    A backup is of whoever made it: only what a part of rossec says is its own, and is kept in
-    backups, is written. An older version may have taken other files along from some places.
-    """
+    """The files of a backup that are written, and the names of those that are left out."""
+    # A backup is of whoever made it: only what a part of rossec says is its own, and is kept in backups, is
+    # written. An older version may have taken other files along from some places.
     found = {name: owner(name) for name in content}
     for name, owned in found.items():
         if owned is None and not _OLDER.fullmatch(name):
@@ -117,7 +107,6 @@ def _files(directory: Path) -> Iterable[str]:
             yield name
 
 
-_HINT: Final = "take another backup, and find out who made this one"
 _TAKE_OVER: Final = "only to revoke what a newer list revokes: rossec ca refresh --list FILE"
 
 
@@ -136,7 +125,7 @@ def back_up(home: AuthorityHome, passphrase: str) -> bytes:
     content = kept(home.path)
     with contextlib.closing(home.store()) as store:
         content[RECORD] = store.database.snapshot()
-    salt, nonce = (secrets.token_bytes(passphrases.SALT_SIZE), secrets.token_bytes(passphrases.NONCE_SIZE))
+    salt, nonce = map(secrets.token_bytes, (passphrases.SALT_SIZE, passphrases.NONCE_SIZE))
     return passphrases.seal(content, passphrase, salt=salt, nonce=nonce)
 
 
@@ -159,6 +148,7 @@ def restore(
     said = _Said(over, forget, needs_list and newest_list is None, policy_of_backup)
     target = home / "ca"
     with _staging_beside(target) as staging:
+        # 1. Written next to the target, where nothing uses it.
         content, left = restorable(passphrases.unseal(data, passphrase))
         uri = None
         if KEY_URI in content:
@@ -168,7 +158,9 @@ def restore(
             path = staging / name
             files.make_private_directory(path.parent)
             files.create(path, part, mode(name))
+        # 2. The key opens and is that of the certificate, the log and the newest list verify.
         authority = _open_verified(AuthorityHome(staging), secret or passphrase, uri)
+        # 3. What is newer than the backup is taken over, and the authority put in its place.
         newer = restored_lists.read_newer(authority, newest_list, entries, newest_domains)
         done = _put_in_place(authority, target, newer, said, now)
     return replace(done, left_out=tuple(left))
@@ -200,6 +192,7 @@ def _put_in_place(
     authority: SigningAuthority, target: Path, newer: NewerLists, said: _Said, now: int
 ) -> Restored:
     staging, size = AuthorityHome(authority.path), authority.store.log.head(now).size
+    # Neither a service nor a command may change what is compared, until it was replaced.
     with _locked(target):
         policy = "of the backup" if (staging.path / policyfile.NAME).exists() else ""
         if target.exists():
@@ -220,6 +213,7 @@ def _put_in_place(
         if (uri := staging.key_uri()) is not None:
             authority_home.trust(target.parent, uri.module)
         phones, ended, revived = _begin_anew(authority, size, newer, now)
+        # In one step: cut off before it, all is as it was (ADR 0050).
         if target.exists():
             paths = (target.with_name(f"ca.replaced.{number}") for number in count(now))
             files.replace_directory(staging.path, target, next(path for path in paths if not path.exists()))
@@ -230,6 +224,7 @@ def _put_in_place(
 
 def _open_verified(staging: AuthorityHome, secret: str, uri: KeyUri | None) -> SigningAuthority:
     try:
+        # Of modules only the one that the operator named is run (`backup-runs-code`).
         key = staging.load_key(secret, () if uri is None else (uri.module,))
         authority = staging.open(key)
         authority.store.log.audit(authority.signer.public_key)
@@ -242,7 +237,10 @@ def _open_verified(staging: AuthorityHome, secret: str, uri: KeyUri | None) -> S
         raise
     except (HintedError, ValueError) as error:
         reason = error if isinstance(error, HintedError) else "not exactly one certificate"
-        raise BackupRefused(f"the backup does not contain a valid authority: {reason}", _HINT) from error
+        raise BackupRefused(
+            f"the backup does not contain a valid authority: {reason}",
+            "take another backup, and find out who made this one",
+        ) from error
     return authority
 
 
@@ -276,7 +274,6 @@ def _keep_what_stays(target: Path, staging: Path, policy: str, said: _Said) -> s
 
 
 def _check_replacement(there: AuthorityHome, found: SigningAuthority, said: _Said) -> None:
-    # Refuse to replace an existing authority unless `said.over` and `said.forget` match.
     anchor, held = _read(there)
     if anchor.thumbprint != found.authority.anchor.thumbprint:
         raise BackupRefused(
@@ -289,6 +286,7 @@ def _check_replacement(there: AuthorityHome, found: SigningAuthority, said: _Sai
             f"there is an authority in {there.path}",
             f"{_TAKE_OVER}; to replace it with the backup: --over {there.domain}{listed}",
         )
+    # Newer entries of the log are lost only if the operator says how many; what was revoked stays revoked.
     backed = found.store.log.entries()
     shared = sum(1 for ours, theirs in zip(held, backed, strict=False) if ours == theirs)
     lost = held[shared:]
@@ -317,8 +315,8 @@ def _begin_anew(
 ) -> tuple[int, int, int]:
     # Returns how many passkeys and domains ended, and how many revocations came back.
     with authority.store.transaction():
-        # Note the restore, and end what the backup does not know enough of; returns how many passkeys.
-        # Of an invitation's uses some may have been taken since, a passkey may have been removed, an approval
+        # What the backup does not know enough of ends (`restored-approval`). Of an invitation's uses some
+        # may have been taken since, a passkey may have been removed, an approval
         # been carried out, and a request that was approved been denied.
         store = authority.store
         store.log_event(RESTORED, "record", f"from {entries} entries", now)

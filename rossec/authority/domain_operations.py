@@ -7,7 +7,6 @@ listed root and the admitted names say how far that counts; the grant binds the 
 recorded certificate a foreign name means nothing here.
 """
 
-import contextlib
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -65,7 +64,7 @@ class Domains:
 
     def changed(self, label: str, **changes: Any) -> ForeignDomain:
         # What the terms of a trusted domain would be; see `limit`.
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             return replace(store.domains.get(label).read(), **changes)
 
     def limit(self, label: str, **changes: Any) -> DomainList:
@@ -137,10 +136,8 @@ def holder(store: Store, alias: str, now: int) -> bytes:
 
 
 def unrevoked_keys(store: Store, root: bytes, alias: str) -> frozenset[bytes]:
-    """The keys of a foreign node that are recorded below the root key `root` and not revoked.
-
-    Also those of certificates that are not valid: keys live longer.
-    """
+    """The keys of a foreign node that are recorded below the root key `root` and not revoked."""
+    # Also those of certificates that are not valid: keys live longer.
     label, name = split(alias)
     known = store.domains.certificates(root)
     keys = frozenset(each.thumbprint for each in known if each.name == name)
@@ -183,7 +180,6 @@ def living_grants(store: Store, label: str, now: int) -> list[GrantRow]:
 
 
 def find_row(store: Store, label: str) -> DomainRow:
-    """The trusted domain with this label, or the last one that had it."""
     try:
         return store.domains.get(label)
     except DomainUnknown:

@@ -16,7 +16,7 @@ from grants.request import lasting_name
 from rossec import files
 from rossec.authority import domain_operations
 from rossec.authority.session import DEPOSIT_SECONDS, AuthoritySession, StatementCall
-from rossec.authority.signing import DELEGATIONS, SKEW
+from rossec.authority.signing import DELEGATIONS, SKEW, SignedGrants
 from rossec.errors import ConfigurationError, NotDelivered, PolicyIncomplete
 from rossec.home import NodeHome
 from rossec.peer_limits import printable
@@ -78,13 +78,11 @@ class Grants:
         may_narrow: int = 0,
         certificate: bytes = b"",
     ) -> SignedGrant:
-        """Sign a grant for the current key of `node`; the master may renew it for `renewal` s.
-
-        `node` may be an alias: `certificate` (PEM) names its key, else one recorded before. It is
-        never renewed: no master of this domain is asked by nodes of others.
-        """
+        """Sign a grant for the current key of `node`; the master may renew it for `renewal` s."""
+        # `node` may be an alias: `certificate` (PEM) names its key, else one recorded before. It is never
+        # renewed: no master of this domain is asked by nodes of others.
         at = self._session.now()
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             foreign, root = None, b""
             if is_alias(node) and certificate:
                 foreign, root = domain_operations.verify(store, node, certificate, at)
@@ -94,24 +92,14 @@ class Grants:
             else:
                 holder = store.valid_certificate(node, at).thumbprint
         authority, at = self._session.unlock(), self._session.now()
-        draft = Draft(
-            domain=authority.domain,
-            subject=node,
-            holder=holder,
-            not_before=at - SKEW,
-            expires=at + lifetime,
-            cap=at + max(lifetime, renewal),
-            serial=secrets.token_bytes(16),
-            permissions=permissions,
-            may_narrow=may_narrow,
-        )
+        span, serial = (at - SKEW, at + lifetime, at + max(lifetime, renewal)), secrets.token_bytes(16)
+        draft = Draft(authority.domain, node, holder, *span, serial, permissions, may_narrow=may_narrow)
         if foreign is not None:
             authority.store.domains.add_certificate(root, foreign, at)
         return draft, authority.issue_grant(draft, at)
 
     def revoke(self, beginning: str, reason: str) -> tuple[RevocationList, bytes]:
-        """Revoke the one grant whose id begins so; returns the list to publish, and the id."""
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             known = [row.id for row in store.grants()]
         found = [each for each in known if beginning and each.hex().startswith(beginning.lower())]
         if len(found) != 1:
@@ -122,7 +110,6 @@ class Grants:
     def delegate(
         self, lifetime: int, max_ttl: int, master: str = MASTER
     ) -> tuple[OpenDelegation, StatementCall]:
-        """Let `master` renew grants: sign the delegation, which is to be delivered to it."""
         authority, at = self._session.unlock(), self._session.now()
         holder = authority.store.valid_certificate(master, at).thumbprint
         data = authority.issue_delegation(holder, lifetime, max_ttl, at)
@@ -164,7 +151,21 @@ class Grants:
             if not is_alias(document.peek(data).subject):
                 everything.append(data)
         for batch in _batches(everything):
-            refused += self._deposit_with_list(batch)
+            here = self._deposit(batch)
+            if not here:
+                continue
+            try:
+                lacks_list = not self._session.master_has_list()
+                if lacks_list:
+                    self._session.publish()
+            except (ConfigurationError, NotDelivered) as error:
+                hint = f"{error.hint}; {_AFTERWARDS}" if error.hint else _AFTERWARDS
+                refused += [each._replace(hint=hint) for each in here]
+                continue
+            if lacks_list:
+                ids = {each.grant_id for each in here}
+                here = self._deposit([data for data in batch if document.grant_id(data) in ids])
+            refused += here
         return refused
 
     def try_to_store(self, data: bytes) -> RefusedDeposit | None:
@@ -183,12 +184,8 @@ class Grants:
     def deposit_missing(self) -> tuple[int, list[RefusedDeposit]]:
         # Deposit every grant in force that the master does not have.
         # Returns how many it has now besides, and those it refuses or that cannot be stored here.
-        states = self.delivery_states(within=DEPOSIT_SECONDS)
-        missing = [
-            data
-            for grant, data in self._in_force()
-            if not states.get(grant.id) and not is_alias(grant.subject)
-        ]
+        states, found = self.delivery_states(within=DEPOSIT_SECONDS), self._in_force()
+        missing = [data for grant, data in found if not states.get(grant.id) and not is_alias(grant.subject)]
         refused = self.deposit(missing)
         return len(missing) - sum(not each.is_here for each in refused), refused
 
@@ -215,37 +212,21 @@ class Grants:
 
     def _in_force(self) -> Iterator[tuple[Grant, bytes]]:
         now = self._session.now()
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             rows, revoked = store.grants(), store.revoked_entries()
         for row in rows:
             grant = document.peek(row.data)
             if now < grant.cap and revoked.isdisjoint((grant.id, grant.holder)):
                 yield grant, row.data
 
-    def _deposit_with_list(self, batch: list[bytes]) -> list[RefusedDeposit]:
-        refused = self._deposit(batch)
-        if not refused:
-            return []
-        try:
-            lacking = not self._session.master_has_list()
-            if lacking:
-                self._session.publish()
-        except (ConfigurationError, NotDelivered) as error:
-            hint = f"{error.hint}; {_AFTERWARDS}" if error.hint else _AFTERWARDS
-            return [each._replace(hint=hint) for each in refused]
-        if not lacking:
-            return refused
-        ids = {each.grant_id for each in refused}
-        return self._deposit([data for data in batch if document.grant_id(data) in ids])
-
     def _deposit(self, batch: list[bytes]) -> list[RefusedDeposit]:
+        refused = []
         reasons = self._ask("rossec.depositGrants", batch, DEPOSIT_SECONDS)
-        return [
-            RefusedDeposit(grant.id, grant.subject, printable(reason), hint=_AFTERWARDS)
-            for data, reason in zip(batch, reasons, strict=True)
-            if reason
-            for grant in (document.peek(data),)
-        ]
+        for data, reason in zip(batch, reasons, strict=True):
+            if reason:
+                grant = document.peek(data)
+                refused.append(RefusedDeposit(grant.id, grant.subject, printable(reason), hint=_AFTERWARDS))
+        return refused
 
 
 def require_delivered(refused: Iterable[RefusedDeposit]) -> None:
@@ -270,7 +251,7 @@ def _batches(grants: Iterable[bytes]) -> Iterator[list[bytes]]:
 
 
 class Decided(NamedTuple):
-    grants: list[SignedGrant]
+    grants: SignedGrants
     allowed: int
     waiting: int
     denied: "list[Denial]"
@@ -308,7 +289,7 @@ class PolicyWork:
             denied = [*queue.denied, *refused]
             return Decided(grants, len(allowed) - len(refused), waiting, denied)
 
-    def approve(self, policy: "PolicyFile", beginning: str, change: "VerdictChange") -> list[SignedGrant]:
+    def approve(self, policy: "PolicyFile", beginning: str, change: "VerdictChange") -> SignedGrants:
         # Approve the one pending request whose id begins so, and sign its grants.
         with self._queue(policy) as queue:
             chosen = queue.chosen(beginning)
@@ -326,7 +307,7 @@ class PolicyWork:
         # An anonymous node is denied with all others of its identity: a rule tells them not apart.
         from rossec.authority.policyfile import add_denial  # noqa: PLC0415 - see above
 
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             known = name in {row.name for row in store.identities.all()}
             certified = store.identities.certified_name(name, self._session.now())
         if certified != name and (is_node or lasting_name(name) != name):
@@ -357,13 +338,13 @@ class PolicyWork:
         from rossec.authority.policyfile import PlanOptions, make_plan  # noqa: PLC0415 - see above
 
         policy.require_tests()
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             at = self._session.now()
             until = self._session.home.renewed_until(at)
             moment = Moment(at, SKEW, renews=at < until, renew_due=renew_due, renewed_until=until or None)
             return make_plan(store, policy, PlanOptions(names, prune), moment)
 
-    def grant_outright(self, *names: str, place: Path | None = None) -> list[SignedGrant]:
+    def grant_outright(self, *names: str, place: Path | None = None) -> SignedGrants:
         # `place`: of its file; None: the usual one. What it no longer allows waits for `apply`.
         from rossec.authority import policyfile  # noqa: PLC0415 - see above
 
@@ -380,20 +361,22 @@ class PolicyWork:
             self._session.unlock(), policy, names, at, renewed_until=until or None
         )
 
-    def apply(self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None) -> list[SignedGrant]:
+    def apply(self, plan: "PolicyPlan", report: Callable[[str], None] = lambda _: None) -> SignedGrants:
         # `report` is called with each step that was done. Returns the new grants.
-
         from rossec.authority import policyfile  # noqa: PLC0415 - see above
 
         authority, failed = self._session.unlock(), list[HintedError | OSError]()
+        # 1. What is only taken away goes first: it waits for nothing.
         listed, left = policyfile.take_away(authority, plan, self._session.now())
         if listed is not None:
             report(f"revoked: {len(plan.taken)} (list {listed.seq})")
             self._publish_new(report, failed)
+        # 2. What is new is signed and delivered.
         signed, left = policyfile.sign_each(authority, left, self._session.now())
         if signed:
             report(f"signed: {len(signed)}")
         refused = self._deliver_new(signed, left, failed)
+        # 3. What that replaces goes, and what is not allowed, whether or not the new ones were delivered.
         listed = policyfile.revoke_planned(authority, left, self._session.now())
         if listed is not None:
             report(f"revoked: {len(left.revoke)} (list {listed.seq})")
@@ -420,7 +403,7 @@ class PolicyWork:
             report("the master has the new list")
 
     def complete(self) -> None:
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             ours, revoked = store.policy_grants().keys(), store.revoked_entries()
         refused = self._deposit_all() if ours else []
         if not revoked.isdisjoint(ours):
@@ -428,11 +411,10 @@ class PolicyWork:
         require_delivered(refused)
 
     def _deliver_new(
-        self, signed: list[SignedGrant], plan: "PolicyPlan", failed: list[HintedError | OSError]
+        self, signed: SignedGrants, plan: "PolicyPlan", failed: list[HintedError | OSError]
     ) -> list[RefusedDeposit]:
-        # What is not allowed is revoked all the same.
-        # Before a revocation, also those that an interrupted command signed. A node of this ROSSEC_HOME has
-        # its grants as files, also while no master runs.
+        # Before a revocation, also those that an interrupted command signed: they replace what goes. A node
+        # of this ROSSEC_HOME has its grants as files, also while no master runs.
         try:
             if plan.revoke:
                 return self._deposit_all()
@@ -446,7 +428,7 @@ class PolicyWork:
         return []
 
     def _deposit_all(self) -> list[RefusedDeposit]:
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             rules, rows = store.policy_grants(), store.unrevoked_grants()
         refused = []
         for row in rows:

@@ -24,7 +24,7 @@ from ca.keys import private_keys
 from ca.keys.private_keys import KeyUri, TokenSigner
 from ca.keys.signing import KeySigner, Signer
 from ca.names import check_domain
-from ca.revocation.lists import MAX_TREE_ENTRIES_SIZE, TreeEntries, is_tree, open_tree
+from ca.revocation.lists import is_tree, open_tree
 from ca.store.record import Store
 from rossec import environment, files
 from rossec.authority import signing
@@ -38,7 +38,7 @@ _MAX: Final = 64 * 1024
 
 def trusted(home: Path) -> frozenset[str]:
     """The modules that were named for ROSSEC_HOME `home`; none is named without the file."""
-    if not exists(home):
+    if not (home / FILE).is_symlink() and not (home / FILE).exists():
         return frozenset()
     missing = ConfigurationError(f"there is no {FILE} any more", "do it again")
     data = files.read_own(home / FILE, _MAX, missing)
@@ -47,10 +47,6 @@ def trusted(home: Path) -> frozenset[str]:
     except UnicodeDecodeError:
         raise ConfigurationError(f"{home / FILE} is not UTF-8", "write one absolute path a line") from None
     return frozenset(line.strip() for line in lines if line.startswith("/"))
-
-
-def exists(home: Path) -> bool:
-    return (home / FILE).is_symlink() or (home / FILE).exists()
 
 
 def trust(home: Path, module: str) -> None:
@@ -69,15 +65,6 @@ def check_absolute(module: str) -> None:
             f"{module!a} is not the absolute path of a PKCS#11 module",
             "a relative one is another file in each directory: write it from the root",
         )
-
-
-def require(uri: KeyUri, modules: Collection[str], home: Path) -> KeyUri:
-    if uri.module not in modules:
-        raise TokenRefused(
-            f"the key is in a token behind {uri.module!a}, a module that is not trusted here",
-            f"if you know it, write its path into {home / FILE}",
-        )
-    return uri
 
 
 def restored_uri(data: bytes, home: Path, named: str | None) -> KeyUri:
@@ -103,7 +90,6 @@ OWNED: Final = (
     files.Owned(r"ca\.pem", public=True),
     files.Owned(r"ca\.db"),  # as a snapshot
     files.Owned(r"ca\.db-(?:wal|shm|journal)", kept=False),
-    files.Owned(r"revocations\.entries"),  # an older version had those of a tree outside the record
     files.Owned(r"audit\.log[^/]{0,120}", kept=False),  # of one host, and larger than a backup
 )
 _MAX_URI: Final = 4096
@@ -134,11 +120,9 @@ class AuthorityHome:
 
     @classmethod
     def create(cls, home: Path, domain: str, passphrase: str, now: int, uri: KeyUri | None = None) -> Self:
-        """Create a new authority with its own node `/ca` and an empty revocation list.
-
-        Its key is in a file encrypted with `passphrase`; with `uri` it is generated in that token,
-        and `passphrase` is the PIN.
-        """
+        """Create a new authority with its own node `/ca` and an empty revocation list."""
+        # Its key is in a file encrypted with `passphrase`; with `uri` it is generated in that token, and
+        # `passphrase` is the PIN.
         path = cls.check_new(home)
         check_domain(domain)
         key = private_keys.generate()
@@ -149,7 +133,14 @@ class AuthorityHome:
         # In a temporary directory: an interrupted creation leaves nothing at `path`.
         staging = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
         try:
-            _build(staging, signer, root, now)
+            files.make_private_directory(staging)
+            with contextlib.closing(Store.create(staging / RECORD)) as store:
+                unlocked = SigningAuthority(Authority(signer, root), store, staging)
+                unlocked.sign_list(now)
+                own = NodeHome(staging / NODE, OWN_NODE)
+                own.create_request(domain)
+                own.install(unlocked.issue(own.request(), now, OWN_LIFETIME), now)
+            files.create(staging / "ca.pem", to_pem(root), 0o644)
             if uri is None:
                 private_keys.write_private(staging / "ca.key", key, passphrase)
             else:
@@ -184,16 +175,18 @@ class AuthorityHome:
         return SigningAuthority(authority, self.store(), self.path)
 
     def load_key(self, secret: str, modules: Collection[str] | None = None) -> Signer:
-        """The key: in a file that `secret` decrypts, or in the token for which it is the PIN.
-
-        `modules`: those of PKCS#11 that the operator named; by default those named for the home.
-        """
+        """The key: in a file that `secret` decrypts, or in the token for which it is the PIN."""
+        # `modules`: those of PKCS#11 that the operator named; by default those named for the home.
         uri = self.key_uri()
         if uri is None:
             return KeySigner(private_keys.load_private(self.path / "ca.key", secret))
         home = self.path.parent
-        known = self._modules(uri) if modules is None else modules
-        return TokenSigner.open(require(uri, known, home), secret)
+        if uri.module not in (trusted(home) if modules is None else modules):
+            raise TokenRefused(
+                f"the key is in a token behind {uri.module!a}, a module that is not trusted here",
+                f"if you know it, write its path into {home / FILE}",
+            )
+        return TokenSigner.open(uri, secret)
 
     def key_uri(self) -> KeyUri | None:
         path = self.path / KEY_URI
@@ -201,15 +194,6 @@ class AuthorityHome:
             return None
         data = files.read_own(path, _MAX_URI, ConfigurationError(f"no {KEY_URI}"))
         return KeyUri.parse(data.decode(errors="replace").strip())
-
-    def _modules(self, uri: KeyUri) -> Collection[str]:
-        home = self.path.parent
-        if not exists(home):
-            with contextlib.closing(self.store()) as store:
-                is_restored = store.log.last_restore() >= 0
-            if not is_restored:  # an older version made it here
-                trust(home, uri.module)
-        return trusted(home)
 
     @property
     def is_intermediate(self) -> bool:
@@ -236,30 +220,23 @@ class AuthorityHome:
     def newest_statement(self) -> tuple[bytes, bytes]:
         """The newest signed list, or tree and its entries; a list has none."""
         data = self.revocation_list()
-        return data, self._tree_entries(data) if is_tree(data) else b""
-
-    def _tree_entries(self, data: bytes) -> bytes:
+        if not is_tree(data):
+            return data, b""
         tree = open_tree(data, self.anchor().public_key)
-        with contextlib.suppress(RevocationRefused):
-            return signing.tree_entries(self.store(), tree).encoded()
-        # Written by an older version, which stored them outside the record.
-        missing = ConfigurationError("the entries of the tree are missing", "rossec ca refresh")
-        data = files.read_own(self.path / ENTRIES, MAX_TREE_ENTRIES_SIZE, missing)
-        TreeEntries.read(data).check(tree)
-        return data
+        try:
+            return data, signing.tree_entries(self.store(), tree).encoded()
+        except RevocationRefused:  # something was revoked since, and no list signed yet
+            raise ConfigurationError("the entries of the tree are missing", "rossec ca refresh") from None
 
     def domain_list(self) -> tuple[bytes, DomainList] | None:
-        """The newest signed list of domains, and what it says; None: there is none."""
         with contextlib.closing(self.store()) as store:
             data = store.domains.newest_list()
         return (data, open_domains(data, self.anchor())) if data else None
 
     def renewed_until(self, now: int) -> int:
-        """Until when grants are renewed whichever master their nodes ask, seconds; 0: they are not.
-
-        Each valid master needs a delegation to its present key that it has confirmed to have: what
-        was only signed, or is another master's, renews nothing.
-        """
+        """Until when grants are renewed whichever master their nodes ask, seconds; 0: they are not."""
+        # Each valid master needs a delegation to its present key that it has confirmed to have: what was
+        # only signed, or is another master's, renews nothing.
         given = [item for item in delegations(self.path, self.own_key()) if now < item.expires]
         if not given:
             return 0
@@ -273,26 +250,13 @@ class AuthorityHome:
         return min((until.get(key, 0) for key in keys.values()), default=0)
 
     def confirm_delegation(self, delegation: bytes, now: int) -> None:
-        """Record that the master has the delegation with this id: it answered so."""
         with contextlib.closing(self.store()) as store:
             store.log_event(DELIVERED, delegation.hex(), "the master has the delegation", now)
 
     def count_unlisted(self, now: int) -> int:
-        """The number of recorded revocations that are not in the signed list."""
         if self.is_intermediate:
             return 0
         return len(signing.missing_entries(self.store(), self.anchor().public_key, now))
-
-
-def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:
-    files.make_private_directory(path)
-    with contextlib.closing(Store.create(path / RECORD)) as store:
-        unlocked = SigningAuthority(Authority(signer, root), store, path)
-        unlocked.sign_list(now)
-        own = NodeHome(path / NODE, OWN_NODE)
-        own.create_request(unlocked.domain)
-        own.install(unlocked.issue(own.request(), now, OWN_LIFETIME), now)
-    files.create(path / "ca.pem", to_pem(root), 0o644)
 
 
 def fingerprint(anchor: TrustAnchor) -> str:
@@ -300,16 +264,13 @@ def fingerprint(anchor: TrustAnchor) -> str:
 
 
 def format_fingerprint(thumbprint: bytes) -> str:
-    """The fingerprint of a key for people: half its thumbprint, in groups of four.
-
-    128 bits are enough: an attacker needs a second preimage, not a collision.
-    """
+    """The fingerprint of a key for people: half its thumbprint, in groups of four."""
+    # 128 bits are enough: an attacker needs a second preimage, not a collision.
     digits = thumbprint.hex()
     return " ".join(digits[start : start + 4] for start in range(0, 32, 4))
 
 
 def check_new(node: NodeHome) -> None:
-    """Return if `node` has nothing in this ROSSEC_HOME yet."""
     if node.path.exists():
         raise ConfigurationError(
             f"{node.name} is in {node.path} already",
@@ -318,7 +279,6 @@ def check_new(node: NodeHome) -> None:
 
 
 def enroll_here(authority: SigningAuthority, node: NodeHome, now: int) -> int:
-    """Make the key of `node`, sign its identity and install it; returns when it expires."""
     check_new(node)
     node.create_request(authority.domain)
     bundle = authority.issue(node.request(), now, LIFETIME, source="this host")

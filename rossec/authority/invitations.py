@@ -2,12 +2,10 @@
 
 The code exists only where it is printed. What is recorded is the public half of the key in it, so
 neither the record nor a backup lets anybody join, and making one needs no key of the authority.
-
-The proof is verified first, over hashes: a stranger's request is not parsed. Then one transaction
-decides by the record and changes it, or nothing is done. The same request gets the same answer.
 """
 
 import secrets
+from contextlib import closing
 from hashlib import sha256
 from typing import Final, NamedTuple
 
@@ -45,26 +43,29 @@ _REASONS: Final[tuple[tuple[type[CAError], RefuseReason], ...]] = (
     (NameCovered, RefuseReason.NAME),
     (TooManyRequests, RefuseReason.BUSY),
 )
-_OTHER: Final = RefuseReason.DENIED  # a revoked key, an identity that is not valid any more
 
 
 def join(authority: SigningAuthority, request: JoinRequest, now: int) -> JoinAnswer:
+    # 1. The proof, over hashes: until it is verified, a stranger's request is not parsed.
     invitation = _proved(authority.store, request)
     if invitation is None:
         return RefusedMessage(RefuseReason.REFUSED)
     try:
+        # 2. What is asked is what was proved, and within the invitation.
         found = check_request(request.csr, authority.domain, wildcard=invitation.wildcard)
         if found.name != request.name or found.wildcard != invitation.wildcard:
             raise RequestRefused("the request is not the one that was proved")
         if is_reserved(found.name) or not pattern_covers(invitation.pattern, found.name):
             raise NameRefused(f"the invitation is not for {found.name}")
-        asked = found
+        # 3. One transaction decides by the record and changes it, or nothing is done.
         with authority.store.transaction():
-            return _decide(authority, invitation, asked, request.csr, now)
+            return _decide(authority, invitation, found, request.csr, now)
     except RecordUnusable:
         raise
     except (StoreError, InvitationRefused, RequestRefused, NameRefused) as error:
-        return RefusedMessage(_reason(error))
+        # What has no reason of its own: a revoked key, an identity that is not valid any more.
+        reasons = (reason for kind, reason in _REASONS if isinstance(error, kind))
+        return RefusedMessage(next(reasons, RefuseReason.DENIED))
 
 
 def join_locked(store: Store, request: JoinRequest, now: int) -> JoinAnswer:
@@ -81,11 +82,9 @@ def join_locked(store: Store, request: JoinRequest, now: int) -> JoinAnswer:
 
 
 def allowed_pattern(store: Store, asked: JoinClaim | JoinRequest, now: int) -> str | RefusedMessage:
-    """The pattern of the invitation whose secret `asked` proves, or why it is not answered.
-
-    What a node says of itself may be looked at only then. An invitation that somebody has joined by
-    is answered also after its end, as that may be the node which asks: it may have lost its answer.
-    """
+    """The pattern of the invitation whose secret `asked` proves, or why it is not answered."""
+    # What a node says of itself may be looked at only then. An invitation that somebody has joined by is
+    # answered also after its end, as that may be the node which asks: it may have lost its answer.
     invitation = _proved(store, asked)
     if invitation is None:
         return RefusedMessage(RefuseReason.REFUSED)
@@ -126,6 +125,7 @@ def _decide(
             return _repeated(row)
         if row is None and _needs_person(authority, asked, now):
             store.invitations.check_open(invitation.id, now)
+            # The record has room for few requests that wait, and one code must not fill it.
             if sum(each.source == origin for each in store.requests.open(now)) >= MAX_WAITING:
                 return RefusedMessage(RefuseReason.BUSY)
             return _repeated(store.requests.add(asked, csr, origin, now))
@@ -164,10 +164,6 @@ def _needs_person(authority: SigningAuthority, asked: IdentityRequest, now: int)
     return any(waiting) or bool(store.identities.ever_shared(name, key, shared))
 
 
-def _reason(error: CAError) -> RefuseReason:
-    return next((reason for kind, reason in _REASONS if isinstance(error, kind)), _OTHER)
-
-
 MAX_USES: Final = 10_000
 
 
@@ -201,19 +197,14 @@ def invite(
     *,
     wildcard: bool = False,
 ) -> InvitationCode:
-    """Record an invitation for `uses` new names within `pattern`; returns its code, a secret."""
     check_invitation(pattern, wildcard=wildcard)
     code, row = make_invitation(home, pattern, uses, expires, address, now, wildcard=wildcard)
-    store = home.store()
-    try:
+    with closing(home.store()) as store:
         store.invitations.add(row)
-    finally:
-        store.close()
     return code
 
 
 def check_invitation(pattern: str, *, wildcard: bool) -> None:
-    """Return if there can be an invitation for names within `pattern`."""
     check_pattern(pattern)
     if wildcard and "*" not in pattern:
         check_wildcard(check_name(pattern))
@@ -249,10 +240,8 @@ def find(store: Store, beginning: str) -> InvitationStatus:
 
 
 def end(store: Store, invitation: InvitationStatus, reason: str, now: int) -> int:
-    """End an invitation, and deny what waits because of it; returns their number.
-
-    Also what a person approved while the key was locked, and is not issued yet.
-    """
+    """End an invitation, and deny what waits because of it; returns their number."""
+    # Also what a person approved while the key was locked, and is not issued yet.
     with store.transaction():
         store.invitations.end(invitation.row.id, reason, now)
         waiting = [row for row in store.requests.open(now) if row.source == source(invitation.row)]
@@ -264,10 +253,8 @@ def end(store: Store, invitation: InvitationStatus, reason: str, now: int) -> in
 def revoke_nodes(
     authority: SigningAuthority, invitation: InvitationStatus, reason: str, now: int
 ) -> tuple[RevocationList | None, list[str]]:
-    """Revoke every key of the names that joined by an invitation; returns the list, and the names.
-
-    A key that a node has renewed since is one of them. Without any there is no new list.
-    """
+    """Revoke every key of the names that joined by an invitation; returns the list, and the names."""
+    # A key that a node has renewed since is one of them. Without any there is no new list.
     with authority.store.transaction():
         names = sorted({use.name for use in authority.store.invitations.uses(invitation.row.id)})
         keys = {name: authority.store.unrevoked_keys(name, now) for name in names}

@@ -16,7 +16,10 @@ _Stamp = tuple[tuple[int, int, int], ...]
 
 
 class LocalList:
-    """The authority in the ROSSEC_HOME `home`; an intermediate signs no lists."""
+    """The authority in the ROSSEC_HOME `home`; an intermediate signs no lists.
+
+    `..._if_changed`: nothing, unless the record was written since the last call.
+    """
 
     def __init__(self, home: Path) -> None:
         self._home = home
@@ -24,7 +27,6 @@ class LocalList:
         self._seen_domains: _Stamp = ()
 
     def newest(self) -> tuple[bytes, bytes] | None:
-        """The newest list or tree, with the entries of a tree; None: there is no authority."""
         authority = self._authority()
         if authority is None:
             return None
@@ -34,11 +36,9 @@ class LocalList:
         return found
 
     def newest_if_changed(self) -> tuple[bytes, bytes] | None:
-        """As `newest`, if the record was written since the last call."""
         return self.newest() if self._stamp() != self._seen else None
 
     def domains(self) -> bytes:
-        """The newest list of domains; empty: there is no authority, or it has signed none."""
         authority = self._authority()
         if authority is None:
             return b""
@@ -48,7 +48,6 @@ class LocalList:
         return b"" if found is None else found[0]
 
     def domains_if_changed(self) -> bytes:
-        """As `domains`, if the record was written since the last call; else empty."""
         return self.domains() if self._stamp() != self._seen_domains else b""
 
     def _authority(self) -> "AuthorityHome | None":

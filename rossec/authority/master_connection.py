@@ -17,12 +17,10 @@ from rossec.ros import names
 async def master_connection(
     own: Credentials, anchor: TrustAnchor, uri: str, suites: tuple[int, ...], deadline: float = CALL_DEADLINE
 ) -> AsyncIterator[RpcClient]:
-    """A connection to the master at `uri`, with the identity `own`, under the root `anchor`.
-
-    Any master of the own domain will do: what is delivered is signed, and who calls names a URI.
-    Those of other domains are not, so that the list of them is not needed here. `deadline`: seconds
-    for a call, some of which wait.
-    """
+    """A connection to the master at `uri`, with the identity `own`, under the root `anchor`."""
+    # Any master of the own domain will do: what is delivered is signed, and who calls names a URI. Those of
+    # other domains are not, so that the list of them is not needed here. `deadline`: seconds for a call,
+    # some of which wait.
     host, port = names.parse_uri(uri, "the master's URI")
     context = SecureContext(
         own,

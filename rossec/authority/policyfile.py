@@ -1,14 +1,10 @@
 """The policy file of an authority, the plan to put it in force, and the plan carried out.
 
-Without a file there is no policy, and it permits nothing. A plan changes nothing; the record is the
-authority's own, so its grants are read without verifying their signatures again. `/ca` and
-`/master` act by their identity and get none; the grants of other keys only lose what the policy no
-longer allows.
+Without a file there is no policy, and it permits nothing. A plan changes nothing.
 
 Carried out, what is only taken away goes first; then what is new is signed, and what that replaces
 goes, so that no node is without what it keeps. Each step is one transaction: cut off between the
-last two, the next plan finds the new ones exact, and what is left is to revoke the old. A plan made
-from another record, or by another policy, than there is now does nothing.
+last two, the next plan finds the new ones exact, and what is left is to revoke the old.
 """
 
 import secrets
@@ -38,7 +34,7 @@ from grants.policy.wanted import WantedRight, WantedState, rule_ids
 from rossec import files
 from rossec.authority import domain_operations, signing
 from rossec.authority.home import AuthorityHome
-from rossec.authority.signing import CLOCK_SKEW, OF_ALL, SKEW, SigningAuthority
+from rossec.authority.signing import CLOCK_SKEW, OF_ALL, SKEW, SignedGrants, SigningAuthority
 from rossec.errors import ConfigurationError
 from rossec.participant.host_types import definition_of, layout_of
 from rossec.participant.message_types import type_names
@@ -70,7 +66,6 @@ class PolicyFile:
         return cls(path, text, parse_policy(text, str(path)))
 
     def replace(self, text: str) -> "PolicyFile":
-        """Replace the text, which is checked first: a policy with mistakes is never written."""
         policy = parse_policy(text, str(self.path))
         with files.locked_directory(self.path.parent):
             if self.path.exists():  # otherwise it is a new file
@@ -99,7 +94,6 @@ class PolicyFile:
 
 
 def place(home: Path, given: Path | None) -> Path:
-    """The path of the policy: as given, else next to the authority's key."""
     return given if given is not None else home / "ca" / NAME
 
 
@@ -122,10 +116,8 @@ _OVER: Final = "apply it in parts (--node NAME), or wait until revoked grants ha
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """What is asked of a plan.
-
-    `names`: only these nodes; None for all. `prune`: revoke grants made by hand against a denial;
-    what else they allow is granted anew.
+    """`names`: only these nodes; None for all. `prune`: revoke grants made by hand against a denial; what
+    else they allow is granted anew.
     """
 
     names: Collection[str] | None = None
@@ -134,11 +126,9 @@ class PlanOptions:
 
 @dataclass(frozen=True)
 class PolicyPlan:
-    """What applying a policy would do.
-
-    `pruned`: grants made by hand that go, each with what it allows and the policy does not deny.
-    `entries`: of the log of the record from which it was made. `listed`: the number of entries of
-    the revocation list afterwards; 0 if nothing is revoked.
+    """`pruned`: grants made by hand that go, each with what it allows and the policy does not deny.
+    `entries`: of the log of the record from which it was made. `listed`: the number of entries of the
+    revocation list afterwards; 0 if nothing is revoked.
     """
 
     policy: PolicyFile
@@ -194,54 +184,39 @@ class PolicyPlan:
         return min((node.ends for node in self.nodes if node.ends is not None), default=None)
 
     def effect(self, domain: str) -> bytes:
-        """The digest of what it signs and revokes; plans that do the same have the same, whenever.
-
-        SHA-256 of the CBOR of the claims of its grants, as if they were signed at the time `SKEW`
-        with serials of zeros by a key with a thumbprint of zeros, and of the ids that it revokes.
-        """
+        """The digest of what it signs and revokes; plans that do the same have the same, whenever."""
+        # SHA-256 of the CBOR of the claims of its grants, as if they were signed at the time `SKEW` with
+        # serials of zeros by a key with a thumbprint of zeros, and of the ids that it revokes.
         drafts = self.drafts(domain, CLOCK_SKEW, lambda: bytes(ID_SIZE))
         signs: list[Value] = [[document.from_draft(draft, bytes(KEY_SIZE)), rules] for draft, rules in drafts]
         revokes: list[Value] = [*sorted(grant.id for grant in self.revoke)]
         return sha256(encode([signs, revokes])).digest()
 
     def drafts(self, domain: str, now: int, serial: Callable[[], bytes]) -> Iterator[tuple[Draft, str]]:
-        """The grants to sign at `now`, each with the rules it comes from."""
         for node in self.nodes:
             for group in node.sign:
                 yield _draft(domain, node.subject, group, now, serial())
         for grant, left in self.pruned:
             if left and now < grant.expires:
-                draft = Draft(
-                    domain,
-                    grant.subject,
-                    grant.holder,
-                    grant.not_before,
-                    grant.expires,
-                    grant.cap,
-                    serial(),
-                    left,
-                )
-                yield draft, ""
+                who, span = (grant.subject, grant.holder), (grant.not_before, grant.expires, grant.cap)
+                yield Draft(domain, *who, *span, serial(), left), ""
 
 
 def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Moment) -> PolicyPlan:
-    """Compare what `policy` allows outright with the grants in the record.
-
-    A node that cannot get all of it, or has more to lose than a list has room for, is among its
-    `refused`, and changes nothing for the others.
-    """
+    """Compare what `policy` allows outright with the grants in the record."""
+    # A node that cannot get all of it, or has more to lose than a list has room for, is among its
+    # `refused`, and changes nothing for the others.
     state = WantedState(policy.decider)
     with store.database.read_transaction():
         names = options.names
         revoked, rules = store.revoked_entries(), store.policy_grants(names)
-        found: dict[_Holder, list[RecordedGrant]] = {}
+        recorded: dict[_Holder, list[RecordedGrant]] = {}
         for row in store.unrevoked_grants(names):
-            grant = document.peek(row.data)
+            grant = document.peek(row.data)  # not verified again: the record is the authority's own
             if moment.now < grant.cap and grant.holder not in revoked:
-                of = found.setdefault((grant.subject, grant.holder), [])
+                of = recorded.setdefault((grant.subject, grant.holder), [])
                 of.append(RecordedGrant(grant, rules.get(row.id, "")))
-        recorded = found
-        getting = _subjects(store, options.names, moment.now)
+        getting = _subjects(store, names, moment.now)
         nodes = tuple(
             difference(
                 state, getting.get(each, Subject(*each)), recorded.get(each, ()), moment, gets=each in getting
@@ -250,7 +225,17 @@ def make_plan(store: Store, policy: PolicyFile, options: PlanOptions, moment: Mo
         )
         pruned = tuple(_pruned(nodes)) if options.prune else ()
         plan = PolicyPlan(policy, options, moment, nodes, pruned, store.log.head(0).size)
-        return _measured(store, plan)
+        gone = {grant.id for grant in plan.revoke}
+        if not gone:
+            return plan
+        listed = len(signing.required_entries(store, moment.now) | gone)
+    # A list that is longer could not be signed: then no revocation at all could be put in force.
+    if listed <= MAX_LEAVES:
+        return replace(plan, listed=listed)
+    why = f"a list has room for {MAX_LEAVES} revocations, this would make {listed}"
+    if plan.pruned:
+        raise RevocationRefused(why, _OVER)
+    return _within(plan, MAX_LEAVES - (listed - len(gone)), why)
 
 
 def _subjects(store: Store, names: Collection[str] | None, now: int) -> dict[_Holder, Subject]:
@@ -259,6 +244,7 @@ def _subjects(store: Store, names: Collection[str] | None, now: int) -> dict[_Ho
         if names is None
         else [row for name in names for row in store.identities.valid(name, now)]
     )
+    # `/ca` and masters act by their identity and get none; other keys than the newest only lose grants.
     newest = {row.name: row for row in found if row.name.startswith("/")}
     own = [
         Subject(name, row.thumbprint, row.wildcard) for name, row in newest.items() if not is_reserved(name)
@@ -278,21 +264,8 @@ def _pruned(nodes: tuple[NodeDifference, ...]) -> Iterator[tuple[Grant, tuple[Pe
             yield grant, tuple(item for entries in kept for item in entries)
 
 
-def _measured(store: Store, plan: PolicyPlan) -> PolicyPlan:
-    # The plan with the length of the list that it would make.
-    gone = {grant.id for grant in plan.revoke}
-    if not gone:
-        return plan
-    listed = len(signing.required_entries(store, plan.moment.now) | gone)
-    if listed <= MAX_LEAVES:
-        return replace(plan, listed=listed)
-    why = f"a list has room for {MAX_LEAVES} revocations, this would make {listed}"
-    if plan.pruned:
-        raise RevocationRefused(why, _OVER)
-    return _within(plan, MAX_LEAVES - (listed - len(gone)), why)
-
-
 def _within(plan: PolicyPlan, room: int, why: str) -> PolicyPlan:
+    # Those that lose least first, so that as many nodes as possible get what the policy says.
     room, nodes = max(0, room), list(plan.nodes)
     left = room
     for at in sorted(range(len(nodes)), key=lambda at: len(nodes[at].revoke)):
@@ -307,21 +280,13 @@ def _draft(
 ) -> tuple[Draft, str]:
     lifetime = min(each.lifetime for each in group)
     renewal = min(max(each.lifetime, each.renew_until) for each in group)
-    draft = Draft(
-        domain=domain,
-        subject=subject.name,
-        holder=subject.key,
-        not_before=now - CLOCK_SKEW,
-        expires=now + lifetime,
-        cap=now + renewal,
-        serial=serial,
-        permissions=tuple(item for each in group for item in each.permissions),
-    )
+    span = now - CLOCK_SKEW, now + lifetime, now + renewal
+    permissions = tuple(item for each in group for item in each.permissions)
+    draft = Draft(domain, subject.name, subject.key, *span, serial, permissions)
     return draft, rule_ids(rule for each in group for rule in each.rules)
 
 
-def sign_planned(authority: SigningAuthority, plan: PolicyPlan, now: int) -> list[tuple[Draft, bytes]]:
-
+def sign_planned(authority: SigningAuthority, plan: PolicyPlan, now: int) -> SignedGrants:
     def check() -> None:
         plan.policy.check_unchanged()
         check_record(authority, plan)
@@ -345,13 +310,9 @@ def take_away(
         return listed, plan.without(taken, authority.store.log.head(0).size)
 
 
-def sign_each(
-    authority: SigningAuthority, plan: PolicyPlan, now: int
-) -> tuple[list[tuple[Draft, bytes]], PolicyPlan]:
-    """As `sign_planned`, and where it refuses, for each node alone.
-
-    Returns the grants, and the plan with what is refused: what it revokes is left to do.
-    """
+def sign_each(authority: SigningAuthority, plan: PolicyPlan, now: int) -> tuple[SignedGrants, PolicyPlan]:
+    """As `sign_planned`, and where it refuses, for each node alone."""
+    # Returns the grants, and the plan with what is refused: what it revokes is left to do.
     try:
         return sign_planned(authority, plan, now), plan
     except OF_ALL:
@@ -359,7 +320,7 @@ def sign_each(
     except HintedError:
         plan.policy.check_unchanged()
         check_record(authority, plan)
-    signed: list[tuple[Draft, bytes]] = []
+    signed: SignedGrants = []
     nodes, pruned = [], []
     for node in plan.nodes:
         try:
@@ -377,20 +338,15 @@ def sign_each(
         except OF_ALL:
             raise
         except HintedError as error:
-            at = next(
-                at
-                for at, node in enumerate(nodes)
-                if any(grant == each.grant for each in node.contradictions)
-            )
+            against = ([each.grant for each in node.contradictions] for node in nodes)
+            at = next(at for at, found in enumerate(against) if grant in found)
             nodes[at] = replace(nodes[at], refused=(*nodes[at].refused, f"{grant.subject}: {error}"))
             left = ()  # noqa: PLW2901 - it goes all the same
         pruned.append((grant, left))
     return signed, replace(plan, nodes=tuple(nodes), pruned=tuple(pruned))
 
 
-def _sign(
-    authority: SigningAuthority, plan: PolicyPlan, now: int, check: Callable[[], None]
-) -> list[tuple[Draft, bytes]]:
+def _sign(authority: SigningAuthority, plan: PolicyPlan, now: int, check: Callable[[], None]) -> SignedGrants:
     drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
     signed = authority.issue_grants(drafts, now, check) if drafts else []
     return [(draft, data) for (draft, _), data in zip(drafts, signed, strict=True)]
@@ -403,11 +359,9 @@ def grant_outright(
     now: int,
     *,
     renewed_until: int | None = None,
-) -> list[tuple[Draft, bytes]]:
-    """Sign what `policy` gives the nodes `names` outright and they do not have; revokes nothing.
-
-    `renewed_until`: until when the master can renew grants; None: it cannot.
-    """
+) -> SignedGrants:
+    """Sign what `policy` gives the nodes `names` outright and they do not have; revokes nothing."""
+    # `renewed_until`: until when the master can renew grants; None: it cannot.
     renews = renewed_until is not None
     moment = Moment(now, SKEW, renews=renews, renewed_until=renewed_until)
     plan = make_plan(authority.store, policy, PlanOptions(names), moment)
@@ -417,6 +371,7 @@ def grant_outright(
 
 
 def check_record(authority: SigningAuthority, plan: PolicyPlan) -> None:
+    # In the transaction that signs: a plan made from another record than there is now does nothing.
     if authority.store.log.head(0).size == plan.entries:
         return
     again = make_plan(authority.store, plan.policy, plan.options, plan.moment)
@@ -429,9 +384,7 @@ def check_record(authority: SigningAuthority, plan: PolicyPlan) -> None:
 
 def revoke_planned(authority: SigningAuthority, plan: PolicyPlan, now: int) -> RevocationList | None:
     gone = frozenset(grant.id for grant in plan.revoke)
-    if not gone:
-        return None
-    return authority.revoke_all(gone, _reason(plan), now)
+    return authority.revoke_all(gone, _reason(plan), now) if gone else None
 
 
 def _reason(plan: PolicyPlan) -> str:
@@ -472,10 +425,8 @@ def add_denial(policy: PolicyFile, name: str, now: int, *, is_node: bool) -> Opt
 def revoke_shown(
     authority: SigningAuthority, opted_out: OptOut, now: int
 ) -> list[tuple[Grant, bytes | None]]:
-    """Revoke all grants that hold, or will, and show what is denied; or, if one fails, none.
-
-    They are returned with the signed grants of their other rights, where there are any.
-    """
+    """Revoke all grants that hold, or will, and show what is denied; or, if one fails, none."""
+    # They are returned with the signed grants of their other rights, where there are any.
     store = authority.store
     with store.transaction():
         revoked, rules = store.revoked_entries(), store.policy_grants()
@@ -498,14 +449,6 @@ def _revoke(
             permissions.append(replace(item, rights=rights))
     if not permissions or grant.expires <= now:
         return None
-    draft = Draft(
-        grant.domain,
-        grant.subject,
-        grant.holder,
-        grant.not_before,
-        grant.expires,
-        grant.cap,
-        secrets.token_bytes(16),
-        tuple(permissions),
-    )
+    about = grant.domain, grant.subject, grant.holder, grant.not_before, grant.expires, grant.cap
+    draft = Draft(*about, secrets.token_bytes(16), tuple(permissions))
     return authority.issue_grant(draft, now, rules)

@@ -16,7 +16,6 @@ from ca.authority import DAY, LIFETIME, MAX_LIFETIME, Authority
 from ca.certificates import (
     Identity,
     Intermediate,
-    Renewal,
     TrustAnchor,
     build_intermediate_request,
     from_pem,
@@ -47,11 +46,9 @@ def renew(
     check: Callable[[bytes, int], None] | None = None,
     lifetime: int = LIFETIME,
 ) -> bytes:
-    """Answer a node's renewal (`ca.certificates.sign_renewal`) with its new bundle (PEM).
-
-    `check(entry, now)` raises for revoked entries; the default uses the authority's record. The
-    host of an intermediate has no such record and passes `Revocations.check`.
-    """
+    """Answer a node's renewal (`ca.certificates.sign_renewal`) with its new bundle (PEM)."""
+    # `check(entry, now)` raises for revoked entries; the default uses the authority's record. The host of
+    # an intermediate has no such record and passes `Revocations.check`.
     with authority.store.transaction():
         return _renew(authority, data, now, check or _check_in_record(authority), lifetime)
 
@@ -83,41 +80,27 @@ def _renew(
     answered = authority.store.identities.issued_for(renewal.request.digest)
     if answered is not None:
         return authority.issued_bundle(answered, now, wildcard=renewal.identity.wildcard)
-    held = _already_renewed(authority, renewal, now)
-    if held is not None:
-        return authority.bundle(held.der)
+    # A newer identity for the same key that is not due itself is the answer to other requests. Otherwise a
+    # node could have any number signed and recorded, as long as its old one is valid.
+    for row in reversed(authority.store.identities.valid(renewal.identity.name, now)):
+        is_newer = row.thumbprint == renewal.request.thumbprint and row.not_after > renewal.identity.not_after
+        is_due = now >= renew_at(row.not_before, row.not_after)
+        is_own = authority.store.identities.issuer(row) is None
+        if is_newer and not is_due and is_own and row.wildcard is renewal.identity.wildcard:
+            return authority.bundle(row.der)
     der = authority.authority.renew(renewal, now=now, serial=_serial(), lifetime=lifetime)
-    authority.store.add_certificate(
-        certificate_row(authority.verify(der, now)),
-        now,
-        request=renewal.request.digest,
-        renews=renewal.identity.thumbprint,
-    )
+    made, old = certificate_row(authority.verify(der, now)), renewal.identity.thumbprint
+    authority.store.add_certificate(made, now, request=renewal.request.digest, renews=old)
     authority.refresh_list(now)  # the key may be that of a master
     return authority.bundle(der)
-
-
-def _already_renewed(authority: SigningAuthority, renewal: Renewal, now: int) -> CertificateRow | None:
-    # A newer identity for the same key that is not due itself: the answer to other requests.
-    # Otherwise a node could have any number signed and recorded, as long as its old one is valid.
-    identities, wanted = authority.store.identities, renewal.request.thumbprint
-    for row in reversed(identities.valid(renewal.identity.name, now)):
-        is_newer = row.thumbprint == wanted and row.not_after > renewal.identity.not_after
-        is_due = now >= renew_at(row.not_before, row.not_after)
-        is_own = identities.issuer(row) is None
-        if is_newer and not is_due and is_own and row.wildcard is renewal.identity.wildcard:
-            return row
-    return None
 
 
 def renew_by_name(
     authority: SigningAuthority, name: str, now: int, lifetime: int = LIFETIME, *, expired: bool = False
 ) -> bytes:
-    """Certify the current key of `name` again; returns the node's new bundle (PEM).
-
-    A node enrolled by an intermediate is then certified by this authority, for the same key.
-    With `expired`, the newest identity may have ended: its key, and so its grants, are kept.
-    """
+    """Certify the current key of `name` again; returns the node's new bundle (PEM)."""
+    # A node enrolled by an intermediate is then certified by this authority, for the same key. With
+    # `expired`, the newest identity may have ended: its key, and so its grants, are kept.
     authority.refresh_list(now)
     with authority.store.transaction():
         held = authority.store.renewable_certificate(name, now, expired=expired)
@@ -143,7 +126,6 @@ def renew_own_node(authority: SigningAuthority, now: int) -> int:
 
 
 def own_node_is_due(authority: SigningAuthority, now: int) -> bool:
-    """Whether the authority's own node is due for renewal; an intermediate has none."""
     rows = authority.store.identities.by_name(OWN_NODE)
     return bool(rows) and now >= renew_at(rows[-1].not_before, rows[-1].not_after)
 
@@ -169,10 +151,8 @@ def sign_intermediate(
 def import_identity(
     authority: SigningAuthority, bundle: bytes, now: int, replaced: Collection[str] = ()
 ) -> tuple[Identity, bool]:
-    """Record an identity signed by an intermediate of this root; the boolean says if it is new.
-
-    `replaced` are names whose current key may be replaced; that key is revoked.
-    """
+    """Record an identity signed by an intermediate of this root; the boolean says if it is new."""
+    # `replaced` are names whose current key may be replaced; that key is revoked.
     identity = authority.authority.anchor.verify(from_pem(bundle)[:-1], now)
     if identity.name == OWN_NODE or not authority.authority.is_root:
         raise ConfigurationError(
@@ -239,14 +219,13 @@ def begin(home: Path, domain: str, passphrase: str) -> Path:
 
 def install(home: Path, bundle: bytes, passphrase: str, now: int) -> Intermediate:
     path = home / "ca"
-    match from_pem(bundle):
-        case (der, root):
-            pass
-        case found:
-            raise ConfigurationError(
-                f"a bundle of {len(found)} certificates where two are expected",
-                "take the file `rossec ca intermediate sign` wrote",
-            )
+    found = from_pem(bundle)
+    if len(found) != 2:
+        raise ConfigurationError(
+            f"a bundle of {len(found)} certificates where two are expected",
+            "take the file `rossec ca intermediate sign` wrote",
+        )
+    der, root = found
     anchor = TrustAnchor.load(root)
     made = anchor.check_intermediate(der, now)
     signer = KeySigner(private_keys.load_private(path / "ca.key", passphrase))

@@ -57,39 +57,32 @@ class GrantRequestStore:
             detail = f"{answer} {requested.pattern}"
             append_entry(db, now, "decision", stored.request.node, detail, digest_of(row))
 
-    def unanswered(self) -> list[StoredRequest]:
-        answered = set(self._database.rows("SELECT request, right, pattern FROM decision"))
+    def _all(self) -> list[StoredRequest]:
         rows = self._database.rows("SELECT data, at FROM grant_request ORDER BY rowid")
         requests = [(peek_request(data), at) for data, at in rows]
+        return [StoredRequest(found, at, requested) for found, at in requests for requested in found.rights]
+
+    def unanswered(self) -> list[StoredRequest]:
+        answered = set(self._database.rows("SELECT request, right, pattern FROM decision"))
         return [
-            StoredRequest(request, at, requested)
-            for request, at in requests
-            for requested in request.rights
-            if (request.id, int(requested.right), requested.pattern) not in answered
+            each
+            for each in self._all()
+            if (each.request.id, int(each.requested.right), each.requested.pattern) not in answered
         ]
 
     def answers(self) -> list[StoredAnswer]:
-        rows = self._database.rows("SELECT data, at FROM grant_request")
-        requests = {found.id: (found, at) for found, at in ((peek_request(data), at) for data, at in rows)}
-        return [
-            StoredAnswer(
-                StoredRequest(*requests[number], RequestedRight(Right(right), pattern)), answer, reason, at
-            )
-            for number, right, pattern, answer, reason, at in self._database.rows(
-                "SELECT request, right, pattern, answer, reason, at FROM decision ORDER BY rowid"
-            )
-            if number in requests
-        ]
+        requests = {each.request.id: each for each in self._all()}
+        sql = "SELECT request, right, pattern, answer, reason, at FROM decision ORDER BY rowid"
+        found = []
+        for number, right, pattern, *answer in self._database.rows(sql):
+            if number in requests:
+                requested = RequestedRight(Right(right), pattern)
+                found.append(StoredAnswer(requests[number]._replace(requested=requested), *answer))
+        return found
 
     def find(self, number: bytes) -> list[StoredRequest]:
         """Every right of the request with this id, answered or not; none: there is no such one."""
-        rows = self._database.rows("SELECT data, at FROM grant_request")
-        return [
-            StoredRequest(request, at, requested)
-            for request, at in ((peek_request(data), at) for data, at in rows)
-            if request.id == number
-            for requested in request.rights
-        ]
+        return [each for each in self._all() if each.request.id == number]
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:

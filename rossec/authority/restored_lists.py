@@ -37,9 +37,7 @@ NEWER: Final = "from a list newer than the backup"
 
 @dataclass(frozen=True)
 class NewerLists:
-    """What is known to be newer than a record.
-
-    `revoked`: entries that are revoked. `domains`: the foreign domains that are trusted. `epoch`,
+    """`revoked`: entries that are revoked. `domains`: the foreign domains that are trusted. `epoch`,
     `domains_epoch`: the last that lists are known to have.
     """
 
@@ -97,10 +95,8 @@ def require_list(authority: SigningAuthority, home: Path, now: int) -> None:
 
 
 def newest_here(home: Path, anchor: TrustAnchor) -> Path | None:
-    """The newest list of the authority that a node in ROSSEC_HOME `home` has; None: none has one.
-
-    A tree counts only with its entries beside it.
-    """
+    """The newest list of the authority that a node in ROSSEC_HOME `home` has; None: none has one."""
+    # A tree counts only with its entries beside it.
     found = []
     for path in sorted(home.glob(f"nodes/*/{REVOCATIONS}")):
         with contextlib.suppress(HintedError, OSError):  # another authority's, or damaged
@@ -142,10 +138,8 @@ def read_domains(data: bytes | None, authority: SigningAuthority) -> tuple[tuple
 
 
 def end_domains(authority: SigningAuthority, newest: Collection[ForeignDomain], now: int) -> int:
-    """Trust the domains of the newest list, with its terms; returns how many are trusted no more.
-
-    One may have been removed since the backup: without a list, none is trusted.
-    """
+    """Trust the domains of the newest list, with its terms; returns how many are trusted no more."""
+    # One may have been removed since the backup: without a list, none is trusted.
     domains, wanted = authority.store.domains, {each.terms: each for each in newest}
     ended = [row for row in domains.accepted() if row.terms not in wanted]
     for row in ended:
@@ -159,10 +153,8 @@ def end_domains(authority: SigningAuthority, newest: Collection[ForeignDomain], 
 
 
 def start_new_epoch(authority: SigningAuthority, newer: NewerLists, now: int) -> int:
-    """Revoke what is missing and sign lists of a new epoch; an intermediate has neither.
-
-    Returns how many revocations were missing.
-    """
+    """Revoke what is missing and sign lists of a new epoch; an intermediate has neither."""
+    # Returns how many revocations were missing.
     if not authority.authority.is_root:
         return 0
     with authority.store.transaction():
@@ -176,11 +168,9 @@ def start_new_epoch(authority: SigningAuthority, newer: NewerLists, now: int) ->
 def take_over(
     authority: SigningAuthority, data: bytes, entries: bytes | None, now: int
 ) -> tuple[RevocationList, int]:
-    """Revoke what a list from before a restore revokes; returns the new list, and how many.
-
-    It is for a record that lacks revocations, and can be done at any time: it only takes away. If
-    the list has a later epoch than the record, the new list has one after that.
-    """
+    """Revoke what a list from before a restore revokes; returns the new list, and how many."""
+    # It is for a record that lacks revocations, and can be done at any time: it only takes away. If the
+    # list has a later epoch than the record, the new list has one after that.
     revoked, epoch = read_revoked(data, entries, authority.authority.anchor)
     with authority.store.transaction():
         missing = _revoke_missing(authority, revoked, now)

@@ -4,9 +4,8 @@ The command line calls this, and other interfaces can. Each method returns what 
 Everything signed is recorded before it is returned.
 """
 
-import contextlib
 import secrets
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from string import hexdigits
@@ -14,19 +13,15 @@ from typing import Final, NamedTuple
 
 from ca.certificates import Identity
 from ca.errors import ThingRefused
-from ca.keys.signing import Signer
 from ca.revocation.lists import RevocationList
 from ca.store.signed_statements import ThingRow
 from ca.store.values import INTERMEDIATE, RequestRow, RequestState
 from ca.svid import IdentityRequest, check_request
 from ca.things.constrained_nodes import Credential, ThingStatement, peek_statement, sign_statement
-from rossec import clock
 from rossec.authority import renewals, signing
 from rossec.authority.domain_operations import Domains
 from rossec.authority.grant_operations import Grants, PolicyWork
-from rossec.authority.home import AuthorityHome
-from rossec.authority.keyservice.client import running_signer
-from rossec.authority.session import AuthoritySession, StatementCall
+from rossec.authority.session import AuthoritySession
 from rossec.authority.signing import SKEW
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -35,16 +30,9 @@ from rossec.saved_statements import ThingFiles
 SERIAL: Final = 16
 
 
+@dataclass(eq=False, repr=False)
 class AuthorityService(AuthoritySession):
-    def __init__(
-        self,
-        home: Path,
-        passphrase: Callable[[], str],
-        deliver: Callable[[StatementCall], object],
-        now: Callable[[], int] = clock.now,
-        find_signer: Callable[[AuthorityHome], Signer | None] = running_signer,
-    ) -> None:
-        super().__init__(home, passphrase, deliver, now, find_signer)
+    def __post_init__(self) -> None:
         self.identities = Identities(self)
         self.grants = Grants(self)
         self.policy = PolicyWork(self, self.grants)
@@ -57,9 +45,8 @@ class Identities:
         self._session = session
 
     def add_request(self, request: IdentityRequest, csr: bytes, source: str) -> RequestRow:
-        """Record a request for an identity; returns its row: pending, or answered before."""
         at = self._session.now()
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             if store.identities.issued_for(request.digest) is None:
                 return store.requests.add(request, csr, source, at)
         return RequestRow(
@@ -70,17 +57,16 @@ class Identities:
         """The one request for an identity whose id begins so, every digit of it."""
         if not set(beginning) <= set(hexdigits):
             raise ConfigurationError(f"{beginning!a} is not a request id", "see: rossec ca requests")
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             return store.requests.begun(beginning)
 
     def deny_request(self, row: RequestRow, reason: str) -> None:
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             store.requests.deny(row.digest, self._session.now(), reason)
 
     def issue(
         self, csr: bytes, lifetime: int, *, replace_key: str | None, wildcard: bool, source: str
     ) -> bytes:
-        """Approve a request and sign its identity; see `SigningAuthority.issue`."""
         authority, at = self._session.unlock(), self._session.now()
         return authority.issue(csr, at, lifetime, replace_key=replace_key, wildcard=wildcard, source=source)
 
@@ -88,7 +74,6 @@ class Identities:
         return renewals.renew_own_node(self._session.unlock(), self._session.now())
 
     def renew(self, name: str, lifetime: int, *, expired: bool = False) -> bytes:
-        """Certify the current key of another node again; returns its new bundle (PEM)."""
         if name.startswith(INTERMEDIATE):
             raise ConfigurationError(
                 f"{name} is an intermediate", "sign its request again: `rossec ca intermediate sign`"
@@ -100,7 +85,6 @@ class Identities:
         return renewals.import_identity(self._session.unlock(), bundle, self._session.now(), replaced)
 
     def sign_intermediate(self, csr: bytes, *, may_enroll: bool, lifetime: int) -> tuple[str, bytes]:
-        """Sign an intermediate; returns its name for revocation, and its bundle (PEM)."""
         authority, at = self._session.unlock(), self._session.now()
         return renewals.sign_intermediate(authority, csr, at, may_enroll=may_enroll, lifetime=lifetime)
 
@@ -108,21 +92,17 @@ class Identities:
         return self._session.unlock().revoke_identity(name, reason, self._session.now())
 
     def intermediates(self) -> list[str]:
-        """The intermediates of this root that are valid now."""
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             rows = store.identities.all_valid(self._session.now())
         return sorted({row.name for row in rows if row.name.startswith(INTERMEDIATE)})
 
 
 @dataclass(frozen=True)
 class ThingOrder:
-    """What is to be stated.
-
-    `name`: of the thing, and of the node that stands for it. `border`: the name of the border
-    router that serves it. `credential`: how the thing proves who it is. `lifetime`: of the
-    statement, seconds. `replaced`: names of things whose statements end by this one. `request`: for
-    the identity of the node (DER), if it is to be signed as well. `identity_lifetime`: of that
-    identity, seconds.
+    """`name`: of the thing, and of the node that stands for it. `border`: the name of the border router
+    that serves it. `credential`: how the thing proves who it is. `lifetime`: of the statement, seconds.
+    `replaced`: names of things whose statements end by this one. `request`: for the identity of the node
+    (DER), if it is to be signed as well. `identity_lifetime`: of that identity, seconds.
     """
 
     name: str
@@ -167,16 +147,12 @@ class Things:
         with store.transaction():
             router = store.valid_certificate(order.border, at)
             store.identities.check_not_revoked(order.name, order.credential.thumbprint)
-            statement = ThingStatement(
-                authority.domain,
-                order.name,
-                order.credential,
-                router.thumbprint,
-                at - SKEW,
-                at + order.lifetime,
-                secrets.token_bytes(SERIAL),
-            )
+            about = authority.domain, order.name, order.credential, router.thumbprint
+            serial = secrets.token_bytes(SERIAL)
+            statement = ThingStatement(*about, at - SKEW, at + order.lifetime, serial)
+            # 1. what it replaces ends: its statements, and the keys of its node
             ended = signing.replaced_by(store, order.name, router.thumbprint, order.replaced, at)
+            # 2. the identity of the node, which is not ended by its own statement
             if order.request:
                 asked = check_request(order.request, authority.domain)
                 if asked.name != order.name:
@@ -184,27 +160,25 @@ class Things:
                         f"the request is of {asked.name}, not of {order.name}",
                         f"on the border router: rossec border add {order.name}",
                     )
-                replaced, lifetime = order.name in order.replaced, order.identity_lifetime
-                replace_key = order.name if replaced else None
-                bundle = authority.issue(
-                    order.request, at, lifetime, replace_key=replace_key, source="border"
-                )
+                key, lifetime = order.name if order.name in order.replaced else None, order.identity_lifetime
+                bundle = authority.issue(order.request, at, lifetime, replace_key=key, source="border")
                 own_key = frozenset({asked.thumbprint})
+            # 3. the list without what was replaced
             ended -= own_key
             if ended:
                 authority.revoke_all(ended, f"replaced by {order.name}", at)
             authority.refresh_list(at)
+            # 4. the statement
             data = sign_statement(authority.signer, statement)
-            row = ThingRow(
-                statement.id, order.name, order.border, data, statement.not_before, statement.expires
-            )
+            begin, end = statement.not_before, statement.expires
+            row = ThingRow(statement.id, order.name, order.border, data, begin, end)
             store.things.add(row, statement, at)
         return SignedThing(statement, data, bundle, len(ended))
 
     def renew(self, name: str, lifetime: int) -> SignedThing:
         # Of a router that has another key by now: the former statement ends.
         at = self._session.now()
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             row = store.things.last(name)
             router = store.valid_certificate(row.border, at)
             held = row.read()
@@ -221,13 +195,13 @@ class Things:
             return authority.revoke_all(found, reason, at), len(found)
 
     def states(self) -> list[signing.ThingState]:
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             return signing.states(store, self._session.now())
 
     def store(self, data: bytes, bundle: bytes = b"") -> Path | None:
         # The identity that was signed with it as well, where the key of its node is here.
         statement = peek_statement(data)
-        with contextlib.closing(self._session.home.store()) as store:
+        with self._session.record() as store:
             border = store.things.last(statement.name).border
         home, node = (NodeHome.of(self._session.rossec_home, name) for name in (border, statement.name))
         if not (home.path / "node.key").exists():

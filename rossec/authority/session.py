@@ -6,6 +6,8 @@ is recorded by then, and what was done can be shown while the master is out of r
 """
 
 from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -13,6 +15,7 @@ from ca.errors import CertificateExpired
 from ca.keys.signing import Signer
 from ca.revocation.lists import RevocationList
 from ca.revocation.trust_status import open_statement
+from ca.store.record import Store
 from rossec import clock
 from rossec.authority import renewals, restored_lists
 from rossec.authority.home import AuthorityHome
@@ -26,11 +29,7 @@ from rossec.ros.names import UPDATE_DOMAINS
 DEPOSIT_SECONDS: Final = 15.0
 _EXPIRES_SOON: Final = 7 * 86400
 _PUBLISH: Final = (
-    "the list is signed and stored, but takes effect only when the master has it;"
-    " deliver it with: rossec ca publish"
-)
-_PUBLISH_DOMAINS: Final = (
-    "the list of domains is signed and stored, but takes effect only when the master has it;"
+    "{} is signed and stored, but takes effect only when the master has it;"
     " deliver it with: rossec ca publish"
 )
 
@@ -59,45 +58,39 @@ class _Signed(NamedTuple):
     domains: tuple[int, int]
 
 
+@dataclass(eq=False, repr=False)
 class AuthoritySession:
     """The authority below ROSSEC_HOME; for one thread, as its record is.
 
-    `passphrase`: returns the passphrase of the key, or raises. `deliver`: calls the master, returns
-    its answer; raises `NotDelivered` if it cannot. `now`: seconds since the epoch. `find_signer`:
-    the key, if a service holds it; `running_signer` asks the one that runs.
+    `passphrase`: returns the passphrase of the key, or raises. `call_master`: returns the master's
+    answer; raises `NotDelivered` if it cannot. `now`: seconds since the epoch. `find_signer`: the key,
+    if a service holds it; `running_signer` asks the one that runs.
     """
 
-    def __init__(
-        self,
-        home: Path,
-        passphrase: Callable[[], str],
-        deliver: Callable[[StatementCall], object],
-        now: Callable[[], int] = clock.now,
-        find_signer: Callable[[AuthorityHome], Signer | None] = running_signer,
-    ) -> None:
-        self.rossec_home = home
-        self.now = now
-        self._passphrase = passphrase
-        self._deliver = deliver
-        self._find_signer = find_signer
-        self._unlocked: SigningAuthority | None = None
-        self._before = _Signed(0, (0, 0), (0, 0))
+    rossec_home: Path
+    passphrase: Callable[[], str]
+    call_master: Callable[[StatementCall], object]
+    now: Callable[[], int] = clock.now
+    find_signer: Callable[[AuthorityHome], Signer | None] = running_signer
+    _unlocked: SigningAuthority | None = field(default=None, init=False)
+    _before: _Signed = field(default=_Signed(0, (0, 0), (0, 0)), init=False)
 
     @property
     def home(self) -> AuthorityHome:
         return AuthorityHome.at(self.rossec_home)
 
-    def unlock(self) -> SigningAuthority:
-        """The authority with its key: that of its service where one runs (`rossec ca serve`).
+    def record(self) -> closing[Store]:
+        return closing(self.home.store())
 
-        Otherwise it asks for the passphrase, unless this was done before.
-        """
+    def unlock(self) -> SigningAuthority:
+        """The authority with its key: that of its service where one runs (`rossec ca serve`)."""
+        # Otherwise it asks for the passphrase, unless this was done before.
         if self._unlocked is None:
             home = self.home
-            signer = self._find_signer(home)
-            authority = home.unlock(self._passphrase()) if signer is None else home.open(signer)
-            self._before = _signed(authority)
+            signer = self.find_signer(home)
+            authority = home.unlock(self.passphrase()) if signer is None else home.open(signer)
             self._unlocked = authority
+            self._before = self._signed()
         return self._unlocked
 
     def close(self) -> None:
@@ -108,10 +101,8 @@ class AuthoritySession:
             self._unlocked = None
 
     def refresh(self) -> tuple[RevocationList, int | None]:
-        """Sign the list anew; returns it, and the end of the own node's identity if renewed.
-
-        The list of domains, if there is one, is signed anew as well.
-        """
+        """Sign the list anew; returns it, and the end of the own node's identity if renewed."""
+        # The list of domains, if there is one, is signed anew as well.
         authority, at = self.unlock(), self.now()
         due = renewals.own_node_is_due(authority, at)
         renewed = renewals.renew_own_node(authority, at) if due else None
@@ -129,26 +120,27 @@ class AuthoritySession:
         self.complete_list()
         return self.unlock().sign_head(self.now())
 
+    # What was done since the key was unlocked: the master must be told.
+
     @property
     def has_revoked(self) -> bool:
-        """Whether something was revoked since the key was unlocked: the master must be told."""
-        opened = self._unlocked
-        return opened is not None and _signed(opened).revoked != self._before.revoked
+        return self._signed().revoked != self._before.revoked
 
     @property
     def has_signed_list(self) -> bool:
-        """Whether a list was signed since the key was unlocked: the master should get it."""
-        opened = self._unlocked
-        return opened is not None and _signed(opened).revocations != self._before.revocations
+        return self._signed().revocations != self._before.revocations
 
     @property
     def has_signed_domains(self) -> bool:
-        """Whether a list of domains was signed since the key was unlocked: likewise."""
-        opened = self._unlocked
-        return opened is not None and _signed(opened).domains != self._before.domains
+        return self._signed().domains != self._before.domains
+
+    def _signed(self) -> _Signed:
+        if self._unlocked is None:
+            return self._before
+        store = self._unlocked.store
+        return _Signed(store.count_revoked(), store.next_number(), store.domains.next_number())
 
     def publish(self) -> None:
-        """Deliver the newest list to the master, and the list of domains if there is one."""
         home, at = self.home, self.now()
         data, entries = home.newest_statement()
         expires = open_statement(data, home.anchor().public_key).expires
@@ -160,11 +152,11 @@ class AuthoritySession:
         method = "rossec.updateRevocationTree" if entries else "rossec.updateRevocations"
         statement = (data, entries) if entries else (data,)
         soon = note if at >= expires - _EXPIRES_SOON else ""
-        self.deliver(StatementCall(home.node(), method, statement, "the list", _PUBLISH, soon))
+        hint = _PUBLISH.format("the list")
+        self.deliver(StatementCall(home.node(), method, statement, "the list", hint, soon))
         self.publish_domains()
 
     def publish_domains(self) -> bool:
-        """Deliver the list of domains; whether there is one."""
         home, at = self.home, self.now()
         found = home.domain_list()
         if found is None:
@@ -176,11 +168,10 @@ class AuthoritySession:
                 "sign it anew with: rossec ca refresh",
             )
         what = "the list of domains"
-        self.deliver(StatementCall(home.node(), UPDATE_DOMAINS, (data,), what, _PUBLISH_DOMAINS))
+        self.deliver(StatementCall(home.node(), UPDATE_DOMAINS, (data,), what, _PUBLISH.format(what)))
         return True
 
     def master_has_list(self) -> bool:
-        """Whether the master says that it has the newest list."""
         node, what = self.home.node(), "the question for its list"
         method, hint = "rossec.revocationStanding", "rossec ca publish"
         answer = self.deliver(StatementCall(node, method, (), what, hint, within=DEPOSIT_SECONDS))
@@ -191,7 +182,6 @@ class AuthoritySession:
         return isinstance(answer, dict) and answer.get("list") == f"{epoch}.{seq}"
 
     def deliver(self, call: StatementCall) -> object:
-        """Deliver a statement to the master; returns the value of its answer."""
         try:
             call.node.identity(self.now())
         except CertificateExpired as error:
@@ -200,9 +190,4 @@ class AuthoritySession:
                 f" {format_time(self.now())}: no master accepts it",
                 f"renew it: rossec ca renew {call.node.name}",
             ) from error
-        return self._deliver(call)
-
-
-def _signed(authority: SigningAuthority) -> _Signed:
-    store = authority.store
-    return _Signed(store.count_revoked(), store.next_number(), store.domains.next_number())
+        return self.call_master(call)

@@ -2,11 +2,7 @@
 
 Everything is recorded before it is delivered. Two commands may run at the same time: decisions by
 the record (a list number, the valid identities, the entries of a list) are made, signed and
-recorded in one transaction, and so is a revocation with its list. What a list must have is computed
-from the record: everything revoked that could still be valid.
-
-A border router has the keys of the nodes that stand for its things. So where a router, or the node
-of a thing, loses its key, what depended on it ends in the same list.
+recorded in one transaction, and so is a revocation with its list.
 """
 
 import contextlib
@@ -51,6 +47,7 @@ from rossec.errors import (
     SigningRefused,
 )
 
+SignedGrants = list[tuple[Draft, bytes]]
 OF_ALL: Final = (
     AuthorityLocked,
     KeyServiceFailed,
@@ -87,23 +84,18 @@ CLOCK_SKEW: Final = 60  # seconds that another host's clock may be behind
 
 
 def required_entries(store: Store, now: int) -> frozenset[bytes]:
-    """The entries of a list signed at `now`.
-
-    Grants that have expired and cannot be renewed are left out, and so are statements about things.
-    A node refuses a list from its future, so a node without the entry finds the grant expired (RFC
-    9770 removes entries in the same way). Keys stay: they are few, and a certificate renewed by the
-    master may be valid longer than those recorded here.
-    """
+    """The entries of a list signed at `now`."""
+    # Grants that have expired and cannot be renewed are left out, and so are statements about things. A
+    # node refuses a list from its future, so a node without the entry finds the grant expired (RFC 9770
+    # removes entries in the same way). Keys stay: they are few, and a certificate renewed by the master may
+    # be valid longer than those recorded here.
     ended = (row.id for row in store.revoked_grants() if document.peek(row.data).cap + CLOCK_SKEW < now)
     expired = (row.id for row in store.things.revoked() if row.expires + CLOCK_SKEW < now)
     return store.revoked_entries() - frozenset(ended) - frozenset(expired)
 
 
 def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> frozenset[bytes]:
-    """The entries that the newest signed list lacks; all, where that is unknown.
-
-    `key` is the authority's.
-    """
+    """The entries that the newest list, signed with `key`, lacks; all, where that is unknown."""
     with store.database.read_transaction():
         data = store.newest_list()
         listed = frozenset[bytes]()
@@ -141,7 +133,6 @@ def required_masters(store: Store, now: int) -> tuple[bytes, ...]:
 # An authority without foreign domains and with one master signs none; once one was signed, there always is
 # one.
 def is_domain_list_due(store: Store, anchor: TrustAnchor, now: int) -> bool:
-    """Whether a list has to be signed: there is none, or it is old, or it says something else."""
     with store.database.read_transaction():
         data, domains = store.domains.newest_list(), required_domains(store, now)
         if not data:
@@ -158,14 +149,8 @@ def sign_domain_list(
         epoch, seq = store.domains.next_number()
         if new_epoch:
             epoch, seq = max(epoch + 1, above + 1, now), 1
-        listed = DomainList(
-            epoch,
-            seq,
-            now,
-            now + DOMAIN_LIST_LIFETIME,
-            required_domains(store, now),
-            required_masters(store, now),
-        )
+        said = required_domains(store, now), required_masters(store, now)
+        listed = DomainList(epoch, seq, now, now + DOMAIN_LIST_LIFETIME, *said)
         data = sign_domains(authority.signer, listed, authority.anchor.domain)
         store.domains.save_list(listed.number, data, now)
     return listed
@@ -179,10 +164,8 @@ OTHER_KEY: Final = "its border router has another key"
 
 
 class ThingState(NamedTuple):
-    """A statement, and what it is now: in force, renewed, expired, revoked, or of a former key."""
-
     row: ThingRow
-    state: str
+    state: str  # one of those above
 
 
 def states(store: Store, now: int) -> list[ThingState]:
@@ -192,35 +175,29 @@ def states(store: Store, now: int) -> list[ThingState]:
         newest = {row.name: row.id for row in store.things.in_force(now)}
         valid = {name: store.identities.valid(name, now) for name in {row.border for row in rows}}
         keys = {name: found[-1].thumbprint if found else b"" for name, found in valid.items()}
-    return [ThingState(row, _state(row, now, newest, revoked, keys)) for row in rows]
 
+    def state(row: ThingRow) -> str:
+        if row.id in revoked:
+            return REVOKED
+        if now >= row.expires:
+            return EXPIRED
+        if newest[row.name] != row.id:
+            return RENEWED
+        return IN_FORCE if row.read().border == keys[row.border] else OTHER_KEY
 
-def _state(
-    row: ThingRow, now: int, newest: dict[str, bytes], revoked: frozenset[bytes], keys: dict[str, bytes]
-) -> str:
-    if row.id in revoked:
-        return REVOKED
-    if now >= row.expires:
-        return EXPIRED
-    if newest[row.name] != row.id:
-        return RENEWED
-    return IN_FORCE if row.read().border == keys[row.border] else OTHER_KEY
+    return [ThingState(row, state(row)) for row in rows]
 
 
 def ended_with(store: Store, name: str, now: int) -> frozenset[bytes]:
-    """What must be revoked with the keys of the node `name`, besides these.
-
-    The statements about it, if it is a thing, and what ends with a border router of that name.
-    """
+    """What must be revoked with the keys of `name`: statements about it, what ends with it as a router."""
     about = (row.id for row in _not_revoked(store) if row.name == name)
     return ended_with_router(store, name, now) | frozenset(about)
 
 
 def ended_with_router(store: Store, border: str, now: int) -> frozenset[bytes]:
-    """What must be revoked with a key of the border router `border`.
-
-    The statements about its things, expired or not, and the keys of their nodes, which it has.
-    """
+    """What must be revoked with a key of the border router `border`."""
+    # The statements about its things, expired or not, and the keys of their nodes, which it has.
+    # A router has the keys of the nodes that stand for its things, so they end in the same list as its own.
     alive = [row for row in _not_revoked(store) if row.border == border]
     entries = {row.id for row in alive}
     for thing in {row.name for row in alive}:
@@ -242,11 +219,9 @@ def _not_revoked(store: Store) -> list[ThingRow]:
 def replaced_by(
     store: Store, name: str, border: bytes, replaced: frozenset[str], now: int
 ) -> frozenset[bytes]:
-    """What ends where a statement about `name` at the router with the key `border` is signed.
-
-    For each thing that it replaces: the statements in force, and the keys of its node where that
-    node has to be another one, under the new name or at another router.
-    """
+    """What ends where a statement about `name` at the router with the key `border` is signed."""
+    # For each thing that it replaces: the statements in force, and the keys of its node where that node has
+    # to be another one, under the new name or at another router.
     entries: set[bytes] = set()
     for former in sorted(replaced):
         ids = store.things.ids(former, now)
@@ -258,13 +233,13 @@ def replaced_by(
     return frozenset(entries)
 
 
-SKEW: Final = CLOCK_SKEW  # backdates grants, for hosts whose clock is behind
+SKEW: Final = CLOCK_SKEW  # backdates grants
 DELEGATIONS: Final = "delegations"
 OWNED: Final = (files.Owned(rf"{DELEGATIONS}/[0-9a-f]{{1,128}}\.cose"),)
 OWN_NODE: Final = "/ca"  # the identity of the authority's tools
 _SIZE_LIMIT: Final = 256 * 1024
 _LIST_LIFETIME: Final = 90 * 86400
-_LIST_REFRESH: Final = 7 * 86400
+_LIST_REFRESH: Final = 7 * 86400  # long before it expires
 
 
 @dataclass
@@ -291,18 +266,15 @@ class SigningAuthority:
         wildcard: bool = False,
         source: str = "file",
     ) -> bytes:
-        """Approve a request, sign and record its identity; returns the node's bundle (PEM).
-
-        A repeated request gets the same certificate. With `wildcard` the identity is for anonymous
-        nodes as well. `replace_key` is the request's name again, if its key may replace another
-        one; that key is revoked, and the list must be delivered.
-        """
+        """Approve a request, sign and record its identity; returns the node's bundle (PEM)."""
+        # With `wildcard` the identity is for anonymous nodes as well. `replace_key` is the request's name
+        # again, if its key may replace another one; that key is revoked, and the list must be delivered.
         asked = check_request(request, self.domain, wildcard=wildcard)
         if replace_key is not None:
             self._check_root()
         self.refresh_list(now)
         answered = self.store.identities.issued_for(asked.digest)
-        if answered is not None:
+        if answered is not None:  # the first answer may have been lost
             self.store.identities.check_not_revoked(asked.name, asked.thumbprint)
             return self.issued_bundle(answered, now, wildcard=wildcard)
         row = self.store.requests.add(asked, request, source, now)
@@ -312,11 +284,9 @@ class SigningAuthority:
         der = self.authority.issue(row.der, now=now, serial=serial, lifetime=lifetime, wildcard=row.wildcard)
         identity = self.verify(der, now)
         with self.store.transaction():
+            replaced = row.name if row.replaces else None
             self.store.add_certificate(
-                certificate_row(identity),
-                now,
-                request=row.digest,
-                replace_key=row.name if row.replaces else None,
+                certificate_row(identity), now, request=row.digest, replace_key=replaced
             )
             if row.replaces:
                 end_with_router(self.store, row.name, now)
@@ -324,7 +294,6 @@ class SigningAuthority:
         return self.bundle(der)
 
     def verify(self, der: bytes, now: int) -> Identity:
-        """The identity in a leaf signed by this authority, or by the root directly."""
         try:
             return self.authority.anchor.verify([der, *self.authority.chain], now)
         except ForeignCertificate:
@@ -334,7 +303,6 @@ class SigningAuthority:
         return to_pem(der, *self.authority.chain, self.authority.anchor.certificate)
 
     def issued_bundle(self, row: CertificateRow, now: int, *, wildcard: bool) -> bytes:
-        """The bundle issued for a request before, as the first answer may be lost."""
         is_valid = row in self.store.identities.valid(row.name, now)
         if not is_valid and row.wildcard is wildcard and now > row.not_after:
             self.store.valid_certificate(row.name, now)  # says how an identity that is over comes back
@@ -346,17 +314,14 @@ class SigningAuthority:
         return self.bundle(row.der)
 
     def issue_grant(self, draft: Draft, now: int, rules: str = "") -> bytes:
-        """Sign and record a grant; `rules`: those of the policy it came from, if it did."""
         (data,) = self.issue_grants([(draft, rules)], now)
         return data
 
     def issue_grants(
         self, drafts: Sequence[tuple[Draft, str]], now: int, check: Callable[[], None] = lambda: None
     ) -> list[bytes]:
-        """Sign grants, each with its rules, and record all of them or none.
-
-        `check` raises if they must not be recorded; no other command changes the record after it.
-        """
+        """Sign grants, each with its rules, and record all of them or none."""
+        # `check` raises if they must not be recorded; no other command changes the record after it.
         self._check_root("sign grants")
         for draft, _ in drafts:
             check_own_names(draft.permissions)
@@ -364,6 +329,7 @@ class SigningAuthority:
         with self.store.transaction():
             check()
             for draft, _ in drafts:
+                # Again, with the record locked: the key may have been revoked since the draft was made.
                 self.store.identities.check_not_revoked(draft.subject, draft.holder)
                 check_tail(draft, self.store.identities.valid(draft.subject, now))
             self.refresh_list(now)
@@ -376,15 +342,12 @@ class SigningAuthority:
     def issue_delegation(
         self, holder: bytes, lifetime: int, max_ttl: int, now: int, *, serial: bytes = b""
     ) -> bytes:
-        """Let the master with the key `holder` renew grants; recorded before it is delivered.
-
-        `serial`: 16 bytes, random if not given. With the same serial and time it is the same one.
-        """
+        """Let the master with the key `holder` renew grants; recorded before it is delivered."""
+        # `serial`: 16 bytes, random if not given. With the same serial and time it is the same one.
         self.refresh_list(now)
         begin = now - SKEW
-        draft = Delegation(
-            self.domain, holder, begin, begin + lifetime, max_ttl, serial or secrets.token_bytes(16)
-        )
+        number = serial or secrets.token_bytes(16)
+        draft = Delegation(self.domain, holder, begin, begin + lifetime, max_ttl, number)
         data = sign_delegation(self.signer, draft)
         files.make_private_directory(self.path / DELEGATIONS)
         name = open_delegation(data, self.signer.public_key).id.hex()
@@ -393,7 +356,6 @@ class SigningAuthority:
         return data
 
     def revoke_delegations(self, reason: str, now: int) -> tuple[RevocationList, int]:
-        """Revoke every delegation that has not expired; returns the list, and their number."""
         given = delegations(self.path, self.signer.public_key)
         living = frozenset(item.id for item in given if now < item.expires)
         with self.store.transaction():
@@ -439,23 +401,19 @@ class SigningAuthority:
             return self.sign_list(now)
 
     def refresh_list(self, now: int) -> None:
-        """Sign a new list if it lacks a revocation, and long before it expires; domains likewise.
-
-        Every command that has the key does this, and so completes an interrupted one.
-        """
+        """Sign a new list if it lacks a revocation, and long before it expires; domains likewise."""
+        # Every command that has the key does this, and so completes an interrupted one.
         if not self.authority.is_root:
             return
         with self.store.transaction():
             held = self.store.newest_list()
             issued = 0 if held is None else open_statement(held, self.signer.public_key).issued
-            late = now - issued > _LIST_REFRESH
-            if late or missing_entries(self.store, self.signer.public_key, now):
+            if now - issued > _LIST_REFRESH or missing_entries(self.store, self.signer.public_key, now):
                 self.sign_list(now)
             if is_domain_list_due(self.store, self.authority.anchor, now):
                 self.sign_domains(now)
 
     def sign_domains(self, now: int, *, new_epoch: bool = False, above: int = 0) -> DomainList:
-        """Sign the list of domains with the next number; see `domain_list` and `sign_list`."""
         self._check_root("say which domains are trusted")
         with self.store.transaction():
             listed = sign_domain_list(self.authority, self.store, now, new_epoch=new_epoch, above=above)
@@ -463,16 +421,13 @@ class SigningAuthority:
         return listed
 
     def sign_list(self, now: int, *, new_epoch: bool = False, above: int = 0) -> RevocationList:
-        """Sign the list of all revocations that still matter, with the next number.
-
-        With `new_epoch` it is newer than every list before, also those this record lacks: the epoch
-        is the time, so that a backup restored twice does not use the same number twice. `above` is
-        an epoch that was used since, perhaps with a clock that was ahead.
-        """
+        """Sign the list of all revocations that still matter, with the next number."""
+        # With `new_epoch` it is newer than every list before, also those this record lacks. `above` is an
+        # epoch that was used since, perhaps with a clock that was ahead.
         self._check_root()
         with self.store.transaction():
             epoch, seq = self.store.next_number()
-            if new_epoch:
+            if new_epoch:  # the time, so that a backup restored twice does not use a number twice
                 epoch, seq = max(epoch + 1, above + 1, now), 1
             entries = required_entries(self.store, now)
             listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
@@ -490,7 +445,6 @@ class SigningAuthority:
             raise ConfigurationError(f"an intermediate cannot {act}", "do it at the root")
 
     def sign_head(self, now: int) -> bytes:
-        """Sign the head of the log, which shows whether the log was rewritten since."""
         with self.store.transaction():
             head = sign_head(self.signer, self.store.log.head(now))
             self.store.log.add_head(head, now)
@@ -504,11 +458,5 @@ def delegations(authority: Path, key: ec.EllipticCurvePublicKey) -> list[OpenDel
 
 
 def certificate_row(identity: Identity) -> CertificateRow:
-    return CertificateRow(
-        identity.serial,
-        identity.name,
-        identity.thumbprint,
-        identity.certificate,
-        identity.not_before,
-        identity.not_after,
-    )
+    who, key = (identity.serial, identity.name), identity.thumbprint
+    return CertificateRow(*who, key, identity.certificate, identity.not_before, identity.not_after)

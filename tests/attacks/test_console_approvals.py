@@ -11,7 +11,7 @@ from ca.errors import ApprovalRefused, HintedError, RequestClosed
 from grants import document
 from rossec.authority.backup import back_up, restore
 from rossec.authority.console.grant_requests import Questions
-from rossec.authority.console.messages import ApprovalOutcome, GrantQuestion, Prepared, many
+from rossec.authority.console.messages import ApprovalOutcome, GrantQuestion, Prepared
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
 from rossec.authority.requests import GrantRequestStore
@@ -19,6 +19,7 @@ from rossec.errors import KeyServiceRefused
 from rossec.ros.names import MASTER
 from tests.support import refusal_texts
 from tests.support.consoleacts import DAY, SECRET, Acts
+from tests.support.consolework import many
 from tests.support.passkeys import UP, Assertion, Passkey
 
 PROMPTED = "prompt: {subscribe: [/pose, /odom]}"

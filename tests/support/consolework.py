@@ -3,12 +3,13 @@
 import secrets
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from ca.encoding import Value
 from grants.document import grant_id
 from grants.model import Draft, Permission, Right
 from grants.request import GrantRequest, RequestedRight, sign_request
+from rossec.authority.console.messages import from_value
 from rossec.authority.console.serving import handlers_of
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.process import operations_of
@@ -20,6 +21,7 @@ from rossec.home import NodeHome
 from tests.support.commands import PASSPHRASE
 
 NOW = 1_800_000_000
+T = TypeVar("T")
 
 
 class Part(Protocol):
@@ -98,3 +100,8 @@ class ConsoleWork:
 def ask(part: object, operation: str, *arguments: Value) -> Value:
     """Have a part carry out an operation."""
     return handlers_of(part)[operation](*arguments)
+
+
+def many(kind: type[T], value: Value) -> tuple[T, ...]:
+    """The records of an answer, as the console reads them."""
+    return from_value(tuple[kind, ...], value)  # type: ignore[valid-type]

@@ -1,9 +1,6 @@
 """Who may look, and whose passkeys approve: codes, logins, new passkeys.
 
-A code from the terminal lets somebody look, or adds a passkey, never both; it is sent together with
-the passkey, so what a session knows adds none. A passkey that a new phone proposes is added when a
-phone that is there already approves it (`approving`). All passkeys are of one page: the origin and
-RP id of the first bind the others until every one was removed.
+A passkey that a new phone proposes is added when a phone that is there already approves it (`approving`).
 """
 
 import contextlib
@@ -20,10 +17,8 @@ from rossec.authority.keyservice.work import AuthorityWork
 
 
 class ConsoleAccess:
-    """The operations of who looks.
-
-    `audit`: writes a line. Raises `HintedError` if it cannot. `elapsed`: seconds of a clock that
-    cannot be set.
+    """`audit`: writes a line. Raises `HintedError` if it cannot. `elapsed`: seconds of a clock that cannot
+    be set.
     """
 
     def __init__(
@@ -86,11 +81,14 @@ class ConsoleAccess:
         return _shown(challenge, tuple(each.id for each in found))
 
     def add_passkey(self, number: bytes, code: str, name: str, *registration: bytes) -> Value:
+        # The code is sent together with the passkey, and used up by either `redeem` or this: so what a
+        # session that may only look knows adds no passkey.
         passkey = self._register(number, code, CodeUse.TERMINAL, name, registration)
         with self._store() as store, store.transaction():
             check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
             store.passkeys.add(passkey)
             self._audit(f"adds the phone {name!a}, by a code from the terminal")
+            # In the transaction: a code that is refused here adds nothing.
             self._codes.use(code, CodeUse.TERMINAL)
         return to_value(PhoneView(passkey.id, name, passkey.at, 0, "", ""))
 
@@ -131,6 +129,7 @@ class ConsoleAccess:
 
 
 def check_bound(known: list[Passkey], origin: str, rp_id: str) -> None:
+    # All passkeys are of one page: those of the first bind the others until every one was removed.
     for each in known:
         if (each.origin, each.rp_id) != (origin, rp_id):
             raise ApprovalRefused(

@@ -2,9 +2,7 @@
 
 The request that was shown is the one that is signed: its digest is in the statement. What was
 approved while the key is locked is *approved* in the record, and can still be denied. What needs no
-key is done in the transaction of its approval. A policy is put in force if the file and what it
-would change are still those that were approved: what is new is signed, what goes is revoked and the
-approval ends in one transaction; then nodes get the new grants, and the master the list.
+key is done in the transaction of its approval.
 """
 
 import logging
@@ -17,7 +15,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
-from ca.approvals.passkeys import Passkey, to_approve
+from ca.approvals.passkeys import to_approve
 from ca.approvals.statement import (
     DelegateStatement,
     Enroll,
@@ -42,7 +40,7 @@ from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET, open_delegati
 from rossec import clock
 from rossec.authority import renewals
 from rossec.authority.console.access import check_bound
-from rossec.authority.console.approving import Approved, ApprovedAct, Arguments, Conclude, ToApprove, tried
+from rossec.authority.console.approving import Approved, ApprovedAct, Wanted, tried
 from rossec.authority.console.grant_requests import checked_reason, keys_of
 from rossec.authority.console.phone_codes import Proposals
 from rossec.authority.home import AuthorityHome
@@ -65,15 +63,21 @@ class EnrollAct(ApprovedAct):
     `policy`: the file by which the node gets its first grants.
     """
 
+    kind = StatementKind.ENROLL
+
     def __init__(self, policy: Path) -> None:
         self._policy = policy
 
-    def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        match arguments:
-            case [bytes(csr), str(source), bool(wildcard), int(lifetime), bool(replaces)]:
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of an enrollment", "")
+    def prepare(
+        self,
+        service: AuthorityService,
+        now: int,
+        csr: bytes,
+        source: str,
+        wildcard: bool,
+        lifetime: int,
+        replaces: bool,
+    ) -> Wanted:
         asked = check_request(csr, service.home.domain, wildcard=wildcard)
         if asked.name == OWN_NODE:
             raise KeyServiceRefused(
@@ -86,47 +90,48 @@ class EnrollAct(ApprovedAct):
                 store.requests.add(asked, csr, printable(source)[:MAX_SOURCE], now)
             with tried(store):
                 _approve(store, what, now, "")
-        return ToApprove(what, csr)
+        return what, csr
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
-        _approve(store, approved.what(Enroll), approved.approval.at, approved.reason)
+    def admit(self, store: Store, approved: Approved) -> str | None:
+        _approve(store, approved.what(Enroll), approved.at, approved.reason)
         return None
 
-    def carry_out(
-        self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
-    ) -> None:
+    def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
         what, authority = approved.what(Enroll), service.unlock()
-        with authority.store.transaction():
-            _check_unchanged(authority.store, what, now)
-            authority.issue(
-                approved.approval.payload,
-                now,
-                what.lifetime,
-                replace_key=what.name if what.replaces else None,
-                wildcard=what.wildcard,
-            )
-            conclude(authority.store, f"{what.name} is enrolled")
-        name = what.name
-        # What the policy gives the name; the identity is signed by then, so a mistake is logged.
+        store, key = authority.store, what.name if what.replaces else None
+        with store.transaction():
+            # 1. The request is still as it was approved: meanwhile it may have been denied, or have expired.
+            if store.identities.issued_for(what.csr) is None:
+                row = store.requests.find(what.csr)
+                expired = row is None or now > row.expires
+                if row is None or expired or row.state is not RequestState.APPROVED:
+                    state = "has expired" if row is None or expired else f"was {row.state}"
+                    because = "" if row is None or expired or not row.reason else f": {row.reason}"
+                    raise RequestClosed(f"the request of {what.name} {state}{because}", "ask the node again")
+                if (row.wildcard, row.replaces) != (what.wildcard, what.replaces):
+                    raise RequestClosed(f"the request of {what.name} was approved otherwise", "look at it")
+            # 2. The identity and the end of the approval, together.
+            authority.issue(approved.payload, now, what.lifetime, replace_key=key, wildcard=what.wildcard)
+            approved.conclude(store, f"{what.name} is enrolled", now)
+        # 3. What the policy gives the name; the identity is signed by then, so a mistake is logged.
         try:
-            for _, data in service.policy.grant_outright(name, place=self._policy):
+            for _, data in service.policy.grant_outright(what.name, place=self._policy):
                 service.grants.store(data)
         except HintedError as error:
-            _log.error("%s has no grants yet: %s", name, printable(str(error)))
+            _log.error("%s has no grants yet: %s", what.name, printable(str(error)))
 
-    def made(self, service: AuthorityService, approved: Approved, /) -> bytes:
+    def made(self, service: AuthorityService, approved: Approved) -> bytes:
         with closing(service.home.store()) as store:
             found = store.identities.issued_for(approved.what(Enroll).csr)
         return b"" if found is None else _bundle(service.home, found)
 
 
 class IntermediateAct(ApprovedAct):
-    def prepare(self, service: AuthorityService, arguments: Arguments, _now: int, /) -> ToApprove:
-        match arguments:
-            case [bytes(csr), bool(enrolls), int(lifetime)]:
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of an intermediate", "")
+    kind = StatementKind.INTERMEDIATE
+
+    def prepare(
+        self, service: AuthorityService, _now: int, csr: bytes, enrolls: bool, lifetime: int
+    ) -> Wanted:
         home = service.home
         if home.is_intermediate:
             raise KeyServiceRefused("an intermediate makes no other", "do it at the root")
@@ -134,22 +139,20 @@ class IntermediateAct(ApprovedAct):
         key = thumbprint(check_intermediate_request(csr, home.domain))
         with closing(home.store()) as store:
             store.identities.check_not_revoked("the intermediate", key)
-        return ToApprove(IntermediateStatement(sha256(csr).digest(), enrolls, lifetime), csr)
+        return IntermediateStatement(sha256(csr).digest(), enrolls, lifetime), csr
 
-    def carry_out(
-        self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
-    ) -> None:
+    def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
         what, authority = approved.what(IntermediateStatement), service.unlock()
-        csr = approved.approval.payload
+        csr = approved.payload
         with authority.store.transaction():
             name, _ = renewals.sign_intermediate(
                 authority, csr, now, may_enroll=what.enrolls, lifetime=what.lifetime
             )
-            conclude(authority.store, f"signed {name}")
+            approved.conclude(authority.store, f"signed {name}", now)
 
-    def made(self, service: AuthorityService, approved: Approved, /) -> bytes:
+    def made(self, service: AuthorityService, approved: Approved) -> bytes:
         home = service.home
-        key = thumbprint(check_intermediate_request(approved.approval.payload, home.domain))
+        key = thumbprint(check_intermediate_request(approved.payload, home.domain))
         with closing(home.store()) as store:
             found = store.identities.by_name(f"{INTERMEDIATE}{key.hex()[:16]}")
         return _bundle(home, found[-1]) if found else b""
@@ -163,19 +166,6 @@ def _approve(store: Store, what: Enroll, at: int, reason: str) -> None:
         raise RequestClosed("the request has expired", "make a new request on the node")
     replaced = what.name if what.replaces else None
     store.requests.approve(what.csr, at, reason, replace_key=replaced, wildcard=what.wildcard)
-
-
-def _check_unchanged(store: Store, what: Enroll, now: int) -> None:
-    if store.identities.issued_for(what.csr) is not None:
-        return
-    row = store.requests.find(what.csr)
-    expired = row is None or now > row.expires
-    if row is None or expired or row.state is not RequestState.APPROVED:
-        state = "has expired" if row is None or expired else f"was {row.state}"
-        because = "" if row is None or expired or not row.reason else f": {row.reason}"
-        raise RequestClosed(f"the request of {what.name} {state}{because}", "ask the node again")
-    if (row.wildcard, row.replaces) != (what.wildcard, what.replaces):
-        raise RequestClosed(f"the request of {what.name} was approved otherwise", "look at it")
 
 
 def _check_lifetime(lifetime: int) -> None:
@@ -195,34 +185,30 @@ CODES_KEPT: Final = 600.0  # seconds
 
 
 class PasskeyAct(ApprovedAct):
+    kind = StatementKind.PASSKEY
+
     def __init__(self, proposals: Proposals) -> None:
         self._proposals = proposals
 
-    def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        match arguments:
-            case [bytes(number)]:
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of a passkey", "")
+    def prepare(self, service: AuthorityService, now: int, number: bytes) -> Wanted:
         passkey = self._proposals.get(number)
         with closing(service.home.store()) as store, tried(store):
             store.passkeys.add(passkey._replace(at=now))
-        return ToApprove(to_approve(passkey))
+        return to_approve(passkey), b""
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
-        number, passkey = self._find(approved)
-        check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
-        store.passkeys.add(passkey._replace(approval=approved.id, at=approved.approval.at))
-        self._proposals.drop(number)
-        return f"{passkey.name} can approve"
-
-    def _find(self, approved: Approved) -> tuple[bytes, Passkey]:
+    def admit(self, store: Store, approved: Approved) -> str | None:
         what = approved.what(NewPasskey)
         for shown in self._proposals.all():
             passkey = self._proposals.get(shown.id)
             if to_approve(passkey) == what:
-                return shown.id, passkey
-        raise ApprovalRefused("this phone does not wait any more", "propose it again")
+                break
+        else:
+            raise ApprovalRefused("this phone does not wait any more", "propose it again")
+        # Also here: of two proposals of different pages that are approved, the second is refused.
+        check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
+        store.passkeys.add(passkey._replace(approval=approved.id, at=approved.at))
+        self._proposals.drop(shown.id)
+        return f"{passkey.name} can approve"
 
 
 class InvitationAct(ApprovedAct):
@@ -230,6 +216,8 @@ class InvitationAct(ApprovedAct):
 
     `address`: where nodes reach the join port, `host:port`.
     """
+
+    kind = StatementKind.INVITATION
 
     def __init__(
         self, home: AuthorityHome, address: Callable[[], str], elapsed: clock.Seconds | None = None
@@ -240,30 +228,20 @@ class InvitationAct(ApprovedAct):
         self._lock = threading.Lock()
         self._codes: OrderedDict[bytes, tuple[str, float]] = OrderedDict()
 
-    def prepare(self, _service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
+    def prepare(
+        self, _service: AuthorityService, now: int, pattern: str, uses: int, seconds: int, wildcard: bool
+    ) -> Wanted:
         # Check what it would allow.
-        match arguments:
-            case [str(pattern), int(uses), int(seconds), bool(wildcard)]:
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of a join code", "")
         check_invitation(pattern, wildcard=wildcard)
         if not (1 <= uses <= MAX_USES and MIN_INVITATION <= seconds <= MAX_INVITATION):
             raise KeyServiceRefused(f"a join code is for 1 to {MAX_USES} nodes, and for at most 30 days", "")
         self._address()
-        return ToApprove(Invitation(pattern, uses, now + seconds, wildcard))
+        return Invitation(pattern, uses, now + seconds, wildcard), b""
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
+    def admit(self, store: Store, approved: Approved) -> str | None:
         what = approved.what(Invitation)
-        code, row = make_invitation(
-            self._home,
-            what.pattern,
-            what.uses,
-            what.until,
-            self._address(),
-            approved.approval.at,
-            wildcard=what.wildcard,
-        )
+        given, address = (what.pattern, what.uses, what.until), self._address()
+        code, row = make_invitation(self._home, *given, address, approved.at, wildcard=what.wildcard)
         store.invitations.add(row)
         with self._lock:
             self._codes[approved.id] = code.text(), self._elapsed() + CODES_KEPT
@@ -271,27 +249,26 @@ class InvitationAct(ApprovedAct):
                 self._codes.popitem(last=False)
         return f"join code {row.id.hex()[:8]}"
 
-    def made(self, _service: AuthorityService, approved: Approved, /) -> bytes:
+    def made(self, _service: AuthorityService, approved: Approved) -> bytes:
         with self._lock:
             text, end = self._codes.get(approved.id, ("", 0.0))
         return text.encode() if self._elapsed() < end else b""
 
 
 class RevokeMasterAct(ApprovedAct):
-    def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        match arguments:
-            case [str(reason), str(master)] if is_master_name(master):
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of a revocation", "")
+    kind = StatementKind.REVOKE_MASTER
+
+    def prepare(self, service: AuthorityService, now: int, reason: str, master: str) -> Wanted:
+        if not is_master_name(master):
+            raise KeyServiceRefused("these are not the arguments of a revocation", "")
         if service.home.is_intermediate:
             raise ConfigurationError("an intermediate cannot revoke", "do it at the root")
         with closing(service.home.store()) as store:
             keys_of(master)(store, now)
-        return ToApprove(RevokeMaster(checked_reason(reason), master))
+        return RevokeMaster(checked_reason(reason), master), b""
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
-        what, at = approved.what(RevokeMaster), approved.approval.at
+    def admit(self, store: Store, approved: Approved) -> str | None:
+        what, at = approved.what(RevokeMaster), approved.at
         for entry in sorted(keys_of(what.master)(store, at)):
             store.revoke(entry, what.reason or approved.reason, at)
         return f"{what.master} is revoked"
@@ -303,15 +280,12 @@ _LATER: Final = "it is tried again"
 
 
 class PolicyAct(ApprovedAct):
+    kind = StatementKind.POLICY
+
     def __init__(self, policy: Path) -> None:
         self._policy = policy
 
-    def prepare(self, service: AuthorityService, arguments: Arguments, _now: int, /) -> ToApprove:
-        match arguments:
-            case [bytes(digest)]:
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of a policy", "")
+    def prepare(self, service: AuthorityService, _now: int, digest: bytes) -> Wanted:
         if service.home.is_intermediate:
             raise KeyServiceRefused("an intermediate signs no grants", "do it at the root")
         file = self._read(digest)
@@ -321,9 +295,9 @@ class PolicyAct(ApprovedAct):
         with closing(service.home.store()) as store:
             old = _last_approved(store)
         what = PolicyChange(old, digest, plan.effect(service.home.domain))
-        return ToApprove(what, file.text.encode())
+        return what, file.text.encode()
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
+    def admit(self, store: Store, approved: Approved) -> str | None:
         # Return if no other policy was approved since it was shown.
         what = approved.what(PolicyChange)
         self._read(what.new)
@@ -331,14 +305,15 @@ class PolicyAct(ApprovedAct):
             raise StoreError("another policy was approved meanwhile", _AGAIN)
         return None
 
-    def carry_out(
-        self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
-    ) -> None:
+    def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
         what, authority = approved.what(PolicyChange), service.unlock()
+        # 1. The file and what it would change are still those that were approved.
         plan = service.policy.plan(self._read(what.new))
         if plan.effect(authority.domain) != what.effect:
             raise StoreError("what this policy would change is not what was approved", _AGAIN)
-        signed = _put_in_force(authority, plan, approved, conclude, now)
+        # 2. What is new is signed, what goes is revoked and the approval ends, in one transaction.
+        signed = _put_in_force(authority, plan, approved, now)
+        # 3. Nodes get the grants, and the master the list.
         try:
             if plan.revoke:
                 service.grants.deposit(signed)
@@ -361,12 +336,9 @@ class DelegateAct(ApprovedAct):
     Its serial is the id of the approval: signed again after a crash, it is the same.
     """
 
-    def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        match arguments:
-            case [int(lifetime), int(max_ttl)]:
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of a delegation", "")
+    kind = StatementKind.DELEGATE
+
+    def prepare(self, service: AuthorityService, now: int, lifetime: int, max_ttl: int) -> Wanted:
         if service.home.is_intermediate:
             raise KeyServiceRefused("an intermediate delegates nothing", "do it at the root")
         if not 0 < lifetime <= MAX_DELEGATION or not MIN_TICKET <= max_ttl <= MAX_TICKET:
@@ -375,25 +347,24 @@ class DelegateAct(ApprovedAct):
             )
         with closing(service.home.store()) as store:
             holder = store.valid_certificate(MASTER, now).thumbprint
-        return ToApprove(DelegateStatement(holder, lifetime, max_ttl))
+        return DelegateStatement(holder, lifetime, max_ttl), b""
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
-        _check_holder(store, approved, approved.approval.at)
+    def admit(self, store: Store, approved: Approved) -> str | None:
+        _check_holder(store, approved, approved.at)
         return None
 
-    def carry_out(
-        self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
-    ) -> None:
+    def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
         what, authority = approved.what(DelegateStatement), service.unlock()
         _check_holder(authority.store, approved, now)
         data = authority.issue_delegation(
-            what.holder, what.lifetime, what.max_ttl, approved.approval.at, serial=approved.id
+            what.holder, what.lifetime, what.max_ttl, approved.at, serial=approved.id
         )
         node = service.home.node()
         service.deliver(StatementCall(node, "rossec.updateDelegation", (data,), "the delegation", _LATER))
         given = open_delegation(data, authority.signer.public_key)
+        # Only when the master has it: grants count as renewed from then on.
         service.home.confirm_delegation(given.id, now)
-        conclude(authority.store, f"{MASTER} may renew grants")
+        approved.conclude(authority.store, f"{MASTER} may renew grants", now)
 
 
 def _last_approved(store: Store) -> bytes:
@@ -408,9 +379,7 @@ def _last_approved(store: Store) -> bytes:
     return found[-1] if found else NONE_BEFORE
 
 
-def _put_in_force(
-    authority: SigningAuthority, plan: PolicyPlan, approved: Approved, conclude: Conclude, now: int
-) -> list[bytes]:
+def _put_in_force(authority: SigningAuthority, plan: PolicyPlan, approved: Approved, now: int) -> list[bytes]:
     reason, revoked = f"policy, {approved.reason}", sorted(grant.id for grant in plan.revoke)
 
     def check() -> None:
@@ -418,7 +387,7 @@ def _put_in_force(
         check_record(authority, plan)
         for entry in revoked:
             authority.store.revoke(entry, reason, now)
-        conclude(authority.store, _done(plan.signs, len(revoked), plan))
+        approved.conclude(authority.store, _done(plan.signs, len(revoked), plan), now)
 
     drafts = list(plan.drafts(authority.domain, now, lambda: secrets.token_bytes(ID_SIZE)))
     try:
@@ -434,7 +403,7 @@ def _put_in_force(
             for grant in left.revoke:
                 authority.store.revoke(grant.id, reason, now)
             authority.refresh_list(now)
-            conclude(authority.store, _done(len(signed), len(left.revoke), left))
+            approved.conclude(authority.store, _done(len(signed), len(left.revoke), left), now)
         return [data for _, data in signed]
 
 

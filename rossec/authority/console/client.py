@@ -1,16 +1,13 @@
 """The console's side: asks the authority's service over `console.sock`. A shell.
 
-A few connections are kept, one request at a time on each. One that the service ended instead of
-answering is made anew, once: services are restarted, and drop those that are idle. That is safe for
-every operation of the table: a code, a challenge or a statement is used up by the first, and what
-was taken away stays so. Whoever listens must be the own user, or the owner of the socket's
-directory, which nobody else can write.
+A few connections are kept, one request at a time on each.
 """
 
 import asyncio
 import os
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -21,6 +18,7 @@ from rossec.authority.keyservice import messages as frames
 from rossec.authority.keyservice.messages import ServiceRequest
 from rossec.errors import KeyServiceFailed, PeerUserRefused
 from rossec.host.local_sockets import raw_socket, require_user
+from rossec.host.workers import read_frame
 
 CONNECTIONS: Final = 4
 STRANGERS: Final = 1  # of them are used at a time for what anybody on the network may ask
@@ -48,13 +46,13 @@ class ConsoleClient(Operations):
         self._strangers = asyncio.Semaphore(STRANGERS)
 
     async def close(self) -> None:
-        """End the connections."""
         while self._free:
             self._free.pop().writer.transport.abort()
         await asyncio.sleep(0)
 
     async def ask(self, operation: str, *arguments: Value) -> Value:
         data = frames.write_request(ServiceRequest(operation, arguments))
+        # Strangers have one of the places (`login-flood`): the others remain for who is logged in.
         lane = self._strangers if OPERATIONS[operation].of_strangers else nullcontext()
         async with lane, self._places:
             try:
@@ -62,6 +60,9 @@ class ConsoleClient(Operations):
                     try:
                         return await self._exchange(data)
                     except (ConnectionError, asyncio.IncompleteReadError):
+                        # Once more: services are restarted, and drop those that are idle. That is safe for
+                        # every operation of the table: a code, a challenge or a statement is used up by the
+                        # first, and what was taken away stays so.
                         await self.close()
                         return await self._exchange(data)
             except (FileNotFoundError, ConnectionRefusedError) as error:
@@ -73,9 +74,7 @@ class ConsoleClient(Operations):
         async with self._connection() as (reader, writer):
             writer.write(data)
             await writer.drain()
-            head = await reader.readexactly(frames.HEAD)
-            size = frames.frame_size(head, messages.MAX_ANSWER)
-            body = await reader.readexactly(size)
+            body = await read_frame(reader, partial(frames.frame_size, limit=messages.MAX_ANSWER))
         return frames.read_answer(body, messages.MAX_ANSWER)
 
     @asynccontextmanager
@@ -90,6 +89,7 @@ class ConsoleClient(Operations):
 
 
 async def _connect(path: Path) -> _Connection:
+    # Whoever listens is the own user, or the owner of the socket's directory, which nobody else can write.
     allowed = {os.geteuid()}
     directory = path.parent.stat()
     if not directory.st_mode & 0o022:

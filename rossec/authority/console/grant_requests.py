@@ -1,12 +1,8 @@
 """What nodes ask for, as a person answers it: questions, approved grants, and taking away.
 
 The policy decides first: what it denies is denied, what it allows waits only for the key and is no
-question. Each right is a question of its own: who may see a camera may not drive for that. Grants
-are made when they are shown, and signed as shown, times and serials included.
-
-Taking away needs no passkey: denying is never harder. Everything is recorded at once, also while
-the key is locked: a revocation is then on the list that is signed at unlock. What was approved and
-still waits for the key comes to nothing as soon as what it is about is denied or ended.
+question. Taking away needs no passkey: denying is never harder. What was approved and still waits for
+the key comes to nothing as soon as what it is about is denied or ended.
 """
 
 import contextlib
@@ -15,7 +11,7 @@ from collections.abc import Callable
 from contextlib import closing
 from hashlib import sha256
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 from ca.approvals.statement import MAX_PAYLOAD, GrantStatement, StatementKind
 from ca.encoding import Value, decode, encode
@@ -40,7 +36,7 @@ from rossec.authority.approvals import (
     VerdictChange,
     verdict_change,
 )
-from rossec.authority.console.approving import Approved, ApprovedAct, Arguments, Conclude, ToApprove
+from rossec.authority.console.approving import Approved, ApprovedAct, Wanted
 from rossec.authority.console.messages import AskedRight, GrantQuestion, QuestionAnswer, given, to_value
 from rossec.authority.console.queries import bounded
 from rossec.authority.invitations import InvitationStatus
@@ -54,6 +50,8 @@ from rossec.errors import AuthorityLocked, ConfigurationError, KeyServiceRefused
 
 MAX_SECONDS: Final = 10 * 366 * 86400
 _PART: Final = "rossec-question-part"
+_ANSWERED: Final = "this question was answered", "look at what happened to it"
+_T = TypeVar("_T")
 
 
 class Questions:
@@ -67,7 +65,15 @@ class Questions:
         with contextlib.closing(self._queue(file)) as queue:
             queue.read_inbox()
             waiting = [each for each in queue.pending() if not each.is_allowed]
-        return bounded("questions", [_question(file, each) for each in waiting], by_node)
+        views, timeout = [], file.policy.defaults.prompt_timeout
+        for each in waiting:
+            stored, verdict = each.stored, approve(each.verdict)
+            number, key, asked = question_id(stored), verdict.subject.key, stored.request
+            times = stored.at, stored.at + timeout, longest(verdict)
+            offered, rights = tuple(_filters(file, verdict)), (_right(file, verdict),)
+            views.append(GrantQuestion(number, asked.node, key, asked.why, *times, offered, rights, asked.id))
+        # By node: none pushes another node's questions out of the list.
+        return bounded("questions", views, lambda view: view.node)
 
     def consider(self, question: bytes, coarse: str, seconds: int) -> Value:
         # What would be granted, through the filter `coarse`, for at most `seconds`.
@@ -82,31 +88,19 @@ class Questions:
     def question_answers(self, question: bytes) -> Value:
         with contextlib.closing(self._work.home().store()) as store:
             found = GrantRequestStore(store.database).answers()
-        return to_value(
-            tuple(
-                QuestionAnswer(
-                    each.stored.request.node,
-                    int(each.stored.requested.right),
-                    each.stored.requested.pattern,
-                    each.answer,
-                    each.reason,
-                    each.at,
-                )
-                for each in found
-                if is_about(each.stored, question)
-            )
-        )
+        views = []
+        for stored, answer, reason, at in found:
+            if is_about(stored, question):
+                node, asked = stored.request.node, stored.requested
+                views.append(QuestionAnswer(node, int(asked.right), asked.pattern, answer, reason, at))
+        return to_value(tuple(views))
 
     def _queue(self, file: PolicyFile) -> ApprovalQueue:
         return ApprovalQueue(self._work.home(), file, self._work.now())
 
 
-def by_node(question: GrantQuestion) -> str:
-    """Whose question it is: none pushes another node's out of the list."""
-    return question.node
-
-
 def question_id(stored: StoredRequest) -> bytes:
+    # Each right is a question of its own: who may see a camera may not drive for that.
     request, asked = stored.request, stored.requested
     if len(request.rights) == 1:
         return request.id
@@ -121,7 +115,7 @@ def is_about(stored: StoredRequest, question: bytes) -> bool:
 def pending_of(queue: ApprovalQueue, question: bytes) -> list[PendingApproval]:
     found = [each for each in queue.pending() if is_about(each.stored, question) and not each.is_allowed]
     if not found:
-        raise StoreError("this question was answered", "look at what happened to it")
+        raise StoreError(*_ANSWERED)
     return found
 
 
@@ -137,40 +131,18 @@ def changed_by(file: PolicyFile, coarse: str, seconds: int, now: int) -> Verdict
 
 
 def longest(verdict: Verdict) -> int:
-    """The seconds that the policy gives, renewals by the master included."""
     return max(verdict.lifetime, verdict.renew_until)
-
-
-def _question(file: PolicyFile, waiting: PendingApproval) -> GrantQuestion:
-    stored, verdict = waiting.stored, approve(waiting.verdict)
-    return GrantQuestion(
-        question_id(stored),
-        stored.request.node,
-        verdict.subject.key,
-        stored.request.why,
-        stored.at,
-        stored.at + file.policy.defaults.prompt_timeout,
-        longest(verdict),
-        tuple(_filters(file, verdict)),
-        (_right(file, verdict),),
-        stored.request.id,
-    )
 
 
 def _filters(file: PolicyFile, verdict: Verdict) -> list[str]:
     if verdict.right is not Right.SUBSCRIBE:
         return []
-    names = dict.fromkeys((*file.policy.filters, *PRESETS))
-    return [name for name in names if _fits(file, name, verdict)]
-
-
-def _fits(file: PolicyFile, name: str, verdict: Verdict) -> bool:
-    change = verdict_change(file, name, 0, only_today=False)
-    try:
-        permissions(change(verdict))
-    except HintedError:
-        return False
-    return True
+    found = []
+    for name in dict.fromkeys((*file.policy.filters, *PRESETS)):
+        with contextlib.suppress(HintedError):  # it does not fit messages of this type
+            permissions(verdict_change(file, name, 0, only_today=False)(verdict))
+            found.append(name)
+    return found
 
 
 def _right(file: PolicyFile, verdict: Verdict) -> AskedRight:
@@ -203,7 +175,8 @@ class GrantAnswer(NamedTuple):
     def from_bytes(cls, data: bytes) -> "GrantAnswer":
         match decode(data, limit=MAX_PAYLOAD):
             case [bytes(policy), [*rights], [*grants]]:
-                return cls(policy, tuple(map(_grant_acts_right, rights)), tuple(map(_grant, grants)))
+                found = tuple(_pair(bytes, each) for each in grants)
+                return cls(policy, tuple(_pair(int, each) for each in rights), found)
             case _:
                 raise ConfigurationError(*_MALFORMED)
 
@@ -214,34 +187,39 @@ class GrantAnswer(NamedTuple):
 class GrantAct(ApprovedAct):
     """Grants for a question: its id, a coarser filter, at most so many seconds (0: as asked)."""
 
+    kind = StatementKind.GRANT
+
     def __init__(self, policy: Path) -> None:
         self._policy = policy
 
-    def prepare(self, service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
-        match arguments:
-            case [bytes(question), str(coarse), int(seconds)] if seconds >= 0:
-                pass
-            case _:
-                raise KeyServiceRefused("these are not the arguments of a grant", "")
+    def prepare(
+        self, service: AuthorityService, now: int, question: bytes, coarse: str, seconds: int
+    ) -> Wanted:
+        if seconds < 0:
+            raise KeyServiceRefused("these are not the arguments of a grant", "")
         if service.home.is_intermediate:
             raise KeyServiceRefused("an intermediate signs no grants", "do it at the root")
         file = PolicyFile.read(self._policy, own=True)
         change = changed_by(file, coarse, seconds, now)
         with closing(ApprovalQueue(service.home, file, now)) as queue:
             found = pending_of(queue, question)
-            check_seconds(seconds, min(longest(each.verdict) for each in found))
+            most = min(longest(each.verdict) for each in found)
+            if seconds > most:  # what was approved is what is signed: it is not made shorter without a word
+                allowed = f"the policy allows this for {format_duration(most)} at most"
+                raise KeyServiceRefused(allowed, "choose a shorter time")
             made = queue.drafts(service.home.domain, found, change)
         issuer = thumbprint(service.home.own_key())
+        # The grants are made now, and signed as they are shown, times and serials included.
         answer = GrantAnswer(
             sha256(file.text.encode()).digest(),
             tuple((int(each.stored.requested.right), each.stored.requested.pattern) for each in found),
             tuple((encode(document.from_draft(draft, issuer)), rules) for draft, rules in made),
         )
         payload = answer.to_bytes()
-        return ToApprove(GrantStatement(question, sha256(payload).digest()), payload)
+        return GrantStatement(question, sha256(payload).digest()), payload
 
-    def admit(self, store: Store, approved: Approved, /) -> str | None:
-        answer = GrantAnswer.from_bytes(approved.approval.payload)
+    def admit(self, store: Store, approved: Approved) -> str | None:
+        answer = GrantAnswer.from_bytes(approved.payload)
         self._check_policy(answer)
         table, question = GrantRequestStore(store.database), approved.approval.subject
         found = {
@@ -251,14 +229,12 @@ class GrantAct(ApprovedAct):
         }
         for right in answer.rights:
             if right not in found:
-                raise _answered()
-            table.answer(found[right], GRANTED, approved.reason, approved.approval.at)
+                raise StoreError(*_ANSWERED)
+            table.answer(found[right], GRANTED, approved.reason, approved.at)
         return None
 
-    def carry_out(
-        self, service: AuthorityService, approved: Approved, conclude: Conclude, now: int, /
-    ) -> None:
-        answer, authority = GrantAnswer.from_bytes(approved.approval.payload), service.unlock()
+    def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
+        answer, authority = GrantAnswer.from_bytes(approved.payload), service.unlock()
         drafts, issuer = answer.drafts(), thumbprint(authority.signer.public_key)
         for (draft, _), (body, _) in zip(drafts, answer.grants, strict=True):
             if encode(document.from_draft(draft, issuer)) != body or now >= draft.expires:
@@ -270,13 +246,13 @@ class GrantAct(ApprovedAct):
                 held = authority.store.valid_certificate(draft.subject, now)
                 if held.thumbprint != draft.holder:
                     raise StoreError(f"{draft.subject} has another key now", "it has to ask again")
-            conclude(authority.store, given([body for body, _ in answer.grants]))
+            approved.conclude(authority.store, given([body for body, _ in answer.grants]), now)
 
         for data in authority.issue_grants(drafts, now, check):
             service.grants.store(data)
 
-    def made(self, _service: AuthorityService, approved: Approved, /) -> bytes:
-        bodies: list[Value] = [body for body, _ in GrantAnswer.from_bytes(approved.approval.payload).grants]
+    def made(self, _service: AuthorityService, approved: Approved) -> bytes:
+        bodies: list[Value] = [body for body, _ in GrantAnswer.from_bytes(approved.payload).grants]
         return encode(bodies)
 
     def _check_policy(self, answer: GrantAnswer) -> None:
@@ -285,49 +261,18 @@ class GrantAct(ApprovedAct):
             raise ConfigurationError("the policy was changed meanwhile", "look at it again")
 
 
-def check_seconds(seconds: int, most: int) -> None:
-    """Return if the policy allows a grant for so long; 0: as long as it allows.
-
-    What was approved is what is signed: a month is not made seven days without a word.
-    """
-    if seconds > most:
-        raise KeyServiceRefused(
-            f"the policy allows this for {format_duration(most)} at most", "choose a shorter time"
-        )
-
-
-def _grant_acts_right(value: Value) -> tuple[int, str]:
+def _pair(kind: type[_T], value: Value) -> tuple[_T, str]:
     match value:
-        case [int(right), str(pattern)]:
-            return right, pattern
-        case _:
-            raise ConfigurationError(*_MALFORMED)
-
-
-def _grant(value: Value) -> tuple[bytes, str]:
-    match value:
-        case [bytes(body), str(rules)]:
-            return body, rules
+        case [first, str(text)] if isinstance(first, kind):
+            return first, text
         case _:
             raise ConfigurationError(*_MALFORMED)
 
 
 def _draft(body: bytes) -> Draft:
     found = document.read_claims(body, bytes(ID_SIZE))
-    return Draft(
-        found.domain,
-        found.subject,
-        found.holder,
-        found.not_before,
-        found.expires,
-        found.cap,
-        found.serial,
-        found.permissions,
-    )
-
-
-def _answered() -> StoreError:
-    return StoreError("this question was answered", "look at what happened to it")
+    about = found.domain, found.subject, found.holder, found.not_before, found.expires, found.cap
+    return Draft(*about, found.serial, found.permissions)
 
 
 PURPOSE: Final = "a revocation at the console"
@@ -338,10 +283,7 @@ Find = Callable[[Store, int], frozenset[bytes]]
 
 
 class Removals:
-    """The operations that take away.
-
-    `wake`: begins a round of the service, which tells the master.
-    """
+    """`wake`: begins a round of the service, which tells the master."""
 
     def __init__(self, work: AuthorityWork, wake: Callable[[], None]) -> None:
         self._work = work
@@ -368,7 +310,7 @@ class Removals:
             parts = {request, *map(question_id, table.find(request))}
             ended = [_end_about(store, StatementKind.GRANT, part, why, at) for part in sorted(parts)]
             if not found and not any(ended):
-                raise StoreError("this question was answered", "look at what happened to it")
+                raise StoreError(*_ANSWERED)
         return None
 
     def revoke_grant(self, grant: bytes, reason: str) -> Value:
@@ -410,7 +352,19 @@ class Removals:
         return None
 
     def _revoke(self, find: Find, reason: str) -> Value:
-        number = revoke(self._work, find, checked_reason(reason), PURPOSE)
+        # Recorded at once, with its list unless the key is locked: then it is signed when that is unlocked.
+        why, at, number = checked_reason(reason), self._work.now(), UNSIGNED
+        with self._work.service(PURPOSE) as service:
+            if service.home.is_intermediate:
+                raise ConfigurationError("an intermediate cannot revoke", "do it at the root")
+            try:
+                authority = service.unlock()
+                with authority.store.transaction():
+                    number = authority.revoke_all(find(authority.store, at), why, at).number
+            except AuthorityLocked:
+                with contextlib.closing(service.home.store()) as store, store.transaction():
+                    for entry in sorted(find(store, at)):
+                        store.revoke(entry, why, at)
         self._wake()
         return [*number]
 
@@ -424,10 +378,7 @@ def checked_reason(text: str) -> str:
 
 
 def keys_of(name: str) -> Find:
-    """Finds the keys of `name`, and the things that end with them.
-
-    It raises `ConfigurationError` if there is no key to revoke.
-    """
+    """Finds the keys of `name`, and the things that end with them; none is a refusal."""
 
     def find(store: Store, at: int) -> frozenset[bytes]:
         sought = name if name.startswith(INTERMEDIATE) else check_name(name)
@@ -439,30 +390,6 @@ def keys_of(name: str) -> Find:
         return found | signing.ended_with(store, sought, at)
 
     return find
-
-
-def revoke(work: AuthorityWork, find: Find, reason: str, purpose: str) -> tuple[int, int]:
-    """Record a revocation of what `find` finds, with its list unless the key is locked.
-
-    Returns the number of the list, or `UNSIGNED`.
-    """
-    at = work.now()
-    with work.service(purpose) as service:
-        if service.home.is_intermediate:
-            raise ConfigurationError("an intermediate cannot revoke", "do it at the root")
-        try:
-            authority = service.unlock()
-            with authority.store.transaction():
-                entries = find(authority.store, at)
-                listed = authority.revoke_all(entries, reason, at)
-        except AuthorityLocked:
-            pass
-        else:
-            return listed.number
-        with contextlib.closing(service.home.store()) as store, store.transaction():
-            for entry in sorted(find(store, at)):
-                store.revoke(entry, reason, at)
-    return UNSIGNED
 
 
 def _end_about(store: Store, kind: StatementKind, subject: bytes, reason: str, at: int) -> bool:

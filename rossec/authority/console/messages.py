@@ -15,20 +15,10 @@ import inspect
 import ipaddress
 import re
 from collections.abc import Callable, Coroutine, Iterable, Mapping
+from contextlib import suppress
 from itertools import chain
 from types import NoneType, UnionType
-from typing import (
-    Any,
-    Concatenate,
-    Final,
-    NamedTuple,
-    ParamSpec,
-    TypeVar,
-    cast,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Any, Final, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 from urllib.parse import urlsplit
 
 from ca.approvals import statement as kinds
@@ -79,7 +69,11 @@ def check_page(origin: str, rp_id: str) -> None:
         raise ApprovalRefused(
             f"{origin[:80]!a} is no address of a console", "https://NAME, or http://localhost"
         )
-    if not _DOMAIN.fullmatch(rp_id) or _is_address(rp_id):
+    is_name = _DOMAIN.fullmatch(rp_id) is not None
+    with suppress(ValueError):  # an RP id is a domain (WebAuthn), and 127.0.0.1 has the form of one
+        ipaddress.ip_address(rp_id)
+        is_name = False
+    if not is_name:
         raise ApprovalRefused(f"passkeys cannot belong to {rp_id[:80]!a}", "open the console by a name")
     if host != rp_id and not host.endswith(f".{rp_id}"):
         raise ApprovalRefused(
@@ -101,14 +95,6 @@ def _host(origin: str) -> str | None:
         return None
     is_secure = parts.scheme == "https" or (parts.scheme == "http" and host == "localhost")
     return host if is_secure else None
-
-
-def _is_address(text: str) -> bool:
-    try:
-        ipaddress.ip_address(text)
-    except ValueError:
-        return False
-    return True
 
 
 SOCKET: Final = "console.sock"  # in the authority's directory
@@ -154,12 +140,6 @@ def to_value(item: object) -> Value:
 def from_value(kind: type[_T], value: Value) -> _T:
     found: _T = _read(kind, value)
     return found
-
-
-def many(kind: type[_T], value: Value) -> tuple[_T, ...]:
-    if not isinstance(value, list):
-        raise KeyMessageRefused("records that are no list", _HINT)
-    return tuple(from_value(kind, each) for each in value)
 
 
 def _read(kind: Any, value: Value) -> Any:
@@ -439,158 +419,98 @@ class Operation(NamedTuple):
 
 
 OPERATIONS: Final[dict[str, Operation]] = {}
-_P = ParamSpec("_P")
+_C = TypeVar("_C")
 
 
-_Declared = Callable[Concatenate[Any, _P], _T]
-_Asking = Callable[Concatenate[Any, _P], Coroutine[Any, Any, _T]]
-
-
-def _operation(
-    *, changes: bool = False, of_strangers: bool = False
-) -> Callable[[_Declared[_P, _T]], _Asking[_P, _T]]:
-    # Enters an operation into the table as its signature says; the console gets a method that asks for it.
-    def enter(declared: _Declared[_P, _T]) -> _Asking[_P, _T]:
-        name, signature = declared.__name__.replace("_", "-"), inspect.signature(declared)
-        kinds = get_type_hints(declared)
-        answer = kinds.pop("return")
-        sent = (
-            get_type_hints(kind).values() if hasattr(kind, "_fields") else [kind] for kind in kinds.values()
-        )
-        arguments = tuple(get_origin(kind) or kind for kind in chain(*sent))
-        OPERATIONS[name] = Operation(arguments, answer, changes, of_strangers)
-
-        async def ask(client: Any, /, *given: _P.args, **named: _P.kwargs) -> _T:
-            bound = signature.bind(client, *given, **named)
-            bound.apply_defaults()
-            _, *values = bound.arguments.values()
-            flat = chain(*(value if isinstance(value, tuple) else [value] for value in values))
-            found = await client.ask(name, *flat)
-            return cast("_T", None if answer is NoneType else from_value(answer, found))
-
-        return ask
+def _operations(*, changes: bool = False, of_strangers: bool = False) -> Callable[[type[_C]], type[_C]]:
+    # Enters the methods of a class into the table as their signatures say; each then asks for its operation.
+    def enter(declared: type[_C]) -> type[_C]:
+        for word, method in inspect.getmembers(declared, inspect.iscoroutinefunction):
+            name, kinds = word.replace("_", "-"), get_type_hints(method)
+            answer = kinds.pop("return")
+            sent = (
+                get_type_hints(each).values() if hasattr(each, "_fields") else [each]
+                for each in kinds.values()
+            )
+            arguments = tuple(get_origin(kind) or kind for kind in chain(*sent))
+            OPERATIONS[name] = Operation(arguments, answer, changes, of_strangers)
+            setattr(declared, word, _asking(name, inspect.signature(method), answer))
+        return declared
 
     return enter
 
 
-class Operations:
+def _asking(name: str, signature: inspect.Signature, answer: Any) -> Callable[..., Coroutine[Any, Any, Any]]:
+    async def ask(client: Any, /, *given: Any, **named: Any) -> Any:
+        bound = signature.bind(client, *given, **named)
+        bound.apply_defaults()
+        _, *values = bound.arguments.values()
+        flat = chain(*(value if isinstance(value, tuple) else [value] for value in values))
+        found = await client.ask(name, *flat)
+        return None if answer is NoneType else from_value(answer, found)
+
+    return ask
+
+
+@_operations()
+class _Looking:
+    async def status(self) -> Status: ...
+    async def nodes(self) -> tuple[NodeView, ...]: ...
+    async def grants(self) -> tuple[GrantView, ...]: ...  # in force, and those that ended within 30 days
+    async def identity_requests(self) -> tuple[IdentityRequestView, ...]: ...
+    async def questions(self) -> tuple[GrantQuestion, ...]: ...
+
+    async def consider(self, question: bytes, coarse: str, seconds: int) -> tuple[AskedRight, ...]:
+        """What would be granted, through the filter `coarse`, for `seconds` (0: as asked)."""
+
+    async def question_answers(self, question: bytes) -> tuple[QuestionAnswer, ...]: ...  # none: it waits
+    async def invitations(self) -> tuple[InvitationView, ...]: ...
+    async def phones(self) -> tuple[PhoneView, ...]: ...
+    async def proposals(self) -> tuple[Proposal, ...]: ...
+    async def approvals(self, count: int) -> tuple[ApprovalView, ...]: ...  # newest first, at most so many
+    async def events(self, before: int, count: int) -> tuple[EventView, ...]: ...  # `before` 0: the newest
+    async def denials(self) -> tuple[DenialView, ...]: ...  # of the last day; raises if there is no master
+    async def graph(self) -> tuple[FactView, ...]: ...  # raises if there is no master
+    async def policy(self) -> PolicyView: ...
+    async def policy_names(self) -> tuple[PolicyName, ...]: ...  # titles and types
+    async def standing(self, epoch: int, seq: int) -> ListProgress: ...
+
+    async def prepare(self, kind: str, arguments: list[Value], owner: str = "") -> Prepared:
+        """Make a statement: arguments as in `PREPARED`, `owner` as `of_phone` and `of_looker` say."""
+
+    async def outcome(self, approval: bytes) -> ApprovalOutcome: ...
+    async def phone_link(self, owner: str = "") -> str: ...  # a one-time code
+
+
+@_operations(changes=True)
+class _Changing:
+    # What takes away returns nothing, or the number of the list: (0, 0) while the key is locked.
+    async def deny_request(self, request: bytes, reason: str) -> None: ...
+    async def deny_question(self, question: bytes, reason: str) -> None: ...
+    async def revoke_grant(self, grant: bytes, reason: str) -> tuple[int, int]: ...
+    async def revoke_node(self, name: str, reason: str) -> tuple[int, int]: ...  # not of a master
+    async def end_invitation(self, invitation: bytes, reason: str) -> None: ...
+    async def remove_phone(self, phone: bytes, reason: str) -> None: ...
+    async def end_proposal(self, proposal: bytes) -> None: ...
+    async def approve(self, statement: bytes, assertion: PasskeyAssertion) -> ApprovalOutcome: ...
+
+
+@_operations(of_strangers=True)
+class _Entering:
+    # The console's own sessions follow from these. A code is used up by the operation that takes it.
+    async def login_challenge(self, origin: str) -> LoginChallenge: ...
+    async def login(self, challenge: bytes, assertion: PasskeyAssertion) -> str: ...  # the phone's name
+    async def redeem(self, code: str) -> None: ...  # a code from the terminal: to look
+    async def new_passkey(self, origin: str, rp_id: str) -> LoginChallenge: ...
+    async def add_passkey(self, registration: PasskeyRegistration) -> PhoneView: ...  # as `redeem`
+    async def propose_passkey(self, registration: PasskeyRegistration) -> Proposal: ...  # one of `phone_link`
+
+
+class Operations(_Looking, _Changing, _Entering):
     """The table of all that the console can ask, with the answers; the console's client says how to `ask`.
 
     The service's handler of an operation is the method of that name, of one of its parts.
     """
-
-    # Reading.
-
-    @_operation()
-    def status(self) -> Status: ...
-
-    @_operation()
-    def nodes(self) -> tuple[NodeView, ...]: ...
-
-    @_operation()
-    def grants(self) -> tuple[GrantView, ...]: ...  # in force, and those that ended within 30 days
-
-    @_operation()
-    def identity_requests(self) -> tuple[IdentityRequestView, ...]: ...
-
-    @_operation()
-    def questions(self) -> tuple[GrantQuestion, ...]: ...
-
-    @_operation()
-    def consider(self, question: bytes, coarse: str, seconds: int) -> tuple[AskedRight, ...]:
-        """What would be granted, through the filter `coarse`, for `seconds` (0: as asked)."""
-
-    @_operation()
-    def question_answers(self, question: bytes) -> tuple[QuestionAnswer, ...]: ...  # none while it waits
-
-    @_operation()
-    def invitations(self) -> tuple[InvitationView, ...]: ...
-
-    @_operation()
-    def phones(self) -> tuple[PhoneView, ...]: ...
-
-    @_operation()
-    def proposals(self) -> tuple[Proposal, ...]: ...
-
-    @_operation()
-    def approvals(self, count: int) -> tuple[ApprovalView, ...]: ...  # newest first, at most so many
-
-    @_operation()
-    def events(self, before: int, count: int) -> tuple[EventView, ...]:
-        """At most so many before this number (0: the newest)."""
-
-    @_operation()
-    def denials(self) -> tuple[DenialView, ...]: ...  # of the last day; raises if there is no master
-
-    @_operation()
-    def graph(self) -> tuple[FactView, ...]: ...  # raises if there is no master
-
-    @_operation()
-    def policy(self) -> PolicyView: ...
-
-    @_operation()
-    def policy_names(self) -> tuple[PolicyName, ...]: ...  # titles and types
-
-    @_operation()
-    def standing(self, epoch: int, seq: int) -> ListProgress: ...
-
-    # Taking away: nothing, or the number of the list, (0, 0) while the key is locked.
-
-    @_operation(changes=True)
-    def deny_request(self, request: bytes, reason: str) -> None: ...
-
-    @_operation(changes=True)
-    def deny_question(self, question: bytes, reason: str) -> None: ...
-
-    @_operation(changes=True)
-    def revoke_grant(self, grant: bytes, reason: str) -> tuple[int, int]: ...
-
-    @_operation(changes=True)
-    def revoke_node(self, name: str, reason: str) -> tuple[int, int]: ...  # not of a master
-
-    @_operation(changes=True)
-    def end_invitation(self, invitation: bytes, reason: str) -> None: ...
-
-    @_operation(changes=True)
-    def remove_phone(self, phone: bytes, reason: str) -> None: ...
-
-    @_operation(changes=True)
-    def end_proposal(self, proposal: bytes) -> None: ...
-
-    # Approving.
-
-    @_operation()
-    def prepare(self, kind: str, arguments: list[Value], owner: str = "") -> Prepared:
-        """Make a statement: arguments as in `PREPARED`, `owner` as `of_phone` and `of_looker` say."""
-
-    @_operation(changes=True)
-    def approve(self, statement: bytes, assertion: PasskeyAssertion) -> ApprovalOutcome: ...
-
-    @_operation()
-    def outcome(self, approval: bytes) -> ApprovalOutcome: ...
-
-    # Who looks: the console's own sessions follow from these.
-
-    @_operation(of_strangers=True)
-    def login_challenge(self, origin: str) -> LoginChallenge: ...
-
-    @_operation(of_strangers=True)
-    def login(self, challenge: bytes, assertion: PasskeyAssertion) -> str: ...  # the phone's name
-
-    @_operation(of_strangers=True)
-    def redeem(self, code: str) -> None: ...  # a code from the terminal, used up by this: to look
-
-    @_operation(of_strangers=True)
-    def new_passkey(self, origin: str, rp_id: str) -> LoginChallenge: ...
-
-    @_operation(of_strangers=True)
-    def add_passkey(self, registration: PasskeyRegistration) -> PhoneView: ...  # by a code from the terminal
-
-    @_operation(of_strangers=True)
-    def propose_passkey(self, registration: PasskeyRegistration) -> Proposal: ...  # by a code of `phone_link`
-
-    @_operation()
-    def phone_link(self, owner: str = "") -> str: ...  # a one-time code
 
 
 _ARGUMENTS: Final = {name: operation.arguments for name, operation in OPERATIONS.items()}
@@ -618,12 +538,11 @@ _MOST: Final = 4  # rights that are listed
 
 
 def sentence(statement: Statement, payload: bytes) -> str:
-    """What `statement` is about; `payload` is what it has a digest of."""
     match statement.what:
         case kinds.Enroll(name=name, replaces=replaces):
             text = f"identity of {name}" + ", with another key than before" * replaces
         case kinds.GrantStatement():
-            text = given(_bodies(payload))
+            text = given(bodies_of(payload))
         case kinds.PolicyChange():
             text = "the changed policy is in force"
         case kinds.DelegateStatement(lifetime=lifetime):
@@ -662,13 +581,13 @@ def _right(given: Permission) -> str:
     return f"{given.rights.label} {given.pattern}" + " (not all of it)" * coarser
 
 
-def _bodies(payload: bytes) -> list[bytes]:
-    try:
+def bodies_of(payload: bytes) -> list[bytes]:
+    """The claims of the grants in the payload of an approval; none where it is malformed."""
+    with suppress(EncodingError):
         match decode(payload, limit=kinds.MAX_PAYLOAD):
             case [_, _, [*grants]]:
                 pairs = (grant for grant in grants if isinstance(grant, list) and len(grant) == 2)
                 return [body for body, _ in pairs if isinstance(body, bytes)]
             case _:
-                return []
-    except EncodingError:
-        return []
+                pass
+    return []

@@ -26,6 +26,7 @@ from rossec.authority.console.messages import Proposal
 from rossec.errors import KeyServiceRefused, PhoneCodeRefused
 from rossec.peer_limits import SharedTable
 
+Random = Callable[[int], bytes]
 CHALLENGE_LIFETIME: Final = 300  # seconds
 MAX_USED: Final = 1024  # by passkeys of this authority, within `LIFETIME`; then they wait
 _MAC: Final = 32  # bytes
@@ -36,9 +37,7 @@ class LoginChallenges:
     # this process (HMAC-SHA-256, as the cookies of RFC 4987 3.6 and RFC 9147 5.1). Only those that were
     # used are kept.
 
-    def __init__(
-        self, elapsed: clock.Seconds | None = None, random: Callable[[int], bytes] = secrets.token_bytes
-    ) -> None:
+    def __init__(self, elapsed: clock.Seconds | None = None, random: Random = secrets.token_bytes) -> None:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._random = random
         self._key = secrets.token_bytes(32)
@@ -60,19 +59,12 @@ class LoginChallenges:
         if not hmac.compare_digest(mac, self._mac(said)):
             raise _other()
         match decode(said):
-            case [
-                str(found),
-                bytes(),
-                str(domain),
-                str(origin),
-                str(rp_id),
-                int(made),
-                int(until),
-                int(end),
-            ] if found == purpose:
+            case [found, bytes(), str(domain), str(origin), str(rp_id), int(made), int(until), int(end)]:
                 pass
             case _:
                 raise _other()
+        if found != purpose:  # a login must not add a passkey
+            raise _other()
         with self._lock:
             if number in self._used or self._elapsed() * 1000 >= end:
                 raise _other()
@@ -81,6 +73,7 @@ class LoginChallenges:
     def use(self, challenge: Challenge) -> None:
         with self._lock:
             now = self._elapsed()
+            # Only what was used is kept, so a flood of questions fills nothing (`login-flood`).
             self._used = {number: end for number, end in self._used.items() if now < end}
             if challenge.id in self._used or len(self._used) >= MAX_USED:
                 raise _other()
@@ -113,15 +106,9 @@ class _Code(NamedTuple):
 
 
 class Codes:
-    """The codes that were made and not used yet; threads may share it.
+    """The codes that were made and not used yet; threads may share it."""
 
-    A code has 128 bits, so nobody guesses one: after `MAX_FAILURES` wrong ones those who send more wait,
-    but a right one is always taken. Else any stranger could keep people out by being wrong.
-    """
-
-    def __init__(
-        self, elapsed: clock.Seconds | None = None, random: Callable[[int], bytes] = secrets.token_bytes
-    ) -> None:
+    def __init__(self, elapsed: clock.Seconds | None = None, random: Random = secrets.token_bytes) -> None:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._random = random
         self._lock = threading.Lock()  # guards what follows
@@ -163,7 +150,10 @@ class Codes:
     def _find(self, text: str, use: CodeUse) -> _Code:
         now, given = self._elapsed(), _digest(text)
         known = [code for _, code in self._codes[use].items()]
+        # All are compared, each in constant time: the answer tells nothing of how much was right.
         found = [code for code in known if hmac.compare_digest(code.digest, given)]
+        # A code has 128 bits, so nobody guesses one: after `MAX_FAILURES` wrong ones those who send more
+        # wait, but a right one is always taken. Else any stranger could keep people out by being wrong.
         if found and now < found[0].end:
             return found[0]
         if now < self._locked_until:
@@ -195,9 +185,7 @@ class _Proposed(NamedTuple):
 
 
 class Proposals:
-    def __init__(
-        self, elapsed: clock.Seconds | None = None, random: Callable[[int], bytes] = secrets.token_bytes
-    ) -> None:
+    def __init__(self, elapsed: clock.Seconds | None = None, random: Random = secrets.token_bytes) -> None:
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._random = random
         self._lock = threading.Lock()

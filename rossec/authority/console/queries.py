@@ -12,15 +12,17 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from ca.approvals.passkeys import Approval
 from ca.approvals.statement import StatementKind
 from ca.encoding import Value, encode
 from ca.errors import HintedError, RevocationRefused
 from ca.revocation.trust_status import open_statement
 from ca.store.log import ApprovalState
 from ca.store.record import CertificateRow, Store
+from ca.store.values import RevocationRow
 from grants import document
 from grants.errors import PolicyRefused
 from grants.policy.difference import Change, ChangeKind
@@ -62,22 +64,18 @@ _log = logging.getLogger("rossec.authority.service")
 Deliveries = Callable[[], Mapping[bytes, str]]
 
 
+@dataclass(eq=False, repr=False)
 class RecordQueries:
-    """The operations that read the record.
-
-    `last_used`: when passkeys were last used to log in. `deliveries`: what the master says of each
+    """`last_used`: when passkeys were last used to log in. `deliveries`: what the master says of each
     grant; without one, nothing.
     """
 
-    def __init__(
-        self, work: AuthorityWork, last_used: Callable[[bytes], int], deliveries: Deliveries = dict
-    ) -> None:
-        self._work = work
-        self._last_used = last_used
-        self._deliveries = deliveries
+    work: AuthorityWork
+    last_used: Callable[[bytes], int]
+    deliveries: Deliveries = dict
 
     def nodes(self) -> Value:
-        at = self._work.now()
+        at = self.work.now()
         with self._store() as store, store.database.read_transaction():
             ended = {row.entry: row for row in store.revocations()}
             rows = store.identities.all()
@@ -89,85 +87,48 @@ class RecordQueries:
                 found[row.name, row.thumbprint] = row
         views = []
         for row in found.values():
-            revoked = ended.get(row.thumbprint)
-            views.append(
-                NodeView(
-                    row.name,
-                    row.thumbprint,
-                    row.not_before,
-                    row.not_after,
-                    row.wildcard,
-                    revoked.at if revoked else 0,
-                    revoked.reason if revoked else "",
-                )
-            )
+            key, span, gone = row.thumbprint, (row.not_before, row.not_after), _end(ended.get(row.thumbprint))
+            views.append(NodeView(row.name, key, *span, row.wildcard, *gone))
         return bounded("identities", reversed(views), lambda view: view.name)
 
     def grants(self) -> Value:
-        oldest = self._work.now() - KEPT
+        oldest = self.work.now() - KEPT
         with self._store() as store, store.database.read_transaction():
             ended = {row.entry: row for row in store.revocations()}
             rules, signed = store.policy_grants(), store.signed_at()
             rows = store.grants()
-        states, views = self._deliveries(), []
+        states, views = self.deliveries(), []
         for row in shared(reversed(rows), lambda row: row.name, _MAX_ROWS):
             grant = document.peek(row.data)
             revoked = ended.get(row.id) or ended.get(grant.holder)
             if min(grant.cap, revoked.at if revoked else grant.cap) < oldest:
                 continue
-            views.append(
-                GrantView(
-                    row.id,
-                    row.name,
-                    row.data,
-                    signed[row.id],
-                    grant.expires,
-                    grant.cap,
-                    revoked.at if revoked else 0,
-                    revoked.reason if revoked else "",
-                    rules.get(row.id, ""),
-                    states.get(row.id, ""),
-                )
-            )
+            at, rule, state = signed[row.id], rules.get(row.id, ""), states.get(row.id, "")
+            times = at, grant.expires, grant.cap
+            views.append(GrantView(row.id, row.name, row.data, *times, *_end(revoked), rule, state))
         return bounded("grants", views, lambda view: view.node)
 
     def identity_requests(self) -> Value:
-        at = self._work.now()
+        at = self.work.now()
         with self._store() as store:
             store.requests.collect(at)
-            views = [
-                IdentityRequestView(
-                    row.digest,
-                    row.name,
-                    row.thumbprint,
-                    row.source,
-                    row.arrived,
-                    row.expires,
-                    str(row.state),
-                    row.wildcard,
-                    any(each.thumbprint != row.thumbprint for each in store.identities.by_name(row.name)),
-                    row.der,
-                )
-                for row in store.requests.open(at)
-            ]
+            views = []
+            for row in store.requests.open(at):
+                known = store.identities.by_name(row.name)
+                about = row.digest, row.name, row.thumbprint, row.source, row.arrived, row.expires
+                is_other_key = any(each.thumbprint != row.thumbprint for each in known)
+                views.append(IdentityRequestView(*about, str(row.state), row.wildcard, is_other_key, row.der))
         return bounded("requests", reversed(views))
 
     def invitations(self) -> Value:
-        at = self._work.now()
+        at = self.work.now()
         with self._store() as store, store.database.read_transaction():
-            views = [
-                InvitationView(
-                    each.row.id,
-                    each.row.pattern,
-                    each.row.uses,
-                    tuple(use.name for use in each.uses),
-                    each.row.wildcard,
-                    each.row.expires,
-                    each.row.at,
-                    each.state(at),
-                )
-                for each in invitations.invitations(store)
-            ]
+            found = [(each, each.row, each.state(at)) for each in invitations.invitations(store)]
+        views = []
+        for each, row, state in found:
+            names = tuple(use.name for use in each.uses)
+            about = row.id, row.pattern, row.uses, names, row.wildcard, row.expires, row.at
+            views.append(InvitationView(*about, state))
         return bounded("join codes", reversed(views))
 
     def phones(self) -> Value:
@@ -177,49 +138,37 @@ class RecordQueries:
         names = {each.id: each.name for each in known}
         views = []
         for each in known:
-            last = max(used.get(each.id, 0), self._last_used(each.id))
-            why = ended.get(each.id)
-            views.append(
-                PhoneView(
-                    each.id,
-                    each.name,
-                    each.at,
-                    last,
-                    names.get(by.get(each.approval, b""), ""),
-                    "" if why is None else why or "removed",
-                )
-            )
+            last = max(used.get(each.id, 0), self.last_used(each.id))
+            by_whom, why = names.get(by.get(each.approval, b""), ""), ended.get(each.id)
+            end = "" if why is None else why or "removed"
+            views.append(PhoneView(each.id, each.name, each.at, last, by_whom, end))
         return bounded("phones", views)
 
     def approvals(self, count: int) -> Value:
         with self._store() as store, store.database.read_transaction():
-            found = store.approvals.newest(_count(count, MAX_APPROVALS))
+            found = store.approvals.newest(max(0, min(count, MAX_APPROVALS)))
             ends = store.approvals.ends()
             names = {each.id: each.name for each in store.passkeys.all()}
         views = []
         for each in found:
             end = ends.get(each.id)
-            views.append(
-                ApprovalView(
-                    each.id,
-                    each.kind,
-                    _sentence(each),
-                    names.get(each.passkey, ""),
-                    each.at,
-                    end.state if end else str(ApprovalState.WAITING),
-                    end.result if end else "",
-                )
-            )
+            try:
+                said = sentence(each.read(), each.payload)
+            except HintedError as error:
+                said = f"an approval that cannot be read: {error}"
+            phone = names.get(each.passkey, "")
+            state, result = (end.state, end.result) if end else (str(ApprovalState.WAITING), "")
+            views.append(ApprovalView(each.id, each.kind, said, phone, each.at, state, result))
         return bounded("approvals", views)
 
     def events(self, before: int, count: int) -> Value:
         with self._store() as store:
             last = min(before, _MAX_NUMBER) if before > 0 else None
-            found = store.log.newest(_count(count, MAX_EVENTS), last)
+            found = store.log.newest(max(0, min(count, MAX_EVENTS)), last)
         return bounded("entries", [EventView(*each[:5]) for each in found])
 
     def _store(self) -> contextlib.closing[Store]:
-        return contextlib.closing(self._work.home().store())
+        return contextlib.closing(self.work.home().store())
 
 
 V = TypeVar("V", bound=tuple[Any, ...])
@@ -256,18 +205,17 @@ def _in_turns(owners: Sequence[str]) -> list[int]:
     return [place for _, place in sorted(turns)]
 
 
-def _count(count: int, limit: int) -> int:
-    return max(0, min(count, limit))
+def _end(revoked: RevocationRow | None) -> tuple[int, str]:
+    return (0, "") if revoked is None else (revoked.at, revoked.reason)
 
 
-def _sentence(approval: Approval) -> str:
+def stamp(path: Path) -> tuple[int, ...]:
+    """What differs when the file was changed or replaced; empty: there is none."""
     try:
-        return sentence(approval.read(), approval.payload)
-    except HintedError as error:
-        return f"an approval that cannot be read: {error}"
-
-
-_NOTHING: Final = (0, 0, 0)
+        status = path.stat()
+    except OSError:
+        return ()
+    return status.st_mtime_ns, status.st_size, status.st_ino
 
 
 class PolicyNames:
@@ -276,17 +224,15 @@ class PolicyNames:
 
     def __init__(self, work: AuthorityWork) -> None:
         self._work = work
-        self._read = _NOTHING
+        self._read: tuple[int, ...] = ()
         self._names: tuple[PolicyName, ...] = ()
 
     def policy_names(self) -> Value:
-        path, found = self._work.policy_path(), _NOTHING
-        with contextlib.suppress(OSError):
-            status = path.stat()
-            found = status.st_mtime_ns, status.st_size, status.st_ino
+        path = self._work.policy_path()
+        found = stamp(path)  # before reading: a later change is then seen
         if found != self._read:
             names: tuple[PolicyName, ...] = ()
-            if found != _NOTHING:
+            if found:
                 with contextlib.suppress(HintedError):  # told on the page of the policy
                     policy = PolicyFile.read(path, own=True).policy
                     names = tuple(
@@ -299,7 +245,6 @@ class PolicyNames:
 
 PURPOSE: Final = "a look at the policy"
 MAX_REFUSED: Final = 64
-_NOT_GIVEN: Final = frozenset({ChangeKind.KEPT, ChangeKind.GONE})
 
 
 class PolicyQuery:
@@ -320,15 +265,17 @@ class PolicyQuery:
                 plan = service.policy.plan(file)
         except HintedError as error:
             digest = hashlib.sha256(read).digest() if read else b""
-            return to_value(empty._replace(digest=digest, mistakes=_mistakes(error)))
+            found = error.mistakes if isinstance(error, PolicyRefused) else ()
+            mistakes = tuple(map(str, found)) or (str(error),)
+            return to_value(empty._replace(digest=digest, mistakes=mistakes))
         changes = [change for node in plan.nodes for change in node.changes]
-        kept = [change for change in changes if change.kind is ChangeKind.KEPT]
+        kept, gone = ChangeKind.KEPT, ChangeKind.GONE
         return to_value(
             empty._replace(
                 digest=hashlib.sha256(read).digest(),
-                gives=tuple(_right(each) for each in changes if each.kind not in _NOT_GIVEN),
-                takes=tuple(_right(each) for each in changes if each.kind is ChangeKind.GONE),
-                keeps=len(kept),
+                gives=tuple(_right(each) for each in changes if each.kind not in (kept, gone)),
+                takes=tuple(_right(each) for each in changes if each.kind is gone),
+                keeps=sum(each.kind is kept for each in changes),
                 refused=plan.refused[:MAX_REFUSED],
             )
         )
@@ -343,11 +290,6 @@ def _right(change: Change) -> PolicyRight:
     return PolicyRight(change.subject.name, int(change.right), change.pattern, words, span)
 
 
-def _mistakes(error: HintedError) -> tuple[str, ...]:
-    found = error.mistakes if isinstance(error, PolicyRefused) else ()
-    return tuple(map(str, found)) or (str(error),)
-
-
 STANDING: Final = "rossec.revocationStanding"
 DENIALS: Final = "rossec.recentDenials"
 PERIOD: Final = 2.0  # seconds between two questions
@@ -359,11 +301,9 @@ _HINT: Final = "it is asked again"
 
 
 class MasterView:
-    """The operations that need the master.
-
-    `deliver`: calls the master. Raises `NotDelivered`. `elapsed`: seconds of a clock that cannot be
-    set. `begin`: calls a function in another thread. `came_back`: called when the master answers
-    again: something may wait for it.
+    """`deliver`: calls the master. Raises `NotDelivered`. `elapsed`: seconds of a clock that cannot be set.
+    `begin`: calls a function in another thread. `came_back`: called when the master answers again:
+    something may wait for it.
     """
 
     def __init__(
@@ -394,22 +334,20 @@ class MasterView:
         return self._changes
 
     def graph(self) -> Value:
+        view = self._view
         if self._elapsed() - self._heard > FRESH:
             view = GraphView()
             self._watch(view, SHORT)
-            return _facts(view)
-        return _facts(self._view)
+        return to_value(tuple(FactView(*fact) for fact in sorted(view.facts)))
 
     def denials(self) -> Value:
-        if self._elapsed() - self._heard > FRESH:
-            return to_value(self._recent_denials())
-        return to_value(self._denials)
+        is_old = self._elapsed() - self._heard > FRESH
+        return to_value(self._recent_denials() if is_old else self._denials)
 
     def standing(self, epoch: int, seq: int) -> Value:
         self._standing_asked = self._elapsed()
-        found = self._list_standing(epoch, seq)
-        self._standing = found
-        return to_value(found)
+        self._standing = self._list_standing(epoch, seq)
+        return to_value(self._standing)
 
     def _ask_and_release(self) -> None:
         try:
@@ -454,7 +392,14 @@ class MasterView:
         answer = self._call(DENIALS, (), "a question about denials", SHORT)
         if not isinstance(answer, list):
             raise NotDelivered("the master's answer about denials is malformed", _HINT)
-        return tuple(_denial(row, self._work.now()) for row in answer)
+        found = []
+        for row in answer:
+            match row:
+                case [int(ago), str(node), int(right), str(name)]:
+                    found.append(DenialView(self._work.now() - ago, node, right, name))
+                case _:
+                    raise NotDelivered("the master's answer about denials is malformed", _HINT)
+        return tuple(found)
 
     def _list_standing(self, epoch: int, seq: int) -> ListProgress:
         home, now = self._work.home(), self._work.now()
@@ -466,48 +411,31 @@ class MasterView:
                 found = open_statement(data, home.anchor().public_key)
                 newest = found.epoch, found.seq
         wanted = (epoch, seq)
-        if wanted == (0, 0):
-            wanted = newest if home.count_unlisted(now) == 0 else (0, 0)
+        if wanted == (0, 0) and home.count_unlisted(now) == 0:
+            wanted = newest
         if wanted == (0, 0) or newest < wanted:
             return ListProgress(epoch, seq, False, False, 0, 0)
-        return self._ask_standing(*wanted, is_published=data == self._work.published)
-
-    def _ask_standing(self, epoch: int, seq: int, *, is_published: bool) -> ListProgress:
-        # What the master says of a signed list; if it does not answer, what it took before.
-        # Nodes that hold a newer one than was asked for hold this one too.
-        unknown = ListProgress(epoch, seq, True, is_published, 0, 0)
-        try:
+        # If the master does not answer, what it took before is said. Nodes that hold a newer list than was
+        # asked for hold this one too.
+        answer: object = None
+        with contextlib.suppress(NotDelivered):
             answer = self._call(STANDING, (), "a question about a list", SHORT)
-        except NotDelivered:
-            return unknown
         match answer:
             case {"list": str(number), "nodes": int(nodes), "holding": int(holding)} if 0 <= holding <= nodes:
-                is_there = _number(number) >= (epoch, seq)
-                return ListProgress(epoch, seq, True, is_there, nodes, holding if is_there else 0)
+                is_there = _number(number) >= wanted
+                return ListProgress(*wanted, True, is_there, nodes, holding if is_there else 0)
             case _:
-                return unknown
+                return ListProgress(*wanted, True, data == self._work.published, 0, 0)
 
     def _call(self, method: str, arguments: tuple[object, ...], what: str, within: float) -> object:
         node = self._work.home().node()
         return self._deliver(StatementCall(node, method, arguments, what, _HINT, within=within, waits=True))
 
 
-def _facts(view: GraphView) -> Value:
-    return to_value(tuple(FactView(*fact) for fact in sorted(view.facts)))
-
-
 def _number(text: str) -> tuple[int, int]:
     epoch, _, seq = text.partition(".")
     is_one = all(part.isascii() and part.isdigit() and len(part) < 20 for part in (epoch, seq))
     return (int(epoch), int(seq)) if is_one else (0, 0)
-
-
-def _denial(row: object, now: int) -> DenialView:
-    match row:
-        case [int(ago), str(node), int(right), str(name)]:
-            return DenialView(now - ago, node, right, name)
-        case _:
-            raise NotDelivered("the master's answer about denials is malformed", _HINT)
 
 
 def _in_thread(task: Callable[[], None]) -> None:

@@ -1,9 +1,7 @@
 """The console's side of `rossec ca serve`: its socket, who carries out what it asks, how the service is.
 
 Whoever may connect can read the record's names and take rights away, so it is the authority's own
-user; one other may be named, whose socket is then outside of the directory of the key. Handlers
-come in parts. Each part is called in a thread of its own, one task after the other: so it needs no
-lock, and none waits for a master that does not answer but those who ask for it.
+user; one other may be named, whose socket is then outside of the directory of the key.
 """
 
 import asyncio
@@ -16,7 +14,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -38,7 +35,7 @@ from rossec.authority.console.approved_acts import (
 from rossec.authority.console.approving import ApprovedAct, Approving, Of
 from rossec.authority.console.grant_requests import GrantAct, Questions, Removals
 from rossec.authority.console.messages import OPERATIONS, Status, checked, to_value
-from rossec.authority.console.queries import MasterView, PolicyNames, PolicyQuery, RecordQueries
+from rossec.authority.console.queries import MasterView, PolicyNames, PolicyQuery, RecordQueries, stamp
 from rossec.authority.home import fingerprint
 from rossec.authority.keyservice.messages import ServiceRequest
 from rossec.authority.keyservice.network import NetworkWork, Scheduler
@@ -54,9 +51,7 @@ INBOX = "inbox"  # in the authority's directory (`rossec.authority.requests`)
 
 
 class StatusQuery:
-    """The operation that is asked every second, so it looks at little: sizes and times.
-
-    `has_master`: whether the last call to the master succeeded. `seen`: whatever else differs when
+    """`has_master`: whether the last call to the master succeeded. `seen`: whatever else differs when
     something to be shown has changed.
     """
 
@@ -75,34 +70,20 @@ class StatusQuery:
         self._domain, self._fingerprint = anchor.domain, fingerprint(anchor)
 
     def status(self) -> Value:
+        # Asked every second, so it looks at little: sizes and times.
         home, now = self._work.home(), self._work.now()
         with contextlib.closing(home.store()) as store, store.database.read_transaction():
             size, phones = store.log.head(now).size, len(store.passkeys.active())
         remaining, has_master = self._held.remaining(), self._has_master()
         files = (self._work.policy_path(), home.path / INBOX)
-        number = _number(size, remaining is None, has_master, *map(_changed, files), *self._seen())
-        return to_value(
-            Status(
-                self._domain, self._fingerprint, remaining is None, remaining, number, now, phones, has_master
-            )
-        )
-
-
-def _changed(path: Path) -> tuple[int, ...]:
-    try:
-        status = path.stat()
-    except OSError:
-        return ()
-    return status.st_mtime_ns, status.st_size, status.st_ino
-
-
-def _number(*state: object) -> int:
-    return int.from_bytes(hashlib.sha256(repr(state).encode()).digest()[:6])
+        state = size, remaining is None, has_master, *map(stamp, files), *self._seen()
+        number = int.from_bytes(hashlib.sha256(repr(state).encode()).digest()[:6])
+        about = self._domain, self._fingerprint, remaining is None, remaining
+        return to_value(Status(*about, number, now, phones, has_master))
 
 
 _START: Final = 19  # of the fields after the command's name, proc(5): starttime
 _LIMIT: Final = b"Max processes"
-_REFUSED: Final = "a process of the console's pages may not use the service's socket"
 
 
 class ConsolePeers:
@@ -125,11 +106,17 @@ class ConsolePeers:
 
     def refuse(self, peer: UnixPeer) -> None:
         with self._lock:
-            is_known = peer.process in self._known and not self._is_gone(peer.process)
-        if is_known or self._is_confined(peer.process):
-            raise PeerUserRefused(_REFUSED)
+            is_refused = peer.process in self._known and not self._is_gone(peer.process)
+        with contextlib.suppress(OSError):
+            for line in (self._proc / str(peer.process) / "limits").read_bytes().splitlines():
+                # RLIMIT_NPROC of 0 is what `confine_processes` leaves.
+                if line.startswith(_LIMIT) and line.removeprefix(_LIMIT).split()[:2] == [b"0", b"0"]:
+                    is_refused = True
+        if is_refused:
+            raise PeerUserRefused("a process of the console's pages may not use the service's socket")
 
     def _is_gone(self, process: int) -> bool:
+        # Where it cannot be told, it is not gone: unless there is a /proc that says so.
         remembered, now = self._known[process], self._started(process)
         if now is None:
             return not (self._proc / str(process)).exists() and (self._proc / "self").exists()
@@ -143,21 +130,10 @@ class ConsolePeers:
         fields = stat.rpartition(b")")[2].split()  # its name may have spaces and parentheses
         return fields[_START] if len(fields) > _START else None
 
-    def _is_confined(self, process: int) -> bool:
-        try:
-            limits = (self._proc / str(process) / "limits").read_bytes()
-        except OSError:
-            return False
-        rows = [line for line in limits.splitlines() if line.startswith(_LIMIT)]
-        return any(row.removeprefix(_LIMIT).split()[:2] == [b"0", b"0"] for row in rows)
-
 
 _log = logging.getLogger("rossec.authority.service")
 
 Handler = Callable[..., Value]
-
-
-def _unaudited(_: str) -> None: ...
 
 
 def handlers_of(part: object) -> dict[str, Handler]:
@@ -166,14 +142,14 @@ def handlers_of(part: object) -> dict[str, Handler]:
 
 
 class ConsoleService:
-    """All operations.
-
-    `parts`: which have one handler for each operation of the table between them. `audit`: writes a
-    line. Raises `HintedError` if it cannot: then nothing is done.
+    """`parts`: which have one handler for each operation of the table between them. `audit`: writes a line.
+    Raises `HintedError` if it cannot: then nothing is done.
     """
 
-    def __init__(self, *parts: object, audit: Callable[[str], None] = _unaudited) -> None:
+    def __init__(self, *parts: object, audit: Callable[[str], None] = lambda _: None) -> None:
         self._audit = audit
+        # Each part has a thread: it needs no lock, and none waits for a master that does not answer but those
+        # who ask for it.
         self._threads = [ThreadPoolExecutor(1, thread_name_prefix="console") for _ in parts]
         self._handlers: dict[str, tuple[ThreadPoolExecutor, Handler]] = {}
         for part, thread in zip(parts, self._threads, strict=True):
@@ -191,25 +167,17 @@ class ConsoleService:
             raise KeyServiceRefused(
                 f"this service does not do {request.operation}", "restart it: rossec ca serve"
             )
-        if OPERATIONS[request.operation].changes:
-            self._audit(f"{_described(request)}, asked by the console of {caller}")
+        if OPERATIONS[request.operation].changes:  # before it is done: without a line nothing is
+            about = request.arguments[0]
+            shown = about.hex() if isinstance(about, bytes) else printable(str(about))
+            self._audit(f"{request.operation} {shown}, asked by the console of {caller}")
         thread, handler = self._handlers[request.operation]
-        call = partial(_answer, handler, request.arguments)
+        call = lambda: checked(handler(*request.arguments))  # noqa: E731 - in the thread, as a whole
         return await asyncio.get_running_loop().run_in_executor(thread, call)
 
     async def close(self) -> None:
         for thread in self._threads:
             await asyncio.to_thread(thread.shutdown, cancel_futures=True)
-
-
-def _described(request: ServiceRequest) -> str:
-    about = request.arguments[0]
-    shown = about.hex() if isinstance(about, bytes) else printable(str(about))
-    return f"{request.operation} {shown}"
-
-
-def _answer(handler: Handler, arguments: tuple[Value, ...]) -> Value:
-    return checked(handler(*arguments))
 
 
 MAX_CALLERS: Final = 16
@@ -238,41 +206,24 @@ def place(directory: Path, path: Path | None, user: str | None) -> ConsolePlace:
             f"{user} cannot enter {directory}, where the socket would be",
             "name a directory for it: --console-socket /run/rossec/console.sock",
         )
-    _check_directory(path.parent)
-    return ConsolePlace(path, frozenset({os.geteuid(), number}))
-
-
-def _check_directory(directory: Path) -> None:
+    parent = path.parent
     try:
-        found = directory.stat()
+        found = parent.stat()
     except OSError as error:
         raise ConfigurationError(
-            f"{directory}: {error.strerror}", "make it, as the user of the service"
+            f"{parent}: {error.strerror}", "make it, as the user of the service"
         ) from None
     if found.st_mode & 0o022 or found.st_uid not in {0, os.geteuid()}:
         raise ConfigurationError(
-            f"another user could replace the socket in {directory}",
+            f"another user could replace the socket in {parent}",
             "choose a directory of your own, which no other user can write",
         )
+    return ConsolePlace(path, frozenset({os.geteuid(), number}))
 
 
-class ConsoleSocket:
-    """Answers the console.
-
-    `service`: carries out what is asked. `peers`: is told who connects.
-    """
-
-    def __init__(self, where: ConsolePlace, service: ConsoleService, peers: ConsolePeers) -> None:
-        rules = SocketRules(messages.read_request, messages.MAX_REQUEST, MAX_CALLERS, where.users)
-        self._service = service
-        self._server = KeyServer(where.path, service.carry_out, peers.remember, rules)
-
-    async def start(self) -> None:
-        await self._server.start()
-
-    async def close(self) -> None:
-        await self._server.close()
-        await self._service.close()
+def console_server(where: ConsolePlace, service: ConsoleService, peers: ConsolePeers) -> KeyServer:
+    rules = SocketRules(messages.read_request, messages.MAX_REQUEST, MAX_CALLERS, where.users)
+    return KeyServer(where.path, service.carry_out, peers.remember, rules)
 
 
 def _no_address() -> str:
@@ -286,10 +237,8 @@ PURPOSE: Final = "a look at the console"
 
 
 class Console:
-    """What the service has for the console.
-
-    `network`: None: no master is called, and no node joins. `policy`: its file; None: the usual
-    place. `join_address`: where nodes reach the join port, `host:port`, for join codes.
+    """`network`: None: no master is called, and no node joins. `policy`: its file; None: the usual place.
+    `join_address`: where nodes reach the join port, `host:port`, for join codes.
     """
 
     def __init__(
@@ -324,7 +273,14 @@ class Console:
             Removals(work, self.rounds.wake),
             audit=operations.audit,
         )
-        self.socket = ConsoleSocket(where, self.service, self.peers)
+        self._server = console_server(where, self.service, self.peers)
+
+    async def start(self) -> None:
+        await self._server.start()
+
+    async def close(self) -> None:
+        await self._server.close()
+        await self.service.close()
 
     def _has_master(self) -> bool:
         return self._network is not None and self._network.has_master
@@ -365,16 +321,17 @@ def acts_of(
 ) -> Mapping[StatementKind, ApprovedAct]:
     """What a phone can approve; `elapsed` counts seconds and cannot be set."""
     policy = work.policy_path()
-    return {
-        StatementKind.ENROLL: EnrollAct(policy),
-        StatementKind.GRANT: GrantAct(policy),
-        StatementKind.POLICY: PolicyAct(policy),
-        StatementKind.DELEGATE: DelegateAct(),
-        StatementKind.INTERMEDIATE: IntermediateAct(),
-        StatementKind.PASSKEY: PasskeyAct(access.proposed),
-        StatementKind.INVITATION: InvitationAct(work.home(), join_address, elapsed),
-        StatementKind.REVOKE_MASTER: RevokeMasterAct(),
-    }
+    acts: tuple[ApprovedAct, ...] = (
+        EnrollAct(policy),
+        GrantAct(policy),
+        PolicyAct(policy),
+        DelegateAct(),
+        IntermediateAct(),
+        PasskeyAct(access.proposed),
+        InvitationAct(work.home(), join_address, elapsed),
+        RevokeMasterAct(),
+    )
+    return {act.kind: act for act in acts}
 
 
 def _fail(call: StatementCall) -> object:

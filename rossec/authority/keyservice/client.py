@@ -1,9 +1,7 @@
 """The side of a command: asks the service that runs in the authority's directory, if one does.
 
 A command opens the record itself, as it does without a service; only the signatures come from the
-service, over `ca/service.sock`. Both ends must be of one user, and each signature is verified
-before it is used. A request that the service ended the connection instead of answering is sent once
-more: services are restarted, and drop those that are idle. One service of an authority runs at a
+service, over `ca/service.sock`. Both ends must be of one user. One service of an authority runs at a
 time, and none while a backup is restored over it.
 """
 
@@ -32,7 +30,6 @@ OWNED: Final = (files.Owned(r"service\.lock", kept=False),)  # of a process
 
 
 def service_lock(directory: Path) -> AbstractContextManager[None]:
-    """The lock of the service of the authority in `directory`; it ends with the process."""
     busy = ConfigurationError(
         f"the authority's service runs from {directory}",
         "end it first: Ctrl-C where it runs, or systemctl stop rossec-ca",
@@ -68,7 +65,7 @@ class KeyServiceClient:
         try:
             try:
                 return messages.read_answer(self._exchange(data))
-            except ConnectionError:
+            except ConnectionError:  # once more: services are restarted, and drop those that are idle
                 self.close()
                 return messages.read_answer(self._exchange(data))
         except OSError as error:
@@ -88,7 +85,6 @@ class KeyServiceClient:
         return _as_status(self.ask(ServiceRequest(messages.LOCK)))
 
     def phone_code(self) -> str:
-        """A one-time code for the console: to look, or to add a phone."""
         code = self.ask(ServiceRequest(messages.PHONE_CODE))
         if not isinstance(code, str):
             raise KeyServiceFailed("the service gives no code", _HINT)
@@ -110,18 +106,15 @@ class KeyServiceClient:
 class RemoteSigner:
     def __init__(self, client: KeyServiceClient, public_key: ec.EllipticCurvePublicKey) -> None:
         self._client = client
-        self._public_key = public_key
-
-    @property
-    def public_key(self) -> ec.EllipticCurvePublicKey:
-        return self._public_key
+        self.public_key = public_key
 
     def sign(self, message: bytes) -> bytes:
         answer = self._client.ask(ServiceRequest(messages.SIGN, (message,)))
         signature = answer if isinstance(answer, bytes) and len(answer) == 64 else bytes(64)
         r, s = int.from_bytes(signature[:32]), int.from_bytes(signature[32:])
         try:
-            self._public_key.verify(encode_dss_signature(r, s), message, _ECDSA)
+            # Each one, before it is used: it comes from another process. 64 zeros are no signature.
+            self.public_key.verify(encode_dss_signature(r, s), message, _ECDSA)
         except InvalidSignature:
             raise KeyServiceFailed("the service signed with another key", _HINT) from None
         return signature

@@ -1,9 +1,8 @@
 """The network process: a process of the service that talks to strangers and has no key of it.
 
-`python -I -m rossec.authority.keyservice.front_end`, started by `face_process`. It is the node `/ca`: it
-serves the join port, and calls the master when the service asks for it. What it may ask of the
-service is in `inner_messages`. It ends when the service does, may start no other process, and the
-service's own socket refuses it.
+`python -I -m rossec.authority.keyservice.front_end`, started by `process.FrontEndProcess`. It is the node
+`/ca`: it serves the join port, and calls the master when the service asks for it; what it may ask of the
+service is `INNER_OPERATIONS`. It ends when the service does, and the service's own socket refuses it.
 """
 
 import asyncio
@@ -12,6 +11,7 @@ import os
 import socket
 import sys
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Final, cast
 
@@ -38,9 +38,9 @@ from rossec.enrollment.join import DECISION, JoinServer
 from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered
 from rossec.home import NodeHome
 from rossec.host import addresses
-from rossec.host.confinement import confine_files, confine_processes
 from rossec.host.runner import log_as_json, until_first_ends
 from rossec.host.sandbox import protect_memory
+from rossec.host.workers import run_confined
 from rossec.net.rpc.calls import CALL_DEADLINE
 from rossec.peer_limits import printable
 from rossec.ros.xmlrpc import Fault
@@ -52,10 +52,7 @@ _log = logging.getLogger("rossec.authority.face")
 
 
 class FrontEnd:
-    """The join port, and calls at the master, as `/ca`.
-
-    `node`: the directory of `/ca`. `join_address`: `host:port`; the host may be `ANY`.
-    """
+    """`node`: the directory of `/ca`. `join_address`: `host:port`; the host may be `ANY`."""
 
     def __init__(self, node: NodeHome, join_address: str, master_uri: str, suites: tuple[int, ...]) -> None:
         self._node = node
@@ -64,7 +61,8 @@ class FrontEnd:
         self._suites = suites
         self._identity: LiveIdentity | None = None
         self._read_at = 0.0
-        self._server = JoinServer(self._live, self._admit, _report, name=self._name)
+        report = partial(_log.warning, "refused at the join port: %s")
+        self._server = JoinServer(self._live, self._admit, report, name=self._name)
         self._channel: InnerChannel | None = None
 
     async def run(self, sock: socket.socket) -> None:
@@ -78,13 +76,18 @@ class FrontEnd:
     async def _serve(self, channel: InnerChannel) -> None:
         # Listen, and say so; returns if that is not possible.
         try:
-            host, port = _host_and_port(self._join_address)
+            text = self._join_address
+            if text == ANY or text.startswith(f"{ANY}:"):
+                host: str | None = None
+                port = addresses.split(f"localhost{text[1:]}", addresses.JOIN_PORT)[1]
+            else:
+                host, port = addresses.split(text, addresses.JOIN_PORT)
             await self._server.listen(host, port)
         except (OSError, HintedError) as error:
             reason = os.strerror(error.errno or 0) if isinstance(error, OSError) else str(error)
-            text = f"cannot listen on {self._join_address}: {reason.lower()}"
+            what = f"cannot listen on {self._join_address}: {reason.lower()}"
             hint = "choose another one: --join-address HOST:PORT"
-            await channel.call(messages.FAILED, text, hint, within=DECISION)
+            await channel.call(messages.FAILED, what, hint, within=DECISION)
             return
         await channel.call(messages.READY, self._server.port, within=DECISION)
         await asyncio.Event().wait()
@@ -129,16 +132,6 @@ class FrontEnd:
             raise NotDelivered(f"{self._master_uri}: {shown}") from error
 
 
-def _host_and_port(text: str) -> tuple[str | None, int]:
-    if text == ANY or text.startswith(f"{ANY}:"):
-        return None, addresses.split(f"localhost{text[1:]}", addresses.JOIN_PORT)[1]
-    return addresses.split(text, addresses.JOIN_PORT)
-
-
-def _report(line: str) -> None:
-    _log.warning("refused at the join port: %s", line)
-
-
 def main(arguments: list[str]) -> None:
     descriptor, directory, join_address, master_uri, log = arguments
     if log == "json":
@@ -146,18 +139,16 @@ def main(arguments: list[str]) -> None:
     else:  # as the service itself writes, whose terminal or journal this is
         logging.basicConfig(level=logging.WARNING, format="rossec: %(levelname)s: %(message)s")
     protect_memory()
-    # So it cannot read the authority's encrypted key, its record or a passphrase beside them.
-    confine_files([Path(directory)])
-    executor = confine_processes()
     suites = opening.post_quantum(os.environ)
-    face = FrontEnd(NodeHome(Path(directory), OWN_NODE), join_address, master_uri, suites)
 
     async def run() -> None:
-        asyncio.get_running_loop().set_default_executor(executor)
+        face = FrontEnd(NodeHome(Path(directory), OWN_NODE), join_address, master_uri, suites)
         with suppress(KeyServiceRefused):  # the service has ended
             await face.run(socket.socket(fileno=int(descriptor)))
 
-    asyncio.run(run())
+    # `face-takeover` (docs/threat-model.md): of the authority it reads its own node only, so neither the
+    # encrypted key nor the record or a passphrase beside them.
+    run_confined(run, [Path(directory)])
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """The socketpair between the service and its network process, as calls in both directions. A shell.
 
-A side that breaks the protocol ends the connection, and with it the face: the service starts a new
-one. The number of requests that are carried out at a time is bounded.
+A side that breaks the protocol ends the connection, and with it the face: the service starts a new one.
 """
 
 import asyncio
@@ -9,6 +8,7 @@ import itertools
 import logging
 import socket
 from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
 from typing import Final
 
 from ca.encoding import Value
@@ -17,6 +17,7 @@ from rossec.authority.keyservice import messages
 from rossec.authority.keyservice.messages import InnerAnswer, InnerRefusal, InnerRequest
 from rossec.errors import KeyMessageRefused, KeyServiceRefused
 from rossec.host.runner import TaskSet
+from rossec.host.workers import read_frame
 
 MAX_REQUESTS: Final = 512  # of the other side at a time; a join port has 256 sessions
 _FAILED: Final = "the other process could not do it", "its log says why"
@@ -27,11 +28,8 @@ Handler = Callable[..., Awaitable[Value]]
 
 
 class InnerChannel:
-    """One end.
-
-    `sock`: the end of the socketpair. `handlers`: what the other side may ask; called with the
-    arguments of the operation. Raise `HintedError` to refuse. `limit`: bytes of a message from the
-    other side.
+    """`sock`: the end of the socketpair. `handlers`: what the other side may ask; called with the arguments
+    of the operation. Raise `HintedError` to refuse. `limit`: bytes of a message from the other side.
     """
 
     def __init__(self, sock: socket.socket, handlers: Mapping[str, Handler], limit: int) -> None:
@@ -49,8 +47,7 @@ class InnerChannel:
         self._connected.set()
         try:
             while True:
-                head = await reader.readexactly(messages.HEAD)
-                body = await reader.readexactly(messages.frame_size(head, self._limit))
+                body = await read_frame(reader, partial(messages.frame_size, limit=self._limit))
                 self._take(messages.read(body, self._limit))
         except (asyncio.IncompleteReadError, ConnectionError):
             return
@@ -69,7 +66,7 @@ class InnerChannel:
         number = next(self._numbers) % messages.MAX_NUMBER
         frame = messages.write(InnerRequest(number, operation, arguments))
         answer: asyncio.Future[Value] = asyncio.get_running_loop().create_future()
-        self._waiting[number] = answer
+        self._waiting[number] = answer  # taken out below, also where this is cancelled
         try:
             async with asyncio.timeout(within):
                 self._writer.write(frame)
@@ -82,6 +79,7 @@ class InnerChannel:
 
     def _take(self, message: messages.InnerMessage) -> None:
         if isinstance(message, InnerRequest):
+            # Bounded, and of the table (`face-takeover`): a face that was taken over asks for no more.
             if message.operation not in self._handlers or len(self._tasks) >= MAX_REQUESTS:
                 raise KeyMessageRefused(f"a request {message.operation} that may not be made now")
             self._tasks.spawn(self._carry_out(message), name=message.operation)

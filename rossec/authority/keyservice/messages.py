@@ -119,6 +119,7 @@ def frame(value: Value) -> bytes:
 
 
 def frame_size(head: bytes, limit: int = MAX_FRAME) -> int:
+    # Before the body is read, so that a peer cannot make this side wait for, or keep, more than the limit.
     size = int.from_bytes(head)
     if not 0 < size <= limit:
         raise KeyMessageRefused(f"a message of {size} bytes where 1 to {limit} are allowed", _MESSAGES_HINT)
@@ -134,11 +135,8 @@ def read_request(
 ) -> ServiceRequest:
     match _decode(body, limit):
         case [version, str() as operation, *arguments] if operation in operations:
-            if (
-                type(version) is int
-                and version == VERSION
-                and tuple(map(type, arguments)) == operations[operation]
-            ):
+            is_version = type(version) is int and version == VERSION  # True would be equal to 1
+            if is_version and tuple(map(type, arguments)) == operations[operation]:
                 return ServiceRequest(operation, tuple(arguments))
     raise KeyMessageRefused("a request that is not in the table of operations", _MESSAGES_HINT)
 
@@ -148,7 +146,6 @@ def write_answer(value: Value) -> bytes:
 
 
 def write_refusal(error: HintedError) -> bytes:
-    """The frame of a refusal; an error that is not in the table is `refused`."""
     kinds = {refusal: kind for kind, refusal in REFUSALS.items()}
     return frame([1, kinds.get(type(error), "refused"), str(error), error.hint])
 
@@ -206,44 +203,34 @@ InnerMessage: TypeAlias = InnerRequest | InnerAnswer | InnerRefusal
 def write(message: InnerMessage) -> bytes:
     match message:
         case InnerRequest(number, operation, arguments):
-            body = encode([0, number, operation, *arguments])
+            return frame([0, number, operation, *arguments])
         case InnerAnswer(number, value):
-            body = encode([1, number, value])
+            return frame([1, number, value])
         case _:
-            body = encode([2, *message])
-    return len(body).to_bytes(HEAD) + body
+            return frame([2, *message])
 
 
 def read(body: bytes, limit: int) -> InnerMessage:
-    try:
-        value = decode(body, limit=limit)
-    except EncodingError as error:
-        raise KeyMessageRefused(f"a message that is malformed: {error}") from error
-    match value:
+    match _decode(body, limit):
+        # The types are compared exactly: True is equal to 1, and is an int.
         case [int() as kind, int() as number, *rest] if (
             type(kind) is int and type(number) is int and 0 <= number < MAX_NUMBER
         ):
-            found = _message(kind, number, rest)
-            if found is not None:
-                return found
+            match kind, rest:
+                case 0, [str() as operation, *arguments] if _is_allowed(operation, arguments):
+                    return InnerRequest(number, operation, tuple(arguments))
+                case 1, [value]:
+                    return InnerAnswer(number, value)
+                case 2, [str() as message, str() as hint]:
+                    return InnerRefusal(number, message, hint)
+                case _:
+                    pass
     raise KeyMessageRefused("a message that is not in the table of operations")
 
 
-def _message(kind: int, number: int, rest: list[Value]) -> InnerMessage | None:
-    match kind, rest:
-        case 0, [str() as operation, *arguments] if operation in INNER_OPERATIONS:
-            if tuple(map(type, arguments)) == INNER_OPERATIONS[operation] and _fits(operation, arguments):
-                return InnerRequest(number, operation, tuple(arguments))
-        case 1, [value]:
-            return InnerAnswer(number, value)
-        case 2, [str() as message, str() as hint]:
-            return InnerRefusal(number, message, hint)
-        case _:
-            pass
-    return None
-
-
-def _fits(operation: str, arguments: list[Value]) -> bool:
+def _is_allowed(operation: str, arguments: list[Value]) -> bool:
+    if tuple(map(type, arguments)) != INNER_OPERATIONS.get(operation):
+        return False
     match operation, arguments:
         case "join", [bytes() as request]:
             return len(request) <= MAX_JOIN

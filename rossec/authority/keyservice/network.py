@@ -1,10 +1,7 @@
 """What the service does at the network: joins, rounds, identities that nodes renew. A shell.
 
 Tasks that need the record run in one thread, one after the other; a round, every minute and at once
-when there is a reason, is a task as a join is. So a master whose host is off, which fails slowly,
-is not called for a while. The service holds the authority's key, so it reads no metadata of nodes:
-they go to the process for rules (`rossec.naming`), and only when the secret of an invitation was
-proved.
+when there is a reason, is a task as a join is.
 """
 
 import asyncio
@@ -13,8 +10,7 @@ import time
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Protocol, Self, TypeVar
+from typing import Final, Self, TypeVar
 
 from ca.encoding import Value
 from ca.enrollment.invitation import JoinClaim, JoinRequest
@@ -38,10 +34,7 @@ Task = Callable[[], None]
 
 
 class Scheduler:
-    """Calls its tasks, one after the other.
-
-    `in_thread`: calls a task in a thread.
-    """
+    """`in_thread`: calls a task in a thread."""
 
     def __init__(self, in_thread: Callable[[Task], Awaitable[None]]) -> None:
         self._in_thread = in_thread
@@ -77,29 +70,21 @@ SECONDS: Final = 1.0  # for one answer of the rules
 
 
 class JoinNames:
-    """The rules of one authority; without rules no node is named.
-
-    `rules`: a stylesheet, or None.
-    """
-
     def __init__(self, rules: bytes | None) -> None:
-        self._runner: RuleRunner | None = None
-        if rules is not None:
-            self._runner = RuleRunner(rules, children=CHILDREN, seconds=SECONDS)
+        self._runner = None if rules is None else RuleRunner(rules, children=CHILDREN, seconds=SECONDS)
 
     async def __aenter__(self) -> Self:
         if self._runner is not None:
             await self._runner.__aenter__()
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         if self._runner is not None:
             self._runner.close()
 
     async def answer(self, metadata: bytes, pattern: str) -> NameAnswer:
-        # For the claim, and again for the request that follows it, since what is between may lie.
+        # For the claim, and again for the request that follows it, since what is between may lie. Metadata of
+        # strangers are never read here, where the key is: they go to the confined process for rules.
         if self._runner is None:
             return RefusedMessage(RefuseReason.UNNAMED)
         try:
@@ -122,10 +107,6 @@ QUIET: Final = 60.0  # seconds out of reach until it is said: it may start after
 Renew = Callable[[list[bytes]], Awaitable[list[tuple[bytes, bytes, str]]]]
 
 
-class CallsMaster(Protocol):
-    async def call(self, method: str, arguments: list[Value], within: int) -> Value: ...
-
-
 class RenewalWatch:
     """Renews identities: waits at the master for requests, so that a node has its new one in seconds.
 
@@ -134,7 +115,7 @@ class RenewalWatch:
     `work`: says whether the key is held. `renew`: answers requests, in the thread of the work.
     """
 
-    def __init__(self, face: CallsMaster, work: AuthorityWork, renew: Renew) -> None:
+    def __init__(self, face: FrontEndProcess, work: AuthorityWork, renew: Renew) -> None:
         self._face = face
         self._work = work
         self._renew = renew
@@ -245,7 +226,6 @@ class NetworkWork:
         self._resume = 0.0
 
     def deliver(self, call: StatementCall) -> Value:
-        """Call the master through the face; for the thread of the work."""
         if self._loop is None:
             raise NotDelivered(f"the master did not get {call.what}: not started", call.hint)
         began = time.monotonic()
@@ -258,6 +238,7 @@ class NetworkWork:
             answer = asyncio.run_coroutine_threadsafe(asked, self._loop).result()
         except (HintedError, TimeoutError) as error:
             self.has_master = False
+            # A master whose host is off fails slowly, and all tasks share one thread.
             if time.monotonic() - began > SLOW and not call.waits:
                 self._resume = time.monotonic() + PAUSE
             reason = str(error) or "no answer in time"
@@ -281,9 +262,11 @@ class NetworkWork:
 
     async def _named(self, asked: JoinClaim | JoinRequest) -> NameAnswer:
         # The name for the metadata in there, which are looked at by the process for rules only.
+        # 1. Only when the secret of an invitation was proved.
         pattern = await self._in_thread(self.work.allowed_pattern, asked)
         if isinstance(pattern, RefusedMessage):
             return pattern
+        # 2. The name, which must be within what that invitation allows.
         return await self._names.answer(asked.metadata, pattern)
 
     async def _join(self, data: bytes) -> Value:
@@ -301,7 +284,7 @@ class NetworkWork:
 
     async def _give_to_joined(self) -> None:
         give = self.work.apply if self._applies else self.work.grant_outright
-        async with self._giving:
+        async with self._giving:  # nodes that join meanwhile are all given theirs by the next
             names, self._joined = self._joined, []
             if names:
                 await self._in_thread(give, names)
@@ -312,13 +295,14 @@ class NetworkWork:
         except ConfigurationError:
             return  # `rossec ca serve` reports it, and ends
         if self._renewals is not None and not self.work.home().is_intermediate:
-            self.rounds.add(self._renewals_again)
+            loop, wake = asyncio.get_running_loop(), self._renewals.wake
+
+            def look_again() -> None:  # called in the thread of the work
+                loop.call_soon_threadsafe(wake)
+
+            self.rounds.add(look_again)
             self._tasks.spawn(self._renewals.run(), name="identities that nodes renew")
         await self.rounds.run()
-
-    def _renewals_again(self) -> None:
-        if self._loop is not None and self._renewals is not None:
-            self._loop.call_soon_threadsafe(self._renewals.wake)
 
     async def _renew(self, requests: list[bytes]) -> list[tuple[bytes, bytes, str]]:
         return await self._in_thread(self.work.renew_identities, requests)

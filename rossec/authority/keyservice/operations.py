@@ -10,6 +10,7 @@ import hashlib
 import math
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -35,10 +36,8 @@ _MAX_DOUBLINGS: Final = 6
 
 
 class HeldKey:
-    """Holds the key, or does not.
-
-    `load`: the key that a passphrase or PIN opens. Raises `KeyRefused`. `elapsed`: seconds of a
-    clock that counts sleep.
+    """`load`: the key that a passphrase or PIN opens. Raises `KeyRefused`. `elapsed`: seconds of a clock
+    that counts sleep.
     """
 
     def __init__(self, load: Callable[[str], Signer], elapsed: clock.Seconds | None = None) -> None:
@@ -56,33 +55,30 @@ class HeldKey:
         if not self._attempt.acquire(blocking=False):
             raise KeyServiceRefused("another passphrase is being tried", "try again")
         try:
-            signer = self._try(passphrase)
+            wait = self._next_attempt - self._elapsed()
+            if wait > 0:
+                raise KeyServiceRefused(
+                    f"the last passphrase was wrong; the next may be tried in {wait:.0f} s",
+                    "wait, then try again",
+                )
+            with self._held:  # a token checks the PIN only where no session is open in this process
+                if isinstance(self._signer, TokenSigner):
+                    self.lock()
+            try:
+                signer = self._load(passphrase)
+            except KeyRefused:
+                # Also with a correct one that follows: whoever may connect must not guess at full speed.
+                delay = min(MAX_DELAY, 2.0 ** min(self._failures, _MAX_DOUBLINGS))
+                self._failures += 1
+                self._next_attempt = self._elapsed() + delay
+                raise
+            self._failures = 0
         finally:
             self._attempt.release()
         with self._held:
             self.lock()
             self._signer = signer
             self._until = self._elapsed() + seconds if seconds else None
-
-    def _try(self, passphrase: str) -> Signer:
-        wait = self._next_attempt - self._elapsed()
-        if wait > 0:
-            raise KeyServiceRefused(
-                f"the last passphrase was wrong; the next may be tried in {wait:.0f} s",
-                "wait, then try again",
-            )
-        with self._held:  # a token checks the PIN only where no session is open in this process
-            if isinstance(self._signer, TokenSigner):
-                self.lock()
-        try:
-            signer = self._load(passphrase)
-        except KeyRefused:
-            delay = min(MAX_DELAY, 2.0 ** min(self._failures, _MAX_DOUBLINGS))
-            self._failures += 1
-            self._next_attempt = self._elapsed() + delay
-            raise
-        self._failures = 0
-        return signer
 
     def lock(self) -> bool:
         with self._held:
@@ -109,41 +105,29 @@ class HeldKey:
 
     def check(self) -> None:
         if self.remaining() is None:
-            raise _locked()
+            raise AuthorityLocked("the authority is locked", UNLOCK_HINT)
 
     def sign(self, message: bytes) -> bytes:
         with self._held:
-            if self.remaining() is None or self._signer is None:
-                raise _locked()
+            self.check()  # at every signature: nobody else may have looked at the time
+            assert self._signer is not None  # noqa: S101 - as `check` said
             return self._signer.sign(message)
-
-
-def _locked() -> AuthorityLocked:
-    return AuthorityLocked("the authority is locked", UNLOCK_HINT)
 
 
 ITSELF: Final = "the service itself"
 
 
+@dataclass(eq=False, repr=False)
 class KeyOperations:
-    """Signs, locks and unlocks.
-
-    `authority`: whose key it is. `audit`: writes a line. Raises `HintedError` if it cannot.
-    `describe`: what `status` says besides whether the key is held.
+    """`authority`: whose key it is. `audit`: writes a line; raises `HintedError` if it cannot. `describe`:
+    what `status` says besides whether the key is held.
     """
 
-    def __init__(
-        self,
-        held: HeldKey,
-        authority: ServedAuthority,
-        audit: Callable[[str], None],
-        describe: Callable[[], dict[int | str, Value]] = dict,
-    ) -> None:
-        self.held = held
-        self._authority = authority
-        self._audit = audit
-        self._describe = describe
-        self.on_unlock: Callable[[], None] = _nothing  # there may be work that waited for the key
+    held: HeldKey
+    authority: ServedAuthority
+    audit: Callable[[str], None]
+    describe: Callable[[], dict[int | str, Value]] = dict
+    on_unlock: Callable[[], None] = lambda: None  # there may be work that waited for the key
 
     def carry_out(self, request: ServiceRequest, caller: object) -> Value:
         match request:
@@ -158,16 +142,17 @@ class KeyOperations:
 
     def status(self) -> Value:
         remaining = self.held.remaining()
-        return {**self._describe(), "locked": remaining is None, "remaining": remaining}
+        return {**self.describe(), "locked": remaining is None, "remaining": remaining}
 
     def sign(self, message: bytes, caller: object = ITSELF) -> bytes:
         try:
-            kind = kind_of(message, self._authority)
+            kind = kind_of(message, self.authority)
         except SigningRefused:
-            self._audit(f"refused to sign {len(message)} unknown bytes for {caller}")
+            self.audit(f"refused to sign {len(message)} unknown bytes for {caller}")
             raise
         self.held.check()
-        self._audit(f"signs {kind}, SHA-256 {hashlib.sha256(message).hexdigest()}, for {caller}")
+        # Before the signature is made: where this cannot be written, nothing is signed.
+        self.audit(f"signs {kind}, SHA-256 {hashlib.sha256(message).hexdigest()}, for {caller}")
         return self.held.sign(message)
 
     def unlock(self, passphrase: str, seconds: int, caller: object) -> Value:
@@ -179,45 +164,32 @@ class KeyOperations:
         try:
             self.held.unlock(passphrase, seconds)
         except KeyRefused as error:
-            self._audit(f"failed to unlock for {caller}: {error}")
+            self.audit(f"failed to unlock for {caller}: {error}")
             raise
         duration = f"{seconds} s" if seconds else "as long as it runs"
         try:
-            self._audit(f"unlocked for {duration} by {caller}")
-        except HintedError:
+            self.audit(f"unlocked for {duration} by {caller}")
+        except HintedError:  # a key that is held without a line about it would be held in secret
             self.held.lock()
             raise
         self.on_unlock()
         return self.status()
 
-    def audit(self, text: str) -> None:
-        """Write a line about something that is not signed, or before it is."""
-        self._audit(text)
-
     def lock(self, caller: object) -> Value:
         if self.held.lock():
-            self._audit(f"locked by {caller}")
+            self.audit(f"locked by {caller}")
         return self.status()
 
     def lock_if_over(self) -> None:
         if self.held.drop_if_over():
-            self._audit("locked: its time is over")
+            self.audit("locked: its time is over")
 
 
+@dataclass(eq=False, repr=False)
 class OwnSigner:
-    def __init__(
-        self, operations: KeyOperations, public_key: ec.EllipticCurvePublicKey, purpose: str = ITSELF
-    ) -> None:
-        self._operations = operations
-        self._public_key = public_key
-        self.purpose = purpose
-
-    @property
-    def public_key(self) -> ec.EllipticCurvePublicKey:
-        return self._public_key
+    operations: KeyOperations
+    public_key: ec.EllipticCurvePublicKey
+    purpose: str = ITSELF
 
     def sign(self, message: bytes) -> bytes:
-        return self._operations.sign(message, self.purpose)
-
-
-def _nothing() -> None: ...
+        return self.operations.sign(message, self.purpose)

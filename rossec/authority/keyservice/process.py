@@ -1,10 +1,7 @@
 """The process that holds the key, while it runs: its socket, time and audit, and the network process.
 
-Every connection to the socket is one caller, admitted by the user id that the kernel reports. Its
-number of connections, the size of a message and the time for one are bounded; what is malformed is
-answered with a refusal and ends the connection. The network process is executed anew, so that
-nothing of the service's memory is in it, and started first while the service has no key; its end of
-a socketpair is the only descriptor it inherits. One that dies is replaced, each time later.
+Every connection to the socket is one caller, admitted by the user id that the kernel reports. The network
+process is a worker (`rossec.host.workers`) that inherits its end of a socketpair and no other descriptor.
 """
 
 import asyncio
@@ -12,9 +9,9 @@ import logging
 import os
 import socket
 import subprocess
-import sys
 from collections.abc import Awaitable, Callable, Collection, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -32,6 +29,7 @@ from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefus
 from rossec.host.audit import AUDIT, AuditFile
 from rossec.host.local_sockets import UnixPeer, listen_at, raw_socket, require_user, unix_peer
 from rossec.host.runner import reap
+from rossec.host.workers import keep_running, start_worker, worker_command
 from rossec.peer_limits import printable
 
 _MAX_READ: Final = 4096  # bytes
@@ -73,11 +71,9 @@ def admit_all(_: UnixPeer) -> None: ...
 
 
 class SocketRules(NamedTuple):
-    """What a socket takes, and from whom.
-
-    `read_request`: reads the body of a frame. Raises `KeyMessageRefused`. `max_request`: bytes of
-    the body. `max_callers`: connections at a time. `users`: who may connect; empty: the user of
-    this process.
+    """`read_request`: reads the body of a frame. Raises `KeyMessageRefused`. `max_request`: bytes of the
+    body. `max_callers`: connections at a time. `users`: who may connect; empty: the user of this
+    process.
     """
 
     read_request: Callable[[bytes], ServiceRequest] = messages.read_request
@@ -89,39 +85,33 @@ class SocketRules(NamedTuple):
 KEY_RULES: Final = SocketRules()
 
 
+@dataclass(eq=False, repr=False)
 class KeyServer:
-    """Listens at `path`.
-
-    `path`: of the socket; a stale one is replaced, so the caller holds the lock of the service.
+    """`path`: of the socket; a stale one is replaced, so the caller holds the lock of the service.
     `carry_out`: carries out one request. Raises `HintedError` for a refusal. `admit`: raises
     `PeerUserRefused` for a process that may not ask.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        carry_out: CarryOut,
-        admit: Callable[[UnixPeer], None] = admit_all,
-        rules: SocketRules = KEY_RULES,
-    ) -> None:
-        self._path = path
-        self._carry_out = carry_out
-        self._admit = admit
-        self._rules = rules
+    path: Path
+    carry_out: CarryOut
+    admit: Callable[[UnixPeer], None] = admit_all
+    rules: SocketRules = KEY_RULES
+
+    def __post_init__(self) -> None:
         self._server: asyncio.Server | None = None
         self._callers: set[asyncio.StreamWriter] = set()
 
     async def start(self) -> None:
-        self._path.unlink(missing_ok=True)
-        sock = listen_at(self._path)
-        if self._rules.users:
-            self._path.chmod(0o666)  # the directory, and who connects, decide
-        self._server = await asyncio.start_unix_server(self._serve, sock=sock, limit=self._rules.max_request)
+        self.path.unlink(missing_ok=True)
+        sock = listen_at(self.path)
+        if self.rules.users:
+            self.path.chmod(0o666)  # the directory, and who connects, decide
+        self._server = await asyncio.start_unix_server(self._serve, sock=sock, limit=self.rules.max_request)
 
     async def close(self) -> None:
         if self._server is not None:
             self._server.close()
-            self._path.unlink(missing_ok=True)
+            self.path.unlink(missing_ok=True)
         for writer in self._callers:
             writer.transport.abort()
         await asyncio.sleep(0)  # the sockets are closed by then
@@ -139,26 +129,28 @@ class KeyServer:
 
     async def _answer_all(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         caller = self._admitted(writer)
-        if len(self._callers) > self._rules.max_callers:
+        if len(self._callers) > self.rules.max_callers:
             busy = KeyServiceRefused(
-                f"{self._rules.max_callers} programs use the authority's service now", "try again"
+                f"{self.rules.max_callers} programs use the authority's service now", "try again"
             )
             await _send(writer, messages.write_refusal(busy))
             return
         while True:
+            # `key-socket`: sizes are checked before reading, and time and connections bounded, so that nobody
+            # blocks the service. What is malformed is answered with a refusal and ends the connection.
             async with asyncio.timeout(IDLE):
                 first = await reader.readexactly(1)
             try:
                 async with asyncio.timeout(DEADLINE):
-                    limit = self._rules.max_request
+                    limit = self.rules.max_request
                     head = first + await reader.readexactly(messages.HEAD - 1)
                     body = await reader.readexactly(messages.frame_size(head, limit))
-                    request = self._rules.read_request(body)
+                    request = self.rules.read_request(body)
             except KeyMessageRefused as error:
                 await _send(writer, messages.write_refusal(error))
                 return
             try:
-                answer = messages.write_answer(await self._carry_out(request, caller))
+                answer = messages.write_answer(await self.carry_out(request, caller))
             except HintedError as error:
                 answer = messages.write_refusal(error)
             await _send(writer, answer)
@@ -166,9 +158,9 @@ class KeyServer:
     def _admitted(self, writer: asyncio.StreamWriter) -> AuditedCaller:
         try:
             sock = raw_socket(writer.get_extra_info("socket"))
-            require_user(sock, self._rules.users or {os.geteuid()})
+            require_user(sock, self.rules.users or {os.geteuid()})
             peer = unix_peer(sock)
-            self._admit(peer)
+            self.admit(peer)
         except PeerUserRefused as error:
             _log.warning("refused at the authority's service: %s", error)
             raise OSError("refused") from error
@@ -187,10 +179,8 @@ TICK: Final = 1.0  # seconds between two looks at the clock
 def operations_of(
     home: AuthorityHome, audit: Callable[[str], None], join_port: Callable[[], int] = int
 ) -> KeyOperations:
-    """The operations on the key of the authority in `home`, which is locked.
-
-    `join_port`: where nodes join now; 0: nowhere.
-    """
+    """The operations on the key of the authority in `home`, which is locked."""
+    # `join_port`: where nodes join now; 0: nowhere.
     anchor, own = home.anchor(), home.intermediate()
     subject = anchor.subject if own is None else anchor.read_intermediate(own).subject
     about: dict[int | str, Value] = {
@@ -221,10 +211,8 @@ def audit_to(file: AuditFile) -> Callable[[str], None]:
 
 
 class KeyServiceProcess:
-    """Answers commands at the socket, and drops the key when its time is over.
-
-    `admit`: raises `PeerUserRefused` for a process that may not ask. `phone_code`: makes a code for
-    the console, for a caller; audited.
+    """`admit`: raises `PeerUserRefused` for a process that may not ask. `phone_code`: makes a code for the
+    console, for a caller; audited.
     """
 
     def __init__(
@@ -246,10 +234,8 @@ class KeyServiceProcess:
         self.operations.held.lock()
 
     async def watch_time(self) -> None:
-        """Drop the key when its time is over, until this is cancelled.
-
-        The loop's clock stops while the machine sleeps: so the other one is read every second.
-        """
+        """Drop the key when its time is over, until this is cancelled."""
+        # The loop's clock stops while the machine sleeps: so the other one is read every second.
         while True:
             try:
                 self.operations.lock_if_over()
@@ -262,7 +248,7 @@ class KeyServiceProcess:
             if self._phone_code is None:
                 raise KeyServiceRefused("this service has no console", "restart: rossec ca serve")
             return self._phone_code(caller)
-        if request.operation == messages.UNLOCK:
+        if request.operation == messages.UNLOCK:  # scrypt takes a tenth of a second
             return await asyncio.to_thread(self.operations.carry_out, request, caller)
         return self.operations.carry_out(request, caller)
 
@@ -270,7 +256,6 @@ class KeyServiceProcess:
 CREDENTIALS: Final = "CREDENTIALS_DIRECTORY"  # of systemd: the passphrase may be there
 MODULE: Final = "rossec.authority.keyservice.front_end"
 START: Final = 30.0  # seconds until it listens
-MAX_DELAY: Final = 60.0
 _END: Final = 5.0  # seconds between the end of the connection and SIGKILL
 
 
@@ -287,26 +272,21 @@ class FrontEndProcess:
         self, home: AuthorityHome, options: FrontEndOptions, environ: Mapping[str, str], module: str = MODULE
     ) -> None:
         self.port = 0
-        self._command = [sys.executable, "-I", "-m", module]
+        self._command = worker_command(module)
         self._arguments = [str(home.node().path), *options]
         self._environ = {name: text for name, text in environ.items() if name != CREDENTIALS}
+        self._handlers: dict[str, Handler] = {}
         self._process: subprocess.Popen[bytes] | None = None
         self._socket: socket.socket | None = None
         self._channel: InnerChannel | None = None
         self._started: asyncio.Future[int] | None = None
 
     def spawn(self) -> None:
-        ours, theirs = socket.socketpair()
+        """Start it; the first one before the service has a key."""
+        self._socket, theirs = socket.socketpair()
         with theirs:
-            self._process = subprocess.Popen(  # noqa: S603 - this program's own module
-                [*self._command, str(theirs.fileno()), *self._arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                pass_fds=(theirs.fileno(),),
-                env=self._environ,
-                start_new_session=True,  # Ctrl-C is for the service, which ends the face
-            )
-        self._socket = ours
+            command = [*self._command, str(theirs.fileno()), *self._arguments]
+            self._process = start_worker(command, self._environ, [theirs.fileno()])
 
     def admit(self, peer: UnixPeer) -> None:
         """Raise for the face itself, which may start no other process: it may not ask for keys."""
@@ -315,27 +295,31 @@ class FrontEndProcess:
 
     async def run(self, join: Handler, name: Handler | None = None) -> None:
         """Keep a face running until this is cancelled; `join` and `name` answer its requests."""
-        delay = 0.5
-        while True:
-            begin = asyncio.get_running_loop().time()
-            try:
-                await self._run_once(join, name)
-            except KeyMessageRefused as error:
-                _log.error("the network process breaks the protocol: %s", error)
-            finally:
-                if (process := self._process) is not None:
-                    try:
-                        await reap(process, _END)
-                    finally:
-                        self._process = None
-            lasted = asyncio.get_running_loop().time() - begin
-            delay = 1.0 if lasted > MAX_DELAY else min(MAX_DELAY, 2 * delay)
-            _log.error("the network process ended; it is started again in %.0f s", delay)
-            await asyncio.sleep(delay)
+        self._handlers = {messages.READY: self._ready, messages.FAILED: self._failed, messages.JOIN: join}
+        if name is not None:
+            self._handlers[messages.NAME] = name
+        await keep_running("network process", _log, self._run_once, self._end)
+
+    async def _run_once(self) -> None:
+        if self._socket is None:
             self.spawn()
+        assert self._socket is not None  # noqa: S101 - `spawn` made it
+        self._channel = InnerChannel(self._socket, self._handlers, messages.MAX_FROM_FACE)
+        self._socket = None
+        try:
+            await self._channel.run()
+        finally:
+            self._channel = None
+
+    async def _end(self) -> None:
+        # Until it is reaped its number is refused at the socket: it may linger without its connection.
+        try:
+            if self._process is not None:
+                await reap(self._process, _END)
+        finally:
+            self._process = None
 
     async def started(self) -> int:
-        """Wait until the first face listens; returns its port."""
         try:
             async with asyncio.timeout(START):
                 return await self._future()
@@ -350,25 +334,7 @@ class FrontEndProcess:
         operation = messages.CALL
         return await self._channel.call(operation, method, arguments, within, within=within + 1)
 
-    async def _run_once(self, join: Handler, name: Handler | None) -> None:
-        if self._socket is None:
-            return
-        handlers: dict[str, Handler] = {
-            messages.READY: self._ready,
-            messages.FAILED: self._failed,
-            messages.JOIN: join,
-        }
-        if name is not None:
-            handlers[messages.NAME] = name
-        self._channel = InnerChannel(self._socket, handlers, messages.MAX_FROM_FACE)
-        self._socket = None
-        try:
-            await self._channel.run()
-        finally:
-            self._channel = None
-
     def close(self) -> None:
-        """End a face that was started and never connected."""
         if self._socket is not None:
             self._socket.close()
         if self._process is not None:

@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import logging
 from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -43,26 +44,19 @@ RENEWAL_PURPOSE: Final = "a node that renews its identity"
 _log = logging.getLogger("rossec.authority.service")
 
 
+@dataclass(eq=False, repr=False)
 class AuthorityWork:
-    """The tasks of the service.
-
-    `deliver`: calls the master. Raises `NotDelivered`. `policy`: the file; None: its usual place.
-    `now`: seconds since the epoch.
+    """`deliver`: calls the master. Raises `NotDelivered`. `policy`: the file; None: its usual place. `now`:
+    seconds since the epoch.
     """
 
-    def __init__(
-        self,
-        rossec_home: Path,
-        operations: KeyOperations,
-        deliver: Callable[[StatementCall], object],
-        policy: Path | None = None,
-        now: Callable[[], int] = clock.now,
-    ) -> None:
-        self._rossec_home = rossec_home
-        self._operations = operations
-        self._deliver = deliver
-        self._policy = policy
-        self._now = now
+    rossec_home: Path
+    operations: KeyOperations
+    deliver: Callable[[StatementCall], object]
+    policy: Path | None = None
+    now: Callable[[], int] = clock.now
+
+    def __post_init__(self) -> None:
         self._applied: tuple[object, int] = None, 0
         self._undelivered_since: int | None = None  # nothing reached the master since then
         self.published = b""  # the list that the master has from here
@@ -70,43 +64,37 @@ class AuthorityWork:
 
     @property
     def is_locked(self) -> bool:
-        return self._operations.held.remaining() is None
-
-    def now(self) -> int:
-        return self._now()
+        return self.operations.held.remaining() is None
 
     def policy_path(self) -> Path:
-        return policyfile.place(self._rossec_home, self._policy)
+        return policyfile.place(self.rossec_home, self.policy)
 
     def home(self) -> AuthorityHome:
-        return AuthorityHome.at(self._rossec_home)
+        return AuthorityHome.at(self.rossec_home)
 
     def join(self, data: bytes) -> tuple[bytes, str | None]:
-        """Decide a node's request; returns the message for it, and its name if it was issued."""
         request = JoinRequest.from_bytes(data)
         with contextlib.closing(self.home().store()) as store:
             if not invitations.is_proved(store, request):  # before the authority is opened
                 return write(RefusedMessage(RefuseReason.REFUSED)), None
         with self.service(JOIN_PURPOSE) as service:
             try:
-                answer = invitations.join(service.unlock(), request, self._now())
+                answer = invitations.join(service.unlock(), request, self.now())
             except AuthorityLocked:
                 with contextlib.closing(service.home.store()) as store:
-                    answer = invitations.join_locked(store, request, self._now())
+                    answer = invitations.join_locked(store, request, self.now())
         return write(answer), request.name if isinstance(answer, Issued) else None
 
     def renew_identities(self, requests: Iterable[bytes]) -> list[tuple[bytes, bytes, str]]:
-        """Answer nodes whose identity is due: for each request, its SHA-256, a bundle or a reason.
-
-        What is signed is in the record, so that the same node gets the same one again. Requests are
-        left out, to be asked for later, when the key is locked meanwhile.
-        """
+        """Answer nodes whose identity is due: for each request, its SHA-256, a bundle or a reason."""
+        # What is signed is in the record, so that the same node gets the same one again. Requests are left
+        # out, to be asked for later, when the key is locked meanwhile.
         answers = list[tuple[bytes, bytes, str]]()
         with self.service(RENEWAL_PURPOSE) as service:
             for request in requests:
                 bundle, reason = b"", ""
                 try:
-                    bundle = renewals.renew_recorded(service.unlock(), request, self._now())
+                    bundle = renewals.renew_recorded(service.unlock(), request, self.now())
                 except (AuthorityLocked, RecordUnusable, KeyServiceRefused):
                     break
                 except HintedError as error:
@@ -122,23 +110,20 @@ class AuthorityWork:
         return answers
 
     def allowed_pattern(self, asked: JoinClaim | JoinRequest) -> str | RefusedMessage:
-        """The names that the invitation allows whose secret is proved, or why there is no answer."""
         with contextlib.closing(self.home().store()) as store:
-            return invitations.allowed_pattern(store, asked, self._now())
+            return invitations.allowed_pattern(store, asked, self.now())
 
     def was_issued(self, request: JoinRequest) -> bool:
         with contextlib.closing(self.home().store()) as store:
             return store.identities.issued_for(request.digest) is not None
 
     def apply(self, names: Collection[str] | None = None) -> None:
-        """Make the policy true, for the nodes `names` or for all; does nothing while locked.
-
-        Grants are renewed at two thirds of their time.
-        """
+        """Make the policy true, for the nodes `names` or for all; does nothing while locked."""
+        # Grants are renewed at two thirds of their time.
         if self.is_locked:
             return
         try:
-            policy = policyfile.read_policy(self._rossec_home, self._policy, signs=True)
+            policy = policyfile.read_policy(self.rossec_home, self.policy, signs=True)
             with self.service(APPLY_PURPOSE) as service:
                 plan = service.policy.plan(policy, names, renew_due=True)
                 for reason in plan.refused:
@@ -159,10 +144,9 @@ class AuthorityWork:
                 _log.error("the policy is not applied: %s", printable(error))
 
     def grant_outright(self, names: Collection[str]) -> None:
-        """Give nodes that joined what the policy in force gives their names, if there is one."""
         try:
             with self.service(APPLY_PURPOSE) as service:
-                signed = service.policy.grant_outright(*names, place=self._policy)
+                signed = service.policy.grant_outright(*names, place=self.policy)
                 if signed:
                     _log_refused(service.grants.deposit([data for _, data in signed]))
         except HintedError as error:
@@ -176,29 +160,27 @@ class AuthorityWork:
         """As `apply` for all, if the policy or the record changed, or `PERIOD` is over."""
         try:
             status = self.policy_path().stat()
-            with contextlib.closing(AuthorityHome.at(self._rossec_home).store()) as store:
-                state = status.st_mtime_ns, status.st_size, store.log.head(self._now()).size
+            with contextlib.closing(self.home().store()) as store:
+                state = status.st_mtime_ns, status.st_size, store.log.head(self.now()).size
         except (HintedError, OSError) as error:
             _log.error("the policy is not applied: %s", printable(error))
             return
         last, at = self._applied
-        if state != last or not 0 <= self._now() - at < PERIOD:
+        if state != last or not 0 <= self.now() - at < PERIOD:
             if not self.is_locked:
-                self._applied = state, self._now()
+                self._applied = state, self.now()
             self.apply()
 
     def maintain(self) -> None:
-        """Renew the own node's identity and the list long before they expire; deliver grants.
-
-        One that fails holds no other back.
-        """
+        """Renew the own node's identity and the list long before they expire; deliver grants."""
+        # One that fails holds no other back.
         if self.is_locked:
             return
 
         def renew_own_node(service: AuthorityService) -> None:
             authority = service.unlock()
-            if renewals.own_node_is_due(authority, self._now()):
-                renewals.renew_own_node(authority, self._now())
+            if renewals.own_node_is_due(authority, self.now()):
+                renewals.renew_own_node(authority, self.now())
 
         def deposit_missing(service: AuthorityService) -> None:
             _log_refused(service.grants.deposit_missing()[1])
@@ -223,8 +205,8 @@ class AuthorityWork:
         if not isinstance(error, NotDelivered):
             return logging.WARNING
         if self._undelivered_since is None:
-            self._undelivered_since = self._now()
-        is_new = not self.published and 0 <= self._now() - self._undelivered_since < GRACE
+            self._undelivered_since = self.now()
+        is_new = not self.published and 0 <= self.now() - self._undelivered_since < GRACE
         return logging.INFO if is_new else logging.WARNING
 
     def _publish(self, service: AuthorityService) -> None:
@@ -233,9 +215,7 @@ class AuthorityWork:
         found = service.home.domain_list()
         newest, domains = service.home.revocation_list(), b"" if found is None else found[0]
         known = (newest, domains) == (self.published, self._published_domains)
-        with contextlib.suppress(
-            NotDelivered
-        ):  # it is away, and asked again, or of a version that does not tell
+        with contextlib.suppress(NotDelivered):  # it is away, and asked again
             known = known and service.master_has_list()
         if not known:
             service.publish()
@@ -243,17 +223,15 @@ class AuthorityWork:
 
     @contextlib.contextmanager
     def service(self, purpose: str) -> Iterator[AuthorityService]:
-        """What the authority does for its users; `purpose` is audited with every signature.
+        """What the authority does for its users; `purpose` is audited with every signature."""
 
-        For one thread, and closed afterwards. Where the key is needed and not held, it raises
-        `AuthorityLocked`.
-        """
-
+        # For one thread, and closed afterwards. Where the key is needed and not held, it raises
+        # `AuthorityLocked`.
         def find_signer(home: AuthorityHome) -> OwnSigner:
-            self._operations.held.check()
-            return OwnSigner(self._operations, home.own_key(), purpose)
+            self.operations.held.check()
+            return OwnSigner(self.operations, home.own_key(), purpose)
 
-        service = AuthorityService(self._rossec_home, _no_passphrase, self._deliver, self._now, find_signer)
+        service = AuthorityService(self.rossec_home, _no_passphrase, self.deliver, self.now, find_signer)
         with contextlib.closing(service):
             yield service
 

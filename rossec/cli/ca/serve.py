@@ -189,12 +189,12 @@ async def _serve(
 
     try:
         await process.start()
-        await console.socket.start()
+        await console.start()
         audit.info("the service began")
         work = network.run() if network else console.rounds.run()
         await until_first_ends(until_signal(), process.watch_time(), work)
     finally:
-        await console.socket.close()
+        await console.close()
         await process.close()
         audit.info("the service ended")
 

@@ -11,7 +11,6 @@ KEPT = [
     "ca.uri",
     "ca.pem",
     "ca.db",
-    "revocations.entries",
     "intermediate.pem",
     "intermediate.csr",
     "policy.yaml",

@@ -1,19 +1,17 @@
 import shutil
 from pathlib import Path
-from typing import NoReturn
 
 import pytest
 
 from ca.certificates import to_pem
-from ca.errors import DomainsRefused, PassphraseRefused, RevocationRefused, TokenRefused
+from ca.errors import DomainsRefused, PassphraseRefused, TokenRefused
 from ca.keys.private_keys import KeyUri
 from ca.names import is_reserved
 from ca.revocation.lists import TreeEntries, open_list, open_tree
-from ca.store.log import RESTORED
 from ca.store.record import Store
 from grants.renewal import open_delegation
 from rossec.authority import home as token_modules
-from rossec.authority.home import ENTRIES, AuthorityHome, fingerprint
+from rossec.authority.home import AuthorityHome, fingerprint
 from rossec.authority.signing import OWN_NODE, delegations
 from rossec.errors import ConfigurationError
 from rossec.ros.names import MASTER
@@ -21,7 +19,7 @@ from tests.support.domains import domains, foreign
 from tests.support.pki import Site
 from tests.support.site import DAY
 from tests.support.site import Site as RunningSite
-from tests.support.token import MODULE, PIN, softhsm
+from tests.support.token import PIN, softhsm
 
 NOW = 1_800_000_000
 PASSPHRASE = "four random words here"
@@ -120,7 +118,7 @@ def test_before_a_list_is_signed_there_is_none(home: AuthorityHome, tmp_path: Pa
     assert caught.value.hint == "next: rossec ca refresh"
 
 
-def test_the_entries_of_a_tree_are_in_the_record_or_beside_it(
+def test_the_entries_of_a_tree_are_in_the_record(
     home: AuthorityHome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copytree(home.path, tmp_path / "ca")
@@ -132,16 +130,6 @@ def test_the_entries_of_a_tree_are_in_the_record_or_beside_it(
     entries = copy.newest_statement()[1]
     TreeEntries.read(entries).check(tree)
     assert tree.number == listed.number
-
-    def older(*_: object) -> NoReturn:
-        raise RevocationRefused("written by an older version")
-
-    monkeypatch.setattr("rossec.authority.signing.tree_entries", older)
-    with pytest.raises(ConfigurationError, match="the entries of the tree are missing"):
-        copy.newest_statement()[1]
-    (copy.path / ENTRIES).write_bytes(entries)
-    (copy.path / ENTRIES).chmod(0o600)
-    assert copy.newest_statement()[1] == entries
 
 
 def test_grants_are_renewed_while_each_master_has_confirmed_to_have_the_leave(tmp_path: Path) -> None:
@@ -178,10 +166,6 @@ def test_a_key_in_a_token_is_opened_by_the_modules_that_were_named(tmp_path: Pat
     assert home.load_key(PIN, [uri.module]).public_key == home.own_key()
     with pytest.raises(TokenRefused, match="is not trusted here"):
         home.load_key(PIN, [])
-    (tmp_path / token_modules.FILE).unlink()
-    assert home.unlock(PIN).domain == "home", "an older version made it here"
-    assert (tmp_path / token_modules.FILE).read_text() == f"{MODULE}\n"
-    home.store().log_event(RESTORED, "", "", NOW)
     (tmp_path / token_modules.FILE).unlink()
     with pytest.raises(TokenRefused, match="is not trusted here"):
         home.unlock(PIN)

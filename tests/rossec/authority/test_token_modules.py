@@ -13,7 +13,7 @@ URI = KeyUri("home", "authority", MODULE)
 
 def test_none_is_trusted_until_one_is_named(tmp_path: Path) -> None:
     home = tmp_path / "home"
-    assert (authority_home.trusted(home), authority_home.exists(home)) == (frozenset(), False)
+    assert authority_home.trusted(home) == frozenset()
     for _ in range(2):
         authority_home.trust(home, MODULE)
         authority_home.trust(home, OTHER)
@@ -29,7 +29,7 @@ def test_only_an_absolute_path_is_one_file(tmp_path: Path, module: str) -> None:
         authority_home.trust(tmp_path, module)
     with pytest.raises(TokenRefused, match="not the absolute path"):
         authority_home.restored_uri(str(URI).encode(), tmp_path, module)
-    assert not authority_home.exists(tmp_path)
+    assert not (tmp_path / authority_home.FILE).exists()
 
 
 def test_the_file_is_its_owners_and_text(tmp_path: Path) -> None:
@@ -45,9 +45,11 @@ def test_the_file_is_its_owners_and_text(tmp_path: Path) -> None:
 
 
 def test_a_key_behind_another_module_is_refused(tmp_path: Path) -> None:
-    assert authority_home.require(URI, {MODULE}, tmp_path) == URI
+    (tmp_path / "ca").mkdir()
+    (tmp_path / "ca" / authority_home.KEY_URI).write_text(f"{URI}\n")
+    (tmp_path / "ca" / authority_home.KEY_URI).chmod(0o600)
     with pytest.raises(TokenRefused, match="not trusted here") as caught:
-        authority_home.require(URI, {OTHER}, tmp_path)
+        authority_home.AuthorityHome(tmp_path / "ca").load_key("1234", {OTHER})
     assert str(tmp_path / authority_home.FILE) in caught.value.hint
 
 

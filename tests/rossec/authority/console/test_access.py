@@ -8,10 +8,10 @@ import pytest
 from ca.encoding import Value
 from ca.errors import ApprovalRefused, StoreError
 from rossec.authority.console.access import ConsoleAccess
-from rossec.authority.console.messages import LoginChallenge, PhoneView, Proposal, from_value, many
+from rossec.authority.console.messages import LoginChallenge, PhoneView, Proposal, from_value
 from rossec.errors import KeyServiceRefused, PhoneCodeRefused
 from tests.support import refusal_texts
-from tests.support.consolework import ConsoleWork, ask
+from tests.support.consolework import ConsoleWork, ask, many
 from tests.support.passkeys import ORIGIN, RP_ID, Assertion, Passkey
 
 

@@ -27,10 +27,10 @@ def test_an_approval_is_named_by_the_beginning_of_its_id(tmp_path: Path) -> None
     outcome = acts.approve("invitation", "/a/*", 1, 60, False)
     with acts.store() as store:
         approval = store.approvals.get(outcome.id)
-    approved = Approved(approval, approval.read())
+    approved = Approved(approval)
     assert approved.id == outcome.id
     assert approved.reason == f"approval {outcome.id.hex()[:8]}"
     with acts.work.service("a test") as service:
         assert RevokeMasterAct().made(service, approved) == b""
         with pytest.raises(AssertionError):
-            RevokeMasterAct().carry_out(service, approved, lambda *_: None, acts.now)
+            RevokeMasterAct().carry_out(service, approved, acts.now)

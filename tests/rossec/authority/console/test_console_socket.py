@@ -8,7 +8,7 @@ import pytest
 
 from rossec.authority.console import messages
 from rossec.authority.console.client import ConsoleClient
-from rossec.authority.console.serving import ConsolePeers, ConsolePlace, ConsoleService, ConsoleSocket, place
+from rossec.authority.console.serving import ConsolePeers, ConsolePlace, ConsoleService, console_server, place
 from rossec.errors import ConfigurationError, PeerUserRefused
 from rossec.host.local_sockets import UnixPeer
 from tests.support.consoleservice import FakeHome, as_part
@@ -54,7 +54,7 @@ def test_a_file_that_is_no_socket_is_not_replaced(tmp_path: Path) -> None:
 async def test_the_socket_answers_and_remembers_who_came(tmp_path: Path) -> None:
     peers = ConsolePeers()
     where = ConsolePlace(tmp_path / "console.sock")
-    served = ConsoleSocket(where, ConsoleService(as_part(FakeHome())), peers)
+    served = console_server(where, ConsoleService(as_part(FakeHome())), peers)
     await served.start()
     peers.refuse(UnixPeer(os.getpid(), os.getuid()))
     client = ConsoleClient(where.path)
@@ -69,7 +69,7 @@ async def test_the_socket_answers_and_remembers_who_came(tmp_path: Path) -> None
 
 async def test_the_socket_of_another_user_lets_them_connect(tmp_path: Path) -> None:
     where = ConsolePlace(tmp_path / "console.sock", frozenset({os.geteuid(), OTHER.pw_uid}))
-    served = ConsoleSocket(where, ConsoleService(as_part(FakeHome())), ConsolePeers())
+    served = console_server(where, ConsoleService(as_part(FakeHome())), ConsolePeers())
     await served.start()
     assert where.path.stat().st_mode & 0o777 == 0o666
     await served.close()

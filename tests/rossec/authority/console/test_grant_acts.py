@@ -13,11 +13,12 @@ from grants import document as claims
 from grants.document import GRANT
 from grants.model import ID_SIZE
 from rossec.authority.console.grant_requests import GrantAnswer, Questions
-from rossec.authority.console.messages import ApprovalView, GrantQuestion, many
+from rossec.authority.console.messages import ApprovalView, GrantQuestion
 from rossec.authority.console.queries import RecordQueries
 from rossec.authority.requests import GrantRequestStore
 from rossec.errors import ConfigurationError, KeyServiceRefused
 from tests.support.consoleacts import DAY, POLICY, Acts
+from tests.support.consolework import many
 
 SHA = bytes(32)
 TWO = POLICY.replace("prompt: {subscribe: [/pose]}", "prompt: {subscribe: [/pose, /odom]}")

@@ -9,12 +9,13 @@ from typing import Any
 import pytest
 
 from rossec.authority.console import queries as module
-from rossec.authority.console.messages import DenialView, FactView, ListProgress, from_value, many
+from rossec.authority.console.messages import DenialView, FactView, ListProgress, from_value
 from rossec.authority.console.queries import DENIALS, FRESH, PERIOD, STANDING, MasterView
 from rossec.authority.session import StatementCall
 from rossec.errors import NotDelivered
 from rossec.participant.registrations import WATCH_GRAPH as WATCH
 from tests.support.consoleacts import Acts
+from tests.support.consolework import many
 
 POSE = ["publisher", "/pose", "/robot"]
 

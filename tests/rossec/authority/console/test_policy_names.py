@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from rossec.authority.console import queries as module
-from rossec.authority.console.messages import PolicyName, many
+from rossec.authority.console.messages import PolicyName
 from rossec.authority.console.queries import PolicyNames
 from rossec.authority.policyfile import PolicyFile
-from tests.support.consolework import ConsoleWork, ask
+from tests.support.consolework import ConsoleWork, ask, many
 
 POLICY = """rossec: 1
 robot: r

@@ -11,10 +11,10 @@ from grants.model import Right
 from grants.request import RequestedRight
 from rossec.authority.approvals import ApprovalQueue
 from rossec.authority.console.grant_requests import MAX_SECONDS, Questions, Removals, changed_by, pending_of
-from rossec.authority.console.messages import AskedRight, GrantQuestion, QuestionAnswer, many
+from rossec.authority.console.messages import AskedRight, GrantQuestion, QuestionAnswer
 from rossec.authority.policyfile import PolicyFile
 from rossec.errors import ConfigurationError, KeyServiceRefused
-from tests.support.consolework import NOW, ConsoleWork, ask
+from tests.support.consolework import NOW, ConsoleWork, ask, many
 
 POLICY = """rossec: 1
 robot: r

@@ -21,13 +21,12 @@ from rossec.authority.console.messages import (
     NodeView,
     PhoneView,
     from_value,
-    many,
     sentence,
 )
 from rossec.authority.console.queries import KEPT, MAX_APPROVALS, MAX_EVENTS, RecordQueries, bounded
 from rossec.home import NodeHome
 from tests.support import approving, passkeys
-from tests.support.consolework import NOW, ConsoleWork, ask
+from tests.support.consolework import NOW, ConsoleWork, ask, many
 
 
 @pytest.fixture

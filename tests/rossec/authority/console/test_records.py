@@ -6,9 +6,10 @@ import pytest
 
 from ca.encoding import Value, decode, encode
 from rossec.authority.console import messages
-from rossec.authority.console.messages import from_value, many, to_value
+from rossec.authority.console.messages import from_value, to_value
 from rossec.errors import KeyMessageRefused
 from tests.support.consoleservice import FakeHome
+from tests.support.consolework import many
 
 
 class Inner(NamedTuple):

@@ -44,7 +44,7 @@ async def test_a_console_without_a_network_says_so(console: Console) -> None:
 
 
 async def test_a_console_says_that_a_phone_waits(console: Console) -> None:
-    await console.socket.start()
+    await console.start()
     client, phone = ConsoleClient(console.where.path), Passkey()
     before = (await client.status()).number
     asked = await client.new_passkey(ORIGIN, RP_ID)
@@ -52,7 +52,7 @@ async def test_a_console_says_that_a_phone_waits(console: Console) -> None:
     await client.propose_passkey(PasskeyRegistration(asked.id, await client.phone_link(), "p", *answer))
     assert (await client.status()).number != before
     await client.close()
-    await console.socket.close()
+    await console.close()
 
 
 def test_deliveries_are_asked_while_there_is_a_master_and_not_every_time(

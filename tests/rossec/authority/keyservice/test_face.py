@@ -23,7 +23,7 @@ from rossec.clock import now
 from rossec.enrollment.join import ask_name, join
 from rossec.errors import KeyServiceRefused
 from rossec.home import NodeHome
-from rossec.host import sandbox
+from rossec.host import sandbox, workers
 from tests.support.commands import PASSPHRASE
 from tests.support.joining import asked
 from tests.support.ports import free_port
@@ -169,7 +169,7 @@ async def test_the_process_is_confined_before_it_serves(
 
     monkeypatch.setattr(module, "protect_memory", lambda: done.append("memory"))
     monkeypatch.setattr(sandbox, "read_only", lambda paths: done.append(paths[0]))
-    monkeypatch.setattr(module, "confine_processes", confine)
+    monkeypatch.setattr(workers, "confine_processes", confine)
     node = home.node()
     served = Served(face_of(node, ""))
     arguments = [str(node.path), f"127.0.0.1:{free_port()}", "http://127.0.0.1:1/", "text"]

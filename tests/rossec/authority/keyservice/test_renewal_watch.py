@@ -12,6 +12,7 @@ import pytest
 from ca.encoding import Value
 from rossec.authority.keyservice import network as module
 from rossec.authority.keyservice.network import RenewalWatch
+from rossec.authority.keyservice.process import FrontEndProcess
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.errors import KeyServiceRefused
 from rossec.ros.names import SETTLE_RENEWALS, WATCH_RENEWALS
@@ -52,7 +53,9 @@ class Playing:
         self.master = PlayedMaster()
         self.key = SimpleNamespace(is_locked=False)
         self.is_ready = True
-        self.watch = RenewalWatch(self.master, cast("AuthorityWork", self.key), self.renew)
+        self.watch = RenewalWatch(
+            cast("FrontEndProcess", self.master), cast("AuthorityWork", self.key), self.renew
+        )
 
     async def renew(self, requests: list[bytes]) -> list[tuple[bytes, bytes, str]]:
         found = [(hashlib.sha256(data).digest(), b"new " + data, "") for data in requests]
