@@ -23,7 +23,7 @@ from ca.errors import HintedError
 from rossec.console import rendering
 from rossec.console.context import ConsoleContext
 from rossec.console.pages import adding, decisions, passkeys, today, visibility
-from rossec.console.rendering import PREFIX, Match, Page, PageAccess, PageTable, for_looking, render
+from rossec.console.rendering import PREFIX, Match, Page, PageAccess, PageTable, Visit, for_looking
 from rossec.console.server.serving import PLACE, check_peer
 from rossec.console.sessions import COOKIE, LoginSession, owner_of
 from rossec.console.words import Names
@@ -301,22 +301,11 @@ class _Answer:
 
 ROUTES: Final[tuple[Page, ...]] = (
     *rendering.ASSET_PAGES,
-    *passkeys.LOGIN_PAGES,
-    *passkeys.PHONES_PAGES,
-    *today.NEWS_PAGES,
-    *passkeys.APPROVE_PAGES,
-    *passkeys.APPROVED_PAGES,
-    *adding.ADD_PAGES,
-    *adding.JOIN_PAGES,
-    *decisions.ASK_PAGES,
-    *decisions.REVOKE_PAGES,
-    *adding.INVITE_PAGES,
-    *decisions.POLICY_PAGES,
-    *today.TODAY_PAGES,
-    *visibility.WHO_PAGES,
-    *visibility.NODES_PAGES,
-    *today.HAPPENED_PAGES,
-    *visibility.PRIVACY_PAGES,
+    *passkeys.PAGES,
+    *today.PAGES,
+    *adding.PAGES,
+    *decisions.PAGES,
+    *visibility.PAGES,
 )
 
 CRASHED: Final = HttpRefused("something went wrong here", "it is in the log", status=500)
@@ -339,7 +328,7 @@ def _endpoint(page: Page, context: ConsoleContext) -> Callable[[Request], Awaita
             if page.access is PageAccess.SESSION and not wants_json(request.headers):
                 with suppress(HintedError):  # a service that does not say what the policy calls things
                     request.state.names = Names.of(await context.service.policy_names())
-            return await page.handler(request, context)
+            return await page.handler(Visit(request, context))
         except HintedError as error:
             return show_error(request, context, error)
         except Exception as error:  # noqa: BLE001 - logged; nothing of it reaches the browser
@@ -360,4 +349,4 @@ def show_error(request: Request, context: ConsoleContext, error: HintedError) ->
     if wants_json(request.headers):
         told = {"error": printable(error), "hint": printable(error.hint)}
         return JSONResponse(told, status)
-    return render(context, request, "error.html", status, message=str(error), hint=error.hint)
+    return Visit(request, context).show("error.html", status, message=str(error), hint=error.hint)

@@ -36,7 +36,7 @@ from rossec.console.matrix import Cell, TopicAccess
 from rossec.console.pictures import looks as pictures
 from rossec.console.pictures.place import has_place
 from rossec.console.samples import Preview
-from rossec.console.sentences import SentencePart, wanted
+from rossec.console.sentences import Sayable, SentencePart, name_part, say, topic_part, wanted
 from rossec.errors import FormRefused, HttpRefused
 from rossec.peer_limits import SharedTable, printable
 
@@ -329,7 +329,7 @@ class ApprovalWay(NamedTuple):
 
     coarse: str
     label: str
-    lines: tuple[tuple[SentencePart, ...], ...]
+    lines: tuple[Sayable, ...]
     exact: tuple[str, ...]
     is_narrowest: bool
 
@@ -350,30 +350,25 @@ class Looks(NamedTuple):
     minutes: int = 1
 
 
-def sentence(question: GrantQuestion, facts: Iterable[FactView]) -> tuple[SentencePart, ...]:
+def sentence(question: GrantQuestion, facts: Iterable[FactView]) -> Sayable:
     senders: dict[str, set[str]] = {}
     for fact in facts:
         if fact.kind == "publisher":
             senders.setdefault(fact.name, set()).add(fact.node)
-    parts = [SentencePart(words.name(question.node), is_name=True), SentencePart("wants to")]
+    parts: list[SentencePart | str] = [name_part(question.node), "wants to"]
     shown = question.rights[:_MOST]
     for place, right in enumerate(shown):
-        parts += [SentencePart("and to")] if place else []
+        parts += ["and to"] if place else []
         known = sorted(senders.get(right.pattern, ()))
-        topic = SentencePart(words.topic(right.pattern), is_name=True)
         if drives(right):
-            parts += [SentencePart("drive: send commands to"), topic]
+            parts += ["drive: send commands to", topic_part(right.pattern)]
         elif right.right == Right.SUBSCRIBE and has_place(right.type) and len(known) == 1:
-            parts += [
-                SentencePart("see where"),
-                SentencePart(words.name(known[0]), is_name=True),
-                SentencePart("is"),
-            ]
+            parts += ["see where", name_part(known[0]), "is"]
         else:
-            parts += [SentencePart(wanted(right.right)), topic]
+            parts += [wanted(right.right), topic_part(right.pattern)]
     if len(question.rights) > len(shown):
-        parts.append(SentencePart(f"and {len(question.rights) - len(shown)} more things"))
-    return tuple(parts)
+        parts.append(f"and {len(question.rights) - len(shown)} more things")
+    return say(*parts)
 
 
 def ways(given: Sequence[tuple[str, Sequence[AskedRight]]], most: int = 6) -> list[ApprovalWay]:
@@ -460,14 +455,10 @@ def durations(question: GrantQuestion, now: int) -> list[OfferedDuration]:
     ]
 
 
-def answer(given: QuestionAnswer) -> tuple[SentencePart, ...]:
+def answer(given: QuestionAnswer) -> Sayable:
     """`/lamp may not see /robot/camera`."""
     verb = "may" if given.answer == "granted" else "may not"
-    return (
-        SentencePart(words.name(given.node), is_name=True),
-        SentencePart(f"{verb} {wanted(given.right)}"),
-        SentencePart(words.topic(given.pattern), is_name=True),
-    )
+    return say(name_part(given.node), f"{verb} {wanted(given.right)}", topic_part(given.pattern))
 
 
 def drives(right: AskedRight) -> bool:
@@ -476,13 +467,9 @@ def drives(right: AskedRight) -> bool:
     return right.right == Right.PUBLISH and is_driving
 
 
-def _line(right: AskedRight) -> tuple[SentencePart, ...]:
-    said = words.plain(_restrictions(right))
-    return (
-        SentencePart(wanted(right.right)),
-        SentencePart(words.topic(right.pattern), is_name=True),
-        SentencePart(f"({said})" if said else "(all of it)"),
-    )
+def _line(right: AskedRight) -> Sayable:
+    said = words.plain(_restrictions(right)) or "all of it"
+    return say(wanted(right.right), topic_part(right.pattern), f"({said})")
 
 
 def _restrictions(right: AskedRight) -> tuple[Restriction, ...]:
