@@ -9,7 +9,6 @@ to the person before the phone is asked, and an act is carried on only in the se
 import base64
 import binascii
 import re
-from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple, Protocol
 
@@ -21,7 +20,6 @@ from grants.model import Restriction, Right
 from grants.vocabulary.assess import assess
 from grants.vocabulary.contents import rank
 from rossec import clock
-from rossec.authority.console import messages
 from rossec.authority.console.messages import (
     ApprovalOutcome,
     AskedRight,
@@ -37,31 +35,9 @@ from rossec.console.pictures import looks as pictures
 from rossec.console.pictures.place import has_place
 from rossec.console.samples import Preview
 from rossec.console.sentences import Sayable, SentencePart, name_part, say, topic_part, wanted
-from rossec.errors import FormRefused, HttpRefused
-from rossec.peer_limits import SharedTable, printable
-
-MAX_CODES: Final = 64
-MAX_PENDING: Final = 256
-
-
-class MadeCodes:
-    """Approvals of join codes, by their id, that were not shown yet; the oldest makes room."""
-
-    def __init__(self) -> None:
-        self._sessions: OrderedDict[bytes, bytes] = OrderedDict()
-
-    def add(self, approval: bytes, session: bytes) -> None:
-        while len(self._sessions) >= MAX_CODES:
-            self._sessions.popitem(last=False)
-        self._sessions[approval] = session
-
-    def take(self, approval: bytes, session: bytes) -> bool:
-        # Whether this session may see it, now and not again.
-        if self._sessions.get(approval) != session:
-            return False
-        del self._sessions[approval]
-        return True
-
+from rossec.console.sessions import SessionTable
+from rossec.errors import FormRefused
+from rossec.peer_limits import printable
 
 DAY: Final = 86400
 IDENTITY_LIFETIME: Final = 30 * DAY
@@ -123,7 +99,7 @@ class ApprovalSources(Protocol):
     def enrollments(self) -> RunningEnrollments: ...
 
     @property
-    def made_codes(self) -> MadeCodes: ...
+    def made_codes(self) -> SessionTable[bool]: ...
 
     @property
     def service(self) -> RequestSource: ...
@@ -145,7 +121,7 @@ def carried_out(sources: ApprovalSources, act: ProposedAct, outcome: ApprovalOut
     if act.kind == "enroll" and act.subject:
         sources.enrollments.approved(act.subject, outcome)
     if act.kind == "invitation":
-        sources.made_codes.add(outcome.id, session)
+        sources.made_codes.add(outcome.id, session, True, "")  # the oldest makes room
     return act.next.format(id=base64.urlsafe_b64encode(outcome.id).rstrip(b"=").decode())
 
 
@@ -298,27 +274,6 @@ def _choice(form: Form, field: str, choices: Mapping[str, int]) -> int:
     if form[field] not in choices:
         raise FormRefused(f"{field} is one of {', '.join(choices)}", _RELOAD)
     return choices[form[field]]
-
-
-class PendingActs:
-    """Acts that are shown to a phone and not approved yet, with the session that asked."""
-
-    def __init__(self) -> None:
-        self._acts: SharedTable[bytes, tuple[bytes, ProposedAct]] = SharedTable(MAX_PENDING)
-
-    def add(self, statement: bytes, session: bytes, act: ProposedAct, owner: str = "") -> None:
-        who = owner or messages.of_looker(session)
-        if self._acts.add(statement, (session, act), who, messages.rank(who)) is None:
-            raise HttpRefused("too much waits for a phone", "approve that, or wait", status=429)
-
-    def get(self, statement: bytes, session: bytes) -> ProposedAct:
-        found = self._acts.get(statement)
-        if found is None or found[0] != session:
-            raise HttpRefused("this was not asked here", "load the page again", status=404)
-        return found[1]
-
-    def remove(self, statement: bytes) -> None:
-        self._acts.pop(statement)
 
 
 class ApprovalWay(NamedTuple):

@@ -13,18 +13,20 @@ from rossec import clock
 from rossec.authority.console.client import ConsoleClient
 from rossec.authority.console.messages import Status
 from rossec.clock import Seconds, counter
-from rossec.console.approvals import MadeCodes, PendingActs
+from rossec.console.approvals import ProposedAct
 from rossec.console.enrollments import Enrollments
 from rossec.console.matrix import Endings
 from rossec.console.samples import Preview
 from rossec.console.server.control import WebSettings
-from rossec.console.sessions import FailureLimit, KnownPhones, LoginTurns, Sessions
+from rossec.console.sessions import FailureLimit, KnownPhones, LoginTurns, Sessions, SessionTable
 from rossec.errors import HttpRefused
 from rossec.host.runner import TaskSet
 
 PERIOD: Final = 1.0  # seconds between two questions
 BEAT: Final = 5.0  # seconds after which a stream without news shows that it lives
 MAX_STREAMS: Final = 100
+MAX_CODES: Final = 64
+MAX_PENDING: Final = 256
 _COMMENT: Final = b":\n\n"  # ignored by browsers; a connection that is gone shows at the write
 ALIVE: Final = b"event: alive\ndata: 1\n\n"
 SILENT: Final = b"event: silent\ndata: 1\n\n"  # the service does not answer this console
@@ -150,8 +152,12 @@ class ConsoleContext:
         self.phones = KnownPhones(service.phones)
         self.news = NewsFeed(service.status)
         self.failures = FailureLimit()
-        self.pending = PendingActs()
-        self.made_codes = MadeCodes()
+        self.pending: SessionTable[ProposedAct] = SessionTable(
+            MAX_PENDING
+        )  # shown to a phone, not approved yet
+        self.made_codes: SessionTable[bool] = SessionTable(
+            MAX_CODES
+        )  # approvals of join codes, not shown yet
         self.turns = LoginTurns()
         self.endings = Endings()
         self.enrollments = Enrollments(service, settings.domain, clock, self.news.changed)

@@ -120,7 +120,7 @@ async def show_made(visit: Visit) -> Response:
     outcome = await visit.service.outcome(number)
     session = visit.session.id
     is_done = outcome.state == "done" and bool(outcome.data)
-    text = outcome.data.decode() if is_done and visit.context.made_codes.take(number, session) else ""
+    text = outcome.data.decode() if is_done and visit.context.made_codes.pop(number, session) else ""
     return visit.show(
         "invited.html",
         live=outcome.state == "waiting",

@@ -205,7 +205,8 @@ async def prepare(visit: Visit) -> Response:
         raise HttpRefused(
             "no phone is set up", "get a code at the terminal: rossec console phone", status=409
         )
-    visit.context.pending.add(made.id, visit.session.id, act, owner)
+    if not visit.context.pending.add(made.id, visit.session.id, act, owner):
+        raise HttpRefused("too much waits for a phone", "approve that, or wait", status=429)
     return JSONResponse(challenge_fields(made, visit.context.clock()))
 
 
@@ -214,8 +215,10 @@ async def approve(visit: Visit) -> Response:
     statement = visit.id
     session = visit.session.id
     act = visit.context.pending.get(statement, session)
+    if act is None:
+        raise HttpRefused("this was not asked here", "load the page again", status=404)
     outcome = await visit.service.approve(statement, read_assertion(await visit.json()))
-    visit.context.pending.remove(statement)
+    visit.context.pending.pop(statement, session)
     return JSONResponse({"next": approvals.carried_out(visit.context, act, outcome, session)})
 
 
