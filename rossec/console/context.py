@@ -34,19 +34,18 @@ _log = logging.getLogger("rossec.console")
 
 
 class NewsFeed:
-    """The newest `Status.number`, and the streams that wait for it: one question a second for all open pages.
+    """The newest `Status.number`, and the streams that wait for it: one question a second for all pages."""
 
-    A stream has numbers only, so it tells nothing that the page itself would not: the service's number, and
-    how often something changed in this console. Between them it says every few seconds whether the service
-    answers (`alive`, `silent`), so that a page knows when it is old. The service is asked only while a page
-    waits.
-    """
+    # A stream has numbers only, so it tells nothing that the page itself would not: the service's number, and
+    # how often something changed in this console. Between them it says every few seconds whether the service
+    # answers (`alive`, `silent`), so that a page knows when it is old. The service is asked only while a page
+    # waits.
 
     def __init__(self, status: Callable[[], Awaitable[Status]], period: float = PERIOD) -> None:
         self._status, self._period = status, period
         self._news = asyncio.Condition()
         self._tasks = TaskSet()
-        self._streams = 0
+        self.streams = 0
         self._number: int | None = None
         self._own = self._told_own = 0
         self._answered = float("-inf")  # when the service did last, by the loop's clock
@@ -67,12 +66,8 @@ class NewsFeed:
         # Note that something changed in this console; the streams say so within a second.
         self._own += 1
 
-    @property
-    def streams(self) -> int:
-        return self._streams
-
     def open(self, is_valid: Callable[[], bool], beat: float = BEAT) -> AsyncIterator[bytes]:
-        if self._streams >= MAX_STREAMS:
+        if self.streams >= MAX_STREAMS:
             raise HttpRefused("too many pages are open", "close some of them", status=503)
         return self._events(is_valid, beat)
 
@@ -80,7 +75,7 @@ class NewsFeed:
         await self._tasks.close()
 
     async def _events(self, is_valid: Callable[[], bool], beat: float) -> AsyncIterator[bytes]:
-        self._streams += 1
+        self.streams += 1
         try:
             told: str | None = None
             yield _COMMENT
@@ -94,7 +89,7 @@ class NewsFeed:
                     silent_for = asyncio.get_running_loop().time() - self._answered
                     yield ALIVE if silent_for < BEAT + 2 * self._period else SILENT
         finally:
-            self._streams -= 1
+            self.streams -= 1
 
     async def _wait(self, told: str | None, beat: float) -> bool:
         try:
@@ -105,7 +100,7 @@ class NewsFeed:
         return True
 
     async def _poll(self) -> None:
-        while self._streams:
+        while self.streams:
             before = self.number
             try:
                 self._number = (await self._status()).number
@@ -152,12 +147,9 @@ class ConsoleContext:
         self.phones = KnownPhones(service.phones)
         self.news = NewsFeed(service.status)
         self.failures = FailureLimit()
-        self.pending: SessionTable[ProposedAct] = SessionTable(
-            MAX_PENDING
-        )  # shown to a phone, not approved yet
-        self.made_codes: SessionTable[bool] = SessionTable(
-            MAX_CODES
-        )  # approvals of join codes, not shown yet
+        # Acts that are shown to a phone, not approved yet; approvals of join codes, not shown yet.
+        self.pending: SessionTable[ProposedAct] = SessionTable(MAX_PENDING)
+        self.made_codes: SessionTable[bool] = SessionTable(MAX_CODES)
         self.turns = LoginTurns()
         self.endings = Endings()
         self.enrollments = Enrollments(service, settings.domain, clock, self.news.changed)

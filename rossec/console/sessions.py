@@ -1,7 +1,7 @@
 """Who is logged in, and how often somebody may try: in memory only, and by a clock that cannot be set. Pure.
 
-A cookie is 256 random bits. A session ends 8 hours after it began, 30 minutes after its last use, and with the
-process. It shows, denies and revokes; it never approves.
+A cookie is 256 random bits. A session ends 8 hours after it began, 30 minutes after its last use, and with
+the process. It shows, denies and revokes; it never approves.
 """
 
 import base64
@@ -100,7 +100,7 @@ def owner_of(session: LoginSession) -> str:
 
 
 class SessionTable(Generic[_V]):
-    """What was begun in a session, by a key: no other session finds it. Shares are by owner (`SharedTable`)."""
+    """What was begun in a session, by a key: no other session finds it; owners have shares."""
 
     def __init__(self, limit: int) -> None:
         self._table: SharedTable[bytes, tuple[bytes, _V]] = SharedTable(limit)
@@ -157,9 +157,9 @@ class KnownPhones:
 class FailureLimit:
     """How often somebody may be wrong: five times a minute, then a minute's pause."""
 
-    # Codes have 128 bits and passkeys cannot be guessed: this keeps noise from the authority, and makes whoever
-    # mistypes look again. Counted by address, so that one device does not lock out another; of IPv6 by the
-    # network, since a device has as many addresses as it likes.
+    # Codes have 128 bits and passkeys cannot be guessed: this keeps noise from the authority, and makes
+    # whoever mistypes look again. Counted by address, so that one device does not lock out another; of IPv6
+    # by the network, since a device has as many addresses as it likes.
 
     def __init__(self) -> None:
         self._failures: OrderedDict[str, deque[float]] = OrderedDict()

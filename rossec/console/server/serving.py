@@ -42,12 +42,10 @@ _log = logging.getLogger("rossec.console")
 
 
 def check_peer(scope: Mapping[str, Any], users: frozenset[int] | None) -> None:
-    """Return if the connection of a request may be used; `users` None: anybody's may.
-
-    Cookies know no ports, and every user of a host reaches every port of it; so the user of the TCP peer is
-    looked up for each request. Root is refused like any other user unless the console runs as root: it could
-    take what it wants anyway, and a browser run as root by mistake should not.
-    """
+    """Return if the connection of a request may be used; `users` None: anybody's may."""
+    # Cookies know no ports, and every user of a host reaches every port of it; so the user of the TCP peer is
+    # looked up for each request. Root is refused like any other user unless the console runs as root: it
+    # could take what it wants anyway, and a browser run as root by mistake should not.
     if users is None:
         return
     client, server = scope.get("client"), scope.get("server")
@@ -97,8 +95,7 @@ class ConnectionShares:
         self._proxies = HalfOpenCount(PROXIES)
 
     def __len__(self) -> int:
-        counts = (self._strangers, self._sessions, self._other_users, self._proxies)
-        return sum(map(len, counts))
+        return sum(map(len, (self._strangers, self._sessions, self._other_users, self._proxies)))
 
     def take(self, address: str, *, is_other_user: bool) -> ConnectionPlace | None:
         others = self._strangers if address else self._proxies
@@ -117,7 +114,7 @@ class BoundedProtocol(H11Protocol):
         self.has_begun = True
         if self.place is not None:
             self.place.closed_by(transport.abort)
-            self.app = _Placed(self.app, self.place)
+            self.app = _placed(self.app, self.place)
         self._arm()
 
     def data_received(self, data: bytes) -> None:
@@ -159,23 +156,15 @@ class BoundedProtocol(H11Protocol):
             self._deadline = None
 
 
-class _Placed:
-    def __init__(self, app: Any, place: ConnectionPlace) -> None:
-        self._app, self._place = app, place
+def _placed(app: ASGIApp, place: ConnectionPlace) -> ASGIApp:
+    async def call(scope: Scope, receive: Receive, send: Send) -> None:
+        await app({**scope, PLACE: place}, receive, send)
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        await self._app({**scope, PLACE: self._place}, receive, send)
+    return call
 
 
 class ConsoleServer:
-    """Serves one application at sockets that listen already.
-
-    Args:
-        app: the application.
-        context: for TLS; None: plain HTTP.
-        proxy_users: user ids whose programs may connect at a unix socket.
-        users: user ids whose programs may connect on localhost; None: it is not there.
-    """
+    """Serves one application at sockets that listen already."""
 
     def __init__(
         self,
@@ -282,5 +271,6 @@ class ConsoleServer:
 
 
 def _shut_down(sock: socket.socket) -> None:
+    # Not closed: the task that begins on it still uses its descriptor.
     with suppress(OSError):
         sock.shutdown(socket.SHUT_RDWR)

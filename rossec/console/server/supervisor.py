@@ -14,10 +14,10 @@ import os
 import pwd
 import socket
 import subprocess
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from rossec import clock
 from rossec.authority.keyservice.process import CREDENTIALS
@@ -46,7 +46,7 @@ _SLOW: Final = Unreadable("reading the picture took too long, or failed", CLOSER
 _log = logging.getLogger("rossec.console")
 _scanner_log = logging.getLogger("rossec.console.scanner")
 
-Certificates = Callable[[Callable[[bytes], Awaitable[None]]], Awaitable[None]]
+Certificates = Callable[[Callable[[bytes], Awaitable[None]]], Coroutine[Any, Any, None]]
 """Given a function that installs a bundle (key and chain, PEM), installs the first one and then
 every newer one, for ever."""
 
@@ -112,15 +112,7 @@ def settings_for(endpoint: ConsoleEndpoint, domain: str) -> WebSettings:
 
 
 class WebProcess:
-    """The web process, from the first start to the end of the supervisor.
-
-    Args:
-        options: of the process.
-        listening: sockets that listen.
-        environ: its environment.
-        certificates: for TLS; None: plain HTTP.
-        preview: receives messages for its pictures; None: nothing does.
-    """
+    """The web process, from the first start to the end of the supervisor."""
 
     def __init__(
         self,
@@ -164,12 +156,8 @@ class WebProcess:
             writer.write(control.write(control.ControlMessage(control.CERTIFICATE, (bundle,))))
             await writer.drain()
 
-        async def install_all(certificates: Certificates) -> None:
-            await certificates(install)
-
-        tasks = [self._listen(reader), pictures.run()]
-        if self._certificates is not None:
-            tasks.append(install_all(self._certificates))
+        tasks: list[Coroutine[Any, Any, None]] = [self._listen(reader), pictures.run()]
+        tasks += [] if self._certificates is None else [self._certificates(install)]
         try:
             await until_first_ends(*tasks)
         except ConnectionError:
@@ -225,12 +213,6 @@ class ScannerSupervisor:
     """Answers the web process with what the worker that decodes pictures reads, one at a time.
 
     A worker that takes too long, breaks the protocol or dies is killed, and the next picture gets a new one.
-
-    Args:
-        sock: the supervisor's end of the socketpair.
-        command: of the worker.
-        deadline: seconds for a picture.
-        idle: seconds without a picture after which a worker ends.
     """
 
     def __init__(
@@ -240,10 +222,8 @@ class ScannerSupervisor:
         deadline: float = DEADLINE,
         idle: float = SCANNER_IDLE,
     ) -> None:
-        self._socket = sock
-        self._command = command
-        self._deadline = deadline
-        self._idle = idle
+        self._socket, self._command = sock, command
+        self._deadline, self._idle = deadline, idle
         self._worker: AskedWorker | None = None
 
     async def run(self) -> None:

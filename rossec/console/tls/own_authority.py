@@ -1,12 +1,8 @@
 """The console's own TLS authority: its certificate, those it issues, and how a person compares it. Pure.
 
 A browser that trusts it must be able to trust it with nothing else, so it is never the authority of the
-robots, it issues to no other authority (pathlen 0), for TLS servers alone (extended key usage), and its
-critical name constraints permit one DNS name (with what is below it) and one address.
-
-What a phone shows of a certificate is the SHA-256 of its DER form in hex: that is what is compared on the
-phone. The words are its first 88 bits, for saying aloud (one person at the terminal, one at the phone that
-has the console open).
+robots. What a phone shows of a certificate is the SHA-256 of its DER form in hex: that is compared. The words
+are its first 88 bits, for saying aloud (one person at the terminal, one at the phone).
 """
 
 from dataclasses import dataclass
@@ -64,17 +60,28 @@ class TlsAuthority:
     def create(
         cls, key: ec.EllipticCurvePrivateKey, name: str, address: Address | None, *, now: int, serial: int
     ) -> Self:
-        """A new authority for `name`, a DNS name in lower case, valid for a year.
-
-        `serial` is 127 random bits.
-        """
+        """A new authority for `name`, a DNS name in lower case, valid for a year."""
+        # For whoever gets the key: no other authority below it (pathlen 0), TLS servers alone (extended key
+        # usage), and one name and one address (critical name constraints).
         subject = _subject(f"rossec console {name}"[:_MAX_COMMON_NAME])
+        # A name form without a permitted subtree would be unconstrained (RFC 5280 section 4.2.1.10): so each
+        # form that verifiers know has one, and addresses, which have two sizes, are excluded besides.
+        permitted: list[x509.GeneralName] = [
+            x509.DNSName(name),
+            x509.DirectoryName(_subject(_LEAF)),
+            x509.RFC822Name(name),
+        ]
+        permitted += [x509.UniformResourceIdentifier(name)]
+        permitted += [] if address is None else [x509.IPAddress(ip_network(address))]
+        excluded = [
+            x509.IPAddress(each) for each in _EVERY if address is None or each.version != address.version
+        ]
         builder = (
             _builder(key.public_key(), subject, serial, now - BACKDATE, now + LIFETIME)
             .issuer_name(subject)
             .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
             .add_extension(_usage(authority=True), critical=True)
-            .add_extension(_constraints(name, address), critical=True)
+            .add_extension(x509.NameConstraints(permitted, excluded), critical=True)
             .add_extension(_SERVER, critical=False)
             .add_extension(_key_identifier(key), critical=False)
         )
@@ -130,22 +137,6 @@ class TlsAuthority:
             raise ConfigurationError(
                 "the console's TLS authority is not valid yet", "check this computer's clock"
             )
-
-
-def _constraints(name: str, address: Address | None) -> x509.NameConstraints:
-    # A name form without a permitted subtree would be unconstrained (RFC 5280 section 4.2.1.10): so each form
-    # that verifiers know has one, and addresses, which have two sizes, are excluded besides.
-    permitted: list[x509.GeneralName] = [
-        x509.DNSName(name),
-        x509.DirectoryName(_subject(_LEAF)),
-        x509.RFC822Name(name),
-        x509.UniformResourceIdentifier(name),
-    ]
-    excluded = [x509.IPAddress(network) for network in _EVERY]
-    if address is not None:
-        permitted.append(x509.IPAddress(ip_network(address)))
-        excluded = [each for each in excluded if each.value.version != address.version]
-    return x509.NameConstraints(permitted, excluded)
 
 
 def _builder(
