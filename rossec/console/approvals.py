@@ -51,12 +51,8 @@ MAX_PICTURES: Final = 2  # topics
 _MOST: Final = 4  # rights in the sentence
 ACTS: Final = Right.PUBLISH | Right.CALL | Right.PROVIDE | Right.PARAM_SET | Right.ADMIN
 DRIVING: Final = frozenset(
-    {
-        "geometry_msgs/Twist",
-        "geometry_msgs/TwistStamped",
-        "ackermann_msgs/AckermannDrive",
-        "ackermann_msgs/AckermannDriveStamped",
-    }
+    {f"geometry_msgs/Twist{end}" for end in ("", "Stamped")}
+    | {f"ackermann_msgs/AckermannDrive{end}" for end in ("", "Stamped")}
 )
 LABELS: Final[Mapping[str, str]] = {
     "": "All of it, as it asks",
@@ -154,11 +150,9 @@ async def _grant(sources: ApprovalSources, form: Form) -> ProposedAct:
     if not asked:
         raise FormRefused("this question was answered, or it is too late", "see what still waits")
     most = asked[0].lifetime
-    if form["duration"] == "today":
-        seconds = min(clock.seconds_left_today(clock.now()), most)
-    else:
-        seconds = _SECONDS[form["duration"]]
-    if seconds > most:
+    left = clock.seconds_left_today(clock.now())
+    seconds = min(left, most) if form["duration"] == "today" else _SECONDS[form["duration"]]
+    if seconds > most:  # nothing is shortened without a word
         raise FormRefused(f"the policy allows {words.duration(most)} at most", "choose a shorter time")
     return ProposedAct("grant", [question, coarse, seconds], "/approved/{id}")
 
@@ -240,9 +234,8 @@ def reason(form: Form) -> str:
 
 def check_typed(form: Form, name: str) -> None:
     if form["name"].strip(" ") not in (name, name.removeprefix("/")):
-        raise FormRefused(
-            f"you typed {form['name'][:MAX_REASON]!a}, the name is {name}", f"type {name} to go on"
-        )
+        said = f"you typed {form['name'][:MAX_REASON]!a}, the name is {name}"
+        raise FormRefused(said, f"type {name} to go on")
 
 
 def _replaces(form: Form, name: str, *, is_other_key: bool) -> bool:
@@ -333,16 +326,13 @@ def ways(given: Sequence[tuple[str, Sequence[AskedRight]]], most: int = 6) -> li
     """
     narrow = sorted(given, key=lambda each: strictness(each[1]), reverse=True)
     shown = [*[each for each in narrow if each[0]][: most - 1], *(each for each in given if not each[0])]
-    return [
-        ApprovalWay(
-            coarse,
-            LABELS.get(coarse, f"Coarser: {printable(coarse, 80)}"),
-            tuple(_line(right) for right in rights),
-            tuple(filter(None, (words.restrictions(_restrictions(right)) for right in rights))),
-            coarse == narrow[0][0],
-        )
-        for coarse, rights in shown
-    ]
+    found = []
+    for coarse, rights in shown:
+        title = LABELS.get(coarse, f"Coarser: {printable(coarse, 80)}")
+        exact = tuple(filter(None, (words.restrictions(_restrictions(right)) for right in rights)))
+        lines = tuple(_line(right) for right in rights)
+        found.append(ApprovalWay(coarse, title, lines, exact, coarse == narrow[0][0]))
+    return found
 
 
 def strictness(rights: Iterable[AskedRight]) -> tuple[int, float, int]:
@@ -389,25 +379,22 @@ def looks(
 
     Of real messages where `preview` has some, else of made-up ones.
     """
-    found = []
-    for right in ways[0][1]:
-        if right.right == Right.SUBSCRIBE and right.type and "*" not in right.pattern:
-            drawn = _looks(node, right, ways, preview)
-            found += [drawn] if drawn is not None else []
-    return found[:MAX_PICTURES]
+    seen = [
+        each for each in ways[0][1] if each.right == Right.SUBSCRIBE and each.type and "*" not in each.pattern
+    ]
+    found = [_looks(node, each, ways, preview) for each in seen]
+    return [each for each in found if each is not None][:MAX_PICTURES]
 
 
 def durations(question: GrantQuestion, now: int) -> list[OfferedDuration]:
     """The four buttons; none promises more than the policy gives."""
     most, today = question.lifetime, clock.seconds_left_today(now)
     allowed = words.duration(most)
-    too_long = f"the policy allows {allowed}"
-    return [
-        OfferedDuration("today", "Today", words.duration(min(today, most)), True),
-        OfferedDuration("week", "For a week", "" if most >= 7 * DAY else too_long, most >= 7 * DAY),
-        OfferedDuration("month", "For a month", "" if most >= 30 * DAY else too_long, most >= 30 * DAY),
-        OfferedDuration("open", "Until I end it", f"at most {allowed}, says the policy", True),
-    ]
+    found = [OfferedDuration("today", "Today", words.duration(min(today, most)), True)]
+    for value, title in (("week", "For a week"), ("month", "For a month")):
+        fits = most >= _SECONDS[value]
+        found.append(OfferedDuration(value, title, "" if fits else f"the policy allows {allowed}", fits))
+    return [*found, OfferedDuration("open", "Until I end it", f"at most {allowed}, says the policy", True)]
 
 
 def answer(given: QuestionAnswer) -> Sayable:
