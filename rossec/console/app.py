@@ -102,7 +102,6 @@ _NOT_LOGGED_IN: Final = next(rule for rule in RULES if rule.name == "session")
 
 
 def broken_rule(facts: Facts, allowed: Allowed, match: Match | None) -> GuardRule | None:
-    """The first rule that a request breaks; None: it may pass."""
     page = None if match is None else match.page
     is_own = len(facts.origins) == 1 and facts.origins[0] in allowed.origins
     holds = {
@@ -122,8 +121,6 @@ def wants_json(headers: Mapping[str, str]) -> bool:
 
 
 class RequestGuard:
-    """The application behind it gets only requests that broke no rule."""
-
     def __init__(
         self,
         app: ASGIApp,

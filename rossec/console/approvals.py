@@ -1,9 +1,8 @@
 """What a phone is asked to approve: forms, acts that wait, and a request for grants in words and pictures.
 
-`READERS` has every kind that a page can prepare: its form's fields become the arguments of `prepare`. A form
-has exactly the fields of its kind, each once, and none is completed but a typed name: what was typed is what
-is approved, or nothing is. The service makes the statement and checks all of it again; here a mistake is told
-to the person before the phone is asked, and an act is carried on only in the session that asked for it. Pure.
+`READERS` has every kind that a page can prepare: its form's fields become the arguments of `prepare`. The
+service makes the statement and checks all of it again; here a mistake is told to the person before the phone
+is asked. Pure.
 """
 
 import base64
@@ -107,6 +106,8 @@ Reader = Callable[[ApprovalSources, Form], Awaitable[ProposedAct]]
 async def read(sources: ApprovalSources, kind: str, form: Form) -> ProposedAct:
     if kind not in READERS:
         raise FormRefused(f"nothing of the kind {kind!a} can be approved", _RELOAD)
+    # Exactly the fields of its kind, and none is completed: what was typed is what is approved, or nothing
+    # is.
     expected, reader = READERS[kind]
     if not any(form.keys() == fields for fields in expected):
         raise FormRefused("the form has other fields than its page", _RELOAD)
@@ -350,7 +351,6 @@ def strictness(rights: Iterable[AskedRight]) -> tuple[int, float, int]:
 
 
 def acts(rights: Iterable[AskedRight]) -> bool:
-    """Whether it would do something, and not only see it."""
     return any(right.right & ACTS for right in rights)
 
 

@@ -120,17 +120,6 @@ class Scanner(Protocol):
 
 
 class ConsoleContext:
-    """One console.
-
-    Args:
-        service: the authority's service.
-        settings: what it was started with.
-        scanner: reads codes; None: this console has none.
-        preview: gives real messages; None: pictures show made-up ones, and say so.
-        clock: seconds since the epoch.
-        elapsed: seconds of a clock that cannot be set, for what ends after some time.
-    """
-
     def __init__(
         self,
         service: ConsoleClient,
@@ -141,7 +130,9 @@ class ConsoleContext:
         elapsed: Seconds | None = None,
     ) -> None:
         self.service, self.settings = service, settings
-        self.scanner, self.preview = scanner, preview
+        self.scanner = scanner  # reads codes; None: this console has none
+        self.preview = preview  # gives real messages; None: pictures show made-up ones, and say so
+        # What ends after some time ends by a clock that cannot be set (docs/threat-model.md, clock-ahead).
         self.clock, self.elapsed = clock, elapsed or counter()
         self.sessions = Sessions(settings.lifetime, settings.idle)
         self.phones = KnownPhones(service.phones)

@@ -1,10 +1,8 @@
 """The nodes that are being added: from the code that a person brought to the node's own last word. A shell.
 
 An enrollment is one code; its secret stays here, in the web process, and all of them end with it: their nodes
-show a new code. Nothing is signed here: an approval is the service's, which returns the identity that is then
-delivered. The states are those that a page shows; the protocol is `ca.enrollment.sides`, over sockets in
-`rossec.enrollment.enroll`. It says ENROLLED only when the node has said so, and every failure is kept with
-its reason.
+show a new code. The states are those that a page shows; the protocol is `ca.enrollment.sides`, over sockets
+in `rossec.enrollment.enroll`.
 """
 
 import asyncio
@@ -51,8 +49,6 @@ OVER: Final = frozenset({Stage.ENROLLED, Stage.REJECTED, Stage.DIFFERED, Stage.S
 
 
 class RecordedName(Enum):
-    """What the record says of the name that is asked for."""
-
     NEW = "new"
     SAME_KEY = "same key"
     OTHER_KEY = "other key"
@@ -147,12 +143,14 @@ class Enrollment:
     async def deliver(self, outcome: ApprovalOutcome) -> None:
         try:
             self.core.approve(self._clock())
+            # Nothing is signed here: an approval is the service's, which returns the identity.
             bundle = await self._signed(outcome)
             *chain, root = from_pem(bundle)
             offer = self.core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), self._clock())
             self._move(Stage.DELIVERING)
             host, port, _ = self._destination
             async with asyncio.timeout(2 * WINDOW):
+                # It returns when the node has said that it is enrolled, and not before.
                 await deliver(self.core, offer, host, port, self._clock, lambda _: self._move(Stage.DIGITS))
             self._move(Stage.ENROLLED)
         except HintedError as error:

@@ -65,8 +65,6 @@ class Endings:
 
 
 class TopicAccess(StrEnum):
-    """How much a receiver sees of a topic."""
-
     ALL = "all"
     COARSE = "coarse"
     ENDING = "ending"  # it was ended, and not every node has heard
@@ -145,14 +143,12 @@ class Matrix(NamedTuple):
         return next((row for row in self.rows if row.topic == topic), None)
 
     def window(self, rows: slice, receivers: slice) -> "Matrix":
-        """A part of it: a page shows only so much."""
         return Matrix(
             self.receivers[receivers],
             tuple(row._replace(cells=row.cells[receivers]) for row in self.rows[rows]),
         )
 
     def busiest_first(self) -> "Matrix":
-        """The same, with the rows and receivers first in which most is seen."""
         order = sorted(
             range(len(self.receivers)),
             key=lambda at: (-sum(row.cells[at].access is not TopicAccess.NOTHING for row in self.rows), at),
@@ -317,8 +313,6 @@ class ReportGroup(NamedTuple):
 
 
 class ReportTopic(NamedTuple):
-    """A topic (or pattern) and all who receive it."""
-
     topic: str
     type: str
     groups: tuple[ReportGroup, ...]
@@ -334,7 +328,6 @@ def topics(
     wanted: Wanted = everything,
     vocabulary: Vocabulary | None = None,
 ) -> list[ReportTopic]:
-    """The report of these accesses, by topic; `vocabulary` is that of the policy."""
     by_topic: dict[tuple[str, str], dict[tuple[object, ...], list[ReportReceiver]]] = {}
     for access in sorted(_typed(accesses), key=lambda each: (each.topic, each.receiver, each.by)):
         fields = _fields(access, layout_of, wanted)

@@ -31,8 +31,6 @@ _DEFAULT_PORTS: Final = {"http": 80, "https": 443}
 
 
 class Tls(StrEnum):
-    """Who makes the certificate that the console shows."""
-
     NONE = "none"  # plain HTTP: on this host alone, or behind a proxy
     OWN = "own"  # the console's own TLS authority
     FILES = "files"  # --tls-cert and --tls-key
@@ -40,8 +38,6 @@ class Tls(StrEnum):
 
 @dataclass(frozen=True)
 class ConsoleOptions:
-    """The options of `rossec console`, as they were given."""
-
     lan: bool = False
     name: str | None = None
     tls_certificate: Path | None = None
@@ -57,8 +53,6 @@ class ConsoleOptions:
 
 @dataclass(frozen=True)
 class ConsoleEndpoint:
-    """What follows from the options."""
-
     origin: str  # as browsers send it, such as `https://rossec.local:7411`
     name: str  # the host of `origin`, to which passkeys belong
     addresses: tuple[str, ...] = ()  # to listen at; none if `unix_path` is set
@@ -73,7 +67,6 @@ class ConsoleEndpoint:
 
     @property
     def is_local(self) -> bool:
-        """Whether only programs of this host can connect."""
         return self.unix_path is not None or self.addresses == _LOOPBACK
 
     @property

@@ -1,11 +1,6 @@
 """What a page is, what its request says, and the HTML and static files that answer it.
 
-The guard answers what is not in a table of pages, so a page without an entry does not exist, and one without
-a session is never public by mistake: `SESSION` is what a page has unless it says otherwise. Bodies are read
-strictly: one type, UTF-8, each field once; there are no files in forms, so no multipart. Templates escape
-everything; texts of nodes go through `printable` before, so that none turns the direction of the line or
-hides a character (`name` in `macros.html` puts them in `<bdi>` as well). `/static/DIGEST/NAME` with another
-digest does not exist: an address names one content.
+Bodies are read strictly: one type, UTF-8, each field once; there are no files in forms, so no multipart.
 """
 
 import base64
@@ -56,7 +51,7 @@ class Page(NamedTuple):
     path: str
     methods: tuple[str, ...]
     handler: Handler
-    access: PageAccess = SESSION
+    access: PageAccess = SESSION  # unless it says otherwise: none is public by mistake
     max_body: int = MAX_BODY
     looks: bool = False
 
@@ -115,10 +110,7 @@ _HINT: Final = "go back, load the page again, and try once more"
 
 
 def text_field(fields: dict[str, Any], name: str, limit: int = 200) -> str:
-    """A field that is text of at most `limit` characters; absent: empty.
-
-    JSON can escape half of a surrogate pair, which is no text (RFC 8259 section 8.2).
-    """
+    # JSON can escape half of a surrogate pair, which is no text (RFC 8259 section 8.2).
     value = fields.get(name, "")
     if not isinstance(value, str) or len(value) > limit or _HALVES.search(value):
         raise HttpRefused(f"{name}: not a text of at most {limit} characters", _HINT)
@@ -180,6 +172,7 @@ def asset_path(name: str) -> str:
 
 @ASSET_PAGES.get("/static/{digest}/{name}", PUBLIC)
 async def show_asset(visit: "Visit") -> Response:
+    # With another digest it does not exist: an address names one content, which browsers keep for ever.
     found = assets().get(visit.path["name"])
     if found is None or found.path != visit.request.url.path:
         raise HttpRefused("there is no such file", "load the page again", status=404)
@@ -232,7 +225,6 @@ class Visit:
 
     @property
     def names(self) -> Names:
-        """What the policy calls things, as it was asked for this page."""
         found: Names = getattr(self.request.state, "names", NONE)
         return found
 
@@ -243,7 +235,6 @@ class Visit:
 
     @property
     def id(self) -> bytes:
-        """The bytes that the path has at `{id}`."""
         return from_base64url(self.path["id"])
 
     async def form(self) -> dict[str, str]:
@@ -297,7 +288,6 @@ def go(path: str) -> Response:
 
 
 def render_text(template: str, names: Names = NONE, **values: Any) -> str:
-    """What a template makes of `values` alone: for a file instead of a page."""
     _NAMES.set(names)
     return environment().get_template(template).render(**values)
 
@@ -311,6 +301,8 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    # Texts of nodes go through `printable` before they are escaped, so that none turns the direction of the
+    # line or hides a character; `name` in `macros.html` puts them in `<bdi>` as well.
     made.globals["asset"] = asset_path
     made.filters |= {"printable": printable, "hex": bytes.hex, "base64url": to_base64url, "day": day}
     made.filters["title"] = _title

@@ -39,8 +39,6 @@ class Recorded(NamedTuple):
 
 
 class SyntheticSample(NamedTuple):
-    """A message as a receiver gets it: its fields by name, messages in it as mappings."""
-
     at: float
     fields: Mapping[str, Any]
 
@@ -108,7 +106,6 @@ _PER_SECOND: Final = 4
 
 
 def recorded(topic: str, type_name: str, restrictions: Iterable[Restriction] = ()) -> Recorded | None:
-    """A minute of the topic, ten where one is in slots; None for a type that is not known here."""
     in_slots = any(each.slot is not None for each in restrictions)
     is_long = in_slots and type_name not in _RARE  # of these only the last is drawn
     try:
@@ -224,8 +221,6 @@ MAX_SIZE: Final = 64 * 1024 * 1024
 
 
 class PreviewMessage(NamedTuple):
-    """A serialized message; `at` is when it was received, seconds since the epoch."""
-
     topic: str
     type: str
     at: float
@@ -259,7 +254,6 @@ class PreviewMemory:
             self._drop_oldest(max(self._sizes, key=self._sizes.__getitem__))
 
     def recorded(self, topic: str) -> Recorded | None:
-        """The last minute of a topic; None if nothing came."""
         self.drop_old()
         kept = self._topics.get(topic)
         if not kept:

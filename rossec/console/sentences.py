@@ -131,7 +131,6 @@ def refusals(denials: Iterable[DenialView]) -> list[Sentence]:
 
 
 def wanted(right: int) -> str:
-    """The right with this number in words; an unknown number is said as it is."""
     return words.rights(Right(right)) if 0 < right < 256 else f"do something ({right}) with"
 
 

@@ -106,7 +106,6 @@ class SessionTable(Generic[_V]):
         self._table: SharedTable[bytes, tuple[bytes, _V]] = SharedTable(limit)
 
     def add(self, key: bytes, session: bytes, value: _V, owner: str) -> bool:
-        """Whether there is room for `owner`."""
         return self._table.add(key, (session, value), owner, messages.rank(owner)) is not None
 
     def get(self, key: bytes, session: bytes) -> _V | None:

@@ -81,7 +81,6 @@ def left(until: int, now: int) -> str:
 
 
 def day(time: int) -> str:
-    """A time as a day, in this host's time zone."""
     return datetime.fromtimestamp(time).astimezone().strftime("%-d %B %Y, %H:%M")
 
 
@@ -269,7 +268,6 @@ def levels(given: Sequence[Restriction]) -> str:
 
 @cache
 def description(type_name: str) -> Description | None:
-    """What the fields of a type tell; None if it is not known here."""
     try:
         return describe(layout_of(type_name))
     except (GrantError, MessageError):
@@ -302,7 +300,6 @@ class Names:
         return self.titles.get(name, "")
 
     def type_of(self, topic: str) -> str:
-        """The type of a topic's messages, by the policy; empty: it does not say."""
         return type_of(self.types, topic) or ""
 
 

@@ -1,9 +1,8 @@
 """Adding a node: its code by camera, picture or text; join codes; and requests that wait in the record.
 
 The page of an enrollment shows the stage it is in and nothing else decides what comes next: the node says
-that it is enrolled, and only then this page does. A join code is on one page, once, for the session that made
-it: whoever has it can join. A request that waits is of a node that came with one, or that `rossec ca enroll
---later` recorded.
+that it is enrolled, and only then this page does. A request that waits is of a node that came with a join
+code, or that `rossec ca enroll --later` recorded.
 """
 
 from typing import Final
@@ -42,7 +41,6 @@ async def begin(visit: Visit) -> Response:
 
 @PAGES.post("/add/frame", max_body=MAX_FRAME)
 async def read_frame(visit: Visit) -> Response:
-    """Read the code in a frame of a camera; answers with its text, or that there is none."""
     if visit.request.headers.get("content-type") not in _PICTURES:
         raise HttpRefused("this is not a picture", "send a JPEG", status=415)
     if visit.context.scanner is None:
@@ -119,6 +117,7 @@ async def show_made(visit: Visit) -> Response:
     number = visit.id
     outcome = await visit.service.outcome(number)
     session = visit.session.id
+    # Once, for the session that made it: whoever has the code can join.
     is_done = outcome.state == "done" and bool(outcome.data)
     text = outcome.data.decode() if is_done and visit.context.made_codes.pop(number, session) else ""
     return visit.show(

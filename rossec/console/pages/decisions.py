@@ -1,8 +1,7 @@
 """What is decided: a request for grants, the policy, renewals, other hosts that sign; and what is ended.
 
 Taking away is never harder than giving: a session is enough, and while the key is locked the revocation is
-recorded and signed at unlock. A whole node asks for its name, since it loses all. Three ticks say how far an
-end has come.
+recorded and signed at unlock.
 """
 
 from collections.abc import Mapping
@@ -77,7 +76,6 @@ _SHOWN: Final = 200  # rights
 
 @PAGES.get("/policy")
 async def show_policy(visit: Visit) -> Response:
-    """What the policy file would give and take, to be approved as a whole."""
     found = await visit.service.policy()
     return visit.show(
         "policy.html",

@@ -1,11 +1,7 @@
 """Logging in, the phones that approve, and approving itself.
 
-A code is in the fragment of the address it comes with, which browsers send to nobody; the page takes it out
-and posts it. It is used once, either to look, or together with the new passkey that it adds: so nobody who
-only has a session can add one. A second phone comes by a link and shows digits, and the first approves it;
-removing one takes something away, so it needs no passkey. Whether a code or a passkey is right is decided by
-the authority's service: a console that lies about what it shows can ask for another signature, but not
-without the phone, and the record keeps it.
+Whether a code or a passkey is right is decided by the authority's service: a console that lies about what it
+shows can ask for another signature, but not without the phone, and the record keeps it.
 """
 
 import secrets
@@ -40,6 +36,9 @@ async def show_login(visit: Visit) -> Response:
     return visit.show("login.html", problem="")
 
 
+# A code is in the fragment of the address it comes with, which browsers send to nobody; the page takes it out
+# and posts it. It is used once, to look here, or with the new passkey that it adds (`add_phone`): so nobody
+# who only has a session can add one.
 @PAGES.post("/login", PUBLIC, looks=True)
 async def look(visit: Visit) -> Response:
     form = await visit.form()
@@ -155,6 +154,7 @@ async def show_phones(visit: Visit) -> Response:
     return visit.show("phones.html", live=True, phones=current, proposals=proposals, ended=ended)
 
 
+# A second phone comes by a link and shows digits, and the first approves it.
 @PAGES.post("/phones/link")
 async def link(visit: Visit) -> Response:
     await visit.form()
@@ -163,6 +163,7 @@ async def link(visit: Visit) -> Response:
     return visit.show("phone_link.html", address=address, code=qr.inline_svg(address))
 
 
+# Removing one takes something away, so it needs no passkey; nor does ending one that waits.
 @PAGES.post("/phones/{id}/remove")
 async def remove(visit: Visit) -> Response:
     await visit.form()
@@ -177,7 +178,6 @@ async def remove(visit: Visit) -> Response:
 
 @PAGES.post("/phones/{id}/differ")
 async def differ(visit: Visit) -> Response:
-    """The digits differ: the phone that waits is not added. Needs no passkey."""
     await visit.form()
     await visit.service.end_proposal(visit.id)
     return go("/phones")
@@ -198,6 +198,8 @@ async def propose(visit: Visit) -> Response:
 
 @PAGES.post("/prepare/{kind}")
 async def prepare(visit: Visit) -> Response:
+    # The act is kept for this session, and what comes back from the phone is only its signature: what was
+    # shown is what is carried on.
     act = await approvals.read(visit.context, visit.path["kind"], await visit.form())
     owner = visit.owner
     made = await visit.service.prepare(act.kind, [*act.arguments], owner)

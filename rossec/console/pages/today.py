@@ -31,8 +31,6 @@ _IN_PART: Final = "Some of the policy is not in force"
 
 
 class WaitingQuestion(NamedTuple):
-    """A question that waits: a sentence, its page, and since when."""
-
     parts: tuple[SentencePart, ...]
     path: str
     at: int

@@ -113,7 +113,6 @@ def render_home(visit: Visit, home: Overview, template: str, **values: Any) -> R
 
 
 async def denials(visit: Visit) -> tuple[DenialView, ...]:
-    """The denials of the last day; none without a master."""
     try:
         return await visit.service.denials()
     except HintedError:
@@ -359,7 +358,6 @@ async def show_privacy(visit: Visit) -> Response:
 
 
 def write(found: Sequence[ReportTopic], robot: str, now: int, names: Names = NONE) -> str:
-    """The whole report as one page that needs nothing beside it."""
     style = (STATIC_FOLDER / "style.css").read_text(encoding="utf-8")
     values = {"topics": found, "robot": robot, "now": now, "style": style}
     return render_text("report_alone.html", names, **values)

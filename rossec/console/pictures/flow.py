@@ -38,7 +38,6 @@ def draw(
     refused: Mapping[str, Sequence[str]] | None = None,
     title: Callable[[str], str] = lambda _: "",
 ) -> SvgElement | None:
-    """The flow of the first rows and receivers of `matrix`; None where nothing flows."""
     shown = matrix.window(slice(MAX_ROWS), slice(MAX_ROWS))
     ends = {name: found for name, found in (refused or {}).items() if found}
     receivers = _first([*shown.receivers, *sorted(ends)])

@@ -42,7 +42,6 @@ _ENCODINGS: Final = {
 
 
 def draw_image(seen: SeenTopic) -> SvgElement | None:
-    """The last picture; None if there is none, or it cannot be read."""
     if not seen.samples:
         return None
     fields = seen.samples[-1].fields
@@ -89,7 +88,6 @@ _FAR: Final = 1e6  # metres: what is farther is no wall
 
 
 def reach_of(seen: SeenTopic) -> float:
-    """The longest distance that the last scan has, in metres; 0 if there is none."""
     return max((distance for _, distance in _rays(seen)), default=0.0)
 
 
@@ -151,7 +149,6 @@ def field_of(seen: SeenTopic) -> str:
 
 
 def span_of(seen: Iterable[SeenTopic], field: str) -> Span | None:
-    """The span of the field in all of `seen`; None without a value."""
     points = [point for each in seen for point in _points(each, field)]
     if not points:
         return None
@@ -160,7 +157,6 @@ def span_of(seen: Iterable[SeenTopic], field: str) -> Span | None:
 
 
 def draw_series(seen: SeenTopic, field: str, span: Span) -> SvgElement | None:
-    """The values of `field` as a line; None if this receiver got none."""
     points = _points(seen, field)
     if not points:
         return None

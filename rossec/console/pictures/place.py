@@ -52,7 +52,6 @@ class PlaceFrame(NamedTuple):
 
 
 def has_place(type_name: str) -> bool:
-    """Whether messages of this type are drawn here."""
     return type_name in _POSITION or type_name == _ON_EARTH
 
 

@@ -33,8 +33,6 @@ _log = logging.getLogger("rossec.console")
 
 
 class PreviewReceiver:
-    """Receives as `/console`, and writes frames."""
-
     def __init__(
         self, writer: asyncio.StreamWriter, environ: Mapping[str, str], period: float = PERIOD
     ) -> None:

@@ -1,9 +1,6 @@
 """uvicorn in this process's loop, with limits that it lacks: for what comes before a whole head.
 
-No access log: a path can name a robot. No server header, no headers of a proxy read, no websockets. A
-connection has a deadline for every request's head, so nobody holds one by sending a byte a minute; what
-cannot be read is not answered. It takes a place when it is accepted, before TLS begins, and keeps it until it
-is closed (`ConnectionShares`).
+No server header, no headers of a proxy read, no websockets. What cannot be read is not answered.
 """
 
 import asyncio
@@ -82,11 +79,11 @@ class ConnectionPlace:
 
 
 class ConnectionShares:
-    """The places of the console's connections: shares by source, then by who is logged in.
+    """The places of the console's connections: shares by source, then by who is logged in."""
 
-    Where all are taken, one of the source that has most makes room (`rossec.net.limits`). One on which a
-    session was shown moves to the places of sessions: strangers end none of those.
-    """
+    # A connection takes one when it is accepted, before TLS begins, and keeps it until it is closed. Where
+    # all are taken, one of the source that has most makes room (`rossec.net.limits`). One on which a session
+    # was shown moves to the places of sessions: strangers end none of those.
 
     def __init__(self) -> None:
         self._strangers = HalfOpenCount(STRANGERS)
@@ -146,6 +143,7 @@ class BoundedProtocol(H11Protocol):
         cycle: RequestResponseCycle | None = self.cycle  # None before the first request
         return cycle is not None and not cycle.response_complete
 
+    # For every request's head: nobody holds a connection by sending a byte a minute.
     def _arm(self) -> None:
         self._disarm()
         self._deadline = self.loop.call_later(HEAD_TIME, self.transport.abort)
@@ -164,8 +162,6 @@ def _placed(app: ASGIApp, place: ConnectionPlace) -> ASGIApp:
 
 
 class ConsoleServer:
-    """Serves one application at sockets that listen already."""
-
     def __init__(
         self,
         app: ASGIApp,
@@ -179,7 +175,7 @@ class ConsoleServer:
             ws="none",
             lifespan="off",
             interface="asgi3",
-            log_config=None,
+            log_config=None,  # and no access log: a path can name a robot
             access_log=False,
             proxy_headers=False,
             server_header=False,

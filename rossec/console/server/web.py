@@ -63,8 +63,6 @@ def main(arguments: list[str]) -> None:
 
 
 class WebServer:
-    """What runs in it."""
-
     def __init__(
         self,
         settings: WebSettings,

@@ -86,7 +86,6 @@ def renew(directory: Path, name: str, host: Address | None, now: int) -> TlsAuth
 def authority_for(
     directory: Path, name: str, host: Address | None, now: int, *, rename: bool
 ) -> TlsAuthority:
-    """The authority for `name`, made if there is none."""
     if not exists(directory):
         return renew(directory, name, host, now)
     found = open_authority(directory)
@@ -102,7 +101,6 @@ def authority_for(
 
 
 def first_address() -> Address | None:
-    """The address at which others probably reach this host; None: there is none."""
     found = map(ip_address, addresses.own_addresses())
     return next((each for each in found if not each.is_loopback and not each.is_link_local), None)
 
@@ -218,8 +216,6 @@ def _end(certificate: x509.Certificate) -> int:
 
 
 class TlsSetup(NamedTuple):
-    """Where certificates come from; `authority` if they are of the console's own one."""
-
     source: CertificateSource
     authority: TlsAuthority | None = None
 

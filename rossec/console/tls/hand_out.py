@@ -97,7 +97,6 @@ def handing_out(
     port: int = HAND_OUT_PORT,
     seconds: float = SECONDS,
 ) -> Iterator[None]:
-    """Hand `certificate` (DER) out at `port` for `seconds`, or until this is left."""
     listening = listen_tcp(addresses, port)
     descriptors = [sock.fileno() for sock in listening]
     arguments = [",".join(map(str, descriptors)), origin, str(seconds), certificate.hex()]
@@ -121,7 +120,6 @@ def handing_out(
 async def serve(
     listening: list[socket.socket], origin: str, seconds: float, data: bytes, until: BinaryIO
 ) -> None:
-    """Hand `data` out for `seconds`, or until the pipe `until` ends."""
     end = time.monotonic() + seconds
     server = ConsoleServer(create_hand_out(data, origin, lambda: time.monotonic() > end))
     reader = asyncio.StreamReader()

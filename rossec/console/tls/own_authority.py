@@ -194,7 +194,6 @@ def word_list() -> tuple[str, ...]:
 
 
 def describe(authority: TlsAuthority, now: int) -> list[str]:
-    """Lines for a terminal: what it is for, and the fingerprint to compare."""
     pairs = in_hex(authority.data).split(":")
     lines = [":".join(pairs[start : start + _PAIRS]) for start in range(0, len(pairs), _PAIRS)]
     names = authority.name if authority.address is None else f"{authority.name} and {authority.address}"
@@ -212,7 +211,6 @@ def describe(authority: TlsAuthority, now: int) -> list[str]:
 
 
 def as_json(authority: TlsAuthority) -> dict[str, object]:
-    """For programs; times are seconds since the epoch."""
     return {
         "name": authority.name,
         "address": None if authority.address is None else str(authority.address),
