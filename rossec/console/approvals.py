@@ -103,6 +103,18 @@ class ApprovalSources(Protocol):
 Reader = Callable[[ApprovalSources, Form], Awaitable[ProposedAct]]
 
 
+READERS: Final[dict[str, tuple[tuple[frozenset[str], ...], Reader]]] = {}
+"""By kind: the fields that its forms may have, and what makes an act of them."""
+
+
+def _reads(kind: str, *forms: set[str]) -> Callable[[Reader], Reader]:
+    def add(reader: Reader) -> Reader:
+        READERS[kind] = tuple(map(frozenset, forms)), reader
+        return reader
+
+    return add
+
+
 async def read(sources: ApprovalSources, kind: str, form: Form) -> ProposedAct:
     if kind not in READERS:
         raise FormRefused(f"nothing of the kind {kind!a} can be approved", _RELOAD)
@@ -122,6 +134,7 @@ def carried_out(sources: ApprovalSources, act: ProposedAct, outcome: ApprovalOut
     return act.next.format(id=base64.urlsafe_b64encode(outcome.id).rstrip(b"=").decode())
 
 
+@_reads("enroll", {"enrollment"}, {"enrollment", "name"}, {"request"}, {"request", "name"})
 async def _enroll(sources: ApprovalSources, form: Form) -> ProposedAct:
     arguments: list[Value]
     if "enrollment" in form:
@@ -141,6 +154,7 @@ async def _enroll(sources: ApprovalSources, form: Form) -> ProposedAct:
     raise FormRefused("this request was answered already, or has expired", "see what still waits")
 
 
+@_reads("grant", {"question", "coarse", "duration"})
 async def _grant(sources: ApprovalSources, form: Form) -> ProposedAct:
     question, coarse = _octets(form, "question"), form["coarse"]
     if form["duration"] not in GRANT_DURATIONS:
@@ -158,11 +172,13 @@ async def _grant(sources: ApprovalSources, form: Form) -> ProposedAct:
     return ProposedAct("grant", [question, coarse, seconds], "/approved/{id}")
 
 
+@_reads("delegate", {"days", "ticket"})
 async def _delegate(_: ApprovalSources, form: Form) -> ProposedAct:
     days, ticket = _number(form, "days", 366), _choice(form, "ticket", TICKETS)
     return ProposedAct("delegate", [days * DAY, ticket], "/approved/{id}")
 
 
+@_reads("intermediate", {"csr", "may", "days"})
 async def _intermediate(_: ApprovalSources, form: Form) -> ProposedAct:
     may_enroll = _choice(form, "may", {"renew": 0, "enroll": 1}) == 1
     lifetime = _number(form, "days", 366) * DAY
@@ -170,13 +186,17 @@ async def _intermediate(_: ApprovalSources, form: Form) -> ProposedAct:
     return ProposedAct("intermediate", arguments, "/approved/{id}")
 
 
-def _of_octets(kind: str, field: str, following: str) -> Reader:
-    async def act(_: ApprovalSources, form: Form) -> ProposedAct:
-        return ProposedAct(kind, [_octets(form, field)], following)
-
-    return act
+@_reads("policy", {"digest"})
+async def _policy(_: ApprovalSources, form: Form) -> ProposedAct:
+    return ProposedAct("policy", [_octets(form, "digest")], "/approved/{id}")
 
 
+@_reads("passkey", {"proposal"})
+async def _passkey(_: ApprovalSources, form: Form) -> ProposedAct:
+    return ProposedAct("passkey", [_octets(form, "proposal")], "/phones")
+
+
+@_reads("invitation", {"pattern", "uses", "lasts"}, {"pattern", "uses", "lasts", "anonymous"})
 async def _invitation(_: ApprovalSources, form: Form) -> ProposedAct:
     pattern, anonymous = check_pattern(form["pattern"]), "anonymous" in form
     if anonymous and form["anonymous"] != "on":
@@ -187,30 +207,13 @@ async def _invitation(_: ApprovalSources, form: Form) -> ProposedAct:
     return ProposedAct("invitation", [pattern, uses, seconds, anonymous], "/invited/{id}")
 
 
+@_reads("revoke-master", {"reason", "name", "master"})
 async def _revoke_master(_: ApprovalSources, form: Form) -> ProposedAct:
     master = form["master"]
     if not is_master_name(master):
         raise FormRefused("this is no master", _RELOAD)
     check_typed(form, master)
     return ProposedAct("revoke-master", [reason(form), master], f"/revoked/0/0?node={master}")
-
-
-READERS: Final[Mapping[str, tuple[tuple[frozenset[str], ...], Reader]]] = {
-    "enroll": (
-        tuple(frozenset({what, *name}) for what in ("enrollment", "request") for name in ((), ("name",))),
-        _enroll,
-    ),
-    "grant": ((frozenset({"question", "coarse", "duration"}),), _grant),
-    "policy": ((frozenset({"digest"}),), _of_octets("policy", "digest", "/approved/{id}")),
-    "delegate": ((frozenset({"days", "ticket"}),), _delegate),
-    "intermediate": ((frozenset({"csr", "may", "days"}),), _intermediate),
-    "passkey": ((frozenset({"proposal"}),), _of_octets("passkey", "proposal", "/phones")),
-    "invitation": (
-        (frozenset({"pattern", "uses", "lasts"}), frozenset({"pattern", "uses", "lasts", "anonymous"})),
-        _invitation,
-    ),
-    "revoke-master": ((frozenset({"reason", "name", "master"}),), _revoke_master),
-}
 
 
 def certificate_request(text: str) -> bytes:

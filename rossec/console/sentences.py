@@ -95,6 +95,15 @@ class KnownIds(NamedTuple):
 
 _Told: TypeAlias = tuple[str, str, Sayable] | None
 _Tell: TypeAlias = Callable[[EventView, KnownIds], _Told]
+_TELL: Final[dict[str, _Tell]] = {}  # by the kind of the entry
+
+
+def _tells(kind: str) -> Callable[[_Tell], _Tell]:
+    def add(tell: _Tell) -> _Tell:
+        _TELL[kind] = tell
+        return tell
+
+    return add
 
 
 def story(events: Sequence[EventView], denials: Iterable[DenialView], known: KnownIds) -> list[Sentence]:
@@ -106,7 +115,12 @@ def story(events: Sequence[EventView], denials: Iterable[DenialView], known: Kno
         answered = certified.get(event.subject, -1) > event.number
         if event.what in _FOLDED or (event.what in ("pending", "approved") and answered):
             continue
-        told = _TELL.get(event.what, _unknown)(event, known)
+        if event.what in _TELL:
+            told = _TELL[event.what](event, known)
+        else:  # told by its own words, never left out
+            shown = known.nodes.get(event.subject, event.subject)
+            detail = say(printable(event.detail, 200)) if event.detail else ()
+            told = "note", printable(event.what, 40).capitalize(), (name_part(shown), *detail)
         if told is None:
             continue
         node, grant = known.nodes.get(event.subject, ""), known.grants.get(event.subject)
@@ -160,13 +174,7 @@ def _because(reason: str) -> Sayable:
     return say(f": {printable(reason, 200)}") if reason else ()
 
 
-def _unknown(event: EventView, known: KnownIds) -> _Told:
-    # An entry of a kind that is not in the table is told by its own words, never left out.
-    shown = known.nodes.get(event.subject, event.subject)
-    detail = say(printable(event.detail, 200)) if event.detail else ()
-    return "note", printable(event.what, 40).capitalize(), (name_part(shown), *detail)
-
-
+@_tells("grant")
 def _grant(event: EventView, known: KnownIds) -> _Told:
     grant = known.grants.get(event.detail)
     if grant is None:
@@ -174,6 +182,7 @@ def _grant(event: EventView, known: KnownIds) -> _Told:
     return "allowed", "Allowed", say(name_part(event.subject), "may", *permissions(grant.permissions))
 
 
+@_tells("revocation")
 def _revocation(event: EventView, known: KnownIds) -> _Told:
     grant, node = known.grants.get(event.subject), known.nodes.get(event.subject)
     why = _because(event.detail)
@@ -190,6 +199,7 @@ def _revocation(event: EventView, known: KnownIds) -> _Told:
     return "ended", "Ended", say(f"what has the number {event.subject[:8]}", *why)
 
 
+@_tells("grant request")
 def _grant_request(event: EventView, known: KnownIds) -> _Told:
     found = known.questions.get(event.detail)
     if found is None:
@@ -198,6 +208,7 @@ def _grant_request(event: EventView, known: KnownIds) -> _Told:
     return "asked", "Asked", say(name_part(event.subject), "asked to", *permissions(rights))
 
 
+@_tells("decision")
 def _decision(event: EventView, _known: KnownIds) -> _Told:
     answer, _, pattern = event.detail.rpartition(" ")
     if answer == "granted":
@@ -206,6 +217,7 @@ def _decision(event: EventView, _known: KnownIds) -> _Told:
     return "refused", "Denied", say(name_part(event.subject), said, name_part(pattern))
 
 
+@_tells("collected")
 def _collected(event: EventView, _: KnownIds) -> _Told:
     if event.detail not in ("pending", "approved"):
         return None
@@ -213,36 +225,40 @@ def _collected(event: EventView, _: KnownIds) -> _Told:
 
 
 def _about(tone: str, verb: str, text: str, *, why: bool = True) -> _Tell:
-    return lambda event, _: (
-        tone,
-        verb,
-        say(name_part(event.subject), text, *(_because(event.detail) if why else ())),
-    )
+    def tell(event: EventView, _: KnownIds) -> _Told:
+        return tone, verb, say(name_part(event.subject), text, *_because(event.detail if why else ""))
+
+    return tell
 
 
 def _plain(tone: str, verb: str, before: str) -> _Tell:
     return lambda event, _: (tone, verb, say(before, name_part(event.subject)))
 
 
+@_tells("pending")
 def _pending(event: EventView, _: KnownIds) -> _Told:
     source = say(f"from {printable(event.detail, 80)}") if event.detail else ()
     return "asked", "Asked", say(name_part(event.subject), "asked to join", *source)
 
 
+@_tells("restored")
 def _restored(event: EventView, _: KnownIds) -> _Told:
     return "note", "Restored", say(f"the record was put back {printable(event.detail, 80)}")
 
 
+@_tells("domain")
 def _domain(event: EventView, _: KnownIds) -> _Told:
     called = f"is trusted as far as was said, and called {printable(event.detail, 40)}"
     return "allowed", "Domain", say(printable(event.subject, 80), called)
 
 
+@_tells("approval")
 def _approval(event: EventView, _: KnownIds) -> _Told:
     what = printable(event.detail.split(" ")[0], 40)
     return "allowed", "Approved", say(APPROVED.get(what, what), "with", printable(event.subject, 80))
 
 
+@_tells("approval ended")
 def _approval_ended(event: EventView, _: KnownIds) -> _Told:
     if event.detail.startswith("done"):
         return None  # what it made has entries of its own
@@ -261,31 +277,23 @@ APPROVED: Final[Mapping[str, str]] = {
     "revoke_master": "that the master is removed",
 }
 _FOLDED: Final = frozenset({"issued", "policy grant"})
-_TELL: Final[Mapping[str, _Tell]] = {
-    "pending": _pending,
-    "approved": _about("allowed", "Approved", "may join"),
-    "denied": _about("refused", "Denied", "may not join"),
-    "collected": _collected,
-    "certificate": _about("joined", "Joined", "belongs here now", why=False),
-    "grant": _grant,
-    "revocation": _revocation,
-    "list": _plain("note", "Signed", "the list of ended rights, number"),
-    "grant request": _grant_request,
-    "decision": _decision,
-    "invitation": _plain("allowed", "Join code", "made for"),
-    "join": _about("note", "Code used", "came with a join code", why=False),
-    "invitation ended": _about("ended", "Ended", "can no longer be joined with its code"),
-    "imported": _plain("note", "Imported", "from an intermediate:"),
-    "restored": _restored,
-    "passkey": lambda event, _: ("joined", "Phone", say(printable(event.subject, 80), "can approve now")),
-    "passkey ended": _about("ended", "Removed", "can no longer approve"),
-    "approval": _approval,
-    "approval ended": _approval_ended,
-    "domain": _domain,
-    "domain ended": _about("ended", "Domain", "is not trusted any more"),
-    "domain list": _plain("note", "Signed", "the list of other domains, number"),
-    "thing": _plain("allowed", "Thing", "known with its border router:"),
-    "foreign certificate": _plain("note", "Known", "a node of another domain:"),
-}
+_TELL.update(
+    {
+        "approved": _about("allowed", "Approved", "may join"),
+        "denied": _about("refused", "Denied", "may not join"),
+        "certificate": _about("joined", "Joined", "belongs here now", why=False),
+        "list": _plain("note", "Signed", "the list of ended rights, number"),
+        "invitation": _plain("allowed", "Join code", "made for"),
+        "join": _about("note", "Code used", "came with a join code", why=False),
+        "invitation ended": _about("ended", "Ended", "can no longer be joined with its code"),
+        "imported": _plain("note", "Imported", "from an intermediate:"),
+        "passkey": lambda event, _: ("joined", "Phone", say(printable(event.subject, 80), "can approve now")),
+        "passkey ended": _about("ended", "Removed", "can no longer approve"),
+        "domain ended": _about("ended", "Domain", "is not trusted any more"),
+        "domain list": _plain("note", "Signed", "the list of other domains, number"),
+        "thing": _plain("allowed", "Thing", "known with its border router:"),
+        "foreign certificate": _plain("note", "Known", "a node of another domain:"),
+    }
+)
 KINDS: Final = _TELL.keys() | _FOLDED
 """The kinds of log entries that are told in words of their own, or by another one."""
