@@ -103,6 +103,9 @@ _NOT_LOGGED_IN: Final = next(rule for rule in RULES if rule.name == "session")
 
 def broken_rule(facts: Facts, allowed: Allowed, match: Match | None) -> GuardRule | None:
     page = None if match is None else match.page
+    # Of two headers a proxy and this program might each believe another one: exactly one counts. The site is
+    # asked besides the origin, since browsers count another port of localhost as the same site
+    # (console-csrf).
     is_own = len(facts.origins) == 1 and facts.origins[0] in allowed.origins
     holds = {
         "host": len(facts.hosts) == 1 and facts.hosts[0] in allowed.hosts,

@@ -168,6 +168,7 @@ def _describe(report: Report) -> str:
 
 
 async def connect_intruder(demo: DemoEnvironment, port: int) -> None:
+    # An authority of the same name, made by somebody else: only its key tells it from the home's.
     other = DemoEnvironment(demo.root / "intruder", demo.printer, {}, demo.run)
     other.root.mkdir(mode=0o700)
     create(other.root / "passphrase", secrets.token_urlsafe(18).encode())
@@ -314,7 +315,7 @@ class EnrollingNode(NamedTuple):
 
 
 async def show_code(demo: DemoEnvironment) -> EnrollingNode:
-    """Start a node that shows its code; the caller stops its environment."""
+    # The caller stops its environment.
     other = DemoEnvironment(demo.root / "fridge", demo.printer, {"ROS_IP": "127.0.0.1"}, demo.run)
     other.root.mkdir(mode=0o700)
     node = await other.start(

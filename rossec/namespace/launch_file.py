@@ -1,11 +1,6 @@
 """A launch file with the names that rules gave, in place of metadata. Pure: bytes to bytes.
 
-Metadata are elements in `urn:schemas-tum-de:vmi:ns` inside a `<node>`. What the rules are to see of a
-node is written anew (`LaunchNode.metadata`): without the namespace, and with the node's name. A
-substitution of roslaunch, `$(...)`, has no value yet: it is refused where a name comes of it.
-
-Edits are made at positions of the source, never by writing the document anew: comments, spaces, order
-and encoding of everything else remain.
+Metadata are elements in `urn:schemas-tum-de:vmi:ns` inside a `<node>`.
 """
 
 import re
@@ -82,6 +77,7 @@ class LaunchNode:
         return [_entry(found, self) for found in self.elements if found.name in _ENTRIES]
 
     def metadata(self) -> bytes:
+        # What the rules are to see: written anew, without the namespace, and with the node's name.
         inner = "".join(element.write() for element in self.elements)
         return f"<node><name>{escape(self.name)}</name>{inner}</node>".encode()
 
@@ -201,6 +197,7 @@ def refuse(line: int, message: str, hint: str = "") -> NoReturn:
 def _check(node: LaunchNode) -> None:
     if "ns" in node.tag.values:
         refuse(node.line, f"the node {node.name!a} has metadata and ns=", "leave one of them out")
+    # A substitution of roslaunch has no value yet: it is refused where a name comes of it.
     if not node.name or _SUBSTITUTION in node.name:
         hint = "roslaunch replaces $(...) later than this: write the name"
         refuse(node.line, "a node with metadata whose name is not written out", hint)
@@ -312,6 +309,8 @@ def _joined(data: bytes, spans: Sequence[ByteSpan]) -> list[ByteSpan]:
     return made
 
 
+# At positions of the source, never by writing the document anew: comments, spaces, order and encoding of
+# everything else remain.
 def apply(data: bytes, changes: Sequence[Edit]) -> bytes:
     parts: list[bytes] = []
     at = 0

@@ -1,8 +1,6 @@
 """The service `/get_topic_name`: answers with names, and applies none of them; its package for catkin.
 
-Metadata are claims of the caller, and a name is worth nothing without a grant. What a caller sends is
-bounded in size before it is read, in time by the rules' process, and in number by its turns: others get
-their answers meanwhile.
+Metadata are claims of the caller, and a name is worth nothing without a grant.
 """
 
 import asyncio
@@ -69,6 +67,8 @@ class TopicNames:
         self._turns = CallerTurns(CHILDREN, WAITING)
 
     async def answer(self, request: Any, caller: Identity) -> dict[str, object]:
+        # What a caller sends is bounded in size before it is read, in time by the rules' process, and in
+        # number by its turns: others get their answers meanwhile.
         async with self._turns.turn(caller.thumbprint):
             metadata = request.metadata if request.metadata.strip() else await self._own(caller)
             try:

@@ -1,8 +1,7 @@
 """Names asked for of rules: `async with RuleRunner(rules) as runner: await runner.name(...)`.
 
 Rules and documents go to a confined process, which forks for each request: what one caller sent can change no
-answer to another. Requests beyond the number of processes wait. Whatever comes back is checked here again: no
-name leaves that is not one, or that is reserved.
+answer to another. Requests beyond the number of processes wait.
 """
 
 import asyncio

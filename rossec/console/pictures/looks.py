@@ -1,9 +1,8 @@
 """What a topic looks like to each of its receivers: one picture for each way to see it. Pure.
 
 A type has a picture (a place, a laser scan from above, a camera picture as PNG in the page, a number over the
-last minute as a line) or its fields as text, with those struck that a receiver does not get. All receivers
-with the same restrictions share one. Of pictures and scans the last is drawn; rounded distances show as
-rings, removed ones as an empty circle, and a rounded number as a staircase.
+last minute as a line) or its fields as text, with those struck that a receiver does not get. Rounded
+distances show as rings, removed ones as an empty circle, and a rounded number as a staircase.
 """
 
 import base64
@@ -232,6 +231,7 @@ def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
 
     There is none if the type of the messages is not known here.
     """
+    # All receivers with the same restrictions share a picture.
     ways: dict[Any, list[Cell]] = {}
     for cell in cells:
         if cell.access in SEEING:

@@ -1,7 +1,6 @@
 """Where something was: a track for one who sees the place, squares for one who sees cells. Pure.
 
-All pictures of one topic have one frame (`Frame`), or a comparison of them would lie. A position on
-the earth is drawn in metres around the first one (equirectangular, exact enough for a minute).
+All pictures of one topic have one frame, or a comparison of them would lie.
 """
 
 import math
@@ -155,6 +154,7 @@ def _points(seen: SeenTopic, origin: Point | None) -> list[Point]:
     if seen.type == _ON_EARTH:
         if origin is None:
             return []
+        # In metres around the first one: equirectangular, exact enough for a minute.
         shrink = math.cos(math.radians(origin[0])) * _EARTH
         degrees = [(float(each.fields["longitude"]), float(each.fields["latitude"])) for each in seen.samples]
         found = [((east - origin[1]) * shrink, (north - origin[0]) * _EARTH) for east, north in degrees]
