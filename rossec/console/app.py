@@ -1,9 +1,8 @@
 """The pages as one ASGI application, behind a guard: who may ask, from where, and how much.
 
-The first rule of `RULES` that is broken answers; a page sees only requests that broke none. `Host` is checked
-against DNS rebinding, `Origin` and `Sec-Fetch-Site` against forms of other sites; the session is looked up by
-its cookie; a body is read here, bounded in size and time, before the page runs. A guard that crashes answers
-500 and nothing else; a refusal becomes a page with its hint. What is not in `ROUTES` does not exist.
+The first rule of `RULES` that is broken answers; a page sees only requests that broke none. A guard that
+crashes answers 500 and nothing else; a refusal becomes a page with its hint. What is not in `ROUTES` does not
+exist.
 """
 
 import asyncio
@@ -23,7 +22,7 @@ from ca.errors import HintedError
 from rossec.console import rendering
 from rossec.console.context import ConsoleContext
 from rossec.console.pages import adding, decisions, passkeys, today, visibility
-from rossec.console.rendering import PREFIX, Match, Page, PageAccess, PageTable, for_looking, render
+from rossec.console.rendering import PREFIX, Match, Page, PageAccess, PageTable, Visit, for_looking
 from rossec.console.server.serving import PLACE, check_peer
 from rossec.console.sessions import COOKIE, LoginSession, owner_of
 from rossec.console.words import Names
@@ -31,22 +30,11 @@ from rossec.errors import HttpRefused, KeyServiceFailed, PeerUserRefused
 from rossec.peer_limits import printable
 
 # No script makes HTML, so `trusted-types 'none'` holds; pictures are SVG with classes, so styles come from
-# the one file.
-_POLICY: Final = "; ".join(
-    (
-        "default-src 'none'",
-        "script-src 'self'",
-        "style-src 'self'",
-        "img-src 'self' data: blob:",
-        "connect-src 'self'",
-        "media-src 'self' blob:",
-        "manifest-src 'self'",
-        "form-action 'self'",
-        "base-uri 'none'",
-        "frame-ancestors 'none'",
-        "require-trusted-types-for 'script'",
-        "trusted-types 'none'",
-    )
+# the one file. A page inside another one would make a press there a press here: `frame-ancestors 'none'`.
+_POLICY: Final = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
+    "connect-src 'self'; media-src 'self' blob:; manifest-src 'self'; form-action 'self'; base-uri 'none'; "
+    "frame-ancestors 'none'; require-trusted-types-for 'script'; trusted-types 'none'"
 )
 HEADERS: Final[Mapping[str, str]] = {
     "Content-Security-Policy": _POLICY,
@@ -54,7 +42,7 @@ HEADERS: Final[Mapping[str, str]] = {
     "Referrer-Policy": "same-origin",  # `no-referrer` makes `Origin: null` of own forms, which is refused
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
-    "Permissions-Policy": ("camera=(self), publickey-credentials-get=(self), microphone=(), geolocation=()"),
+    "Permissions-Policy": "camera=(self), publickey-credentials-get=(self), microphone=(), geolocation=()",
     "Cache-Control": "no-store",
 }
 IMMUTABLE: Final = "public, max-age=31536000, immutable"
@@ -75,6 +63,7 @@ WRITE: Final = 30.0  # seconds for a piece of an answer to be taken
 SAFE: Final = ("GET", "HEAD")
 SEE_OTHER: Final = 303
 LOG_OUT: Final = "/logout"  # also when the service does not answer
+CRASHED: Final = HttpRefused("something went wrong here", "it is in the log", status=500)
 _log = logging.getLogger("rossec.console")
 
 
@@ -99,6 +88,8 @@ class Allowed(NamedTuple):
     origins: tuple[str, ...]
 
 
+# In this order. The host first: a name that was rebound to this address (DNS) learns not even which pages
+# there are. The origin before the session: a form of another site is refused whoever is logged in.
 RULES: Final = (
     GuardRule("host", 421, "this is not its address", "use the printed one"),
     GuardRule("path", 404, "there is no such page", "is the address right?"),
@@ -111,8 +102,10 @@ _NOT_LOGGED_IN: Final = next(rule for rule in RULES if rule.name == "session")
 
 
 def broken_rule(facts: Facts, allowed: Allowed, match: Match | None) -> GuardRule | None:
-    """The first rule that a request breaks; None: it may pass."""
     page = None if match is None else match.page
+    # Of two headers a proxy and this program might each believe another one: exactly one counts. The site is
+    # asked besides the origin, since browsers count another port of localhost as the same site
+    # (console-csrf).
     is_own = len(facts.origins) == 1 and facts.origins[0] in allowed.origins
     holds = {
         "host": len(facts.hosts) == 1 and facts.hosts[0] in allowed.hosts,
@@ -126,13 +119,11 @@ def broken_rule(facts: Facts, allowed: Allowed, match: Match | None) -> GuardRul
 
 
 def wants_json(headers: Mapping[str, str]) -> bool:
-    """Whether a script asks, which cannot show a page."""
+    # A script, which cannot show a page.
     return headers.get("accept", "").split(",")[0].strip() in {"application/json", "text/event-stream"}
 
 
 class RequestGuard:
-    """The application behind it gets only requests that broke no rule."""
-
     def __init__(
         self,
         app: ASGIApp,
@@ -152,17 +143,24 @@ class RequestGuard:
         try:
             await self._pass(scope, receive, answer.send)
         except (HintedError, TimeoutError, ConnectionError) as error:
-            if not answer.has_begun and not isinstance(error, ConnectionError):
-                await self._end(scope, receive, answer.send, _as_refusal(error))
+            if answer.has_begun or isinstance(error, ConnectionError):
+                return
+            problem: HintedError = HttpRefused("this took too long", "try it again", status=408)
+            if isinstance(error, PeerUserRefused):
+                problem = HttpRefused(str(error), error.hint, status=403)
+            elif isinstance(error, HintedError):
+                problem = error
+            await self._end(scope, receive, answer.send, problem)
         except Exception as error:
             _log.error("a page crashed: %s", type(error).__name__, exc_info=error)
             if answer.has_begun:
                 raise  # the connection is closed
-            problem = HttpRefused("something went wrong here", "it is in the log", status=500)
-            await self._end(scope, receive, answer.send, problem)
+            await self._end(scope, receive, answer.send, CRASHED)
 
     async def _pass(self, scope: Scope, receive: Receive, send: Send) -> None:
+        # 1. Whose connection it is: another user of this host learns nothing, whatever the request says.
         check_peer(scope, self._context.settings.users)
+        # 2. What its head says, by the rules in their order.
         request = Request(scope)
         session = self._session(request.headers)
         match = self._table.find(scope["path"], scope["method"])
@@ -170,15 +168,33 @@ class RequestGuard:
         if rule is not None:
             await self._answer(rule, match, request)(scope, receive, send)
             return
+        # 3. Strangers who hold all connections end none of this one's from now on.
         scope["state"]["session"] = session
         if session is not None and (place := scope.get(PLACE)) is not None:
             place.belongs_to(owner_of(session))
+        # 4. The body: bounded and whole before the page runs, so that no page waits for a stranger.
         limit = 0 if match is None or match.page is None else match.page.max_body
-        body = await _read_body(receive, limit)
+        body = bytearray()
+        async with asyncio.timeout(BODY):
+            more = True
+            while more:
+                message = await receive()
+                if message["type"] != "http.request":
+                    raise ConnectionResetError
+                body += message.get("body", b"")
+                if len(body) > limit:
+                    raise HttpRefused("this is too large", "send less", status=413)
+                more = message.get("more_body", False)
+        # 5. Whether the phone that began the session is still known: last, since it asks the service.
         if not await self._counts(session, match):
             await self._answer(_NOT_LOGGED_IN, match, request)(scope, receive, send)
             return
-        await self._app(scope, _replay(body, receive), send)
+        again: list[Message] = [{"type": "http.request", "body": bytes(body), "more_body": False}]
+
+        async def read() -> Message:
+            return again.pop() if again else await receive()
+
+        await self._app(scope, read, send)
 
     async def _counts(self, session: LoginSession | None, match: Match | None) -> bool:
         # Whether the phone that began a session was not removed; if it was, the session ends.
@@ -210,33 +226,26 @@ class RequestGuard:
 
     def _session(self, headers: Headers) -> LoginSession | None:
         now = self._context.elapsed()
-        found = self._context.sessions.find(_cookie(headers), now)
+        pieces = (piece.strip().partition("=") for piece in ";".join(headers.getlist("cookie")).split(";"))
+        cookies = [value for name, _, value in pieces if name == COOKIE]
+        # Of two, a browser does not say which is this host's own: neither counts.
+        found = self._context.sessions.find(cookies[0] if len(cookies) == 1 else "", now)
         if found is not None and is_by_person(headers):
-            self._context.sessions.use(found, now)
+            found.used = now
         return found
 
 
 def is_by_person(headers: Mapping[str, str]) -> bool:
-    """Whether a person did this, so that a page which reloads itself keeps no session alive.
-
-    Browsers say so of navigations (`Sec-Fetch-User`); older ones send none of these headers.
-    """
+    # Browsers say so of navigations (`Sec-Fetch-User`); older ones send none of these headers. What a page
+    # does by itself, such as loading itself again, keeps no session alive.
     if "sec-fetch-mode" not in headers or headers.get("sec-fetch-user") == "?1":
         return True
     return headers.get("content-type") is not None  # a form or an approval
 
 
 def has_body(headers: Mapping[str, str]) -> bool:
-    """Whether a body comes after these headers (RFC 9112 section 6)."""
+    # RFC 9112 section 6
     return headers.get("content-length", "0") != "0" or "transfer-encoding" in headers
-
-
-def _as_refusal(error: HintedError | TimeoutError) -> HintedError:
-    if isinstance(error, TimeoutError):
-        return HttpRefused("this took too long", "try it again", status=408)
-    if isinstance(error, PeerUserRefused):
-        return HttpRefused(str(error), error.hint, status=403)
-    return error
 
 
 def facts_of(scope: Scope, *, has_session: bool) -> Facts:
@@ -251,35 +260,6 @@ def facts_of(scope: Scope, *, has_session: bool) -> Facts:
         int(lengths[0]) if is_number else None,
         has_session,
     )
-
-
-def _cookie(headers: Headers) -> str:
-    pairs = [part.strip() for text in headers.getlist("cookie") for part in text.split(";")]
-    found = [pair.partition("=")[2] for pair in pairs if pair.partition("=")[0] == COOKIE]
-    return found[0] if len(found) == 1 else ""
-
-
-async def _read_body(receive: Receive, limit: int) -> bytes:
-    body = bytearray()
-    async with asyncio.timeout(BODY):
-        while True:
-            message = await receive()
-            if message["type"] != "http.request":
-                raise ConnectionResetError
-            body += message.get("body", b"")
-            if len(body) > limit:
-                raise HttpRefused("this is too large", "send less", status=413)
-            if not message.get("more_body", False):
-                return bytes(body)
-
-
-def _replay(body: bytes, receive: Receive) -> Receive:
-    messages: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
-
-    async def read() -> Message:
-        return messages.pop() if messages else await receive()
-
-    return read
 
 
 class _Answer:
@@ -301,52 +281,38 @@ class _Answer:
 
 ROUTES: Final[tuple[Page, ...]] = (
     *rendering.ASSET_PAGES,
-    *passkeys.LOGIN_PAGES,
-    *passkeys.PHONES_PAGES,
-    *today.NEWS_PAGES,
-    *passkeys.APPROVE_PAGES,
-    *passkeys.APPROVED_PAGES,
-    *adding.ADD_PAGES,
-    *adding.JOIN_PAGES,
-    *decisions.ASK_PAGES,
-    *decisions.REVOKE_PAGES,
-    *adding.INVITE_PAGES,
-    *decisions.POLICY_PAGES,
-    *today.TODAY_PAGES,
-    *visibility.WHO_PAGES,
-    *visibility.NODES_PAGES,
-    *today.HAPPENED_PAGES,
-    *visibility.PRIVACY_PAGES,
+    *passkeys.PAGES,
+    *today.PAGES,
+    *adding.PAGES,
+    *decisions.PAGES,
+    *visibility.PAGES,
 )
-
-CRASHED: Final = HttpRefused("something went wrong here", "it is in the log", status=500)
 
 
 def create_app(context: ConsoleContext, pages: tuple[Page, ...] = ROUTES) -> ASGIApp:
     """The console's application; one that only shows lacks what would do more."""
     if context.settings.read_only:
         pages = for_looking(pages)
-    routes = [Route(page.path, _endpoint(page, context), methods=page.methods) for page in pages]
-    app = Starlette(routes=routes)
+
+    def endpoint(page: Page) -> Callable[[Request], Awaitable[Response]]:
+        async def answer(request: Request) -> Response:
+            try:
+                if page.access is PageAccess.SESSION and request.method == "GET":
+                    request.state.number = await context.news.ask()
+                if page.access is PageAccess.SESSION and not wants_json(request.headers):
+                    with suppress(HintedError):  # a service that does not say what the policy calls things
+                        request.state.names = Names.of(await context.service.policy_names())
+                return await page.handler(Visit(request, context))
+            except HintedError as error:
+                return show_error(request, context, error)
+            except Exception as error:  # noqa: BLE001 - logged; nothing of it reaches the browser
+                _log.error("%s crashed: %s", page.path, type(error).__name__, exc_info=error)
+                return show_error(request, context, CRASHED)
+
+        return answer
+
+    app = Starlette(routes=[Route(page.path, endpoint(page), methods=page.methods) for page in pages])
     return RequestGuard(app, context, pages, lambda request, error: show_error(request, context, error))
-
-
-def _endpoint(page: Page, context: ConsoleContext) -> Callable[[Request], Awaitable[Response]]:
-    async def answer(request: Request) -> Response:
-        try:
-            if page.access is PageAccess.SESSION and request.method == "GET":
-                request.state.number = await context.news.ask()
-            if page.access is PageAccess.SESSION and not wants_json(request.headers):
-                with suppress(HintedError):  # a service that does not say what the policy calls things
-                    request.state.names = Names.of(await context.service.policy_names())
-            return await page.handler(request, context)
-        except HintedError as error:
-            return show_error(request, context, error)
-        except Exception as error:  # noqa: BLE001 - logged; nothing of it reaches the browser
-            _log.error("%s crashed: %s", page.path, type(error).__name__, exc_info=error)
-            return show_error(request, context, CRASHED)
-
-    return answer
 
 
 def status_of(error: HintedError) -> int:
@@ -360,4 +326,4 @@ def show_error(request: Request, context: ConsoleContext, error: HintedError) ->
     if wants_json(request.headers):
         told = {"error": printable(error), "hint": printable(error.hint)}
         return JSONResponse(told, status)
-    return render(context, request, "error.html", status, message=str(error), hint=error.hint)
+    return Visit(request, context).show("error.html", status, message=str(error), hint=error.hint)

@@ -1,15 +1,13 @@
 """What a phone is asked to approve: forms, acts that wait, and a request for grants in words and pictures.
 
-`READERS` has every kind that a page can prepare: its form's fields become the arguments of `prepare`. A form
-has exactly the fields of its kind, each once, and none is completed but a typed name: what was typed is what
-is approved, or nothing is. The service makes the statement and checks all of it again; here a mistake is told
-to the person before the phone is asked, and an act is carried on only in the session that asked for it. Pure.
+`READERS` has every kind that a page can prepare: its form's fields become the arguments of `prepare`. The
+service makes the statement and checks all of it again; here a mistake is told to the person before the phone
+is asked. Pure.
 """
 
 import base64
 import binascii
 import re
-from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple, Protocol
 
@@ -21,7 +19,6 @@ from grants.model import Restriction, Right
 from grants.vocabulary.assess import assess
 from grants.vocabulary.contents import rank
 from rossec import clock
-from rossec.authority.console import messages
 from rossec.authority.console.messages import (
     ApprovalOutcome,
     AskedRight,
@@ -36,32 +33,10 @@ from rossec.console.matrix import Cell, TopicAccess
 from rossec.console.pictures import looks as pictures
 from rossec.console.pictures.place import has_place
 from rossec.console.samples import Preview
-from rossec.console.sentences import SentencePart, wanted
-from rossec.errors import FormRefused, HttpRefused
-from rossec.peer_limits import SharedTable, printable
-
-MAX_CODES: Final = 64
-MAX_PENDING: Final = 256
-
-
-class MadeCodes:
-    """Approvals of join codes, by their id, that were not shown yet; the oldest makes room."""
-
-    def __init__(self) -> None:
-        self._sessions: OrderedDict[bytes, bytes] = OrderedDict()
-
-    def add(self, approval: bytes, session: bytes) -> None:
-        while len(self._sessions) >= MAX_CODES:
-            self._sessions.popitem(last=False)
-        self._sessions[approval] = session
-
-    def take(self, approval: bytes, session: bytes) -> bool:
-        # Whether this session may see it, now and not again.
-        if self._sessions.get(approval) != session:
-            return False
-        del self._sessions[approval]
-        return True
-
+from rossec.console.sentences import Sayable, SentencePart, name_part, say, topic_part, wanted
+from rossec.console.sessions import SessionTable
+from rossec.errors import FormRefused
+from rossec.peer_limits import printable
 
 DAY: Final = 86400
 IDENTITY_LIFETIME: Final = 30 * DAY
@@ -75,12 +50,8 @@ MAX_PICTURES: Final = 2  # topics
 _MOST: Final = 4  # rights in the sentence
 ACTS: Final = Right.PUBLISH | Right.CALL | Right.PROVIDE | Right.PARAM_SET | Right.ADMIN
 DRIVING: Final = frozenset(
-    {
-        "geometry_msgs/Twist",
-        "geometry_msgs/TwistStamped",
-        "ackermann_msgs/AckermannDrive",
-        "ackermann_msgs/AckermannDriveStamped",
-    }
+    {f"geometry_msgs/Twist{end}" for end in ("", "Stamped")}
+    | {f"ackermann_msgs/AckermannDrive{end}" for end in ("", "Stamped")}
 )
 LABELS: Final[Mapping[str, str]] = {
     "": "All of it, as it asks",
@@ -123,7 +94,7 @@ class ApprovalSources(Protocol):
     def enrollments(self) -> RunningEnrollments: ...
 
     @property
-    def made_codes(self) -> MadeCodes: ...
+    def made_codes(self) -> SessionTable[bool]: ...
 
     @property
     def service(self) -> RequestSource: ...
@@ -132,9 +103,23 @@ class ApprovalSources(Protocol):
 Reader = Callable[[ApprovalSources, Form], Awaitable[ProposedAct]]
 
 
+READERS: Final[dict[str, tuple[tuple[frozenset[str], ...], Reader]]] = {}
+"""By kind: the fields that its forms may have, and what makes an act of them."""
+
+
+def _reads(kind: str, *forms: set[str]) -> Callable[[Reader], Reader]:
+    def add(reader: Reader) -> Reader:
+        READERS[kind] = tuple(map(frozenset, forms)), reader
+        return reader
+
+    return add
+
+
 async def read(sources: ApprovalSources, kind: str, form: Form) -> ProposedAct:
     if kind not in READERS:
         raise FormRefused(f"nothing of the kind {kind!a} can be approved", _RELOAD)
+    # Exactly the fields of its kind, and none is completed: what was typed is what is approved, or nothing
+    # is.
     expected, reader = READERS[kind]
     if not any(form.keys() == fields for fields in expected):
         raise FormRefused("the form has other fields than its page", _RELOAD)
@@ -145,10 +130,11 @@ def carried_out(sources: ApprovalSources, act: ProposedAct, outcome: ApprovalOut
     if act.kind == "enroll" and act.subject:
         sources.enrollments.approved(act.subject, outcome)
     if act.kind == "invitation":
-        sources.made_codes.add(outcome.id, session)
+        sources.made_codes.add(outcome.id, session, True, "")  # the oldest makes room
     return act.next.format(id=base64.urlsafe_b64encode(outcome.id).rstrip(b"=").decode())
 
 
+@_reads("enroll", {"enrollment"}, {"enrollment", "name"}, {"request"}, {"request", "name"})
 async def _enroll(sources: ApprovalSources, form: Form) -> ProposedAct:
     arguments: list[Value]
     if "enrollment" in form:
@@ -168,6 +154,7 @@ async def _enroll(sources: ApprovalSources, form: Form) -> ProposedAct:
     raise FormRefused("this request was answered already, or has expired", "see what still waits")
 
 
+@_reads("grant", {"question", "coarse", "duration"})
 async def _grant(sources: ApprovalSources, form: Form) -> ProposedAct:
     question, coarse = _octets(form, "question"), form["coarse"]
     if form["duration"] not in GRANT_DURATIONS:
@@ -178,20 +165,20 @@ async def _grant(sources: ApprovalSources, form: Form) -> ProposedAct:
     if not asked:
         raise FormRefused("this question was answered, or it is too late", "see what still waits")
     most = asked[0].lifetime
-    if form["duration"] == "today":
-        seconds = min(clock.seconds_left_today(clock.now()), most)
-    else:
-        seconds = _SECONDS[form["duration"]]
-    if seconds > most:
+    left = clock.seconds_left_today(clock.now())
+    seconds = min(left, most) if form["duration"] == "today" else _SECONDS[form["duration"]]
+    if seconds > most:  # nothing is shortened without a word
         raise FormRefused(f"the policy allows {words.duration(most)} at most", "choose a shorter time")
     return ProposedAct("grant", [question, coarse, seconds], "/approved/{id}")
 
 
+@_reads("delegate", {"days", "ticket"})
 async def _delegate(_: ApprovalSources, form: Form) -> ProposedAct:
     days, ticket = _number(form, "days", 366), _choice(form, "ticket", TICKETS)
     return ProposedAct("delegate", [days * DAY, ticket], "/approved/{id}")
 
 
+@_reads("intermediate", {"csr", "may", "days"})
 async def _intermediate(_: ApprovalSources, form: Form) -> ProposedAct:
     may_enroll = _choice(form, "may", {"renew": 0, "enroll": 1}) == 1
     lifetime = _number(form, "days", 366) * DAY
@@ -199,13 +186,17 @@ async def _intermediate(_: ApprovalSources, form: Form) -> ProposedAct:
     return ProposedAct("intermediate", arguments, "/approved/{id}")
 
 
-def _of_octets(kind: str, field: str, following: str) -> Reader:
-    async def act(_: ApprovalSources, form: Form) -> ProposedAct:
-        return ProposedAct(kind, [_octets(form, field)], following)
-
-    return act
+@_reads("policy", {"digest"})
+async def _policy(_: ApprovalSources, form: Form) -> ProposedAct:
+    return ProposedAct("policy", [_octets(form, "digest")], "/approved/{id}")
 
 
+@_reads("passkey", {"proposal"})
+async def _passkey(_: ApprovalSources, form: Form) -> ProposedAct:
+    return ProposedAct("passkey", [_octets(form, "proposal")], "/phones")
+
+
+@_reads("invitation", {"pattern", "uses", "lasts"}, {"pattern", "uses", "lasts", "anonymous"})
 async def _invitation(_: ApprovalSources, form: Form) -> ProposedAct:
     pattern, anonymous = check_pattern(form["pattern"]), "anonymous" in form
     if anonymous and form["anonymous"] != "on":
@@ -216,30 +207,13 @@ async def _invitation(_: ApprovalSources, form: Form) -> ProposedAct:
     return ProposedAct("invitation", [pattern, uses, seconds, anonymous], "/invited/{id}")
 
 
+@_reads("revoke-master", {"reason", "name", "master"})
 async def _revoke_master(_: ApprovalSources, form: Form) -> ProposedAct:
     master = form["master"]
     if not is_master_name(master):
         raise FormRefused("this is no master", _RELOAD)
     check_typed(form, master)
     return ProposedAct("revoke-master", [reason(form), master], f"/revoked/0/0?node={master}")
-
-
-READERS: Final[Mapping[str, tuple[tuple[frozenset[str], ...], Reader]]] = {
-    "enroll": (
-        tuple(frozenset({what, *name}) for what in ("enrollment", "request") for name in ((), ("name",))),
-        _enroll,
-    ),
-    "grant": ((frozenset({"question", "coarse", "duration"}),), _grant),
-    "policy": ((frozenset({"digest"}),), _of_octets("policy", "digest", "/approved/{id}")),
-    "delegate": ((frozenset({"days", "ticket"}),), _delegate),
-    "intermediate": ((frozenset({"csr", "may", "days"}),), _intermediate),
-    "passkey": ((frozenset({"proposal"}),), _of_octets("passkey", "proposal", "/phones")),
-    "invitation": (
-        (frozenset({"pattern", "uses", "lasts"}), frozenset({"pattern", "uses", "lasts", "anonymous"})),
-        _invitation,
-    ),
-    "revoke-master": ((frozenset({"reason", "name", "master"}),), _revoke_master),
-}
 
 
 def certificate_request(text: str) -> bytes:
@@ -264,9 +238,8 @@ def reason(form: Form) -> str:
 
 def check_typed(form: Form, name: str) -> None:
     if form["name"].strip(" ") not in (name, name.removeprefix("/")):
-        raise FormRefused(
-            f"you typed {form['name'][:MAX_REASON]!a}, the name is {name}", f"type {name} to go on"
-        )
+        said = f"you typed {form['name'][:MAX_REASON]!a}, the name is {name}"
+        raise FormRefused(said, f"type {name} to go on")
 
 
 def _replaces(form: Form, name: str, *, is_other_key: bool) -> bool:
@@ -300,27 +273,6 @@ def _choice(form: Form, field: str, choices: Mapping[str, int]) -> int:
     return choices[form[field]]
 
 
-class PendingActs:
-    """Acts that are shown to a phone and not approved yet, with the session that asked."""
-
-    def __init__(self) -> None:
-        self._acts: SharedTable[bytes, tuple[bytes, ProposedAct]] = SharedTable(MAX_PENDING)
-
-    def add(self, statement: bytes, session: bytes, act: ProposedAct, owner: str = "") -> None:
-        who = owner or messages.of_looker(session)
-        if self._acts.add(statement, (session, act), who, messages.rank(who)) is None:
-            raise HttpRefused("too much waits for a phone", "approve that, or wait", status=429)
-
-    def get(self, statement: bytes, session: bytes) -> ProposedAct:
-        found = self._acts.get(statement)
-        if found is None or found[0] != session:
-            raise HttpRefused("this was not asked here", "load the page again", status=404)
-        return found[1]
-
-    def remove(self, statement: bytes) -> None:
-        self._acts.pop(statement)
-
-
 class ApprovalWay(NamedTuple):
     """A way to approve: through the filter `coarse` (empty: none); one line for each right.
 
@@ -329,7 +281,7 @@ class ApprovalWay(NamedTuple):
 
     coarse: str
     label: str
-    lines: tuple[tuple[SentencePart, ...], ...]
+    lines: tuple[Sayable, ...]
     exact: tuple[str, ...]
     is_narrowest: bool
 
@@ -350,30 +302,25 @@ class Looks(NamedTuple):
     minutes: int = 1
 
 
-def sentence(question: GrantQuestion, facts: Iterable[FactView]) -> tuple[SentencePart, ...]:
+def sentence(question: GrantQuestion, facts: Iterable[FactView]) -> Sayable:
     senders: dict[str, set[str]] = {}
     for fact in facts:
         if fact.kind == "publisher":
             senders.setdefault(fact.name, set()).add(fact.node)
-    parts = [SentencePart(words.name(question.node), is_name=True), SentencePart("wants to")]
+    parts: list[SentencePart | str] = [name_part(question.node), "wants to"]
     shown = question.rights[:_MOST]
     for place, right in enumerate(shown):
-        parts += [SentencePart("and to")] if place else []
+        parts += ["and to"] if place else []
         known = sorted(senders.get(right.pattern, ()))
-        topic = SentencePart(words.topic(right.pattern), is_name=True)
         if drives(right):
-            parts += [SentencePart("drive: send commands to"), topic]
+            parts += ["drive: send commands to", topic_part(right.pattern)]
         elif right.right == Right.SUBSCRIBE and has_place(right.type) and len(known) == 1:
-            parts += [
-                SentencePart("see where"),
-                SentencePart(words.name(known[0]), is_name=True),
-                SentencePart("is"),
-            ]
+            parts += ["see where", name_part(known[0]), "is"]
         else:
-            parts += [SentencePart(wanted(right.right)), topic]
+            parts += [wanted(right.right), topic_part(right.pattern)]
     if len(question.rights) > len(shown):
-        parts.append(SentencePart(f"and {len(question.rights) - len(shown)} more things"))
-    return tuple(parts)
+        parts.append(f"and {len(question.rights) - len(shown)} more things")
+    return say(*parts)
 
 
 def ways(given: Sequence[tuple[str, Sequence[AskedRight]]], most: int = 6) -> list[ApprovalWay]:
@@ -383,16 +330,13 @@ def ways(given: Sequence[tuple[str, Sequence[AskedRight]]], most: int = 6) -> li
     """
     narrow = sorted(given, key=lambda each: strictness(each[1]), reverse=True)
     shown = [*[each for each in narrow if each[0]][: most - 1], *(each for each in given if not each[0])]
-    return [
-        ApprovalWay(
-            coarse,
-            LABELS.get(coarse, f"Coarser: {printable(coarse, 80)}"),
-            tuple(_line(right) for right in rights),
-            tuple(filter(None, (words.restrictions(_restrictions(right)) for right in rights))),
-            coarse == narrow[0][0],
-        )
-        for coarse, rights in shown
-    ]
+    found = []
+    for coarse, rights in shown:
+        title = LABELS.get(coarse, f"Coarser: {printable(coarse, 80)}")
+        exact = tuple(filter(None, (words.restrictions(_restrictions(right)) for right in rights)))
+        lines = tuple(_line(right) for right in rights)
+        found.append(ApprovalWay(coarse, title, lines, exact, coarse == narrow[0][0]))
+    return found
 
 
 def strictness(rights: Iterable[AskedRight]) -> tuple[int, float, int]:
@@ -410,7 +354,6 @@ def strictness(rights: Iterable[AskedRight]) -> tuple[int, float, int]:
 
 
 def acts(rights: Iterable[AskedRight]) -> bool:
-    """Whether it would do something, and not only see it."""
     return any(right.right & ACTS for right in rights)
 
 
@@ -439,35 +382,28 @@ def looks(
 
     Of real messages where `preview` has some, else of made-up ones.
     """
-    found = []
-    for right in ways[0][1]:
-        if right.right == Right.SUBSCRIBE and right.type and "*" not in right.pattern:
-            drawn = _looks(node, right, ways, preview)
-            found += [drawn] if drawn is not None else []
-    return found[:MAX_PICTURES]
+    seen = [
+        each for each in ways[0][1] if each.right == Right.SUBSCRIBE and each.type and "*" not in each.pattern
+    ]
+    found = [_looks(node, each, ways, preview) for each in seen]
+    return [each for each in found if each is not None][:MAX_PICTURES]
 
 
 def durations(question: GrantQuestion, now: int) -> list[OfferedDuration]:
     """The four buttons; none promises more than the policy gives."""
     most, today = question.lifetime, clock.seconds_left_today(now)
     allowed = words.duration(most)
-    too_long = f"the policy allows {allowed}"
-    return [
-        OfferedDuration("today", "Today", words.duration(min(today, most)), True),
-        OfferedDuration("week", "For a week", "" if most >= 7 * DAY else too_long, most >= 7 * DAY),
-        OfferedDuration("month", "For a month", "" if most >= 30 * DAY else too_long, most >= 30 * DAY),
-        OfferedDuration("open", "Until I end it", f"at most {allowed}, says the policy", True),
-    ]
+    found = [OfferedDuration("today", "Today", words.duration(min(today, most)), True)]
+    for value, title in (("week", "For a week"), ("month", "For a month")):
+        fits = most >= _SECONDS[value]
+        found.append(OfferedDuration(value, title, "" if fits else f"the policy allows {allowed}", fits))
+    return [*found, OfferedDuration("open", "Until I end it", f"at most {allowed}, says the policy", True)]
 
 
-def answer(given: QuestionAnswer) -> tuple[SentencePart, ...]:
+def answer(given: QuestionAnswer) -> Sayable:
     """`/lamp may not see /robot/camera`."""
     verb = "may" if given.answer == "granted" else "may not"
-    return (
-        SentencePart(words.name(given.node), is_name=True),
-        SentencePart(f"{verb} {wanted(given.right)}"),
-        SentencePart(words.topic(given.pattern), is_name=True),
-    )
+    return say(name_part(given.node), f"{verb} {wanted(given.right)}", topic_part(given.pattern))
 
 
 def drives(right: AskedRight) -> bool:
@@ -476,13 +412,9 @@ def drives(right: AskedRight) -> bool:
     return right.right == Right.PUBLISH and is_driving
 
 
-def _line(right: AskedRight) -> tuple[SentencePart, ...]:
-    said = words.plain(_restrictions(right))
-    return (
-        SentencePart(wanted(right.right)),
-        SentencePart(words.topic(right.pattern), is_name=True),
-        SentencePart(f"({said})" if said else "(all of it)"),
-    )
+def _line(right: AskedRight) -> Sayable:
+    said = words.plain(_restrictions(right)) or "all of it"
+    return say(wanted(right.right), topic_part(right.pattern), f"({said})")
 
 
 def _restrictions(right: AskedRight) -> tuple[Restriction, ...]:

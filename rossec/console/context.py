@@ -13,18 +13,20 @@ from rossec import clock
 from rossec.authority.console.client import ConsoleClient
 from rossec.authority.console.messages import Status
 from rossec.clock import Seconds, counter
-from rossec.console.approvals import MadeCodes, PendingActs
+from rossec.console.approvals import ProposedAct
 from rossec.console.enrollments import Enrollments
 from rossec.console.matrix import Endings
 from rossec.console.samples import Preview
 from rossec.console.server.control import WebSettings
-from rossec.console.sessions import FailureLimit, KnownPhones, LoginTurns, Sessions
+from rossec.console.sessions import FailureLimit, KnownPhones, LoginTurns, Sessions, SessionTable
 from rossec.errors import HttpRefused
 from rossec.host.runner import TaskSet
 
 PERIOD: Final = 1.0  # seconds between two questions
 BEAT: Final = 5.0  # seconds after which a stream without news shows that it lives
 MAX_STREAMS: Final = 100
+MAX_CODES: Final = 64
+MAX_PENDING: Final = 256
 _COMMENT: Final = b":\n\n"  # ignored by browsers; a connection that is gone shows at the write
 ALIVE: Final = b"event: alive\ndata: 1\n\n"
 SILENT: Final = b"event: silent\ndata: 1\n\n"  # the service does not answer this console
@@ -32,19 +34,18 @@ _log = logging.getLogger("rossec.console")
 
 
 class NewsFeed:
-    """The newest `Status.number`, and the streams that wait for it: one question a second for all open pages.
+    """The newest `Status.number`, and the streams that wait for it: one question a second for all pages."""
 
-    A stream has numbers only, so it tells nothing that the page itself would not: the service's number, and
-    how often something changed in this console. Between them it says every few seconds whether the service
-    answers (`alive`, `silent`), so that a page knows when it is old. The service is asked only while a page
-    waits.
-    """
+    # A stream has numbers only, so it tells nothing that the page itself would not: the service's number, and
+    # how often something changed in this console. Between them it says every few seconds whether the service
+    # answers (`alive`, `silent`), so that a page knows when it is old. The service is asked only while a page
+    # waits.
 
     def __init__(self, status: Callable[[], Awaitable[Status]], period: float = PERIOD) -> None:
         self._status, self._period = status, period
         self._news = asyncio.Condition()
         self._tasks = TaskSet()
-        self._streams = 0
+        self.streams = 0
         self._number: int | None = None
         self._own = self._told_own = 0
         self._answered = float("-inf")  # when the service did last, by the loop's clock
@@ -65,12 +66,8 @@ class NewsFeed:
         # Note that something changed in this console; the streams say so within a second.
         self._own += 1
 
-    @property
-    def streams(self) -> int:
-        return self._streams
-
     def open(self, is_valid: Callable[[], bool], beat: float = BEAT) -> AsyncIterator[bytes]:
-        if self._streams >= MAX_STREAMS:
+        if self.streams >= MAX_STREAMS:
             raise HttpRefused("too many pages are open", "close some of them", status=503)
         return self._events(is_valid, beat)
 
@@ -78,7 +75,7 @@ class NewsFeed:
         await self._tasks.close()
 
     async def _events(self, is_valid: Callable[[], bool], beat: float) -> AsyncIterator[bytes]:
-        self._streams += 1
+        self.streams += 1
         try:
             told: str | None = None
             yield _COMMENT
@@ -92,7 +89,7 @@ class NewsFeed:
                     silent_for = asyncio.get_running_loop().time() - self._answered
                     yield ALIVE if silent_for < BEAT + 2 * self._period else SILENT
         finally:
-            self._streams -= 1
+            self.streams -= 1
 
     async def _wait(self, told: str | None, beat: float) -> bool:
         try:
@@ -103,7 +100,7 @@ class NewsFeed:
         return True
 
     async def _poll(self) -> None:
-        while self._streams:
+        while self.streams:
             before = self.number
             try:
                 self._number = (await self._status()).number
@@ -123,17 +120,6 @@ class Scanner(Protocol):
 
 
 class ConsoleContext:
-    """One console.
-
-    Args:
-        service: the authority's service.
-        settings: what it was started with.
-        scanner: reads codes; None: this console has none.
-        preview: gives real messages; None: pictures show made-up ones, and say so.
-        clock: seconds since the epoch.
-        elapsed: seconds of a clock that cannot be set, for what ends after some time.
-    """
-
     def __init__(
         self,
         service: ConsoleClient,
@@ -144,14 +130,17 @@ class ConsoleContext:
         elapsed: Seconds | None = None,
     ) -> None:
         self.service, self.settings = service, settings
-        self.scanner, self.preview = scanner, preview
+        self.scanner = scanner  # reads codes; None: this console has none
+        self.preview = preview  # gives real messages; None: pictures show made-up ones, and say so
+        # What ends after some time ends by a clock that cannot be set (docs/threat-model.md, clock-ahead).
         self.clock, self.elapsed = clock, elapsed or counter()
         self.sessions = Sessions(settings.lifetime, settings.idle)
         self.phones = KnownPhones(service.phones)
         self.news = NewsFeed(service.status)
         self.failures = FailureLimit()
-        self.pending = PendingActs()
-        self.made_codes = MadeCodes()
+        # Acts that are shown to a phone, not approved yet; approvals of join codes, not shown yet.
+        self.pending: SessionTable[ProposedAct] = SessionTable(MAX_PENDING)
+        self.made_codes: SessionTable[bool] = SessionTable(MAX_CODES)
         self.turns = LoginTurns()
         self.endings = Endings()
         self.enrollments = Enrollments(service, settings.domain, clock, self.news.changed)

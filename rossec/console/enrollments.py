@@ -1,10 +1,8 @@
 """The nodes that are being added: from the code that a person brought to the node's own last word. A shell.
 
 An enrollment is one code; its secret stays here, in the web process, and all of them end with it: their nodes
-show a new code. Nothing is signed here: an approval is the service's, which returns the identity that is then
-delivered. The states are those that a page shows; the protocol is `ca.enrollment.sides`, over sockets in
-`rossec.enrollment.enroll`. It says ENROLLED only when the node has said so, and every failure is kept with
-its reason.
+show a new code. The states are those that a page shows; the protocol is `ca.enrollment.sides`, over sockets
+in `rossec.enrollment.enroll`.
 """
 
 import asyncio
@@ -51,8 +49,6 @@ OVER: Final = frozenset({Stage.ENROLLED, Stage.REJECTED, Stage.DIFFERED, Stage.S
 
 
 class RecordedName(Enum):
-    """What the record says of the name that is asked for."""
-
     NEW = "new"
     SAME_KEY = "same key"
     OTHER_KEY = "other key"
@@ -77,15 +73,6 @@ class EnrollmentService(Protocol):
 
 
 class Enrollment:
-    """One of them.
-
-    Attributes:
-        core: the protocol.
-        stage: what the page shows.
-        known: what the record says of the name; of meaning from COMPARED on.
-        error: why it failed, or None.
-    """
-
     def __init__(
         self,
         core: AuthorityEnrollment,
@@ -95,13 +82,11 @@ class Enrollment:
         changed: Callable[[], None],
     ) -> None:
         self.core = core
-        self.stage = Stage.FETCHING
-        self.known = RecordedName.NEW
+        self.stage = Stage.FETCHING  # what the page shows
+        self.known = RecordedName.NEW  # of meaning from COMPARED on
         self.error: HintedError | None = None
-        self._destination = destination
-        self._service = service
-        self._clock = clock
-        self._changed = changed
+        self._destination, self._service = destination, service
+        self._clock, self._changed = clock, changed
         self._begun = clock()
 
     @property
@@ -126,9 +111,8 @@ class Enrollment:
         if self.stage is Stage.COMPARED:
             self._end_if_late()
         if self.stage is not Stage.COMPARED:
-            raise EnrollmentOver(
-                f"this node is not to be decided on: {self.stage.value}", "load the page anew"
-            )
+            said = f"this node is not to be decided on: {self.stage.value}"
+            raise EnrollmentOver(said, "load the page anew")
 
     def check_time(self) -> None:
         # End it if a person decides too late, so that its page says so.
@@ -142,7 +126,13 @@ class Enrollment:
         try:
             host, port, _ = self._destination
             await fetch(self.core, host, port, self._clock)
-            self.known = _known(await self._service.nodes(), self.core, self._clock())
+            nodes = await self._service.nodes()
+            request, now = self.core.request, self._clock()
+            named = [each for each in nodes if each.name == request.name and not each.revoked_at]
+            if any(each.key == request.thumbprint for each in named):
+                self.known = RecordedName.SAME_KEY
+            if any(each.key != request.thumbprint and each.not_after > now for each in named):
+                self.known = RecordedName.OTHER_KEY
             self._move(Stage.COMPARED)
         except HintedError as error:
             self.fail(error)
@@ -153,12 +143,14 @@ class Enrollment:
     async def deliver(self, outcome: ApprovalOutcome) -> None:
         try:
             self.core.approve(self._clock())
+            # Nothing is signed here: an approval is the service's, which returns the identity.
             bundle = await self._signed(outcome)
             *chain, root = from_pem(bundle)
             offer = self.core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), self._clock())
             self._move(Stage.DELIVERING)
             host, port, _ = self._destination
             async with asyncio.timeout(2 * WINDOW):
+                # It returns when the node has said that it is enrolled, and not before.
                 await deliver(self.core, offer, host, port, self._clock, lambda _: self._move(Stage.DIGITS))
             self._move(Stage.ENROLLED)
         except HintedError as error:
@@ -226,16 +218,6 @@ class Enrollment:
         self._changed()
 
 
-def _known(nodes: tuple[NodeView, ...], core: AuthorityEnrollment, now: int) -> RecordedName:
-    request = core.request
-    named = [each for each in nodes if each.name == request.name and not each.revoked_at]
-    if any(each.key != request.thumbprint and each.not_after > now for each in named):
-        return RecordedName.OTHER_KEY
-    return (
-        RecordedName.SAME_KEY if any(each.key == request.thumbprint for each in named) else RecordedName.NEW
-    )
-
-
 MAX_RUNNING: Final = 8
 MAX_KEPT: Final = 32
 _APPROVED: Final = 2  # the rank of what a phone has approved, above all that begins
@@ -251,11 +233,10 @@ class _Place:
 
 
 class Enrollments:
-    """Every enrollment of one console: a bounded table of tasks.
+    """Every enrollment of one console: a bounded table of tasks."""
 
-    Where all places are taken, what a session that may only look has begun makes room for a phone's, and
-    nothing that was approved makes room.
-    """
+    # Where all places are taken, what a session that may only look has begun makes room for a phone's, and
+    # nothing that was approved makes room.
 
     def __init__(
         self,
@@ -264,10 +245,8 @@ class Enrollments:
         clock: Callable[[], int],
         changed: Callable[[], None] = lambda: None,
     ) -> None:
-        self._service = service
-        self._domain = domain
-        self._clock = clock
-        self._changed = changed
+        self._service, self._domain = service, domain
+        self._clock, self._changed = clock, changed
         self._running: SharedTable[str, _Place] = SharedTable(MAX_RUNNING)
         self._ended: SharedTable[str, _Place] = SharedTable(MAX_KEPT)
         self._tasks = TaskSet()
@@ -278,14 +257,23 @@ class Enrollments:
 
     def begin(self, text: str, given_address: str = "", owner: str = messages.LOOKER) -> str:
         # `owner`: whose it is (`rossec.authority.console.messages`).
-        code, now = qr.parse(text), self._clock()
-        code.check_time(now)
-        destination = _destination(code, given_address)
+        # 1. The code, and where its node is: a label does not say it.
+        code = qr.parse(text)
+        code.check_time(self._clock())
+        if not code.address and not given_address:
+            raise CodeRefused(
+                "this code is a label: it does not say where its node is",
+                "type the address that the node shows, for example 192.168.1.7",
+            )
+        host, port = addresses.split(code.address or given_address)
+        destination = Destination(host, port, "a screen" if code.secret else "a label")
+        # 2. What has ended by now gives its place up before anything that runs is asked to.
         for number, place in self._running.items():
             place.found.check_time()
             if place.found.is_over:
                 self._running.pop(number)
                 self._keep(place)
+        # 3. A place, or none.
         core = AuthorityEnrollment(code, self._domain, wildcard=True)
         found = Enrollment(core, destination, self._service, self._clock, self._changed)
         number = secrets.token_hex(16)
@@ -295,11 +283,13 @@ class Enrollments:
         if own < MAX_RUNNING:  # nobody ends all of their own by beginning more
             ended = self._running.add(number, place, owner, messages.rank(owner))
         if ended is None:
-            raise TooManyEnrollments(
-                f"{MAX_RUNNING} nodes are being added already", "finish or reject one of them"
-            )
-        for each in ended:
-            self._end(each)
+            said = f"{MAX_RUNNING} nodes are being added already"
+            raise TooManyEnrollments(said, "finish or reject one of them")
+        for each in ended:  # its page says why
+            each.found.fail(EnrollmentOver("its place was needed for another node", _AGAIN))
+            if each.task is not None:
+                each.task.cancel()
+            self._keep(each)
         self._spawn(place, found.fetch)
         return number
 
@@ -345,22 +335,5 @@ class Enrollments:
 
         place.task = self._tasks.spawn(run(), name="an enrollment of the console")
 
-    def _end(self, place: _Place) -> None:
-        # End one that makes room for another's; its page says so.
-        place.found.fail(EnrollmentOver("its place was needed for another node", _AGAIN))
-        if place.task is not None:
-            place.task.cancel()
-        self._keep(place)
-
     def _keep(self, place: _Place) -> None:
         self._ended.add(place.number, place, place.owner, messages.rank(place.owner))
-
-
-def _destination(code: qr.Code, given_address: str) -> Destination:
-    if not code.address and not given_address:
-        raise CodeRefused(
-            "this code is a label: it does not say where its node is",
-            "type the address that the node shows, for example 192.168.1.7",
-        )
-    host, port = addresses.split(code.address or given_address)
-    return Destination(host, port, "a screen" if code.secret else "a label")

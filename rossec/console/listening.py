@@ -1,15 +1,13 @@
 """The sockets of an endpoint, listening before strangers are talked to; and where a console is. A shell.
 
-The address is written when the console begins, for the commands that show codes. There is one console at a
-time: phones belong to one address, and codes lead to it. One that was killed leaves the file behind, which
-harms nobody: the address of a console that does not run answers nothing, and a code is worth nothing there.
+The address is written when the console begins, for the commands that show codes.
 """
 
 import errno
 import os
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -27,7 +25,8 @@ _NONE: Final = ConfigurationError("no console runs", "start it in another termin
 
 @contextmanager
 def only_console(directory: Path) -> Iterator[None]:
-    """Be the console of this authority; its address is removed in the end."""
+    # One at a time: phones belong to one address, and codes lead to it. One that was killed leaves the
+    # address behind, which harms nobody: it answers nothing, and a code is worth nothing there.
     (directory / LOCK).parent.mkdir(mode=0o700, exist_ok=True)
     busy = ConfigurationError(
         "another console of this authority runs",
@@ -52,67 +51,50 @@ def read_address(directory: Path) -> str:
 
 
 def listen(endpoint: ConsoleEndpoint) -> list[socket.socket]:
-    """Sockets that listen where `endpoint` says; a host without IPv6 has one less."""
     if endpoint.unix_path is not None:
         return [listen_for_proxy(endpoint.unix_path, shared=endpoint.proxy_user is not None)]
     return listen_tcp(endpoint.addresses, endpoint.port)
 
 
 def listen_tcp(addresses: tuple[str, ...], port: int) -> list[socket.socket]:
-    """As `listen`, at a port of these addresses."""
-    found = list[socket.socket]()
-    try:
+    with ExitStack() as opened:
+        found = list[socket.socket]()
         for address in addresses:
-            sock = _listen_at(address, port)
-            found += [] if sock is None else [sock]
-    except BaseException:
-        for sock in found:
-            sock.close()
-        raise
-    if not found:
-        raise ConfigurationError("this host has none of the addresses", "is the loopback up?")
-    return found
-
-
-def _listen_at(address: str, port: int) -> socket.socket | None:
-    # None: this host has no such address.
-    family = socket.AF_INET6 if ":" in address else socket.AF_INET
-    try:
-        sock = socket.socket(family, socket.SOCK_STREAM)
-    except OSError:
-        return None
-    try:
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        if family == socket.AF_INET6:
-            sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-        sock.bind((address, port))
-        sock.listen(BACKLOG)
-    except OSError as error:
-        sock.close()
-        if error.errno in {errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT}:
-            return None
-        reason = os.strerror(error.errno or 0).lower()
-        raise ConfigurationError(
-            f"cannot listen at port {port}: {reason}", "choose another one: --port N"
-        ) from error
-    return sock
+            family = socket.AF_INET6 if ":" in address else socket.AF_INET
+            try:
+                sock = opened.enter_context(socket.socket(family, socket.SOCK_STREAM))
+            except OSError:  # this host has no such addresses
+                continue
+            try:
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                if family == socket.AF_INET6:
+                    sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+                sock.bind((address, port))
+                sock.listen(BACKLOG)
+            except OSError as error:
+                if error.errno in {errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT}:
+                    sock.close()
+                    continue
+                said = f"cannot listen at port {port}: {os.strerror(error.errno or 0).lower()}"
+                raise ConfigurationError(said, "choose another one: --port N") from error
+            found.append(sock)
+        if not found:
+            raise ConfigurationError("this host has none of the addresses", "is the loopback up?")
+        opened.pop_all()
+        return found
 
 
 def listen_for_proxy(path: Path, *, shared: bool) -> socket.socket:
-    """A unix socket at `path`; one that nobody listens at any more is replaced.
-
-    With `shared` every user can connect, and who does is asked of the kernel: else the mode lets
-    no other user in.
-    """
+    # One that nobody listens at any more is replaced. With `shared` every user can connect, and who does is
+    # asked of the kernel: else the mode lets no other user in.
     if _is_used(path):
         raise ConfigurationError(f"{path} is used by another program", "choose another --unix PATH")
     try:
         path.unlink(missing_ok=True)
         sock = listen_at(path, BACKLOG)
     except OSError as error:
-        raise ConfigurationError(
-            f"cannot listen at {path}: {os.strerror(error.errno or 0).lower()}", "choose another --unix PATH"
-        ) from error
+        said = f"cannot listen at {path}: {os.strerror(error.errno or 0).lower()}"
+        raise ConfigurationError(said, "choose another --unix PATH") from error
     if shared:
         path.chmod(0o666)
     return sock

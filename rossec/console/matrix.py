@@ -1,14 +1,12 @@
 """Who sees what: topics by receivers, from the grants of the record and the graph; and its report. Pure.
 
-A cell never shows less than a node could see. Grants of one node are alternatives, because it presents only
-those it chooses (`grants.decision`): one of them without filters means `ALL`. A grant that the master may
-renew counts as in force until its cap. What was ended may still be seen until every node has heard
+A cell never shows less than a node could see. What was ended may still be seen until every node has heard
 (`Endings`), and no page says *ended* before. The report has the same accesses as `rossec privacy` prints
-(`grants.policy.privacy`), in words, with receivers that are treated alike together: the console's page and
-the command line's file are made of it.
+(`grants.policy.privacy`), in words, with receivers that are treated alike together.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from enum import StrEnum
 from typing import Final, NamedTuple
@@ -46,35 +44,27 @@ class Heard(NamedTuple):
 
 
 class Endings:
-    """What the master said of ends, remembered: one that does not answer now told it before.
-
-    A revocation is over when every node with a session has its list. A node without a session takes no
-    messages for long: its view of the list is stale within two minutes and it cuts what does not outlive that
-    (`on_stale: keep`, grant.md section 4). That helps only where the master has the list: one that has not
-    goes on confirming the old one.
-    """
+    """What the master said of ends, remembered: one that does not answer now told it before."""
 
     def __init__(self) -> None:
-        self._heard = Heard()
-
-    @property
-    def heard(self) -> Heard:
-        return self._heard
+        self.heard = Heard()
 
     def note(self, standing: ListProgress, asked_at: int) -> None:
+        # A master that has not the list goes on confirming the old one.
         if not (standing.is_signed and standing.is_at_master):
             return
-        every, cut = self._heard
+        every, cut = self.heard
+        # A revocation is over when every node with a session has its list. A node without a session takes no
+        # messages for long: its view of the list is stale within two minutes, and it cuts what does not
+        # outlive that (`on_stale: keep`, grant.md section 4).
         if 0 < standing.nodes == standing.nodes_with_list:
             every = max(every, asked_at)
         elif not standing.nodes:
             cut = max(cut, asked_at - STALE)
-        self._heard = Heard(every, cut)
+        self.heard = Heard(every, cut)
 
 
 class TopicAccess(StrEnum):
-    """How much a receiver sees of a topic."""
-
     ALL = "all"
     COARSE = "coarse"
     ENDING = "ending"  # it was ended, and not every node has heard
@@ -153,14 +143,12 @@ class Matrix(NamedTuple):
         return next((row for row in self.rows if row.topic == topic), None)
 
     def window(self, rows: slice, receivers: slice) -> "Matrix":
-        """A part of it: a page shows only so much."""
         return Matrix(
             self.receivers[receivers],
             tuple(row._replace(cells=row.cells[receivers]) for row in self.rows[rows]),
         )
 
     def busiest_first(self) -> "Matrix":
-        """The same, with the rows and receivers first in which most is seen."""
         order = sorted(
             range(len(self.receivers)),
             key=lambda at: (-sum(row.cells[at].access is not TopicAccess.NOTHING for row in self.rows), at),
@@ -181,10 +169,9 @@ def held_grants(
 
 def _held(view: GrantView, grant: Grant, keys: dict[bytes, NodeView], now: int, heard: Heard) -> ShownGrant:
     holder = keys.get(grant.holder)
-    until = max(grant.expires, view.cap)
-    keeps = any(
-        each.restriction is not None and each.restriction.keep_when_stale for each in grant.permissions
-    )
+    until = max(grant.expires, view.cap)  # one that the master may renew is in force until its cap
+    given = [each.restriction for each in grant.permissions if each.restriction is not None]
+    keeps = any(each.keep_when_stale for each in given)
     for ended in (view, holder):
         if ended is not None and ended.revoked_at:
             is_ending = until > now and not heard.has(ended.revoked_at, keeps=keeps)
@@ -204,21 +191,12 @@ def build(
 ) -> Matrix:
     """The matrix of all topics that a grant or the graph names, and all nodes with a grant to see.
 
-    Args:
-        held: from `held_grants`.
-        facts: of the graph; empty if there is no master.
-        now: seconds since the epoch.
-        type_of: the type of a topic by the policy, where neither of these says it; empty: no word.
+    `type_of` is the type of a topic by the policy, where neither of these says it; empty: no word.
     """
     types = {fact.name: fact.node for fact in facts if fact.kind == "type"}
     topics = sorted(_topics(held, facts), key=lambda topic: (_is_pattern(topic), topic))
-    receivers = sorted(
-        {
-            each.grant.subject
-            for each in held
-            if any(Right.SUBSCRIBE in one.rights for one in each.grant.permissions)
-        }
-    )
+    sees = [each for each in held if any(Right.SUBSCRIBE in one.rights for one in each.grant.permissions)]
+    receivers = sorted({each.grant.subject for each in sees})
     of = {name: [each for each in held if each.grant.subject == name] for name in receivers}
     rows = []
     for topic in topics:
@@ -242,9 +220,8 @@ def publishers_of(topic: str, held: Iterable[ShownGrant], facts: Iterable[FactVi
 
 def permissions_on(grant: Grant, right: Right, topic: str) -> list[Permission]:
     named = topic.replace("**", _ANY).replace("*", _ANY).replace(TAIL, f"_{_ANY}")
-    return [
-        each for each in grant.permissions if right in each.rights and pattern_covers(each.pattern, named)
-    ]
+    found = (each for each in grant.permissions if right in each.rights)
+    return [each for each in found if pattern_covers(each.pattern, named)]
 
 
 def _topics(held: Iterable[ShownGrant], facts: Iterable[FactView]) -> set[str]:
@@ -265,6 +242,8 @@ def _is_pattern(topic: str) -> bool:
 def _cell(receiver: str, topic: str, held: list[ShownGrant], publishers: tuple[str, ...], now: int) -> Cell:
     covering = [(each, permissions_on(each.grant, Right.SUBSCRIBE, topic)) for each in held]
     ways = [(each, found) for each, found in covering if found]
+    # Grants of one node are alternatives, because it presents only those it chooses (`grants.decision`): one
+    # of them without filters means `ALL`.
     cell = Cell(receiver, topic, TopicAccess.NOTHING, sends=receiver in publishers)
     if not ways:
         return cell
@@ -334,8 +313,6 @@ class ReportGroup(NamedTuple):
 
 
 class ReportTopic(NamedTuple):
-    """A topic (or pattern) and all who receive it."""
-
     topic: str
     type: str
     groups: tuple[ReportGroup, ...]
@@ -351,14 +328,15 @@ def topics(
     wanted: Wanted = everything,
     vocabulary: Vocabulary | None = None,
 ) -> list[ReportTopic]:
-    """The report of these accesses, by topic; `vocabulary` is that of the policy."""
     by_topic: dict[tuple[str, str], dict[tuple[object, ...], list[ReportReceiver]]] = {}
     for access in sorted(_typed(accesses), key=lambda each: (each.topic, each.receiver, each.by)):
         fields = _fields(access, layout_of, wanted)
         if fields:
             groups = by_topic.setdefault((access.topic, access.type or ""), {})
             receiver = ReportReceiver(access.receiver, access.why, access.until, access.by)
-            said = _report_sees(access, layout_of, vocabulary)
+            said = ""
+            with suppress(GrantError, MessageError):  # nothing of a type that is not known here
+                said = "" if access.type is None else sees(access, layout_of(access.type), vocabulary)
             groups.setdefault((_when(access), fields, said), []).append(receiver)
     return [
         ReportTopic(
@@ -376,12 +354,8 @@ def _typed(accesses: Iterable[ReceiverAccess]) -> list[ReceiverAccess]:
     kinds: dict[str, set[str]] = {}
     for each in found:
         kinds.setdefault(each.topic, set()).update({each.type} if each.type else ())
-    return [
-        replace(each, type=next(iter(kinds[each.topic])))
-        if each.type is None and len(kinds[each.topic]) == 1
-        else each
-        for each in found
-    ]
+    only = {topic: next(iter(given)) for topic, given in kinds.items() if len(given) == 1}
+    return [replace(each, type=only.get(each.topic) if each.type is None else each.type) for each in found]
 
 
 def held_accesses(
@@ -430,23 +404,11 @@ def _fields(
     return tuple(sorted(found, key=lambda each: not each.is_open))
 
 
-def _report_sees(
-    access: ReceiverAccess, layout_of: Callable[[str], Layout], vocabulary: Vocabulary | None
-) -> str:
-    # Nothing of a type that is not known here.
-    try:
-        return "" if access.type is None else sees(access, layout_of(access.type), vocabulary)
-    except (GrantError, MessageError):
-        return ""
-
-
 def _paths(kind: str | None, layout_of: Callable[[str], Layout], rules: list[FilterRule]) -> list[str]:
     # The fields of the type; of one that is not known here those with a rule, and the rest.
-    try:
+    with suppress(GrantError, MessageError):
         if kind is not None:
             return leaf_paths(layout_of(kind)) or [WHOLE]
-    except (GrantError, MessageError):
-        pass
     return [*(rule.path for rule in rules), WHOLE]
 
 

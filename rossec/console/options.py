@@ -31,8 +31,6 @@ _DEFAULT_PORTS: Final = {"http": 80, "https": 443}
 
 
 class Tls(StrEnum):
-    """Who makes the certificate that the console shows."""
-
     NONE = "none"  # plain HTTP: on this host alone, or behind a proxy
     OWN = "own"  # the console's own TLS authority
     FILES = "files"  # --tls-cert and --tls-key
@@ -40,8 +38,6 @@ class Tls(StrEnum):
 
 @dataclass(frozen=True)
 class ConsoleOptions:
-    """The options of `rossec console`, as they were given."""
-
     lan: bool = False
     name: str | None = None
     tls_certificate: Path | None = None
@@ -57,35 +53,20 @@ class ConsoleOptions:
 
 @dataclass(frozen=True)
 class ConsoleEndpoint:
-    """What follows from the options.
-
-    Attributes:
-        origin: as browsers send it, such as `https://rossec.local:7411`.
-        name: the host of `origin`, to which passkeys belong.
-        addresses: to listen at; none if `unix_path` is set.
-        port: to listen at.
-        proxy_user: who connects to `unix_path`; None: the user of the console.
-        tls: who makes the certificate.
-        tls_certificate, tls_key: the files of `Tls.FILES`.
-        read_only: nothing but looking; no code that could do more is there.
-        hand_out: for ten minutes, hand out the certificate of the own TLS authority.
-    """
-
-    origin: str
-    name: str
-    addresses: tuple[str, ...] = ()
+    origin: str  # as browsers send it, such as `https://rossec.local:7411`
+    name: str  # the host of `origin`, to which passkeys belong
+    addresses: tuple[str, ...] = ()  # to listen at; none if `unix_path` is set
     port: int = 0
     unix_path: Path | None = None
-    proxy_user: str | None = None
+    proxy_user: str | None = None  # who connects to `unix_path`; None: the user of the console
     tls: Tls = Tls.NONE
     tls_certificate: Path | None = None
     tls_key: Path | None = None
-    read_only: bool = False
-    hand_out: bool = False
+    read_only: bool = False  # nothing but looking; no code that could do more is there
+    hand_out: bool = False  # for ten minutes, the certificate of the own TLS authority
 
     @property
     def is_local(self) -> bool:
-        """Whether only programs of this host can connect."""
         return self.unix_path is not None or self.addresses == _LOOPBACK
 
     @property
@@ -94,33 +75,54 @@ class ConsoleEndpoint:
 
 
 def read_options(options: ConsoleOptions, hostname: str) -> ConsoleEndpoint:
-    _check_pairs(options)
+    # 1. Options that do not go together.
+    has_files = options.tls_certificate is not None or options.tls_key is not None
+    ways, is_proxied = (options.lan, has_files), options.unix_path is not None
+    no_pair = has_files and None in {options.tls_certificate, options.tls_key, options.name}
+    to_lan = "--hand-out is for --lan: only there is a TLS authority to hand out"
+    both = "--unix PATH --origin https://NAME, as browsers see it"
+    files = "give all of --tls-cert FILE --tls-key FILE --name NAME"
+    proxy_user = options.proxy_user is not None and not is_proxied
+    name_for = "--name is for --lan and --tls-cert", "without them browsers call it localhost"
+    for conflict, message, hint in (
+        (sum(ways) + is_proxied > 1, "--lan, --tls-cert and --unix exclude each other", "choose one"),
+        (no_pair, "a certificate needs its key and its name", files),
+        (is_proxied != (options.origin is not None), "a proxy needs both --unix and --origin", both),
+        (proxy_user, "--proxy-user is for --unix", "it is the user who may connect to the socket"),
+        (options.name is not None and not any(ways), *name_for),
+        (options.hand_out and not options.lan, to_lan, "add --lan"),
+        (options.port is not None and is_proxied, "--port is not for --unix", "the proxy has the port"),
+    ):
+        if conflict:
+            raise ConfigurationError(message, hint)
+    # 2. Behind a proxy the origin is the proxy's; headers that a proxy adds are never read.
     if options.unix_path is not None:
         return _behind_proxy(options, options.unix_path)
     port = PORT if options.port is None else options.port
     if not 0 < port < 1 << 16:
         raise ConfigurationError(f"{port} is not a port", "give one from 1 to 65535")
-    if not options.lan and options.tls_certificate is None:
+    # 3. On this host alone: plain HTTP, which browsers trust at localhost (a secure context).
+    if not any(ways):
         host = _with_port(LOCALHOST, "http", port)
         return ConsoleEndpoint(f"http://{host}", LOCALHOST, _LOOPBACK, port, read_only=options.read_only)
-    if options.name is not None:
-        name = check_name(options.name)
-    else:  # `<hostname>.local`, as mDNS announces it (RFC 6762 section 3)
-        try:
-            name = check_name(f"{hostname.partition('.')[0].lower()}.local")
-        except ConfigurationError as error:
-            raise ConfigurationError(
-                f"the name of this host, {hostname!a}, is not a DNS name", "give one: --name NAME.local"
-            ) from error
+    # 4. For other devices, by the name that is given, or `<hostname>.local`, as mDNS announces it (RFC 6762
+    # section 3).
+    try:
+        own = f"{hostname.partition('.')[0].lower()}.local"
+        name = check_name(own if options.name is None else options.name)
+    except ConfigurationError as error:
+        if options.name is not None:
+            raise
+        said = f"the name of this host, {hostname!a}, is not a DNS name"
+        raise ConfigurationError(said, "give one: --name NAME.local") from error
     if name == LOCALHOST:
-        raise ConfigurationError(
-            "no other device can reach localhost", "give the name of this host: --name NAME.local"
-        )
+        hint = "give the name of this host: --name NAME.local"
+        raise ConfigurationError("no other device can reach localhost", hint)
     return ConsoleEndpoint(
-        origin=f"https://{_with_port(name, 'https', port)}",
-        name=name,
-        addresses=_EVERY,
-        port=port,
+        f"https://{_with_port(name, 'https', port)}",
+        name,
+        _EVERY,
+        port,
         tls=Tls.OWN if options.lan else Tls.FILES,
         tls_certificate=options.tls_certificate,
         tls_key=options.tls_key,
@@ -156,50 +158,7 @@ def check_origin(endpoint: ConsoleEndpoint, recorded: Collection[str], *, rename
     )
 
 
-def _check_pairs(options: ConsoleOptions) -> None:
-    # Raise for options that do not go together.
-    has_files = options.tls_certificate is not None or options.tls_key is not None
-    ways = [options.lan, has_files, options.unix_path is not None]
-    conflicts = (
-        (sum(ways) > 1, "--lan, --tls-cert and --unix exclude each other", "choose one"),
-        (
-            has_files and None in {options.tls_certificate, options.tls_key, options.name},
-            "a certificate needs its key and its name",
-            "give all of --tls-cert FILE --tls-key FILE --name NAME",
-        ),
-        (
-            (options.unix_path is None) != (options.origin is None),
-            "a proxy needs both --unix and --origin",
-            "--unix PATH --origin https://NAME, as browsers see it",
-        ),
-        (
-            options.proxy_user is not None and options.unix_path is None,
-            "--proxy-user is for --unix",
-            "it is the user who may connect to the socket",
-        ),
-        (
-            options.name is not None and not (options.lan or has_files),
-            "--name is for --lan and --tls-cert",
-            "without them browsers call it localhost",
-        ),
-        (
-            options.hand_out and not options.lan,
-            "--hand-out is for --lan: only there is a TLS authority to hand out",
-            "add --lan",
-        ),
-        (
-            options.port is not None and options.unix_path is not None,
-            "--port is not for --unix",
-            "the proxy has the port",
-        ),
-    )
-    for conflict, message, hint in conflicts:
-        if conflict:
-            raise ConfigurationError(message, hint)
-
-
 def _behind_proxy(options: ConsoleOptions, path: Path) -> ConsoleEndpoint:
-    # The origin is the proxy's; headers that a proxy adds are never read.
     origin = options.origin or ""
     try:
         parts = urlsplit(origin)

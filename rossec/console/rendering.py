@@ -1,11 +1,6 @@
 """What a page is, what its request says, and the HTML and static files that answer it.
 
-The guard answers what is not in a table of pages, so a page without an entry does not exist, and one without
-a session is never public by mistake: `SESSION` is what a page has unless it says otherwise. Bodies are read
-strictly: one type, UTF-8, each field once; there are no files in forms, so no multipart. Templates escape
-everything; texts of nodes go through `printable` before, so that none turns the direction of the line or
-hides a character (`name` in `macros.html` puts them in `<bdi>` as well). `/static/DIGEST/NAME` with another
-digest does not exist: an address names one content.
+Bodies are read strictly: one type, UTF-8, each field once; there are no files in forms, so no multipart.
 """
 
 import base64
@@ -16,7 +11,7 @@ import re
 from collections.abc import Awaitable, Callable, Iterable
 from contextvars import ContextVar
 from enum import Enum
-from functools import cache
+from functools import cache, partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -24,15 +19,16 @@ from urllib.parse import parse_qsl, quote
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import compile_path
 
 from rossec.console.context import ConsoleContext
+from rossec.console.sessions import LoginSession, owner_of
 from rossec.console.words import NONE, Names, ago, day, topic
 from rossec.errors import HttpRefused
 from rossec.peer_limits import printable
 
-Handler: TypeAlias = Callable[[Request, "ConsoleContext"], Awaitable[Response]]
+Handler: TypeAlias = Callable[["Visit"], Awaitable[Response]]
 MAX_BODY: Final = 16 * 1024
 MAX_FRAME: Final = 256 * 1024  # a picture from a camera
 
@@ -55,9 +51,28 @@ class Page(NamedTuple):
     path: str
     methods: tuple[str, ...]
     handler: Handler
-    access: PageAccess = SESSION
+    access: PageAccess = SESSION  # unless it says otherwise: none is public by mistake
     max_body: int = MAX_BODY
     looks: bool = False
+
+
+class PageList(list[Page]):
+    """The pages of a module: each is written above the function that answers."""
+
+    def get(self, path: str, access: PageAccess = SESSION) -> Callable[[Handler], Handler]:
+        return self._added(path, "GET", access)
+
+    def post(self, path: str, access: PageAccess = SESSION, **options: Any) -> Callable[[Handler], Handler]:
+        return self._added(path, "POST", access, **options)
+
+    def _added(
+        self, path: str, method: str, access: PageAccess, **options: Any
+    ) -> Callable[[Handler], Handler]:
+        def add(handler: Handler) -> Handler:
+            self.append(Page(path, (method,), handler, access, **options))
+            return handler
+
+        return add
 
 
 def for_looking(pages: Iterable[Page]) -> tuple[Page, ...]:
@@ -94,41 +109,8 @@ _HALVES: Final = re.compile("[\ud800-\udfff]")
 _HINT: Final = "go back, load the page again, and try once more"
 
 
-async def read_form(request: Request) -> dict[str, str]:
-    body = await request.body()
-    if not body:
-        return {}  # a form of a button alone
-    _require_type(request, _FORM)
-    try:
-        pairs = parse_qsl(
-            body.decode("ascii"),
-            keep_blank_values=True,
-            strict_parsing=True,
-            encoding="utf-8",
-            errors="strict",
-            max_num_fields=MAX_FIELDS,
-        )
-    except ValueError as error:  # UnicodeDecodeError is one
-        raise HttpRefused("a form that is malformed", _HINT) from error
-    return _once(pairs)
-
-
-async def read_json(request: Request) -> dict[str, Any]:
-    _require_type(request, _JSON)
-    try:
-        value = json.loads((await request.body()).decode(), object_pairs_hook=_once)
-    except (ValueError, RecursionError) as error:
-        raise HttpRefused("JSON that is malformed", _HINT) from error
-    if not isinstance(value, dict):
-        raise HttpRefused("JSON that is no object", _HINT)
-    return value
-
-
 def text_field(fields: dict[str, Any], name: str, limit: int = 200) -> str:
-    """A field that is text of at most `limit` characters; absent: empty.
-
-    JSON can escape half of a surrogate pair, which is no text (RFC 8259 section 8.2).
-    """
+    # JSON can escape half of a surrogate pair, which is no text (RFC 8259 section 8.2).
     value = fields.get(name, "")
     if not isinstance(value, str) or len(value) > limit or _HALVES.search(value):
         raise HttpRefused(f"{name}: not a text of at most {limit} characters", _HINT)
@@ -153,11 +135,6 @@ def to_base64url(data: bytes) -> str:
     return base64.urlsafe_b64encode(data).rstrip(b"=").decode()
 
 
-def _require_type(request: Request, wanted: str) -> None:
-    if request.headers.get("content-type", "").partition(";")[0].strip().lower() != wanted:
-        raise HttpRefused(f"a body that is not {wanted}", _HINT, status=415)
-
-
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     fields = dict(pairs)
     if len(fields) != len(pairs):
@@ -175,6 +152,9 @@ _TYPES: Final = {
 _DIGEST: Final = 16  # hex digits: an address, not a proof
 
 
+ASSET_PAGES: Final = PageList()
+
+
 class Asset(NamedTuple):
     path: str
     content: bytes
@@ -190,9 +170,11 @@ def asset_path(name: str) -> str:
     return assets()[name].path
 
 
-async def show_asset(request: Request, _context: ConsoleContext) -> Response:
-    found = assets().get(request.path_params["name"])
-    if found is None or found.path != request.url.path:
+@ASSET_PAGES.get("/static/{digest}/{name}", PUBLIC)
+async def show_asset(visit: "Visit") -> Response:
+    # With another digest it does not exist: an address names one content, which browsers keep for ever.
+    found = assets().get(visit.path["name"])
+    if found is None or found.path != visit.request.url.path:
         raise HttpRefused("there is no such file", "load the page again", status=404)
     return Response(found.content, media_type=found.type)
 
@@ -203,8 +185,6 @@ def _read(path: Path) -> Asset:
     digest = sha256(content).hexdigest()[:_DIGEST]
     return Asset(f"{PREFIX}{digest}/{path.name}", content, kind or "application/octet-stream")
 
-
-ASSET_PAGES: Final = (Page("/static/{digest}/{name}", ("GET",), show_asset, PUBLIC),)
 
 TEMPLATE_FOLDER: Final = Path(__file__).parent / "templates"
 # Filters belong to the environment, which is made once; titles are those of one page.
@@ -226,43 +206,88 @@ NAVIGATION: Final = (
 )
 
 
-def render(
-    context: ConsoleContext, request: Request, template: str, status: int = 200, **values: Any
-) -> Response:
-    """The page that a template makes of `values`.
+class Visit:
+    """One request to a page: what it says, and the answers that a page has."""
 
-    Beside them it gets `domain`, `session` (None: nobody is logged in), `places` (the navigation),
-    `here` (the path), `read_only`, `now`, and `number` (of the news). With `live=True` the page is
-    loaded again when anything changes (`live.js`).
-    """
-    session, only_shows = getattr(request.state, "session", None), context.settings.read_only
-    places = [place for place in NAVIGATION if not (only_shows and place.path == "/add")]
-    _NAMES.set(names_of(request))
-    text = (
-        environment()
-        .get_template(template)
-        .render(
-            domain=context.settings.domain,
-            session=session,
-            places=places if session is not None else (),
-            here=request.url.path,
-            read_only=only_shows,
-            number=getattr(request.state, "number", ""),
-            now=context.clock(),
-            **values,
-        )
-    )
-    return HTMLResponse(text, status)
+    def __init__(self, request: Request, context: ConsoleContext) -> None:
+        self.request, self.context = request, context
+        self.service = context.service
+        self.path, self.query = request.path_params, request.query_params
+
+    @property
+    def session(self) -> LoginSession:
+        found: LoginSession = self.request.state.session
+        return found
+
+    @property
+    def owner(self) -> str:
+        return owner_of(self.session)
+
+    @property
+    def names(self) -> Names:
+        found: Names = getattr(self.request.state, "names", NONE)
+        return found
+
+    @property
+    def address(self) -> str:
+        """The address of whoever asks; empty: not known (a proxy's socket)."""
+        return self.request.client.host if self.request.client is not None else ""
+
+    @property
+    def id(self) -> bytes:
+        return from_base64url(self.path["id"])
+
+    async def form(self) -> dict[str, str]:
+        """The fields of a form; a button alone has none."""
+        body = await self.request.body()
+        if not body:
+            return {}
+        self._require_type(_FORM)
+        try:
+            text = body.decode("ascii")
+            strict = partial(parse_qsl, keep_blank_values=True, strict_parsing=True, errors="strict")
+            pairs = strict(text, max_num_fields=MAX_FIELDS)
+        except ValueError as error:  # UnicodeDecodeError is one
+            raise HttpRefused("a form that is malformed", _HINT) from error
+        return _once(pairs)
+
+    async def json(self) -> dict[str, Any]:
+        self._require_type(_JSON)
+        try:
+            value = json.loads((await self.request.body()).decode(), object_pairs_hook=_once)
+        except (ValueError, RecursionError) as error:
+            raise HttpRefused("JSON that is malformed", _HINT) from error
+        if not isinstance(value, dict):
+            raise HttpRefused("JSON that is no object", _HINT)
+        return value
+
+    def _require_type(self, wanted: str) -> None:
+        # A form of another site can have `text/plain` without a preflight (CORS), and never JSON.
+        if self.request.headers.get("content-type", "").partition(";")[0].strip().lower() != wanted:
+            raise HttpRefused(f"a body that is not {wanted}", _HINT, status=415)
+
+    def show(self, template: str, status: int = 200, /, **values: Any) -> Response:
+        """The page that a template makes of `values`.
+
+        Beside them it gets `domain`, `session` (None: nobody is logged in), `places` (the navigation),
+        `here` (the path), `read_only`, `now`, and `number` (of the news). With `live=True` the page is
+        loaded again when anything changes (`live.js`).
+        """
+        settings, state = self.context.settings, self.request.state
+        session = getattr(state, "session", None)
+        places = [place for place in NAVIGATION if not (settings.read_only and place.path == "/add")]
+        values |= {"domain": settings.domain, "session": session, "places": places if session else ()}
+        values |= {"here": self.request.url.path, "read_only": settings.read_only}
+        values |= {"number": getattr(state, "number", ""), "now": self.context.clock()}
+        return HTMLResponse(render_text(template, self.names, **values), status)
 
 
-def names_of(request: Request) -> Names:
-    """What the policy calls things, as it was asked for this page."""
-    found: Names = getattr(request.state, "names", NONE)
-    return found
+def go(path: str) -> Response:
+    """See other: what a form has done is not done again when the page after it is loaded again."""
+    return RedirectResponse(path, 303)
 
 
 def render_text(template: str, names: Names = NONE, **values: Any) -> str:
-    """What a template makes of `values` alone: for a file instead of a page."""
     _NAMES.set(names)
     return environment().get_template(template).render(**values)
 
@@ -276,6 +301,8 @@ def environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    # Texts of nodes go through `printable` before they are escaped, so that none turns the direction of the
+    # line or hides a character; `name` in `macros.html` puts them in `<bdi>` as well.
     made.globals["asset"] = asset_path
     made.filters |= {"printable": printable, "hex": bytes.hex, "base64url": to_base64url, "day": day}
     made.filters["title"] = _title

@@ -2,8 +2,7 @@
 
 The messages are a preview's, kept for a minute in memory and nowhere else (`PreviewMemory`), or a minute that
 nobody sent, always the same: a drive in a circle, a room around a laser, a picture of a room; for other types
-a message whose numbers move. Pages say that these are made up; only conditions are left out of them, as
-nothing made up could fulfil them. The keys of pseudonyms are the publishers' own, so here they are others.
+a message whose numbers move. Pages say that these are made up.
 """
 
 import hashlib
@@ -40,8 +39,6 @@ class Recorded(NamedTuple):
 
 
 class SyntheticSample(NamedTuple):
-    """A message as a receiver gets it: its fields by name, messages in it as mappings."""
-
     at: float
     fields: Mapping[str, Any]
 
@@ -65,14 +62,12 @@ class Preview(Protocol):
 
 def see(recorded: Recorded, receiver: str, restrictions: Iterable[Restriction]) -> SeenTopic:
     applied = tuple(restrictions)
-    if recorded.is_made_up:
-        applied = tuple(
-            replace(each, conditions=())
-            for each in applied
-            if each.filters or each.rate is not None or each.slot is not None
-        )
+    if recorded.is_made_up:  # nothing made up could fulfil a condition
+        kept = [each for each in applied if each.filters or each.rate is not None or each.slot is not None]
+        applied = tuple(replace(each, conditions=()) for each in kept)
     kind = message_type(recorded.type)
     decision = Decision(Right.SUBSCRIBE, recorded.topic, (), _NEVER, applied)
+    # The keys of pseudonyms are the publishers' own, so here they are others.
     keys = {name: hashlib.sha256(name.encode()).digest() for name in needed_keys(applied)}
     guard = Guard(parse(kind.name, kind.definition), decision, keys)
     samples = []
@@ -80,9 +75,8 @@ def see(recorded: Recorded, receiver: str, restrictions: Iterable[Restriction]) 
         pieces = guard(message, int(at))
         if pieces is not None:
             samples.append(SyntheticSample(at, as_mapping(kind.deserialize(b"".join(pieces)))))
-    return SeenTopic(
-        receiver, recorded.topic, recorded.type, len(recorded.messages), tuple(samples), recorded.is_made_up
-    )
+    sent = len(recorded.messages)
+    return SeenTopic(receiver, recorded.topic, recorded.type, sent, tuple(samples), recorded.is_made_up)
 
 
 def try_see(recorded: Recorded, receiver: str, restrictions: Iterable[Restriction]) -> SeenTopic | None:
@@ -112,7 +106,6 @@ _PER_SECOND: Final = 4
 
 
 def recorded(topic: str, type_name: str, restrictions: Iterable[Restriction] = ()) -> Recorded | None:
-    """A minute of the topic, ten where one is in slots; None for a type that is not known here."""
     in_slots = any(each.slot is not None for each in restrictions)
     is_long = in_slots and type_name not in _RARE  # of these only the last is drawn
     try:
@@ -126,29 +119,21 @@ def messages(type_name: str, *, is_long: bool = False) -> tuple[tuple[float, byt
     """Messages of the type with their seconds from the beginning; made once."""
     kind = message_type(type_name)
     make = _MAKERS.get(type_name, _anything)
-    rare = type_name in _RARE
     seconds = _LONG if is_long else _SECONDS
-    usual = seconds * (1 if is_long else _PER_SECOND)
-    count = 3 if rare else usual
-    step = seconds / count
+    count = 3 if type_name in _RARE else seconds * (1 if is_long else _PER_SECOND)
     found = []
     for number in range(count):
-        at = number * step
+        at = number * (seconds / count)
         message = kind.create()
         make(message, at)
-        _stamp(message, at, number)
+        header = getattr(message, "header", None)
+        if header is not None and hasattr(header, "frame_id"):
+            header.frame_id = _FRAME
+            header.stamp.sec, header.stamp.nanosec = int(at), int(at % 1 * 1e9)
+            if hasattr(header, "seq"):
+                header.seq = number
         found.append((at, bytes(kind.serialize(message))))
     return tuple(found)
-
-
-def _stamp(message: Any, at: float, number: int) -> None:
-    header = getattr(message, "header", None)
-    if header is None or not hasattr(header, "frame_id"):
-        return
-    header.frame_id = _FRAME
-    header.stamp.sec, header.stamp.nanosec = int(at), int(at % 1 * 1e9)
-    if hasattr(header, "seq"):
-        header.seq = number
 
 
 def _turn(at: float) -> float:
@@ -156,9 +141,8 @@ def _turn(at: float) -> float:
 
 
 def _pose(pose: Any, at: float) -> None:
-    angle = _turn(at)
     _place(pose.position, at)
-    heading = angle + math.pi / 2
+    heading = _turn(at) + math.pi / 2
     pose.orientation.z, pose.orientation.w = math.sin(heading / 2), math.cos(heading / 2)
 
 
@@ -237,8 +221,6 @@ MAX_SIZE: Final = 64 * 1024 * 1024
 
 
 class PreviewMessage(NamedTuple):
-    """A serialized message; `at` is when it was received, seconds since the epoch."""
-
     topic: str
     type: str
     at: float
@@ -246,10 +228,9 @@ class PreviewMessage(NamedTuple):
 
 
 class PreviewMemory:
-    """What was received within the last minute; what is older is dropped, also where nothing new comes.
+    """What was received within the last minute; what is older is dropped, also where nothing new comes."""
 
-    Publishers choose size and rate of their messages, so every number is bounded.
-    """
+    # Publishers choose size and rate of their messages, so every number is bounded.
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
@@ -259,23 +240,25 @@ class PreviewMemory:
     def add(self, message: PreviewMessage) -> None:
         """Keep a message; a topic whose type has changed begins anew."""
         self.drop_old()
-        kept = self._topics.get(message.topic)
+        topic, kept = message.topic, self._topics.get(message.topic)
         if kept is None and len(self._topics) >= MAX_TOPICS:
             return
         if kept and kept[-1].type != message.type:
-            self._forget(message.topic)
-        self._topics.setdefault(message.topic, deque()).append(message)
-        self._sizes[message.topic] = self._sizes.get(message.topic, 0) + len(message.data)
-        self._limit(message.topic)
+            del self._topics[topic], self._sizes[topic]
+        self._topics.setdefault(topic, deque()).append(message)
+        self._sizes[topic] = self._sizes.get(topic, 0) + len(message.data)
+        while len(self._topics.get(topic, ())) > MAX_MESSAGES or self._sizes.get(topic, 0) > MAX_TOPIC_SIZE:
+            self._drop_oldest(topic)
+        # The whole memory: the largest topic makes room, so a small one is not lost to it.
+        while sum(self._sizes.values()) > MAX_SIZE:
+            self._drop_oldest(max(self._sizes, key=self._sizes.__getitem__))
 
     def recorded(self, topic: str) -> Recorded | None:
-        """The last minute of a topic; None if nothing came."""
         self.drop_old()
         kept = self._topics.get(topic)
         if not kept:
             return None
-        messages = tuple((each.at, each.data) for each in kept)
-        return Recorded(topic, kept[-1].type, messages)
+        return Recorded(topic, kept[-1].type, tuple((each.at, each.data) for each in kept))
 
     def drop_old(self) -> None:
         begin = self._clock() - MEMORY_SECONDS
@@ -283,21 +266,10 @@ class PreviewMemory:
             while topic in self._topics and self._topics[topic][0].at < begin:
                 self._drop_oldest(topic)
 
-    def _limit(self, topic: str) -> None:
-        while topic in self._topics and (
-            len(self._topics[topic]) > MAX_MESSAGES or self._sizes[topic] > MAX_TOPIC_SIZE
-        ):
-            self._drop_oldest(topic)
-        while sum(self._sizes.values()) > MAX_SIZE:
-            self._drop_oldest(max(self._sizes, key=self._sizes.__getitem__))
-
     def _drop_oldest(self, topic: str) -> None:
         self._sizes[topic] -= len(self._topics[topic].popleft().data)
         if not self._topics[topic]:
-            self._forget(topic)
-
-    def _forget(self, topic: str) -> None:
-        del self._topics[topic], self._sizes[topic]
+            del self._topics[topic], self._sizes[topic]
 
 
 MAX_DATA: Final = 1024 * 1024  # of one message; a larger one is not drawn

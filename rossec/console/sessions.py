@@ -1,8 +1,7 @@
 """Who is logged in, and how often somebody may try: in memory only, and by a clock that cannot be set. Pure.
 
-A cookie is 256 random bits. Only its SHA-256 is kept, so nothing that reads this process's memory late, or
-its core file, has a cookie to send. A session ends 8 hours after it began, 30 minutes after its last use, and
-with the process. It shows, denies and revokes; it never approves.
+A cookie is 256 random bits. A session ends 8 hours after it began, 30 minutes after its last use, and with
+the process. It shows, denies and revokes; it never approves.
 """
 
 import base64
@@ -11,7 +10,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
-from typing import Final
+from typing import Final, Generic, TypeVar
 
 from rossec import clock
 from rossec.authority.console import messages
@@ -20,6 +19,7 @@ from rossec.errors import HttpRefused
 from rossec.net.limits import source_of
 from rossec.peer_limits import SharedTable
 
+_V = TypeVar("_V")
 COOKIE: Final = "__Host-rossec"  # the prefix: only this host, over a secure connection, sets it
 COOKIE_SIZE: Final = 32  # bytes
 MAX_SESSIONS: Final = 64
@@ -58,13 +58,11 @@ class Sessions:
         return len(self._sessions)
 
     def begin(self, secret: bytes, phone: str, now: float) -> str:
-        # Begin a session with `secret`, 32 random bytes; returns the value of its cookie.
-        digest = sha256(secret).digest()
+        # Returns the value of its cookie. Only the digest of the secret is kept: whoever reads this process's
+        # memory late, or its core file, has no cookie to send.
+        session = LoginSession(sha256(secret).digest(), phone, now, now)
         owner = messages.of_phone(phone) if phone else messages.LOOKER
-        if (
-            self._sessions.add(digest, LoginSession(digest, phone, now, now), owner, messages.rank(owner))
-            is None
-        ):
+        if self._sessions.add(session.id, session, owner, messages.rank(owner)) is None:
             raise HttpRefused("too many are logged in", "log out elsewhere, or use a phone", status=429)
         return base64.urlsafe_b64encode(secret).rstrip(b"=").decode()
 
@@ -88,9 +86,6 @@ class Sessions:
         self.end(session)
         return False
 
-    def use(self, session: LoginSession, now: float) -> None:
-        session.used = now
-
     def end(self, session: LoginSession) -> None:
         self._sessions.pop(session.id)
 
@@ -104,13 +99,32 @@ def owner_of(session: LoginSession) -> str:
     return messages.of_phone(session.phone) if session.phone else messages.of_looker(session.id)
 
 
+class SessionTable(Generic[_V]):
+    """What was begun in a session, by a key: no other session finds it; owners have shares."""
+
+    def __init__(self, limit: int) -> None:
+        self._table: SharedTable[bytes, tuple[bytes, _V]] = SharedTable(limit)
+
+    def add(self, key: bytes, session: bytes, value: _V, owner: str) -> bool:
+        return self._table.add(key, (session, value), owner, messages.rank(owner)) is not None
+
+    def get(self, key: bytes, session: bytes) -> _V | None:
+        found = self._table.get(key)
+        return None if found is None or found[0] != session else found[1]
+
+    def pop(self, key: bytes, session: bytes) -> _V | None:
+        found = self.get(key, session)
+        if found is not None:
+            self._table.pop(key)
+        return found
+
+
 Phones = Callable[[], Awaitable[tuple[PhoneView, ...]]]
 
 
 class KnownPhones:
     """The phones of the record, as they were asked for last: a session outlives its phone by at most `KEPT`.
 
-    A phone that is registered again under the name of one that was removed does not bring its sessions back.
     Where the service does not answer nobody is let in.
     """
 
@@ -132,18 +146,19 @@ class KnownPhones:
     def _is_known(self, session: LoginSession) -> bool:
         for each in self._known:
             if each.name == session.phone and not each.ended:  # one at most
+                # By the passkey, not the name: a phone that is registered again under the name of one that
+                # was removed does not bring its sessions back.
                 session.passkey = session.passkey or each.id
                 return session.passkey == each.id
         return False
 
 
 class FailureLimit:
-    """How often somebody may be wrong: five times a minute, then a minute's pause.
+    """How often somebody may be wrong: five times a minute, then a minute's pause."""
 
-    Codes have 128 bits and passkeys cannot be guessed: this keeps noise from the authority, and makes whoever
-    mistypes look again. Counted by address, so that one device does not lock out another; of IPv6 by the
-    network, since a device has as many addresses as it likes.
-    """
+    # Codes have 128 bits and passkeys cannot be guessed: this keeps noise from the authority, and makes
+    # whoever mistypes look again. Counted by address, so that one device does not lock out another; of IPv6
+    # by the network, since a device has as many addresses as it likes.
 
     def __init__(self) -> None:
         self._failures: OrderedDict[str, deque[float]] = OrderedDict()
@@ -164,11 +179,10 @@ class FailureLimit:
 
 
 class LoginTurns:
-    """How many questions of one source wait for the authority's service before a login.
+    """How many questions of one source wait for the authority's service before a login."""
 
-    Anybody on the network may ask for a challenge, and all such questions take turns at the service. A source
-    that has several waiting is told to come back, so a phone waits for few of each.
-    """
+    # Anybody on the network may ask for a challenge, and all such questions take turns at the service. A
+    # source that has several waiting is told to come back, so a phone waits for few of each.
 
     def __init__(self) -> None:
         self._waiting: Counter[str] = Counter()

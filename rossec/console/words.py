@@ -1,9 +1,8 @@
 """What grants, filters, rights and spans of time are called, and what the policy calls things. Pure.
 
-For people who live with robots and do not program them: short, and the most important field first. Every
-operator of a filter has its words here, which a test compares with `grants.filters.operators`; a text of a
-node or a policy that is shown passes `printable`. A title of the policy is never shown without the name of
-ROS beside it: it is a help to people, who decide by the name. No node can choose its own.
+For people who live with robots and do not program them: short, and the most important field first. A text of
+a node or a policy that is shown passes `printable`. A title of the policy is never shown without the name of
+ROS beside it: it is a help to people, who decide by the name.
 """
 
 import re
@@ -82,7 +81,6 @@ def left(until: int, now: int) -> str:
 
 
 def day(time: int) -> str:
-    """A time as a day, in this host's time zone."""
     return datetime.fromtimestamp(time).astimezone().strftime("%-d %B %Y, %H:%M")
 
 
@@ -197,22 +195,18 @@ def _value(value: Scalar) -> str:
 
 def filter_rule(rule: FilterRule, type_name: str | None = None) -> str:
     _, _, unit = _field(rule.path)
-    said = field_name(rule.path, type_name)
     given = {parameter: _value(value) for parameter, value in rule.parameters}
-    text = OPERATORS[rule.operator].format_map(given | {"field": said, "unit": unit})
+    names = {"field": field_name(rule.path, type_name), "unit": unit}
+    text = OPERATORS[rule.operator].format_map(given | names)
     if rule.operator == "pixelate":
-        text += _squares(given)
+        parts = [f" of {given['block']} pixels" if "block" in given else ""]
+        parts += [f"at most {given['across']} across"] if "across" in given else []
+        parts += [f"{given['levels']} shades of grey"] if "levels" in given else []
+        parts += ["only in a part of it"] if "width" in given else []
+        text += ", ".join(parts)
     if unit == _DEGREES and rule.operator == "round":
         text += f" (about {_METRES * float(dict(rule.parameters)['step']):.0f} m)"
     return text
-
-
-def _squares(given: Mapping[str, str]) -> str:
-    parts = [f"at most {given['across']} across"] if "across" in given else []
-    parts += [f"{given['levels']} shades of grey"] if "levels" in given else []
-    parts += ["only in a part of it"] if "width" in given else []
-    size = [f" of {given['block']} pixels"] if "block" in given else [""]
-    return ", ".join([*size, *parts])
 
 
 def filters(rules: Iterable[FilterRule], type_name: str | None = None) -> list[str]:
@@ -231,10 +225,8 @@ def slot(seconds: int) -> str:
 
 def restriction(given: Restriction) -> list[str]:
     parts = filters(given.filters, given.type)
-    if given.rate is not None:
-        parts.append(rate(given.rate))
-    if given.slot is not None:
-        parts.append(slot(given.slot))
+    parts += [] if given.rate is None else [rate(given.rate)]
+    parts += [] if given.slot is None else [slot(given.slot)]
     return [*parts, *(f"only when {condition(text, given.type)}" for text in given.conditions)]
 
 
@@ -276,7 +268,6 @@ def levels(given: Sequence[Restriction]) -> str:
 
 @cache
 def description(type_name: str) -> Description | None:
-    """What the fields of a type tell; None if it is not known here."""
     try:
         return describe(layout_of(type_name))
     except (GrantError, MessageError):
@@ -309,7 +300,6 @@ class Names:
         return self.titles.get(name, "")
 
     def type_of(self, topic: str) -> str:
-        """The type of a topic's messages, by the policy; empty: it does not say."""
         return type_of(self.types, topic) or ""
 
 

@@ -23,6 +23,7 @@ DEADLINE: Final = 15.0
 _LOOK: Final = 0.05  # seconds between two looks at a log
 PATIENCE: Final = 3.0  # seconds a process has to end when asked
 Report = dict[str, Any]
+# Runs one command line in an environment, returns its exit code (`rossec.cli.main.run`).
 Run = Callable[[Sequence[str], Mapping[str, str]], int]
 
 
@@ -31,8 +32,6 @@ class DemoFailed(RossecError):
 
 
 class StepPrinter:
-    """Prints numbered steps with their timings, readable on dark and light terminals."""
-
     def __init__(self, write: Callable[[str], object]) -> None:
         self._write = write
         self._step = 0
@@ -51,21 +50,12 @@ class StepPrinter:
 
 
 class DemoEnvironment:
-    """One ROSSEC_HOME, the commands run in it, and the processes that live in it.
-
-    Args:
-        run: runs one command line in an environment, returns its exit code (`rossec.cli.main.run`).
-    """
-
     def __init__(self, root: Path, printer: StepPrinter, variables: dict[str, str], run: Run) -> None:
-        self.root = root
-        self.printer = printer
-        self.run = run
+        self.root, self.printer, self.run = root, printer, run
         self._environment = {**os.environ, **variables, "ROSSEC_HOME": str(root)}
         self._processes: list[DemoProcess] = []
 
     async def command(self, *arguments: str, quiet: bool = False) -> str:
-        """Run `rossec ARGUMENTS` here, print its output, and return it."""
         self.printer.print(f"$ rossec {self._relative(shlex.join(arguments))}")
         code, output = await asyncio.to_thread(self._run, arguments)
         if code:
@@ -84,27 +74,19 @@ class DemoEnvironment:
         self._environment[variable] = value
 
     async def start(self, module: str, *arguments: str, name: str) -> "DemoProcess":
-        """Start `python -I -m MODULE ARGUMENTS` as a process of its own."""
         log = self.root / "logs" / f"{name}.log"
         log.parent.mkdir(mode=0o700, exist_ok=True)
         with log.open("ab") as errors:
+            command = (sys.executable, "-I", "-m", module, *arguments)
+            nothing, pipe = asyncio.subprocess.DEVNULL, asyncio.subprocess.PIPE
             process = await asyncio.create_subprocess_exec(
-                sys.executable,
-                "-I",
-                "-m",
-                module,
-                *arguments,
-                env=self._environment,
-                stdin=asyncio.subprocess.DEVNULL,
-                stdout=asyncio.subprocess.PIPE,
-                stderr=errors,
+                *command, env=self._environment, stdin=nothing, stdout=pipe, stderr=errors
             )
         started = DemoProcess(name, process, log)
         self._processes.append(started)
         return started
 
     async def until_one_ends(self) -> None:
-        """Wait until a process ends that nobody stopped."""
         waiting = [asyncio.ensure_future(each.wait()) for each in self._processes]
         try:
             await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
@@ -128,18 +110,16 @@ class DemoProcess:
         self.reports: list[Report] = []
         self._process = process
         self._log = log
-        self._ended = False
+        self.ended = False
         self._changed = asyncio.Condition()
         self._reader = asyncio.get_running_loop().create_task(self._read())
 
     async def expect(
         self, what: str, wanted: Callable[[Report], bool], *, after: int = 0, within: float = DEADLINE
     ) -> Report:
-        try:
+        with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(within), self._changed:
-                await self._changed.wait_for(lambda: self._find(wanted, after) or self._ended)
-        except TimeoutError:
-            pass
+                await self._changed.wait_for(lambda: self._find(wanted, after) or self.ended)
         found = self._find(wanted, after)
         if found is None:
             raise DemoFailed(f"{self.name}: {what} did not happen; it logged: {self.last_lines()}")
@@ -148,7 +128,7 @@ class DemoProcess:
     async def logged(self, pattern: str, within: float = DEADLINE) -> str:
         end = time.monotonic() + within
         while True:
-            has_ended = self._ended  # before the look: what it wrote last counts
+            has_ended = self.ended  # before the look: what it wrote last counts
             found = re.search(pattern, self._log.read_text(errors="replace"), re.MULTILINE)
             if found is not None:
                 return found[0]
@@ -156,13 +136,9 @@ class DemoProcess:
                 raise DemoFailed(f"{self.name} said nothing expected: {self.last_lines()}")
             await asyncio.sleep(_LOOK)
 
-    @property
-    def ended(self) -> bool:
-        return self._ended
-
     async def wait(self) -> None:
         async with self._changed:
-            await self._changed.wait_for(lambda: self._ended)
+            await self._changed.wait_for(lambda: self.ended)
 
     def about(self, topic: str) -> list[Report]:
         return [report for report in self.reports if report.get("topic") == topic]
@@ -185,7 +161,7 @@ class DemoProcess:
                 self.reports.append(json.loads(line))
                 self._changed.notify_all()
         async with self._changed:
-            self._ended = True
+            self.ended = True
             self._changed.notify_all()
 
     def _find(self, wanted: Callable[[Report], bool], after: int) -> Report | None:

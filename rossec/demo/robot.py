@@ -38,7 +38,8 @@ async def main() -> None:
 
 
 def publish_pose(publisher: Publisher, tick: int) -> None:
-    """A circle of three metres around (1.37, 2.71), a turn in ten seconds."""
+    # A circle of three metres around (1.37, 2.71), a turn in ten seconds: over several squares of the
+    # heating.
     angle = 2 * math.pi * tick * PERIOD / 10
     message = publisher.create()
     _stamp(message.header, tick)

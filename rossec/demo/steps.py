@@ -76,7 +76,6 @@ async def run_steps(demo: DemoEnvironment) -> None:
 
 
 async def found_authority(demo: DemoEnvironment) -> None:
-    """The passphrase is in a file; a person would type it."""
     create(demo.root / "passphrase", secrets.token_urlsafe(18).encode())
     await demo.command("ca", "init", "home", *passphrase(demo))
 
@@ -142,22 +141,20 @@ async def compare(demo: DemoEnvironment, doctor: DemoProcess, heating: DemoProce
     for _ in range(3):
         coarse = await heating.expect("a pose", on_topic(POSE[0]), after=len(heating.reports))
         exact = await doctor.expect("the same pose", partial(same_message, coarse))
-        _check_coarse(exact, coarse)
+        check_coarse(exact, coarse)
         demo.printer.print(f"message {coarse['seq']}:")
         demo.printer.print(f"  doctor   {_describe(exact)}")
         demo.printer.print(f"  heating  {_describe(coarse)}")
     image, scan = doctor.about(CAMERA[0])[-1], doctor.about(SCAN[0])[-1]
-    demo.printer.print(
-        f"the doctor also sees {scan['ranges']} laser rays and images of {image['bytes']} bytes"
-    )
+    sees = f"{scan['ranges']} laser rays and images of {image['bytes']} bytes"
+    demo.printer.print(f"the doctor also sees {sees}")
 
 
 def same_message(one: Report, other: Report) -> bool:
     return (one["topic"], one["seq"]) == (other.get("topic"), other.get("seq"))
 
 
-def _check_coarse(exact: Report, coarse: Report) -> None:
-    # Raise unless `coarse` is `exact` on a grid of COARSE metres, without its frame.
+def check_coarse(exact: Report, coarse: Report) -> None:
     wanted = [math.floor(value / COARSE + 0.5) * COARSE for value in exact["position"]]
     if any(abs(a - b) > _TOLERANCE for a, b in zip(wanted, coarse["position"], strict=True)):
         raise DemoFailed(f"the heating saw {coarse['position']}, expected {wanted}")
@@ -171,6 +168,7 @@ def _describe(report: Report) -> str:
 
 
 async def connect_intruder(demo: DemoEnvironment, port: int) -> None:
+    # An authority of the same name, made by somebody else: only its key tells it from the home's.
     other = DemoEnvironment(demo.root / "intruder", demo.printer, {}, demo.run)
     other.root.mkdir(mode=0o700)
     create(other.root / "passphrase", secrets.token_urlsafe(18).encode())
@@ -317,7 +315,7 @@ class EnrollingNode(NamedTuple):
 
 
 async def show_code(demo: DemoEnvironment) -> EnrollingNode:
-    """Start a node that shows its code; the caller stops its environment."""
+    # The caller stops its environment.
     other = DemoEnvironment(demo.root / "fridge", demo.printer, {"ROS_IP": "127.0.0.1"}, demo.run)
     other.root.mkdir(mode=0o700)
     node = await other.start(
@@ -333,9 +331,7 @@ async def show_code(demo: DemoEnvironment) -> EnrollingNode:
 async def begin_story(demo: DemoEnvironment, port: int) -> str:
     """Set everything up in `demo`, whose directory is empty; returns the link to log in by.
 
-    Args:
-        demo: runs the commands and holds the processes, which the caller stops.
-        port: of the console.
+    The caller stops the processes; `port` is the console's.
     """
     with demo.printer.step("the home gets its own authority"):
         await found_authority(demo)

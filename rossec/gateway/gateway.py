@@ -2,9 +2,7 @@
 
 A failure of one topic ends its task, not the others: it is begun again after a pause. What the origin
 grants no longer is served no longer, at once; what the graph shows no longer, as soon as no publisher
-of it is connected: masters that lose sight of each other disturb no connection. The master may have
-ended the registrations of a gateway that did not answer for a while, so they are made again when the
-graph lacks them.
+of it is connected: masters that lose sight of each other disturb no connection.
 """
 
 import asyncio
@@ -71,28 +69,22 @@ class RawTopics(Protocol):
 
 
 class ServedTopic:
-    """Serves one topic until `stop`, or until its type changes: a publisher here, fed by its origin.
+    """Serves one topic until `stop`, or until its type changes: a publisher here, fed by its origin."""
 
-    However many are subscribed here, the origin has one subscriber. A refusal concerns this topic
-    alone, and ends its subscription at the origin; the publisher here stays, so that the topic serves
-    again by itself.
-    """
+    # However many are subscribed here, the origin has one subscriber. A refusal concerns this topic alone,
+    # and ends its subscription at the origin; the publisher here stays, so that it serves again by itself.
 
     def __init__(self, candidate: SourceCandidate, topics: RawTopics) -> None:
         self.candidate: Final = candidate
         self.problem = ""  # why nothing comes
         self.messages = self.octets = 0  # that were forwarded
         self.registered_at: float | None = None  # by the monotonic clock
-        self._topics = topics
-        self._state = TopicState()
-        self._sources = TopicSources()
+        self._topics, self._state, self._sources = topics, TopicState(), TopicSources()
         self._thinned: dict[RawSource, Thinning] = {}
         self._publisher: RawPublisher | None = None
         self._subscription: GatewaySubscription | None = None
         self._wishes = candidate.rule.wishes
-        self._thins_here = False
-        self._subscribes_again = False
-        self._stopped = False
+        self._thins_here = self._subscribes_again = self._stopped = False
         self._wake = asyncio.Event()
 
     @property
@@ -188,6 +180,8 @@ class ServedTopic:
         if not is_alias(source.peer):
             raise ConnectionHeaderRefused(f"{source.peer} is no node of the origin")
         if source.latching and rate is not None and not self._thins_here:
+            # A sender that thins out drops what is too much, perhaps the very last: of a latched topic that
+            # is its value (docs/decisions/0036). So it is thinned out here.
             self._thins_here = self._subscribes_again = True
             self._wishes = replace(self._wishes, rate=None, newest=True)
             self._wake.set()
@@ -230,8 +224,6 @@ class ServedTopic:
 
 
 class Obstacle(NamedTuple):
-    """Why a topic is not served, and what to do; the latter may be empty."""
-
     why: str
     hint: str = ""
 
@@ -243,8 +235,6 @@ class _Running:
 
 
 class Gateway:
-    """Serves, as `node`, what the rules say."""
-
     def __init__(self, node: Node, rules: Sequence[TopicRule], most: int = MAX_TOPICS) -> None:
         self.rules: Final = tuple(rules)
         self.skipped: dict[str, Obstacle] = {}  # why what a rule covers is not served, by alias
@@ -267,7 +257,6 @@ class Gateway:
         return {alias: each.topic for alias, each in self._running.items()}
 
     async def run(self) -> None:
-        """Serve until cancelled."""
         watching = self._tasks.spawn(self._watch(), "gateway: the graph")
         try:
             while not watching.done():
@@ -307,14 +296,34 @@ class Gateway:
             task = self._tasks.spawn(_serve(topic), f"gateway: {alias}")
             task.add_done_callback(lambda _: self._changed.set())
             self._running[alias] = _Running(topic, task)
-        await self._restore_lost(now)
+        lost = [
+            each.topic
+            for each in self._running.values()
+            if each.topic.registered_at is not None
+            and each.topic.registered_at + PAUSE < self._answered_at
+            and self._node.name not in self._observed.servers.get(each.topic.candidate.served, ())
+        ]
+        if lost and now >= self._restored_at + PAUSE:
+            # The master may have ended the registrations of a gateway that did not answer for a while.
+            self._restored_at = now
+            _log.warning("%d topics are not registered any more: registered again", len(lost))
+            try:
+                await self._node.topics.restore()
+            except REFUSALS as error:
+                _log.info("not registered again: %s", error)
 
     async def _wanted(self, now: float) -> list[SourceCandidate]:
         able, skipped = list[SourceCandidate](), dict[str, Obstacle]()
         for count, (alias, each) in enumerate(self._observed.candidates.items(), 1):
-            obstacle = self._obstacle(each, now)
-            if obstacle is not None:
+            others = self._observed.servers.get(each.served, frozenset()) - {self._node.name}
+            at, why = self._again.get(alias, (now, ""))
+            if obstacle := self._missing.get(alias):
                 skipped[alias] = obstacle
+            elif others and (alias not in self._running or min(others) < self._node.name):
+                # Of several gateways that serve it already the first by name goes on: both decide the same.
+                skipped[alias] = Obstacle(f"{min(others)} serves it")
+            elif now < at:
+                skipped[alias] = Obstacle(why)
             else:
                 able.append(each)
             if not count % BATCH:
@@ -332,15 +341,6 @@ class Gateway:
         if len(new) > MAX_LOGGED:
             _log.warning("and %d more: rossec gateway status", len(new) - MAX_LOGGED)
         return found
-
-    def _obstacle(self, candidate: SourceCandidate, now: float) -> Obstacle | None:
-        if missing := self._missing.get(candidate.alias):
-            return missing
-        others = self._observed.servers.get(candidate.served, frozenset()) - {self._node.name}
-        if others and (candidate.alias not in self._running or min(others) < self._node.name):
-            return Obstacle(f"{min(others)} serves it")
-        at, why = self._again.get(candidate.alias, (now, ""))
-        return Obstacle(why) if now < at else None
 
     async def _judge(self) -> None:
         known = self._observed, self._node.access.current(clock.now())
@@ -369,24 +369,6 @@ class Gateway:
             )
         return None
 
-    async def _restore_lost(self, now: float) -> None:
-        served = [each.topic for each in self._running.values()]
-        lost = [
-            each
-            for each in served
-            if each.registered_at is not None
-            and each.registered_at + PAUSE < self._answered_at
-            and self._node.name not in self._observed.servers.get(each.candidate.served, ())
-        ]
-        if not lost or now < self._restored_at + PAUSE:
-            return
-        self._restored_at = now
-        _log.warning("%d topics are not registered any more: registered again", len(lost))
-        try:
-            await self._node.topics.restore()
-        except REFUSALS as error:
-            _log.info("not registered again: %s", error)
-
     # -- the graph
 
     async def _watch(self) -> None:
@@ -398,7 +380,7 @@ class Gateway:
                 await asyncio.sleep(self._cannot_follow(error, retry))
 
     def _cannot_follow(self, error: BaseException, retry: Retry) -> float:
-        # Say once why the graph is not known; returns after how many seconds to try again.
+        # Says once why the graph is not known; returns after how many seconds to try again.
         why, pause = str(error) or type(error).__name__, retry.pause(monotonic())
         node = self._node
         if not node.access.covers(Right.GRAPH, node.access.master, clock.now()):
@@ -450,7 +432,6 @@ async def _serve(topic: ServedTopic) -> bool:
 
 
 def status(gateway: Gateway, name: str) -> dict[str, Any]:
-    """What `rossec gateway status` shows; `name`: of the gateway."""
     rows = [
         {
             "topic": shown(alias),

@@ -1,9 +1,7 @@
 """What a gateway serves: rules, what of the graph they cover, the state of each topic. Pure.
 
-A rule is a pattern of the origin's own names. Of several that cover a topic the first one counts.
-What gateways of the origin serve is covered by patterns below `/gateway` alone: two domains whose
-gateways serve each other's `/**` would hand the same topics to and fro, under ever longer names.
-A topic counts that has a publisher of its origin. An origin may show tens of thousands of topics, and
+A rule is a pattern of the origin's own names. Of several that cover a topic the first one counts. A topic
+counts that has a publisher of its origin. An origin may show tens of thousands of topics, and
 change them: what is done for each is done in steps, and messages pass between them.
 """
 
@@ -45,15 +43,12 @@ LONGEST_PAUSE: Final = 15.0
 
 @dataclass(frozen=True)
 class TopicRule:
-    """Topics of the domain `label` that `pattern` covers, with the wishes for them."""
-
     label: str
     pattern: str
     wishes: Wishes = Wishes()  # noqa: RUF009 - has no state
 
 
 def rule(label: str, pattern: str, wishes: Wishes) -> TopicRule:
-    """A rule of what a person wrote."""
     try:
         check_label(label)
     except HintedError as error:
@@ -79,12 +74,13 @@ def rule(label: str, pattern: str, wishes: Wishes) -> TopicRule:
 
 
 def covering(rules: Sequence[TopicRule], alias: str) -> TopicRule | None:
-    """The first rule that covers a topic, by its alias; None: there is none."""
     found = split_alias(alias)
     if found is None:
         return None
     label, name = found
     of_label = (each for each in rules if each.label == label)
+    # Two domains whose gateways serve each other's `/**` would hand the same topics to and fro, under ever
+    # longer names: what gateways serve is covered by patterns below `/gateway` alone.
     if is_in_gateway(name):
         of_label = (each for each in of_label if is_in_gateway(each.pattern))
     return next((each for each in of_label if pattern_covers(each.pattern, name)), None)
@@ -98,8 +94,6 @@ class SourceCandidate(NamedTuple):
 
 
 class Observed(NamedTuple):
-    """What the graph says of topics to serve."""
-
     candidates: Mapping[str, SourceCandidate]  # by alias
     servers: Mapping[str, frozenset[str]]  # the gateways that are registered, by served name
 
@@ -113,8 +107,11 @@ def observing(facts: Iterable[Fact], rules: Sequence[TopicRule]) -> Generator[No
             types[name] = value
         elif kind == "publisher" and is_gateway(value):
             servers[name] = servers.get(name, frozenset()) | {value}
-        elif kind == "publisher" and _is_of_its_origin(name, value):
-            published.add(name)
+        elif kind == "publisher":
+            with suppress(NameRefused):
+                topic, node = split_alias(name), split_alias(value)
+                if topic is not None and node is not None and topic[0] == node[0]:  # of its own origin
+                    published.add(name)
         if not count % BATCH:
             yield
     candidates = dict[str, SourceCandidate]()
@@ -122,20 +119,11 @@ def observing(facts: Iterable[Fact], rules: Sequence[TopicRule]) -> Generator[No
         rule = covering(rules, alias)
         if rule is not None:
             with suppress(NameRefused):  # it would be longer than a name
-                candidates[alias] = SourceCandidate(
-                    alias, served_name(alias), rule, types.get(alias, ANY_TYPE)
-                )
+                kind = types.get(alias, ANY_TYPE)
+                candidates[alias] = SourceCandidate(alias, served_name(alias), rule, kind)
         if not count % BATCH:
             yield
     return Observed(candidates, servers)
-
-
-def _is_of_its_origin(topic: str, node: str) -> bool:
-    try:
-        one, other = split_alias(topic), split_alias(node)
-    except NameRefused:
-        return False
-    return one is not None and other is not None and one[0] == other[0]
 
 
 def chosen(
@@ -159,17 +147,10 @@ def chosen(
 
 
 class TypeChanged(ConnectionHeaderRefused):
-    """The topic has another type at its origin than was said here."""
+    pass
 
 
 class TopicSources:
-    """The publishers of one topic at its origin.
-
-    A topic has one type, and the definition of the first publisher counts. While a publisher of that
-    type is connected, one of another type is refused, as every subscriber in ROS refuses it. When none
-    is, the type has changed: what was said of it here is wrong, and the topic has to begin again.
-    """
-
     def __init__(self) -> None:
         self.type: Definition | None = None
         self._connected: set[RawSource] = set()
@@ -184,6 +165,8 @@ class TopicSources:
     def connect(self, source: RawSource) -> bool:
         is_first = self.type is None
         if self.type is not None and not same_type(self.type, source.type):
+            # While a publisher of the first type is connected, one of another type is refused, as every
+            # subscriber in ROS refuses it. When none is, the type has changed: the topic has to begin again.
             told = f"{source.peer} publishes {source.type.name} ({source.type.md5sum})"
             kind = ConnectionHeaderRefused if self._connected else TypeChanged
             raise kind(f"{told}, and not {self.type.name} ({self.type.md5sum})")
@@ -243,11 +226,10 @@ _WANTED_IN: Final = frozenset({GatewayPhase.SUBSCRIBED, GatewayPhase.PAUSED})
 
 
 class TopicState:
-    """Where one topic is in the table; times are of a monotonic clock.
+    """Where one topic is in the table; times are of a monotonic clock."""
 
-    It is subscribed at its origin only while somebody here is, and a little longer: a program that is
-    started again, or one after the other, makes no new connection over the slow line each time.
-    """
+    # It is subscribed at its origin only while somebody here is, and a little longer: a program that is
+    # started again, or one after the other, makes no new connection over the slow line each time.
 
     def __init__(self) -> None:
         self.phase = GatewayPhase.IDLE
@@ -283,9 +265,7 @@ class TopicState:
 class Thinning:
     """Messages of one latching publisher, at most `rate` a second, and the last one all the same.
 
-    A sender that thins out by a wish of a rate (docs/decisions/0036) drops what is too much. Of a topic
-    whose last message is its value it may drop the very last. So a gateway asks for no rate there, and
-    holds back by itself: the newest that is too early is due as soon as the rate admits it.
+    The newest that is too early is held back, and due as soon as the rate admits it.
     """
 
     def __init__(self, rate: float) -> None:

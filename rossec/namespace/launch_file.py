@@ -1,11 +1,6 @@
 """A launch file with the names that rules gave, in place of metadata. Pure: bytes to bytes.
 
-Metadata are elements in `urn:schemas-tum-de:vmi:ns` inside a `<node>`. What the rules are to see of a
-node is written anew (`LaunchNode.metadata`): without the namespace, and with the node's name. A
-substitution of roslaunch, `$(...)`, has no value yet: it is refused where a name comes of it.
-
-Edits are made at positions of the source, never by writing the document anew: comments, spaces, order
-and encoding of everything else remain.
+Metadata are elements in `urn:schemas-tum-de:vmi:ns` inside a `<node>`.
 """
 
 import re
@@ -38,8 +33,6 @@ _BETWEEN: Final = re.compile(rb"[ \t]*")
 
 
 class ByteSpan(NamedTuple):
-    """Bytes `start` to `end` of the file."""
-
     start: int
     end: int
 
@@ -84,6 +77,7 @@ class LaunchNode:
         return [_entry(found, self) for found in self.elements if found.name in _ENTRIES]
 
     def metadata(self) -> bytes:
+        # What the rules are to see: written anew, without the namespace, and with the node's name.
         inner = "".join(element.write() for element in self.elements)
         return f"<node><name>{escape(self.name)}</name>{inner}</node>".encode()
 
@@ -102,7 +96,6 @@ class Launch:
 
 
 def scan(data: bytes) -> Launch:
-    """Find the nodes with metadata, and the includes."""
     check_document(data, WHAT)
     reader = _Reader(data)
     try:
@@ -204,12 +197,10 @@ def refuse(line: int, message: str, hint: str = "") -> NoReturn:
 def _check(node: LaunchNode) -> None:
     if "ns" in node.tag.values:
         refuse(node.line, f"the node {node.name!a} has metadata and ns=", "leave one of them out")
+    # A substitution of roslaunch has no value yet: it is refused where a name comes of it.
     if not node.name or _SUBSTITUTION in node.name:
-        refuse(
-            node.line,
-            "a node with metadata whose name is not written out",
-            "roslaunch replaces $(...) later than this: write the name",
-        )
+        hint = "roslaunch replaces $(...) later than this: write the name"
+        refuse(node.line, "a node with metadata whose name is not written out", hint)
     for element in node.elements:
         if element.name == "name":
             refuse(element.line, "the name of a node is that of <node name=...>", "leave it out")
@@ -221,11 +212,8 @@ def _check_element(element: LaunchElement) -> None:
     if set(element.attributes) - allowed:
         refuse(element.line, f"<{element.name}> of the metadata has an attribute it may not have")
     if _SUBSTITUTION in element.text:
-        refuse(
-            element.line,
-            f"<{element.name}> has $(...)",
-            "roslaunch replaces it later than this: write the value",
-        )
+        hint = "roslaunch replaces it later than this: write the value"
+        refuse(element.line, f"<{element.name}> has $(...)", hint)
     if element.children and element.text.strip():
         refuse(element.line, f"<{element.name}> of the metadata has text beside elements")
     for child in element.children:
@@ -249,11 +237,8 @@ def named(launch: Launch, name_of: NameOf) -> list[NamedNode]:
     lines: dict[str, int] = {}
     for node in found:
         if node.name in lines:
-            refuse(
-                node.line,
-                f"the rules name two nodes {node.name}: this one and line {lines[node.name]}",
-                "give them different names or owners",
-            )
+            said = f"the rules name two nodes {node.name}: this one and line {lines[node.name]}"
+            refuse(node.line, said, "give them different names or owners")
         lines[node.name] = node.line
     return found
 
@@ -270,24 +255,16 @@ def _named(node: LaunchNode, name_of: NameOf) -> NamedNode:
     except RossecError as error:
         text = f"line {node.line}: the node {node.name!a}: {error}"
         raise type(error)(text, error.hint) from error
-    return NamedNode(
-        node.line,
-        own,
-        tuple(
-            NamedEntry(kind, source, name) for (_, kind, _, source), name in zip(entries, others, strict=True)
-        ),
-    )
+    pairs = zip(entries, others, strict=True)
+    return NamedNode(node.line, own, tuple(NamedEntry(kind, of, name) for (_, kind, _, of), name in pairs))
 
 
 class Edit(NamedTuple):
-    """The bytes of `span` become `text`."""
-
     span: ByteSpan
     text: bytes
 
 
 def edits(data: bytes, launch: Launch, nodes: Sequence[NamedNode]) -> list[Edit]:
-    """What becomes of the metadata in the file."""
     made: list[Edit] = []
     for node, given in zip(launch.nodes, nodes, strict=True):
         # A node gets `ns=`, and another `name=` if the rules gave one; a topic or service a `<remap>`.
@@ -332,8 +309,9 @@ def _joined(data: bytes, spans: Sequence[ByteSpan]) -> list[ByteSpan]:
     return made
 
 
+# At positions of the source, never by writing the document anew: comments, spaces, order and encoding of
+# everything else remain.
 def apply(data: bytes, changes: Sequence[Edit]) -> bytes:
-    """The bytes after `changes`, which do not overlap."""
     parts: list[bytes] = []
     at = 0
     for span, text in sorted(changes):
@@ -347,11 +325,8 @@ def _entry(element: LaunchElement, node: LaunchNode) -> tuple[LaunchElement, Nam
     if not name:
         refuse(element.line, f"a {element.name} of {node.name!a} without <name>")
     if _FROM.fullmatch(source) is None:
-        refuse(
-            element.line,
-            f"a {element.name} of {node.name!a} without the name that it replaces",
-            f'write which name the program uses: <{element.name} type="~output">',
-        )
+        said = f"a {element.name} of {node.name!a} without the name that it replaces"
+        refuse(element.line, said, f'write which name the program uses: <{element.name} type="~output">')
     if source in node.remaps:
         refuse(element.line, f"{source} of {node.name!a} is remapped already", "leave one out")
     return element, NameKind(element.name), name, source

@@ -1,8 +1,6 @@
 """The service `/get_topic_name`: answers with names, and applies none of them; its package for catkin.
 
-Metadata are claims of the caller, and a name is worth nothing without a grant. What a caller sends is
-bounded in size before it is read, in time by the rules' process, and in number by its turns: others get
-their answers meanwhile.
+Metadata are claims of the caller, and a name is worth nothing without a grant.
 """
 
 import asyncio
@@ -61,18 +59,16 @@ def write(directory: Path) -> Path:
 class TopicNames:
     """Names for what callers publish, subscribe and serve.
 
-    Args:
-        runner: of the rules, with `CHILDREN` processes and `SECONDS` for each answer.
-        parameter: reads a parameter; it raises `HintedError` if it cannot.
+    `runner` has `CHILDREN` processes and `SECONDS` for each answer; `parameter` raises `HintedError`.
     """
 
     def __init__(self, runner: RuleRunner, parameter: Callable[[str], Awaitable[object]]) -> None:
-        self._runner = runner
-        self._parameter = parameter
+        self._runner, self._parameter = runner, parameter
         self._turns = CallerTurns(CHILDREN, WAITING)
 
     async def answer(self, request: Any, caller: Identity) -> dict[str, object]:
-        """The response to one request of `caller`."""
+        # What a caller sends is bounded in size before it is read, in time by the rules' process, and in
+        # number by its turns: others get their answers meanwhile.
         async with self._turns.turn(caller.thumbprint):
             metadata = request.metadata if request.metadata.strip() else await self._own(caller)
             try:
@@ -101,15 +97,13 @@ class TopicNames:
 
 
 class CallerTurns:
-    """Places that callers take in turns: what one asks for delays no other by more than its turn.
+    """Places that callers take in turns: what one asks for delays no other by more than its turn."""
 
-    A caller has one turn at a time, and `waiting` requests that wait for it; more are refused. Free
-    places go to one caller after the other, however many requests each of them has.
-    """
+    # A caller has one turn at a time, and `waiting` requests that wait for it; more are refused. Free places
+    # go to one caller after the other, however many requests each of them has.
 
     def __init__(self, places: int, waiting: int) -> None:
-        self._free = places
-        self._waiting = waiting
+        self._free, self._waiting = places, waiting
         self._having: set[bytes] = set()
         self._queues: dict[bytes, deque[asyncio.Future[None]]] = {}  # in the order of their turns
 

@@ -1,8 +1,7 @@
 """The process that applies rules (`python -I -m rossec.naming.child`): it forks for each request.
 
-Rules and metadata are read by libraries written in C, and libxslt bounds neither time nor memory. So each
-request has a process of its own, with limits, which nothing outlives. The one that forks only passes bytes
-on: no request is left in it for the next. Frames come on standard input.
+Each request has a process of its own, with limits, which nothing outlives. The one that forks only passes
+bytes on: no request is left in it for the next. Frames come on standard input.
 
 A process for a request computes and writes into one pipe: it opens no file, has no socket, starts no process
 and signals none, also as root (`seccomp`), and dies with the one that forked it.
@@ -116,6 +115,8 @@ def ask(body: bytearray) -> bytearray:
     return given
 
 
+# Rules and metadata are read by libraries written in C, and libxslt bounds neither time nor memory: what goes
+# wrong there, or is taken over, ends with this one request.
 def work(body: bytearray, sink: int, parent: int) -> NoReturn:
     code = 1
     try:

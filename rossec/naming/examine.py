@@ -9,17 +9,13 @@ import itertools
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import Final
 from xml.etree import ElementTree
 
 from rossec.errors import MetadataRefused, NameUndefined, ProposedNameRefused, RossecError, RulesNotConfined
 from rossec.naming import requests
 from rossec.naming.requests import NameKind, Result, parse
 from rossec.naming.rule_runner import RuleRunner
-
-if TYPE_CHECKING:
-    from xml.etree.ElementTree import Element
-
 
 _ALL: Final = 4  # up to so many elements all orders are tried
 _ROTATIONS: Final = 8
@@ -59,8 +55,6 @@ class MetadataPlace:
 
 @dataclass
 class MetadataReport:
-    """What was found, and every name: kind, name, and where it came from."""
-
     findings: list[MetadataFinding] = field(default_factory=list)
     names: dict[tuple[NameKind, str], list[MetadataPlace]] = field(default_factory=dict)
 
@@ -68,7 +62,6 @@ class MetadataReport:
 async def examine(
     rules: RuleRunner, documents: Iterable[tuple[str, bytes]], covered: Covered | None = None
 ) -> MetadataReport:
-    """Try `rules` on `documents`: names of files, and their content."""
     report, names = MetadataReport(), defaultdict[tuple[NameKind, str], list[MetadataPlace]](list)
     for file, document in documents:
         try:
@@ -123,11 +116,7 @@ def _text(result: Result) -> str:
 
 
 def orders(document: bytes) -> Iterator[bytes]:
-    """The same metadata in other orders, for all of which rules must give the same names.
-
-    With few elements all are tried, with more every rotation up to a number, forwards and backwards: each
-    element then was the first, the last, before and after each of its neighbours.
-    """
+    """The same metadata in other orders, for all of which rules must give the same names."""
     root = parse(document)
     children = list(root)
     inner = [list(child) for child in children]
@@ -139,13 +128,15 @@ def orders(document: bytes) -> Iterator[bytes]:
             continue
         seen.add(outer)
         for child, elements in zip(children, inner, strict=True):
-            child[:] = _arranged(elements, at)
+            by = (at + 1) // 2 % len(elements) if elements else 0
+            child[:] = elements[by:] + elements[:by] if at % 2 else (elements[by:] + elements[:by])[::-1]
         root[:] = [children[index] for index in outer]
         yield ElementTree.tostring(root, encoding="utf-8")
 
 
 def _orders(count: int) -> Iterator[Sequence[int]]:
-    # Orders of so many elements, the given one left out.
+    # The given order left out. With few elements all are tried, with more every rotation up to a number,
+    # forwards and backwards: each element then was the first, the last, and beside each of its neighbours.
     given = tuple(range(count))
     if count <= _ALL:
         yield from itertools.islice(itertools.permutations(given), 1, None)
@@ -155,11 +146,3 @@ def _orders(count: int) -> Iterator[Sequence[int]]:
         if by:
             yield rotated
         yield rotated[::-1]
-
-
-def _arranged(elements: "list[Element]", at: int) -> "list[Element]":
-    if not elements:
-        return elements
-    by = (at + 1) // 2 % len(elements)
-    rotated = elements[by:] + elements[:by]
-    return rotated if at % 2 else rotated[::-1]

@@ -1,7 +1,6 @@
 """Metadata of nodes, and what goes between a process that applies rules and the one that asks it. Pure.
 
-Rules, metadata and launch files come from people and nodes: `check_rules` and `check_document` look at their
-characters before any parser sees them. Metadata are claims of a node: nothing is granted by them.
+Metadata are claims of a node: nothing is granted by them.
 
 A frame is a length (4 bytes, network byte order) and so many bytes of deterministic CBOR: `[rules, metadata,
 [[kind, which], ...], thesis_defaults]` one way; without metadata the rules are compiled only. The other way
@@ -116,16 +115,15 @@ Result = str | RossecError
 
 
 def check_rules(data: bytes) -> bytes:
-    """Return `data` if it may be parsed as rules."""
-    return _check(data, "rules", RulesRefused)
+    return check_document(data, "rules", RulesRefused)
 
 
-def check_document(data: bytes, what: str = "metadata") -> bytes:
-    """Return `data` if it may be parsed as `what`: metadata, or a launch file."""
-    return _check(data, what, MetadataRefused)
-
-
-def _check(data: bytes, what: str, refusal: type[RossecError]) -> bytes:
+def check_document(
+    data: bytes, what: str = "metadata", refusal: type[RossecError] = MetadataRefused
+) -> bytes:
+    """Return `data` if it may be parsed as `what`: metadata, rules, or a launch file."""
+    # By its characters, before any parser sees it: those are written in C, and it comes from people and
+    # nodes.
     if len(data) > MAX_INPUT:
         raise refusal(
             f"{len(data)} bytes of {what} where at most {MAX_INPUT} are allowed",
@@ -231,9 +229,8 @@ def _text(element: "Element", tag: str) -> str | None:
 
 def check_query(kind: NameKind, which: str) -> tuple[NameKind, str]:
     if (kind is NameKind.NODE) is not (which == ""):
-        raise MetadataRefused(
-            "a topic or service is asked for by its name in the metadata", "a node has none"
-        )
+        said = "a topic or service is asked for by its name in the metadata"
+        raise MetadataRefused(said, "a node has none")
     if len(which) > MAX_WHICH or not which.isprintable():
         raise MetadataRefused(f"{which[:60]!a} is no name of a {kind} in metadata")
     return kind, which
@@ -244,7 +241,6 @@ def frame(body: bytes) -> bytes:
 
 
 def size(head: bytes, limit: int) -> int:
-    """The number of bytes after a frame's head."""
     found = int.from_bytes(head)
     if not 0 < found <= limit:
         raise RulesExceeded(f"{found} bytes where at most {limit} are allowed")
@@ -320,7 +316,6 @@ def _error(item: Value) -> RossecError:
 
 
 def check_proposed(text: str, *, thesis_defaults: bool = False) -> str:
-    """Return `text` if it is an absolute ROS name that rules may give."""
     legal = text
     if thesis_defaults:  # which are no names of ROS
         parts = [each.replace("-", "_") if each in THESIS_DEFAULTS else each for each in text.split("/")]
@@ -331,7 +326,6 @@ def check_proposed(text: str, *, thesis_defaults: bool = False) -> str:
         raise ProposedNameRefused(f"the rules do not give a name: {error}", error.hint) from None
     first = text.split("/")[1]
     if first in RESERVED:
-        raise ProposedNameRefused(
-            f"the rules gave {text}, which is reserved", f"no rule may put anything below /{first}"
-        )
+        hint = f"no rule may put anything below /{first}"
+        raise ProposedNameRefused(f"the rules gave {text}, which is reserved", hint)
     return text

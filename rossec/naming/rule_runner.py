@@ -1,8 +1,7 @@
 """Names asked for of rules: `async with RuleRunner(rules) as runner: await runner.name(...)`.
 
 Rules and documents go to a confined process, which forks for each request: what one caller sent can change no
-answer to another. Requests beyond the number of processes wait. Whatever comes back is checked here again: no
-name leaves that is not one, or that is reserved.
+answer to another. Requests beyond the number of processes wait.
 """
 
 import asyncio
@@ -27,7 +26,6 @@ SECONDS: Final = 5.0  # wall clock for a request
 
 
 def shipped_rules(name: str = RULES) -> bytes:
-    """Rules of the thesis (appendix A)."""
     return files("rossec.naming").joinpath("rules", name).read_bytes()
 
 
@@ -36,7 +34,6 @@ def shipped_example(name: str) -> bytes:
 
 
 def require_extra(library: str = LIBRARY) -> None:
-    """Return if rules can be applied here."""
     if importlib.util.find_spec(library) is None:
         raise NamesExtraMissing(
             f"names by rules need {library}, which is not installed",
@@ -64,9 +61,17 @@ class RuleProcess:
         return self._worker.has_ended
 
     async def ask(self, body: bytes, seconds: float) -> bytes:
-        """The body of the answer to a request."""
         if not self._is_ready:
-            await self._wait_until_ready()
+            try:
+                async with asyncio.timeout(START):
+                    first = await self._worker.receive(requests.answer_size)
+            except (OSError, EOFError, RulesExceeded) as error:  # TimeoutError is an OSError
+                hint = "run python -m rossec.naming.child to see why"
+                raise RulesNotConfined("the process for rules does not start", hint) from error
+            if first != requests.READY:
+                requests.read_names(first, 0)  # which raises why, if it says so
+                raise RulesNotConfined("the process for rules says nothing of being confined")
+            self._is_ready = True
         try:
             async with asyncio.timeout(seconds):
                 return await self._worker.ask(requests.frame(body), requests.answer_size)
@@ -75,29 +80,12 @@ class RuleProcess:
         except (OSError, EOFError) as error:
             raise RulesExceeded("the process for rules ended") from error
 
-    async def _wait_until_ready(self) -> None:
-        try:
-            async with asyncio.timeout(START):
-                first = await self._worker.receive(requests.answer_size)
-        except (OSError, EOFError, RulesExceeded) as error:  # TimeoutError is an OSError
-            hint = "run python -m rossec.naming.child to see why"
-            raise RulesNotConfined("the process for rules does not start", hint) from error
-        if first != requests.READY:
-            requests.read_names(first, 0)  # which raises why, if it says so
-            raise RulesNotConfined("the process for rules says nothing of being confined")
-        self._is_ready = True
-
 
 class RuleRunner:
-    """One set of rules, applied to what callers send.
+    """One set of rules (XSLT 1.0, with the short form `<parameter>`), applied to what callers send.
 
-    Args:
-        rules: a stylesheet of XSLT 1.0, with the short form `<parameter>`; at most 256 KiB.
-        thesis_defaults: give `unknown-group` and others as the thesis has them; ROS has no such
-            names, so they are for comparisons only.
-        children: how many processes answer at the same time; each is started when it is needed.
-        seconds: for a request, wall clock; 2 s of processor time are the process's own limit.
-        start: starts a process.
+    `thesis_defaults`: give `unknown-group` and others as the thesis has them; ROS has no such names, so they
+    are for comparisons only. `seconds` are wall clock; the process itself limits its processor time.
     """
 
     def __init__(
@@ -109,16 +97,13 @@ class RuleRunner:
         seconds: float = SECONDS,
         start: Callable[[], RuleProcess] = RuleProcess,
     ) -> None:
-        self._rules = rules
-        self._thesis_defaults = thesis_defaults
-        self._seconds = seconds
-        self._start = start
+        self._rules, self._thesis_defaults = rules, thesis_defaults
+        self._seconds, self._start = seconds, start
         self._free = asyncio.Semaphore(children)
         self._idle: list[RuleProcess] = []
         self._is_closed = False
 
     async def __aenter__(self) -> Self:
-        """Start the first process and compile the rules once."""
         require_extra()
         requests.check_rules(self._rules)
         try:
@@ -134,7 +119,6 @@ class RuleRunner:
         self.close()
 
     async def name(self, metadata: bytes, kind: NameKind = NameKind.NODE, which: str = "") -> str:
-        """The name of the node, or of its topic or service `which`."""
         (result,) = await self.names(metadata, [(kind, which)])
         if isinstance(result, RossecError):
             raise result
@@ -147,21 +131,20 @@ class RuleRunner:
         if not asked:
             return []
         results = requests.read_names(await self._ask(metadata, asked), len(asked))
-        return [self._checked(result) for result in results]
+        for number, result in enumerate(results):
+            if isinstance(result, str):
+                # A process that was taken over may have written it: no name leaves that is none, or reserved.
+                try:
+                    check_proposed(result, thesis_defaults=self._thesis_defaults)
+                except ProposedNameRefused as error:
+                    results[number] = error
+        return results
 
     def close(self) -> None:
         """End all processes; one that answers a request ends after it, and no other starts."""
         self._is_closed = True
         while self._idle:
             self._idle.pop().close()
-
-    def _checked(self, result: Result) -> Result:
-        if isinstance(result, RossecError):
-            return result
-        try:
-            return check_proposed(result, thesis_defaults=self._thesis_defaults)
-        except ProposedNameRefused as error:
-            return error
 
     async def _ask(self, document: bytes, queries: tuple[tuple[NameKind, str], ...]) -> bytes:
         request = NameRequest(self._rules, document, queries, self._thesis_defaults)

@@ -91,12 +91,10 @@ def compile_rules(rules: bytes, *, thesis_defaults: bool = False) -> Any:
 
 
 def expand(root: Any, *, thesis_defaults: bool = False) -> None:
-    """Replace the short form `<parameter name path? default>`, which is the thesis's, by XSLT.
-
-    It is a variable with the text of the node at `path` (by default the child `name`), or `default` where
-    there is none. Nothing but space is none. A default with characters that ROS has not in names gets `_` for
-    each of them, unless the thesis's own defaults are asked for.
-    """
+    """Replace the short form `<parameter name path? default>`, which is the thesis's, by XSLT."""
+    # A variable with the text of the node at `path` (by default the child `name`), or `default` where there
+    # is none or nothing but space. A default with characters that ROS has not in names gets `_` for each of
+    # them, unless the thesis's own defaults are asked for.
     for element in list(root.iter(PARAMETER)):
         unknown = sorted(set(element.attrib) - _KNOWN)
         if unknown or len(element) or (element.text or "").strip():
@@ -144,36 +142,31 @@ def scan(root: Any) -> None:
         if namespace == STRINGS:
             raise _refusal(element, "an extension element")
         for key, value in element.items():
-            _check_attribute(element, key, value)
+            is_expression = namespace == XSLT and _split(key)[1] in EXPRESSIONS
+            _check_attribute(element, key, calls(value) if is_expression else calls_in_template(value))
 
 
-def _check_attribute(element: Any, key: str, value: str) -> None:
+def _check_attribute(element: Any, key: str, called: Iterator[tuple[str | None, str]]) -> None:
     _, name = _split(key)
     if name in _ATTRIBUTES:
         raise _refusal(element, f"the attribute {name}")
-    is_expression = _split(element.tag)[0] == XSLT and name in EXPRESSIONS
-    called = calls if is_expression else calls_in_template
-    for prefix, function in called(value):
-        allowed = ALLOWED
+    for prefix, function in called:
+        allowed, shown = ALLOWED, function
         if prefix is not None:
             known = element.nsmap.get(prefix) == STRINGS
-            allowed = STRING_FUNCTIONS if known else frozenset()
+            allowed, shown = STRING_FUNCTIONS if known else frozenset(), f"{prefix}:{function}"
         if function not in allowed:
-            shown = function if prefix is None else f"{prefix}:{function}"
             raise _refusal(element, f"the function {shown[:60]}()")
 
 
 def calls(expression: str) -> Iterator[tuple[str | None, str]]:
-    """Prefixes and names of the functions that an XPath expression calls."""
     return _calls(_LITERAL.sub(" '' ", expression))
 
 
 def calls_in_template(text: str) -> Iterator[tuple[str | None, str]]:
-    """As `calls`, for an attribute value template (XSLT 1.0 section 7.6.2).
-
-    Where braces and literals end is the processor's to say: what looks like a call anywhere in such
-    a text counts as one.
-    """
+    """As `calls`, for an attribute value template (XSLT 1.0 section 7.6.2)."""
+    # Where braces and literals end is the processor's to say: what looks like a call anywhere in such a text
+    # counts as one.
     return _calls(text if "{" in text else "")
 
 
@@ -194,14 +187,8 @@ def _refusal(element: Any, what: str) -> RulesRefused:
 
 
 def _parse(data: bytes, refusal: type[RossecError], what: str) -> Any:
-    parser = etree.XMLParser(
-        resolve_entities=False,
-        no_network=True,
-        load_dtd=False,
-        huge_tree=False,
-        remove_pis=False,
-        strip_cdata=True,
-    )
+    never = {"resolve_entities": False, "load_dtd": False, "huge_tree": False, "remove_pis": False}
+    parser = etree.XMLParser(no_network=True, strip_cdata=True, **never)
     try:
         return etree.ElementTree(etree.fromstring(data, parser))
     except etree.XMLSyntaxError as error:
@@ -210,28 +197,21 @@ def _parse(data: bytes, refusal: type[RossecError], what: str) -> Any:
 
 
 def _result(sheet: Any, document: Any, kind: NameKind, which: str) -> Result:
-    try:
-        return _name(sheet, document, kind, which)
-    except RossecError as error:
-        return error
-
-
-def _name(sheet: Any, document: Any, kind: NameKind, which: str) -> str:
     text = etree.XSLT.strparam
     try:
         root = sheet(document, type=text(kind.value), name=text(which)).getroot()
     except etree.XSLTApplyError as error:
-        raise RulesRefused(f"{_where(error)}the rules failed: {_one_line(str(error))}") from None
+        return RulesRefused(f"{_where(error)}the rules failed: {_one_line(str(error))}")
     asked = f"the {kind}" if kind is NameKind.NODE else f"the {kind} {which!a}"
     if root is None:
-        raise NameUndefined(f"the rules give no name for {asked}", "is it in the metadata?")
+        return NameUndefined(f"the rules give no name for {asked}", "is it in the metadata?")
     if root.tag != NAME or len(root):
-        raise RulesRefused(f"the rules give <{str(root.tag)[:60]}> for {asked}, not one <name>")
+        return RulesRefused(f"the rules give <{str(root.tag)[:60]}> for {asked}, not one <name>")
     if any(True for _ in root.itersiblings()) or any(True for _ in root.itersiblings(preceding=True)):
-        raise NameUndefined(f"the rules give more than one name for {asked}")
-    found = (root.text or "").strip()
+        return NameUndefined(f"the rules give more than one name for {asked}")
+    found: str = (root.text or "").strip()
     if len(found) > requests.MAX_TEXT:
-        raise RulesExceeded(f"the rules give a name of {len(found)} characters for {asked}")
+        return RulesExceeded(f"the rules give a name of {len(found)} characters for {asked}")
     return found
 
 

@@ -1,67 +1,65 @@
 """Adding a node: its code by camera, picture or text; join codes; and requests that wait in the record.
 
 The page of an enrollment shows the stage it is in and nothing else decides what comes next: the node says
-that it is enrolled, and only then this page does. A join code is on one page, once, for the session that made
-it: whoever has it can join. A request that waits is of a node that came with one, or that `rossec ca enroll
---later` recorded.
+that it is enrolled, and only then this page does. A request that waits is of a node that came with a join
+code, or that `rossec ca enroll --later` recorded.
 """
 
 from typing import Final
 
-from starlette.requests import Request
-from starlette.responses import JSONResponse, RedirectResponse, Response
+from starlette.responses import JSONResponse, Response
 
 from ca.enrollment import qr
 from ca.enrollment.sides import group_digits
 from ca.errors import CodeRefused, ConflictingOffer, HintedError
 from rossec.console.approvals import IDENTITY_LIFETIME, MAX_USES
-from rossec.console.context import ConsoleContext
 from rossec.console.enrollments import RecordedName, Stage
-from rossec.console.rendering import MAX_FRAME, Page, from_base64url, read_form, render, text_field
-from rossec.console.sessions import owner_of
+from rossec.console.rendering import MAX_FRAME, PageList, Visit, go, text_field
 from rossec.errors import HttpRefused, ScannerBusy
 
+PAGES: Final = PageList()
 MAX_ADDRESS: Final = 300
 _PICTURES: Final = frozenset({"image/jpeg", "image/png"})
 
 
-async def show_add(request: Request, context: ConsoleContext) -> Response:
-    return _ask(request, context)
+@PAGES.get("/add")
+async def show_add(visit: Visit) -> Response:
+    return _ask(visit)
 
 
-async def begin(request: Request, context: ConsoleContext) -> Response:
-    form = await read_form(request)
+@PAGES.post("/add")
+async def begin(visit: Visit) -> Response:
+    form = await visit.form()
     code = text_field(form, "code", qr.MAX_TEXT).strip()
     address = text_field(form, "address", MAX_ADDRESS).strip()
     try:
-        number = context.enrollments.begin(code, address, owner_of(request.state.session))
+        number = visit.context.enrollments.begin(code, address, visit.owner)
     except HintedError as error:
-        return _ask(request, context, code, address, error)
-    return RedirectResponse(f"/add/{number}", 303)
+        return _ask(visit, code, address, error)
+    return go(f"/add/{number}")
 
 
-async def read_frame(request: Request, context: ConsoleContext) -> Response:
-    """Read the code in a frame of a camera; answers with its text, or that there is none."""
-    if request.headers.get("content-type") not in _PICTURES:
+@PAGES.post("/add/frame", max_body=MAX_FRAME)
+async def read_frame(visit: Visit) -> Response:
+    if visit.request.headers.get("content-type") not in _PICTURES:
         raise HttpRefused("this is not a picture", "send a JPEG", status=415)
-    if context.scanner is None:
+    if visit.context.scanner is None:
         hint = "paste the text below the code"
         raise HttpRefused("this console reads no pictures", hint, status=503)
     try:
-        return JSONResponse({"text": await context.scanner.read(await request.body()) or ""})
+        return JSONResponse({"text": await visit.context.scanner.read(await visit.request.body()) or ""})
     except ScannerBusy:
         return JSONResponse({"text": ""}, 429)
 
 
-async def show_one(request: Request, context: ConsoleContext) -> Response:
-    number = request.path_params["id"]
-    found = context.enrollments.get(number)
+@PAGES.get("/add/{id}")
+async def show_one(visit: Visit) -> Response:
+    number = visit.path["id"]
+    found = visit.context.enrollments.get(number)
     found.check_time()
     name = found.core.request.name if found.core.csr else ""
-    held = await context.service.grants() if found.stage is Stage.ENROLLED else ()
-    return render(
-        context,
-        request,
+    held = await visit.service.grants() if found.stage is Stage.ENROLLED else ()
+    return visit.show(
         "adding.html",
         live=not found.is_over,
         enrollment=number,
@@ -76,64 +74,37 @@ async def show_one(request: Request, context: ConsoleContext) -> Response:
     )
 
 
-async def reject_node(request: Request, context: ConsoleContext) -> Response:
-    await read_form(request)
-    number = request.path_params["id"]
-    await context.enrollments.reject(number)
-    return RedirectResponse(f"/add/{number}", 303)
+@PAGES.post("/add/{id}/reject")
+async def reject_node(visit: Visit) -> Response:
+    await visit.form()
+    await visit.context.enrollments.reject(visit.path["id"])
+    return go(f"/add/{visit.path['id']}")
 
 
-async def differ(request: Request, context: ConsoleContext) -> Response:
-    await read_form(request)
-    number = request.path_params["id"]
-    await context.enrollments.differ(number)
-    return RedirectResponse(f"/add/{number}", 303)
+@PAGES.post("/add/{id}/differ")
+async def differ(visit: Visit) -> Response:
+    await visit.form()
+    await visit.context.enrollments.differ(visit.path["id"])
+    return go(f"/add/{visit.path['id']}")
 
 
-def _ask(
-    request: Request,
-    context: ConsoleContext,
-    code: str = "",
-    address: str = "",
-    error: HintedError | None = None,
-) -> Response:
-    return render(
-        context,
-        request,
-        "add.html",
-        422 if error else 200,
-        code=code,
-        address=address,
-        problem=error,
-        is_label=bool(address) or (bool(error) and _is_label(code)),
-    )
-
-
-def _is_label(text: str) -> bool:
+def _ask(visit: Visit, code: str = "", address: str = "", error: HintedError | None = None) -> Response:
     try:
-        return not qr.parse(text).address
+        is_label = bool(address) or (error is not None and not qr.parse(code).address)
     except CodeRefused:
-        return False
+        is_label = False
+    status = 422 if error else 200
+    return visit.show("add.html", status, code=code, address=address, problem=error, is_label=is_label)
 
-
-ADD_PAGES: Final = (
-    Page("/add", ("GET",), show_add),
-    Page("/add", ("POST",), begin),
-    Page("/add/frame", ("POST",), read_frame, max_body=MAX_FRAME),
-    Page("/add/{id}", ("GET",), show_one),
-    Page("/add/{id}/reject", ("POST",), reject_node),
-    Page("/add/{id}/differ", ("POST",), differ),
-)
 
 ENDED: Final = "ended at the console"
 
 
-async def show_invite(request: Request, context: ConsoleContext) -> Response:
-    found = await context.service.invitations()
-    now = context.clock()
-    return render(
-        context,
-        request,
+@PAGES.get("/invite")
+async def show_invite(visit: Visit) -> Response:
+    found = await visit.service.invitations()
+    now = visit.context.clock()
+    return visit.show(
         "invite.html",
         most=MAX_USES,
         open=[each for each in found if each.state == "open" and each.expires >= now],
@@ -141,15 +112,15 @@ async def show_invite(request: Request, context: ConsoleContext) -> Response:
     )
 
 
-async def show_made(request: Request, context: ConsoleContext) -> Response:
-    number = from_base64url(request.path_params["id"])
-    outcome = await context.service.outcome(number)
-    session = request.state.session.id
+@PAGES.get("/invited/{id}")
+async def show_made(visit: Visit) -> Response:
+    number = visit.id
+    outcome = await visit.service.outcome(number)
+    session = visit.session.id
+    # Once, for the session that made it: whoever has the code can join.
     is_done = outcome.state == "done" and bool(outcome.data)
-    text = outcome.data.decode() if is_done and context.made_codes.take(number, session) else ""
-    return render(
-        context,
-        request,
+    text = outcome.data.decode() if is_done and visit.context.made_codes.pop(number, session) else ""
+    return visit.show(
         "invited.html",
         live=outcome.state == "waiting",
         outcome=outcome,
@@ -158,36 +129,26 @@ async def show_made(request: Request, context: ConsoleContext) -> Response:
     )
 
 
-async def end(request: Request, context: ConsoleContext) -> Response:
-    await read_form(request)
-    await context.service.end_invitation(from_base64url(request.path_params["id"]), ENDED)
-    return RedirectResponse("/invite", 303)
+@PAGES.post("/invite/{id}/end")
+async def end(visit: Visit) -> Response:
+    await visit.form()
+    await visit.service.end_invitation(visit.id, ENDED)
+    return go("/invite")
 
-
-INVITE_PAGES: Final = (
-    Page("/invite", ("GET",), show_invite),
-    Page("/invite/{id}/end", ("POST",), end),
-    Page("/invited/{id}", ("GET",), show_made),
-)
 
 REJECTED: Final = "rejected at the console"
 
 
-async def show_join(request: Request, context: ConsoleContext) -> Response:
-    number = from_base64url(request.path_params["id"])
-    waiting = await context.service.identity_requests()
+@PAGES.get("/join/{id}")
+async def show_join(visit: Visit) -> Response:
+    number = visit.id
+    waiting = await visit.service.identity_requests()
     found = next((each for each in waiting if each.id == number), None)
-    return render(context, request, "join.html", live=True, found=found, lifetime=IDENTITY_LIFETIME)
+    return visit.show("join.html", live=True, found=found, lifetime=IDENTITY_LIFETIME)
 
 
-async def reject_request(request: Request, context: ConsoleContext) -> Response:
-    await read_form(request)
-    number = request.path_params["id"]
-    await context.service.deny_request(from_base64url(number), REJECTED)
-    return RedirectResponse(f"/join/{number}", 303)
-
-
-JOIN_PAGES: Final = (
-    Page("/join/{id}", ("GET",), show_join),
-    Page("/join/{id}/reject", ("POST",), reject_request),
-)
+@PAGES.post("/join/{id}/reject")
+async def reject_request(visit: Visit) -> Response:
+    await visit.form()
+    await visit.service.deny_request(visit.id, REJECTED)
+    return go(f"/join/{visit.path['id']}")

@@ -1,62 +1,55 @@
 """What is decided: a request for grants, the policy, renewals, other hosts that sign; and what is ended.
 
 Taking away is never harder than giving: a session is enough, and while the key is locked the revocation is
-recorded and signed at unlock. A whole node asks for its name, since it loses all. Three ticks say how far an
-end has come.
+recorded and signed at unlock.
 """
 
 from collections.abc import Mapping
 from contextlib import suppress
+from types import MappingProxyType
 from typing import Final
 from urllib.parse import urlencode
 
-from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import Response
 
 from ca.certificates import check_intermediate_request
 from ca.errors import HintedError
 from ca.keys.signing import thumbprint
 from ca.names import is_master_name
 from rossec.authority.console.messages import FactView, PolicyRight, QuestionAnswer
-from rossec.console import approvals, words
+from rossec.console import approvals
 from rossec.console.approvals import certificate_request
-from rossec.console.context import ConsoleContext
 from rossec.console.matrix import held_grants
-from rossec.console.rendering import (
-    MAX_BODY,
-    Page,
-    from_base64url,
-    read_form,
-    render,
-    text_field,
-    to_base64url,
-)
-from rossec.console.sentences import SentencePart, permissions, wanted
+from rossec.console.rendering import MAX_BODY, PageList, Visit, from_base64url, go, text_field, to_base64url
+from rossec.console.sentences import Sayable, name_part, permissions, say, topic_part, wanted
 from rossec.errors import FormRefused, HttpRefused
 
+PAGES: Final = PageList()
 DENIED: Final = "denied at the console"
 _MOST: Final = 8  # filters that are tried out on one page
 
 
-async def show_ask(request: Request, context: ConsoleContext) -> Response:
-    number = from_base64url(request.path_params["id"])
-    questions = await context.service.questions()
+@PAGES.get("/ask/{id}")
+async def show_ask(visit: Visit) -> Response:
+    number, context = visit.id, visit.context
+    questions = await visit.service.questions()
     found = next((each for each in questions if each.id == number), None)
     if found is None:
-        return await _answered(request, context, number)
+        # How it was answered, by the record; a service that does not say leaves it open.
+        told: list[tuple[QuestionAnswer, Sayable]] = []
+        with suppress(HintedError):
+            answers = await visit.service.question_answers(number)
+            told = [(each, approvals.answer(each)) for each in answers]
+        return visit.show("asked.html", told=told)
     coarse = found.coarse[-_MOST:]  # the last are rossec's own, and hide most
     ways = [("", found.rights)]
     for name in coarse:
-        try:
-            ways.append((name, await context.service.consider(number, name, 0)))
-        except HintedError:  # this filter does not fit these messages
-            continue
+        with suppress(HintedError):  # this filter does not fit these messages
+            ways.append((name, await visit.service.consider(number, name, 0)))
     facts: tuple[FactView, ...] = ()
     with suppress(HintedError):
-        facts = await context.service.graph()
-    return render(
-        context,
-        request,
+        facts = await visit.service.graph()
+    return visit.show(
         "ask.html",
         live=True,
         found=found,
@@ -71,33 +64,20 @@ async def show_ask(request: Request, context: ConsoleContext) -> Response:
     )
 
 
-async def _answered(request: Request, context: ConsoleContext, number: bytes) -> Response:
-    # How it was answered, by the record; a service that does not say leaves it open.
-    told: list[tuple[QuestionAnswer, tuple[SentencePart, ...]]] = []
-    with suppress(HintedError):
-        answers = await context.service.question_answers(number)
-        told = [(each, approvals.answer(each)) for each in answers]
-    return render(context, request, "asked.html", told=told)
+@PAGES.post("/ask/{id}/deny")
+async def deny(visit: Visit) -> Response:
+    await visit.form()
+    await visit.service.deny_question(visit.id, DENIED)
+    return go(f"/ask/{visit.path['id']}")
 
-
-async def deny(request: Request, context: ConsoleContext) -> Response:
-    await read_form(request)
-    number = request.path_params["id"]
-    await context.service.deny_question(from_base64url(number), DENIED)
-    return RedirectResponse(f"/ask/{number}", 303)
-
-
-ASK_PAGES: Final = (Page("/ask/{id}", ("GET",), show_ask), Page("/ask/{id}/deny", ("POST",), deny))
 
 _SHOWN: Final = 200  # rights
 
 
-async def show_policy(request: Request, context: ConsoleContext) -> Response:
-    """What the policy file would give and take, to be approved as a whole."""
-    found = await context.service.policy()
-    return render(
-        context,
-        request,
+@PAGES.get("/policy")
+async def show_policy(visit: Visit) -> Response:
+    found = await visit.service.policy()
+    return visit.show(
         "policy.html",
         live=True,
         policy=found,
@@ -107,162 +87,120 @@ async def show_policy(request: Request, context: ConsoleContext) -> Response:
     )
 
 
-async def show_delegate(request: Request, context: ConsoleContext) -> Response:
-    return render(context, request, "delegate.html")
+@PAGES.get("/delegate")
+async def show_delegate(visit: Visit) -> Response:
+    return visit.show("delegate.html")
 
 
-async def show_intermediate(request: Request, context: ConsoleContext) -> Response:
-    return render(context, request, "intermediate.html", csr="", key=None, problem=None)
+@PAGES.get("/intermediate")
+async def show_intermediate(visit: Visit) -> Response:
+    return visit.show("intermediate.html", csr="", key=None, problem=None)
 
 
-async def check_request(request: Request, context: ConsoleContext) -> Response:
-    text = text_field(await read_form(request), "csr", MAX_BODY)
+@PAGES.post("/intermediate")
+async def check_request(visit: Visit) -> Response:
+    text = text_field(await visit.form(), "csr", MAX_BODY)
     try:
-        key = check_intermediate_request(certificate_request(text), context.settings.domain)
+        key = check_intermediate_request(certificate_request(text), visit.context.settings.domain)
     except HintedError as error:
-        return render(context, request, "intermediate.html", 422, csr=text, key=None, problem=error)
-    return render(context, request, "intermediate.html", csr=text, key=thumbprint(key), problem=None)
+        return visit.show("intermediate.html", 422, csr=text, key=None, problem=error)
+    return visit.show("intermediate.html", csr=text, key=thumbprint(key), problem=None)
 
 
-def sentence(right: PolicyRight, verb: str) -> tuple[SentencePart, ...]:
+def sentence(right: PolicyRight, verb: str) -> Sayable:
     detail = ", ".join(filter(None, (right.restriction, right.until)))
-    return (
-        SentencePart(words.name(right.node), is_name=True),
-        SentencePart(f"{verb} {wanted(right.right)}"),
-        SentencePart(words.topic(right.pattern), is_name=True),
-        *([SentencePart(f"({detail})")] if detail else []),
-    )
+    said = [f"({detail})"] if detail else []
+    return say(name_part(right.node), f"{verb} {wanted(right.right)}", topic_part(right.pattern), *said)
 
-
-POLICY_PAGES: Final = (
-    Page("/policy", ("GET",), show_policy),
-    Page("/delegate", ("GET",), show_delegate),
-    Page("/intermediate", ("GET",), show_intermediate),
-    Page("/intermediate", ("POST",), check_request),
-)
 
 REFRESH: Final = 2  # seconds until the page looks again
-MAX_NUMBER: Final = 1 << 53
-_EMPTY: Final[Mapping[str, str]] = {"reason": "", "name": ""}
 
 
-async def ask_grant(request: Request, context: ConsoleContext) -> Response:
-    return await _ask_grant(request, context)
+@PAGES.get("/revoke/grant/{id}")
+async def ask_grant(visit: Visit) -> Response:
+    return _ask(visit, *await _grant(visit, visit.id))
 
 
-async def _ask_grant(
-    request: Request, context: ConsoleContext, problem: FormRefused | None = None, given: str = ""
-) -> Response:
-    node, what = await _grant(context, from_base64url(request.path_params["id"]))
-    return render(
-        context,
-        request,
-        "revoke.html",
-        422 if problem else 200,
-        node=node,
-        what=what,
-        asks_name=False,
-        is_master=False,
-        problem=problem,
-        reason=given,
-        typed="",
-    )
-
-
-async def revoke_grant(request: Request, context: ConsoleContext) -> Response:
-    number = from_base64url(request.path_params["id"])
-    form = _exactly(await read_form(request), {"reason"})
+@PAGES.post("/revoke/grant/{id}")
+async def revoke_grant(visit: Visit) -> Response:
+    number = visit.id
+    form = _exactly(await visit.form(), {"reason"})
     try:
         reason = approvals.reason(form)
     except FormRefused as problem:  # said where it was typed, with a field to go on
-        return await _ask_grant(request, context, problem, form["reason"])
-    epoch, seq = await context.service.revoke_grant(number, reason)
-    return _follow(epoch, seq, grant=to_base64url(number))
+        return _ask(visit, *await _grant(visit, number), problem=problem, form=form)
+    epoch, seq = await visit.service.revoke_grant(number, reason)
+    return go(f"/revoked/{epoch}/{seq}?{urlencode({'grant': to_base64url(number)})}")
 
 
-async def ask_node(request: Request, context: ConsoleContext) -> Response:
-    name = await _node(context, f"/{request.path_params['name']}")
-    return _ask_node(request, context, name)
+@PAGES.get("/revoke/node/{name:path}")
+async def ask_node(visit: Visit) -> Response:
+    return _ask(visit, await _node(visit, f"/{visit.path['name']}"), asks_name=True)
 
 
-def _ask_node(
-    request: Request,
-    context: ConsoleContext,
-    name: str,
-    problem: FormRefused | None = None,
-    form: Mapping[str, str] = _EMPTY,
-) -> Response:
-    return render(
-        context,
-        request,
-        "revoke.html",
-        422 if problem else 200,
-        node=name,
-        what=(),
-        asks_name=True,
-        is_master=is_master_name(name),
-        problem=problem,
-        reason=form["reason"],
-        typed=form["name"],
-    )
-
-
-async def revoke_node(request: Request, context: ConsoleContext) -> Response:
-    name = await _node(context, f"/{request.path_params['name']}")
-    form = _exactly(await read_form(request), {"reason", "name"})
+@PAGES.post("/revoke/node/{name:path}")
+async def revoke_node(visit: Visit) -> Response:
+    name = await _node(visit, f"/{visit.path['name']}")
+    form = _exactly(await visit.form(), {"reason", "name"})
     try:
+        # A whole node loses all that it may do: its name is typed, so that no other is meant.
         approvals.check_typed(form, name)
         reason = approvals.reason(form)
     except FormRefused as problem:
-        return _ask_node(request, context, name, problem, form)
-    epoch, seq = await context.service.revoke_node(name, reason)
-    return _follow(epoch, seq, node=name)
+        return _ask(visit, name, asks_name=True, problem=problem, form=form)
+    epoch, seq = await visit.service.revoke_node(name, reason)
+    return go(f"/revoked/{epoch}/{seq}?{urlencode({'node': name})}")
 
 
-async def show_ending(request: Request, context: ConsoleContext) -> Response:
-    epoch, seq = (_number(request.path_params[part]) for part in ("epoch", "seq"))
-    node, what = await _subject(request, context)
-    standing = await context.service.standing(epoch, seq)
-    locked = not standing.is_signed and (await context.service.status()).locked
+def _ask(
+    visit: Visit,
+    node: str,
+    what: Sayable = (),
+    *,
+    asks_name: bool = False,
+    problem: FormRefused | None = None,
+    form: Mapping[str, str] = MappingProxyType({}),
+) -> Response:
+    values = {"node": node, "what": what, "asks_name": asks_name, "problem": problem}
+    values |= {"reason": form.get("reason", ""), "typed": form.get("name", "")}
+    is_master = asks_name and is_master_name(node)
+    return visit.show("revoke.html", 422 if problem else 200, is_master=is_master, **values)
+
+
+@PAGES.get("/revoked/{epoch}/{seq}")
+async def show_ending(visit: Visit) -> Response:
+    epoch, seq = (_number(visit.path[part]) for part in ("epoch", "seq"))
+    # The node that was meant, and what it could do: as the record says, not the address.
+    node, what = "", Sayable()
+    if "grant" in visit.query:
+        node, what = await _grant(visit, from_base64url(visit.query["grant"]))
+    elif "node" in visit.query:
+        node = await _node(visit, visit.query["node"])
+    standing = await visit.service.standing(epoch, seq)
+    locked = not standing.is_signed and (await visit.service.status()).locked
     has_all = 0 < standing.nodes == standing.nodes_with_list
-    answer = render(
-        context,
-        request,
-        "revoked.html",
-        standing=standing,
-        node=node,
-        what=what,
-        locked=locked,
-        has_all=has_all,
-    )
+    values = {"standing": standing, "node": node, "what": what, "locked": locked, "has_all": has_all}
+    answer = visit.show("revoked.html", **values)
     if not has_all:
         answer.headers["Refresh"] = str(REFRESH)
         return answer
     # So that it stays ended where the master, which alone knows, is away in the next moment.
     with suppress(HintedError):
-        context.endings.note(await context.service.standing(0, 0), context.clock())
+        visit.context.endings.note(await visit.service.standing(0, 0), visit.context.clock())
     return answer
 
 
-async def _subject(request: Request, context: ConsoleContext) -> tuple[str, tuple[object, ...]]:
-    # The node that was meant, and what it could do: as the record says, not the address.
-    found = request.query_params
-    if "grant" in found:
-        return await _grant(context, from_base64url(found["grant"]))
-    return (await _node(context, found["node"]), ()) if "node" in found else ("", ())
-
-
-async def _grant(context: ConsoleContext, number: bytes) -> tuple[str, tuple[object, ...]]:
-    views = [each for each in await context.service.grants() if each.id == number]
-    nodes, now = await context.service.nodes(), context.clock()
-    held = held_grants(nodes, views, now, context.endings.heard)
+async def _grant(visit: Visit, number: bytes) -> tuple[str, Sayable]:
+    views = [each for each in await visit.service.grants() if each.id == number]
+    nodes, now = await visit.service.nodes(), visit.context.clock()
+    held = held_grants(nodes, views, now, visit.context.endings.heard)
     if not views:
         raise HttpRefused("there is no such grant", "it has ended long ago", status=404)
     return views[0].node, permissions(held[0].grant.permissions) if held else ()
 
 
-async def _node(context: ConsoleContext, name: str) -> str:
-    if all(each.name != name for each in await context.service.nodes()):
+async def _node(visit: Visit, name: str) -> str:
+    if all(each.name != name for each in await visit.service.nodes()):
         raise HttpRefused("there is no such node", "see who sees what", status=404)
     return name
 
@@ -277,16 +215,3 @@ def _number(text: str) -> int:
     if not (text.isascii() and text.isdigit() and len(text) <= 16):
         raise HttpRefused("there is no such list", "is the address right?", status=404)
     return int(text)
-
-
-def _follow(epoch: int, seq: int, **subject: str) -> Response:
-    return RedirectResponse(f"/revoked/{epoch}/{seq}?{urlencode(subject)}", 303)
-
-
-REVOKE_PAGES: Final = (
-    Page("/revoke/grant/{id}", ("GET",), ask_grant),
-    Page("/revoke/grant/{id}", ("POST",), revoke_grant),
-    Page("/revoke/node/{name:path}", ("GET",), ask_node),
-    Page("/revoke/node/{name:path}", ("POST",), revoke_node),
-    Page("/revoked/{epoch}/{seq}", ("GET",), show_ending),
-)

@@ -1,19 +1,14 @@
 """Logging in, the phones that approve, and approving itself.
 
-A code is in the fragment of the address it comes with, which browsers send to nobody; the page takes it out
-and posts it. It is used once, either to look, or together with the new passkey that it adds: so nobody who
-only has a session can add one. A second phone comes by a link and shows digits, and the first approves it;
-removing one takes something away, so it needs no passkey. Whether a code or a passkey is right is decided by
-the authority's service: a console that lies about what it shows can ask for another signature, but not
-without the phone, and the record keeps it.
+Whether a code or a passkey is right is decided by the authority's service: a console that lies about what it
+shows can ask for another signature, but not without the phone, and the record keeps it.
 """
 
 import secrets
 from collections.abc import Awaitable
 from typing import Any, Final, NamedTuple, TypeVar
 
-from starlette.requests import Request
-from starlette.responses import JSONResponse, RedirectResponse, Response
+from starlette.responses import JSONResponse, Response
 
 from ca.approvals.statement import MAX_PAYLOAD, StatementKind
 from ca.encoding import decode
@@ -25,75 +20,75 @@ from grants.errors import GrantError
 from grants.model import ID_SIZE
 from rossec.authority.console.messages import LoginChallenge, PasskeyAssertion, PasskeyRegistration, Prepared
 from rossec.console import approvals, words
-from rossec.console.context import ConsoleContext
 from rossec.console.options import MAX_PHONE_NAME
-from rossec.console.rendering import (
-    PUBLIC,
-    Page,
-    bytes_field,
-    from_base64url,
-    read_form,
-    read_json,
-    render,
-    text_field,
-    to_base64url,
-)
+from rossec.console.rendering import PUBLIC, PageList, Visit, bytes_field, go, text_field, to_base64url
 from rossec.console.sentences import SentencePart, permission
-from rossec.console.sessions import COOKIE, COOKIE_SIZE, owner_of
+from rossec.console.sessions import COOKIE, COOKIE_SIZE
 from rossec.errors import HttpRefused, KeyServiceFailed
 
 _T = TypeVar("_T")
+PAGES: Final = PageList()
 FIRST: Final = "/"  # the page after a login
 
 
-async def show_login(request: Request, context: ConsoleContext) -> Response:
-    return render(context, request, "login.html", problem="")
+@PAGES.get("/login", PUBLIC)
+async def show_login(visit: Visit) -> Response:
+    return visit.show("login.html", problem="")
 
 
-async def look(request: Request, context: ConsoleContext) -> Response:
-    form = await read_form(request)
+# A code is in the fragment of the address it comes with, which browsers send to nobody; the page takes it out
+# and posts it. It is used once, to look here, or with the new passkey that it adds (`add_phone`): so nobody
+# who only has a session can add one.
+@PAGES.post("/login", PUBLIC, looks=True)
+async def look(visit: Visit) -> Response:
+    form = await visit.form()
     try:
-        check_pause(request, context)
+        check_pause(visit)
         code = text_field(form, "code").strip()
-        await counted(request, context, context.service.redeem(code))
+        await counted(visit, visit.service.redeem(code))
     except HttpRefused as error:
-        return render(context, request, "login.html", error.status, problem=f"{error}: {error.hint}")
-    return _begin(RedirectResponse(FIRST, 303), context, "")
+        return visit.show("login.html", error.status, problem=f"{error}: {error.hint}")
+    return _begin(visit, go(FIRST), "")
 
 
-async def challenge(request: Request, context: ConsoleContext) -> Response:
-    await read_json(request)
-    with context.turns.wait(address_of(request)):
-        made = await context.service.login_challenge(context.settings.origin)
-    return JSONResponse(challenge_fields(made, context.clock()))
+@PAGES.post("/login/challenge", PUBLIC, looks=True)
+async def challenge(visit: Visit) -> Response:
+    await visit.json()
+    with visit.context.turns.wait(visit.address):
+        made = await visit.service.login_challenge(visit.context.settings.origin)
+    return JSONResponse(challenge_fields(made, visit.context.clock()))
 
 
-async def log_in(request: Request, context: ConsoleContext) -> Response:
-    check_pause(request, context)
-    fields = await read_json(request)
-    asking = context.service.login(bytes_field(fields, "id"), read_assertion(fields))
-    phone = await counted(request, context, asking)
-    return _begin(JSONResponse({"next": FIRST}), context, phone)
+@PAGES.post("/login/passkey", PUBLIC, looks=True)
+async def log_in(visit: Visit) -> Response:
+    check_pause(visit)
+    fields = await visit.json()
+    asking = visit.service.login(bytes_field(fields, "id"), read_assertion(fields))
+    phone = await counted(visit, asking)
+    return _begin(visit, JSONResponse({"next": FIRST}), phone)
 
 
-async def new(request: Request, context: ConsoleContext) -> Response:
-    await read_json(request)
-    settings = context.settings
-    with context.turns.wait(address_of(request)):
-        made = await context.service.new_passkey(settings.origin, settings.rp_id)
-    return JSONResponse(challenge_fields(made, context.clock()))
+@PAGES.post("/login/new", PUBLIC)
+async def new(visit: Visit) -> Response:
+    await visit.json()
+    settings = visit.context.settings
+    with visit.context.turns.wait(visit.address):
+        made = await visit.service.new_passkey(settings.origin, settings.rp_id)
+    return JSONResponse(challenge_fields(made, visit.context.clock()))
 
 
-async def add_phone(request: Request, context: ConsoleContext) -> Response:
-    check_pause(request, context)
-    adding = context.service.add_passkey(read_registration(await read_json(request)))
-    view = await counted(request, context, adding)
-    return _begin(JSONResponse({"next": FIRST}), context, view.name)
+@PAGES.post("/login/phone", PUBLIC)
+async def add_phone(visit: Visit) -> Response:
+    check_pause(visit)
+    adding = visit.service.add_passkey(read_registration(await visit.json()))
+    view = await counted(visit, adding)
+    return _begin(visit, JSONResponse({"next": FIRST}), view.name)
 
 
-async def log_out(request: Request, context: ConsoleContext) -> Response:
-    context.sessions.end(request.state.session)
-    response = RedirectResponse("/login", 303)
+@PAGES.post("/logout", looks=True)
+async def log_out(visit: Visit) -> Response:
+    visit.context.sessions.end(visit.session)
+    response = go("/login")
     response.delete_cookie(COOKIE, path="/", secure=True, httponly=True, samesite="strict")
     return response
 
@@ -123,134 +118,111 @@ def read_registration(fields: dict[str, Any]) -> PasskeyRegistration:
     return PasskeyRegistration(bytes_field(fields, "id"), code, name, *data)
 
 
-def check_pause(request: Request, context: ConsoleContext) -> None:
-    """Return if this address was not wrong too often."""
-    if context.failures.is_blocked(address_of(request), context.elapsed()):
+def check_pause(visit: Visit) -> None:
+    # Refused before anything is read or asked: noise of one address does not reach the authority.
+    if visit.context.failures.is_blocked(visit.address, visit.context.elapsed()):
         raise HttpRefused("too many attempts", "wait a minute", status=429)
 
 
-async def counted(request: Request, context: ConsoleContext, asking: Awaitable[_T]) -> _T:
+async def counted(visit: Visit, asking: Awaitable[_T]) -> _T:
     try:
         return await asking
     except KeyServiceFailed:
         raise
     except HintedError as error:
-        context.failures.note(address_of(request), context.elapsed())
+        visit.context.failures.note(visit.address, visit.context.elapsed())
         raise HttpRefused(str(error), error.hint, status=403) from error
 
 
-def address_of(request: Request) -> str:
-    """The address of whoever asks; empty: not known (a proxy's socket)."""
-    return request.client.host if request.client is not None else ""
-
-
-def _begin(response: Response, context: ConsoleContext, phone: str) -> Response:
-    settings, secret = context.settings, secrets.token_bytes(COOKIE_SIZE)
-    value = context.sessions.begin(secret, phone, context.elapsed())
-    response.set_cookie(
-        COOKIE, value, max_age=settings.lifetime, path="/", secure=True, httponly=True, samesite="strict"
-    )
+def _begin(visit: Visit, response: Response, phone: str) -> Response:
+    secret = secrets.token_bytes(COOKIE_SIZE)
+    value = visit.context.sessions.begin(secret, phone, visit.context.elapsed())
+    # `strict`: no other site's link or form brings the cookie along (CSRF, before `Origin` is looked at).
+    age = visit.context.settings.lifetime
+    response.set_cookie(COOKIE, value, age, path="/", secure=True, httponly=True, samesite="strict")
     return response
 
-
-LOGIN_PAGES: Final = (
-    Page("/login", ("GET",), show_login, PUBLIC),
-    Page("/login", ("POST",), look, PUBLIC, looks=True),
-    Page("/login/challenge", ("POST",), challenge, PUBLIC, looks=True),
-    Page("/login/passkey", ("POST",), log_in, PUBLIC, looks=True),
-    Page("/login/new", ("POST",), new, PUBLIC),
-    Page("/login/phone", ("POST",), add_phone, PUBLIC),
-    Page("/logout", ("POST",), log_out, looks=True),
-)
 
 REMOVED: Final = "removed at the console"
 
 
-async def show_phones(request: Request, context: ConsoleContext) -> Response:
-    phones, proposals = await context.service.phones(), await context.service.proposals()
+@PAGES.get("/phones")
+async def show_phones(visit: Visit) -> Response:
+    phones, proposals = await visit.service.phones(), await visit.service.proposals()
     current = [phone for phone in phones if not phone.ended]
-    return render(
-        context,
-        request,
-        "phones.html",
-        live=True,
-        phones=current,
-        proposals=proposals,
-        ended=[phone for phone in phones if phone.ended],
-    )
+    ended = [phone for phone in phones if phone.ended]
+    return visit.show("phones.html", live=True, phones=current, proposals=proposals, ended=ended)
 
 
-async def link(request: Request, context: ConsoleContext) -> Response:
-    await read_form(request)
-    code = await context.service.phone_link(owner_of(request.state.session))
-    address = f"{context.settings.origin}/propose#{code}"
-    return render(context, request, "phone_link.html", address=address, code=qr.inline_svg(address))
+# A second phone comes by a link and shows digits, and the first approves it.
+@PAGES.post("/phones/link")
+async def link(visit: Visit) -> Response:
+    await visit.form()
+    code = await visit.service.phone_link(visit.owner)
+    address = f"{visit.context.settings.origin}/propose#{code}"
+    return visit.show("phone_link.html", address=address, code=qr.inline_svg(address))
 
 
-async def remove(request: Request, context: ConsoleContext) -> Response:
-    await read_form(request)
-    phone = from_base64url(request.path_params["id"])
-    names = [each.name for each in await context.service.phones() if each.id == phone]
-    await context.service.remove_phone(phone, REMOVED)
-    own = request.state.session.phone in names
+# Removing one takes something away, so it needs no passkey; nor does ending one that waits.
+@PAGES.post("/phones/{id}/remove")
+async def remove(visit: Visit) -> Response:
+    await visit.form()
+    phone = visit.id
+    names = [each.name for each in await visit.service.phones() if each.id == phone]
+    await visit.service.remove_phone(phone, REMOVED)
+    own = visit.session.phone in names
     for name in names:
-        context.sessions.end_of_phone(name)
-    return RedirectResponse("/login" if own else "/phones", 303)
+        visit.context.sessions.end_of_phone(name)
+    return go("/login" if own else "/phones")
 
 
-async def differ(request: Request, context: ConsoleContext) -> Response:
-    """The digits differ: the phone that waits is not added. Needs no passkey."""
-    await read_form(request)
-    await context.service.end_proposal(from_base64url(request.path_params["id"]))
-    return RedirectResponse("/phones", 303)
+@PAGES.post("/phones/{id}/differ")
+async def differ(visit: Visit) -> Response:
+    await visit.form()
+    await visit.service.end_proposal(visit.id)
+    return go("/phones")
 
 
-async def ask(request: Request, context: ConsoleContext) -> Response:
-    return render(context, request, "propose.html")
+@PAGES.get("/propose", PUBLIC)
+async def ask(visit: Visit) -> Response:
+    return visit.show("propose.html")
 
 
-async def propose(request: Request, context: ConsoleContext) -> Response:
-    check_pause(request, context)
-    proposing = context.service.propose_passkey(read_registration(await read_json(request)))
-    proposal = await counted(request, context, proposing)
+@PAGES.post("/propose", PUBLIC)
+async def propose(visit: Visit) -> Response:
+    check_pause(visit)
+    proposing = visit.service.propose_passkey(read_registration(await visit.json()))
+    proposal = await counted(visit, proposing)
     return JSONResponse({"digits": group_digits(proposal.digits)})
 
 
-PHONES_PAGES: Final = (
-    Page("/phones", ("GET",), show_phones),
-    Page("/phones/link", ("POST",), link),
-    Page("/phones/{id}/remove", ("POST",), remove),
-    Page("/phones/{id}/differ", ("POST",), differ),
-    Page("/propose", ("GET",), ask, PUBLIC),
-    Page("/propose", ("POST",), propose, PUBLIC),
-)
-
-
-async def prepare(request: Request, context: ConsoleContext) -> Response:
-    act = await approvals.read(context, request.path_params["kind"], await read_form(request))
-    owner = owner_of(request.state.session)
-    made = await context.service.prepare(act.kind, [*act.arguments], owner)
+@PAGES.post("/prepare/{kind}")
+async def prepare(visit: Visit) -> Response:
+    # The act is kept for this session, and what comes back from the phone is only its signature: what was
+    # shown is what is carried on.
+    act = await approvals.read(visit.context, visit.path["kind"], await visit.form())
+    owner = visit.owner
+    made = await visit.service.prepare(act.kind, [*act.arguments], owner)
     if not made.credentials:
         raise HttpRefused(
             "no phone is set up", "get a code at the terminal: rossec console phone", status=409
         )
-    context.pending.add(made.id, request.state.session.id, act, owner)
-    return JSONResponse(challenge_fields(made, context.clock()))
+    if not visit.context.pending.add(made.id, visit.session.id, act, owner):
+        raise HttpRefused("too much waits for a phone", "approve that, or wait", status=429)
+    return JSONResponse(challenge_fields(made, visit.context.clock()))
 
 
-async def approve(request: Request, context: ConsoleContext) -> Response:
-    statement = from_base64url(request.path_params["id"])
-    session = request.state.session.id
-    act = context.pending.get(statement, session)
-    outcome = await context.service.approve(statement, read_assertion(await read_json(request)))
-    context.pending.remove(statement)
-    return JSONResponse({"next": approvals.carried_out(context, act, outcome, session)})
+@PAGES.post("/approve/{id}")
+async def approve(visit: Visit) -> Response:
+    statement = visit.id
+    session = visit.session.id
+    act = visit.context.pending.get(statement, session)
+    if act is None:
+        raise HttpRefused("this was not asked here", "load the page again", status=404)
+    outcome = await visit.service.approve(statement, read_assertion(await visit.json()))
+    visit.context.pending.pop(statement, session)
+    return JSONResponse({"next": approvals.carried_out(visit.context, act, outcome, session)})
 
-
-APPROVE_PAGES: Final = (
-    Page("/prepare/{kind}", ("POST",), prepare),
-    Page("/approve/{id}", ("POST",), approve),
-)
 
 _RECENT: Final = 200
 
@@ -262,25 +234,23 @@ class Given(NamedTuple):
     until: int
 
 
-async def show_approved(request: Request, context: ConsoleContext) -> Response:
-    number = from_base64url(request.path_params["id"])
-    outcome = await context.service.outcome(number)
-    approvals = await context.service.approvals(_RECENT)
+@PAGES.get("/approved/{id}")
+async def show_approved(visit: Visit) -> Response:
+    number = visit.id
+    outcome = await visit.service.outcome(number)
+    approvals = await visit.service.approvals(_RECENT)
     approval = next((each for each in approvals if each.id == number), None)
     # Of what was made, a bundle for another host is carried there; a join code is for `/invited`.
-    is_carried = approval is not None and approval.kind == StatementKind.INTERMEDIATE
-    of_grant = approval is not None and approval.kind == StatementKind.GRANT
+    kind = None if approval is None else approval.kind
+    is_carried = kind == StatementKind.INTERMEDIATE
     is_waiting = outcome.state == "waiting"
-    locked = is_waiting and (await context.service.status()).locked
-    return render(
-        context,
-        request,
+    return visit.show(
         "approved.html",
         live=is_waiting,
         outcome=outcome,
-        locked=locked,
+        locked=is_waiting and (await visit.service.status()).locked,
         approval=approval,
-        given=_given(outcome.data) if of_grant else (),
+        given=_given(outcome.data) if kind == StatementKind.GRANT else (),
         carried=outcome.data.decode(errors="replace") if is_carried else "",
     )
 
@@ -293,16 +263,10 @@ def _given(data: bytes) -> list[Given]:
         grants = [document.read_claims(body, bytes(ID_SIZE)) for body in found if isinstance(body, bytes)]
     except (EncodingError, GrantError):
         return []
-    return [
-        Given(
-            grant.subject,
-            permission(each)[:2],
-            "" if each.restriction is None else words.plain([each.restriction]),
-            max(grant.expires, grant.cap),
-        )
-        for grant in grants
-        for each in grant.permissions
-    ]
-
-
-APPROVED_PAGES: Final = (Page("/approved/{id}", ("GET",), show_approved),)
+    made = []
+    for grant in grants:
+        for each in grant.permissions:
+            plain = "" if each.restriction is None else words.plain([each.restriction])
+            parts = permission(each)[:2]
+            made.append(Given(grant.subject, parts, plain, max(grant.expires, grant.cap)))
+    return made

@@ -9,21 +9,19 @@ from contextlib import suppress
 from typing import Any, Final, NamedTuple
 from urllib.parse import urlencode
 
-from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
 from ca.errors import HintedError
 from grants.model import Permission, Right
 from rossec.authority.console.messages import EventView, GrantQuestion
 from rossec.console import approvals
-from rossec.console.context import ConsoleContext
 from rossec.console.matrix import Matrix, TopicAccess, TopicRow
 from rossec.console.pages import visibility
-from rossec.console.pages.visibility import Overview
 from rossec.console.pictures import flow, place
-from rossec.console.rendering import Page, names_of, render, to_base64url
-from rossec.console.sentences import KnownIds, SentencePart, permissions, refusals, story
+from rossec.console.rendering import PageList, Visit, to_base64url
+from rossec.console.sentences import KnownIds, SentencePart, permissions, refusals, say, story
 
+PAGES: Final = PageList()
 ROWS: Final = 8
 RECEIVERS: Final = 4
 LOOKS: Final = 2
@@ -33,8 +31,6 @@ _IN_PART: Final = "Some of the policy is not in force"
 
 
 class WaitingQuestion(NamedTuple):
-    """A question that waits: a sentence, its page, and since when."""
-
     parts: tuple[SentencePart, ...]
     path: str
     at: int
@@ -48,30 +44,30 @@ class TodayCounts(NamedTuple):
     receivers: int
 
 
-async def show_today(request: Request, context: ConsoleContext) -> Response:
-    home = await visibility.load(context, names_of(request))
-    questions, without_policy = await visibility.questions(context)
-    denied = await visibility.denials(context)
-    events = await context.service.events(0, _ENTRIES)
+@PAGES.get("/")
+async def show_today(visit: Visit) -> Response:
+    home = await visibility.load(visit)
+    questions, without_policy = await visibility.questions(visit)
+    denied = await visibility.denials(visit)
+    events = await visit.service.events(0, _ENTRIES)
     known = KnownIds.of(home.held, home.nodes, questions, home.ending)
     told = [each for each in story(events, denied, known) if each.tone != "note"]
-    seen = request.state.session.seen  # the last entry that this session saw in the log
+    seen = visit.session.seen  # the last entry that this session saw in the log
     busy = home.matrix.busiest_first()
     part = busy.window(slice(ROWS), slice(RECEIVERS))
     return visibility.render_home(
-        context,
-        request,
+        visit,
         home,
         "today.html",
-        authority=await context.service.status(),
-        waiting=await _waiting(context, questions),
+        authority=await visit.service.status(),
+        waiting=await _waiting(visit, questions),
         counts=counts(home.matrix),
         matrix=part,
         rows=len(busy.rows),
         receivers=len(busy.receivers),
-        silent=silent(home),
-        **_looks(context, busy),
-        flow=flow.draw(part, visibility.refused_names(denied), names_of(request).title),
+        silent=len({node.name for node in home.nodes if not node.revoked_at} - _looking(home.matrix)),
+        **_looks(visit, busy),
+        flow=flow.draw(part, visibility.refused_names(denied), visit.names.title),
         sentences=told[:THINGS],
         ending=len(home.ending),
         new=0 if seen is None else sum(each.number > seen for each in told),
@@ -79,64 +75,49 @@ async def show_today(request: Request, context: ConsoleContext) -> Response:
     )
 
 
-async def _waiting(context: ConsoleContext, questions: Iterable[GrantQuestion]) -> list[WaitingQuestion]:
-    found = [
-        WaitingQuestion(
-            _asked(each), f"/ask/{to_base64url(each.id)}", each.at, each.why, approvals.acts(each.rights)
-        )
-        for each in questions
-    ]
-    found += [
-        WaitingQuestion(
-            (SentencePart(each.name, is_name=True), SentencePart("asks to join")),
-            f"/join/{to_base64url(each.id)}",
-            each.arrived,
-        )
-        for each in await context.service.identity_requests()
-        if each.state == "pending"
-    ]
-    found += [
-        WaitingQuestion(
-            (SentencePart(each.name), SentencePart("wants to approve, too")), "/phones", context.clock()
-        )
-        for each in await context.service.proposals()
-    ]
+async def _waiting(visit: Visit, questions: Iterable[GrantQuestion]) -> list[WaitingQuestion]:
+    found = []
+    for question in questions:
+        rights = [Permission(each.pattern, Right(each.right)) for each in question.rights]
+        drives = any(approvals.drives(each) for each in question.rights)
+        asks = "asks to drive, to" if drives else "asks to"
+        said = say(SentencePart(question.node, is_name=True), asks, *permissions(rights))
+        where, acts = f"/ask/{to_base64url(question.id)}", approvals.acts(question.rights)
+        found.append(WaitingQuestion(said, where, question.at, question.why, acts))
+    for each in await visit.service.identity_requests():
+        if each.state == "pending":
+            said = say(SentencePart(each.name, is_name=True), "asks to join")
+            found.append(WaitingQuestion(said, f"/join/{to_base64url(each.id)}", each.arrived))
+    now = visit.context.clock()
+    phones = await visit.service.proposals()
+    found += [WaitingQuestion(say(each.name, "wants to approve, too"), "/phones", now) for each in phones]
     with suppress(HintedError):  # a policy that cannot be read is told on its own page
-        policy = await context.service.policy()
+        policy = await visit.service.policy()
         if policy.mistakes or policy.gives or policy.takes or policy.refused:
-            said = "The policy has changed" if policy.gives or policy.takes else _IN_PART
-            said = "The policy has mistakes" if policy.mistakes else said
-            found.append(WaitingQuestion((SentencePart(said),), "/policy", context.clock()))
+            told = "The policy has changed" if policy.gives or policy.takes else _IN_PART
+            told = "The policy has mistakes" if policy.mistakes else told
+            found.append(WaitingQuestion(say(told), "/policy", now))
     return sorted(found, key=lambda each: each.at)
-
-
-def _asked(question: GrantQuestion) -> tuple[SentencePart, ...]:
-    rights = [Permission(each.pattern, Right(each.right)) for each in question.rights]
-    drives = any(approvals.drives(each) for each in question.rights)
-    asks = SentencePart("asks to drive, to" if drives else "asks to")
-    return SentencePart(question.node, is_name=True), asks, *permissions(rights)
 
 
 def counts(matrix: Matrix) -> TodayCounts:
     sent = [row for row in matrix.rows if row.publishers]
     senders = {name for row in sent for name in row.publishers}
-    looking = {cell.receiver for row in matrix.rows for cell in row.seen_by()}
-    return TodayCounts(len(senders), len(sent), len(looking))
+    return TodayCounts(len(senders), len(sent), len(_looking(matrix)))
 
 
-def silent(home: Overview) -> int:
-    looking = {cell.receiver for row in home.matrix.rows for cell in row.seen_by()}
-    return len({node.name for node in home.nodes if not node.revoked_at} - looking)
+def _looking(matrix: Matrix) -> set[str]:
+    return {cell.receiver for row in matrix.rows for cell in row.seen_by()}
 
 
-def _looks(context: ConsoleContext, matrix: Matrix) -> dict[str, Any]:
+def _looks(visit: Visit, matrix: Matrix) -> dict[str, Any]:
     # `moving` is the node whose place it is, if it is one's.
     def contrast(row: TopicRow) -> tuple[bool, bool, int]:
         states = {cell.access for cell in row.seen_by()}
         return states == {TopicAccess.ALL, TopicAccess.COARSE}, place.has_place(row.type), len(states)
 
     for row in sorted(matrix.rows, key=contrast, reverse=True):
-        found = visibility.comparison(context, row)
+        found = visibility.comparison(visit, row)
         if found is not None:
             one = len(row.publishers) == 1 and place.has_place(row.type)
             moving = row.publishers[0] if one else ""
@@ -144,38 +125,35 @@ def _looks(context: ConsoleContext, matrix: Matrix) -> dict[str, Any]:
     return {"comparison": None, "moving": ""}
 
 
-TODAY_PAGES: Final = (Page("/", ("GET",), show_today),)
-
 HAPPENED_THINGS: Final = 50
 MAX_REFUSED: Final = 20  # sentences about denials on one page
 _HAPPENED_ENTRIES: Final = 100  # asked at once
 _ROUNDS: Final = 10  # of asking, where few entries are of the node that is looked for
 
 
-async def log(request: Request, context: ConsoleContext) -> Response:
-    before = visibility.position(request.query_params.get("before"))
-    text = request.query_params.get("node", "")
+@PAGES.get("/log")
+async def log(visit: Visit) -> Response:
+    before = visibility.position(visit.query.get("before"))
+    text = visit.query.get("node", "")
     node = visibility.name_of(text[1:]) if text else ""
-    home = await visibility.load(context, names_of(request))
-    questions = (await visibility.questions(context))[0]
+    home = await visibility.load(visit)
+    questions = (await visibility.questions(visit))[0]
     known = KnownIds.of(home.held, home.nodes, questions, home.ending)
-    events, following = await _events(context, before, node, known)
+    events, following = await _events(visit, before, node, known)
     times = [event.at for event in events] or [0]
     first, end = min(times) if following else 0, max(times) if before else math.inf
-    denied = [each for each in await visibility.denials(context) if first <= each.at < end]
+    denied = [each for each in await visibility.denials(visit) if first <= each.at < end]
     told = [each for each in story(events, denied, known) if not node or each.node == node]
     # At most so many denials, the newest, and how many are left out: nodes cause them at will.
     refused = set([each for each in told if each.number < 0][MAX_REFUSED:])
     told = [each for each in told if each not in refused]
-    fresh, seen = 0, request.state.session.seen
+    fresh, seen = 0, visit.session.seen
     if not before:
         fresh = 0 if seen is None else sum(each.number > seen for each in told)
         if events:
-            request.state.session.seen = max(seen or 0, *(event.number for event in events))
+            visit.session.seen = max(seen or 0, *(event.number for event in events))
     more = urlencode({"before": following, **({"node": node} if node else {})})
-    return render(
-        context,
-        request,
+    return visit.show(
         "log.html",
         live=not before,
         sentences=told,
@@ -189,13 +167,11 @@ async def log(request: Request, context: ConsoleContext) -> Response:
     )
 
 
-async def _events(
-    context: ConsoleContext, before: int, node: str, known: KnownIds
-) -> tuple[list[EventView], int]:
+async def _events(visit: Visit, before: int, node: str, known: KnownIds) -> tuple[list[EventView], int]:
     found: list[EventView] = []
     following = before
     for _ in range(_ROUNDS):
-        part = await context.service.events(following, _HAPPENED_ENTRIES)
+        part = await visit.service.events(following, _HAPPENED_ENTRIES)
         for event in part:
             found.append(event)
             following = event.number
@@ -207,37 +183,32 @@ async def _events(
     return found, following
 
 
-async def way(request: Request, context: ConsoleContext) -> Response:
-    home = await visibility.load(context, names_of(request))
-    row = visibility.position(request.query_params.get("row"))
-    denied = await visibility.denials(context)
+@PAGES.get("/way")
+async def way(visit: Visit) -> Response:
+    home = await visibility.load(visit)
+    row = visibility.position(visit.query.get("row"))
+    denied = await visibility.denials(visit)
     busy = home.matrix.busiest_first()
     part = busy.window(slice(row, row + flow.MAX_ROWS), slice(flow.MAX_ROWS))
     told = refusals(denied)
     running = {fact.name for fact in home.facts if fact.kind == "publisher"}
     return visibility.render_home(
-        context,
-        request,
+        visit,
         home,
         "way.html",
         row=row,
         rows=len(busy.rows),
         page_rows=flow.MAX_ROWS,
         shown=busy.rows[row : row + flow.MAX_ROWS],
-        flow=flow.draw(part, visibility.refused_names(denied), names_of(request).title),
+        flow=flow.draw(part, visibility.refused_names(denied), visit.names.title),
         running=running,
         refused=sorted(told, key=lambda each: -each.at)[:MAX_REFUSED],
         more_refused=max(0, len(told) - MAX_REFUSED),
     )
 
 
-HAPPENED_PAGES: Final = (Page("/log", ("GET",), log), Page("/way", ("GET",), way))
-
-
-async def stream(request: Request, context: ConsoleContext) -> Response:
-    session = request.state.session
-    is_valid = lambda: context.sessions.is_valid(session, context.elapsed())  # noqa: E731 - one expression
-    return StreamingResponse(context.news.open(is_valid), media_type="text/event-stream")
-
-
-NEWS_PAGES: Final = (Page("/news", ("GET",), stream),)
+@PAGES.get("/news")
+async def stream(visit: Visit) -> Response:
+    session = visit.session
+    is_valid = lambda: visit.context.sessions.is_valid(session, visit.context.elapsed())  # noqa: E731 - one expression
+    return StreamingResponse(visit.context.news.open(is_valid), media_type="text/event-stream")

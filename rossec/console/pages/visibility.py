@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
-from starlette.requests import Request
 from starlette.responses import Response
 
 from ca.errors import HintedError, PatternRefused
@@ -18,7 +17,6 @@ from ca.names import check_pattern, is_master_name
 from grants.model import Right
 from rossec.authority.console.messages import DenialView, FactView, GrantQuestion, NodeView
 from rossec.console import samples, words
-from rossec.console.context import ConsoleContext
 from rossec.console.matrix import (
     Cell,
     Heard,
@@ -33,13 +31,14 @@ from rossec.console.matrix import (
     topics,
 )
 from rossec.console.pictures import looks
-from rossec.console.rendering import STATIC_FOLDER, Page, from_base64url, names_of, render, render_text
+from rossec.console.rendering import STATIC_FOLDER, PageList, Visit, render_text
 from rossec.console.sentences import KnownIds, SentencePart, permission, permissions, story
 from rossec.console.words import NONE, Names
 from rossec.errors import HttpRefused, KeyServiceFailed
 from rossec.participant.host_types import layout_of
 from rossec.peer_limits import printable
 
+PAGES: Final = PageList()
 MAX_REFUSED: Final = 12
 AGAIN: Final = 5  # seconds after which a page looks again at what is ending
 _log = logging.getLogger("rossec.console")
@@ -77,29 +76,28 @@ class Overview(NamedTuple):
         return sorted(found, key=lambda node: -node.not_before)
 
 
-async def load(context: ConsoleContext, names: Names = NONE) -> Overview:
-    """Ask for it; `names` has the types of topics that the graph and the grants do not tell."""
-    now = context.clock()
-    nodes, grants = await context.service.nodes(), await context.service.grants()
+async def load(visit: Visit) -> Overview:
+    now, endings = visit.context.clock(), visit.context.endings
+    nodes, grants = await visit.service.nodes(), await visit.service.grants()
     facts: tuple[FactView, ...] = ()
     without_master = False
     try:
-        facts = await context.service.graph()
+        facts = await visit.service.graph()
     except HintedError as error:
         _log.info("there is no graph: %s", printable(error))
         without_master = True
 
     def view() -> Overview:
-        heard = context.endings.heard
-        held = held_grants(nodes, grants, now, heard)
-        matrix = build(held, facts, now, names.type_of)
-        return Overview(nodes, held, facts, matrix, without_master, heard, now)
+        held = held_grants(nodes, grants, now, endings.heard)
+        # The policy has the types of topics that the graph and the grants do not tell.
+        matrix = build(held, facts, now, visit.names.type_of)
+        return Overview(nodes, held, facts, matrix, without_master, endings.heard, now)
 
     found = view()
     if not found.ending or without_master:
         return found
     with suppress(HintedError):  # then it is not known, and said to be ending
-        context.endings.note(await context.service.standing(0, 0), now)
+        endings.note(await visit.service.standing(0, 0), now)
     return view()
 
 
@@ -108,26 +106,23 @@ def again(home: Overview) -> int:
     return AGAIN if home.ending and not home.without_master else 0
 
 
-def render_home(
-    context: ConsoleContext, request: Request, home: Overview, template: str, **values: Any
-) -> Response:
-    """As `render`: a page of the home, which looks again while something is ending."""
+def render_home(visit: Visit, home: Overview, template: str, **values: Any) -> Response:
+    """A page of the home, which looks again while something is ending."""
     state = {"live": True, "without_master": home.without_master, "again": again(home)}
-    return render(context, request, template, **(state | values))
+    return visit.show(template, **(state | values))
 
 
-async def denials(context: ConsoleContext) -> tuple[DenialView, ...]:
-    """The denials of the last day; none without a master."""
+async def denials(visit: Visit) -> tuple[DenialView, ...]:
     try:
-        return await context.service.denials()
+        return await visit.service.denials()
     except HintedError:
         return ()
 
 
-async def questions(context: ConsoleContext) -> tuple[tuple[GrantQuestion, ...], str]:
+async def questions(visit: Visit) -> tuple[tuple[GrantQuestion, ...], str]:
     """What nodes ask for, and why that is not known: the policy cannot be used; empty: it is."""
     try:
-        return await context.service.questions(), ""
+        return await visit.service.questions(), ""
     except KeyServiceFailed:
         raise
     except HintedError as error:
@@ -143,11 +138,12 @@ def refused_names(found: tuple[DenialView, ...]) -> dict[str, list[str]]:
     return names
 
 
-def comparison(context: ConsoleContext, row: TopicRow) -> looks.Comparison | None:
+def comparison(visit: Visit, row: TopicRow) -> looks.Comparison | None:
     """What the topic looks like to its receivers: by the preview, else made up; None: unknown."""
     if not row.type or row.is_pattern or not row.seen_by():
         return None
-    real = context.preview.recorded(row.topic) if context.preview is not None else None
+    preview = visit.context.preview
+    real = None if preview is None else preview.recorded(row.topic)
     applied = [each for cell in row.seen_by() for each in cell.restrictions]
     recorded = real if real is not None else samples.recorded(row.topic, row.type, applied)
     found = None if recorded is None else looks.compare(recorded, row.cells)
@@ -183,15 +179,15 @@ class OtherRight(NamedTuple):
     grant: bytes
 
 
-async def show_who(request: Request, context: ConsoleContext) -> Response:
-    home = await load(context, names_of(request))
-    row = position(request.query_params.get("row"))
-    receiver = position(request.query_params.get("receiver"))
+@PAGES.get("/who")
+async def show_who(visit: Visit) -> Response:
+    home = await load(visit)
+    row = position(visit.query.get("row"))
+    receiver = position(visit.query.get("receiver"))
     part = home.matrix.window(slice(row, row + ROWS), slice(receiver, receiver + RECEIVERS))
     others = other_rights(home.held)
     return render_home(
-        context,
-        request,
+        visit,
         home,
         "who.html",
         matrix=part,
@@ -221,26 +217,24 @@ def other_rights(held: tuple[ShownGrant, ...]) -> list[OtherRight]:
     return sorted(set(found))
 
 
-async def see(request: Request, context: ConsoleContext) -> Response:
-    name = name_of(request.path_params["topic"])
-    home = await load(context, names_of(request))
+@PAGES.get("/see/{topic:path}")
+async def see(visit: Visit) -> Response:
+    name = name_of(visit.path["topic"])
+    home = await load(visit)
     row = home.matrix.row(name)
     if row is None:
         raise HttpRefused(f"no grant and no node names {words.name(name)}", "see who sees what", status=404)
     cells = sorted(row.cells, key=lambda cell: ([*TopicAccess].index(cell.access), cell.receiver))
     return render_home(
-        context,
-        request,
+        visit,
         home,
         "see.html",
         row=row,
         cells=cells[:MAX_CELLS],
         more=max(0, len(cells) - MAX_CELLS),
-        comparison=comparison(context, row),
+        comparison=comparison(visit, row),
     )
 
-
-WHO_PAGES: Final = (Page("/who", ("GET",), show_who), Page("/see/{topic:path}", ("GET",), see))
 
 MAX_ROWS: Final = 40
 MAX_GRANTS: Final = 30
@@ -263,23 +257,23 @@ class PermissionLine(NamedTuple):
     exact: tuple[str, ...]
 
 
-async def show_node(request: Request, context: ConsoleContext) -> Response:
-    name = name_of(request.path_params["name"])
-    home = await load(context, names_of(request))
+@PAGES.get("/node/{name:path}")
+async def show_node(visit: Visit) -> Response:
+    name = name_of(visit.path["name"])
+    home = await load(visit)
     identities = home.named(name)
     if not identities:
         raise HttpRefused(f"no node has the name {words.name(name)}", "see who sees what", status=404)
-    now = context.clock()
+    now = visit.context.clock()
     grants = [grant_line(each, now) for each in home.held if each.grant.subject == name]
     grants.sort(key=lambda line: line.ended)
     seen = sees(home.matrix, name)
     sent = [row for row in home.matrix.rows if name in row.publishers]
-    events = await context.service.events(0, _ENTRIES)
+    events = await visit.service.events(0, _ENTRIES)
     known = KnownIds.of(home.held, home.nodes, ending=home.ending)
-    told = [each for each in story(events, await denials(context), known) if each.node == name]
+    told = [each for each in story(events, await denials(visit), known) if each.node == name]
     return render_home(
-        context,
-        request,
+        visit,
         home,
         "node.html",
         name=name,
@@ -317,9 +311,10 @@ def grant_line(held: ShownGrant, now: int) -> GrantLine:
     return GrantLine(held.view.id, given, term, ended, held.reason, held.is_ending)
 
 
-async def grant(request: Request, context: ConsoleContext) -> Response:
-    number = from_base64url(request.path_params["id"])
-    home = await load(context, names_of(request))
+@PAGES.get("/grant/{id}")
+async def grant(visit: Visit) -> Response:
+    number = visit.id
+    home = await load(visit)
     held = next((each for each in home.held if each.view.id == number), None)
     if held is None:
         raise HttpRefused("there is no such grant in the last 30 days", "see who sees what", status=404)
@@ -332,30 +327,27 @@ async def grant(request: Request, context: ConsoleContext) -> Response:
         for each in held.grant.permissions
     ]
     return render_home(
-        context,
-        request,
+        visit,
         home,
         "grant.html",
         held=held,
         lines=lines,
-        line=grant_line(held, context.clock()),
+        line=grant_line(held, visit.context.clock()),
         holder=any(node.key == held.grant.holder and not node.revoked_at for node in home.nodes),
     )
 
 
-NODES_PAGES: Final = (Page("/node/{name:path}", ("GET",), show_node), Page("/grant/{id}", ("GET",), grant))
-
 TOPICS: Final = 12  # on one page
 
 
-async def show_privacy(request: Request, context: ConsoleContext) -> Response:
-    home = await load(context, names_of(request))
-    first = position(request.query_params.get("row"))
+@PAGES.get("/privacy")
+async def show_privacy(visit: Visit) -> Response:
+    home = await load(visit)
+    first = position(visit.query.get("row"))
     types = {fact.name: fact.node for fact in home.facts if fact.kind == "type"}
-    found = topics(held_accesses(home.held, types, names_of(request).type_of), layout_of)
+    found = topics(held_accesses(home.held, types, visit.names.type_of), layout_of)
     return render_home(
-        context,
-        request,
+        visit,
         home,
         "privacy.html",
         topics=found[first : first + TOPICS],
@@ -366,10 +358,6 @@ async def show_privacy(request: Request, context: ConsoleContext) -> Response:
 
 
 def write(found: Sequence[ReportTopic], robot: str, now: int, names: Names = NONE) -> str:
-    """The whole report as one page that needs nothing beside it."""
     style = (STATIC_FOLDER / "style.css").read_text(encoding="utf-8")
     values = {"topics": found, "robot": robot, "now": now, "style": style}
     return render_text("report_alone.html", names, **values)
-
-
-PRIVACY_PAGES: Final = (Page("/privacy", ("GET",), show_privacy),)

@@ -10,7 +10,18 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final, TypeAlias
 
 from rossec.console.matrix import Matrix, TopicAccess
-from rossec.console.pictures.svg import Point, SvgElement, along, box, curve, cut, drawing, label, path
+from rossec.console.pictures.svg import (
+    Point,
+    SvgElement,
+    along,
+    box,
+    circle,
+    curve,
+    cut,
+    drawing,
+    label,
+    path,
+)
 
 MAX_ROWS: Final = 12
 Line: TypeAlias = tuple[Point, Point]
@@ -27,7 +38,6 @@ def draw(
     refused: Mapping[str, Sequence[str]] | None = None,
     title: Callable[[str], str] = lambda _: "",
 ) -> SvgElement | None:
-    """The flow of the first rows and receivers of `matrix`; None where nothing flows."""
     shown = matrix.window(slice(MAX_ROWS), slice(MAX_ROWS))
     ends = {name: found for name, found in (refused or {}).items() if found}
     receivers = _first([*shown.receivers, *sorted(ends)])
@@ -49,7 +59,15 @@ def draw(
     parts = [*heads, *sent, *_seen(shown, middle, right)]
     parts += _column(left, _SENDERS, "box end", title) + _column(middle, _TOPICS, "box", title)
     parts += _column(right, _RECEIVERS, "box end", title)
-    stubs = [_stub(right[name], names) for name, names in ends.items() if name in right]
+    # What was refused is a short end at the receiver: there is no line that it could come from.
+    stubs, start = [], _RECEIVERS[1]
+    for name, names in ends.items():
+        if name in right:
+            y, short = right[name], cut(names[0], 13) if len(names) == 1 else f"{len(names)} refused"
+            title_ = SvgElement("title", "refused: " + ", ".join(names[:8]))
+            line = path([(start, y), (start + 17, y)], "flow-ended")
+            text = label(start + 39, y + 4, short, "stub")
+            stubs.append(SvgElement("g", title_, line, _cross(start + 26, y), text))
     wide = _WIDTH + (_STUB if stubs else 0.0)
     said = f"{len(senders)} senders, {len(shown.rows)} topics, {len(receivers)} receivers"
     return drawing(wide, height, said, *parts, *stubs, class_="flow")
@@ -104,9 +122,8 @@ def free_places(struck: Sequence[Line], others: Sequence[Line]) -> list[Point]:
     taken = [along(start, end, at / 40) for start, end in others for at in range(41)]
     places: list[Point] = []
     for line in struck:
-        beside = [
-            along(start, end, at / 40) for start, end in struck if (start, end) != line for at in range(41)
-        ]
+        rest = [each for each in struck if each != line]
+        beside = [along(*each, at / 40) for each in rest for at in range(41)]
         candidates = [along(*line, at / 40) for at in range(6, 35)]
         points = [*taken, *beside, *places]
         # The middle is what people look at first: it wins where it is free.
@@ -122,19 +139,7 @@ def _distance(point: Point, points: Iterable[Point]) -> float:
 def _cross(x: float, y: float) -> SvgElement:
     return SvgElement(
         "g",
-        SvgElement("circle", cx=x, cy=y, r=9.0, class_="badge"),
+        circle((x, y), 9.0, "badge"),
         path([(x - 4, y - 4), (x + 4, y + 4)], "cross"),
         path([(x - 4, y + 4), (x + 4, y - 4)], "cross"),
-    )
-
-
-def _stub(y: float, names: Sequence[str]) -> SvgElement:
-    start = _RECEIVERS[1]
-    said = cut(names[0], 13) if len(names) == 1 else f"{len(names)} refused"
-    return SvgElement(
-        "g",
-        SvgElement("title", "refused: " + ", ".join(names[:8])),
-        path([(start, y), (start + 17, y)], "flow-ended"),
-        _cross(start + 26, y),
-        label(start + 39, y + 4, said, "stub"),
     )

@@ -1,9 +1,8 @@
 """What a topic looks like to each of its receivers: one picture for each way to see it. Pure.
 
 A type has a picture (a place, a laser scan from above, a camera picture as PNG in the page, a number over the
-last minute as a line) or its fields as text, with those struck that a receiver does not get. All receivers
-with the same restrictions share one. Of pictures and scans the last is drawn; rounded distances show as
-rings, removed ones as an empty circle, and a rounded number as a staircase.
+last minute as a line) or its fields as text, with those struck that a receiver does not get. Rounded
+distances show as rings, removed ones as an empty circle, and a rounded number as a staircase.
 """
 
 import base64
@@ -20,7 +19,7 @@ from grants.vocabulary.assess import filters_of
 from rossec.console import words
 from rossec.console.matrix import SEEING, Cell, TopicAccess
 from rossec.console.pictures import place
-from rossec.console.pictures.svg import Point, SvgElement, drawing, label, path
+from rossec.console.pictures.svg import Point, SvgElement, circle, drawing, ground, label, path
 from rossec.console.samples import Recorded, SeenTopic, try_see
 from rossec.peer_limits import printable
 
@@ -42,33 +41,26 @@ _ENCODINGS: Final = {
 
 
 def draw_image(seen: SeenTopic) -> SvgElement | None:
-    """The last picture; None if there is none, or it cannot be read."""
-    found = _picture(seen)
-    if found is None:
-        return None
-    height = IMAGE_WIDTH * found.height / found.width
-    shown = SvgElement.picture(
-        base64.b64encode(_png(found)).decode(), width=IMAGE_WIDTH, height=height, class_="photo"
-    )
-    return drawing(IMAGE_WIDTH, height, f"The picture that {seen.receiver} sees", shown, class_="camera")
-
-
-# An encoding that is not in the table is not drawn, nor one whose bytes do not have the size that its header
-# says.
-def _picture(seen: SeenTopic) -> Image.Image | None:
     if not seen.samples:
         return None
     fields = seen.samples[-1].fields
     height, width, row = int(fields["height"]), int(fields["width"]), int(fields["step"])
     channels, order = _ENCODINGS.get(str(fields["encoding"]), (0, None))
     data = np.asarray(fields["data"], dtype=np.uint8)
+    # A publisher chooses all of these: an encoding that is not in the table is not drawn, nor one whose bytes
+    # do not have the size that its header says.
     fits = 0 < width <= _MAX_SIDE and 0 < height <= 4 * width and row >= width * channels > 0
     if not fits or data.size != height * row:
         return None
     pixels = data.reshape(height, row)[:, : width * channels]
-    if order is None:
-        return Image.fromarray(pixels.copy())
-    return Image.fromarray(pixels.reshape(height, width, channels)[:, :, list(order)].copy())
+    if order is not None:
+        pixels = pixels.reshape(height, width, channels)[:, :, list(order)]
+    picture = _png(Image.fromarray(pixels.copy()))
+    high = IMAGE_WIDTH * height / width
+    shown = SvgElement.picture(
+        base64.b64encode(picture).decode(), width=IMAGE_WIDTH, height=high, class_="photo"
+    )
+    return drawing(IMAGE_WIDTH, high, f"The picture that {seen.receiver} sees", shown, class_="camera")
 
 
 def _png(picture: Image.Image) -> bytes:
@@ -95,7 +87,6 @@ _FAR: Final = 1e6  # metres: what is farther is no wall
 
 
 def reach_of(seen: SeenTopic) -> float:
-    """The longest distance that the last scan has, in metres; 0 if there is none."""
     return max((distance for _, distance in _rays(seen)), default=0.0)
 
 
@@ -104,14 +95,15 @@ def draw_scan(seen: SeenTopic, reach: float) -> SvgElement | None:
     if not seen.samples:
         return None
     scale = _REACH / reach if reach > 0 else 0.0
-    rings = [
-        SvgElement("circle", cx=_MIDDLE, cy=_MIDDLE, r=_REACH * number / _RINGS, class_="grid ring")
-        for number in range(1, _RINGS + 1)
-    ]
-    hits = [_at(angle, distance * scale) for angle, distance in _rays(seen)]
-    dots = [SvgElement("circle", cx=x, cy=y, r=1.6, class_="hit") for x, y in hits]
+    radii = [_REACH * number / _RINGS for number in range(1, _RINGS + 1)]
+    rings = [circle((_MIDDLE, _MIDDLE), radius, "grid ring") for radius in radii]
+    hits = []
+    for angle, distance in _rays(seen):
+        far = min(distance * scale, _REACH)
+        hits.append((_MIDDLE + far * math.cos(angle), _MIDDLE - far * math.sin(angle)))
+    dots = [circle(hit, 1.6, "hit") for hit in hits]
     text = [label(_MIDDLE, SCAN_SIZE - 2, f"{reach:.3g} m", "ruler-text", "middle")] if scale else []
-    here = SvgElement("circle", cx=_MIDDLE, cy=_MIDDLE, r=4.5, class_="here")
+    here = circle((_MIDDLE, _MIDDLE), 4.5, "here")
     outline = [path([*hits, hits[0]], "outline")] if len(hits) > 2 else []
     said = f"{len(hits)} rays that {seen.receiver} sees, from above"
     return drawing(SCAN_SIZE, SCAN_SIZE, said, *rings, *outline, *dots, here, *text, class_="laser")
@@ -130,11 +122,6 @@ def _rays(seen: SeenTopic) -> list[Point]:
         for number, distance in enumerate(fields["ranges"])
         if number % every == 0 and 0 < float(distance) < _FAR
     ]
-
-
-def _at(angle: float, distance: float) -> Point:
-    far = min(distance, _REACH)
-    return _MIDDLE + far * math.cos(angle), _MIDDLE - far * math.sin(angle)
 
 
 SERIES_WIDTH, SERIES_HEIGHT = 300.0, 100.0
@@ -161,7 +148,6 @@ def field_of(seen: SeenTopic) -> str:
 
 
 def span_of(seen: Iterable[SeenTopic], field: str) -> Span | None:
-    """The span of the field in all of `seen`; None without a value."""
     points = [point for each in seen for point in _points(each, field)]
     if not points:
         return None
@@ -170,16 +156,20 @@ def span_of(seen: Iterable[SeenTopic], field: str) -> Span | None:
 
 
 def draw_series(seen: SeenTopic, field: str, span: Span) -> SvgElement | None:
-    """The values of `field` as a line; None if this receiver got none."""
     points = _points(seen, field)
     if not points:
         return None
     every = max(1, math.ceil(len(points) / _MAX_POINTS))
-    drawn = [_series_at(point, span) for point in points[::every]]
+    long, high = span.last - span.first or 1.0, span.high - span.low
+    drawn = []
+    for at, value in points[::every]:
+        level = (value - span.low) / high if high else 0.5
+        x = _EDGE + (SERIES_WIDTH - 2 * _EDGE) * (at - span.first) / long
+        drawn.append((x, SERIES_HEIGHT - _EDGE - 12 - (SERIES_HEIGHT - 2 * _EDGE - 24) * level))
     parts = [
-        SvgElement("rect", width=SERIES_WIDTH, height=SERIES_HEIGHT, class_="ground", rx=8.0),
-        path([(drawn[0][0], drawn[0][1]), *drawn], "track shade5"),
-        SvgElement("circle", cx=drawn[-1][0], cy=drawn[-1][1], r=4.0, class_="here"),
+        ground(SERIES_WIDTH, SERIES_HEIGHT),
+        path([drawn[0], *drawn], "track shade5"),
+        circle(drawn[-1], 4.0, "here"),
         label(_EDGE, _EDGE + 5, f"{span.high:.4g}", "ruler-text"),
         label(_EDGE, SERIES_HEIGHT - 5, f"{span.low:.4g}", "ruler-text"),
     ]
@@ -188,21 +178,9 @@ def draw_series(seen: SeenTopic, field: str, span: Span) -> SvgElement | None:
     return drawing(SERIES_WIDTH, SERIES_HEIGHT, said, *parts, class_="series")
 
 
-def _series_at(point: Point, span: Span) -> Point:
-    at, value = point
-    long, high = span.last - span.first or 1.0, span.high - span.low
-    x = _EDGE + (SERIES_WIDTH - 2 * _EDGE) * (at - span.first) / long
-    level = (value - span.low) / high if high else 0.5
-    return x, SERIES_HEIGHT - _EDGE - 12 - (SERIES_HEIGHT - 2 * _EDGE - 24) * level
-
-
 def _points(seen: SeenTopic, field: str) -> list[Point]:
-    found = []
-    for sample in seen.samples:
-        value = dict(_numbers(sample.fields, "")).get(field)
-        if value is not None:
-            found.append((sample.at, value))
-    return found
+    found = [(each.at, dict(_numbers(each.fields, "")).get(field)) for each in seen.samples]
+    return [(at, value) for at, value in found if value is not None]
 
 
 def _numbers(fields: Mapping[str, Any], above: str) -> Iterator[tuple[str, float]]:
@@ -253,6 +231,7 @@ def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
 
     There is none if the type of the messages is not known here.
     """
+    # All receivers with the same restrictions share a picture.
     ways: dict[Any, list[Cell]] = {}
     for cell in cells:
         if cell.access in SEEING:
@@ -266,33 +245,52 @@ def compare(recorded: Recorded, cells: Iterable[Cell]) -> Comparison:
         return Comparison(recorded.topic, recorded.type, (), 0, recorded.is_made_up)
     seen = [try_see(recorded, group[0].receiver, group[0].restrictions) for group in shown]
     cells = [group[0] for group in shown]
-    drawer = _drawer(exact, [each for each in seen if each], cells, minutes(recorded))
+    drawer = _Drawer.of(exact, [each for each in seen if each], cells, minutes(recorded))
     looks = tuple(_look(drawer, group, each) for group, each in zip(shown, seen, strict=True))
     return Comparison(recorded.topic, recorded.type, looks, len(groups) - len(shown), recorded.is_made_up)
 
 
 class _Drawer(NamedTuple):
+    # What all pictures of one comparison share, or it would lie.
     frame: place.PlaceFrame | None
     reach: float
     field: str
     span: Span | None
     during: str
 
+    @classmethod
+    def of(cls, exact: SeenTopic, seen: list[SeenTopic], cells: Iterable[Cell], long: int) -> "_Drawer":
+        restrictions = [each for cell in cells for each in cell.restrictions]
+        frame = place.frame_of([exact], restrictions) if place.has_place(exact.type) else None
+        reach = max(map(reach_of, [exact, *seen])) if exact.type == SCAN_TYPE else 0.0
+        drawn = frame is not None or exact.type in (SCAN_TYPE, IMAGE_TYPE)
+        field = "" if drawn else field_of(exact)
+        during = "in this minute" if long == 1 else f"in these {long} minutes"
+        return cls(frame, reach, field, span_of([exact, *seen], field), during)
+
+    def picture(self, cell: Cell, seen: SeenTopic) -> tuple[str, str, SvgElement | None]:
+        messages = words.count(len(seen.samples), "message")
+        if self.frame is not None:
+            cells = place.cells_of(cell.restrictions, self.frame.origin)
+            picture = place.draw(seen, self.frame, max(cells, default=None))
+            if picture is None:
+                return "does not see the place", f"{messages} {self.during}", None
+            said, what = ("sees which square", "square") if cells else ("sees the exact place", "place")
+            return said, f"{words.count(place.places(seen), what)} {self.during}", picture
+        if seen.type == SCAN_TYPE:
+            return "sees what the laser meets", "", draw_scan(seen, self.reach)
+        if seen.type == IMAGE_TYPE:
+            heading = "sees this of the picture" if cell.restrictions else "sees the picture"
+            return heading, "", draw_image(seen)
+        if self.field and self.span is not None:
+            name = words.field_name(self.field, seen.type)
+            return f"sees the {name}", messages, draw_series(seen, self.field, self.span)
+        return "sees these fields", messages, None
+
 
 def minutes(recorded: Recorded) -> int:
     times = [at for at, _ in recorded.messages]
     return max(1, math.ceil((max(times) - min(times)) / 60)) if times else 1
-
-
-def _drawer(exact: SeenTopic, seen: list[SeenTopic], cells: list[Cell], long: int) -> _Drawer:
-    restrictions = [each for cell in cells for each in cell.restrictions]
-    frame = place.frame_of([exact], restrictions) if place.has_place(exact.type) else None
-    is_scan = exact.type == SCAN_TYPE
-    reach = max(map(reach_of, [exact, *seen])) if is_scan else 0.0
-    drawn = frame is not None or exact.type in (SCAN_TYPE, IMAGE_TYPE)
-    field = "" if drawn else field_of(exact)
-    during = "in this minute" if long == 1 else f"in these {long} minutes"
-    return _Drawer(frame, reach, field, span_of([exact, *seen], field), during)
 
 
 def _look(drawer: _Drawer, group: Sequence[Cell], seen: SeenTopic | None) -> Look:
@@ -301,49 +299,16 @@ def _look(drawer: _Drawer, group: Sequence[Cell], seen: SeenTopic | None) -> Loo
     if seen is None:
         said = "gets nothing: the grant does not fit these messages"
         return Look(receivers, said, cell.words, cell.access, None, ())
-    got = len(seen.samples)
-    if got == 0:
+    if not seen.samples:
         caption = f"none of {words.count(seen.sent, 'message')} passed: {cell.words}"
         return Look(receivers, "gets none of these", caption, cell.access, None, ())
-    heading, detail, picture = _looks_picture(drawer, cell, seen)
+    heading, detail, picture = drawer.picture(cell, seen)
     caption = ": ".join(filter(None, (detail, cell.words)))
     lines: list[FieldLine] = []
     if picture is None:
         rules = [rule for each in cell.restrictions for rule in each.filters]
         _walk(seen.samples[-1].fields, "", rules, lines)
-    text = printable(caption, 400)
-    return Look(receivers, heading, text, cell.access, picture, tuple(lines[:MAX_FIELDS]))
-
-
-def _looks_picture(drawer: _Drawer, cell: Cell, seen: SeenTopic) -> tuple[str, str, SvgElement | None]:
-    messages = words.count(len(seen.samples), "message")
-    if drawer.frame is not None:
-        return _place(drawer.frame, cell, seen, drawer.during)
-    if seen.type == SCAN_TYPE:
-        return "sees what the laser meets", "", draw_scan(seen, drawer.reach)
-    if seen.type == IMAGE_TYPE:
-        heading = "sees this of the picture" if cell.restrictions else "sees the picture"
-        return heading, "", draw_image(seen)
-    if drawer.field and drawer.span is not None:
-        name = words.field_name(drawer.field, seen.type)
-        return f"sees the {name}", messages, draw_series(seen, drawer.field, drawer.span)
-    return "sees these fields", messages, None
-
-
-def _place(
-    frame: place.PlaceFrame, cell: Cell, seen: SeenTopic, during: str
-) -> tuple[str, str, SvgElement | None]:
-    cells = place.cells_of(cell.restrictions, frame.origin)
-    picture = place.draw(seen, frame, max(cells, default=None))
-    if picture is None:
-        messages = words.count(len(seen.samples), "message")
-        return "does not see the place", f"{messages} {during}", None
-    number = place.places(seen)
-    if cells:
-        squares = words.count(number, "square")
-        return "sees which square", f"{squares} {during}", picture
-    places = words.count(number, "place")
-    return "sees the exact place", f"{places} {during}", picture
+    return Look(receivers, heading, printable(caption, 400), cell.access, picture, tuple(lines[:MAX_FIELDS]))
 
 
 def _walk(fields: Mapping[str, Any], above: str, rules: list[FilterRule], found: list[FieldLine]) -> None:

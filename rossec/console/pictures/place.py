@@ -1,16 +1,16 @@
 """Where something was: a track for one who sees the place, squares for one who sees cells. Pure.
 
-All pictures of one topic have one frame (`Frame`), or a comparison of them would lie. A position on
-the earth is drawn in metres around the first one (equirectangular, exact enough for a minute).
+All pictures of one topic have one frame, or a comparison of them would lie.
 """
 
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from grants.model import FilterRule, Restriction
-from rossec.console.pictures.svg import Point, SvgElement, box, drawing, label, path
+from rossec.console.pictures.svg import Point, SvgElement, box, circle, drawing, ground, label, path
 from rossec.console.samples import SeenTopic, SyntheticSample
 
 WIDTH, HEIGHT = 300.0, 250.0
@@ -47,12 +47,10 @@ class PlaceFrame(NamedTuple):
 
     def at(self, point: Point) -> Point:
         x = WIDTH / 2 + (point[0] - self.x) * self.scale
-        y = HEIGHT / 2 - (point[1] - self.y) * self.scale
-        return min(max(x, 0.0), WIDTH), min(max(y, 0.0), HEIGHT)
+        return _inside((x, HEIGHT / 2 - (point[1] - self.y) * self.scale))
 
 
 def has_place(type_name: str) -> bool:
-    """Whether messages of this type are drawn here."""
     return type_name in _POSITION or type_name == _ON_EARTH
 
 
@@ -79,14 +77,31 @@ def draw(seen: SeenTopic, frame: PlaceFrame, cell: Extent | None) -> SvgElement 
     points = _points(seen, frame.origin)
     if not points:
         return None
-    parts = [_paper(frame, cell), _ruler(frame)]
+    # The paper: lines between the cells, or at round numbers of metres.
+    metres = _round_length(frame.width / 11)
+    wide, high = cell or (metres, metres)
+    reach = frame.width * HEIGHT / WIDTH / 2
+    lines = [ground(WIDTH, HEIGHT)]
+    for x in _steps(frame.x - frame.width / 2, frame.x + frame.width / 2, wide, cell is not None):
+        across = frame.at((x, 0.0))[0]
+        lines.append(SvgElement("line", x1=across, y1=0.0, x2=across, y2=HEIGHT, class_="grid"))
+    for y in _steps(frame.y - reach, frame.y + reach, high, cell is not None):
+        up = frame.at((0.0, y))[1]
+        lines.append(SvgElement("line", x1=0.0, y1=up, x2=WIDTH, y2=up, class_="grid"))
+    # The ruler, in the corner.
+    length = _round_length(frame.width / 4)
+    left, right, y = WIDTH - 14 - length * frame.scale, WIDTH - 14, HEIGHT - 12
+    text = f"{length:g} m" if length < 1000 else f"{length / 1000:g} km"
+    mark = path([(left, y - 5), (left, y), (right, y), (right, y - 5)], "ruler")
+    ruler = SvgElement("g", mark, label((left + right) / 2, y - 6, text, "ruler-text", "middle"))
     if cell is None:
-        parts += [*_track(points, frame), *_arrow(seen, points[-1], frame)]
-        said = f"The track that {seen.receiver} sees"
+        drawn, said = _track(seen, points, frame), f"The track that {seen.receiver} sees"
     else:
-        parts += _squares(points, frame, cell)
-        said = f"The {distinct(points)} squares that {seen.receiver} sees"
-    return drawing(WIDTH, HEIGHT, said, *parts, class_="place")
+        drawn, said = (
+            _squares(points, frame, cell),
+            f"The {distinct(points)} squares that {seen.receiver} sees",
+        )
+    return drawing(WIDTH, HEIGHT, said, SvgElement("g", *lines), ruler, *drawn, class_="place")
 
 
 def distinct(points: Sequence[Point]) -> int:
@@ -139,14 +154,10 @@ def _points(seen: SeenTopic, origin: Point | None) -> list[Point]:
     if seen.type == _ON_EARTH:
         if origin is None:
             return []
+        # In metres around the first one: equirectangular, exact enough for a minute.
         shrink = math.cos(math.radians(origin[0])) * _EARTH
-        found = [
-            (
-                (float(each.fields["longitude"]) - origin[1]) * shrink,
-                (float(each.fields["latitude"]) - origin[0]) * _EARTH,
-            )
-            for each in seen.samples
-        ]
+        degrees = [(float(each.fields["longitude"]), float(each.fields["latitude"])) for each in seen.samples]
+        found = [((east - origin[1]) * shrink, (north - origin[0]) * _EARTH) for east, north in degrees]
         return [point for point in found if _is_near(point)]
     field = _POSITION.get(seen.type)
     if field is None:
@@ -162,20 +173,6 @@ def _is_near(point: Point) -> bool:
     return all(abs(value) < _FAR for value in point)
 
 
-def _paper(frame: PlaceFrame, cell: Extent | None) -> SvgElement:
-    metres = _round_length(frame.width / 11)
-    wide, high = cell or (metres, metres)
-    lines: list[SvgElement] = [SvgElement("rect", width=WIDTH, height=HEIGHT, class_="ground", rx=8.0)]
-    reach = frame.width * HEIGHT / WIDTH / 2
-    for x in _steps(frame.x - frame.width / 2, frame.x + frame.width / 2, wide, cell is not None):
-        across = frame.at((x, 0.0))[0]
-        lines.append(SvgElement("line", x1=across, y1=0.0, x2=across, y2=HEIGHT, class_="grid"))
-    for y in _steps(frame.y - reach, frame.y + reach, high, cell is not None):
-        up = frame.at((0.0, y))[1]
-        lines.append(SvgElement("line", x1=0.0, y1=up, x2=WIDTH, y2=up, class_="grid"))
-    return SvgElement("g", *lines)
-
-
 def _steps(low: float, high: float, step: float, between: bool) -> list[float]:
     offset = 0.5 if between else 0.0
     first = math.ceil(low / step - offset)
@@ -185,59 +182,38 @@ def _steps(low: float, high: float, step: float, between: bool) -> list[float]:
     return [(number + offset) * step for number in range(first, last + 1)]
 
 
-def _ruler(frame: PlaceFrame) -> SvgElement:
-    length = _round_length(frame.width / 4)
-    left, right, y = WIDTH - 14 - length * frame.scale, WIDTH - 14, HEIGHT - 12
-    said = f"{length:g} m" if length < 1000 else f"{length / 1000:g} km"
-    return SvgElement(
-        "g",
-        path([(left, y - 5), (left, y), (right, y), (right, y - 5)], "ruler"),
-        label((left + right) / 2, y - 6, said, "ruler-text", "middle"),
-    )
-
-
 def _round_length(metres: float) -> float:
     power: float = 10.0 ** math.floor(math.log10(metres))
     return max(step * power for step in (1, 2, 5) if step * power <= metres)
 
 
-def _track(points: list[Point], frame: PlaceFrame) -> list[SvgElement]:
+def _track(seen: SeenTopic, points: list[Point], frame: PlaceFrame) -> list[SvgElement]:
     # The track, the older the paler; pieces share their ends, so that no gap shows.
     thinned = points[:: max(1, len(points) // _MAX_POINTS)]
     drawn = [frame.at(point) for point in (*thinned, points[-1])]
     size = max(2, math.ceil(len(drawn) / _SHADES))
     pieces = [drawn[start : start + size + 1] for start in range(0, len(drawn), size)]
-    first = _SHADES - len(pieces)
-    return [
-        path(piece, f"track shade{first + number + 1}")
-        for number, piece in enumerate(pieces)
-        if len(piece) > 1
-    ]
-
-
-def _arrow(seen: SeenTopic, last: Point, frame: PlaceFrame) -> list[SvgElement]:
-    x, y = frame.at(last)
-    parts = [SvgElement("circle", cx=x, cy=y, r=11.0, class_="halo")]
-    heading = _heading(seen)
-    if heading is not None:
-        tip = [
-            (x + reach * math.cos(heading + turn), y - reach * math.sin(heading + turn))
-            for turn, reach in ((0.5, 10), (0.0, 22), (-0.5, 10))
-        ]
-        inside = [(min(max(a, 0.0), WIDTH), min(max(b, 0.0), HEIGHT)) for a, b in tip]
-        parts.append(path(inside, "heading"))
-    return [*parts, SvgElement("circle", cx=x, cy=y, r=4.5, class_="here")]
-
-
-def _heading(seen: SeenTopic) -> float | None:
+    shades = range(_SHADES - len(pieces) + 1, _SHADES + 1)
+    found = [path(each, f"track shade{at}") for at, each in zip(shades, pieces, strict=True) if len(each) > 1]
+    # Where it is now, and where it looks, if the message says so by a quaternion.
+    x, y = drawn[-1]
+    found.append(circle((x, y), 11.0, "halo"))
     field = _POSITION.get(seen.type, "").rpartition("position")[0]
-    try:
+    with suppress(KeyError, TypeError):
         turn = _read(seen.samples[-1], f"{field}orientation")
         z, w = float(turn["z"]), float(turn["w"])
-    except (KeyError, TypeError):
-        return None
-    known = math.isfinite(z) and math.isfinite(w) and (z, w) != (0.0, 0.0)
-    return 2 * math.atan2(z, w) if known else None
+        if math.isfinite(z) and math.isfinite(w) and (z, w) != (0.0, 0.0):
+            heading = 2 * math.atan2(z, w)
+            tip = [
+                (x + reach * math.cos(heading + turned), y - reach * math.sin(heading + turned))
+                for turned, reach in ((0.5, 10), (0.0, 22), (-0.5, 10))
+            ]
+            found.append(path([_inside(each) for each in tip], "heading"))
+    return [*found, circle((x, y), 4.5, "here")]
+
+
+def _inside(point: Point) -> Point:
+    return min(max(point[0], 0.0), WIDTH), min(max(point[1], 0.0), HEIGHT)
 
 
 def _squares(points: list[Point], frame: PlaceFrame, cell: Extent) -> list[SvgElement]:

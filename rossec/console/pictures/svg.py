@@ -1,8 +1,7 @@
 """Elements of SVG, built so that no text becomes markup and no style leaves the stylesheet. Pure.
 
-A class, never a `style` attribute: the pages' policy (CSP `style-src 'self'`) forbids those, and
-dark mode needs the classes. Numbers are finite and short. An element is safe where `__html__` is
-asked for (jinja2, markupsafe), as it escapes what it was given.
+A class, never a `style` attribute: the pages' policy (CSP `style-src 'self'`) forbids those, and dark mode
+needs the classes. An element is safe where `__html__` is asked for (jinja2), as it escapes what it was given.
 """
 
 import math
@@ -32,7 +31,14 @@ class SvgElement:
     def __init__(self, tag: str, *children: Child, **attributes: object) -> None:
         if tag not in _TAGS:
             raise ValueError(f"no {tag[:20]!r} in a picture")
-        written = "".join(_attribute(name, value) for name, value in attributes.items())
+        written = ""
+        for name, value in attributes.items():
+            # A node's word in an attribute would be a script or a style of its own choice.
+            shown = name.rstrip("_").replace("_", "-")
+            if shown in _FORBIDDEN or shown.startswith("on") or _ATTRIBUTE.fullmatch(shown) is None:
+                raise ValueError(f"no attribute {name[:20]!r} in a picture")
+            text = number(value) if isinstance(value, int | float) else str(value)
+            written += f' {shown}="{escape(printable(text, len(text)), {chr(34): "&quot;"})}"'
         content = "".join(map(_child, children))
         self._text = f"<{tag}{written}>{content}</{tag}>" if content else f"<{tag}{written}/>"
 
@@ -49,14 +55,6 @@ class SvgElement:
         made = cls("image", **attributes)
         made._text = f'{made._text[:-2]} href="{_PICTURE}{data}"/>'
         return made
-
-
-def _attribute(name: str, value: object) -> str:
-    shown = name.rstrip("_").replace("_", "-")
-    if shown in _FORBIDDEN or shown.startswith("on") or _ATTRIBUTE.fullmatch(shown) is None:
-        raise ValueError(f"no attribute {name[:20]!r} in a picture")
-    text = number(value) if isinstance(value, int | float) else str(value)
-    return f' {shown}="{escape(printable(text, len(text)), {chr(34): "&quot;"})}"'
 
 
 def _child(child: Child) -> str:
@@ -107,6 +105,14 @@ def along(start: Point, end: Point, at: float) -> Point:
 
 def box(left: float, top: float, width: float, height: float, rx: float, class_: str) -> SvgElement:
     return SvgElement("rect", x=left, y=top, width=width, height=height, rx=rx, class_=class_)
+
+
+def circle(middle: Point, radius: float, class_: str) -> SvgElement:
+    return SvgElement("circle", cx=middle[0], cy=middle[1], r=radius, class_=class_)
+
+
+def ground(width: float, height: float) -> SvgElement:
+    return SvgElement("rect", width=width, height=height, class_="ground", rx=8.0)
 
 
 def label(x: float, y: float, text: str, class_: str = "", anchor: str = "start") -> SvgElement:

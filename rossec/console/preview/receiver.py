@@ -1,8 +1,7 @@
 """The process of the preview, the node `/console`: `python -I -m rossec.console.preview.receiver`.
 
-It is enrolled and granted like any other node, and shown among the receivers. It subscribes to what
-it may receive and passes it on, a few messages of each topic a second; it writes none of it to a
-disk. Grants that come or end take effect within seconds. It ends with the connection.
+It is enrolled and granted like any other node, and shown among the receivers. It writes nothing to a disk,
+and ends with the connection.
 """
 
 import asyncio
@@ -33,8 +32,6 @@ _log = logging.getLogger("rossec.console")
 
 
 class PreviewReceiver:
-    """Receives as `/console`, and writes frames."""
-
     def __init__(
         self, writer: asyncio.StreamWriter, environ: Mapping[str, str], period: float = PERIOD
     ) -> None:
@@ -64,6 +61,7 @@ class PreviewReceiver:
         def may_see(topic: str) -> bool:
             return node.access.holds(Right.SUBSCRIBE, topic, clock.now())
 
+        # Grants that come or end take effect within seconds: asked again each time.
         found = await node.topic_types()
         for topic in tuple(self._subscribers):
             if not may_see(topic):

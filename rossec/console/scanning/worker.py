@@ -1,8 +1,6 @@
 """The process that decodes pictures of browsers (`python -I -m rossec.console.scanning.worker`).
 
-Frames come on standard input, answers leave on standard output. Pictures are untrusted, and the libraries
-that decode them are written in C: this process opens no file, starts no other one, writes none, and has
-limits on memory. The time for a picture is its supervisor's to limit.
+Frames come on standard input, answers leave on standard output.
 """
 
 import logging
@@ -43,6 +41,8 @@ def main() -> None:
 
 
 def confine() -> None:
+    # Pictures are untrusted, and the libraries that decode them are written in C: this process opens no file,
+    # starts no other one, writes none, and has limits on memory. The time is its supervisor's to limit.
     os.nice(_NICE)
     lower_limits(_LIMITS)
     try:

@@ -29,27 +29,14 @@ WORDS: Final[Mapping[str, tuple[type, ...]]] = {
 
 @dataclass(frozen=True)
 class WebSettings:
-    """Of one console.
-
-    Args:
-        domain: the trust domain's name.
-        origins: the addresses under which it is used, as browsers send them as `Origin` (RFC 6454); of the
-            first one are links and passkeys.
-        users: user ids whose programs on this host may connect; None: it is not on localhost.
-        hsts: whether browsers shall insist on https for this name.
-        read_only: whether pages only show.
-        lifetime, idle: of sessions, in seconds.
-        proxy_users: whose programs may connect at a unix socket, as a proxy.
-    """
-
     domain: str
-    origins: tuple[str, ...]
-    users: frozenset[int] | None = None
-    hsts: bool = False
-    read_only: bool = False
-    lifetime: int = LIFETIME
+    origins: tuple[str, ...]  # as browsers send them (RFC 6454); of the first are links and passkeys
+    users: frozenset[int] | None = None  # whose programs on this host may connect; None: not on localhost
+    hsts: bool = False  # whether browsers shall insist on https for this name
+    read_only: bool = False  # whether pages only show
+    lifetime: int = LIFETIME  # of sessions, in seconds
     idle: int = IDLE
-    proxy_users: frozenset[int] = frozenset()
+    proxy_users: frozenset[int] = frozenset()  # whose programs may connect at a unix socket, as a proxy
 
     @property
     def origin(self) -> str:

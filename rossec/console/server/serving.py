@@ -1,9 +1,6 @@
 """uvicorn in this process's loop, with limits that it lacks: for what comes before a whole head.
 
-No access log: a path can name a robot. No server header, no headers of a proxy read, no websockets. A
-connection has a deadline for every request's head, so nobody holds one by sending a byte a minute; what
-cannot be read is not answered. It takes a place when it is accepted, before TLS begins, and keeps it until it
-is closed (`ConnectionShares`).
+No server header, no headers of a proxy read, no websockets. What cannot be read is not answered.
 """
 
 import asyncio
@@ -42,12 +39,10 @@ _log = logging.getLogger("rossec.console")
 
 
 def check_peer(scope: Mapping[str, Any], users: frozenset[int] | None) -> None:
-    """Return if the connection of a request may be used; `users` None: anybody's may.
-
-    Cookies know no ports, and every user of a host reaches every port of it; so the user of the TCP peer is
-    looked up for each request. Root is refused like any other user unless the console runs as root: it could
-    take what it wants anyway, and a browser run as root by mistake should not.
-    """
+    """Return if the connection of a request may be used; `users` None: anybody's may."""
+    # Cookies know no ports, and every user of a host reaches every port of it; so the user of the TCP peer is
+    # looked up for each request. Root is refused like any other user unless the console runs as root: it
+    # could take what it wants anyway, and a browser run as root by mistake should not.
     if users is None:
         return
     client, server = scope.get("client"), scope.get("server")
@@ -84,11 +79,11 @@ class ConnectionPlace:
 
 
 class ConnectionShares:
-    """The places of the console's connections: shares by source, then by who is logged in.
+    """The places of the console's connections: shares by source, then by who is logged in."""
 
-    Where all are taken, one of the source that has most makes room (`rossec.net.limits`). One on which a
-    session was shown moves to the places of sessions: strangers end none of those.
-    """
+    # A connection takes one when it is accepted, before TLS begins, and keeps it until it is closed. Where
+    # all are taken, one of the source that has most makes room (`rossec.net.limits`). One on which a session
+    # was shown moves to the places of sessions: strangers end none of those.
 
     def __init__(self) -> None:
         self._strangers = HalfOpenCount(STRANGERS)
@@ -97,8 +92,7 @@ class ConnectionShares:
         self._proxies = HalfOpenCount(PROXIES)
 
     def __len__(self) -> int:
-        counts = (self._strangers, self._sessions, self._other_users, self._proxies)
-        return sum(map(len, counts))
+        return sum(map(len, (self._strangers, self._sessions, self._other_users, self._proxies)))
 
     def take(self, address: str, *, is_other_user: bool) -> ConnectionPlace | None:
         others = self._strangers if address else self._proxies
@@ -117,7 +111,7 @@ class BoundedProtocol(H11Protocol):
         self.has_begun = True
         if self.place is not None:
             self.place.closed_by(transport.abort)
-            self.app = _Placed(self.app, self.place)
+            self.app = _placed(self.app, self.place)
         self._arm()
 
     def data_received(self, data: bytes) -> None:
@@ -149,6 +143,7 @@ class BoundedProtocol(H11Protocol):
         cycle: RequestResponseCycle | None = self.cycle  # None before the first request
         return cycle is not None and not cycle.response_complete
 
+    # For every request's head: nobody holds a connection by sending a byte a minute.
     def _arm(self) -> None:
         self._disarm()
         self._deadline = self.loop.call_later(HEAD_TIME, self.transport.abort)
@@ -159,24 +154,14 @@ class BoundedProtocol(H11Protocol):
             self._deadline = None
 
 
-class _Placed:
-    def __init__(self, app: Any, place: ConnectionPlace) -> None:
-        self._app, self._place = app, place
+def _placed(app: ASGIApp, place: ConnectionPlace) -> ASGIApp:
+    async def call(scope: Scope, receive: Receive, send: Send) -> None:
+        await app({**scope, PLACE: place}, receive, send)
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        await self._app({**scope, PLACE: self._place}, receive, send)
+    return call
 
 
 class ConsoleServer:
-    """Serves one application at sockets that listen already.
-
-    Args:
-        app: the application.
-        context: for TLS; None: plain HTTP.
-        proxy_users: user ids whose programs may connect at a unix socket.
-        users: user ids whose programs may connect on localhost; None: it is not there.
-    """
-
     def __init__(
         self,
         app: ASGIApp,
@@ -190,7 +175,7 @@ class ConsoleServer:
             ws="none",
             lifespan="off",
             interface="asgi3",
-            log_config=None,
+            log_config=None,  # and no access log: a path can name a robot
             access_log=False,
             proxy_headers=False,
             server_header=False,
@@ -282,5 +267,6 @@ class ConsoleServer:
 
 
 def _shut_down(sock: socket.socket) -> None:
+    # Not closed: the task that begins on it still uses its descriptor.
     with suppress(OSError):
         sock.shutdown(socket.SHUT_RDWR)

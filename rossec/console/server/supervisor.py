@@ -1,11 +1,7 @@
 """The console as a command: sockets that listen, the processes behind them, and their end. A shell.
 
 The supervisor has what the web process must not have: the terminal, and the right to start processes. It
-reads nothing that browsers send: pictures go on to the scanner's process unread, and the preview's messages
-go to the pages over a socketpair that it gives away.
-
-The web process inherits the sockets that listen, which outlive it, and its ends of two or three socketpairs.
-When it is started again, whoever was logged in logs in again.
+reads nothing that browsers send. When the web process is started again, whoever was logged in logs in again.
 """
 
 import asyncio
@@ -14,10 +10,10 @@ import os
 import pwd
 import socket
 import subprocess
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from rossec import clock
 from rossec.authority.keyservice.process import CREDENTIALS
@@ -46,7 +42,7 @@ _SLOW: Final = Unreadable("reading the picture took too long, or failed", CLOSER
 _log = logging.getLogger("rossec.console")
 _scanner_log = logging.getLogger("rossec.console.scanner")
 
-Certificates = Callable[[Callable[[bytes], Awaitable[None]]], Awaitable[None]]
+Certificates = Callable[[Callable[[bytes], Awaitable[None]]], Coroutine[Any, Any, None]]
 """Given a function that installs a bundle (key and chain, PEM), installs the first one and then
 every newer one, for ever."""
 
@@ -95,10 +91,8 @@ def settings_for(endpoint: ConsoleEndpoint, domain: str) -> WebSettings:
             try:
                 proxies |= {pwd.getpwnam(endpoint.proxy_user).pw_uid}
             except KeyError:
-                raise ConfigurationError(
-                    f"there is no user {endpoint.proxy_user!a} on this host",
-                    "--proxy-user is the user of the proxy",
-                ) from None
+                said = f"there is no user {endpoint.proxy_user!a} on this host"
+                raise ConfigurationError(said, "--proxy-user is the user of the proxy") from None
     return WebSettings(
         domain,
         (endpoint.origin,),
@@ -112,16 +106,6 @@ def settings_for(endpoint: ConsoleEndpoint, domain: str) -> WebSettings:
 
 
 class WebProcess:
-    """The web process, from the first start to the end of the supervisor.
-
-    Args:
-        options: of the process.
-        listening: sockets that listen.
-        environ: its environment.
-        certificates: for TLS; None: plain HTTP.
-        preview: receives messages for its pictures; None: nothing does.
-    """
-
     def __init__(
         self,
         options: WebOptions,
@@ -151,9 +135,8 @@ class WebProcess:
             async with asyncio.timeout(START):
                 await self._future()
         except TimeoutError as error:
-            raise ConfigurationError(
-                "the console's web process does not start", "its messages are above"
-            ) from error
+            said = "the console's web process does not start"
+            raise ConfigurationError(said, "its messages are above") from error
 
     async def _run_once(self) -> None:
         ours, scanner = self._spawn()
@@ -164,12 +147,8 @@ class WebProcess:
             writer.write(control.write(control.ControlMessage(control.CERTIFICATE, (bundle,))))
             await writer.drain()
 
-        async def install_all(certificates: Certificates) -> None:
-            await certificates(install)
-
-        tasks = [self._listen(reader), pictures.run()]
-        if self._certificates is not None:
-            tasks.append(install_all(self._certificates))
+        tasks: list[Coroutine[Any, Any, None]] = [self._listen(reader), pictures.run()]
+        tasks += [] if self._certificates is None else [self._certificates(install)]
         try:
             await until_first_ends(*tasks)
         except ConnectionError:
@@ -178,6 +157,8 @@ class WebProcess:
             writer.transport.abort()
 
     def _spawn(self) -> tuple[socket.socket, socket.socket]:
+        # The sockets that listen outlive the process. Pictures go on to the scanner's process unread, and the
+        # preview's messages to the pages over a socketpair that is given away.
         ours, theirs = socket.socketpair()
         scanner, other = socket.socketpair()
         messages_end = None if self._preview is None else self._preview.start()
@@ -225,12 +206,6 @@ class ScannerSupervisor:
     """Answers the web process with what the worker that decodes pictures reads, one at a time.
 
     A worker that takes too long, breaks the protocol or dies is killed, and the next picture gets a new one.
-
-    Args:
-        sock: the supervisor's end of the socketpair.
-        command: of the worker.
-        deadline: seconds for a picture.
-        idle: seconds without a picture after which a worker ends.
     """
 
     def __init__(
@@ -240,10 +215,8 @@ class ScannerSupervisor:
         deadline: float = DEADLINE,
         idle: float = SCANNER_IDLE,
     ) -> None:
-        self._socket = sock
-        self._command = command
-        self._deadline = deadline
-        self._idle = idle
+        self._socket, self._command = sock, command
+        self._deadline, self._idle = deadline, idle
         self._worker: AskedWorker | None = None
 
     async def run(self) -> None:
@@ -285,8 +258,6 @@ class ScannerSupervisor:
 
 
 class PreviewProcess:
-    """The process of the preview; one at a time, started beside each web process."""
-
     def __init__(self, environ: Mapping[str, str], module: str = RECEIVER_MODULE) -> None:
         self._environ = environ
         self._command = worker_command(module)
@@ -297,7 +268,6 @@ class PreviewProcess:
         return None if self._process is None else self._process.pid
 
     def start(self) -> socket.socket:
-        """Start it; returns the end of its socketpair that is for the pages."""
         theirs, pages = socket.socketpair()
         with theirs:
             descriptor = theirs.fileno()
@@ -305,7 +275,6 @@ class PreviewProcess:
         return pages
 
     async def end(self) -> None:
-        """Reap it: it ends with the connection, or is killed."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -319,7 +288,6 @@ class PreviewProcess:
 
 
 def check_enrolled(home: Path) -> None:
-    """Return if the node `/console` has an identity in ROSSEC_HOME `home`."""
     node = NodeHome.of(home, NAME)
     if not (node.path / "node.pem").exists():
         raise ConfigurationError(

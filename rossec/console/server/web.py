@@ -63,16 +63,6 @@ def main(arguments: list[str]) -> None:
 
 
 class WebServer:
-    """What runs in it.
-
-    Args:
-        settings: of the console.
-        client: of the authority's service.
-        scanner: the end of a socketpair behind which pictures are read.
-        context: for TLS; None: plain HTTP.
-        preview: the end of a socketpair from which messages come; None: pictures are made up.
-    """
-
     def __init__(
         self,
         settings: WebSettings,

@@ -2,21 +2,18 @@
 
 A source gives bundles: the private key and the chain, both PEM. It is asked again every minute; a bundle is
 given when it is a new one, so the server goes on without a restart. What cannot be used is refused at the
-start; later the bundle of before stays, and the log says why. The authority's key (`tls.key`) is made with
-mode 0600 and O_EXCL, never printed, and left out of backups: who restores the authority of the robots makes a
-new one for browsers. A key and a certificate that do not belong together, as a crash between the two leaves
-them, are refused; `renew` makes both anew.
+start; later the bundle of before stays, and the log says why.
 """
 
 import asyncio
 import logging
 import os
 import secrets
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -49,12 +46,21 @@ _log = logging.getLogger("rossec.console")
 
 def open_authority(directory: Path) -> TlsAuthority:
     """The authority in `directory`. Its validity is not checked here."""
-    key = _read_key(directory / KEY)
+    pem = files.read_own(directory / KEY, _MAX_FILE, _NONE)
+    if os.lstat(directory / KEY).st_mode & 0o077:
+        raise ConfigurationError(f"{directory / KEY} can be read by others", _RENEW)
+    try:
+        key = load_pem_private_key(pem, None)
+    except (ValueError, TypeError) as error:
+        raise ConfigurationError(f"{KEY} is damaged", _RENEW) from error
+    if not isinstance(key, ec.EllipticCurvePrivateKey) or key.curve.name != "secp256r1":
+        raise ConfigurationError(f"{KEY} is not a P-256 key", _RENEW)
     pem = files.read_own(directory / CERTIFICATE, _MAX_FILE, _NONE)
     try:
         data = x509.load_pem_x509_certificate(pem).public_bytes(Encoding.DER)
     except ValueError as error:
         raise ConfigurationError(f"{CERTIFICATE} is damaged", _RENEW) from error
+    # That the two belong together is checked there: a crash between their renewals leaves them apart.
     return TlsAuthority.load(key, data)
 
 
@@ -67,6 +73,8 @@ def renew(directory: Path, name: str, host: Address | None, now: int) -> TlsAuth
     with files.locked_directory(directory):
         key = ec.generate_private_key(ec.SECP256R1())
         made = TlsAuthority.create(key, name, host, now=now, serial=random_serial())
+        # 0600 and O_EXCL. It is left out of backups: who restores the authority of the robots makes a new one
+        # for browsers.
         fresh = directory / f"{KEY}.{secrets.token_hex(8)}"
         files.create(fresh, key_pem(key))
         fresh.replace(directory / KEY)
@@ -78,7 +86,6 @@ def renew(directory: Path, name: str, host: Address | None, now: int) -> TlsAuth
 def authority_for(
     directory: Path, name: str, host: Address | None, now: int, *, rename: bool
 ) -> TlsAuthority:
-    """The authority for `name`, made if there is none."""
     if not exists(directory):
         return renew(directory, name, host, now)
     found = open_authority(directory)
@@ -94,7 +101,6 @@ def authority_for(
 
 
 def first_address() -> Address | None:
-    """The address at which others probably reach this host; None: there is none."""
     found = map(ip_address, addresses.own_addresses())
     return next((each for each in found if not each.is_loopback and not each.is_link_local), None)
 
@@ -108,19 +114,6 @@ def key_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
     return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
 
 
-def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
-    pem = files.read_own(path, _MAX_FILE, _NONE)
-    if os.lstat(path).st_mode & 0o077:
-        raise ConfigurationError(f"{path} can be read by others", _RENEW)
-    try:
-        key = load_pem_private_key(pem, None)
-    except (ValueError, TypeError) as error:
-        raise ConfigurationError(f"{KEY} is damaged", _RENEW) from error
-    if not isinstance(key, ec.EllipticCurvePrivateKey) or key.curve.name != "secp256r1":
-        raise ConfigurationError(f"{KEY} is not a P-256 key", _RENEW)
-    return key
-
-
 class CertificateSource(Protocol):
     def first(self, now: int) -> bytes: ...
 
@@ -131,9 +124,7 @@ class OwnCertificates:
     """Issued by the console's own authority, each with a new key, which is in memory alone."""
 
     def __init__(self, authority: TlsAuthority, address: Address | None, serial: Callable[[], int]) -> None:
-        self._authority = authority
-        self._address = address
-        self._serial = serial
+        self._authority, self._address, self._serial = authority, address, serial
         self._renew_at = 0
 
     def first(self, now: int) -> bytes:
@@ -155,13 +146,7 @@ class OwnCertificates:
 
 
 class FileCertificates:
-    """The operator's files, read again when they change, as a program that renews them does.
-
-    Args:
-        certificate: the chain, the server's first, PEM.
-        key: the private key, PEM, without a passphrase.
-        name: that the certificate must have.
-    """
+    """The operator's files, read again when they change, as a program that renews them does."""
 
     def __init__(self, certificate: Path, key: Path, name: str) -> None:
         self._paths = certificate, key
@@ -196,7 +181,7 @@ class FileCertificates:
 
 
 def renewal_time(issued: int, end: int) -> int:
-    """Two thirds into the time from `issued` to `end`, seconds since the epoch."""
+    # Two thirds: a third is left to be told of failures, which are tried again every hour.
     return issued + 2 * (end - issued) // 3
 
 
@@ -208,14 +193,12 @@ def check_bundle(chain: bytes, key: bytes, name: str, now: int) -> None:
     try:
         own = load_pem_private_key(key, None)
     except (ValueError, TypeError) as error:
-        raise ConfigurationError(
-            "--tls-key has no private key", "name a PEM file that has no passphrase"
-        ) from error
+        hint = "name a PEM file that has no passphrase"
+        raise ConfigurationError("--tls-key has no private key", hint) from error
     form = Encoding.DER, PublicFormat.SubjectPublicKeyInfo
     if own.public_key().public_bytes(*form) != leaf.public_key().public_bytes(*form):
-        raise ConfigurationError(
-            "--tls-key is not the key of --tls-cert", "the server's own certificate comes first"
-        )
+        hint = "the server's own certificate comes first"
+        raise ConfigurationError("--tls-key is not the key of --tls-cert", hint)
     if now > _end(leaf):
         raise ConfigurationError("the certificate of --tls-cert has expired", "renew it")
     names = set[str]()
@@ -224,9 +207,8 @@ def check_bundle(chain: bytes, key: bytes, name: str, now: int) -> None:
         names = {each.lower() for each in found.get_values_for_type(x509.DNSName)}
     # Its name, or a wildcard for its first label (RFC 9525 section 6.3).
     if names.isdisjoint({name, f"*.{name.partition('.')[2]}"}):
-        raise ConfigurationError(
-            f"the certificate of --tls-cert is not for {name}", "give its name with --name"
-        )
+        said = f"the certificate of --tls-cert is not for {name}"
+        raise ConfigurationError(said, "give its name with --name")
 
 
 def _end(certificate: x509.Certificate) -> int:
@@ -234,20 +216,13 @@ def _end(certificate: x509.Certificate) -> int:
 
 
 class TlsSetup(NamedTuple):
-    """Where certificates come from; `authority` if they are of the console's own one."""
-
     source: CertificateSource
     authority: TlsAuthority | None = None
 
 
 def prepare_tls(endpoint: ConsoleEndpoint, directory: Path, now: int, *, rename: bool) -> TlsSetup | None:
-    """The certificates of `endpoint`; None: it does without.
-
-    Args:
-        endpoint: of the console.
-        directory: the console's own; its TLS authority is made there when it is needed first.
-        now: seconds since the epoch.
-        rename: replace an authority that is for another name.
+    """The certificates of `endpoint`; None: it does without. An authority for another name is replaced only
+    with `rename`: every phone trusts the old one.
     """
     if endpoint.tls is Tls.NONE:
         return None
@@ -267,7 +242,7 @@ Install = Callable[[bytes], Awaitable[None]]
 
 def renewed_from(
     source: CertificateSource, now: Callable[[], int], period: float = PERIOD
-) -> Callable[[Install], Awaitable[None]]:
+) -> Callable[[Install], Coroutine[Any, Any, None]]:
     """A function that installs the first bundle of `source`, then every newer one, for ever.
 
     It may be run again: a server that was started anew begins with a first bundle.

@@ -1,10 +1,8 @@
 """Hands the TLS authority's certificate to a phone: plain HTTP, for ten minutes, in a process of its own.
 
-Plain, because the phone trusts nothing here yet: whoever is on the network can change the page. So it does
-not show the fingerprint (an attacker's page would show the attacker's): it tells the reader to compare what
-the phone shows with what the terminal shows. It knows no state, reads no header and no body, and answers GET
-of two paths. The process (`python -I -m rossec.console.tls.hand_out`) is confined as the web process is,
-which never speaks plain HTTP to the network, has nothing but the certificate, and ends by itself.
+It knows no state, reads no header and no body, and answers GET of two paths. The process (`python -I -m
+rossec.console.tls.hand_out`) is confined as the web process is, which never speaks plain HTTP to the network,
+has nothing but the certificate, and ends by itself.
 """
 
 import asyncio
@@ -50,10 +48,10 @@ class Document(NamedTuple):
 
 
 def documents(certificate: bytes, origin: str) -> dict[str, Document]:
-    """What is handed out: the page at `PAGE`, the certificate (DER) at `FILE`. Pure.
-
-    `origin` is the console's, where the reader goes afterwards.
-    """
+    """What is handed out: the page at `PAGE`, the certificate (DER) at `FILE`. Pure."""
+    # The phone trusts nothing here yet: whoever is on the network can change the page. So it does not show
+    # the fingerprint (an attacker's page would show the attacker's): the reader compares what the phone shows
+    # with what the terminal shows.
     folder = resources.files(__package__)
     style, text = ((folder / name).read_text("utf-8") for name in ("hand_out.css", "hand_out.html"))
     values = {"origin": html.escape(origin), "file": FILE, "style": style}
@@ -99,10 +97,6 @@ def handing_out(
     port: int = HAND_OUT_PORT,
     seconds: float = SECONDS,
 ) -> Iterator[None]:
-    """Hand `certificate` (DER) out at `port` for `seconds`, or until this is left.
-
-    `origin` is the console's, where a reader goes afterwards.
-    """
     listening = listen_tcp(addresses, port)
     descriptors = [sock.fileno() for sock in listening]
     arguments = [",".join(map(str, descriptors)), origin, str(seconds), certificate.hex()]
@@ -126,7 +120,6 @@ def handing_out(
 async def serve(
     listening: list[socket.socket], origin: str, seconds: float, data: bytes, until: BinaryIO
 ) -> None:
-    """Hand `data` out for `seconds`, or until the pipe `until` ends."""
     end = time.monotonic() + seconds
     server = ConsoleServer(create_hand_out(data, origin, lambda: time.monotonic() > end))
     reader = asyncio.StreamReader()

@@ -1,12 +1,8 @@
 """The console's own TLS authority: its certificate, those it issues, and how a person compares it. Pure.
 
 A browser that trusts it must be able to trust it with nothing else, so it is never the authority of the
-robots, it issues to no other authority (pathlen 0), for TLS servers alone (extended key usage), and its
-critical name constraints permit one DNS name (with what is below it) and one address.
-
-What a phone shows of a certificate is the SHA-256 of its DER form in hex: that is what is compared on the
-phone. The words are its first 88 bits, for saying aloud (one person at the terminal, one at the phone that
-has the console open).
+robots. What a phone shows of a certificate is the SHA-256 of its DER form in hex: that is compared. The words
+are its first 88 bits, for saying aloud (one person at the terminal, one at the phone).
 """
 
 from dataclasses import dataclass
@@ -61,10 +57,8 @@ class TlsAuthority:
     def create(
         cls, key: ec.EllipticCurvePrivateKey, name: str, address: Address | None, *, now: int, serial: int
     ) -> Self:
-        """A new authority for `name`, a DNS name in lower case, valid for a year.
-
-        `serial` is 127 random bits.
-        """
+        """A new authority for `name`, a DNS name in lower case, valid for a year."""
+        # For whoever gets the key: no other authority below it, TLS servers alone, one name and one address.
         period = now - BACKDATE, now + LIFETIME
         text, limits = f"rossec console {name}"[:_MAX_COMMON_NAME], _constraints(name, address)
         made = tls_authority(key, text, serial, period, limits)
@@ -146,7 +140,6 @@ def word_list() -> tuple[str, ...]:
 
 
 def describe(authority: TlsAuthority, now: int) -> list[str]:
-    """Lines for a terminal: what it is for, and the fingerprint to compare."""
     pairs = in_hex(authority.data).split(":")
     lines = [":".join(pairs[start : start + _PAIRS]) for start in range(0, len(pairs), _PAIRS)]
     names = authority.name if authority.address is None else f"{authority.name} and {authority.address}"
@@ -164,7 +157,6 @@ def describe(authority: TlsAuthority, now: int) -> list[str]:
 
 
 def as_json(authority: TlsAuthority) -> dict[str, object]:
-    """For programs; times are seconds since the epoch."""
     return {
         "name": authority.name,
         "address": None if authority.address is None else str(authority.address),

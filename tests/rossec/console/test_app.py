@@ -22,7 +22,9 @@ def test_a_refusal_has_a_status(error: HintedError, status: int) -> None:
 
 def asked(accept: str) -> Request:
     headers = [(b"accept", accept.encode())]
-    return Request({"type": "http", "method": "GET", "path": "/", "headers": headers, "state": {}})
+    return Request(
+        {"type": "http", "method": "GET", "path": "/", "query_string": b"", "headers": headers, "state": {}}
+    )
 
 
 def test_a_refusal_is_a_page_or_json() -> None:

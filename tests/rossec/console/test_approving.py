@@ -9,8 +9,9 @@ import pytest
 from ca.errors import EnrollmentOver, HintedError, NameRefused, PatternRefused
 from rossec.authority.console.messages import PREPARED, ApprovalOutcome, GrantQuestion, IdentityRequestView
 from rossec.console import approvals
-from rossec.console.approvals import DAY, MadeCodes, ProposedAct, carried_out, certificate_request, read
+from rossec.console.approvals import DAY, ProposedAct, carried_out, certificate_request, read
 from rossec.console.enrollments import Enrollment
+from rossec.console.sessions import SessionTable
 from rossec.errors import EnrollmentUnknown, FormRefused
 
 QUESTION = "q" * 22
@@ -55,7 +56,7 @@ class Sources:
         self.heard: list[tuple[str, ApprovalOutcome]] = []
         self.enrollments: Any = self
         self.service: Any = self
-        self.made_codes = MadeCodes()
+        self.made_codes: SessionTable[bool] = SessionTable(4)
         self.lifetime = 7 * DAY  # of what is asked for
 
     def get(self, number: str) -> Enrollment:
@@ -234,5 +235,5 @@ def test_the_page_after_an_approval_is_the_one_of_its_kind() -> None:
 def test_a_join_code_is_for_the_session_that_made_it() -> None:
     sources, outcome = Sources(), ApprovalOutcome(b"\xab" * 16, "done", "", b"code")
     carried_out(sources, ProposedAct("invitation", [], "/invited/{id}"), outcome, b"session")
-    assert not sources.made_codes.take(outcome.id, b"another")
-    assert sources.made_codes.take(outcome.id, b"session")
+    assert not sources.made_codes.pop(outcome.id, b"another")
+    assert sources.made_codes.pop(outcome.id, b"session")

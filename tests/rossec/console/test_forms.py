@@ -5,57 +5,56 @@ from typing import Any
 import pytest
 from starlette.requests import Request
 
-from rossec.console.rendering import (
-    bytes_field,
-    from_base64url,
-    read_form,
-    read_json,
-    text_field,
-    to_base64url,
-)
+from rossec.console.rendering import Visit, bytes_field, from_base64url, text_field, to_base64url
 from rossec.errors import HttpRefused
+from tests.support.consolepages import Browser
 
 
-def request(body: bytes, kind: str = "application/x-www-form-urlencoded") -> Request:
+def visit(body: bytes, kind: str = "application/x-www-form-urlencoded") -> Visit:
     async def receive() -> dict[str, object]:
         return {"type": "http.request", "body": body, "more_body": False}
 
-    scope = {"type": "http", "method": "POST", "headers": [(b"content-type", kind.encode())]}
-    return Request(scope, receive)
+    scope = {
+        "type": "http",
+        "method": "POST",
+        "query_string": b"",
+        "headers": [(b"content-type", kind.encode())],
+    }
+    return Visit(Request(scope, receive), Browser().context)
 
 
 async def test_a_form_has_its_fields() -> None:
-    found = await read_form(request(b"a=1&b=%C3%A4+%26&c="))
+    found = await visit(b"a=1&b=%C3%A4+%26&c=").form()
     assert found == {"a": "1", "b": "ä &", "c": ""}
-    assert await read_form(request(b"")) == {}
+    assert await visit(b"").form() == {}
 
 
 @pytest.mark.parametrize("body", [b"a=1&a=2", b"a", b"a=%ff", b"a=\xff", b"&", "&".join("a=1" * 65).encode()])
 async def test_another_body_is_no_form(body: bytes) -> None:
     with pytest.raises(HttpRefused):
-        await read_form(request(body))
+        await visit(body).form()
 
 
 async def test_files_are_not_read() -> None:
     with pytest.raises(HttpRefused) as refused:
-        await read_form(request(b"a=1", "multipart/form-data; boundary=a"))
+        await visit(b"a=1", "multipart/form-data; boundary=a").form()
     assert refused.value.status == 415
 
 
 async def test_a_script_sends_an_object() -> None:
     kind = "application/json; charset=utf-8"
-    assert await read_json(request(b'{"a": "1"}', kind)) == {"a": "1"}
+    assert await visit(b'{"a": "1"}', kind).json() == {"a": "1"}
 
 
 @pytest.mark.parametrize("body", [b"", b"[]", b"1", b'{"a": 1, "a": 2}', b"\xff", b"[" * 5000])
 async def test_another_body_is_no_object(body: bytes) -> None:
     with pytest.raises(HttpRefused):
-        await read_json(request(body, "application/json"))
+        await visit(body, "application/json").json()
 
 
 async def test_a_form_is_no_json() -> None:
     with pytest.raises(HttpRefused):
-        await read_json(request(b"{}"))
+        await visit(b"{}").json()
 
 
 @pytest.mark.parametrize("value", [1, None, ["a"], "a" * 201])
@@ -80,7 +79,7 @@ def test_other_texts_are_no_bytes(text: str) -> None:
 
 @pytest.mark.attack("terminal-output")
 async def test_half_a_surrogate_pair_is_no_text() -> None:
-    fields = await read_json(request(b'{"name": "a\\ud800", "whole": "\\ud83d\\ude00"}', "application/json"))
+    fields = await visit(b'{"name": "a\\ud800", "whole": "\\ud83d\\ude00"}', "application/json").json()
     with pytest.raises(HttpRefused, match="not a text"):
         text_field(fields, "name")
     assert text_field(fields, "whole") == "\U0001f600"

@@ -3,14 +3,21 @@
 from typing import Any
 
 import pytest
+from starlette.requests import Request
 
 from rossec.authority.console.messages import DenialView
 from rossec.console import samples
 from rossec.console.pages import visibility
+from rossec.console.rendering import Visit
 from rossec.console.samples import Recorded
 from rossec.errors import HttpRefused, KeyServiceRefused
 from tests.support.consolehome import NOW, POSE, as_service, crowd, demo, sees
 from tests.support.consolepages import Browser
+
+
+def visit(of: Browser) -> Visit:
+    scope = {"type": "http", "path": "/", "query_string": b"", "headers": [], "state": {}}
+    return Visit(Request(scope), of.context)
 
 
 def browser(**context: Any) -> Browser:
@@ -20,7 +27,7 @@ def browser(**context: Any) -> Browser:
 
 
 async def test_it_has_the_matrix_of_the_grants_and_the_graph() -> None:
-    home = await visibility.load(browser().context)
+    home = await visibility.load(visit(browser()))
     assert home.matrix == demo().matrix
     assert not home.without_master
     assert [node.name for node in home.named("/robot")] == ["/robot"]
@@ -31,10 +38,10 @@ async def test_without_a_master_there_are_the_grants() -> None:
     made = browser()
     made.home.refusals["graph"] = KeyServiceRefused("no master answers", "start it")
     made.home.refusals["denials"] = KeyServiceRefused("no master answers")
-    home = await visibility.load(made.context)
+    home = await visibility.load(visit(made))
     assert home.without_master
     assert home.matrix.receivers == ("/doctor", "/heating")
-    assert await visibility.denials(made.context) == ()
+    assert await visibility.denials(visit(made)) == ()
 
 
 async def test_a_node_without_a_grant_is_ending_too_until_every_node_has_heard() -> None:
@@ -44,19 +51,19 @@ async def test_a_node_without_a_grant_is_ending_too_until_every_node_has_heard()
     made = Browser(as_service(home))
     made.now = NOW
     made.home.standing = made.home.standing._replace(nodes_with_list=0)
-    assert (await visibility.load(made.context)).ending == {home.nodes[0].key.hex()}
+    assert (await visibility.load(visit(made))).ending == {home.nodes[0].key.hex()}
     made.home.standing = made.home.standing._replace(nodes_with_list=3)
-    assert (await visibility.load(made.context)).ending == frozenset()
+    assert (await visibility.load(visit(made))).ending == frozenset()
     made.home.refusals["standing"] = KeyServiceRefused("busy")
     home.nodes[1] = home.nodes[1]._replace(revoked_at=NOW)
-    assert (await visibility.load(made.context)).ending == {home.nodes[1].key.hex()}
+    assert (await visibility.load(visit(made))).ending == {home.nodes[1].key.hex()}
 
 
 async def test_a_refusal_of_the_rest_is_not_hidden() -> None:
     made = browser()
     made.home.refusals["grants"] = KeyServiceRefused("busy")
     with pytest.raises(KeyServiceRefused, match="busy"):
-        await visibility.load(made.context)
+        await visibility.load(visit(made))
 
 
 def test_refused_names_are_those_of_the_last_nodes() -> None:
@@ -76,8 +83,8 @@ class _Preview:
 
 async def test_a_topic_is_compared_by_the_preview_or_made_up() -> None:
     made = browser(preview=_Preview())
-    home = await visibility.load(made.context)
-    found = {row.topic: visibility.comparison(made.context, row) for row in home.matrix.rows}
+    home = await visibility.load(visit(made))
+    found = {row.topic: visibility.comparison(visit(made), row) for row in home.matrix.rows}
     pose, scan = found["/robot/pose"], found["/robot/scan"]
     assert pose is not None
     assert scan is not None
@@ -89,11 +96,11 @@ def test_a_pattern_and_an_unknown_type_are_not_drawn() -> None:
     home = demo()
     home.node("/eye")
     home.grant("/eye", sees("/robot/**"), sees("/untyped"))
-    context = browser().context
+    given = visit(browser())
     for topic in ("/robot/**", "/untyped"):
         row = home.matrix.row(topic)
         assert row is not None
-        assert visibility.comparison(context, row) is None
+        assert visibility.comparison(given, row) is None
 
 
 def test_a_name_in_a_path_is_a_name_or_a_pattern() -> None:

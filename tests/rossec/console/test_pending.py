@@ -1,34 +1,31 @@
-"""Acts that wait for a passkey."""
+"""What waits for its session: acts for a passkey, join codes to be shown."""
 
-import pytest
+from rossec.authority.console import messages
+from rossec.console.sessions import SessionTable
 
-from rossec.console.approvals import MAX_PENDING, PendingActs, ProposedAct
-from rossec.errors import HttpRefused
-
-ACT = ProposedAct("passkey", [b"a"], "/phones")
+ANNA, LOOKER = messages.of_phone("anna"), messages.of_looker(b"l")
 
 
-def test_an_act_is_found_in_its_session_until_it_is_done() -> None:
-    pending = PendingActs()
-    pending.add(b"1", b"session", ACT)
-    assert pending.get(b"1", b"session") is ACT
-    pending.remove(b"1")
-    for statement, session in ((b"1", b"session"), (b"2", b"session")):
-        with pytest.raises(HttpRefused):
-            pending.get(statement, session)
+def test_it_is_found_in_its_session_until_it_is_done() -> None:
+    pending: SessionTable[str] = SessionTable(4)
+    assert pending.add(b"1", b"session", "act", ANNA)
+    assert pending.get(b"1", b"session") == "act"
+    assert pending.pop(b"1", b"session") == "act"
+    assert pending.get(b"1", b"session") is None
+    assert pending.pop(b"2", b"session") is None
 
 
-def test_another_session_does_not_find_it() -> None:
-    pending = PendingActs()
-    pending.add(b"1", b"session", ACT)
-    with pytest.raises(HttpRefused, match="was not asked here"):
-        pending.get(b"1", b"other")
+def test_another_session_neither_finds_nor_takes_it() -> None:
+    pending: SessionTable[str] = SessionTable(4)
+    pending.add(b"1", b"session", "act", ANNA)
+    assert pending.get(b"1", b"other") is None
+    assert pending.pop(b"1", b"other") is None
+    assert pending.pop(b"1", b"session") == "act"
 
 
-def test_the_oldest_makes_room() -> None:
-    pending = PendingActs()
-    for number in range(MAX_PENDING + 1):
-        pending.add(bytes([number % 256, number // 256]), b"session", ACT)
-    with pytest.raises(HttpRefused):
-        pending.get(bytes([0, 0]), b"session")
-    assert pending.get(bytes([1, 0]), b"session") is ACT
+def test_the_oldest_makes_room_and_nothing_of_a_phone_for_who_only_looks() -> None:
+    pending: SessionTable[str] = SessionTable(2)
+    for key in (b"1", b"2", b"3"):
+        assert pending.add(key, b"session", "act", ANNA)
+    assert [pending.get(key, b"session") for key in (b"1", b"2", b"3")] == [None, "act", "act"]
+    assert not pending.add(b"4", b"other", "act", LOOKER)

@@ -7,7 +7,7 @@ from starlette.requests import Request
 from rossec.console import rendering
 from rossec.console.app import ROUTES
 from rossec.console.context import ConsoleContext
-from rossec.console.rendering import NAVIGATION, render
+from rossec.console.rendering import NAVIGATION, Visit
 from tests.support.consolepages import Browser
 
 HOSTILE = '<script>alert("1")</script>\u202e\x00'
@@ -15,7 +15,9 @@ HOSTILE = '<script>alert("1")</script>\u202e\x00'
 
 def request() -> Request:
     state = {"session": None}
-    return Request({"type": "http", "method": "GET", "path": "/x", "headers": [], "state": state})
+    return Request(
+        {"type": "http", "method": "GET", "path": "/x", "query_string": b"", "headers": [], "state": state}
+    )
 
 
 @pytest.fixture
@@ -26,7 +28,7 @@ def context() -> ConsoleContext:
 
 def test_a_text_is_data(context: ConsoleContext) -> None:
     values = {"message": HOSTILE, "hint": HOSTILE}
-    body = bytes(render(context, request(), "error.html", 422, **values).body).decode()
+    body = bytes(Visit(request(), context).show("error.html", 422, **values).body).decode()
     assert "<script>alert" not in body
     assert "\u202e" not in body
     assert "\x00" not in body
@@ -36,7 +38,7 @@ def test_a_text_is_data(context: ConsoleContext) -> None:
 
 def test_what_is_missing_is_a_mistake(context: ConsoleContext) -> None:
     with pytest.raises(UndefinedError):
-        render(context, request(), "error.html")
+        Visit(request(), context).show("error.html")
 
 
 def test_the_navigation_is_for_who_is_logged_in() -> None:

@@ -41,7 +41,7 @@ def test_use_makes_it_longer_but_not_for_ever() -> None:
     for now in range(0, 1000, 99):
         session = found.find(cookie, now)
         assert session is not None
-        found.use(session, now)
+        session.used = now
     assert found.find(cookie, 1000) is None
 
 

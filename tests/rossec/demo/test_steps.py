@@ -54,9 +54,9 @@ def test_a_kept_demo_needs_a_new_directory(empty: Shell, tmp_path: Path) -> None
 def test_the_demo_checks_what_it_claims(coarse: dict[str, object], exact_frame: str) -> None:
     exact = {"position": [4.1, 2.9], "frame": exact_frame}
     with pytest.raises(DemoFailed):
-        steps._check_coarse(exact, coarse)
+        steps.check_coarse(exact, coarse)
 
 
 def test_the_demo_checks_the_grid() -> None:
     exact = {"position": [4.1, -2.9], "frame": "living_room_map"}
-    steps._check_coarse(exact, {"position": [4.0, -2.0], "frame": ""})
+    steps.check_coarse(exact, {"position": [4.0, -2.0], "frame": ""})

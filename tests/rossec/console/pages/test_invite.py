@@ -38,7 +38,7 @@ def test_making_one_is_approved_and_those_that_are_open_are_listed() -> None:
 def test_the_code_is_shown_once_to_the_session_that_made_it() -> None:
     browser = made()
     assert TEXT not in browser.get(PATH).text
-    browser.context.made_codes.add(MADE, own(browser))
+    browser.context.made_codes.add(MADE, own(browser), True, "")
     text = browser.get(PATH).text
     assert TEXT in text
     assert "<svg" in text
@@ -49,7 +49,7 @@ def test_the_code_is_shown_once_to_the_session_that_made_it() -> None:
 
 def test_a_code_that_waits_for_the_key_is_shown_when_it_is_made() -> None:
     browser = made("waiting", b"")
-    browser.context.made_codes.add(MADE, own(browser))
+    browser.context.made_codes.add(MADE, own(browser), True, "")
     assert "The key is locked" in browser.get(PATH).text
     browser.home.outcomes[MADE] = ApprovalOutcome(MADE, "done", "", TEXT.encode())
     assert TEXT in browser.get(PATH).text

@@ -7,6 +7,7 @@ from starlette.requests import Request
 from starlette.responses import StreamingResponse
 
 from rossec.console.pages.today import stream
+from rossec.console.rendering import Visit
 from tests.support.consolepages import Browser
 from tests.support.consoleprocess import ask, running_web
 
@@ -21,8 +22,8 @@ async def test_a_stream_is_of_its_session() -> None:
     context = browser.context
     session = context.sessions.find(browser.headers["Cookie"].partition("=")[2], browser.now)
     assert session is not None
-    request = Request({"type": "http", "headers": [], "state": {"session": session}})
-    answer = await stream(request, context)
+    request = Request({"type": "http", "query_string": b"", "headers": [], "state": {"session": session}})
+    answer = await stream(Visit(request, context))
     assert isinstance(answer, StreamingResponse)
     assert answer.media_type == "text/event-stream"
     context.sessions.end(session)
