@@ -16,15 +16,7 @@ from typing import Final
 from ca import names
 from ca.errors import HintedError, NameRefused
 from ca.names import TAIL, check_name
-from grants.errors import (
-    GrantError,
-    GrantExpired,
-    GrantMissing,
-    GrantNotHeld,
-    GrantNotYetValid,
-    GrantRevoked,
-    RestrictionMismatch,
-)
+from grants.errors import GrantError, GrantExpired, GrantMissing, GrantNotHeld, GrantNotYetValid, GrantRevoked
 from grants.model import TREE_RIGHTS, Grant, Permission, Restriction, Right, check_time, format_time, merge
 
 RevocationCheck = Callable[[bytes, int], None]
@@ -59,7 +51,7 @@ class Decision:
     def require_unrestricted(self) -> None:
         """Return if there are no restrictions: for callers that have no message to apply them to."""
         if self.restrictions:
-            raise RestrictionMismatch(
+            raise GrantError(
                 f"{self.right.label} on {self.name} is granted with restrictions that cannot be applied here",
                 "ask for a grant without conditions and filters",
             )

@@ -18,7 +18,7 @@ from weakref import WeakValueDictionary
 
 from grants.conditions.compile import Condition, compile_condition
 from grants.decision import Decision
-from grants.errors import GrantError, GrantExpired, MemoryExhausted, MessageRefused, RestrictionMismatch
+from grants.errors import GrantError, GrantExpired, MessageRefused
 from grants.filters.coarsening import (
     BodyFields,
     CommonState,
@@ -195,7 +195,7 @@ class MemoryScope:
 
 def _check_limit(count: int, limit: int, what: str) -> None:
     if count >= limit:
-        raise MemoryExhausted(
+        raise GrantError(
             f"{limit} {what} are stored already, and none can be evicted yet",
             "wait until the rates of other peers have recovered, or restart this node",
         )
@@ -377,7 +377,7 @@ def _receiver(decision: Decision) -> bytes:
 def check_type(name: str, restriction: Restriction) -> None:
     """Return if `restriction` may be applied to messages of the type `name`."""
     if restriction.type not in (None, name):
-        raise RestrictionMismatch(
+        raise GrantError(
             f"the grant is restricted for messages of type {restriction.type}, these are {name}",
             "ask for a grant for this message type",
         )

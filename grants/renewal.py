@@ -18,14 +18,12 @@ from ca.errors import EncodingError, HintedError, SignatureError
 from ca.keys.signing import Profile, Signer, thumbprint
 from grants.document import issuer_uri, read_issuer
 from grants.errors import (
+    GrantForged,
+    GrantForOther,
     GrantMalformed,
     GrantRevoked,
-    RenewalAhead,
-    RenewalForged,
-    RenewalForOther,
-    RenewalMalformed,
+    GrantTooWide,
     RenewalNotInTime,
-    RenewalTooWide,
 )
 from grants.model import ID_SIZE, KEY_SIZE, Grant, format_time
 
@@ -61,13 +59,13 @@ class Delegation:
 
     def __post_init__(self) -> None:
         if not 0 < len(self.domain.encode()) <= 255:
-            raise RenewalMalformed("a delegation needs a trust domain of 1 to 255 bytes")
+            raise GrantMalformed("a delegation needs a trust domain of 1 to 255 bytes")
         if len(self.holder) != KEY_SIZE or len(self.serial) != ID_SIZE:
-            raise RenewalMalformed("holder must be 32 bytes, serial 16")
+            raise GrantMalformed("holder must be 32 bytes, serial 16")
         if not 0 <= self.not_before < self.expires < _MAX_TIME:
-            raise RenewalMalformed("a delegation needs not_before < expires")
+            raise GrantMalformed("a delegation needs not_before < expires")
         if self.expires - self.not_before > MAX_DELEGATION or not 0 < self.max_ttl <= MAX_TICKET:
-            raise RenewalMalformed("a delegation is valid for at most 90 days, its tickets 7")
+            raise GrantMalformed("a delegation is valid for at most 90 days, its tickets 7")
 
 
 @dataclass(frozen=True)
@@ -89,9 +87,9 @@ class Ticket:
 
     def __post_init__(self) -> None:
         if len(self.grant) != ID_SIZE or not 0 <= self.seq < _MAX_TIME:
-            raise RenewalMalformed("a ticket has a grant id of 16 bytes and the number of a list")
+            raise GrantMalformed("a ticket has a grant id of 16 bytes and the number of a list")
         if not 0 <= self.not_before < self.expires < _MAX_TIME:
-            raise RenewalMalformed("a ticket needs not_before < expires")
+            raise GrantMalformed("a ticket needs not_before < expires")
 
 
 def sign_delegation(signer: Signer, delegation: Delegation) -> bytes:
@@ -135,9 +133,9 @@ def open_delegation(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> OpenDeleg
             times = (_number(nbf), _number(exp), _number(ttl))
             opened = OpenDelegation(aud, ckt, *times, cti, delegation_id, _issuer(iss))
         case _:
-            raise RenewalMalformed("the delegation has missing or unknown claims")
+            raise GrantMalformed("the delegation has missing or unknown claims")
     if opened.issuer != thumbprint(ca_key):
-        raise RenewalForOther("signed by this authority, but iss is another one")
+        raise GrantForOther("signed by this authority, but iss is another one")
     return opened
 
 
@@ -146,7 +144,7 @@ def open_ticket(data: bytes, key: ec.EllipticCurvePublicKey) -> Ticket:
         case {4: exp, 5: nbf, -70002: seq, -70011: bytes() as grant, **rest} if not rest:
             return Ticket(grant, _number(nbf), _number(exp), _number(seq))
         case _:
-            raise RenewalMalformed("the ticket has missing or unknown claims")
+            raise GrantMalformed("the ticket has missing or unknown claims")
 
 
 def renew(
@@ -160,17 +158,17 @@ def renew(
     check: RevocationCheck,
 ) -> Grant:
     if delegation.holder != thumbprint(key):
-        raise RenewalForOther("the delegation is for another key than this one")
+        raise GrantForOther("the delegation is for another key than this one")
     if (grant.issuer, grant.domain) != (delegation.issuer, delegation.domain):
-        raise RenewalForOther("the delegation is of another authority or domain than the grant")
+        raise GrantForOther("the delegation is of another authority or domain than the grant")
     opened = open_ticket(ticket, key)
     if opened.grant != grant.id:
-        raise RenewalForOther(f"the ticket is not for grant {grant.short_id}")
+        raise GrantForOther(f"the ticket is not for grant {grant.short_id}")
     _check_bounds(grant, opened, delegation)
     for what, statement in (("delegation", delegation), ("ticket", opened), ("grant", grant)):
         _check_time(what, statement, now)
     if opened.seq > seq:
-        raise RenewalAhead(
+        raise RenewalNotInTime(
             f"the ticket requires revocation list {opened.seq}, this host has {seq}", "fetch the list first"
         )
     via = (delegation.id, delegation.holder)
@@ -184,12 +182,12 @@ def renew(
 
 def _check_bounds(grant: Grant, ticket: Ticket, delegation: Delegation) -> None:
     if grant.cap <= grant.expires:
-        raise RenewalTooWide(f"grant {grant.short_id} is not renewable", "ask for a new grant")
+        raise GrantTooWide(f"grant {grant.short_id} is not renewable", "ask for a new grant")
     for end, whose in ((grant.cap, "grant's cap"), (delegation.expires, "delegation's end")):
         if ticket.expires > end:
-            raise RenewalTooWide(f"the ticket extends beyond {format_time(end)}, the {whose}")
+            raise GrantTooWide(f"the ticket extends beyond {format_time(end)}, the {whose}")
     if ticket.expires - ticket.not_before > delegation.max_ttl:
-        raise RenewalTooWide(f"a ticket for more than {delegation.max_ttl} s")
+        raise GrantTooWide(f"a ticket for more than {delegation.max_ttl} s")
 
 
 def _check_time(what: str, statement: Delegation | Ticket | Grant, now: int) -> None:
@@ -208,26 +206,26 @@ def _open(profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey) -> byte
     try:
         return profile.open_body(data, key, limit=MAX_STATEMENT)
     except SignatureError as error:
-        raise RenewalForged(f"the {profile.typ} statement is refused: {error}") from None
+        raise GrantForged(f"the {profile.typ} statement is refused: {error}") from None
     except EncodingError as error:
-        raise RenewalMalformed(f"not a {profile.typ} statement: {error}") from None
+        raise GrantMalformed(f"not a {profile.typ} statement: {error}") from None
 
 
 def _decode(body: bytes) -> Value:
     try:
         return decode(body)
     except EncodingError as error:
-        raise RenewalMalformed(f"not a renewal: {error}") from None
+        raise GrantMalformed(f"not a renewal: {error}") from None
 
 
 def _issuer(text: str) -> bytes:
     try:
         return read_issuer(text)
     except GrantMalformed as error:
-        raise RenewalMalformed(f"in a delegation: {error}") from None
+        raise GrantMalformed(f"in a delegation: {error}") from None
 
 
 def _number(value: Any) -> int:
     if type(value) is not int:
-        raise RenewalMalformed("a number of the statement is of a wrong type")
+        raise GrantMalformed("a number of the statement is of a wrong type")
     return value

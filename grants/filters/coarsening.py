@@ -18,7 +18,7 @@ from itertools import pairwise, takewhile
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from grants.decision import Decision
-from grants.errors import FilterRefused, MemoryExhausted, RestrictionMismatch
+from grants.errors import FilterRefused, GrantError
 from grants.filters.layout import Buffer, Primitive
 
 __all__ = ["Vector", "np"]
@@ -68,9 +68,7 @@ class CommonState:
 
     def hysteresis(self, field: FieldKey) -> HysteresisState:
         if field not in self._states and len(self._states) >= _MAX_FIELDS:
-            raise MemoryExhausted(
-                f"{_MAX_FIELDS} fields with hysteresis are stored already", "restart this node"
-            )
+            raise GrantError(f"{_MAX_FIELDS} fields with hysteresis are stored already", "restart this node")
         return self._states.setdefault(field, HysteresisState())
 
     def leads(self, frame: bytes, now: float, slot: int) -> bool:
@@ -118,7 +116,7 @@ def group_of(decision: Decision) -> Group:
     """What the hysteresis of a decision is common to."""
     bodies = {each.body for each in decision.restrictions if each.body is not None}
     if len(bodies) > 1:
-        raise RestrictionMismatch(
+        raise GrantError(
             f"the grants for {decision.name} name {len(bodies)} bodies: " + ", ".join(sorted(bodies)),
             "what is one body has one name in the policy",
         )

@@ -29,7 +29,7 @@ from ca.revocation.trust_status import SKEW
 from grants import renewal
 from grants.decision import RevocationCheck
 from grants.document import verify
-from grants.errors import GrantNotHeld, RenewalForOther, RenewalNotInTime, RenewalTooWide
+from grants.errors import GrantForOther, GrantNotHeld, GrantTooWide, RenewalNotInTime
 from grants.model import Grant, format_time
 from grants.renewal import OpenDelegation, Ticket, open_delegation, sign_ticket
 from grants.token import pack, unpack
@@ -53,9 +53,7 @@ class TicketSigner:
     def take(self, data: bytes) -> bool:
         new = open_delegation(data, self._anchor.public_key)
         if new.holder != self._own or new.domain != self._anchor.domain:
-            raise RenewalForOther(
-                "the delegation is for another key or trust domain than this master's", _HINT
-            )
+            raise GrantForOther("the delegation is for another key or trust domain than this master's", _HINT)
         if self._held is not None and new.not_before <= self._held.not_before:
             return False
         self._persist(data)
@@ -77,7 +75,7 @@ class TicketSigner:
         if grant.holder != holder:
             raise GrantNotHeld("the grant is bound to another key", f"it was issued to {grant.subject}")
         if now >= grant.cap:
-            raise RenewalTooWide(
+            raise GrantTooWide(
                 f"grant {grant.short_id} has reached its cap, {format_time(grant.cap)}",
                 "ask the authority for a new grant",
             )
@@ -85,9 +83,7 @@ class TicketSigner:
             raise RenewalNotInTime(f"the delegation expired at {format_time(self._held.expires)}", _HINT)
         ends = min(now - SKEW + self._held.max_ttl, grant.cap, self._held.expires)
         if ends <= grant.expires:
-            raise RenewalTooWide(
-                f"grant {grant.short_id} expires later than any ticket would: ask again later"
-            )
+            raise GrantTooWide(f"grant {grant.short_id} expires later than any ticket would: ask again later")
         ticket = sign_ticket(self._signer, Ticket(grant.id, now - SKEW, ends, seq))
         key = self._signer.public_key
         renewed = renewal.renew(grant, ticket, self._held, key, now=now, seq=seq, check=check)

@@ -273,7 +273,7 @@ def _peer_bus_info(agent: AgentState, entries: list[object]) -> Layer[list[objec
 
 
 def unrestricted(decision: Decision) -> None:
-    # No guard, where one cannot be: raises `RestrictionMismatch` for a restricted decision.
+    # No guard, where one cannot be: raises `GrantError` for a restricted decision.
     decision.require_unrestricted()
 
 
