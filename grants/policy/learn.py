@@ -171,7 +171,7 @@ def _value(part: Part | None) -> object:
 
 
 def _text(value: str) -> object:
-    return _value(YamlScalar(value, 0, 0))
+    return "str", repr(value)
 
 
 def _add_values(policy: dict[str, Any], rule: NewRule) -> None:

@@ -90,28 +90,28 @@ class _PolicyReader:
 
     def read(self, top: Part | None) -> Policy:
         if not isinstance(top, YamlMapping):
-            position = top or YamlScalar("", 1, 1)
-            self._mistakes.add(position, "a policy is a mapping", "begin with: rossec: 1")
-            top = YamlMapping({}, 1, 1)
-        source.check_keys(top, "the policy", _TOP, _REQUIRED, self._mistakes)
+            position = top or YamlScalar(1, 1, self._mistakes, "")
+            position.mistake("a policy is a mapping", "begin with: rossec: 1")
+            top = YamlMapping(1, 1, self._mistakes, {})
+        source.check_keys(top, "the policy", _TOP, _REQUIRED)
         version = top.get("rossec")
         if version is not None and (
             not isinstance(version, YamlScalar) or version.value is True or version.value != VERSION
         ):
             hint = f"this rossec reads version {VERSION}"
-            self._mistakes.add(version, "a policy of an unknown version", hint)
+            version.mistake("a policy of an unknown version", hint)
         defaults = self._defaults(top.get("defaults"))
         identities = self._identities(top.get("identities"))
         layouts, types = self._types(top.get("types"))
         vocabulary = self._vocabulary(top, types, layouts)
         filters = self._filters(top.get("filters"))
-        subjects = Subjects(self._mistakes, identities, top.get("groups"))
-        reader = RuleReader(self._mistakes, defaults, subjects, types, layouts, filters, vocabulary)
+        subjects = Subjects(identities, top.get("groups"))
+        reader = RuleReader(defaults, subjects, types, layouts, filters, vocabulary)
         rules = self._rules(top.get("rules"), reader)
         rules += self._basics(top.get("basics"), defaults, rules)
-        robot = source.text(top.get("robot"), "robot", self._mistakes)
+        robot = source.text(top.get("robot"), "robot")
         filter_rules = {name: tuple(item.rule for item in rules) for name, rules in filters.items()}
-        tests = read_tests(top.get("tests"), identities, subjects.groups, self._mistakes)
+        tests = read_tests(top.get("tests"), identities, subjects.groups)
         return Policy(
             robot or "",
             defaults,
@@ -124,31 +124,30 @@ class _PolicyReader:
             subjects.unused,
             vocabulary,
             tests,
-            read_titles(top.get("title"), subjects.groups, self._mistakes),
+            read_titles(top.get("title"), subjects.groups),
         )
 
     def _basics(
         self, part: Part | None, defaults: Defaults, rules: tuple[PolicyRule, ...]
     ) -> tuple[PolicyRule, ...]:
-        extras = read_basics(part, self._mistakes)
+        extras = read_basics(part)
         if part is None or extras is None:
             return ()
         for rule in rules:
             if rule.id == BASICS_ID:
-                at = YamlScalar("", rule.line, 1)
-                self._mistakes.add(at, f"the rule of basics is called {rule.id!r}", "rename it")
+                part.mistakes.add(rule.line, 1, f"the rule of basics is called {rule.id!r}", "rename it")
         return (basics_rule(extras, part.line, defaults, rules),)
 
     def _defaults(self, part: Part | None) -> Defaults:
-        mapping = source.mapping(part, "defaults", self._mistakes)
+        mapping = source.mapping(part, "defaults")
         if mapping is None:
             return Defaults()
-        source.check_keys(mapping, "defaults", _DEFAULTS, (), self._mistakes)
+        source.check_keys(mapping, "defaults", _DEFAULTS, ())
         choices = ("deny", "prompt")
-        decision = source.choice(mapping.get("decision"), "default decision", choices, self._mistakes)
-        lifetime = source.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
-        renew = source.duration(mapping.get("renew_until"), "renew_until", self._mistakes, never=True)
-        timeout = source.duration(mapping.get("prompt_timeout"), "prompt_timeout", self._mistakes)
+        decision = source.choice(mapping.get("decision"), "default decision", choices)
+        lifetime = source.duration(mapping.get("lifetime"), "lifetime")
+        renew = source.duration(mapping.get("renew_until"), "renew_until", never=True)
+        timeout = source.duration(mapping.get("prompt_timeout"), "prompt_timeout")
         return Defaults(
             Effect(decision) if decision is not None else Effect.DENY,
             LIFETIME if lifetime is None else lifetime,
@@ -158,40 +157,36 @@ class _PolicyReader:
         )
 
     def _identities(self, part: Part | None) -> dict[str, SubjectPattern]:
-        mapping = source.mapping(part, "identities", self._mistakes)
         found: dict[str, SubjectPattern] = {}
-        for name, (key, value) in mapping.entries.items() if mapping is not None else ():
+        for name, key, value in source.entries(part, "identities"):
             if name == EVERYONE or name.startswith("/") or ":" in name:
-                self._mistakes.add(key, f"{name[:60]!r} cannot be the name of an identity")
+                key.mistake(f"{name[:60]!r} cannot be the name of an identity")
             # Kept even if invalid, so that rules with it are not reported as well.
             found[name] = SubjectPattern(name)
-            who = source.mapping(value, f"identity {name}", self._mistakes)
+            who = source.mapping(value, f"identity {name}")
             if who is None:
                 continue
-            source.check_keys(who, f"identity {name}", ("node", "key"), (), self._mistakes)
-            node = source.subject(who.get("node"), f"node of {name}", self._mistakes)
-            found[name] = SubjectPattern(name, node, source.key(who.get("key"), self._mistakes))
+            source.check_keys(who, f"identity {name}", ("node", "key"), ())
+            node = source.subject(who.get("node"), f"node of {name}")
+            found[name] = SubjectPattern(name, node, source.key(who.get("key")))
             if who.get("node") is None and who.get("key") is None:
                 hint = "add node: /name, or key: ..."
-                self._mistakes.add(who, f"identity {name} has neither node nor key", hint)
+                who.mistake(f"identity {name} has neither node nor key", hint)
         return found
 
     def _types(self, part: Part | None) -> tuple[dict[str, Layout], dict[str, str]]:
         layouts: dict[str, Layout] = {}
         types: dict[str, str] = {}
-        mapping = source.mapping(part, "types", self._mistakes)
         kinds: dict[YamlScalar, str] = {}
-        for key, value in mapping.entries.values() if mapping is not None else ():
-            name = source.text(value, f"the type of {key.value}", self._mistakes)
+        for _, key, value in source.entries(part, "types"):
+            name = source.text(value, f"the type of {key.value}")
             if name is not None and name not in layouts:
                 self._layout(name, value, layouts)
             if name is not None:
                 kinds[key] = name
-        for topic, key, _ in source.by_name(
-            mapping, "types", lambda key: source.pattern(key, "topic", self._mistakes), self._mistakes
-        ):
+        for topic, key, _ in source.by_name(part, "types", lambda key: source.pattern(key, "topic")):
             if topic == NODE:
-                self._mistakes.add(key, f"{NODE} is no topic", "name one of its topics: ~/pose")
+                key.mistake(f"{NODE} is no topic", "name one of its topics: ~/pose")
             if key in kinds:
                 types[topic] = kinds[key]
         return layouts, types
@@ -202,7 +197,7 @@ class _PolicyReader:
         except HintedError as error:
             near = closest(name, self._known_types)
             hint = error.hint if near is None else f"did you mean {near!r}?"
-            self._mistakes.add(position, str(error), hint)
+            position.mistake(str(error), hint)
 
     def _vocabulary(
         self, source: YamlMapping, types: dict[str, str], layouts: dict[str, Layout]
@@ -214,16 +209,13 @@ class _PolicyReader:
                 self._layout(name, position, known)
             return known.get(name)
 
-        return read_vocabulary(
-            source.get("vocabulary"), source.get("rooms"), types, layout_of, self._mistakes
-        )
+        return read_vocabulary(source.get("vocabulary"), source.get("rooms"), types, layout_of)
 
     def _filters(self, part: Part | None) -> dict[str, tuple[FieldRule, ...]]:
         found: dict[str, tuple[FieldRule, ...]] = {}
-        mapping = source.mapping(part, "filters", self._mistakes)
-        for name, (_, value) in mapping.entries.items() if mapping is not None else ():
-            fields = source.mapping(value, f"filter {name}", self._mistakes)
-            found[name] = read_fields(fields, self._mistakes) if fields is not None else ()
+        for name, _, value in source.entries(part, "filters"):
+            fields = source.mapping(value, f"filter {name}")
+            found[name] = read_fields(fields) if fields is not None else ()
         return found
 
     def _rules(self, part: Part | None, reader: RuleReader) -> tuple[PolicyRule, ...]:
@@ -234,7 +226,7 @@ class _PolicyReader:
             if rule is not None and rule.id in first:
                 at = f"{first[rule.id].line}:{first[rule.id].column}"
                 message = f"duplicate rule {rule.id!r}; the first is in {at}"
-                self._mistakes.add(item, message, "use a unique id")
+                item.mistake(message, "use a unique id")
             if rule is not None:
                 first.setdefault(rule.id, item)
                 rules.append(rule)
@@ -263,39 +255,34 @@ def flaw_of(title: str) -> str:
     return next((f"a title has {said}" for is_flawed, said in flaws if is_flawed), "")
 
 
-def read_titles(
-    part: Part | None, groups: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes
-) -> dict[str, str]:
-    mapping = source.mapping(part, "title", mistakes)
+def read_titles(part: Part | None, groups: Mapping[str, tuple[SubjectPattern, ...]]) -> dict[str, str]:
     found: dict[str, str] = {}
     of_groups: dict[str, str] = {}
     first: dict[str, YamlScalar] = {}
-    for text, (key, value) in mapping.entries.items() if mapping is not None else ():
-        title = source.text(value, f"the title of {text[:60]}", mistakes)
-        names = _names(text, key, groups, mistakes)
+    for text, key, value in source.entries(part, "title"):
+        title = source.text(value, f"the title of {text[:60]}")
+        names = _names(text, key, groups)
         if title is not None and (flaw := flaw_of(title)):
-            mistakes.add(value, f"the title of {text[:60]}: {flaw}", "for example: Dr. Meier")
+            value.mistake(f"the title of {text[:60]}: {flaw}", "for example: Dr. Meier")
             continue
         if title is None or not names:
             continue
         same = title.casefold()
         if same in first:
-            source.again(value, f"title: {title!r}", first[same], mistakes)
+            source.again(value, f"title: {title!r}", first[same])
         first.setdefault(same, key)
         (of_groups if text in groups else found).update(dict.fromkeys(names, title))
     return {**of_groups, **found}
 
 
-def _names(
-    text: str, key: YamlScalar, groups: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes
-) -> tuple[str, ...]:
+def _names(text: str, key: YamlScalar, groups: Mapping[str, tuple[SubjectPattern, ...]]) -> tuple[str, ...]:
     if text.startswith("/") or ":" in text:
-        name = source.subject(key, "title", mistakes)
+        name = source.subject(key, "title")
         return () if name is None else (name,)
     if text in groups:
         return tuple(each.node for each in groups[text] if each.node is not None)
     hint = suggest(text, groups) if groups else "a name begins with /: /doctor, /robot/pose"
-    mistakes.add(key, f"title: {text[:60]!r} is neither a name nor a group", hint)
+    key.mistake(f"title: {text[:60]!r} is neither a name nor a group", hint)
     return ()
 
 

@@ -45,7 +45,7 @@ from grants.policy.restrictions import (
     resolve_levels,
     why_unsignable,
 )
-from grants.policy.source import Mistakes, Part, SourcePosition, YamlMapping, YamlScalar, suggest
+from grants.policy.source import Part, YamlMapping, YamlScalar, suggest
 from grants.request import BASICS, TRANSFORMS
 from grants.vocabulary.levels import Resolved, together
 
@@ -63,12 +63,9 @@ _Fields = tuple[FieldRule, ...]
 
 
 class Subjects:
-    def __init__(
-        self, mistakes: Mistakes, identities: Mapping[str, SubjectPattern], part: Part | None
-    ) -> None:
-        self._mistakes = mistakes
+    def __init__(self, identities: Mapping[str, SubjectPattern], part: Part | None) -> None:
         self._identities = identities
-        self._parts = dict(self._named(source.mapping(part, "groups", mistakes)))
+        self._parts = dict(self._named(part))
         self._within: dict[str, frozenset[str]] = {}  # the groups in each, itself among them
         self._used: set[str] = set()
         self.groups: dict[str, _Members] = {}  # the members of each, without groups
@@ -84,7 +81,7 @@ class Subjects:
         return tuple(who for item in source.items(part) for who in self._subjects(item))
 
     def _subjects(self, part: Part) -> Iterable[SubjectPattern]:
-        label = source.text(part, "who", self._mistakes)
+        label = source.text(part, "who")
         if label is None:
             return ()
         if label == EVERYONE:
@@ -96,27 +93,27 @@ class Subjects:
 
     def _single(self, part: Part, label: str) -> _Members:
         if label.startswith("/") or ":" in label:
-            node = source.subject(part, "who", self._mistakes)
+            node = source.subject(part, "who")
             return () if node is None else (SubjectPattern(label, node),)
         if label in self._identities:
             return (self._identities[label],)
         if label.startswith(("~", "{")):
             hint = f"{NODE} stands in the names of a rule; who it is for is a name: /robot1"
-            self._mistakes.add(part, f"{label[:60]!r} is no node", hint)
+            part.mistake(f"{label[:60]!r} is no node", hint)
             return ()
         known = {**self._identities, **self._parts}
         hint = suggest(label, known) if known else f"a node is written /{label.lstrip('/')[:60]}"
-        self._mistakes.add(part, f"unknown identity {label[:60]!r}", hint)
+        part.mistake(f"unknown identity {label[:60]!r}", hint)
         return ()
 
-    def _named(self, mapping: YamlMapping | None) -> Iterator[tuple[str, Part]]:
+    def _named(self, part: Part | None) -> Iterator[tuple[str, Part]]:
         # The groups by name, those with a wrong name too, so that rules report no more.
-        for name, (key, value) in mapping.entries.items() if mapping is not None else ():
+        for name, key, value in source.entries(part, "groups"):
             if name in self._identities:
-                self._mistakes.add(key, f"{name!r} is an identity already", "choose another name")
+                key.mistake(f"{name!r} is an identity already", "choose another name")
             elif _NAME.fullmatch(name) is None or name == NODE[1:-1]:
                 hint = "begin with a letter, then letters, digits, - and _; not node"
-                self._mistakes.add(key, f"{name[:60]!r} cannot be the name of a group", hint)
+                key.mistake(f"{name[:60]!r} cannot be the name of a group", hint)
             yield name, value
 
     def _members_of(self, name: str, above: tuple[str, ...]) -> _Members:
@@ -128,24 +125,24 @@ class Subjects:
             part = self._parts[name]
             if len(found) > MAX_MEMBERS:
                 hint = "give the nodes a namespace of their own: /robots/*"
-                self._mistakes.add(part, f"group {name} has more than {MAX_MEMBERS} members", hint)
+                part.mistake(f"group {name} has more than {MAX_MEMBERS} members", hint)
             if not source.items(part):
-                self._mistakes.add(part, f"group {name} has no members", "add a name: [/robot1]")
+                part.mistake(f"group {name} has no members", "add a name: [/robot1]")
             self.groups[name] = tuple(found)
         return self.groups[name]
 
     def _item(self, part: Part, above: tuple[str, ...]) -> _Members:
-        label = source.text(part, f"a member of group {above[-1]}", self._mistakes)
+        label = source.text(part, f"a member of group {above[-1]}")
         if label is None:
             return ()
         if label in above:
             chain = ", ".join((*above[above.index(label) :], label))
             message = f"group {label} is a member of itself: {chain}"
-            self._mistakes.add(part, message, "name the nodes in one of them")
+            part.mistake(message, "name the nodes in one of them")
             return ()
         if label == EVERYONE:
             hint = f"write who: {EVERYONE!r} in the rule"
-            self._mistakes.add(part, f"group {above[-1]}: {EVERYONE} is every node", hint)
+            part.mistake(f"group {above[-1]}: {EVERYONE} is every node", hint)
             return ()
         if label in self._parts:
             members = self._members_of(label, above)
@@ -156,7 +153,7 @@ class Subjects:
 
 @dataclass(frozen=True)
 class _TopicFilter:
-    position: SourcePosition
+    position: Part
     fields: _Fields = ()
     preset: str | None = None
     see: TopicLevels | None = None
@@ -164,7 +161,6 @@ class _TopicFilter:
 
 @dataclass
 class RuleReader:
-    _mistakes: Mistakes
     _defaults: Defaults
     _subjects: Subjects
     _types: Mapping[str, str]
@@ -173,25 +169,25 @@ class RuleReader:
     _vocabulary: Vocabulary
 
     def read(self, part: Part) -> PolicyRule | None:
-        mapping = source.mapping(part, "a rule", self._mistakes)
+        mapping = source.mapping(part, "a rule")
         if mapping is None:
             return None
-        name = source.text(mapping.get("id"), "id", self._mistakes) or "?"
+        name = source.text(mapping.get("id"), "id") or "?"
         if name != "?" and _ID.fullmatch(name) is None:
-            self._mistakes.add(mapping, f"not an id: {name[:60]!r}", "letters, digits and dashes")
-        source.check_keys(mapping, f"rule {name}", _KEYS, ("id", "who"), self._mistakes)
+            mapping.mistake(f"not an id: {name[:60]!r}", "letters, digits and dashes")
+        source.check_keys(mapping, f"rule {name}", _KEYS, ("id", "who"))
         effect, rights = self._effect(mapping, name)
         if effect is None or rights is None:
             return None
-        lifetime = source.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
-        renew = source.duration(mapping.get("renew_until"), "renew_until", self._mistakes, never=True)
-        stale = source.choice(mapping.get("on_stale"), "on_stale", ("cut", "keep"), self._mistakes)
+        lifetime = source.duration(mapping.get("lifetime"), "lifetime")
+        renew = source.duration(mapping.get("renew_until"), "renew_until", never=True)
+        stale = source.choice(mapping.get("on_stale"), "on_stale", ("cut", "keep"))
         return PolicyRule(
             id=name,
             effect=effect,
             who=self._subjects.read(mapping.get("who")),
             exceptions=self._subjects.read(mapping.get("except")),
-            why=source.text(mapping.get("why"), "why", self._mistakes) or "",
+            why=source.text(mapping.get("why"), "why") or "",
             clauses=self._clauses(mapping, rights, name),
             lifetime=self._defaults.lifetime if lifetime is None else lifetime,
             renew_until=self._defaults.renew_until if renew is None else renew,
@@ -204,32 +200,32 @@ class RuleReader:
         effects = [effect for effect in Effect if effect.value in mapping.entries]
         if len(effects) != 1:
             hint = "write it as two rules" if effects else "for example allow: {subscribe: [/topic]}"
-            self._mistakes.add(mapping, f"rule {name} needs one of allow, deny and prompt", hint)
+            mapping.mistake(f"rule {name} needs one of allow, deny and prompt", hint)
             return None, None
         [effect] = effects
         present = [key for key in _RESTRICTING if key in mapping.entries]
         for key in present if effect is Effect.DENY else ():
             message = f"rule {name}: a deny rule cannot have {key!r}"
-            self._mistakes.add(mapping.entries[key][0], message, "remove it, or write an allow rule")
+            mapping.entries[key][0].mistake(message, "remove it, or write an allow rule")
         rights = mapping.get(effect.value)
-        return effect, source.mapping(rights, f"{effect.value} of rule {name}", self._mistakes)
+        return effect, source.mapping(rights, f"{effect.value} of rule {name}")
 
     def _clauses(self, mapping: YamlMapping, rights: YamlMapping, name: str) -> tuple[Clause, ...]:
         named = self._named_rights(rights, name)
-        read = (read_condition(item, self._mistakes) for item in source.items(mapping.get("when")))
+        read = (read_condition(item) for item in source.items(mapping.get("when")))
         conditions = [when for when in read if when is not None]
         seen = [pattern for right, pattern, _ in named if right is Right.SUBSCRIBE]
         filtered = Right.SUBSCRIBE if seen else Right.PUBLISH
         topics = [pattern for right, pattern, _ in named if right is filtered]
         filters = self._filters_of(mapping.get("filter"), topics, name, filtered)
-        for topic, see in read_see(mapping.get("see"), seen, name, self._mistakes).items():
+        for topic, see in read_see(mapping.get("see"), seen, name).items():
             filters[topic] = replace(filters.get(topic, _TopicFilter(see.position)), see=see)
-        limit = read_limit(mapping.get("limit"), topics, name, self._mistakes, seen=bool(seen))
+        limit = read_limit(mapping.get("limit"), topics, name, seen=bool(seen))
         for each in filters.values() if not seen else ():
             if each.preset is not None or key_names(item.rule for item in each.fields):
                 message = "a preset or a pseudonym is for what is subscribed to, not published"
                 hint = "name the fields and their treatment, or add a subscribe right"
-                self._mistakes.add(each.position, message, hint)
+                each.position.mistake(message, hint)
         clauses: list[Clause] = []
         for right, pattern, position in named:
             mine = (filters, limit) if right is filtered else ({}, Limit())
@@ -237,23 +233,23 @@ class RuleReader:
         restricting = conditions or filters or any(limit) or mapping.get("on_stale") is not None
         if restricting and any(right & ~MESSAGE_RIGHTS for right, _, _ in named):
             message = f"rule {name}: parameters, graph and admin rights cannot have restrictions"
-            self._mistakes.add(rights, message, "put these rights into a separate rule")
+            rights.mistake(message, "put these rights into a separate rule")
         return tuple(clauses)
 
-    def _named_rights(self, rights: YamlMapping, name: str) -> list[tuple[Right, str, SourcePosition]]:
+    def _named_rights(self, rights: YamlMapping, name: str) -> list[tuple[Right, str, Part]]:
         if not rights.entries:
-            self._mistakes.add(rights, f"rule {name} has no rights", suggest("", RIGHTS))
-        found: list[tuple[Right, str, SourcePosition]] = []
+            rights.mistake(f"rule {name} has no rights", suggest("", RIGHTS))
+        found: list[tuple[Right, str, Part]] = []
         for label, (key, value) in rights.entries.items():
             if label not in RIGHTS:
                 message = f"unknown right {label[:60]!r} in rule {name}"
-                self._mistakes.add(key, message, suggest(label, RIGHTS))
+                key.mistake(message, suggest(label, RIGHTS))
                 continue
             items = source.items(value)
             if not items:
-                self._mistakes.add(value, f"rule {name}: {label} has no names", "add a name")
+                value.mistake(f"rule {name}: {label} has no names", "add a name")
             for item in items:
-                pattern = source.own_pattern(item, label, RIGHTS[label], self._mistakes)
+                pattern = source.own_pattern(item, label, RIGHTS[label])
                 if pattern is not None:
                     found.append((RIGHTS[label], pattern, item))
         return found
@@ -262,7 +258,7 @@ class RuleReader:
         self,
         right: Right,
         pattern: str,
-        position: SourcePosition,
+        position: Part,
         conditions: list[ConditionRule],
         filters: Mapping[str, _TopicFilter],
         limit: Limit,
@@ -293,7 +289,7 @@ class RuleReader:
             if reason := why_unsignable((entry,)):
                 raise GrantMalformed(reason, "write fewer or shorter conditions and filters")
         except GrantError as error:
-            self._mistakes.add(position, f"{right.label} {pattern}: {error}", error.hint)
+            position.mistake(f"{right.label} {pattern}: {error}", error.hint)
             return []
         return [Clause(right, pattern, restriction, given.rate, kind)]
 
@@ -303,7 +299,7 @@ class RuleReader:
             return Resolved()
         others = self._treatment(topic_filter, kind).rules
         layout, see = self._layouts[kind], topic_filter.see
-        return resolve_levels(layout, self._vocabulary, pattern, see, others, self._mistakes)
+        return resolve_levels(layout, self._vocabulary, pattern, see, others)
 
     def _treatment(self, topic_filter: _TopicFilter, kind: str | None, *given: Resolved) -> Resolved:
         found = [Resolved(tuple(item.rule for item in topic_filter.fields)), *given]
@@ -316,51 +312,51 @@ class RuleReader:
         self,
         right: Right,
         pattern: str,
-        position: SourcePosition,
+        position: Part,
         kind: str | None,
         conditions: list[ConditionRule],
         topic_filter: _TopicFilter,
     ) -> bool:
         if not right & (Right.SUBSCRIBE | Right.PUBLISH):
             message = f"{right.label} {pattern}: conditions on messages are for topics"
-            self._mistakes.add(position, message, "put this right into a separate rule")
+            position.mistake(message, "put this right into a separate rule")
             return False
         if kind is None:
             message = f"the message type of {pattern} is unknown"
             hint = f"add it to types: {{{pattern.replace(NODE, '~')}: package/Type}}"
-            self._mistakes.add(position, message, hint)
+            position.mistake(message, hint)
             return False
         if kind not in self._layouts:
             return False  # the type itself is the mistake, and recorded
         layout, at = self._layouts[kind], topic_filter.position
-        checked = [check_condition(layout, when, self._mistakes) for when in conditions]
+        checked = [check_condition(layout, when) for when in conditions]
         if topic_filter.preset is not None:
-            checked.append(check_preset(layout, topic_filter.preset, at, self._mistakes))
+            checked.append(check_preset(layout, topic_filter.preset, at))
         if topic_filter.fields:
-            checked.append(check_fields(layout, topic_filter.fields, at, self._mistakes))
+            checked.append(check_fields(layout, topic_filter.fields, at))
         return all(checked)
 
     def _filters_of(
         self, part: Part | None, topics: list[str], name: str, right: Right
     ) -> dict[str, _TopicFilter]:
-        mapping = source.mapping(part, f"filter of rule {name}", self._mistakes)
+        mapping = source.mapping(part, f"filter of rule {name}")
         if mapping is None:
             return {}
         if not topics or not mapping.entries:
             hint = "add a subscribe or publish right, or remove the filter"
-            self._mistakes.add(mapping, f"rule {name}: nothing to filter", hint)
+            mapping.mistake(f"rule {name}: nothing to filter", hint)
             return {}
         if not any(key.startswith(BEGINS_TOPIC) for key in mapping.entries):
             return dict.fromkeys(topics, self._topic_filter(mapping, mapping))
-        found = source.by_topic(mapping, "filter", name, topics, right, self._mistakes)
+        found = source.by_topic(mapping, "filter", name, topics, right)
         return {topic: self._topic_filter(key, inner) for topic, (key, inner) in found.items()}
 
-    def _topic_filter(self, position: SourcePosition, mapping: YamlMapping) -> _TopicFilter:
+    def _topic_filter(self, position: Part, mapping: YamlMapping) -> _TopicFilter:
         if "use" not in mapping.entries:
-            return _TopicFilter(position, read_fields(mapping, self._mistakes))
-        source.check_keys(mapping, "a filter with use", ("use",), (), self._mistakes)
+            return _TopicFilter(position, read_fields(mapping))
+        source.check_keys(mapping, "a filter with use", ("use",), ())
         known = {**PRESETS, **self._filters}
-        name = source.choice(mapping.get("use"), "filter", known, self._mistakes)
+        name = source.choice(mapping.get("use"), "filter", known)
         if name is None or name in self._filters:
             return _TopicFilter(position, self._filters.get(name or "", ()))
         return _TopicFilter(position, preset=name)
@@ -373,7 +369,7 @@ ID: Final = "basics"
 EXTRAS: Final = {"tf": (Right.SUBSCRIBE, TRANSFORMS)}
 
 
-def read_basics(part: Part | None, mistakes: Mistakes) -> tuple[str, ...] | None:
+def read_basics(part: Part | None) -> tuple[str, ...] | None:
     # What it adds to the table: `tf`, or nothing; None without basics.
     if part is None or (isinstance(part, YamlScalar) and part.value is False):
         return None
@@ -382,9 +378,9 @@ def read_basics(part: Part | None, mistakes: Mistakes) -> tuple[str, ...] | None
     items = source.items(part)
     if not items or isinstance(part, YamlScalar):
         hint = "write basics: true, or basics: [tf] for the transforms too"
-        mistakes.add(part, "basics is true, false or a list", hint)
+        part.mistake("basics is true, false or a list", hint)
         return None
-    found = (source.choice(item, "part of basics", EXTRAS, mistakes) for item in items)
+    found = (source.choice(item, "part of basics", EXTRAS) for item in items)
     return tuple(dict.fromkeys(name for name in found if name is not None))
 
 
