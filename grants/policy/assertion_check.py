@@ -270,11 +270,9 @@ def _holds(visible: Visibility, path: str, kind: Primitive | Text, seen: SeenFie
 def _word(description: Description, verdict: Verdict, seen: SeenField) -> str:
     word = DataWord(seen.path)
     if isinstance(seen.limit, str) and seen.limit not in LEVELS[word]:
-        hint = suggest(seen.limit, LEVELS[word])
-        raise PolicyRefused(f"not a level of {word}: {seen.limit[:40]!r}", hint)
+        raise PolicyRefused(f"not a level of {word}: {seen.limit[:40]!r}", suggest(seen.limit, LEVELS[word]))
     if isinstance(seen.limit, float) and word is not DataWord.POSITION:
-        hint = f"write one of {', '.join(LEVELS[word])}"
-        raise PolicyRefused(f"{word} has no length", hint)
+        raise PolicyRefused(f"{word} has no length", f"write one of {', '.join(LEVELS[word])}")
     found = assess(description, verdict.restrictions, verdict.rate, [word])[word]
     if seen.limit == EXACT:
         return "" if found.level == EXACT and not found.size else word

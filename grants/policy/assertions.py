@@ -192,8 +192,7 @@ class _Reader:
         found: list[CheckedClaim] = []
         for label, (key, value) in rights.entries.items() if rights is not None else ():
             if label not in RIGHTS:
-                message = f"unknown right {label[:60]!r} in {says.value}"
-                key.mistake(message, suggest(label, RIGHTS))
+                key.mistake(f"unknown right {label[:60]!r} in {says.value}", suggest(label, RIGHTS))
                 continue
             for item in source.items(value):
                 name = source.own_pattern(item, label, RIGHTS[label])

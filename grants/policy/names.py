@@ -187,5 +187,4 @@ def _fault(text: str) -> tuple[str, str]:
     if _SHORT not in text:
         return "has {node} where it does not stand for a whole name", _HINT_FIRST
     private = re.fullmatch(r"~([A-Za-z][A-Za-z0-9_/*]*)", text, re.ASCII)
-    hint = f"write ~/{private[1]}" if private is not None else _HINT
-    return "has a ~ that is not before the first /", hint
+    return "has a ~ that is not before the first /", f"write ~/{private[1]}" if private is not None else _HINT

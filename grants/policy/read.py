@@ -98,8 +98,7 @@ class _PolicyReader:
         if version is not None and (
             not isinstance(version, YamlScalar) or version.value is True or version.value != VERSION
         ):
-            hint = f"this rossec reads version {VERSION}"
-            version.mistake("a policy of an unknown version", hint)
+            version.mistake("a policy of an unknown version", f"this rossec reads version {VERSION}")
         defaults = self._defaults(top.get("defaults"))
         identities = self._identities(top.get("identities"))
         layouts, types = self._types(top.get("types"))
@@ -170,8 +169,7 @@ class _PolicyReader:
             node = source.subject(who.get("node"), f"node of {name}")
             found[name] = SubjectPattern(name, node, source.key(who.get("key")))
             if who.get("node") is None and who.get("key") is None:
-                hint = "add node: /name, or key: ..."
-                who.mistake(f"identity {name} has neither node nor key", hint)
+                who.mistake(f"identity {name} has neither node nor key", "add node: /name, or key: ...")
         return found
 
     def _types(self, part: Part | None) -> tuple[dict[str, Layout], dict[str, str]]:
@@ -196,8 +194,7 @@ class _PolicyReader:
             layouts[name] = parse(name, self._definition(name))
         except HintedError as error:
             near = closest(name, self._known_types)
-            hint = error.hint if near is None else f"did you mean {near!r}?"
-            position.mistake(str(error), hint)
+            position.mistake(str(error), error.hint if near is None else f"did you mean {near!r}?")
 
     def _vocabulary(
         self, source: YamlMapping, types: dict[str, str], layouts: dict[str, Layout]
@@ -225,8 +222,7 @@ class _PolicyReader:
             rule = reader.read(item)
             if rule is not None and rule.id in first:
                 at = f"{first[rule.id].line}:{first[rule.id].column}"
-                message = f"duplicate rule {rule.id!r}; the first is in {at}"
-                item.mistake(message, "use a unique id")
+                item.mistake(f"duplicate rule {rule.id!r}; the first is in {at}", "use a unique id")
             if rule is not None:
                 first.setdefault(rule.id, item)
                 rules.append(rule)

@@ -69,8 +69,7 @@ def read_fields(part: YamlMapping) -> tuple[FieldRule, ...]:
             continue
         [(operator, (position, value))] = treatment.entries.items()
         if operator not in OPERATORS:
-            hint = suggest(operator, OPERATORS)
-            position.mistake(f"{path}: unknown operator {operator[:60]!r}", hint)
+            position.mistake(f"{path}: unknown operator {operator[:60]!r}", suggest(operator, OPERATORS))
             continue
         parameters = _parameters(operator, value)
         if parameters is None:
@@ -163,8 +162,7 @@ def check_condition(layout: Layout, condition: ConditionRule) -> bool:
     except ConditionRefused as error:
         paths = (found[1][1:] for found in _FIELD.finditer(condition.text))
         hints = [hint for path in paths if (hint := suggest_field(layout, path))]
-        hint = hints[0] if hints else error.hint
-        condition.position.mistake(f"{layout.type_name}: {error}", hint)
+        condition.position.mistake(f"{layout.type_name}: {error}", hints[0] if hints else error.hint)
         return False
     return True
 

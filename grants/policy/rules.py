@@ -137,8 +137,7 @@ class Subjects:
             return ()
         if label in above:
             chain = ", ".join((*above[above.index(label) :], label))
-            message = f"group {label} is a member of itself: {chain}"
-            part.mistake(message, "name the nodes in one of them")
+            part.mistake(f"group {label} is a member of itself: {chain}", "name the nodes in one of them")
             return ()
         if label == EVERYONE:
             hint = f"write who: {EVERYONE!r} in the rule"
@@ -242,8 +241,7 @@ class RuleReader:
         found: list[tuple[Right, str, Part]] = []
         for label, (key, value) in rights.entries.items():
             if label not in RIGHTS:
-                message = f"unknown right {label[:60]!r} in rule {name}"
-                key.mistake(message, suggest(label, RIGHTS))
+                key.mistake(f"unknown right {label[:60]!r} in rule {name}", suggest(label, RIGHTS))
                 continue
             items = source.items(value)
             if not items:
@@ -323,8 +321,7 @@ class RuleReader:
             return False
         if kind is None:
             message = f"the message type of {pattern} is unknown"
-            hint = f"add it to types: {{{pattern.replace(NODE, '~')}: package/Type}}"
-            position.mistake(message, hint)
+            position.mistake(message, f"add it to types: {{{pattern.replace(NODE, '~')}: package/Type}}")
             return False
         if kind not in self._layouts:
             return False  # the type itself is the mistake, and recorded

@@ -415,8 +415,7 @@ def by_topic(
     for topic, key, value in by_name(part, of_rule, lambda key: pattern(key, of_rule)):
         inner = mapping(value, f"{what} of {topic}")
         if topic not in topics:
-            message = f"rule {rule} has no {right.label} right on {topic[:80]!r}"
-            key.mistake(message, suggest(topic, topics))
+            key.mistake(f"rule {rule} has no {right.label} right on {topic[:80]!r}", suggest(topic, topics))
         elif inner is not None:
             found[topic] = (key, inner)
     return found
