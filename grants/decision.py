@@ -75,16 +75,32 @@ def authorize(
     check_name(name)
     if right.bit_count() != 1:
         raise GrantMissing(f"{int(right)} is not one right")
+    # The points of docs/spec/grant.md, section 4. 1: of the grants that cover the name, those are usable that
+    # are the peer's own, valid and not revoked; 5: a chain covers only what every link does.
     presented = tuple(grants)
     covering = {grant.id: grant for grant in presented if grant.covers(right, name)}
     if not covering:
         raise GrantMissing(f"no grant for {right.label} on {name}", near_misses(presented, right, name))
-    usable = _usable(covering, holder, now, check)
-    restrictions = list(_restrictions(usable, right, name))
+    usable: list[Grant] = []
+    refusals: list[GrantError] = []
+    for _, grant in sorted(covering.items()):  # by id: the decision is the same in whatever order they came
+        try:
+            _check(grant, holder, now, check)
+            usable.append(grant)
+        except GrantError as error:
+            refusals.append(error)
+    if not usable:
+        raise max(refusals, key=lambda error: _BY_PROGRESS.index(type(error)))
+    # 2: the restrictions of all covering entries apply together, those of a chain link by link.
+    restrictions: list[Restriction | None] = []
+    for layer, link in ((at, link) for grant in usable for at, link in enumerate(grant.links)):
+        covers = (each.restriction for each in link.permissions if each.covers(right, name))
+        restrictions += (replace(each, layer=layer) if each and layer else each for each in covers)
+    # 3: the right ends with the first of these grants. 4: one that does not say "keep" lets none survive.
     return Decision(
         right=right,
         name=name,
-        grants=usable,
+        grants=tuple(usable),
         expires=min(grant.expires for grant in usable),
         restrictions=merge(restrictions),
         keep_when_stale=all(item is not None and item.keep_when_stale for item in restrictions),
@@ -104,32 +120,6 @@ def near_misses(grants: Iterable[Grant], right: Right, name: str) -> tuple[str, 
         if right in each.rights and not each.matches(name, right)
     ]
     return tuple(dict.fromkeys([*same_name, *same_right]))[:MAX_NEAR_MISSES]
-
-
-def _restrictions(grants: Iterable[Grant], right: Right, name: str) -> Iterator[Restriction | None]:
-    for grant in grants:
-        for layer, link in enumerate(grant.links):
-            for permission in link.permissions:
-                if permission.covers(right, name):
-                    restriction = permission.restriction
-                    yield (replace(restriction, layer=layer) if restriction and layer else restriction)
-
-
-def _usable(
-    covering: dict[bytes, Grant], holder: bytes, now: int, check: RevocationCheck
-) -> tuple[Grant, ...]:
-    usable: list[Grant] = []
-    refusals: list[GrantError] = []
-    for _, grant in sorted(covering.items()):
-        try:
-            _check(grant, holder, now, check)
-        except GrantError as error:
-            refusals.append(error)
-        else:
-            usable.append(grant)
-    if not usable:
-        raise max(refusals, key=lambda error: _BY_PROGRESS.index(type(error)))
-    return tuple(usable)
 
 
 def _check(grant: Grant, holder: bytes, now: int, check: RevocationCheck) -> None:

@@ -69,31 +69,24 @@ def from_draft(draft: Draft, issuer: bytes) -> Value:
 def scope_of(permissions: Iterable[Permission]) -> bytes:
     """The `scope` claim: a CBOR list of AIF entries."""
     entries: list[Value] = []
-    for each in permissions:
-        more = [] if each.restriction is None else [_restriction_claims(each.restriction)]
-        entries.append([each.pattern, int(each.rights), *more])
+    for permission in permissions:
+        entry: list[Value] = [permission.pattern, int(permission.rights)]
+        if (restriction := permission.restriction) is not None:
+            claims: dict[int | str, Any] = {
+                _TYPE: restriction.type,
+                _CONDITIONS: list(restriction.conditions),
+                _FILTERS: {
+                    rule.path: {rule.operator: {**dict(rule.parameters)} if rule.parameters else True}
+                    for rule in restriction.filters
+                },
+                _LIMITS: {
+                    name: value for name in _LIMIT_NAMES if (value := getattr(restriction, name)) is not None
+                },
+                _ON_STALE: _KEEP if restriction.keep_when_stale else None,
+            }
+            entry.append({key: value for key, value in claims.items() if value})  # nothing in it is empty
+        entries.append(entry)
     return encode(entries)
-
-
-def _restriction_claims(restriction: Restriction) -> Value:
-    claims: dict[int | str, Value] = {}
-    if restriction.type is not None:
-        claims[_TYPE] = restriction.type
-    if restriction.conditions:
-        claims[_CONDITIONS] = list(restriction.conditions)
-    if restriction.filters:
-        claims[_FILTERS] = {
-            rule.path: {rule.operator: {**dict(rule.parameters)} if rule.parameters else True}
-            for rule in restriction.filters
-        }
-    limits: dict[int | str, Value] = {
-        name: value for name in _LIMIT_NAMES if (value := getattr(restriction, name)) is not None
-    }
-    if limits:
-        claims[_LIMITS] = limits
-    if restriction.keep_when_stale:
-        claims[_ON_STALE] = _KEEP
-    return claims
 
 
 def read_claims(body: bytes, grant_id: bytes) -> Grant:
@@ -177,7 +170,16 @@ def read_scope(scope: bytes) -> tuple[Permission, ...]:
 
 @lru_cache(maxsize=256)
 def _permissions(scope: bytes) -> tuple[Permission, ...]:
-    return tuple(_permission(entry) for entry in _typed(decode(scope), list, "scope"))
+    found: list[Permission] = []
+    for entry in _typed(decode(scope), list, "scope"):
+        match entry:
+            case [str() as pattern, bits]:
+                found.append(Permission(pattern, _rights(bits)))
+            case [str() as pattern, bits, restriction]:
+                found.append(Permission(pattern, _rights(bits), _restriction(restriction)))
+            case _:
+                raise GrantMalformed("an entry of the scope is not [pattern, rights, restrictions]")
+    return tuple(found)
 
 
 @lru_cache(maxsize=16)
@@ -196,16 +198,6 @@ def read_issuer(text: str) -> bytes:
 def issuer_uri(issuer: bytes) -> str:
     """The `iss` claim for a thumbprint (RFC 9679 section 5)."""
     return _CKT_URI + base64.urlsafe_b64encode(issuer).decode().rstrip("=")
-
-
-def _permission(entry: Value) -> Permission:
-    match entry:
-        case [str() as pattern, bits]:
-            return Permission(pattern, _rights(bits))
-        case [str() as pattern, bits, restriction]:
-            return Permission(pattern, _rights(bits), _restriction(restriction))
-        case _:
-            raise GrantMalformed("an entry of the scope is not [pattern, rights, restrictions]")
 
 
 def _rights(value: Value) -> Right:

@@ -131,7 +131,11 @@ def open_delegation(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> OpenDeleg
         } if not rest and not more:
             delegation_id = hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE]
             times = (_number(nbf), _number(exp), _number(ttl))
-            opened = OpenDelegation(aud, ckt, *times, cti, delegation_id, _issuer(iss))
+            try:
+                issuer = read_issuer(iss)
+            except GrantMalformed as error:
+                raise GrantMalformed(f"in a delegation: {error}") from None
+            opened = OpenDelegation(aud, ckt, *times, cti, delegation_id, issuer)
         case _:
             raise GrantMalformed("the delegation has missing or unknown claims")
     if opened.issuer != thumbprint(ca_key):
@@ -147,7 +151,7 @@ def open_ticket(data: bytes, key: ec.EllipticCurvePublicKey) -> Ticket:
             raise GrantMalformed("the ticket has missing or unknown claims")
 
 
-def renew(
+def renew(  # noqa: C901, PLR0912 - the conditions of the spec in their order
     grant: Grant,
     ticket: bytes,
     delegation: OpenDelegation,
@@ -157,20 +161,39 @@ def renew(
     seq: int,
     check: RevocationCheck,
 ) -> Grant:
+    # The numbered conditions of docs/spec/grant.md, section 7. 1: signed by the delegation's key.
     if delegation.holder != thumbprint(key):
         raise GrantForOther("the delegation is for another key than this one")
     if (grant.issuer, grant.domain) != (delegation.issuer, delegation.domain):
         raise GrantForOther("the delegation is of another authority or domain than the grant")
     opened = open_ticket(ticket, key)
+    # 2. Of the same authority and domain, and for this grant.
     if opened.grant != grant.id:
         raise GrantForOther(f"the ticket is not for grant {grant.short_id}")
-    _check_bounds(grant, opened, delegation)
-    for what, statement in (("delegation", delegation), ("ticket", opened), ("grant", grant)):
-        _check_time(what, statement, now)
+    # 3. A grant that may be renewed, no further than its cap and what was delegated.
+    if grant.cap <= grant.expires:
+        raise GrantTooWide(f"grant {grant.short_id} is not renewable", "ask for a new grant")
+    for end, whose in ((grant.cap, "grant's cap"), (delegation.expires, "delegation's end")):
+        if opened.expires > end:
+            raise GrantTooWide(f"the ticket extends beyond {format_time(end)}, the {whose}")
+    if opened.expires - opened.not_before > delegation.max_ttl:
+        raise GrantTooWide(f"a ticket for more than {delegation.max_ttl} s")
+    # 4. Valid now, all three; the grant's own end is what the ticket replaces.
+    statements: tuple[tuple[str, Delegation | Ticket | Grant], ...]
+    statements = ("delegation", delegation), ("ticket", opened), ("grant", grant)
+    for what, each in statements:
+        if now < each.not_before:
+            begin = f"the {what} is not valid before {format_time(each.not_before)}"
+            raise RenewalNotInTime(begin, "check this host's clock")
+        if each is not grant and now >= each.expires:
+            end_text = f"the {what} expired at {format_time(each.expires)}"
+            raise RenewalNotInTime(end_text, "ask the master for a new ticket")
+    # 5. Made with no newer list than the verifier's: that list may revoke the grant.
     if opened.seq > seq:
         raise RenewalNotInTime(
             f"the ticket requires revocation list {opened.seq}, this host has {seq}", "fetch the list first"
         )
+    # 6. Nothing it rests on is revoked; `via` has it checked again at every decision.
     via = (delegation.id, delegation.holder)
     for what, entry in zip(("grant", "delegation", "delegate"), (grant.id, *via), strict=True):
         try:
@@ -178,28 +201,6 @@ def renew(
         except HintedError as error:
             raise GrantRevoked(f"{what} {entry.hex()[:8]}: {error}", error.hint) from error
     return replace(grant, expires=opened.expires, via=via)
-
-
-def _check_bounds(grant: Grant, ticket: Ticket, delegation: Delegation) -> None:
-    if grant.cap <= grant.expires:
-        raise GrantTooWide(f"grant {grant.short_id} is not renewable", "ask for a new grant")
-    for end, whose in ((grant.cap, "grant's cap"), (delegation.expires, "delegation's end")):
-        if ticket.expires > end:
-            raise GrantTooWide(f"the ticket extends beyond {format_time(end)}, the {whose}")
-    if ticket.expires - ticket.not_before > delegation.max_ttl:
-        raise GrantTooWide(f"a ticket for more than {delegation.max_ttl} s")
-
-
-def _check_time(what: str, statement: Delegation | Ticket | Grant, now: int) -> None:
-    if now < statement.not_before:
-        raise RenewalNotInTime(
-            f"the {what} is not valid before {format_time(statement.not_before)}", "check this host's clock"
-        )
-    # The grant's own end is what the ticket replaces.
-    if not isinstance(statement, Grant) and now >= statement.expires:
-        raise RenewalNotInTime(
-            f"the {what} expired at {format_time(statement.expires)}", "ask the master for a new ticket"
-        )
 
 
 def _open(profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey) -> bytes:
@@ -216,13 +217,6 @@ def _decode(body: bytes) -> Value:
         return decode(body)
     except EncodingError as error:
         raise GrantMalformed(f"not a renewal: {error}") from None
-
-
-def _issuer(text: str) -> bytes:
-    try:
-        return read_issuer(text)
-    except GrantMalformed as error:
-        raise GrantMalformed(f"in a delegation: {error}") from None
 
 
 def _number(value: Any) -> int:
