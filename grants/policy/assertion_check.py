@@ -399,7 +399,7 @@ class _Checker:
                 pair = (clause.pattern, name)
                 covered = any(gives(no, claim.right, each) for no in denied for each in pair)
                 if overlaps(clause.pattern, claim.right, name) and not covered:
-                    failure = f"{_EFFECTS[rule.effect]} {claim.right.label} {clause.pattern}: {_named(rule)}"
+                    failure = f"{_EFFECTS[rule.effect]} {claim.right.label} {clause.pattern}: {rule.cited}"
                     return failure, f"take {clause.pattern} out of {rule.id}, or deny it"
         default = self._policy.defaults.decision
         if default is not Effect.DENY and not any(gives(no, claim.right, name) for no in denied):
@@ -477,9 +477,5 @@ def _clauses(rule: PolicyRule, subject: Subject, right: Right) -> list[Clause]:
 
 
 def _decided(verdict: Verdict) -> str:
-    names = dict.fromkeys(_named(rule) for rule in verdict.rules)
+    names = dict.fromkeys(rule.cited for rule in verdict.rules)
     return " and ".join(names) or _BY_DEFAULT
-
-
-def _named(rule: PolicyRule) -> str:
-    return f"rule {rule.id}, line {rule.line}"

@@ -295,8 +295,12 @@ def restriction_lines(verdict: Verdict) -> list[str]:
         lines.append(rate_text(verdict.rate))
     if verdict.keep_when_stale:
         lines.append(KEEP_WHEN_STALE)
-    renewed = f", renewed until {span(verdict.renew_until)}" if verdict.renew_until else ""
-    return [*dict.fromkeys(lines), f"valid {span(verdict.lifetime)}{renewed}"]
+    return [*dict.fromkeys(lines), validity(verdict.lifetime, verdict.renew_until)]
+
+
+def validity(lifetime: int, renew_until: int = 0) -> str:
+    """How long a right holds: `valid 7d, renewed until 30d`; 0 is never renewed."""
+    return f"valid {span(lifetime)}" + (f", renewed until {span(renew_until)}" if renew_until else "")
 
 
 def span(seconds: int) -> str:

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 
 from ca.names import tail_base
 from grants.model import KEEP_WHEN_STALE, Grant, Permission, Restriction, Right
-from grants.policy.decision import Verdict, span
+from grants.policy.decision import Verdict, validity
 from grants.policy.model import Effect, PolicyRule, Subject
 from grants.policy.restrictions import divide, why_unsignable
 from grants.policy.wanted import Atom, Wanted, WantedRight, WantedState, Withheld
@@ -87,8 +87,7 @@ def withdrawn(subject: Subject, atom: Atom, verdict: Verdict, before: Before) ->
 
 
 def _lines(entries: Iterable[Permission]) -> tuple[str, ...]:
-    found = [item.restriction for item in entries if item.restriction is not None]
-    return tuple(sorted({line for item in found for line in item.lines()}))
+    return tuple(sorted({line for item in entries for line in item.lines()}))
 
 
 def _text(wanted: WantedRight) -> tuple[str, ...]:
@@ -96,8 +95,7 @@ def _text(wanted: WantedRight) -> tuple[str, ...]:
 
 
 def _validity(lifetime: int, longest: int) -> str:
-    renewed = f", renewed until {span(longest)}" if longest > lifetime else ""
-    return f"valid {span(lifetime)}{renewed}"
+    return validity(lifetime, longest if longest > lifetime else 0)
 
 
 class _Measure(NamedTuple):

@@ -293,6 +293,10 @@ class PolicyRule:
         return _labels(self.who) + (f" except {exceptions}" if exceptions else "")
 
     @property
+    def cited(self) -> str:
+        return f"rule {self.id}, line {self.line}"
+
+    @property
     def reason(self) -> str:
         return f"rule {self.id}" + (f": {self.why}" if self.why else "")
 

@@ -265,7 +265,16 @@ def in_force_lines(found: Iterable[Grant], verdict: Verdict) -> list[str]:
 
 def held_lines(found: Iterable[Grant], right: Right, name: str) -> list[str]:
     """What grants in force give of a right, a line each."""
-    return [_line(grant, right, name) for grant in found]
+    lines: list[str] = []
+    for grant in found:
+        near = [x for x in grant.permissions if right in x.rights and overlaps(x.pattern, right, name)]
+        whole = any(gives(each.pattern, right, name) for each in near)
+        what = ", ".join(dict.fromkeys(shown(each.pattern) for each in near))
+        part = "" if whole else ", a part of it,"
+        how = ", with restrictions" if any(each.is_narrowed for each in near) else ""
+        until = format_time(grant.expires)
+        lines.append(f"in force: grant {grant.short_id} gives {right.label} {what}{part} until {until}{how}")
+    return lines
 
 
 def gives_whole(found: Iterable[Grant], right: Right, name: str) -> bool:
@@ -277,18 +286,6 @@ def gives_whole(found: Iterable[Grant], right: Right, name: str) -> bool:
         )
         for grant in found
     )
-
-
-def _line(grant: Grant, right: Right, name: str) -> str:
-    given = [each for each in grant.permissions if right in each.rights]
-    near = [each for each in given if overlaps(each.pattern, right, name)]
-    whole = any(gives(each.pattern, right, name) for each in near)
-    what = ", ".join(dict.fromkeys(shown(each.pattern) for each in near))
-    part = "" if whole else ", a part of it,"
-    limited = [each.restriction for each in near if each.restriction is not None]
-    how = ", with restrictions" if any(each.restricts_messages for each in limited) else ""
-    until = format_time(grant.expires)
-    return f"in force: grant {grant.short_id} gives {right.label} {what}{part} until {until}{how}"
 
 
 _BASICS: Final = "allow what every ROS program needs: its log, its loggers, the clock (rule basics)"

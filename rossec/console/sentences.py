@@ -120,11 +120,10 @@ def wanted(right: int) -> str:
 
 def permission(given: Permission) -> tuple[SentencePart, ...]:
     """`see /robot/pose (coarse)`."""
-    coarse = given.restriction is not None and given.restriction.restricts_messages
     return (
         SentencePart(words.rights(given.rights)),
         SentencePart(words.topic(given.pattern), is_name=True),
-        *([SentencePart("(coarse)")] if coarse else []),
+        *([SentencePart("(coarse)")] if given.is_narrowed else []),
     )
 
 
@@ -132,8 +131,7 @@ def permissions(given: Iterable[Permission], limit: int = 4) -> tuple[SentencePa
     """As `permission` for all, in the order of the grant; those with the same rights together."""
     groups: dict[tuple[Right, bool], list[Permission]] = {}
     for each in given:
-        coarse = each.restriction is not None and each.restriction.restricts_messages
-        groups.setdefault((each.rights, coarse), []).append(each)
+        groups.setdefault((each.rights, each.is_narrowed), []).append(each)
     parts: list[SentencePart] = []
     for (rights, coarse), members in groups.items():
         parts += [*([SentencePart("and")] if parts else []), SentencePart(words.rights(rights))]

@@ -223,8 +223,8 @@ def _deliver(
         add_entry("grants", facts)
         say(f"grant {number} for {draft.subject} until {format_time(draft.expires)}")
         for permission in draft.permissions:
-            say(f"  may {permission.rights.label} {permission.pattern}")
-            for line in permission.restriction.lines() if permission.restriction else ():
+            say(f"  may {permission}")
+            for line in permission.lines():
                 say(f"    {line}")
         if out_dir is not None:
             out_dir.mkdir(parents=True, exist_ok=True)

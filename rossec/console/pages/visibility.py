@@ -327,7 +327,7 @@ async def grant(request: Request, context: ConsoleContext) -> Response:
         PermissionLine(
             permission(each),
             words.restrictions([each.restriction] if each.restriction is not None else []),
-            tuple(each.restriction.lines()) if each.restriction is not None else (),
+            tuple(each.lines()),
         )
         for each in held.grant.permissions
     ]

@@ -37,7 +37,7 @@ TYPES = {
     "/words": "std_msgs/String",
 }
 NO_REASON = "no reason: "
-_SPEC = (Path(__file__).parents[3] / "docs" / "spec" / "policy.md").read_text()
+_SPEC = (Path(__file__).parents[3] / "docs" / "spec" / "policy.md").read_text().partition("| code |")[2]
 """The codes of the table in the specification."""
 CODES = frozenset(re.findall(r"^\| ([a-z]+(?:-[a-z]+)+) \| [^|]+ \| [^|]+ \|$", _SPEC, re.MULTILINE))
 HEADER = "rossec: 1\nrobot: test\ndefaults: {lifetime: 7d}\n"
