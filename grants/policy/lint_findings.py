@@ -3,8 +3,8 @@
 A code is an interface: scripts compare it, so it keeps its meaning and is never given to anything else. The
 table of all is in docs/spec/policy.md, "Lint", and tests hold what is given to it. Advice that
 `rossec policy check` refuses is worse than none: a suggested treatment is compiled together with the other
-filters of the topic, and the first that compiles is taken. If none does, the advice names the field and leaves
-the treatment to the reader.
+filters of the topic, and the first that compiles is taken. If none does, the advice names the field and
+leaves the treatment to the reader.
 """
 
 import json

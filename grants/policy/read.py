@@ -107,7 +107,12 @@ class _PolicyReader:
         subjects = Subjects(identities, top.get("groups"))
         reader = RuleReader(defaults, subjects, types, layouts, filters, vocabulary)
         rules = self._rules(top.get("rules"), reader)
-        rules += self._basics(top.get("basics"), defaults, rules)
+        basics = top.get("basics")
+        if basics is not None and (extras := read_basics(basics)) is not None:
+            for rule in rules:
+                if rule.id == BASICS_ID:
+                    self._mistakes.add(rule.line, 1, f"the rule of basics is called {rule.id!r}", "rename it")
+            rules = (*rules, basics_rule(extras, basics.line, defaults, rules))
         robot = source.text(top.get("robot"), "robot")
         filter_rules = {name: tuple(item.rule for item in rules) for name, rules in filters.items()}
         tests = read_tests(top.get("tests"), identities, subjects.groups)
@@ -125,17 +130,6 @@ class _PolicyReader:
             tests,
             read_titles(top.get("title"), subjects.groups),
         )
-
-    def _basics(
-        self, part: Part | None, defaults: Defaults, rules: tuple[PolicyRule, ...]
-    ) -> tuple[PolicyRule, ...]:
-        extras = read_basics(part)
-        if part is None or extras is None:
-            return ()
-        for rule in rules:
-            if rule.id == BASICS_ID:
-                part.mistakes.add(rule.line, 1, f"the rule of basics is called {rule.id!r}", "rename it")
-        return (basics_rule(extras, part.line, defaults, rules),)
 
     def _defaults(self, part: Part | None) -> Defaults:
         mapping = source.mapping(part, "defaults")
@@ -328,7 +322,6 @@ def _by(pattern: str, item: dict[str, Any]) -> dict[str, Any]:
 
 
 def _rule() -> dict[str, Any]:
-    rights = {**_object({right: _one_or_many(_RULE_PATTERN) for right in RIGHTS}), "minProperties": 1}
     use = _object({"use": _TEXT}, "use")
     plain = {"anyOf": [use, {"$ref": "#/$defs/fields"}]}
     effects = ("allow", "deny", "prompt")
@@ -353,7 +346,6 @@ def _rule() -> dict[str, Any]:
     restricting = ("when", "filter", "see", "limit", "on_stale", "lifetime", "renew_until")
     unrestricted: dict[str, Any] = {"properties": dict.fromkeys(restricting, False)}
     return {
-        "$defs": {"rights": rights},
         **rule,
         "oneOf": [{"required": [effect]} for effect in effects],
         "if": {"required": ["deny"]},
@@ -361,26 +353,8 @@ def _rule() -> dict[str, Any]:
     }
 
 
-def _test() -> dict[str, Any]:
-    limit = {"anyOf": [{"type": "number", "exclusiveMinimum": 0}, _TEXT]}
-    fields = {"type": "object", "additionalProperties": limit, "minProperties": 1}
-    seen = {"anyOf": [{"const": NOTHING}, fields]}
-    rights = {"$ref": "#/$defs/rights"}
-    return _object(
-        {
-            "who": _TEXT,
-            **{says.value: rights for says in Says},
-            "sees": _by(_TOPIC, seen),
-            "at": _one_or_many({"type": "string", "format": "date-time"}),
-            "message": {"type": "object"},
-        },
-        "who",
-    )
-
-
 def schema() -> dict[str, Any]:
-    rule = _rule()
-    rights = rule.pop("$defs")["rights"]
+    rights = {**_object({right: _one_or_many(_RULE_PATTERN) for right in RIGHTS}), "minProperties": 1}
     identity = _object({"node": _PATTERN, "key": {"type": "string", "pattern": "^sha256:[0-9a-f]{64}$"}})
     defaults = _object(
         {
@@ -391,6 +365,18 @@ def schema() -> dict[str, Any]:
         }
     )
     types = {"type": "string", "pattern": f"^{_NAME}/{_NAME}$"}
+    limit = {"anyOf": [{"type": "number", "exclusiveMinimum": 0}, _TEXT]}
+    seen = {"type": "object", "additionalProperties": limit, "minProperties": 1}
+    test = _object(
+        {
+            "who": _TEXT,
+            **{says.value: {"$ref": "#/$defs/rights"} for says in Says},
+            "sees": _by(_TOPIC, {"anyOf": [{"const": NOTHING}, seen]}),
+            "at": _one_or_many({"type": "string", "format": "date-time"}),
+            "message": {"type": "object"},
+        },
+        "who",
+    )
     title = {"type": "string", "minLength": 1, "maxLength": MAX_TITLE, "pattern": "^[^/]*$"}
     said_of = {"pattern": rf"^(?:{_NAME}/{_NAME}|(?:/{_SEGMENT})+|{_OWN_NAMES})$"}
     extras = {"type": "array", "items": {"enum": sorted(EXTRAS)}, "minItems": 1}
@@ -424,8 +410,8 @@ def schema() -> dict[str, Any]:
             "fields": _by(_FIELD, {"$ref": "#/$defs/operator"}),
             "see": {**_object(levels), "minProperties": 1},
             "rights": rights,
-            "rule": rule,
-            "test": _test(),
+            "rule": _rule(),
+            "test": test,
         },
         **top,
     }

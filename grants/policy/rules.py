@@ -150,6 +150,21 @@ class Subjects:
         return self._single(part, label)
 
 
+def _named_rights(rights: YamlMapping, name: str) -> Iterator[tuple[Right, str, Part]]:
+    if not rights.entries:
+        rights.mistake(f"rule {name} has no rights", suggest("", RIGHTS))
+    for label, (key, value) in rights.entries.items():
+        if label not in RIGHTS:
+            key.mistake(f"unknown right {label[:60]!r} in rule {name}", suggest(label, RIGHTS))
+            continue
+        if not source.items(value):
+            value.mistake(f"rule {name}: {label} has no names", "add a name")
+        for item in source.items(value):
+            pattern = source.own_pattern(item, label, RIGHTS[label])
+            if pattern is not None:
+                yield RIGHTS[label], pattern, item
+
+
 @dataclass(frozen=True)
 class _TopicFilter:
     position: Part
@@ -175,8 +190,18 @@ class RuleReader:
         if name != "?" and _ID.fullmatch(name) is None:
             mapping.mistake(f"not an id: {name[:60]!r}", "letters, digits and dashes")
         source.check_keys(mapping, f"rule {name}", _KEYS, ("id", "who"))
-        effect, rights = self._effect(mapping, name)
-        if effect is None or rights is None:
+        effects = [effect for effect in Effect if effect.value in mapping.entries]
+        if len(effects) != 1:
+            hint = "write it as two rules" if effects else "for example allow: {subscribe: [/topic]}"
+            mapping.mistake(f"rule {name} needs one of allow, deny and prompt", hint)
+            return None
+        [effect] = effects
+        for key in _RESTRICTING if effect is Effect.DENY else ():
+            if key in mapping.entries:
+                message = f"rule {name}: a deny rule cannot have {key!r}"
+                mapping.entries[key][0].mistake(message, "remove it, or write an allow rule")
+        rights = source.mapping(mapping.get(effect.value), f"{effect.value} of rule {name}")
+        if rights is None:
             return None
         lifetime = source.duration(mapping.get("lifetime"), "lifetime")
         renew = source.duration(mapping.get("renew_until"), "renew_until", never=True)
@@ -195,22 +220,8 @@ class RuleReader:
             line=mapping.line,
         )
 
-    def _effect(self, mapping: YamlMapping, name: str) -> tuple[Effect | None, YamlMapping | None]:
-        effects = [effect for effect in Effect if effect.value in mapping.entries]
-        if len(effects) != 1:
-            hint = "write it as two rules" if effects else "for example allow: {subscribe: [/topic]}"
-            mapping.mistake(f"rule {name} needs one of allow, deny and prompt", hint)
-            return None, None
-        [effect] = effects
-        present = [key for key in _RESTRICTING if key in mapping.entries]
-        for key in present if effect is Effect.DENY else ():
-            message = f"rule {name}: a deny rule cannot have {key!r}"
-            mapping.entries[key][0].mistake(message, "remove it, or write an allow rule")
-        rights = mapping.get(effect.value)
-        return effect, source.mapping(rights, f"{effect.value} of rule {name}")
-
     def _clauses(self, mapping: YamlMapping, rights: YamlMapping, name: str) -> tuple[Clause, ...]:
-        named = self._named_rights(rights, name)
+        named = list(_named_rights(rights, name))
         read = (read_condition(item) for item in source.items(mapping.get("when")))
         conditions = [when for when in read if when is not None]
         seen = [pattern for right, pattern, _ in named if right is Right.SUBSCRIBE]
@@ -234,23 +245,6 @@ class RuleReader:
             message = f"rule {name}: parameters, graph and admin rights cannot have restrictions"
             rights.mistake(message, "put these rights into a separate rule")
         return tuple(clauses)
-
-    def _named_rights(self, rights: YamlMapping, name: str) -> list[tuple[Right, str, Part]]:
-        if not rights.entries:
-            rights.mistake(f"rule {name} has no rights", suggest("", RIGHTS))
-        found: list[tuple[Right, str, Part]] = []
-        for label, (key, value) in rights.entries.items():
-            if label not in RIGHTS:
-                key.mistake(f"unknown right {label[:60]!r} in rule {name}", suggest(label, RIGHTS))
-                continue
-            items = source.items(value)
-            if not items:
-                value.mistake(f"rule {name}: {label} has no names", "add a name")
-            for item in items:
-                pattern = source.own_pattern(item, label, RIGHTS[label])
-                if pattern is not None:
-                    found.append((RIGHTS[label], pattern, item))
-        return found
 
     def _clause(
         self,

@@ -149,7 +149,11 @@ def _scalar(event: Any) -> object:
     kind, text = _tag(event), str(event.value)
     if kind == "str" or (kind is None and event.style in _QUOTED):
         return text
-    value = _bytes(text) if kind == "binary" else _plain(text)
+    value = _plain(text)
+    if kind == "binary":
+        value = None
+        with suppress(ValueError):
+            value = base64.b64decode("".join(text.split()), validate=True)
     if kind == "float" and type(value) is int:
         return float(value)
     if kind is not None and type(value) is not _KINDS[kind]:
@@ -166,12 +170,6 @@ def _plain(text: str) -> object:
         with suppress(ValueError):  # the 30th of February
             return datetime.fromisoformat(text)
     return float(text) if _FLOAT.fullmatch(text) else text
-
-
-def _bytes(text: str) -> bytes | None:
-    with suppress(ValueError):
-        return base64.b64decode("".join(text.split()), validate=True)
-    return None
 
 
 def _tag(event: Any) -> str | None:
