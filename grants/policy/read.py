@@ -1,28 +1,24 @@
 """The closed schema of a policy: from the tree of the file to a `Policy`, or to its mistakes. Pure.
 
 Any other key is a mistake. Conditions and filters are compiled against the message type of every topic they
-are for, so a rule that cannot be applied is never accepted. At the end: the JSON Schema of a policy for
-editors (structure and keys, not message types); `policy.schema.json` beside this module is its text.
+are for, so a rule that cannot be applied is never accepted.
+`policy.schema.json` beside this module tells editors structure and keys; `tools/schema.py` writes it.
 """
 
-import json
 import unicodedata
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 from ca.errors import HintedError
 from ca.names import closest
 from grants.filters.layout import Layout, parse
-from grants.filters.operators import OPERATORS
-from grants.limits import MAX_PAD, MAX_SLOT, MIN_PAD, MIN_SLOT
 from grants.policy import source
-from grants.policy.assertions import NOTHING, Says, read_tests
+from grants.policy.assertions import read_tests
 from grants.policy.model import (
     EVERYONE,
     LIFETIME,
     PROMPT_TIMEOUT,
-    SAYABLE,
     Defaults,
     Effect,
     Policy,
@@ -33,10 +29,9 @@ from grants.policy.model import (
 )
 from grants.policy.names import NODE
 from grants.policy.restrictions import FieldRule, read_fields
-from grants.policy.rules import EXTRAS, RIGHTS, RuleReader, Subjects, basics_rule, read_basics
 from grants.policy.rules import ID as BASICS_ID
+from grants.policy.rules import RuleReader, Subjects, basics_rule, read_basics
 from grants.policy.source import Mistake, Mistakes, Part, YamlMapping, YamlScalar, read_source, suggest
-from grants.vocabulary.contents import LEVELS
 
 VERSION: Final = 1
 _TOP: Final = (
@@ -274,148 +269,3 @@ def _names(text: str, key: YamlScalar, groups: Mapping[str, tuple[SubjectPattern
     hint = suggest(text, groups) if groups else "a name begins with /: /doctor, /robot/pose"
     key.mistake(f"title: {text[:60]!r} is neither a name nor a group", hint)
     return ()
-
-
-_NAME: Final = r"[A-Za-z][A-Za-z0-9_]*"
-_SEGMENT: Final = rf"(?:{_NAME}|\*\*?)"
-_PATTERN: Final = {"type": "string", "pattern": rf"^(?:/{_SEGMENT})+$"}
-_OWN_NAMES: Final = rf"\{{node\}}(?:/{_SEGMENT})*|~(?:/{_SEGMENT})+"
-_RULE_PATTERN: Final = {"type": "string", "pattern": rf"^(?:(?:/{_SEGMENT})+|{_OWN_NAMES})$"}
-_TOPIC: Final = r"^(?:/|~/|\{node\})"
-_FIELD: Final = rf"^{_NAME}(?:\[\*\])?(?:\.{_NAME}(?:\[\*\])?)*$"
-_DURATION: Final = {"type": "string", "pattern": "^[1-9][0-9]{0,5}[smhdw]$"}
-_RENEW: Final = {"anyOf": [_DURATION, {"const": "never"}]}
-_TEXT: Final = {"type": "string", "minLength": 1, "maxLength": 1000}
-
-_LIMIT: Final = {
-    "type": "object",
-    "properties": {
-        "rate": {"type": "number", "exclusiveMinimum": 0},
-        "slot": {"type": "integer", "minimum": MIN_SLOT, "maximum": MAX_SLOT},
-        "body": {"type": "string", "pattern": "^[A-Za-z][A-Za-z0-9_-]{0,63}$"},
-        "pad": {"type": "integer", "minimum": MIN_PAD, "maximum": MAX_PAD},
-    },
-    "minProperties": 1,
-    "additionalProperties": False,
-}
-
-
-def _object(properties: dict[str, Any], *required: str) -> dict[str, Any]:
-    return {
-        "type": "object",
-        "properties": properties,
-        "required": list(required),
-        "additionalProperties": False,
-    }
-
-
-def _one_or_many(item: dict[str, Any]) -> dict[str, Any]:
-    return {"anyOf": [item, {"type": "array", "items": item, "minItems": 1}]}
-
-
-def _named(item: dict[str, Any], names: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "object", "additionalProperties": item, "propertyNames": names}
-
-
-def _by(pattern: str, item: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "object", "patternProperties": {pattern: item}, "additionalProperties": False}
-
-
-def _rule() -> dict[str, Any]:
-    use = _object({"use": _TEXT}, "use")
-    plain = {"anyOf": [use, {"$ref": "#/$defs/fields"}]}
-    effects = ("allow", "deny", "prompt")
-    rule = _object(
-        {
-            "id": {"type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9_.-]{0,79}$"},
-            "why": _TEXT,
-            "who": _one_or_many(_TEXT),
-            "except": _one_or_many(_TEXT),
-            **{effect: {"$ref": "#/$defs/rights"} for effect in effects},
-            "when": _one_or_many(_TEXT),
-            "filter": {"anyOf": [plain, _by(_TOPIC, plain)]},
-            "see": {"anyOf": [{"$ref": "#/$defs/see"}, _by(_TOPIC, {"$ref": "#/$defs/see"})]},
-            "limit": _LIMIT,
-            "on_stale": {"enum": ["cut", "keep"]},
-            "lifetime": _DURATION,
-            "renew_until": _RENEW,
-        },
-        "id",
-        "who",
-    )
-    restricting = ("when", "filter", "see", "limit", "on_stale", "lifetime", "renew_until")
-    unrestricted: dict[str, Any] = {"properties": dict.fromkeys(restricting, False)}
-    return {
-        **rule,
-        "oneOf": [{"required": [effect]} for effect in effects],
-        "if": {"required": ["deny"]},
-        "then": unrestricted,
-    }
-
-
-def schema() -> dict[str, Any]:
-    rights = {**_object({right: _one_or_many(_RULE_PATTERN) for right in RIGHTS}), "minProperties": 1}
-    identity = _object({"node": _PATTERN, "key": {"type": "string", "pattern": "^sha256:[0-9a-f]{64}$"}})
-    defaults = _object(
-        {
-            "decision": {"enum": ["deny", "prompt"]},
-            "lifetime": _DURATION,
-            "renew_until": _RENEW,
-            "prompt_timeout": _DURATION,
-        }
-    )
-    types = {"type": "string", "pattern": f"^{_NAME}/{_NAME}$"}
-    limit = {"anyOf": [{"type": "number", "exclusiveMinimum": 0}, _TEXT]}
-    seen = {"type": "object", "additionalProperties": limit, "minProperties": 1}
-    test = _object(
-        {
-            "who": _TEXT,
-            **{says.value: {"$ref": "#/$defs/rights"} for says in Says},
-            "sees": _by(_TOPIC, {"anyOf": [{"const": NOTHING}, seen]}),
-            "at": _one_or_many({"type": "string", "format": "date-time"}),
-            "message": {"type": "object"},
-        },
-        "who",
-    )
-    title = {"type": "string", "minLength": 1, "maxLength": MAX_TITLE, "pattern": "^[^/]*$"}
-    said_of = {"pattern": rf"^(?:{_NAME}/{_NAME}|(?:/{_SEGMENT})+|{_OWN_NAMES})$"}
-    extras = {"type": "array", "items": {"enum": sorted(EXTRAS)}, "minItems": 1}
-    operator = _object(dict.fromkeys(sorted(OPERATORS), True))
-    levels = {word.value: {"enum": list(names)} for word, names in LEVELS.items()}
-    top = _object(
-        {
-            "rossec": {"const": 1},
-            "robot": _TEXT,
-            "defaults": defaults,
-            "basics": {"anyOf": [{"type": "boolean"}, extras]},
-            "identities": _named({**identity, "minProperties": 1}, {"pattern": "^[^/*]"}),
-            "groups": _named(_one_or_many(_TEXT), {"pattern": "^(?!node$)[A-Za-z][A-Za-z0-9_-]{0,79}$"}),
-            "types": _named(types, _RULE_PATTERN),
-            "vocabulary": _named(_by(_FIELD, {"enum": sorted(SAYABLE)}), said_of),
-            "rooms": {"type": "object", "additionalProperties": _TEXT, "minProperties": 1},
-            "filters": {"type": "object", "additionalProperties": {"$ref": "#/$defs/fields"}},
-            "rules": {"type": "array", "items": {"$ref": "#/$defs/rule"}},
-            "tests": {"type": "array", "items": {"$ref": "#/$defs/test"}},
-            "title": {"type": "object", "additionalProperties": title},
-        },
-        "rossec",
-        "robot",
-        "rules",
-    )
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "rossec policy",
-        "$defs": {
-            "operator": {**operator, "minProperties": 1, "maxProperties": 1},
-            "fields": _by(_FIELD, {"$ref": "#/$defs/operator"}),
-            "see": {**_object(levels), "minProperties": 1},
-            "rights": rights,
-            "rule": _rule(),
-            "test": test,
-        },
-        **top,
-    }
-
-
-def schema_text() -> str:
-    return json.dumps(schema(), indent=2) + "\n"
