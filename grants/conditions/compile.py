@@ -147,7 +147,8 @@ class _Compiler:
     def compile(self, node: Expression) -> tuple[str, str]:  # noqa: PLR0911 - one per node
         match node:
             case Literal(value):
-                return _type_of(value), self._source.bind(value)
+                kind = {bool: "bool", int: "int", float: "double", str: "string"}[type(value)]
+                return kind, self._source.bind(value)
             case Path(names):
                 return self._path(names)
             case Now():
@@ -215,7 +216,15 @@ class _Compiler:
     def _method(self, target: Expression, name: str, arguments: tuple[Expression, ...]) -> tuple[str, str]:
         kind, code = self.compile(target)
         if kind == "timestamp" and name in FIELDS:
-            return "int", f"{self._source.bind(clock_field(name, _zone(arguments)))}({code})"
+            match arguments:
+                case ():
+                    zone = "UTC"
+                case (Literal(str() as zone),):
+                    pass
+                case _:
+                    hint = 'for example now.getHours("Europe/Zurich")'
+                    raise ConditionRefused("a time zone must be text", hint)
+            return "int", f"{self._source.bind(clock_field(name, zone))}({code})"
         if kind == "string" and name in _METHODS and len(arguments) == 1:
             argument_kind, argument = self.compile(arguments[0])
             if argument_kind == "string":
@@ -285,22 +294,8 @@ def _field_type(root: Struct, names: tuple[str, ...]) -> str:
     return "bool" if kind.name == "bool" else "double" if kind.code in "fd" else "int"
 
 
-def _type_of(value: bool | float | str) -> str:
-    return {bool: "bool", int: "int", float: "double", str: "string"}[type(value)]
-
-
 def _comparable(left: str, right: str) -> bool:
     return left == right or (left in _NUMBERS and right in _NUMBERS)
-
-
-def _zone(arguments: tuple[Expression, ...]) -> str:
-    match arguments:
-        case ():
-            return "UTC"
-        case (Literal(str() as zone),):
-            return zone
-        case _:
-            raise ConditionRefused("a time zone must be text", 'for example now.getHours("Europe/Zurich")')
 
 
 def _in_64_bits(value: int) -> int:

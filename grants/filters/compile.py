@@ -246,11 +246,6 @@ def _for(types: Mapping[str, _Rules]) -> Callable[[Layout], _Rules]:
     return rules
 
 
-def _everything(layout: Layout) -> _Rules:
-    # All fields cleared; only arrays of fixed length keep their length.
-    return {name: _CLEAR for name, _ in layout.root.fields}
-
-
 # A scan has no coarse form: walls to a metre are the position to a centimetre.
 _COARSE: Final[Mapping[str, _Rules]] = {
     "geometry_msgs/PoseStamped": _header(60) | {"pose.position": _POSITION, "pose.orientation": _CLEAR},
@@ -306,7 +301,8 @@ PRESETS: Final[dict[str, Preset]] = {
             "in which minutes the publisher is at work, if it sends more than once in 2 s;"
             " of one that sends less, next to nothing arrives; when it registers, connects and"
             " ends, to the moment",
-            _everything,
+            # Only arrays of fixed length keep their length.
+            lambda layout: {name: _CLEAR for name, _ in layout.root.fields},
             slot=60,
         ),
         Preset(

@@ -23,11 +23,11 @@ from grants.conditions.compile import compile_condition
 from grants.conditions.syntax import reads
 from grants.decision import Decision
 from grants.errors import FilterRefused, GrantError, MessageRefused, PolicyRefused
-from grants.filters.coarsening import Room, read_plan
+from grants.filters.coarsening import read_plan
 from grants.filters.hashing import FILTER_KEY_SIZE
 from grants.filters.layout import Layout, Primitive, Text
 from grants.guard import Guard, needed_keys
-from grants.model import TREE_RIGHTS, FilterRule, Right, Scalar, format_time
+from grants.model import TREE_RIGHTS, FilterRule, Restriction, Right, Scalar, format_time
 from grants.policy.assertions import (
     EXACT,
     NOTHING,
@@ -41,7 +41,7 @@ from grants.policy.assertions import (
     serialize,
 )
 from grants.policy.decision import Decider, Verdict, is_pattern
-from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject, SubjectPattern
+from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject
 from grants.policy.names import gives, overlaps, resolve
 from grants.policy.rules import is_basics
 from grants.policy.source import suggest
@@ -106,15 +106,14 @@ def _rooms(parameters: _Parameters, _kind: Kind, path: str) -> Passing:
     if name not in _ROOM_FIELDS:
         return Passing(Through.TOLD)  # zero in a room, NaN outside
     plan = read_plan({name: text for name, text in parameters.items() if name != "hysteresis"})
-    return Passing(Through.STEPS, min(_inner(room, _ROOM_FIELDS.index(name)) for room in plan), True)
-
-
-def _inner(room: Room, axis: int) -> float:
-    # Of a rectangle along the axes its side; of another polygon a line through a corner is as short as one
-    # likes.
-    upright = all((x0 == x1) != (y0 == y1) for (x0, y0), (x1, y1) in room.edges)
-    sides = [corner[axis] for corner in room.corners]
-    return max(sides) - min(sides) if upright and len(sides) == 4 else 0.0
+    widths: list[float] = []
+    for room in plan:
+        # Of a rectangle along the axes its side; of another polygon a line through a corner is as short as
+        # one likes.
+        upright = all((x0 == x1) != (y0 == y1) for (x0, y0), (x1, y1) in room.edges)
+        sides = [corner[_ROOM_FIELDS.index(name)] for corner in room.corners]
+        widths.append(max(sides) - min(sides) if upright and len(sides) == 4 else 0.0)
+    return Passing(Through.STEPS, min(widths), True)
 
 
 _Passes = Callable[[_Parameters, Kind, str], Passing]
@@ -176,11 +175,15 @@ class Visibility:
         self._layout = layout
         self._leaves = layout.leaves()
         self._conditions = [text for each in verdict.restrictions for text in each.conditions]
-        restrictions = tuple(
-            replace(each, conditions=(), rate=None, slot=None, filters=tuple(map(_stateless, each.filters)))
-            for each in verdict.restrictions
-            if each.filters
-        )
+        restrictions: tuple[Restriction, ...] = ()
+        for each in verdict.restrictions:
+            # Without hysteresis, which only makes cells overlap: what was sent before counts for it.
+            without = tuple(
+                replace(rule, parameters=tuple(x for x in rule.parameters if x[0] != "hysteresis"))
+                for rule in each.filters
+            )
+            if without:
+                restrictions += (replace(each, conditions=(), rate=None, slot=None, filters=without),)
         self._rules = [rule for each in restrictions for rule in each.filters]
         decision = Decision(verdict.right, verdict.name, (), _FOREVER, restrictions)
         keys = dict.fromkeys(needed_keys(restrictions), bytes(FILTER_KEY_SIZE))
@@ -221,11 +224,6 @@ class Visibility:
         if pieces is None:
             raise MessageRefused("no message passes")
         return repr(read_back(self._layout, b"".join(pieces))[path])
-
-
-def _stateless(rule: FilterRule) -> FilterRule:
-    # Without hysteresis, which only makes cells overlap: what was sent before counts for it.
-    return replace(rule, parameters=tuple(x for x in rule.parameters if x[0] != "hysteresis"))
 
 
 def _ends(kind: Primitive) -> tuple[Value, ...]:
@@ -341,14 +339,16 @@ class _Checker:
         named = [who for rule in rules for who in (*rule.who, *rule.exceptions)]
         exact = [who.node for who in named if who.node and "*" not in who.node]
         others = {*exact, *(each.subject.name for each in self._policy.tests)}
-        names = [node for node in exact if test.pattern and pattern_covers(test.pattern, node)]
-        found = {
-            Subject(name, key, tail): None
-            for name in (subject.name, *names)
-            for key in (subject.key, *_keys_of(named, name, subject))
-            for tail in (False, True)
-            if not (tail and (is_alias(name) or _is_one_node(name, others)))
-        }
+        found: dict[Subject, None] = {}
+        for name in (subject.name, *(x for x in exact if test.pattern and pattern_covers(test.pattern, x))):
+            # Unless the test is about one key; and no tail where another node has a name that would be its.
+            pinned = [
+                who.key for who in named if who.key and (not who.node or pattern_covers(who.node, name))
+            ]
+            keys = (subject.key, *(pinned if subject.key == _ANY_KEY else ()))
+            single = any(other != name and names_cover(name, other, wildcard=True) for other in others)
+            tails = (False,) if is_alias(name) or single else (False, True)
+            found.update({Subject(name, key, tail): None for key in keys for tail in tails})
         return [replace(test, subject=each) for each in found]
 
     def _claim(self, test: PolicyTest, claim: CheckedClaim) -> CheckOutcome:
@@ -452,18 +452,6 @@ def _first_failure(outcomes: Iterable[CheckOutcome]) -> CheckOutcome:
     # The first that does not hold, else the first.
     found = list(outcomes)
     return next((each for each in found if not each), found[0])
-
-
-def _is_one_node(name: str, others: Iterable[str]) -> bool:
-    # Whether another node has a name that would be its own if it had a wildcard tail.
-    return any(other != name and names_cover(name, other, wildcard=True) for other in others)
-
-
-def _keys_of(named: Iterable[SubjectPattern], name: str, subject: Subject) -> list[bytes]:
-    # The keys that rules pin for a node or for any, unless the test is about one key.
-    if subject.key != _ANY_KEY:
-        return []
-    return [who.key for who in named if who.key and (not who.node or pattern_covers(who.node, name))]
 
 
 def _shown(subject: Subject) -> str:

@@ -231,7 +231,7 @@ class Trial:
         return TrialOutcome(b"".join(pieces))
 
     def _failed_condition(self, message: Buffer, now: int) -> str:
-        # The reason why the message is withheld: the first condition that is not true.
+        # As the guard asks: the first condition that is not true, else the slot, else the rate.
         for restriction in self._verdict.restrictions:
             layout = self._layout if restriction.type is not None else None
             for text in restriction.conditions:

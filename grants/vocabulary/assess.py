@@ -291,18 +291,17 @@ def details(one: Seen) -> str:
 
 
 def _told(one: Seen) -> str:
-    texts = " and ".join(_condition(text) for text in one.conditions[:_MAX_CONDITIONS])
+    said: list[str] = []
+    for text in one.conditions[:_MAX_CONDITIONS]:
+        shown = re.sub(r"\bmsg\.", "", " ".join(text.split()))
+        shown = "".join(each if each.isprintable() else "?" for each in shown)
+        said.append(shown if len(shown) <= _MAX_TEXT else f"{shown[: _MAX_TEXT - 3]}...")
+    texts = " and ".join(said)
     more = len(one.conditions) - _MAX_CONDITIONS
     told = f"whether {texts}" + (f" and {more} more" if more > 0 else "")
     if one.besides == NO:
         return told
     return f"{_level_text(one._replace(conditions=(), level=one.besides))}, and {told}"
-
-
-def _condition(text: str) -> str:
-    shown = re.sub(r"\bmsg\.", "", " ".join(text.split()))
-    shown = "".join(each if each.isprintable() else "?" for each in shown)
-    return shown if len(shown) <= _MAX_TEXT else f"{shown[: _MAX_TEXT - 3]}..."
 
 
 def _level_text(one: Seen) -> str:

@@ -241,9 +241,25 @@ def resolve(
     """
     # 1. Nothing can be said of a type with an unknown field, nor of a bare value.
     coarse = {word: level for word, level in levels.items() if level != EXACT}
-    _check_known(description, coarse)
-    # 2. The strictest treatment of each field, by the words that concern the type.
-    concerned = {word: level for word, level in coarse.items() if _is_concerned(description, word, levels)}
+    unknown = [field for field in description.fields if field.content is Content.UNKNOWN]
+    bare = [field for field in description.fields if field.content is Content.BARE]
+    if coarse and unknown:
+        raise FilterRefused(
+            f"what {unknown[0].path} of {description.type_name} tells is not known, so no level can be held",
+            f"say it: vocabulary: {{{description.type_name}: {{{unknown[0].path}: position}}}}",
+        )
+    if coarse.keys() - {DataWord.PRESENCE} and bare:
+        raise FilterRefused(
+            f"{bare[0].path} of {description.type_name} is a bare value: only its topic knows what it tells",
+            f"say it: vocabulary: {{/the/topic: {{{bare[0].path}: home}}}}",
+        )
+    # 2. The strictest treatment of each field, by the words that concern the type: presence is of every one.
+    concerned: dict[DataWord, str] = {}
+    for word, level in coarse.items():
+        beside = TIMES if word is DataWord.IDENTITY else TIMES | FRAMES
+        telling = (one for one in description.fields if _is_told(one, word, levels))
+        if word is DataWord.PRESENCE or any(one.content not in beside for one in telling):
+            concerned[word] = level
     if not concerned:
         return Resolved()
     treated = {field.path: _treatment(field, concerned, levels, description) for field in description.fields}
@@ -266,21 +282,6 @@ def resolve(
     return together(found)
 
 
-def _check_known(description: Description, coarse: Levels) -> None:
-    unknown = [field for field in description.fields if field.content is Content.UNKNOWN]
-    bare = [field for field in description.fields if field.content is Content.BARE]
-    if coarse and unknown:
-        raise FilterRefused(
-            f"what {unknown[0].path} of {description.type_name} tells is not known, so no level can be held",
-            f"say it: vocabulary: {{{description.type_name}: {{{unknown[0].path}: position}}}}",
-        )
-    if coarse.keys() - {DataWord.PRESENCE} and bare:
-        raise FilterRefused(
-            f"{bare[0].path} of {description.type_name} is a bare value: only its topic knows what it tells",
-            f"say it: vocabulary: {{/the/topic: {{{bare[0].path}: home}}}}",
-        )
-
-
 def _treatment(
     field: FieldContent, coarse: Levels, levels: Levels, description: Description
 ) -> Treatment | None:
@@ -298,14 +299,6 @@ def _treatment(
 def _is_told(field: FieldContent, word: DataWord, levels: Levels) -> bool:
     recognised = word in field.meaning.hints and field.meaning.own not in levels
     return word in field.meaning.tells or recognised
-
-
-def _is_concerned(description: Description, word: DataWord, levels: Levels) -> bool:
-    if word is DataWord.PRESENCE:
-        return True
-    telling = [one for one in description.fields if _is_told(one, word, levels)]
-    beside = TIMES if word is DataWord.IDENTITY else TIMES | FRAMES
-    return any(one.content not in beside for one in telling)
 
 
 def _strictness(treatment: Treatment) -> tuple[int, float]:
