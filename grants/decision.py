@@ -1,11 +1,8 @@
 """Authorization: may the holder of a key use a right on a name now, and under which restrictions?
 
-Every grant the peer presented is evaluated. All restrictions of all usable permissions that cover the request
-apply together (conditions AND, all filters): if the first, the last or the widest won instead, the answer
-would depend on the order, or adding a grant would silently widen a right that was narrowed on purpose. The
-limit of this: a peer presents only the grants it chooses, so to narrow a right for good the wider grant must
-be revoked. Of a chain (`grants.token`) every link must authorize alone, and the restrictions of a narrowing
-see only what those before it let through.
+Every grant the peer presented is evaluated. The limit of this: a peer presents only the grants it chooses, so
+to narrow a right for good the wider grant must be revoked. Of a chain (`grants.token`) every link must
+authorize alone.
 """
 
 from bisect import bisect_left
@@ -91,7 +88,9 @@ def authorize(
             refusals.append(error)
     if not usable:
         raise max(refusals, key=lambda error: _BY_PROGRESS.index(type(error)))
-    # 2: the restrictions of all covering entries apply together, those of a chain link by link.
+    # 2: the restrictions of all covering entries apply together, those of a chain link by link. If the first,
+    # the last or the widest won instead, the answer would depend on the order, or adding a grant would
+    # silently widen a right that was narrowed on purpose.
     restrictions: list[Restriction | None] = []
     for layer, link in ((at, link) for grant in usable for at, link in enumerate(grant.links)):
         covers = (each.restriction for each in link.permissions if each.covers(right, name))

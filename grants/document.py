@@ -1,10 +1,6 @@
 """The signed form of a grant: a CWT (RFC 8392) in one closed COSE_Sign1 profile, encoded in one way.
 
-Anything unknown refuses the grant: a claim, a restriction key, a filter operator, a right bit. RFC 8392
-section 3 has a generic verifier *ignore* unknown claims, so a restriction in a claim of its own would become
-an unrestricted right; restrictions are inside the scope entry they apply to. The id does not include the
-signature: ECDSA signatures are malleable, and a hash over one would let the holder of a revoked grant make a
-copy with another hash.
+Anything unknown refuses the grant: a claim, a restriction key, a filter operator, a right bit.
 """
 
 import base64
@@ -248,6 +244,8 @@ def _optional(claims: dict[Any, Any], key: int, kind: type[Any]) -> Any:
     return value
 
 
+# RFC 8392 section 3 has a generic verifier *ignore* unknown claims, so a restriction in a claim of its own
+# would become an unrestricted right; restrictions are inside the scope entry they apply to.
 def _closed_map(value: Value, required: set[int], allowed: set[int], what: str) -> dict[Any, Any]:
     if not isinstance(value, dict):
         raise GrantMalformed(f"the {what}s of a grant are not a map")
@@ -323,6 +321,8 @@ def _body(data: bytes) -> bytes:
 
 
 def _id(body: bytes) -> bytes:
+    # Without the signature: those of ECDSA are malleable, and a hash over one would let the holder of a
+    # revoked grant make a copy with another id.
     return hashlib.sha256(_ID_PREFIX + body).digest()[:16]
 
 

@@ -1,11 +1,7 @@
 """The restrictions for one receiver: expiry, conditions, limits, filters, in this order.
 
-Those of narrowings come after, layer by layer: the conditions and filters of one see what the filters before
-it left. Else whoever may narrow its right could ask, by conditions of its own, what the filters hide from it.
-Conditions that read no message are checked first, whoever wrote them. A guard is built once per connection
-and fails closed: what it cannot process is not sent. The state of limits belongs to a key (of a chain, its
-first holder's), a right and a name, never to a connection: a peer that reconnects, opens a hundred
-connections, or hands a right on, gets no more by it.
+Those of narrowings come after, layer by layer. Conditions that read no message are checked first, whoever
+wrote them. A guard is built once per connection and fails closed: what it cannot process is not sent.
 """
 
 from collections.abc import Callable, Hashable, Iterable
@@ -140,8 +136,9 @@ class MemoryStore:
 
     def find(self, scope: tuple[str, ...], decision: Decision) -> Memory:
         """The memory for the key, right and name of `decision` within `scope`."""
-        # The key the state belongs to. A chain's comes first, so that a grant of the last holder's own
-        # beside it opens no other account; of several chains, that of one of them.
+        # The state belongs to a key, a right and a name, never to a connection: a peer that reconnects, opens
+        # a hundred connections, or hands a right on, gets no more by it. A chain's first holder comes first,
+        # so that a grant of the last one's own beside it opens no other account.
         chains = [grant for grant in decision.grants if grant.chain]
         holder = min(grant.links[0].holder for grant in chains or decision.grants)
         key = (scope, holder, decision.right, decision.name)
@@ -352,6 +349,8 @@ class Guard:
                 return pieces
 
     def _filter(self, message: Buffer, now: int) -> list[Buffer] | None:
+        # A layer's conditions see what the filters before it left: else whoever may narrow its right could
+        # ask, by conditions of its own, what the filters hide from it.
         pieces: list[Buffer] = [message]
         for layer in self._layers:
             for condition in layer.conditions:

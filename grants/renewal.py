@@ -1,9 +1,8 @@
 """Renewal: a grant stays valid, unchanged, as long as the master confirms it within bounds.
 
-The authority signs a *delegation* to the master's key; the master signs short *tickets* for
-grants. A ticket has no field for rights, so a renewal cannot widen any, and the grant keeps its
-bytes, its id and its place in the revocation list. What a stolen master key allows: tickets for
-existing grants, up to their caps, until the delegation ends or is revoked.
+The authority signs a *delegation* to the master's key; the master signs short *tickets* for grants. What a
+stolen master key allows: tickets for existing grants, up to their caps, until the delegation ends or is
+revoked.
 """
 
 import hashlib
@@ -80,6 +79,8 @@ class OpenDelegation(Delegation):
 class Ticket:
     """Confirms a grant from `not_before` until `expires`, as of revocation list `seq`."""
 
+    # No field for rights, so a renewal can widen none; the grant keeps its bytes, its id and its place in the
+    # revocation list.
     grant: bytes
     not_before: int
     expires: int

@@ -1,11 +1,9 @@
 """What a node presents: a grant as signed, one with a ticket that renews it, or a chain of narrowings.
 
 A renewed grant is sent as the deterministic CBOR array [grant, ticket, delegation], each as signed; a chain
-as [one of these, [narrowing, ...]]. The key of the delegate is not in the token, so a peer cannot choose who
-renewed its grant. A narrowing hands a grant on to another key of its domain, signed by the holder of the link
-before. Every link must authorize alone, and all restrictions add up (`grants.decision`), so a link that
-"grants" more has no effect; conditions and filters of a narrowing see what the links before let through, and
-a rate counts for the first holder, whomever it hands the right to. Pure; docs/spec/domains.md section 4.
+as [one of these, [narrowing, ...]]. A narrowing hands a grant on to another key of its domain, signed by the
+holder of the link before. Every link must authorize alone, and all restrictions add up (`grants.decision`),
+so a link that "grants" more has no effect. Pure; docs/spec/domains.md section 5.
 """
 
 import hashlib
@@ -113,7 +111,7 @@ def _links(grant: Grant, narrowings: Sequence[bytes]) -> tuple[Grant, ...]:
             "at the authority: rossec grant sign NODE --may-narrow N",
         )
     links = [grant]
-    for data in narrowings:
+    for data in narrowings:  # each with the key of the link before, so none can be left out or moved
         links.append(_open_link(data, links[-1]))
     return tuple(links)
 
@@ -255,6 +253,7 @@ class Verifier:
         else:
             grant = verify(parts.grant, self.ca_key, domain=self.domain)
             delegation = open_delegation(parts.delegation, self.ca_key)
+            # The delegate's key is not in the token: a peer cannot choose who renewed its grant.
             of_holder = (key for key in self.delegates if thumbprint(key) == delegation.holder)
             key = next(of_holder, self.delegates[0])  # another one's: refused as such
             grant = renew(grant, parts.ticket, delegation, key, now=now, seq=self.seq, check=self.check)

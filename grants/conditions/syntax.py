@@ -2,8 +2,7 @@
 
 The language is a subset of CEL (the Common Expression Language, cel.dev) with CEL's syntax and precedence:
 literals, `msg.<path>`, `now`, `timestamp("...")`, `! && ||`, one comparison or `in` per operand, `+ - *`, and
-method calls. No macros, no regular expressions, no user functions: the cost of a condition is bounded by its
-text.
+method calls.
 """
 
 import re
@@ -15,6 +14,8 @@ from typing import Final, NamedTuple, TypeAlias
 from grants.errors import ConditionRefused, GrantError
 from grants.model import MAX_CONDITION
 
+# No macros, no regular expressions, no functions of users: the cost of a condition is bounded by its text,
+# which may come from whoever narrows a grant.
 MAX_NODES: Final = 64
 MAX_DEPTH: Final = 32
 

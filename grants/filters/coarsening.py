@@ -1,10 +1,7 @@
 """How values are made coarse: hysteresis, rounding, rooms, and squares of pictures. Pure.
 
 Equal values always have the same cell, and all cells have the same size. One value and an array of it give
-the same bits: tests compare them. A value at a border would tell by its changes where it is, so cells have
-hysteresis; it is common to all holders of a right, and with a `body` to all topics of a publisher that show
-the same thing: two samples of one position would make the cells of both together smaller than one. There the
-state is kept for each frame, and one frame is told at a time: cells of two frames are shifted and intersect.
+the same bits: tests compare them.
 """
 
 import math
@@ -57,6 +54,10 @@ class HysteresisState:
         self.value: float | None = None
 
 
+# A value at a border would tell by its changes where it is, so cells have hysteresis. It is common to all
+# holders of a right, and with a `body` to all topics of a publisher that show the same thing: two samples of
+# one position would make the cells of both together smaller than one. There the state is kept for each frame,
+# and one frame is told at a time: cells of two frames are shifted and intersect (ADR 0054).
 class CommonState:
     """The hysteresis of one group; `lock` is held while a message is filtered."""
 
