@@ -1,7 +1,6 @@
 """Whether the tests of a policy hold: each claim decided as requests are, each field tried. Pure.
 
-A failure names the rule that decided, with its line, and what would be needed. What cannot be evaluated, such
-as a field that a type does not have, fails: a test that tests nothing would pass.
+A failure names the rule that decided, with its line, and what would be needed.
 
 How precisely a field is seen follows from the operators' algebra, for the whole range of its type and not for
 values that were tried. A word of the vocabulary is seen by all fields that tell it
@@ -358,6 +357,8 @@ class _Checker:
         try:
             failure, needed = self._refuted(test, claim, verdict)
         except (GrantError, ValueError, struct.error, OverflowError) as error:
+            # What cannot be evaluated fails, as a field that a type does not have: else a test that tests
+            # nothing would pass.
             failure, needed = f"{what} cannot be tried: {error}", "correct the test"
         rules = tuple(dict.fromkeys(rule.id for rule in verdict.rules))
         return CheckOutcome(claim.line, node, says, failure and f"{node} {failure}", rules, needed)

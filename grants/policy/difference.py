@@ -1,10 +1,7 @@
 """The difference between what a policy wants for one node and the grants it has.
 
-A grant that says exactly what the policy says is kept, byte for byte, whoever asked for it. A grant of the
-policy that says anything else goes whole, and what is wanted and in no kept grant is signed anew: one grant
-for each set of rules, so that a changed rule touches no other grant. Each kept or signed grant alone gives no
-more than the policy: a peer presents only the grants it chooses. Grants made by hand are left alone; what
-they give against a denial is a contradiction.
+A grant that says exactly what the policy says is kept, byte for byte, whoever asked for it. Grants made by
+hand are left alone; what they give against a denial is a contradiction.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -254,6 +251,9 @@ class _Chosen(NamedTuple):
 def _choose(
     state: WantedState, subject: Subject, wanted: Wanted, ours: list[Grant], moment: Moment, *, gets: bool
 ) -> _Chosen:
+    # A grant of the policy that says anything else goes whole: each kept or signed grant alone gives no more
+    # than the policy, as a peer presents only the grants it chooses. What is wanted and in no kept one is
+    # signed anew, one for each set of rules, so that a changed rule touches no other grant.
     exact = [grant for grant in ours if _is_exact(state, subject, grant, moment.skew)]
     gone = [grant for grant in ours if grant not in exact]
     held = [grant for grant in exact if moment.now < moment.end(grant)]

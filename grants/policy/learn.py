@@ -2,9 +2,7 @@
 
 Two sources of use: the graph of a running master (publishers, subscribers, providers), and the denial log,
 one JSON object a line: `{"at": seconds, "node": name, "right": label, "name": name}` and optionally `"type"`.
-What a rule already decides is not learned again, in particular no denial. A name below the node's own is
-learned as `{node}/...`, so it is right for every run of an anonymous node; what `basics` gives is left to
-`basics`.
+What `basics` gives is left to `basics`.
 """
 
 import json
@@ -263,6 +261,7 @@ def learn(
         day: the date of observation, for the reason.
     """
     lasting = dict.fromkeys(each for item in observed if (each := learnable(item)) is not None)
+    # What a rule already decides is not learned again, in particular no denial.
     new = [item for item in lasting if not _decided(decider, item)]
     by_node: dict[str, list[Observation]] = {}
     for item in new:
@@ -288,7 +287,7 @@ def learnable(seen: Observation) -> Observation | None:
     """
     if is_alias(seen.node) or is_alias(seen.name):
         return None
-    name = own_form(seen.node, seen.name)
+    name = own_form(seen.node, seen.name)  # right for every run of an anonymous node
     if is_basic(seen.right, name) or lasting_name(name) != name:
         return None
     return replace(seen, node=lasting_name(seen.node), name=name)

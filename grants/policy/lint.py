@@ -1,8 +1,7 @@
 """Advice on a valid policy: what is allowed but unwise, by a table of checks (`CHECKS`).
 
 Precision removed from one field is often still in related fields, on other topics, or with another node of
-the same owner. So each check sees what a receiver gets from all rules together (`lint_views`). Each kind of
-advice has a stable code (`lint_findings`). A check yields findings and changes nothing.
+the same owner. So each check sees what a receiver gets from all rules together (`lint_views`).
 """
 
 from collections.abc import Callable, Iterator

@@ -1,8 +1,7 @@
 """Patterns of rules: does one include the other, do they intersect, and the asking node's own names.
 
 Needed where a right is requested for a whole pattern: `/a/**` may only be granted if every name in it is
-allowed, and not if one of them is denied. Names are infinite, so both are decided on the automata of the
-patterns: a position in each, moved segment by segment.
+allowed, and not if one of them is denied.
 
 `{node}` (`~/pose` for `{node}/pose`) stands for the whole certified name of the node that asks, so it stands
 first: what results is that name or one below it, never one beside it. With an anonymous suffix it stands for
@@ -32,6 +31,8 @@ def segments(pattern: str) -> tuple[str, ...]:
     return tuple(pattern[1:].split("/"))
 
 
+# Names are infinite, so both are decided on the automata of the patterns: a position in each, moved segment by
+# segment.
 @lru_cache(maxsize=4096)
 def includes(outer: str, inner: str, *, tree: bool = False) -> bool:
     wide, narrow = segments(outer), segments(inner)

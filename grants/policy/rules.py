@@ -1,8 +1,5 @@
 """One rule of a policy: its subjects, its rights on names, and their restrictions; and the rule of `basics`.
 
-The restriction of a rule is determined for every topic of the rule separately, against the type of that
-topic: a filter that fits one of two topics is a mistake, not half a filter.
-
 A group (`groups: {robots: [/robot1, /robot2]}`) stands for its members wherever a rule says `who` or
 `except`; it may name other groups, never itself. Identities and groups share one space of names: a word means
 one thing.
@@ -236,6 +233,8 @@ class RuleReader:
                 message = "a preset or a pseudonym is for what is subscribed to, not published"
                 hint = "name the fields and their treatment, or add a subscribe right"
                 each.position.mistake(message, hint)
+        # For every topic separately, against its type: a filter that fits one of two is a mistake, not half a
+        # filter.
         clauses: list[Clause] = []
         for right, pattern, position in named:
             mine = (filters, limit) if right is filtered else ({}, Limit())

@@ -1,12 +1,7 @@
 """From YAML text to a tree in which every part has its position. The only YAML reader.
 
-The cost of YAML is in its structure, not in its bytes: an alias stands for a tree, a merge for another map.
-So the size is checked before parsing, and anchors, aliases, tags, directives, further documents, depth and
-the number of events with each event, before a value is built. Duplicate keys are refused: the second would
-silently win. A merge key `<<` is an ordinary key; plain scalars are texts unless they are clearly a number or
-true/false (`22:00`, `no`, `2026-11-20` stay as written). Readers of a part record a mistake if it is
-something else and return None; reading goes on, so that all mistakes are reported at once. A file with one is
-refused: a `Policy` never has any.
+Readers of a part record a mistake if it is something else and return None; reading goes on, so that all
+mistakes are reported at once. A file with one is refused: a `Policy` never has any.
 """
 
 import base64
@@ -72,6 +67,9 @@ MAX_MISTAKES: Final = 200  # more are not useful, and a hostile file must not ca
 _MAX_SUGGESTIONS: Final = 12
 
 
+# The cost of YAML is in its structure, not in its bytes: an alias stands for a tree, a merge for another map.
+# So the size is checked before parsing, and anchors, aliases, tags, directives, further documents, depth and
+# the number of events with each event, before a value is built.
 def events(text: str, bounds: Bounds, *, tags: bool = False) -> Iterator[Any]:
     if len(text) > bounds.size:
         raise YamlRefused(f"{len(text)} characters where at most {bounds.size} are allowed")
@@ -331,7 +329,7 @@ class _Builder:
             key, value = self.part(after), self.part(next(self.events))
             if not isinstance(key, YamlScalar):
                 key.mistake("a key must be a scalar")
-            elif (name := str(key.value)) in entries:
+            elif (name := str(key.value)) in entries:  # the second would win without a word
                 first = f"{entries[name][0].line}:{entries[name][0].column}"
                 key.mistake(f"duplicate key {name!r}, first in {first}", "keep one of them")
             else:
@@ -339,6 +337,7 @@ class _Builder:
         return YamlMapping(*at, entries)
 
 
+# Texts, unless they are clearly a number or true/false: `22:00`, `no`, `2026-11-20` stay as written.
 def _plain_scalar(text: str) -> Scalar:
     if text in _BOOLEANS:
         return _BOOLEANS[text]

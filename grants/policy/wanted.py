@@ -1,9 +1,8 @@
 """What a policy gives a node outright: the wanted state, which `rossec policy apply` makes true.
 
-Each clause of an allowing rule is decided whole, as a request for its pattern would be. Only what is allowed
-is wanted: what a person decides is left to a person, and a pattern of which one name is denied is withheld
-whole: a grant cannot say "except". Both are reported with their rules. Also here: from verdicts to grants, no
-more than was decided, and what is in force for a right, whatever the policy says of it today.
+Each clause of an allowing rule is decided whole, as a request for its pattern would be. Also here: from
+verdicts to grants, no more than was decided, and what is in force for a right, whatever the policy says of it
+today.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -187,6 +186,8 @@ class WantedState:
             withheld: dict[tuple[Atom, str], Withheld] = {}
             for rule, atom in _clauses(rules, subject):
                 verdict = self._decider.decide_by(rules, subject, *atom)
+                # What a person decides is left to a person, and a pattern of which one name is denied is
+                # withheld whole: a grant cannot say "except".
                 if verdict.effect is Effect.ALLOW:
                     rights.setdefault(atom, WantedRight.of(verdict))
                 else:
