@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 from ca.names import tail_base
 from grants.model import KEEP_WHEN_STALE, Grant, Permission, Restriction, Right
-from grants.policy.decision import Verdict, validity
+from grants.policy.decision import validity
 from grants.policy.model import Effect, PolicyRule, Subject
 from grants.policy.restrictions import divide, why_unsignable
 from grants.policy.wanted import Atom, Wanted, WantedRight, WantedState, Withheld
@@ -53,13 +53,13 @@ class Before(NamedTuple):
     longest: int
 
 
-def kept(subject: Subject, wanted: WantedRight) -> Change:
-    return Change(ChangeKind.KEPT, subject, *wanted.atom, _text(wanted), wanted.rules)
-
-
-def change_of(subject: Subject, wanted: WantedRight, before: "Before | None" = None) -> Change:
-    if before is None:
-        return Change(ChangeKind.NEW, subject, *wanted.atom, _text(wanted), wanted.rules)
+def change_of(
+    subject: Subject, wanted: WantedRight, before: "Before | None" = None, *, is_kept: bool = False
+) -> Change:
+    if before is None or is_kept:
+        return Change(
+            ChangeKind.KEPT if is_kept else ChangeKind.NEW, subject, *wanted.atom, _text(wanted), wanted.rules
+        )
     longest = max(wanted.lifetime, wanted.renew_until)
     new = _measure(wanted.permissions, wanted.lifetime, longest)
     old = _measure(before.entries, before.lifetime, before.longest)
@@ -76,11 +76,6 @@ def change_of(subject: Subject, wanted: WantedRight, before: "Before | None" = N
         case _:
             kind = ChangeKind.CHANGED
     return Change(kind, subject, *wanted.atom, _text(wanted), wanted.rules, was)
-
-
-def withdrawn(subject: Subject, atom: Atom, verdict: Verdict, before: Before) -> Change:
-    rules = tuple(dict.fromkeys(verdict.rules))
-    return Change(ChangeKind.GONE, subject, *atom, _lines(before.entries), rules)
 
 
 def _lines(entries: Iterable[Permission]) -> tuple[str, ...]:
@@ -359,11 +354,12 @@ def _changes(state: WantedState, subject: Subject, chosen: _Chosen, skew: int) -
     }
     now = {atom for grant in chosen.held for atom in atoms(grant)}
     for atom, each in rights.items():
-        yield kept(subject, each) if atom in now else change_of(subject, each, before.get(atom))
+        yield change_of(subject, each, before.get(atom), is_kept=atom in now)
     for atom in sorted(now - rights.keys()):
-        yield kept(subject, WantedRight.of(state.decide(subject, atom)))
+        yield change_of(subject, WantedRight.of(state.decide(subject, atom)), is_kept=True)
     for atom in sorted(before.keys() - rights.keys() - now):
-        yield withdrawn(subject, atom, state.decide(subject, atom), before[atom])
+        rules = tuple(dict.fromkeys(state.decide(subject, atom).rules))
+        yield Change(ChangeKind.GONE, subject, *atom, _lines(before[atom].entries), rules)
 
 
 def _contradictions(

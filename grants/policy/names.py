@@ -31,8 +31,8 @@ def segments(pattern: str) -> tuple[str, ...]:
     return tuple(pattern[1:].split("/"))
 
 
-# Names are infinite, so both are decided on the automata of the patterns: a position in each, moved segment by
-# segment.
+# Names are infinite, so both are decided on the automata of the patterns: a position in each,
+# moved segment by segment.
 @lru_cache(maxsize=4096)
 def includes(outer: str, inner: str, *, tree: bool = False) -> bool:
     wide, narrow = segments(outer), segments(inner)

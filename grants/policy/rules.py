@@ -8,7 +8,7 @@ one thing.
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 from grants.errors import GrantError, GrantMalformed
 from grants.filters.compile import PRESETS, preset
@@ -147,7 +147,16 @@ class Subjects:
         return self._single(part, label)
 
 
-def _named_rights(rights: YamlMapping, name: str) -> Iterator[tuple[Right, str, Part]]:
+class _Named(NamedTuple):
+    right: Right
+    pattern: str
+    position: Part
+
+    def mistake(self, message: str, hint: str) -> None:
+        self.position.mistake(f"{self.right.label} {self.pattern}: {message}", hint)
+
+
+def _named_rights(rights: YamlMapping, name: str) -> Iterator[_Named]:
     if not rights.entries:
         rights.mistake(f"rule {name} has no rights", suggest("", RIGHTS))
     for label, (key, value) in rights.entries.items():
@@ -159,7 +168,7 @@ def _named_rights(rights: YamlMapping, name: str) -> Iterator[tuple[Right, str, 
         for item in source.items(value):
             pattern = source.own_pattern(item, label, RIGHTS[label])
             if pattern is not None:
-                yield RIGHTS[label], pattern, item
+                yield _Named(RIGHTS[label], pattern, item)
 
 
 @dataclass(frozen=True)
@@ -221,44 +230,39 @@ class RuleReader:
         named = list(_named_rights(rights, name))
         read = (read_condition(item) for item in source.items(mapping.get("when")))
         conditions = [when for when in read if when is not None]
-        seen = [pattern for right, pattern, _ in named if right is Right.SUBSCRIBE]
+        seen = [each.pattern for each in named if each.right is Right.SUBSCRIBE]
         filtered = Right.SUBSCRIBE if seen else Right.PUBLISH
-        topics = [pattern for right, pattern, _ in named if right is filtered]
+        topics = [each.pattern for each in named if each.right is filtered]
         filters = self._filters_of(mapping.get("filter"), topics, name, filtered)
         for topic, see in read_see(mapping.get("see"), seen, name).items():
             filters[topic] = replace(filters.get(topic, _TopicFilter(see.position)), see=see)
         limit = read_limit(mapping.get("limit"), topics, name, seen=bool(seen))
-        for each in filters.values() if not seen else ():
-            if each.preset is not None or key_names(item.rule for item in each.fields):
+        for given in filters.values() if not seen else ():
+            if given.preset is not None or key_names(item.rule for item in given.fields):
                 message = "a preset or a pseudonym is for what is subscribed to, not published"
                 hint = "name the fields and their treatment, or add a subscribe right"
-                each.position.mistake(message, hint)
+                given.position.mistake(message, hint)
         # For every topic separately, against its type: a filter that fits one of two is a mistake, not half a
         # filter.
         clauses: list[Clause] = []
-        for right, pattern, position in named:
-            mine = (filters, limit) if right is filtered else ({}, Limit())
-            clauses += self._clause(right, pattern, position, conditions, *mine)
+        for each in named:
+            none = _TopicFilter(each.position)
+            mine = (filters.get(each.pattern, none), limit) if each.right is filtered else (none, Limit())
+            clauses += self._clause(each, conditions, *mine)
         restricting = conditions or filters or any(limit) or mapping.get("on_stale") is not None
-        if restricting and any(right & ~MESSAGE_RIGHTS for right, _, _ in named):
+        if restricting and any(each.right & ~MESSAGE_RIGHTS for each in named):
             message = f"rule {name}: parameters, graph and admin rights cannot have restrictions"
             rights.mistake(message, "put these rights into a separate rule")
         return tuple(clauses)
 
     def _clause(
-        self,
-        right: Right,
-        pattern: str,
-        position: Part,
-        conditions: list[ConditionRule],
-        filters: Mapping[str, _TopicFilter],
-        limit: Limit,
+        self, named: _Named, conditions: list[ConditionRule], topic_filter: _TopicFilter, limit: Limit
     ) -> list[Clause]:
-        topic_filter = filters.get(pattern, _TopicFilter(position))
+        right, pattern, _ = named
         kind = type_of(self._types, pattern)
         treated = topic_filter.fields or topic_filter.preset or topic_filter.see
         reads_message = treated or any(when.reads_message for when in conditions)
-        if reads_message and not self._fits(right, pattern, position, kind, conditions, topic_filter):
+        if reads_message and not self._fits(named, kind, conditions, topic_filter):
             return []
         levels = self._levels(topic_filter, pattern, kind)
         if levels is None:
@@ -269,10 +273,8 @@ class RuleReader:
             return [Clause(right, pattern, None, given.rate, kind)]
         try:
             if limit.body is not None and given.slot is None:
-                raise GrantMalformed(
-                    f"without a slot the body {limit.body} cannot be told in common",
-                    "for example limit: {slot: 30}",
-                )
+                message = f"without a slot the body {limit.body} cannot be told in common"
+                raise GrantMalformed(message, "for example limit: {slot: 30}")
             texts = tuple(dict.fromkeys(when.text for when in conditions))
             of = kind if reads_message else None
             restriction = Restriction(of, texts, given.rules, slot=given.slot, body=limit.body, pad=limit.pad)
@@ -280,7 +282,7 @@ class RuleReader:
             if reason := why_unsignable((entry,)):
                 raise GrantMalformed(reason, "write fewer or shorter conditions and filters")
         except GrantError as error:
-            position.mistake(f"{right.label} {pattern}: {error}", error.hint)
+            named.mistake(str(error), error.hint)
             return []
         return [Clause(right, pattern, restriction, given.rate, kind)]
 
@@ -300,21 +302,14 @@ class RuleReader:
         return together(found)
 
     def _fits(
-        self,
-        right: Right,
-        pattern: str,
-        position: Part,
-        kind: str | None,
-        conditions: list[ConditionRule],
-        topic_filter: _TopicFilter,
+        self, named: _Named, kind: str | None, conditions: list[ConditionRule], topic_filter: _TopicFilter
     ) -> bool:
-        if not right & (Right.SUBSCRIBE | Right.PUBLISH):
-            message = f"{right.label} {pattern}: conditions on messages are for topics"
-            position.mistake(message, "put this right into a separate rule")
+        if not named.right & (Right.SUBSCRIBE | Right.PUBLISH):
+            named.mistake("conditions on messages are for topics", "put this right into a separate rule")
             return False
         if kind is None:
-            message = f"the message type of {pattern} is unknown"
-            position.mistake(message, f"add it to types: {{{pattern.replace(NODE, '~')}: package/Type}}")
+            hint = f"add it to types: {{{named.pattern.replace(NODE, '~')}: package/Type}}"
+            named.position.mistake(f"the message type of {named.pattern} is unknown", hint)
             return False
         if kind not in self._layouts:
             return False  # the type itself is the mistake, and recorded
