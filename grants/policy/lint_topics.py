@@ -1,8 +1,6 @@
 """Advice on what else tells what is hidden: fields beside it, other topics, services, other receivers.
 
-What tells what is data: a treated kind is given away by an exact one of its row. The attackers' figures are
-in docs/spec/policy.md, "Lint": a rounded position with an exact twist is the path to 0.05 m; a rounded joint
-with an exact velocity is the joint.
+The attackers' figures are in docs/spec/policy.md, "Lint".
 """
 
 import re
@@ -17,6 +15,8 @@ from grants.policy.lint_findings import LintFinding, closing, closing_all, coars
 from grants.policy.lint_views import Aspect, LintReceiver, Scene, View, conventional
 
 _PLACES: Final = (Aspect.POSITION, Aspect.JOINT)
+# A rounded position with an exact twist is the path to 0.05 m; a rounded joint with an exact velocity is the
+# joint.
 _INTEGRATED: Final = ("movement-open", "the exact path follows from it by integration")
 _BESIDE: Final[dict[Aspect, tuple[str, str]]] = {
     Aspect.MOVEMENT: _INTEGRATED,
@@ -73,6 +73,7 @@ class Related(NamedTuple):
     told_by: tuple[Aspect, ...]
 
 
+# A treated kind is given away by an exact one of its row.
 _MOVES: Final = (Aspect.MOVEMENT, Aspect.JOINT_RATE, Aspect.JOINT)
 RELATED: Final[tuple[Related, ...]] = (
     Related(

@@ -1,9 +1,9 @@
 """What each receiver of a policy sees: every topic, with all that holds for it together.
 
-Lint judges what a node gets, not what a rule says: two rules that are wise alone may undo each other. A
-receiver is one sample node for each subject of the policy, once for each key that is pinned for such a node;
-what a person may still approve counts as seen. What a field shows (`Aspect`) is said by `grants.vocabulary`;
-where that knows nothing of a number, by its name, and where a topic has no type, by the topic's.
+A receiver is one sample node for each subject of the policy, once for each key that is pinned for such a
+node; what a person may still approve counts as seen. What a field shows (`Aspect`) is said by
+`grants.vocabulary`; where that knows nothing of a number, by its name, and where a topic has no type, by the
+topic's.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -309,6 +309,7 @@ def too_fine(rule: FilterRule, aspect: Aspect, path: str) -> bool:
     return isinstance(step, int | float) and step < floor
 
 
+# Lint judges what a node gets, not what a rule says: two rules that are wise alone may undo each other.
 @dataclass(frozen=True)
 class Scene:
     policy: Policy

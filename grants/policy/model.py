@@ -3,8 +3,7 @@
 All values are made by `grants.policy.read`, which checked them; nothing refers to the file any more, except
 the line number of a rule. The vocabulary of a policy names types (`acme_msgs/Bed`) and topics (`/door/open`,
 for a value whose meaning only the topic knows). A field tells a word, and is then hidden at every level but
-`exact`, or has a content of `grants.vocabulary.contents`, and is then treated as these are. What the standard
-table knows cannot be said otherwise.
+`exact`, or has a content of `grants.vocabulary.contents`, and is then treated as these are.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -162,6 +161,7 @@ def _fields(layout: Layout, mapping: YamlMapping) -> Fields:
         if not below:
             hint = suggest(path, [one.path for one in known.fields])
             key.mistake(f"no field {path[:80]!r} in {known.type_name}", hint)
+        # What the standard table knows cannot be said otherwise.
         elif any(one.content not in NOT_KNOWN for one in below):
             message = f"{path} of {known.type_name} is in the standard vocabulary"
             key.mistake(message, f"it is: {below[0].content}; remove this line")

@@ -1,9 +1,8 @@
 """The restrictions of a rule: filters, conditions, `limit` and `see`; whether they fit a type.
 
-The notation is shorter than in a grant: `{round: 2.0}` for `{round: {step: 2.0}}`. The operators are those of
-`grants.filters.operators`, so a policy supports exactly what its grants support. Of `see` (`{position: room,
-image: no}`, or the same by topic) what is said is an upper limit; a word that is not mentioned is shown as it
-is, unless it gives away one that is.
+The notation is shorter than in a grant: `{round: 2.0}` for `{round: {step: 2.0}}`. Of `see` (`{position:
+room, image: no}`, or the same by topic) what is said is an upper limit; a word that is not mentioned is shown
+as it is, unless it gives away one that is.
 """
 
 import re
@@ -68,7 +67,7 @@ def read_fields(part: YamlMapping) -> tuple[FieldRule, ...]:
             treatment.mistake(f"{path}: exactly one operator per field", hint)
             continue
         [(operator, (position, value))] = treatment.entries.items()
-        if operator not in OPERATORS:
+        if operator not in OPERATORS:  # those of grants, so a policy supports exactly what its grants support
             position.mistake(f"{path}: unknown operator {operator[:60]!r}", suggest(operator, OPERATORS))
             continue
         parameters = _parameters(operator, value)
