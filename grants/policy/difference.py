@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 from ca.names import tail_base
 from grants.model import KEEP_WHEN_STALE, Grant, Permission, Restriction, Right
-from grants.policy.decision import validity
+from grants.policy.decision import Verdict, validity
 from grants.policy.model import Effect, PolicyRule, Subject
 from grants.policy.restrictions import divide, why_unsignable
 from grants.policy.wanted import Atom, Wanted, WantedRight, WantedState, Withheld
@@ -76,6 +76,11 @@ def change_of(
         case _:
             kind = ChangeKind.CHANGED
     return Change(kind, subject, *wanted.atom, _text(wanted), wanted.rules, was)
+
+
+def withdrawn(subject: Subject, atom: Atom, verdict: Verdict, before: Before) -> Change:
+    rules = tuple(dict.fromkeys(verdict.rules))
+    return Change(ChangeKind.GONE, subject, *atom, _lines(before.entries), rules)
 
 
 def _lines(entries: Iterable[Permission]) -> tuple[str, ...]:
@@ -358,8 +363,7 @@ def _changes(state: WantedState, subject: Subject, chosen: _Chosen, skew: int) -
     for atom in sorted(now - rights.keys()):
         yield change_of(subject, WantedRight.of(state.decide(subject, atom)), is_kept=True)
     for atom in sorted(before.keys() - rights.keys() - now):
-        rules = tuple(dict.fromkeys(state.decide(subject, atom).rules))
-        yield Change(ChangeKind.GONE, subject, *atom, _lines(before[atom].entries), rules)
+        yield withdrawn(subject, atom, state.decide(subject, atom), before[atom])
 
 
 def _contradictions(
