@@ -1,11 +1,8 @@
 """Authorization: may the holder of a key use a right on a name now, and under which restrictions?
 
-Every grant the peer presented is evaluated. All restrictions of all usable permissions that cover the request
-apply together (conditions AND, all filters): if the first, the last or the widest won instead, the answer
-would depend on the order, or adding a grant would silently widen a right that was narrowed on purpose. The
-limit of this: a peer presents only the grants it chooses, so to narrow a right for good the wider grant must
-be revoked. Of a chain (`grants.token`) every link must authorize alone, and the restrictions of a narrowing
-see only what those before it let through.
+Every grant the peer presented is evaluated. The limit of this: a peer presents only the grants it chooses, so
+to narrow a right for good the wider grant must be revoked. Of a chain (`grants.token`) every link must
+authorize alone.
 """
 
 from bisect import bisect_left
@@ -16,15 +13,7 @@ from typing import Final
 from ca import names
 from ca.errors import HintedError, NameRefused
 from ca.names import TAIL, check_name
-from grants.errors import (
-    GrantError,
-    GrantExpired,
-    GrantMissing,
-    GrantNotHeld,
-    GrantNotYetValid,
-    GrantRevoked,
-    RestrictionMismatch,
-)
+from grants.errors import GrantError, GrantExpired, GrantMissing, GrantNotHeld, GrantNotYetValid, GrantRevoked
 from grants.model import TREE_RIGHTS, Grant, Permission, Restriction, Right, check_time, format_time, merge
 
 RevocationCheck = Callable[[bytes, int], None]
@@ -59,7 +48,7 @@ class Decision:
     def require_unrestricted(self) -> None:
         """Return if there are no restrictions: for callers that have no message to apply them to."""
         if self.restrictions:
-            raise RestrictionMismatch(
+            raise GrantError(
                 f"{self.right.label} on {self.name} is granted with restrictions that cannot be applied here",
                 "ask for a grant without conditions and filters",
             )
@@ -83,16 +72,34 @@ def authorize(
     check_name(name)
     if right.bit_count() != 1:
         raise GrantMissing(f"{int(right)} is not one right")
+    # The points of docs/spec/grant.md, section 4. 1: of the grants that cover the name, those are usable that
+    # are the peer's own, valid and not revoked; 5: a chain covers only what every link does.
     presented = tuple(grants)
     covering = {grant.id: grant for grant in presented if grant.covers(right, name)}
     if not covering:
         raise GrantMissing(f"no grant for {right.label} on {name}", near_misses(presented, right, name))
-    usable = _usable(covering, holder, now, check)
-    restrictions = list(_restrictions(usable, right, name))
+    usable: list[Grant] = []
+    refusals: list[GrantError] = []
+    for _, grant in sorted(covering.items()):  # by id: the decision is the same in whatever order they came
+        try:
+            _check(grant, holder, now, check)
+            usable.append(grant)
+        except GrantError as error:
+            refusals.append(error)
+    if not usable:
+        raise max(refusals, key=lambda error: _BY_PROGRESS.index(type(error)))
+    # 2: the restrictions of all covering entries apply together, those of a chain link by link. If the first,
+    # the last or the widest won instead, the answer would depend on the order, or adding a grant would
+    # silently widen a right that was narrowed on purpose.
+    restrictions: list[Restriction | None] = []
+    for layer, link in ((at, link) for grant in usable for at, link in enumerate(grant.links)):
+        covers = (each.restriction for each in link.permissions if each.covers(right, name))
+        restrictions += (replace(each, layer=layer) if each and layer else each for each in covers)
+    # 3: the right ends with the first of these grants. 4: one that does not say "keep" lets none survive.
     return Decision(
         right=right,
         name=name,
-        grants=usable,
+        grants=tuple(usable),
         expires=min(grant.expires for grant in usable),
         restrictions=merge(restrictions),
         keep_when_stale=all(item is not None and item.keep_when_stale for item in restrictions),
@@ -112,32 +119,6 @@ def near_misses(grants: Iterable[Grant], right: Right, name: str) -> tuple[str, 
         if right in each.rights and not each.matches(name, right)
     ]
     return tuple(dict.fromkeys([*same_name, *same_right]))[:MAX_NEAR_MISSES]
-
-
-def _restrictions(grants: Iterable[Grant], right: Right, name: str) -> Iterator[Restriction | None]:
-    for grant in grants:
-        for layer, link in enumerate(grant.links):
-            for permission in link.permissions:
-                if permission.covers(right, name):
-                    restriction = permission.restriction
-                    yield (replace(restriction, layer=layer) if restriction and layer else restriction)
-
-
-def _usable(
-    covering: dict[bytes, Grant], holder: bytes, now: int, check: RevocationCheck
-) -> tuple[Grant, ...]:
-    usable: list[Grant] = []
-    refusals: list[GrantError] = []
-    for _, grant in sorted(covering.items()):
-        try:
-            _check(grant, holder, now, check)
-        except GrantError as error:
-            refusals.append(error)
-        else:
-            usable.append(grant)
-    if not usable:
-        raise max(refusals, key=lambda error: _BY_PROGRESS.index(type(error)))
-    return tuple(usable)
 
 
 def _check(grant: Grant, holder: bytes, now: int, check: RevocationCheck) -> None:

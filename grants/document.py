@@ -1,10 +1,6 @@
 """The signed form of a grant: a CWT (RFC 8392) in one closed COSE_Sign1 profile, encoded in one way.
 
-Anything unknown refuses the grant: a claim, a restriction key, a filter operator, a right bit. RFC 8392
-section 3 has a generic verifier *ignore* unknown claims, so a restriction in a claim of its own would become
-an unrestricted right; restrictions are inside the scope entry they apply to. The id does not include the
-signature: ECDSA signatures are malleable, and a hash over one would let the holder of a revoked grant make a
-copy with another hash.
+Anything unknown refuses the grant: a claim, a restriction key, a filter operator, a right bit.
 """
 
 import base64
@@ -69,31 +65,24 @@ def from_draft(draft: Draft, issuer: bytes) -> Value:
 def scope_of(permissions: Iterable[Permission]) -> bytes:
     """The `scope` claim: a CBOR list of AIF entries."""
     entries: list[Value] = []
-    for each in permissions:
-        more = [] if each.restriction is None else [_restriction_claims(each.restriction)]
-        entries.append([each.pattern, int(each.rights), *more])
+    for permission in permissions:
+        entry: list[Value] = [permission.pattern, int(permission.rights)]
+        if (restriction := permission.restriction) is not None:
+            claims: dict[int | str, Any] = {
+                _TYPE: restriction.type,
+                _CONDITIONS: list(restriction.conditions),
+                _FILTERS: {
+                    rule.path: {rule.operator: {**dict(rule.parameters)} if rule.parameters else True}
+                    for rule in restriction.filters
+                },
+                _LIMITS: {
+                    name: value for name in _LIMIT_NAMES if (value := getattr(restriction, name)) is not None
+                },
+                _ON_STALE: _KEEP if restriction.keep_when_stale else None,
+            }
+            entry.append({key: value for key, value in claims.items() if value})  # nothing in it is empty
+        entries.append(entry)
     return encode(entries)
-
-
-def _restriction_claims(restriction: Restriction) -> Value:
-    claims: dict[int | str, Value] = {}
-    if restriction.type is not None:
-        claims[_TYPE] = restriction.type
-    if restriction.conditions:
-        claims[_CONDITIONS] = list(restriction.conditions)
-    if restriction.filters:
-        claims[_FILTERS] = {
-            rule.path: {rule.operator: {**dict(rule.parameters)} if rule.parameters else True}
-            for rule in restriction.filters
-        }
-    limits: dict[int | str, Value] = {
-        name: value for name in _LIMIT_NAMES if (value := getattr(restriction, name)) is not None
-    }
-    if limits:
-        claims[_LIMITS] = limits
-    if restriction.keep_when_stale:
-        claims[_ON_STALE] = _KEEP
-    return claims
 
 
 def read_claims(body: bytes, grant_id: bytes) -> Grant:
@@ -177,7 +166,16 @@ def read_scope(scope: bytes) -> tuple[Permission, ...]:
 
 @lru_cache(maxsize=256)
 def _permissions(scope: bytes) -> tuple[Permission, ...]:
-    return tuple(_permission(entry) for entry in _typed(decode(scope), list, "scope"))
+    found: list[Permission] = []
+    for entry in _typed(decode(scope), list, "scope"):
+        match entry:
+            case [str() as pattern, bits]:
+                found.append(Permission(pattern, _rights(bits)))
+            case [str() as pattern, bits, restriction]:
+                found.append(Permission(pattern, _rights(bits), _restriction(restriction)))
+            case _:
+                raise GrantMalformed("an entry of the scope is not [pattern, rights, restrictions]")
+    return tuple(found)
 
 
 @lru_cache(maxsize=16)
@@ -196,16 +194,6 @@ def read_issuer(text: str) -> bytes:
 def issuer_uri(issuer: bytes) -> str:
     """The `iss` claim for a thumbprint (RFC 9679 section 5)."""
     return _CKT_URI + base64.urlsafe_b64encode(issuer).decode().rstrip("=")
-
-
-def _permission(entry: Value) -> Permission:
-    match entry:
-        case [str() as pattern, bits]:
-            return Permission(pattern, _rights(bits))
-        case [str() as pattern, bits, restriction]:
-            return Permission(pattern, _rights(bits), _restriction(restriction))
-        case _:
-            raise GrantMalformed("an entry of the scope is not [pattern, rights, restrictions]")
 
 
 def _rights(value: Value) -> Right:
@@ -256,6 +244,8 @@ def _optional(claims: dict[Any, Any], key: int, kind: type[Any]) -> Any:
     return value
 
 
+# RFC 8392 section 3 has a generic verifier *ignore* unknown claims, so a restriction in a claim of its own
+# would become an unrestricted right; restrictions are inside the scope entry they apply to.
 def _closed_map(value: Value, required: set[int], allowed: set[int], what: str) -> dict[Any, Any]:
     if not isinstance(value, dict):
         raise GrantMalformed(f"the {what}s of a grant are not a map")
@@ -331,6 +321,8 @@ def _body(data: bytes) -> bytes:
 
 
 def _id(body: bytes) -> bytes:
+    # Without the signature: those of ECDSA are malleable, and a hash over one would let the holder of a
+    # revoked grant make a copy with another id.
     return hashlib.sha256(_ID_PREFIX + body).digest()[:16]
 
 

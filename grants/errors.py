@@ -12,11 +12,11 @@ class GrantError(HintedError):
 
 
 class GrantMalformed(GrantError):
-    """A grant outside the closed schema: unknown, missing or impossible content."""
+    """Outside the closed schema: unknown, missing or impossible content."""
 
 
 class GrantForged(GrantError):
-    """Not signed by this authority, or changed after it was signed."""
+    """Not signed by the key it needs, changed after it was signed, or another kind of statement."""
 
 
 class GrantExpired(GrantError):
@@ -47,20 +47,12 @@ class GrantMissing(GrantError):
         self.near_misses = near_misses
 
 
-class NarrowingForged(GrantError):
-    """A narrowing not signed by the key that holds the link before it."""
+class GrantForOther(GrantError):
+    """A valid narrowing, delegation or ticket for another grant, key, authority or domain."""
 
 
-class NarrowingForOther(GrantError):
-    """A valid narrowing of another grant, or for another trust domain."""
-
-
-class NarrowingNotAllowed(GrantError):
-    """More narrowings than the grant, or a link before, allows."""
-
-
-class NarrowingOutsideDomain(GrantError):
-    """A chain whose peer is of another domain than its first holder."""
+class GrantTooWide(GrantError):
+    """More narrowings than the link before allows, or a ticket for longer than it may last."""
 
 
 class YamlRefused(GrantError):
@@ -96,37 +88,9 @@ class ConditionRefused(GrantError):
     """A condition outside the language, or one that does not fit its message type."""
 
 
-class RestrictionMismatch(GrantError):
-    """A restriction written for another message type than the one on the wire."""
-
-
 class MessageRefused(GrantError):
     """A message that does not have the layout of its type; it is dropped."""
 
 
-class MemoryExhausted(GrantError):
-    """More rates and hystereses than can be stored: another one could not be enforced."""
-
-
-class RenewalForged(GrantError):
-    """A delegation or ticket not signed by the key it needs, or another kind of statement."""
-
-
-class RenewalMalformed(GrantError):
-    """A delegation or ticket outside its closed schema."""
-
-
-class RenewalForOther(GrantError):
-    """A valid delegation or ticket for another grant, key, authority or domain."""
-
-
-class RenewalTooWide(GrantError):
-    """A ticket for longer than the grant, the delegation or its maximum allow."""
-
-
 class RenewalNotInTime(GrantError):
-    """A delegation or ticket that is not valid yet, or no longer valid."""
-
-
-class RenewalAhead(GrantError):
-    """A ticket made with a newer revocation list than the verifier has: fetch the list first."""
+    """A delegation or ticket that is not valid now, or newer than the verifier's revocation list."""

@@ -1,14 +1,10 @@
 """The restrictions for one receiver: expiry, conditions, limits, filters, in this order.
 
-Those of narrowings come after, layer by layer: the conditions and filters of one see what the filters before
-it left. Else whoever may narrow its right could ask, by conditions of its own, what the filters hide from it.
-Conditions that read no message are checked first, whoever wrote them. A guard is built once per connection
-and fails closed: what it cannot process is not sent. The state of limits belongs to a key (of a chain, its
-first holder's), a right and a name, never to a connection: a peer that reconnects, opens a hundred
-connections, or hands a right on, gets no more by it.
+Those of narrowings come after, layer by layer. Conditions that read no message are checked first, whoever
+wrote them. A guard is built once per connection and fails closed: what it cannot process is not sent.
 """
 
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,7 +14,7 @@ from weakref import WeakValueDictionary
 
 from grants.conditions.compile import Condition, compile_condition
 from grants.decision import Decision
-from grants.errors import GrantError, GrantExpired, MemoryExhausted, MessageRefused, RestrictionMismatch
+from grants.errors import GrantError, GrantExpired, MessageRefused
 from grants.filters.coarsening import (
     BodyFields,
     CommonState,
@@ -140,15 +136,24 @@ class MemoryStore:
 
     def find(self, scope: tuple[str, ...], decision: Decision) -> Memory:
         """The memory for the key, right and name of `decision` within `scope`."""
-        # The key the state belongs to. A chain's comes first, so that a grant of the last holder's own
-        # beside it opens no other account; of several chains, that of one of them.
+        # The state belongs to a key, a right and a name, never to a connection: a peer that reconnects, opens
+        # a hundred connections, or hands a right on, gets no more by it. A chain's first holder comes first,
+        # so that a grant of the last one's own beside it opens no other account.
         chains = [grant for grant in decision.grants if grant.chain]
         holder = min(grant.links[0].holder for grant in chains or decision.grants)
         key = (scope, holder, decision.right, decision.name)
         with self._lock:
             found = self._stored.get(key)
             if found is None:
-                self._evict_fresh()
+                now = self._clock()
+                if len(self._stored) >= self._limit and int(now) != self._evicted_at:
+                    # Once a second: a peer that asks again and again makes no more than one search of all.
+                    self._evicted_at = int(now)
+                    for each in [each for each, item in self._stored.items() if item.is_fresh(now)]:
+                        del self._stored[each]
+                    # Memories that connections still use must stay stored: they will change again.
+                    self._stored.update(self._in_use.items())
+                _check_limit(len(self._stored), self._limit, "limited rights")
                 common = partial(self._common, scope, decision.right)
                 found = self._stored[key] = self._in_use[key] = Memory(self._make_lock(), common)
             return found
@@ -164,16 +169,6 @@ class MemoryStore:
                 _check_limit(len(self._commons), self._limit, "topics with hysteresis")
                 found = self._commons[key] = CommonState(self._make_lock())
             return found
-
-    def _evict_fresh(self) -> None:
-        now = self._clock()
-        if len(self._stored) >= self._limit and int(now) != self._evicted_at:
-            self._evicted_at = int(now)
-            for key in [key for key, item in self._stored.items() if item.is_fresh(now)]:
-                del self._stored[key]
-            # Memories that connections still use must stay stored: they will change again.
-            self._stored.update(self._in_use.items())
-        _check_limit(len(self._stored), self._limit, "limited rights")
 
     def __len__(self) -> int:
         return len(self._stored)
@@ -195,7 +190,7 @@ class MemoryScope:
 
 def _check_limit(count: int, limit: int, what: str) -> None:
     if count >= limit:
-        raise MemoryExhausted(
+        raise GrantError(
             f"{limit} {what} are stored already, and none can be evicted yet",
             "wait until the rates of other peers have recovered, or restart this node",
         )
@@ -235,8 +230,21 @@ class Guard:
         self._frame = frame_reader(has_header=bool(fields) and fields[0][1].name == "std_msgs/Header")
         ordered = sorted(decision.restrictions, key=lambda each: each.layer)
         blind = _compile_conditions(None, (each for each in ordered if each.type is None))
-        own = receiver_keys(keys or {}, _receiver(decision))
-        first, *later = [*self._compile_layers(layout, ordered, own)] or [_Layer()]
+        holder = decision.grants[0].holder if decision.grants else bytes(KEY_SIZE)
+        own = receiver_keys(keys or {}, holder)
+        layers: list[_Layer] = []
+        before = 0  # passes of the layers before, so that each pass has a state of hysteresis of its own
+        for _, group in groupby(ordered, key=lambda each: each.layer):
+            here = tuple(group)
+            filters: list[Filter] = []
+            if layout is not None:
+                for number, stage in enumerate(_stages(here), before):
+                    state = partial(self._hysteresis, number)
+                    filters.append(compile_filter(layout, stage.values(), own, state))
+            before += len(filters)
+            typed = _compile_conditions(layout, (each for each in here if each.type is not None))
+            layers.append(_Layer(typed, tuple(filters)))
+        first, *later = layers or [_Layer()]
         self._conditions = (*blind, *first.conditions)
         self._layers = (first._replace(conditions=()), *later)
         rates = [each.rate for each in ordered if each.rate is not None]
@@ -248,8 +256,8 @@ class Guard:
         self._gate = self._require_memory().gate(self._slot) if slots else None
         shape = layout.digest if layout is not None else None
         personal = any(is_personal(restriction.filters) for restriction in decision.restrictions)
-        receiver = _receiver(decision) if personal else None
-        self.key: Hashable = (self.memory, shape, decision.restrictions, receiver)
+        # A pseudonym `per: receiver` is of one key, so its result is never shared with another's.
+        self.key: Hashable = (self.memory, shape, decision.restrictions, holder if personal else None)
 
     def _require_memory(self) -> Memory:
         if self.memory is None:
@@ -267,23 +275,6 @@ class Guard:
         common = self._require_common()
         own = (stage, *field)
         return common.hysteresis(own) if self._body is None else self._body.bind(own)
-
-    def _compile_layers(
-        self, layout: Layout | None, restrictions: Iterable[Restriction], keys: Keys
-    ) -> Iterator[_Layer]:
-        # The layers in order; conditions that read no message are not in them.
-        stages_before = 0
-        for _, group in groupby(restrictions, key=lambda each: each.layer):
-            here = tuple(group)
-            stages = [] if layout is None else _stages(here)
-            filters = (
-                compile_filter(layout, stage.values(), keys, partial(self._hysteresis, number))
-                for number, stage in enumerate(stages, stages_before)
-                if layout is not None
-            )
-            stages_before += len(stages)
-            typed = (each for each in here if each.type is not None)
-            yield _Layer(_compile_conditions(layout, typed), tuple(filters))
 
     def check(self, now: float) -> None:
         """Return if the right still holds at `now`."""
@@ -320,15 +311,32 @@ class Guard:
         self.check(now)
         return self.apply(message, now)
 
-    def _apply(self, message: Buffer, now: float, message_id: object) -> list[Buffer] | None:
-        whole = int(now)  # as conditions see it
+    def _apply(  # noqa: PLR0911 - the steps of the spec, each of which may withhold the message
+        self, message: Buffer, now: float, message_id: object
+    ) -> list[Buffer] | None:
+        # Section 4 of docs/spec/grant.md, "For each receiver and each message"; expiry is `check`.
+        # 1. All conditions of entries without a type and of the first layer; they see whole seconds.
+        whole = int(now)
         if not all(condition(message, whole) is True for condition in self._conditions):
             return None
         if self.memory is None:
             return self._filter(message, whole)
         with self.memory.lock:
-            if not self._admits(self.memory, message, message_id, now):
+            # 2. The slot, of a body its frame, and the rate. A token is taken last: a message that is
+            # withheld for anything else must not cost one.
+            memory, gate = self.memory, self._gate
+            if gate is not None and not (gate.note(message_id, now) and memory.is_longest(gate, now)):
                 return None
+            if self._body is not None:
+                common = self._require_common()
+                with common.lock:
+                    if not common.leads(self._frame(message), now, self._slot):
+                        return None
+            if self._bucket is not None and not memory.take(self._bucket, message_id, now):
+                return None
+            if gate is not None:
+                gate.charge(message_id)
+            # 3. The filters of the first layer, then of each further one its conditions and its filters.
             if self._common is None:
                 return self._filter(message, whole)
             with self._common.lock:
@@ -340,22 +348,9 @@ class Guard:
                 self._body.store(frame)
                 return pieces
 
-    def _admits(self, memory: Memory, message: Buffer, message_id: object, now: float) -> bool:
-        gate = self._gate
-        if gate is not None and not (gate.note(message_id, now) and memory.is_longest(gate, now)):
-            return False
-        if self._body is not None:
-            common = self._require_common()
-            with common.lock:
-                if not common.leads(self._frame(message), now, self._slot):
-                    return False
-        if self._bucket is not None and not memory.take(self._bucket, message_id, now):
-            return False
-        if gate is not None:
-            gate.charge(message_id)
-        return True
-
     def _filter(self, message: Buffer, now: int) -> list[Buffer] | None:
+        # A layer's conditions see what the filters before it left: else whoever may narrow its right could
+        # ask, by conditions of its own, what the filters hide from it.
         pieces: list[Buffer] = [message]
         for layer in self._layers:
             for condition in layer.conditions:
@@ -367,17 +362,10 @@ class Guard:
         return pieces
 
 
-_Stage: TypeAlias = dict[str, FilterRule]
-
-
-def _receiver(decision: Decision) -> bytes:
-    return decision.grants[0].holder if decision.grants else bytes(KEY_SIZE)
-
-
 def check_type(name: str, restriction: Restriction) -> None:
     """Return if `restriction` may be applied to messages of the type `name`."""
     if restriction.type not in (None, name):
-        raise RestrictionMismatch(
+        raise GrantError(
             f"the grant is restricted for messages of type {restriction.type}, these are {name}",
             "ask for a grant for this message type",
         )
@@ -400,11 +388,11 @@ def needed_keys(restrictions: Iterable[Restriction]) -> frozenset[str]:
     return frozenset().union(*(key_names(restriction.filters) for restriction in restrictions))
 
 
-def _stages(restrictions: Iterable[Restriction]) -> list[_Stage]:
+def _stages(restrictions: Iterable[Restriction]) -> list[dict[str, FilterRule]]:
     # As few passes as possible: rules for the same field must be in separate passes.
     # Every pass can only remove information, so the order of the passes affects the form of the result, but
     # never makes it reveal more than a single pass would.
-    stages: list[_Stage] = [{}]
+    stages: list[dict[str, FilterRule]] = [{}]
     for restriction in restrictions:
         last, rules = stages[-1], {rule.path: rule for rule in restriction.filters}
         if all(

@@ -1,10 +1,8 @@
 """How many messages a right admits: a rate, counted exactly, and slots of time. Pure.
 
 A rate hides nothing of when something begins: its first message passes at once. With a slot the time is
-divided into slots of so many seconds, at the same moments for everybody. A message passes in the beginning of
-a slot, one in each, and only if there was one in the slot before. So what begins, ends or happens once is
-known to a slot, and what happens seldom not at all. Padding hides from who watches the network how long a
-message is (docs/spec/channel.md section 5).
+divided into slots of so many seconds, at the same moments for everybody. Padding hides from who watches the
+network how long a message is (docs/spec/channel.md section 5).
 """
 
 import re
@@ -74,6 +72,8 @@ class RateBucket:
         return self.left >= self.capacity
 
 
+# What begins, ends or happens once is known to a slot, and what happens seldom not at all: a first message
+# alone would tell its moment, so the one of the next slot is the first that passes.
 class SlotGate:
     """One message in each slot of so many seconds, in its beginning, if the slot before had any."""
 

@@ -185,6 +185,18 @@ class Permission:
         if padded and self.rights != Right.SUBSCRIBE:
             raise GrantMalformed(f"{what} padded", "only what is sent to a subscriber is")
 
+    def __str__(self) -> str:
+        return f"{self.rights.label} {self.pattern}"
+
+    def lines(self) -> list[str]:
+        """Its restriction as text: with `str`, how every command tells what a grant gives."""
+        return [] if self.restriction is None else self.restriction.lines()
+
+    @property
+    def is_narrowed(self) -> bool:
+        """Whether less than all messages, or less of them, are given."""
+        return self.restriction is not None and self.restriction.restricts_messages
+
     def matches(self, name: str, right: Right) -> bool:
         """Whether the pattern covers `name`; for parameters also if it covers a parent of it."""
         return covers_tree(self.pattern, name) if right & TREE_RIGHTS else pattern_covers(self.pattern, name)

@@ -1,9 +1,8 @@
 """Renewal: a grant stays valid, unchanged, as long as the master confirms it within bounds.
 
-The authority signs a *delegation* to the master's key; the master signs short *tickets* for
-grants. A ticket has no field for rights, so a renewal cannot widen any, and the grant keeps its
-bytes, its id and its place in the revocation list. What a stolen master key allows: tickets for
-existing grants, up to their caps, until the delegation ends or is revoked.
+The authority signs a *delegation* to the master's key; the master signs short *tickets* for grants. What a
+stolen master key allows: tickets for existing grants, up to their caps, until the delegation ends or is
+revoked.
 """
 
 import hashlib
@@ -18,14 +17,12 @@ from ca.errors import EncodingError, HintedError, SignatureError
 from ca.keys.signing import Profile, Signer, thumbprint
 from grants.document import issuer_uri, read_issuer
 from grants.errors import (
+    GrantForged,
+    GrantForOther,
     GrantMalformed,
     GrantRevoked,
-    RenewalAhead,
-    RenewalForged,
-    RenewalForOther,
-    RenewalMalformed,
+    GrantTooWide,
     RenewalNotInTime,
-    RenewalTooWide,
 )
 from grants.model import ID_SIZE, KEY_SIZE, Grant, format_time
 
@@ -61,13 +58,13 @@ class Delegation:
 
     def __post_init__(self) -> None:
         if not 0 < len(self.domain.encode()) <= 255:
-            raise RenewalMalformed("a delegation needs a trust domain of 1 to 255 bytes")
+            raise GrantMalformed("a delegation needs a trust domain of 1 to 255 bytes")
         if len(self.holder) != KEY_SIZE or len(self.serial) != ID_SIZE:
-            raise RenewalMalformed("holder must be 32 bytes, serial 16")
+            raise GrantMalformed("holder must be 32 bytes, serial 16")
         if not 0 <= self.not_before < self.expires < _MAX_TIME:
-            raise RenewalMalformed("a delegation needs not_before < expires")
+            raise GrantMalformed("a delegation needs not_before < expires")
         if self.expires - self.not_before > MAX_DELEGATION or not 0 < self.max_ttl <= MAX_TICKET:
-            raise RenewalMalformed("a delegation is valid for at most 90 days, its tickets 7")
+            raise GrantMalformed("a delegation is valid for at most 90 days, its tickets 7")
 
 
 @dataclass(frozen=True)
@@ -82,6 +79,8 @@ class OpenDelegation(Delegation):
 class Ticket:
     """Confirms a grant from `not_before` until `expires`, as of revocation list `seq`."""
 
+    # No field for rights, so a renewal can widen none; the grant keeps its bytes, its id and its place in the
+    # revocation list.
     grant: bytes
     not_before: int
     expires: int
@@ -89,9 +88,9 @@ class Ticket:
 
     def __post_init__(self) -> None:
         if len(self.grant) != ID_SIZE or not 0 <= self.seq < _MAX_TIME:
-            raise RenewalMalformed("a ticket has a grant id of 16 bytes and the number of a list")
+            raise GrantMalformed("a ticket has a grant id of 16 bytes and the number of a list")
         if not 0 <= self.not_before < self.expires < _MAX_TIME:
-            raise RenewalMalformed("a ticket needs not_before < expires")
+            raise GrantMalformed("a ticket needs not_before < expires")
 
 
 def sign_delegation(signer: Signer, delegation: Delegation) -> bytes:
@@ -133,11 +132,15 @@ def open_delegation(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> OpenDeleg
         } if not rest and not more:
             delegation_id = hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE]
             times = (_number(nbf), _number(exp), _number(ttl))
-            opened = OpenDelegation(aud, ckt, *times, cti, delegation_id, _issuer(iss))
+            try:
+                issuer = read_issuer(iss)
+            except GrantMalformed as error:
+                raise GrantMalformed(f"in a delegation: {error}") from None
+            opened = OpenDelegation(aud, ckt, *times, cti, delegation_id, issuer)
         case _:
-            raise RenewalMalformed("the delegation has missing or unknown claims")
+            raise GrantMalformed("the delegation has missing or unknown claims")
     if opened.issuer != thumbprint(ca_key):
-        raise RenewalForOther("signed by this authority, but iss is another one")
+        raise GrantForOther("signed by this authority, but iss is another one")
     return opened
 
 
@@ -146,10 +149,10 @@ def open_ticket(data: bytes, key: ec.EllipticCurvePublicKey) -> Ticket:
         case {4: exp, 5: nbf, -70002: seq, -70011: bytes() as grant, **rest} if not rest:
             return Ticket(grant, _number(nbf), _number(exp), _number(seq))
         case _:
-            raise RenewalMalformed("the ticket has missing or unknown claims")
+            raise GrantMalformed("the ticket has missing or unknown claims")
 
 
-def renew(
+def renew(  # noqa: C901, PLR0912 - the conditions of the spec in their order
     grant: Grant,
     ticket: bytes,
     delegation: OpenDelegation,
@@ -159,20 +162,39 @@ def renew(
     seq: int,
     check: RevocationCheck,
 ) -> Grant:
+    # The numbered conditions of docs/spec/grant.md, section 7. 1: signed by the delegation's key.
     if delegation.holder != thumbprint(key):
-        raise RenewalForOther("the delegation is for another key than this one")
+        raise GrantForOther("the delegation is for another key than this one")
     if (grant.issuer, grant.domain) != (delegation.issuer, delegation.domain):
-        raise RenewalForOther("the delegation is of another authority or domain than the grant")
+        raise GrantForOther("the delegation is of another authority or domain than the grant")
     opened = open_ticket(ticket, key)
+    # 2. Of the same authority and domain, and for this grant.
     if opened.grant != grant.id:
-        raise RenewalForOther(f"the ticket is not for grant {grant.short_id}")
-    _check_bounds(grant, opened, delegation)
-    for what, statement in (("delegation", delegation), ("ticket", opened), ("grant", grant)):
-        _check_time(what, statement, now)
+        raise GrantForOther(f"the ticket is not for grant {grant.short_id}")
+    # 3. A grant that may be renewed, no further than its cap and what was delegated.
+    if grant.cap <= grant.expires:
+        raise GrantTooWide(f"grant {grant.short_id} is not renewable", "ask for a new grant")
+    for end, whose in ((grant.cap, "grant's cap"), (delegation.expires, "delegation's end")):
+        if opened.expires > end:
+            raise GrantTooWide(f"the ticket extends beyond {format_time(end)}, the {whose}")
+    if opened.expires - opened.not_before > delegation.max_ttl:
+        raise GrantTooWide(f"a ticket for more than {delegation.max_ttl} s")
+    # 4. Valid now, all three; the grant's own end is what the ticket replaces.
+    statements: tuple[tuple[str, Delegation | Ticket | Grant], ...]
+    statements = ("delegation", delegation), ("ticket", opened), ("grant", grant)
+    for what, each in statements:
+        if now < each.not_before:
+            begin = f"the {what} is not valid before {format_time(each.not_before)}"
+            raise RenewalNotInTime(begin, "check this host's clock")
+        if each is not grant and now >= each.expires:
+            end_text = f"the {what} expired at {format_time(each.expires)}"
+            raise RenewalNotInTime(end_text, "ask the master for a new ticket")
+    # 5. Made with no newer list than the verifier's: that list may revoke the grant.
     if opened.seq > seq:
-        raise RenewalAhead(
+        raise RenewalNotInTime(
             f"the ticket requires revocation list {opened.seq}, this host has {seq}", "fetch the list first"
         )
+    # 6. Nothing it rests on is revoked; `via` has it checked again at every decision.
     via = (delegation.id, delegation.holder)
     for what, entry in zip(("grant", "delegation", "delegate"), (grant.id, *via), strict=True):
         try:
@@ -182,52 +204,23 @@ def renew(
     return replace(grant, expires=opened.expires, via=via)
 
 
-def _check_bounds(grant: Grant, ticket: Ticket, delegation: Delegation) -> None:
-    if grant.cap <= grant.expires:
-        raise RenewalTooWide(f"grant {grant.short_id} is not renewable", "ask for a new grant")
-    for end, whose in ((grant.cap, "grant's cap"), (delegation.expires, "delegation's end")):
-        if ticket.expires > end:
-            raise RenewalTooWide(f"the ticket extends beyond {format_time(end)}, the {whose}")
-    if ticket.expires - ticket.not_before > delegation.max_ttl:
-        raise RenewalTooWide(f"a ticket for more than {delegation.max_ttl} s")
-
-
-def _check_time(what: str, statement: Delegation | Ticket | Grant, now: int) -> None:
-    if now < statement.not_before:
-        raise RenewalNotInTime(
-            f"the {what} is not valid before {format_time(statement.not_before)}", "check this host's clock"
-        )
-    # The grant's own end is what the ticket replaces.
-    if not isinstance(statement, Grant) and now >= statement.expires:
-        raise RenewalNotInTime(
-            f"the {what} expired at {format_time(statement.expires)}", "ask the master for a new ticket"
-        )
-
-
 def _open(profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey) -> bytes:
     try:
         return profile.open_body(data, key, limit=MAX_STATEMENT)
     except SignatureError as error:
-        raise RenewalForged(f"the {profile.typ} statement is refused: {error}") from None
+        raise GrantForged(f"the {profile.typ} statement is refused: {error}") from None
     except EncodingError as error:
-        raise RenewalMalformed(f"not a {profile.typ} statement: {error}") from None
+        raise GrantMalformed(f"not a {profile.typ} statement: {error}") from None
 
 
 def _decode(body: bytes) -> Value:
     try:
         return decode(body)
     except EncodingError as error:
-        raise RenewalMalformed(f"not a renewal: {error}") from None
-
-
-def _issuer(text: str) -> bytes:
-    try:
-        return read_issuer(text)
-    except GrantMalformed as error:
-        raise RenewalMalformed(f"in a delegation: {error}") from None
+        raise GrantMalformed(f"not a renewal: {error}") from None
 
 
 def _number(value: Any) -> int:
     if type(value) is not int:
-        raise RenewalMalformed("a number of the statement is of a wrong type")
+        raise GrantMalformed("a number of the statement is of a wrong type")
     return value

@@ -1,9 +1,8 @@
 """The request for a grant, signed by the node's own key; the words for rights that no rule gives. Pure.
 
 The format is that of a grant (closed COSE_Sign1, AIF scope), so the same attacks are prevented; the reason is
-the node's text, and shown as such. A request gives no right: a replayed request only asks again for the same
-node, and the record accepts a request once only. A node is told nothing but what it asked for itself; which
-rules nearly match only the authority knows (`rossec explain`).
+the node's text, and shown as such. A node is told nothing but what it asked for itself; which rules nearly
+match only the authority knows (`rossec explain`).
 """
 
 import hashlib
@@ -164,7 +163,9 @@ REQUEST: Final = Profile("rossec-request+cwt")
 MAX_RIGHTS: Final = 64
 MAX_REASON: Final = 500
 MAX_CLOCK_SKEW: Final = 300  # seconds a request may be dated in the future
-MAX_AGE: Final = 7 * 86400  # request files may be carried by hand
+# Request files may be carried by hand. It gives no right: one that is replayed only asks again for the same
+# node, and the record accepts each once.
+MAX_AGE: Final = 7 * 86400
 
 _SUB, _AUD, _IAT, _CTI, _SCOPE, _WHY = 2, 3, 6, 7, 9, -65538
 _CLAIMS: Final = {_SUB, _AUD, _IAT, _CTI, _SCOPE, _WHY}

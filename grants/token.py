@@ -1,11 +1,9 @@
 """What a node presents: a grant as signed, one with a ticket that renews it, or a chain of narrowings.
 
 A renewed grant is sent as the deterministic CBOR array [grant, ticket, delegation], each as signed; a chain
-as [one of these, [narrowing, ...]]. The key of the delegate is not in the token, so a peer cannot choose who
-renewed its grant. A narrowing hands a grant on to another key of its domain, signed by the holder of the link
-before. Every link must authorize alone, and all restrictions add up (`grants.decision`), so a link that
-"grants" more has no effect; conditions and filters of a narrowing see what the links before let through, and
-a rate counts for the first holder, whomever it hands the right to. Pure; docs/spec/domains.md section 4.
+as [one of these, [narrowing, ...]]. A narrowing hands a grant on to another key of its domain, signed by the
+holder of the link before. Every link must authorize alone, and all restrictions add up (`grants.decision`),
+so a link that "grants" more has no effect. Pure; docs/spec/domains.md section 5.
 """
 
 import hashlib
@@ -22,14 +20,7 @@ from ca.keys.signing import Profile, Signer, from_coordinates, thumbprint, thumb
 from ca.names import split_alias
 from grants import document
 from grants.document import issuer_uri, open_grant, read_issuer, read_scope, scope_of, verify
-from grants.errors import (
-    GrantMalformed,
-    NarrowingForged,
-    NarrowingForOther,
-    NarrowingNotAllowed,
-    NarrowingOutsideDomain,
-    RenewalForOther,
-)
+from grants.errors import GrantForged, GrantForOther, GrantMalformed, GrantTooWide
 from grants.model import ID_SIZE, MAX_NARROWINGS, Draft, Grant, check_time
 from grants.renewal import MAX_STATEMENT, open_delegation, renew
 
@@ -103,11 +94,11 @@ def check_one_domain(grant: Grant, label: str, peer: str) -> None:
     try:
         first, found = split_alias(grant.links[0].subject), split_alias(peer)
     except CAError as error:
-        raise NarrowingOutsideDomain(f"a chain for nobody: {error}", error.hint) from error
+        raise GrantForOther(f"a chain for nobody: {error}", error.hint) from error
     found_label = "" if found is None else found[0]
     expected = label if first is None else ("" if label else first[0])
     if found_label != expected:
-        raise NarrowingOutsideDomain(
+        raise GrantForOther(
             f"grant {grant.short_id} was narrowed for a node of another domain",
             "a right is handed on within one domain; ask for a grant of your own",
         )
@@ -115,12 +106,12 @@ def check_one_domain(grant: Grant, label: str, peer: str) -> None:
 
 def _links(grant: Grant, narrowings: Sequence[bytes]) -> tuple[Grant, ...]:
     if not 0 < len(narrowings) <= min(grant.may_narrow, MAX_NARROWINGS):
-        raise NarrowingNotAllowed(
+        raise GrantTooWide(
             f"grant {grant.short_id} allows {grant.may_narrow} narrowings, not {len(narrowings)}",
             "at the authority: rossec grant sign NODE --may-narrow N",
         )
     links = [grant]
-    for data in narrowings:
+    for data in narrowings:  # each with the key of the link before, so none can be left out or moved
         links.append(_open_link(data, links[-1]))
     return tuple(links)
 
@@ -152,20 +143,20 @@ def _open_link(data: bytes, before: Grant) -> Grant:
             case _:
                 raise GrantMalformed("a narrowing without the key that signed it")
         if thumbprint_of(named) != before.holder:
-            raise NarrowingForged("a narrowing by another key than the one that holds the grant")
+            raise GrantForged("a narrowing by another key than the one that holds the grant")
         NARROWING.open_body(data, _key(named), limit=MAX_NARROWING)
     except (KeyRefused, SignatureError) as error:
-        raise NarrowingForged(f"a narrowing is refused: {error}") from None
+        raise GrantForged(f"a narrowing is refused: {error}") from None
     link, parent = _read(claims, body)
     if link.issuer != before.holder:
-        raise NarrowingForged("a narrowing whose iss is not the key that signed it")
+        raise GrantForged("a narrowing whose iss is not the key that signed it")
     if parent != before.id or link.domain != before.domain:
-        raise NarrowingForOther(
+        raise GrantForOther(
             f"the narrowing {link.short_id} follows another grant than {before.short_id}",
             "present it with the grant it was made from",
         )
     if link.may_narrow >= before.may_narrow:
-        raise NarrowingNotAllowed(
+        raise GrantTooWide(
             f"{before.short_id} allows {before.may_narrow} narrowings, the one after it as many",
             "each narrowing must allow fewer than the link before",
         )
@@ -256,12 +247,13 @@ class Verifier:
         if not parts.ticket:
             grant = open_grant(parts.grant, self.ca_key, now, domain=self.domain)
         elif not self.delegates:
-            raise RenewalForOther(
+            raise GrantForOther(
                 "a renewed grant, but the master's key is not known", "connect to the master first"
             )
         else:
             grant = verify(parts.grant, self.ca_key, domain=self.domain)
             delegation = open_delegation(parts.delegation, self.ca_key)
+            # The delegate's key is not in the token: a peer cannot choose who renewed its grant.
             of_holder = (key for key in self.delegates if thumbprint(key) == delegation.holder)
             key = next(of_holder, self.delegates[0])  # another one's: refused as such
             grant = renew(grant, parts.ticket, delegation, key, now=now, seq=self.seq, check=self.check)

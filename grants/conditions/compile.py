@@ -1,10 +1,8 @@
 """Conditions on messages and time: typed against the layout, compiled to read only what they name.
 
-A condition admits a message if its value is exactly True. An error denies, and so does a NaN in any field it
-names: implementations of CEL disagree on `!(x > 0.0)` for NaN, and ROS messages contain NaN routinely.
-Deviations from CEL: `false && error` and `true || error` deny when a named field cannot be read, because all
-named fields are read first; integers of all sizes are `int`; `int` and `double` may be compared, not added.
-`now` is the host's clock. Time stamps of messages cannot be read: the publisher sets them.
+A condition admits a message if its value is exactly True; an error denies. Deviations from CEL are those of
+docs/spec/grant.md section 5, all of them towards no: integers of all sizes are `int`; `int` and `double` may
+be compared, not added. `now` is the host's clock.
 """
 
 import math
@@ -140,6 +138,7 @@ class _Compiler:
 
     def finish(self, code: str) -> Callable[[Buffer, int], object]:
         if self._layout is not None and self.fields:
+            # All named fields are read first, so `false && error` denies where one of them cannot be read.
             _FieldReader(self._source, self.fields).read(self._layout.root)
         self._source.line(f"return {code}")
         return self._source.compile()
@@ -147,7 +146,8 @@ class _Compiler:
     def compile(self, node: Expression) -> tuple[str, str]:  # noqa: PLR0911 - one per node
         match node:
             case Literal(value):
-                return _type_of(value), self._source.bind(value)
+                kind = {bool: "bool", int: "int", float: "double", str: "string"}[type(value)]
+                return kind, self._source.bind(value)
             case Path(names):
                 return self._path(names)
             case Now():
@@ -215,7 +215,15 @@ class _Compiler:
     def _method(self, target: Expression, name: str, arguments: tuple[Expression, ...]) -> tuple[str, str]:
         kind, code = self.compile(target)
         if kind == "timestamp" and name in FIELDS:
-            return "int", f"{self._source.bind(clock_field(name, _zone(arguments)))}({code})"
+            match arguments:
+                case ():
+                    zone = "UTC"
+                case (Literal(str() as zone),):
+                    pass
+                case _:
+                    hint = 'for example now.getHours("Europe/Zurich")'
+                    raise ConditionRefused("a time zone must be text", hint)
+            return "int", f"{self._source.bind(clock_field(name, zone))}({code})"
         if kind == "string" and name in _METHODS and len(arguments) == 1:
             argument_kind, argument = self.compile(arguments[0])
             if argument_kind == "string":
@@ -262,6 +270,8 @@ class _FieldReader(Cursor):
         if kind.name == "bool":
             self.source.line(f"{variable}={variable}!=0")
         elif kind.code in "fd":
+            # NaN denies: implementations of CEL disagree on `!(x > 0.0)` for it, and ROS messages have it
+            # routinely.
             self.source.line(f"if {variable}!={variable}: raise ValueError")
 
 
@@ -277,6 +287,7 @@ def _field_type(root: Struct, names: tuple[str, ...]) -> str:
         kind = members[name]
     if isinstance(kind, Text):
         return "string"
+    # No time stamps, of two numbers: the publisher sets them, so a condition on one would be its own word.
     if not isinstance(kind, Primitive) or len(kind.code) > 1:
         raise ConditionRefused(
             f"msg.{'.'.join(names)} is a {kind.name}; only numbers, booleans, strings can be read",
@@ -285,22 +296,8 @@ def _field_type(root: Struct, names: tuple[str, ...]) -> str:
     return "bool" if kind.name == "bool" else "double" if kind.code in "fd" else "int"
 
 
-def _type_of(value: bool | float | str) -> str:
-    return {bool: "bool", int: "int", float: "double", str: "string"}[type(value)]
-
-
 def _comparable(left: str, right: str) -> bool:
     return left == right or (left in _NUMBERS and right in _NUMBERS)
-
-
-def _zone(arguments: tuple[Expression, ...]) -> str:
-    match arguments:
-        case ():
-            return "UTC"
-        case (Literal(str() as zone),):
-            return zone
-        case _:
-            raise ConditionRefused("a time zone must be text", 'for example now.getHours("Europe/Zurich")')
 
 
 def _in_64_bits(value: int) -> int:

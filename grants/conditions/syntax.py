@@ -2,8 +2,7 @@
 
 The language is a subset of CEL (the Common Expression Language, cel.dev) with CEL's syntax and precedence:
 literals, `msg.<path>`, `now`, `timestamp("...")`, `! && ||`, one comparison or `in` per operand, `+ - *`, and
-method calls. No macros, no regular expressions, no user functions: the cost of a condition is bounded by its
-text.
+method calls.
 """
 
 import re
@@ -15,6 +14,8 @@ from typing import Final, NamedTuple, TypeAlias
 from grants.errors import ConditionRefused, GrantError
 from grants.model import MAX_CONDITION
 
+# No macros, no regular expressions, no functions of users: the cost of a condition is bounded by its text,
+# which may come from whoever narrows a grant.
 MAX_NODES: Final = 64
 MAX_DEPTH: Final = 32
 
@@ -153,12 +154,9 @@ class _Parser:
         self._depth += 1
         if self._depth > MAX_DEPTH:
             raise ConditionRefused(f"a condition nested deeper than {MAX_DEPTH}")
-        result = self._chain(self._and, "||")
+        result = self._chain(lambda: self._chain(self._relation, "&&"), "||")
         self._depth -= 1
         return result
-
-    def _and(self) -> Expression:
-        return self._chain(self._relation, "&&")
 
     def _relation(self) -> Expression:
         left = self._sum()
@@ -170,10 +168,7 @@ class _Parser:
         return left
 
     def _sum(self) -> Expression:
-        return self._chain(self._product, "+", "-")
-
-    def _product(self) -> Expression:
-        return self._chain(self._unary, "*")
+        return self._chain(lambda: self._chain(self._unary, "*"), "+", "-")
 
     def _unary(self) -> Expression:
         operators: list[str] = []
@@ -187,7 +182,9 @@ class _Parser:
     def _member(self) -> Expression:
         result = self._primary()
         while self._take("."):
-            name = self._identifier()
+            if self._next.kind != "identifier":
+                raise self._unexpected()
+            name, self._position = self._next.text, self._position + 1
             if self._take("("):
                 result = self._counted(FunctionCall(result, name, self._items(")")))
             elif isinstance(result, Path):
@@ -195,12 +192,6 @@ class _Parser:
             else:
                 raise ConditionRefused(f".{name}: only msg has fields")
         return result
-
-    def _identifier(self) -> str:
-        if self._next.kind != "identifier":
-            raise self._unexpected()
-        self._position += 1
-        return self._tokens[self._position - 1].text
 
     def _primary(self) -> Expression:
         token = self._next

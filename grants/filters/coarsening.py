@@ -1,10 +1,7 @@
 """How values are made coarse: hysteresis, rounding, rooms, and squares of pictures. Pure.
 
 Equal values always have the same cell, and all cells have the same size. One value and an array of it give
-the same bits: tests compare them. A value at a border would tell by its changes where it is, so cells have
-hysteresis; it is common to all holders of a right, and with a `body` to all topics of a publisher that show
-the same thing: two samples of one position would make the cells of both together smaller than one. There the
-state is kept for each frame, and one frame is told at a time: cells of two frames are shifted and intersect.
+the same bits: tests compare them.
 """
 
 import math
@@ -18,7 +15,7 @@ from itertools import pairwise, takewhile
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from grants.decision import Decision
-from grants.errors import FilterRefused, MemoryExhausted, RestrictionMismatch
+from grants.errors import FilterRefused, GrantError
 from grants.filters.layout import Buffer, Primitive
 
 __all__ = ["Vector", "np"]
@@ -57,6 +54,10 @@ class HysteresisState:
         self.value: float | None = None
 
 
+# A value at a border would tell by its changes where it is, so cells have hysteresis. It is common to all
+# holders of a right, and with a `body` to all topics of a publisher that show the same thing: two samples of
+# one position would make the cells of both together smaller than one. There the state is kept for each frame,
+# and one frame is told at a time: cells of two frames are shifted and intersect (ADR 0054).
 class CommonState:
     """The hysteresis of one group; `lock` is held while a message is filtered."""
 
@@ -68,9 +69,7 @@ class CommonState:
 
     def hysteresis(self, field: FieldKey) -> HysteresisState:
         if field not in self._states and len(self._states) >= _MAX_FIELDS:
-            raise MemoryExhausted(
-                f"{_MAX_FIELDS} fields with hysteresis are stored already", "restart this node"
-            )
+            raise GrantError(f"{_MAX_FIELDS} fields with hysteresis are stored already", "restart this node")
         return self._states.setdefault(field, HysteresisState())
 
     def leads(self, frame: bytes, now: float, slot: int) -> bool:
@@ -118,7 +117,7 @@ def group_of(decision: Decision) -> Group:
     """What the hysteresis of a decision is common to."""
     bodies = {each.body for each in decision.restrictions if each.body is not None}
     if len(bodies) > 1:
-        raise RestrictionMismatch(
+        raise GrantError(
             f"the grants for {decision.name} name {len(bodies)} bodies: " + ", ".join(sorted(bodies)),
             "what is one body has one name in the policy",
         )

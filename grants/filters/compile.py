@@ -1,10 +1,8 @@
 """Field filters: from rules and a layout to a function on serialized messages; presets by name.
 
 A message is filtered without being deserialized, so no message classes are needed, and previously unknown
-types can be filtered. Rounding a position alone hides little, so a preset treats the field with its related
-fields. Every text of a preset is shown to the operator; `python -m bench privacy` attacks each,
-`docs/spec/grant.md` lists the attacks. A grant holds what its preset said when it was signed, so a preset may
-change.
+types can be filtered. Every text of a preset is shown to the operator; `python -m bench privacy` attacks
+each, `docs/spec/grant.md` lists the attacks.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -246,12 +244,9 @@ def _for(types: Mapping[str, _Rules]) -> Callable[[Layout], _Rules]:
     return rules
 
 
-def _everything(layout: Layout) -> _Rules:
-    # All fields cleared; only arrays of fixed length keep their length.
-    return {name: _CLEAR for name, _ in layout.root.fields}
-
-
-# A scan has no coarse form: walls to a metre are the position to a centimetre.
+# Rounding a position alone hides little, so a preset treats the field with its related fields. A grant holds
+# what its preset said when it was signed, so a preset may change. A scan has no coarse form: walls to a metre
+# are the position to a centimetre.
 _COARSE: Final[Mapping[str, _Rules]] = {
     "geometry_msgs/PoseStamped": _header(60) | {"pose.position": _POSITION, "pose.orientation": _CLEAR},
     "geometry_msgs/PoseWithCovarianceStamped": _header(60)
@@ -306,7 +301,8 @@ PRESETS: Final[dict[str, Preset]] = {
             "in which minutes the publisher is at work, if it sends more than once in 2 s;"
             " of one that sends less, next to nothing arrives; when it registers, connects and"
             " ends, to the moment",
-            _everything,
+            # Only arrays of fixed length keep their length.
+            lambda layout: {name: _CLEAR for name, _ in layout.root.fields},
             slot=60,
         ),
         Preset(

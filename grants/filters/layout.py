@@ -2,10 +2,7 @@
 
 The text is the `message_definition` field of a TCPROS connection header. It may come from a peer, so every
 size is checked before it is used. `Layout.md5` is computed as in genmsg (`genmsg/gentools.py`,
-`compute_md5_text`), which omits array brackets after the name of a message type: an md5 proves the layout
-only if `Layout.is_proven`. `Layout.digest` covers all of it. Generated source contains only text made by this
-package: numbers, and names from a counter; values from outside are bound in the namespace, which has no
-builtins but the ones listed, and field names never appear at all.
+`compute_md5_text`); `Layout.digest` covers all of it.
 """
 
 import hashlib
@@ -126,6 +123,8 @@ class Layout:
 
     @property
     def is_proven(self) -> bool:
+        # genmsg omits the brackets of an array of messages from what its md5 covers, so `Vector3[0]` and
+        # `Vector3[2]` have one md5 and two layouts.
         kinds = (kind.element if isinstance(kind, Array) else kind for _, kind in self.root.fields)
         return not any(isinstance(kind, Struct) for kind in kinds)
 
@@ -324,6 +323,8 @@ class SourceWriter:
         self._lines = [f"def generated({arguments}):"]
         self._depth = 1
         self._count = 0
+        # The source has only text made here, numbers and names from a counter: values from outside are bound
+        # in this namespace, which has no other builtins, and names of fields never appear (ADR 0022).
         self._namespace: dict[str, Any] = {
             "__builtins__": {"len": len, "range": range, "ValueError": ValueError, "str": str},
             "U": struct.Struct("<I").unpack_from,

@@ -226,12 +226,11 @@ def generate(node: Node) -> Callable[[Buffer], list[Buffer]]:
     many = len(pieces) > MAX_PIECES or any(piece.startswith("*") for piece in pieces)
     result = f"[{','.join(pieces)}]"
     source.line(f"if len(b)!={writer.at()}: raise ValueError")
-    source.line(f"return {source.bind(_limit_pieces)}({result})" if many else f"return {result}")
+    if many:
+        limit = source.bind(lambda made: made if len(made) <= MAX_PIECES else [b"".join(made)])
+        result = f"{limit}({result})"
+    source.line(f"return {result}")
     return source.compile()
-
-
-def _limit_pieces(pieces: list[Buffer]) -> list[Buffer]:
-    return pieces if len(pieces) <= MAX_PIECES else [b"".join(pieces)]
 
 
 @dataclass

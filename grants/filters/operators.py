@@ -3,8 +3,7 @@
 An operator reads its named parameters and returns a function from the type of a field to a treatment: a
 constant in its place, a function of its numbers, or a function of its bytes. An operator that does not treat
 a type itself returns `DESCEND`, and is then applied to a message's fields or an array's elements. Nothing
-here is source text: generated code only *calls* it. Parameters come from a signed grant or from a policy:
-exactly the operator's own, each of its type and in its range, or they are refused.
+here is source text: generated code only *calls* it.
 """
 
 import difflib
@@ -144,6 +143,8 @@ def has_hysteresis(node: Node) -> bool:
 Parameters: TypeAlias = dict[str, Scalar]
 
 
+# Parameters come from a signed grant or from a policy: exactly the operator's own, each of its type and in
+# its range, or they are refused.
 def expect(parameters: Parameters, *names: str) -> None:
     if parameters.keys() != set(names):
         wanted = ", ".join(names) or "no parameters"

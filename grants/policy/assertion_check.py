@@ -1,7 +1,6 @@
 """Whether the tests of a policy hold: each claim decided as requests are, each field tried. Pure.
 
-A failure names the rule that decided, with its line, and what would be needed. What cannot be evaluated, such
-as a field that a type does not have, fails: a test that tests nothing would pass.
+A failure names the rule that decided, with its line, and what would be needed.
 
 How precisely a field is seen follows from the operators' algebra, for the whole range of its type and not for
 values that were tried. A word of the vocabulary is seen by all fields that tell it
@@ -23,11 +22,11 @@ from grants.conditions.compile import compile_condition
 from grants.conditions.syntax import reads
 from grants.decision import Decision
 from grants.errors import FilterRefused, GrantError, MessageRefused, PolicyRefused
-from grants.filters.coarsening import Room, read_plan
+from grants.filters.coarsening import read_plan
 from grants.filters.hashing import FILTER_KEY_SIZE
 from grants.filters.layout import Layout, Primitive, Text
 from grants.guard import Guard, needed_keys
-from grants.model import TREE_RIGHTS, FilterRule, Right, Scalar, format_time
+from grants.model import TREE_RIGHTS, FilterRule, Restriction, Right, Scalar, format_time
 from grants.policy.assertions import (
     EXACT,
     NOTHING,
@@ -41,7 +40,7 @@ from grants.policy.assertions import (
     serialize,
 )
 from grants.policy.decision import Decider, Verdict, is_pattern
-from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject, SubjectPattern
+from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject
 from grants.policy.names import gives, overlaps, resolve
 from grants.policy.rules import is_basics
 from grants.policy.source import suggest
@@ -106,15 +105,14 @@ def _rooms(parameters: _Parameters, _kind: Kind, path: str) -> Passing:
     if name not in _ROOM_FIELDS:
         return Passing(Through.TOLD)  # zero in a room, NaN outside
     plan = read_plan({name: text for name, text in parameters.items() if name != "hysteresis"})
-    return Passing(Through.STEPS, min(_inner(room, _ROOM_FIELDS.index(name)) for room in plan), True)
-
-
-def _inner(room: Room, axis: int) -> float:
-    # Of a rectangle along the axes its side; of another polygon a line through a corner is as short as one
-    # likes.
-    upright = all((x0 == x1) != (y0 == y1) for (x0, y0), (x1, y1) in room.edges)
-    sides = [corner[axis] for corner in room.corners]
-    return max(sides) - min(sides) if upright and len(sides) == 4 else 0.0
+    widths: list[float] = []
+    for room in plan:
+        # Of a rectangle along the axes its side; of another polygon a line through a corner is as short as
+        # one likes.
+        upright = all((x0 == x1) != (y0 == y1) for (x0, y0), (x1, y1) in room.edges)
+        sides = [corner[_ROOM_FIELDS.index(name)] for corner in room.corners]
+        widths.append(max(sides) - min(sides) if upright and len(sides) == 4 else 0.0)
+    return Passing(Through.STEPS, min(widths), True)
 
 
 _Passes = Callable[[_Parameters, Kind, str], Passing]
@@ -176,11 +174,15 @@ class Visibility:
         self._layout = layout
         self._leaves = layout.leaves()
         self._conditions = [text for each in verdict.restrictions for text in each.conditions]
-        restrictions = tuple(
-            replace(each, conditions=(), rate=None, slot=None, filters=tuple(map(_stateless, each.filters)))
-            for each in verdict.restrictions
-            if each.filters
-        )
+        restrictions: tuple[Restriction, ...] = ()
+        for each in verdict.restrictions:
+            # Without hysteresis, which only makes cells overlap: what was sent before counts for it.
+            without = tuple(
+                replace(rule, parameters=tuple(x for x in rule.parameters if x[0] != "hysteresis"))
+                for rule in each.filters
+            )
+            if without:
+                restrictions += (replace(each, conditions=(), rate=None, slot=None, filters=without),)
         self._rules = [rule for each in restrictions for rule in each.filters]
         decision = Decision(verdict.right, verdict.name, (), _FOREVER, restrictions)
         keys = dict.fromkeys(needed_keys(restrictions), bytes(FILTER_KEY_SIZE))
@@ -221,11 +223,6 @@ class Visibility:
         if pieces is None:
             raise MessageRefused("no message passes")
         return repr(read_back(self._layout, b"".join(pieces))[path])
-
-
-def _stateless(rule: FilterRule) -> FilterRule:
-    # Without hysteresis, which only makes cells overlap: what was sent before counts for it.
-    return replace(rule, parameters=tuple(x for x in rule.parameters if x[0] != "hysteresis"))
 
 
 def _ends(kind: Primitive) -> tuple[Value, ...]:
@@ -270,11 +267,9 @@ def _holds(visible: Visibility, path: str, kind: Primitive | Text, seen: SeenFie
 def _word(description: Description, verdict: Verdict, seen: SeenField) -> str:
     word = DataWord(seen.path)
     if isinstance(seen.limit, str) and seen.limit not in LEVELS[word]:
-        hint = suggest(seen.limit, LEVELS[word])
-        raise PolicyRefused(f"not a level of {word}: {seen.limit[:40]!r}", hint)
+        raise PolicyRefused(f"not a level of {word}: {seen.limit[:40]!r}", suggest(seen.limit, LEVELS[word]))
     if isinstance(seen.limit, float) and word is not DataWord.POSITION:
-        hint = f"write one of {', '.join(LEVELS[word])}"
-        raise PolicyRefused(f"{word} has no length", hint)
+        raise PolicyRefused(f"{word} has no length", f"write one of {', '.join(LEVELS[word])}")
     found = assess(description, verdict.restrictions, verdict.rate, [word])[word]
     if seen.limit == EXACT:
         return "" if found.level == EXACT and not found.size else word
@@ -343,14 +338,16 @@ class _Checker:
         named = [who for rule in rules for who in (*rule.who, *rule.exceptions)]
         exact = [who.node for who in named if who.node and "*" not in who.node]
         others = {*exact, *(each.subject.name for each in self._policy.tests)}
-        names = [node for node in exact if test.pattern and pattern_covers(test.pattern, node)]
-        found = {
-            Subject(name, key, tail): None
-            for name in (subject.name, *names)
-            for key in (subject.key, *_keys_of(named, name, subject))
-            for tail in (False, True)
-            if not (tail and (is_alias(name) or _is_one_node(name, others)))
-        }
+        found: dict[Subject, None] = {}
+        for name in (subject.name, *(x for x in exact if test.pattern and pattern_covers(test.pattern, x))):
+            # Unless the test is about one key; and no tail where another node has a name that would be its.
+            pinned = [
+                who.key for who in named if who.key and (not who.node or pattern_covers(who.node, name))
+            ]
+            keys = (subject.key, *(pinned if subject.key == _ANY_KEY else ()))
+            single = any(other != name and names_cover(name, other, wildcard=True) for other in others)
+            tails = (False,) if is_alias(name) or single else (False, True)
+            found.update({Subject(name, key, tail): None for key in keys for tail in tails})
         return [replace(test, subject=each) for each in found]
 
     def _claim(self, test: PolicyTest, claim: CheckedClaim) -> CheckOutcome:
@@ -360,6 +357,8 @@ class _Checker:
         try:
             failure, needed = self._refuted(test, claim, verdict)
         except (GrantError, ValueError, struct.error, OverflowError) as error:
+            # What cannot be evaluated fails, as a field that a type does not have: else a test that tests
+            # nothing would pass.
             failure, needed = f"{what} cannot be tried: {error}", "correct the test"
         rules = tuple(dict.fromkeys(rule.id for rule in verdict.rules))
         return CheckOutcome(claim.line, node, says, failure and f"{node} {failure}", rules, needed)
@@ -401,7 +400,7 @@ class _Checker:
                 pair = (clause.pattern, name)
                 covered = any(gives(no, claim.right, each) for no in denied for each in pair)
                 if overlaps(clause.pattern, claim.right, name) and not covered:
-                    failure = f"{_EFFECTS[rule.effect]} {claim.right.label} {clause.pattern}: {_named(rule)}"
+                    failure = f"{_EFFECTS[rule.effect]} {claim.right.label} {clause.pattern}: {rule.cited}"
                     return failure, f"take {clause.pattern} out of {rule.id}, or deny it"
         default = self._policy.defaults.decision
         if default is not Effect.DENY and not any(gives(no, claim.right, name) for no in denied):
@@ -456,18 +455,6 @@ def _first_failure(outcomes: Iterable[CheckOutcome]) -> CheckOutcome:
     return next((each for each in found if not each), found[0])
 
 
-def _is_one_node(name: str, others: Iterable[str]) -> bool:
-    # Whether another node has a name that would be its own if it had a wildcard tail.
-    return any(other != name and names_cover(name, other, wildcard=True) for other in others)
-
-
-def _keys_of(named: Iterable[SubjectPattern], name: str, subject: Subject) -> list[bytes]:
-    # The keys that rules pin for a node or for any, unless the test is about one key.
-    if subject.key != _ANY_KEY:
-        return []
-    return [who.key for who in named if who.key and (not who.node or pattern_covers(who.node, name))]
-
-
 def _shown(subject: Subject) -> str:
     name = shown(subject.name)
     return f"{name}, if it is certified with --anonymous," if subject.tail else name
@@ -479,9 +466,5 @@ def _clauses(rule: PolicyRule, subject: Subject, right: Right) -> list[Clause]:
 
 
 def _decided(verdict: Verdict) -> str:
-    names = dict.fromkeys(_named(rule) for rule in verdict.rules)
+    names = dict.fromkeys(rule.cited for rule in verdict.rules)
     return " and ".join(names) or _BY_DEFAULT
-
-
-def _named(rule: PolicyRule) -> str:
-    return f"rule {rule.id}, line {rule.line}"

@@ -18,7 +18,7 @@ from grants.model import Right
 from grants.policy import source
 from grants.policy.model import EVERYONE, Subject, SubjectPattern
 from grants.policy.rules import RIGHTS
-from grants.policy.source import Mistakes, Part, YamlMapping, YamlScalar, suggest
+from grants.policy.source import Part, YamlMapping, YamlScalar, suggest
 
 Value: TypeAlias = int | float | str
 _NANO: Final = 10**9
@@ -143,32 +143,30 @@ def read_tests(
     part: Part | None,
     identities: Mapping[str, SubjectPattern],
     groups: Mapping[str, tuple[SubjectPattern, ...]],
-    mistakes: Mistakes,
 ) -> tuple[PolicyTest, ...]:
     named = {name: (who,) for name, who in identities.items()}
-    reader = _Reader({**named, **groups}, mistakes)
+    reader = _Reader({**named, **groups})
     return tuple(each for item in source.items(part) for each in reader.read(item))
 
 
 @dataclass
 class _Reader:
     _named: Mapping[str, tuple[SubjectPattern, ...]]
-    _mistakes: Mistakes
 
     def read(self, part: Part) -> list[PolicyTest]:
-        mapping = source.mapping(part, "a test", self._mistakes)
+        mapping = source.mapping(part, "a test")
         if mapping is None:
             return []
-        source.check_keys(mapping, "a test", _KEYS, ("who",), self._mistakes)
+        source.check_keys(mapping, "a test", _KEYS, ("who",))
         subjects = self._subjects(mapping.get("who"))
         claims = [claim for says in Says for claim in self._claims(mapping.get(says.value), says)]
         seen = self._seen(mapping.get("sees"), claims)
         at = tuple(self._times(mapping.get("at")))
         message = mapping.get("message")
         if not claims and not seen:
-            self._mistakes.add(mapping, "a test that tests nothing", "add may, may_not or sees")
+            mapping.mistake("a test that tests nothing", "add may, may_not or sees")
         if message is not None and not at:
-            self._mistakes.add(message, "message needs at: conditions may read the time", "add at")
+            message.mistake("message needs at: conditions may read the time", "add at")
         values = self._message(message)
         return [
             PolicyTest(subject, tuple(claims), tuple(seen), at, values, mapping.line, pattern)
@@ -176,7 +174,7 @@ class _Reader:
         ]
 
     def _subjects(self, part: Part | None) -> list[tuple[Subject, str]]:
-        label = source.text(part, "who", self._mistakes)
+        label = source.text(part, "who")
         if label is None or part is None:
             return []
         if label in self._named:
@@ -184,36 +182,35 @@ class _Reader:
             return [(who.sample, who.node if who.node and "*" in who.node else "") for who in found]
         if not (label.startswith("/") or ":" in label) or "*" in label or label == EVERYONE:
             hint = suggest(label, self._named) if self._named else "for example /heating"
-            self._mistakes.add(part, f"not a node, identity or group: {label[:60]!r}", hint)
+            part.mistake(f"not a node, identity or group: {label[:60]!r}", hint)
             return []
-        name = source.subject(part, "who", self._mistakes)
+        name = source.subject(part, "who")
         return [] if name is None else [(Subject(name, bytes(32)), "")]
 
     def _claims(self, part: Part | None, says: Says) -> list[CheckedClaim]:
-        rights = source.mapping(part, says.value, self._mistakes)
+        rights = source.mapping(part, says.value)
         found: list[CheckedClaim] = []
         for label, (key, value) in rights.entries.items() if rights is not None else ():
             if label not in RIGHTS:
-                message = f"unknown right {label[:60]!r} in {says.value}"
-                self._mistakes.add(key, message, suggest(label, RIGHTS))
+                key.mistake(f"unknown right {label[:60]!r} in {says.value}", suggest(label, RIGHTS))
                 continue
             for item in source.items(value):
-                name = source.own_pattern(item, label, RIGHTS[label], self._mistakes)
+                name = source.own_pattern(item, label, RIGHTS[label])
                 if name is not None:
                     found.append(CheckedClaim(says, RIGHTS[label], name, item.line))
         return found
 
     def _seen(self, part: Part | None, claims: list[CheckedClaim]) -> list[SeenField]:
-        topics = source.mapping(part, "sees", self._mistakes)
+        topics = source.mapping(part, "sees")
         found: list[SeenField] = []
         for key, value in topics.entries.values() if topics is not None else ():
-            topic = source.own_pattern(key, "sees", Right.SUBSCRIBE, self._mistakes)
+            topic = source.own_pattern(key, "sees", Right.SUBSCRIBE)
             if topic is None:
                 continue
             if isinstance(value, YamlScalar) and value.value == NOTHING:
                 claims.append(CheckedClaim(Says.MAY_NOT, Right.SUBSCRIBE, topic, key.line))
                 continue
-            fields = source.mapping(value, f"sees {topic}", self._mistakes)
+            fields = source.mapping(value, f"sees {topic}")
             for path, (at, limit) in fields.entries.items() if fields is not None else ():
                 said = limit.value if isinstance(limit, YamlScalar) else None
                 if isinstance(said, str):
@@ -222,32 +219,32 @@ class _Reader:
                     found.append(SeenField(topic, path, float(said), at.line))
                 else:
                     hint = f"write a number (no finer than that), {NOTHING} or {EXACT}"
-                    self._mistakes.add(limit, "how a field is seen is said otherwise", hint)
+                    limit.mistake("how a field is seen is said otherwise", hint)
         return found
 
     def _times(self, part: Part | None) -> list[int]:
         found: list[int] = []
         for item in source.items(part):
-            text = source.text(item, "at", self._mistakes) or "?"
+            text = source.text(item, "at") or "?"
             try:
                 found.append(parse_timestamp(text))
             except ConditionRefused as error:
                 if text != "?":
-                    self._mistakes.add(item, str(error), error.hint)
+                    item.mistake(str(error), error.hint)
         return found
 
     def _message(self, part: Part | None) -> dict[str, Value]:
         first: dict[str, YamlScalar] = {}
         for path, value in self._values(part, ""):
             if path in first:
-                source.again(value, f"message: {path[:80]!r}", first[path], self._mistakes)
+                source.again(value, f"message: {path[:80]!r}", first[path])
             first.setdefault(path, value)
         return {path: value.value for path, value in first.items()}
 
     def _values(self, part: Part | None, path: str) -> list[tuple[str, YamlScalar]]:
         if isinstance(part, YamlScalar) and path:
             return [(path, part)]
-        mapping = source.mapping(part, path or "message", self._mistakes)
+        mapping = source.mapping(part, path or "message")
         entries = mapping.entries.items() if isinstance(mapping, YamlMapping) else ()
         return [
             value

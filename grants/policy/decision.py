@@ -1,10 +1,7 @@
 """The decision of a policy: deny > allow > prompt > default, and its explanation.
 
-All rules that match are evaluated, whatever their order: one denial overrides everything, and of the allowing
-rules *all* restrictions apply together, so adding a rule never silently widens what another narrowed. An
-unknown right, an invalid name or no matching rule is never allowed. Clauses are found by a tree over the
-segments of names, so the cost does not grow with the rules; `hits` gives the same by comparing every clause:
-tests compare both, and whole patterns are only looked up with it.
+All rules that match are evaluated, whatever their order. An unknown right, an invalid name or no matching
+rule is never allowed.
 """
 
 from collections.abc import Iterable, Iterator
@@ -31,9 +28,11 @@ class _Branch:
     hits: dict[str, list[Hit]] = field(default_factory=dict)  # by exact node name, or _ANY_NODE
 
 
-# In a tree node, clauses for one exact node name are found by that name; the others are compared one by
-# one. Clauses on own names (`{node}/pose`) are found by the node, and what is found has the pattern that
-# they are for it.
+# Clauses are found by a tree over the segments of names, so the cost does not grow with the rules; `hits`
+# gives the same by comparing every clause: tests compare both, and whole patterns are only looked up with it.
+# In a tree node, clauses for one exact node name are found by that name; the others are compared one by one.
+# Clauses on own names (`{node}/pose`) are found by the node, and what is found has the pattern that they are
+# for it.
 class Index:
     def __init__(self, policy: Policy) -> None:
         self._roots: dict[Right, _Branch] = {}
@@ -256,6 +255,8 @@ class Decider:
         base = Verdict(Effect.DENY, subject, right, name)
         if tail_base(name) not in (None, subject.name if subject.tail else None):
             return base
+        # One denial overrides everything, and of the allowing rules *all* restrictions apply together, so
+        # adding a rule never silently widens what another narrowed.
         partly: list[Hit] = []  # of a pattern or a tree: what restricts or shortens a part of it
         for effect in _STRENGTH:
             matching = sorted((hit for hit in found if hit[0].effect is effect), key=_order)
@@ -295,8 +296,12 @@ def restriction_lines(verdict: Verdict) -> list[str]:
         lines.append(rate_text(verdict.rate))
     if verdict.keep_when_stale:
         lines.append(KEEP_WHEN_STALE)
-    renewed = f", renewed until {span(verdict.renew_until)}" if verdict.renew_until else ""
-    return [*dict.fromkeys(lines), f"valid {span(verdict.lifetime)}{renewed}"]
+    return [*dict.fromkeys(lines), validity(verdict.lifetime, verdict.renew_until)]
+
+
+def validity(lifetime: int, renew_until: int = 0) -> str:
+    """How long a right holds: `valid 7d, renewed until 30d`; 0 is never renewed."""
+    return f"valid {span(lifetime)}" + (f", renewed until {span(renew_until)}" if renew_until else "")
 
 
 def span(seconds: int) -> str:

@@ -1,10 +1,7 @@
 """The difference between what a policy wants for one node and the grants it has.
 
-A grant that says exactly what the policy says is kept, byte for byte, whoever asked for it. A grant of the
-policy that says anything else goes whole, and what is wanted and in no kept grant is signed anew: one grant
-for each set of rules, so that a changed rule touches no other grant. Each kept or signed grant alone gives no
-more than the policy: a peer presents only the grants it chooses. Grants made by hand are left alone; what
-they give against a denial is a contradiction.
+A grant that says exactly what the policy says is kept, byte for byte, whoever asked for it. Grants made by
+hand are left alone; what they give against a denial is a contradiction.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,7 +13,7 @@ from typing import Final, NamedTuple
 
 from ca.names import tail_base
 from grants.model import KEEP_WHEN_STALE, Grant, Permission, Restriction, Right
-from grants.policy.decision import Verdict, span
+from grants.policy.decision import Verdict, validity
 from grants.policy.model import Effect, PolicyRule, Subject
 from grants.policy.restrictions import divide, why_unsignable
 from grants.policy.wanted import Atom, Wanted, WantedRight, WantedState, Withheld
@@ -56,13 +53,13 @@ class Before(NamedTuple):
     longest: int
 
 
-def kept(subject: Subject, wanted: WantedRight) -> Change:
-    return Change(ChangeKind.KEPT, subject, *wanted.atom, _text(wanted), wanted.rules)
-
-
-def change_of(subject: Subject, wanted: WantedRight, before: "Before | None" = None) -> Change:
-    if before is None:
-        return Change(ChangeKind.NEW, subject, *wanted.atom, _text(wanted), wanted.rules)
+def change_of(
+    subject: Subject, wanted: WantedRight, before: "Before | None" = None, *, is_kept: bool = False
+) -> Change:
+    if before is None or is_kept:
+        return Change(
+            ChangeKind.KEPT if is_kept else ChangeKind.NEW, subject, *wanted.atom, _text(wanted), wanted.rules
+        )
     longest = max(wanted.lifetime, wanted.renew_until)
     new = _measure(wanted.permissions, wanted.lifetime, longest)
     old = _measure(before.entries, before.lifetime, before.longest)
@@ -87,8 +84,7 @@ def withdrawn(subject: Subject, atom: Atom, verdict: Verdict, before: Before) ->
 
 
 def _lines(entries: Iterable[Permission]) -> tuple[str, ...]:
-    found = [item.restriction for item in entries if item.restriction is not None]
-    return tuple(sorted({line for item in found for line in item.lines()}))
+    return tuple(sorted({line for item in entries for line in item.lines()}))
 
 
 def _text(wanted: WantedRight) -> tuple[str, ...]:
@@ -96,8 +92,7 @@ def _text(wanted: WantedRight) -> tuple[str, ...]:
 
 
 def _validity(lifetime: int, longest: int) -> str:
-    renewed = f", renewed until {span(longest)}" if longest > lifetime else ""
-    return f"valid {span(lifetime)}{renewed}"
+    return validity(lifetime, longest if longest > lifetime else 0)
 
 
 class _Measure(NamedTuple):
@@ -256,6 +251,9 @@ class _Chosen(NamedTuple):
 def _choose(
     state: WantedState, subject: Subject, wanted: Wanted, ours: list[Grant], moment: Moment, *, gets: bool
 ) -> _Chosen:
+    # A grant of the policy that says anything else goes whole: each kept or signed grant alone gives no more
+    # than the policy, as a peer presents only the grants it chooses. What is wanted and in no kept one is
+    # signed anew, one for each set of rules, so that a changed rule touches no other grant.
     exact = [grant for grant in ours if _is_exact(state, subject, grant, moment.skew)]
     gone = [grant for grant in ours if grant not in exact]
     held = [grant for grant in exact if moment.now < moment.end(grant)]
@@ -361,9 +359,9 @@ def _changes(state: WantedState, subject: Subject, chosen: _Chosen, skew: int) -
     }
     now = {atom for grant in chosen.held for atom in atoms(grant)}
     for atom, each in rights.items():
-        yield kept(subject, each) if atom in now else change_of(subject, each, before.get(atom))
+        yield change_of(subject, each, before.get(atom), is_kept=atom in now)
     for atom in sorted(now - rights.keys()):
-        yield kept(subject, WantedRight.of(state.decide(subject, atom)))
+        yield change_of(subject, WantedRight.of(state.decide(subject, atom)), is_kept=True)
     for atom in sorted(before.keys() - rights.keys() - now):
         yield withdrawn(subject, atom, state.decide(subject, atom), before[atom])
 

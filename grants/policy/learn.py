@@ -2,9 +2,7 @@
 
 Two sources of use: the graph of a running master (publishers, subscribers, providers), and the denial log,
 one JSON object a line: `{"at": seconds, "node": name, "right": label, "name": name}` and optionally `"type"`.
-What a rule already decides is not learned again, in particular no denial. A name below the node's own is
-learned as `{node}/...`, so it is right for every run of an anonymous node; what `basics` gives is left to
-`basics`.
+What `basics` gives is left to `basics`.
 """
 
 import json
@@ -103,11 +101,19 @@ def empty(robot: str = "robot") -> str:
 def add_rules(text: str, rules: Iterable[NewRule]) -> str:
     """`text` with `rules` added; an existing rule with the same id is extended."""
     rules = list(rules)
-    yaml = _yaml()
+    yaml = YAML(typ="rt", pure=True)
+    yaml.preserve_quotes = True
+    yaml.width = _NO_FOLDING
+    yaml.Resolver = _TextResolver
+    yaml.indent(mapping=2, sequence=4, offset=2)
     data = yaml.load(text)
     known = _rules(data)
     for rule in rules:
-        _add_types(data, rule.types)
+        if rule.types and not data.get("types"):
+            data["types"] = CommentedMap()
+        for topic, kind in rule.types.items():
+            if topic not in data["types"]:  # before the others: comments belong to the last
+                data["types"].insert(0, topic, kind)
         if rule.id not in known:
             entry = known[rule.id] = CommentedMap(id=rule.id, why=rule.why, who=rule.who)
             entry[rule.effect] = CommentedMap()
@@ -171,7 +177,7 @@ def _value(part: Part | None) -> object:
 
 
 def _text(value: str) -> object:
-    return _value(YamlScalar(value, 0, 0))
+    return "str", repr(value)
 
 
 def _add_values(policy: dict[str, Any], rule: NewRule) -> None:
@@ -194,23 +200,6 @@ def _add_values(policy: dict[str, Any], rule: NewRule) -> None:
         present = rights.get(label, [])
         present = present if isinstance(present, list) else [present]
         rights[label] = [*present, *(x for x in map(_text, patterns) if x not in present)]
-
-
-def _yaml() -> YAML:
-    yaml = YAML(typ="rt", pure=True)
-    yaml.preserve_quotes = True
-    yaml.width = _NO_FOLDING
-    yaml.Resolver = _TextResolver
-    yaml.indent(mapping=2, sequence=4, offset=2)
-    return yaml
-
-
-def _add_types(data: Any, types: Mapping[str, str]) -> None:
-    if types and not data.get("types"):
-        data["types"] = CommentedMap()
-    for topic, kind in types.items():
-        if topic not in data["types"]:  # before the others: comments belong to the last
-            data["types"].insert(0, topic, kind)
 
 
 def _rules(data: Any) -> dict[str, Any]:
@@ -272,6 +261,7 @@ def learn(
         day: the date of observation, for the reason.
     """
     lasting = dict.fromkeys(each for item in observed if (each := learnable(item)) is not None)
+    # What a rule already decides is not learned again, in particular no denial.
     new = [item for item in lasting if not _decided(decider, item)]
     by_node: dict[str, list[Observation]] = {}
     for item in new:
@@ -282,7 +272,9 @@ def learn(
     taken = {rule.id for rule in decider.policy.rules}
     rules = []
     for node, items in by_node.items():
-        name = _id_for(decider.policy.rules, taken, node)
+        own = (SubjectPattern(node, node),)
+        same = (each.id for each in decider.policy.rules if each.who == own and _is_plain(each))
+        name = next(same, "") or free_id(taken, (_LEARNED + node[1:].replace("/", "-"))[:_MAX_ID])
         taken.add(name)
         rules.append(_rule(name, node, items, day, kinds))
     return add_rules(text, rules) if rules else text, rules
@@ -295,7 +287,7 @@ def learnable(seen: Observation) -> Observation | None:
     """
     if is_alias(seen.node) or is_alias(seen.name):
         return None
-    name = own_form(seen.node, seen.name)
+    name = own_form(seen.node, seen.name)  # right for every run of an anonymous node
     if is_basic(seen.right, name) or lasting_name(name) != name:
         return None
     return replace(seen, node=lasting_name(seen.node), name=name)
@@ -306,17 +298,11 @@ def needs_basics(observed: Iterable[Observation]) -> bool:
     return any(is_basic(item.right, own_form(item.node, item.name)) for item in observed)
 
 
-def _id_for(rules: Iterable[PolicyRule], taken: Collection[str], node: str) -> str:
-    for rule in rules:
-        if rule.id.startswith(_LEARNED) and _is_learned(rule, node):
-            return rule.id
-    return free_id(taken, (_LEARNED + node[1:].replace("/", "-"))[:_MAX_ID])
-
-
-def _is_learned(rule: PolicyRule, node: str) -> bool:
+def _is_plain(rule: PolicyRule) -> bool:
+    # Learned before, and nobody has restricted it since: so it may be extended.
     restricted = any(clause.restriction or clause.rate for clause in rule.clauses)
     further = restricted or rule.exceptions or rule.has_lifetime or rule.keep_when_stale
-    return rule.effect is Effect.ALLOW and rule.who == (SubjectPattern(node, node),) and not further
+    return rule.id.startswith(_LEARNED) and rule.effect is Effect.ALLOW and not further
 
 
 def _rule(

@@ -1,8 +1,7 @@
 """Advice on a valid policy: what is allowed but unwise, by a table of checks (`CHECKS`).
 
 Precision removed from one field is often still in related fields, on other topics, or with another node of
-the same owner. So each check sees what a receiver gets from all rules together (`lint_views`). Each kind of
-advice has a stable code (`lint_findings`). A check yields findings and changes nothing.
+the same owner. So each check sees what a receiver gets from all rules together (`lint_views`).
 """
 
 from collections.abc import Callable, Iterator
@@ -85,7 +84,16 @@ def _round(view: View, rule: FilterRule, paths: list[str]) -> Iterator[LintFindi
     dense = [path for path in paths if view.aspects[path] in _DENSE]
     if fine:
         what = f"{rule.path} of {view.topic} is rounded to {_step(rule):g}, less than sensors err"
-        yield _finding(view, rule, "step-does-nothing", what, _coarser(rule, fine[0], view))
+        match view.aspects[fine[0]]:
+            case Aspect.POSITION:
+                degrees = fine[0].endswith(("latitude", "longitude"))
+                better = _with_hysteresis(rule, COARSE_DEGREES if degrees else COARSE_STEP)
+            case Aspect.JOINT | Aspect.TIME as aspect:
+                step = COARSE_JOINT if aspect is Aspect.JOINT else COARSE_TIME
+                better = FilterRule(rule.path, "round", (("step", step),))
+            case _:
+                better = FilterRule(rule.path, "clear")
+        yield _finding(view, rule, "step-does-nothing", what, better)
     elif any("[*]" in path or view.aspects[path] is Aspect.SURROUNDINGS for path in dense):
         # An array has no hysteresis (docs/spec/grant.md 6.1), so it is cleared.
         what = f"values of the array {rule.path} of {view.topic} together give the exact ones"
@@ -99,19 +107,6 @@ def _round(view: View, rule: FilterRule, paths: list[str]) -> Iterator[LintFindi
         elif share is not None and float(share) * _SMALLEST_SHARE < _step(rule):
             what = f"a hysteresis of {share} on {rule.path} of {view.topic} is within the noise"
             yield _finding(view, rule, "hysteresis-does-nothing", what, better)
-
-
-def _coarser(rule: FilterRule, path: str, view: View) -> FilterRule:
-    match view.aspects[path]:
-        case Aspect.POSITION:
-            degrees = path.endswith(("latitude", "longitude"))
-            return _with_hysteresis(rule, COARSE_DEGREES if degrees else COARSE_STEP)
-        case Aspect.JOINT:
-            return FilterRule(rule.path, "round", (("step", COARSE_JOINT),))
-        case Aspect.TIME:
-            return FilterRule(rule.path, "round", (("step", COARSE_TIME),))
-        case _:
-            return FilterRule(rule.path, "clear")
 
 
 def _with_hysteresis(rule: FilterRule, step: float) -> FilterRule:
@@ -195,36 +190,24 @@ def reasons_and_times(scene: Scene) -> Iterator[LintFinding]:
 def width(scene: Scene) -> Iterator[LintFinding]:
     for rule in _giving(scene):
         for clause in rule.clauses:
-            if all(_owns(who, clause.pattern) for who in rule.who):
+            pattern, nodes = clause.pattern, {who.node for who in rule.who if who.node is not None}
+            bases = [(who.node or "*").removesuffix("/**") for who in rule.who]
+            if is_own(pattern) or all("*" not in base and pattern.startswith(f"{base}/") for base in bases):
                 continue
-            what = f"{clause.right.label} on {clause.pattern}"
-            nodes = {who.node for who in rule.who if who.node is not None}
+            what = f"{clause.right.label} on {pattern}"
             are_many = len(nodes) > 1 or any("*" in node for node in nodes)
-            if clause.right & _ACTING and "**" in clause.pattern:
+            if clause.right & _ACTING and "**" in pattern:
                 hint = "name the topics and services one by one"
                 yield _of(rule, "wide-right", f"{what} may move anything", hint, ": ")
-            elif clause.right & _SPEAKING and "*" in clause.pattern and are_many:
+            elif clause.right & _SPEAKING and "*" in pattern and are_many:
                 message = f"with {what} each of {rule.subjects_text} can act for the others"
-                own = _own_names(rule, clause.pattern)
-                hint = (
-                    "give each node its own names, in a rule of its own" if own is None else f'write "{own}"'
-                )
-                changes = () if own is None else (Suggestion(rule.id, clause.pattern, instead=own),)
-                yield _of(rule, "speaks-for-others", message, hint, ": ", changes)
-
-
-def _own_names(rule: PolicyRule, pattern: str) -> str | None:
-    nodes = [who.node for who in rule.who]
-    if len(nodes) == 1 and nodes[0] is not None and pattern.startswith(f"{nodes[0]}/"):
-        return NODE + pattern.removeprefix(nodes[0])
-    return speaks_for_others(pattern, nodes)
-
-
-def _owns(who: SubjectPattern, pattern: str) -> bool:
-    if is_own(pattern):
-        return True
-    base = (who.node or "*").removesuffix("/**")
-    return "*" not in base and pattern.startswith(f"{base}/")
+                [first, *others] = [who.node for who in rule.who]
+                own = speaks_for_others(pattern, [first, *others])
+                if not others and first is not None and pattern.startswith(f"{first}/"):
+                    own = NODE + pattern.removeprefix(first)
+                hint = f'write "{own}"' if own else "give each node its own names, in a rule of its own"
+                changes = () if own is None else (Suggestion(rule.id, pattern, instead=own),)
+                yield _of(rule, "speaks-for-others", message, hint, ": ", *changes)
 
 
 def stale(scene: Scene) -> Iterator[LintFinding]:
@@ -253,19 +236,16 @@ def shadowed(scene: Scene) -> Iterator[LintFinding]:
 def _always_decides(other: PolicyRule, rule: PolicyRule, clause: Clause) -> bool:
     right, requested = clause.right, clause.pattern
     patterns = [each.pattern for each in other.clauses if each.right is right]
-    return any(
-        each == requested if is_own(each) else gives(each, right, any_node(requested)) for each in patterns
-    ) and all(
-        any(_is_wider(each, who) for each in other.who)
-        and not any(_may_be_of(each, who) for each in other.exceptions)
-        for who in rule.who
-    )
-
-
-def _may_be_of(one: SubjectPattern, other: SubjectPattern) -> bool:
-    if one.key is not None and other.key is not None and one.key != other.key:
+    if not any(x == requested if is_own(x) else gives(x, right, any_node(requested)) for x in patterns):
         return False
-    return one.node is None or other.node is None or intersects(one.node, other.node)
+    for who in rule.who:
+        for one in other.exceptions:  # may one of them be such a node?
+            other_key = None not in (one.key, who.key) and one.key != who.key
+            if not other_key and (one.node is None or who.node is None or intersects(one.node, who.node)):
+                return False
+        if not any(_is_wider(each, who) for each in other.who):
+            return False
+    return True
 
 
 def _is_wider(one: SubjectPattern, other: SubjectPattern) -> bool:
@@ -282,16 +262,11 @@ def unused(scene: Scene) -> Iterator[LintFinding]:
     clauses = [clause for rule in policy.rules for clause in rule.clauses]
     filtered = {clause.restriction.filters for clause in clauses if clause.restriction is not None}
     filters = [name for name, rules in policy.filters.items() if tuple(sorted(rules)) not in filtered]
-    idle = {
-        "identity": sorted(policy.identities.keys() - used),
-        "group": policy.unused_groups,
-        "filter": filters,
-    }
-    for kind, unnamed in idle.items():
-        for name in unnamed:
-            yield LintFinding(
-                0, f"unused-{kind}", f"{kind} {name} is used by no rule", "remove it, or use it"
-            )
+    identities = sorted(policy.identities.keys() - used)
+    for kind, idle in (("identity", identities), ("group", policy.unused_groups), ("filter", filters)):
+        for name in idle:
+            message = f"{kind} {name} is used by no rule"
+            yield LintFinding(0, f"unused-{kind}", message, "remove it, or use it")
     names = {any_node(clause.pattern) for clause in clauses}
     wide = [pattern for pattern in names if "*" in pattern]
     for topic in policy.types:
@@ -308,14 +283,9 @@ def _giving(scene: Scene) -> Iterator[PolicyRule]:
 
 
 def _of(
-    rule: PolicyRule,
-    code: str,
-    message: str,
-    hint: str,
-    joint: str = " ",
-    suggestions: tuple[Suggestion, ...] = (),
+    rule: PolicyRule, code: str, message: str, hint: str, joint: str = " ", *more: Suggestion
 ) -> LintFinding:
-    return LintFinding(rule.line, code, f"rule {rule.id}{joint}{message}", hint, suggestions)
+    return LintFinding(rule.line, code, f"rule {rule.id}{joint}{message}", hint, more)
 
 
 # That a message comes says that the condition held: of a position that is cleared, `x < 5` told the
@@ -324,7 +294,8 @@ def oracles(scene: Scene) -> Iterator[LintFinding]:
     read = (
         (view, rule, text, path)
         for view in scene.all_views
-        for rule, text in (_conditions(view) if view.filters else ())
+        for rule, clause in zip(view.verdict.rules, view.verdict.clauses, strict=True)
+        for text in (clause.restriction.conditions if clause.restriction and view.filters else ())
         for path in fields_read(text)
         if view.left(path) is not Precision.EXACT
     )
@@ -334,12 +305,6 @@ def oracles(scene: Scene) -> Iterator[LintFinding]:
         hint = f"remove the condition on {path}, or leave the field as it is"
         message = f"rule {rule.id}: {view.receiver.label} {what}"
         yield LintFinding(rule.line, "condition-tells", message, hint, (Suggestion(rule.id, without=text),))
-
-
-def _conditions(view: View) -> Iterator[tuple[PolicyRule, str]]:
-    for rule, clause in zip(view.verdict.rules, view.verdict.clauses, strict=True):
-        for text in clause.restriction.conditions if clause.restriction is not None else ():
-            yield rule, text
 
 
 CHECKS: Final[tuple[Callable[[Scene], Iterator[LintFinding]], ...]] = (

@@ -1,8 +1,6 @@
 """Advice on what else tells what is hidden: fields beside it, other topics, services, other receivers.
 
-What tells what is data: a treated kind is given away by an exact one of its row. The attackers' figures are
-in docs/spec/policy.md, "Lint": a rounded position with an exact twist is the path to 0.05 m; a rounded joint
-with an exact velocity is the joint.
+The attackers' figures are in docs/spec/policy.md, "Lint".
 """
 
 import re
@@ -17,6 +15,8 @@ from grants.policy.lint_findings import LintFinding, closing, closing_all, coars
 from grants.policy.lint_views import Aspect, LintReceiver, Scene, View, conventional
 
 _PLACES: Final = (Aspect.POSITION, Aspect.JOINT)
+# A rounded position with an exact twist is the path to 0.05 m; a rounded joint with an exact velocity is the
+# joint.
 _INTEGRATED: Final = ("movement-open", "the exact path follows from it by integration")
 _BESIDE: Final[dict[Aspect, tuple[str, str]]] = {
     Aspect.MOVEMENT: _INTEGRATED,
@@ -73,6 +73,7 @@ class Related(NamedTuple):
     told_by: tuple[Aspect, ...]
 
 
+# A treated kind is given away by an exact one of its row.
 _MOVES: Final = (Aspect.MOVEMENT, Aspect.JOINT_RATE, Aspect.JOINT)
 RELATED: Final[tuple[Related, ...]] = (
     Related(
@@ -105,8 +106,10 @@ def related(scene: Scene) -> Iterator[LintFinding]:
         found: dict[tuple[str, str], tuple[View, View, list[str]]] = {}
         for row in RELATED:
             hidden = next((view for view in views if _is_hidden(view, row)), None)
-            for view in views if hidden is not None else ():
-                if hidden is not None and view is not hidden and (told := _told(view, row, hidden)):
+            if hidden is None:
+                continue
+            for view in views:
+                if view is not hidden and (told := _told(view, row, hidden)):
                     pair = hidden.topic, view.topic
                     found.setdefault(pair, (hidden, view, []))[2].extend(told)
         for hidden, view, told in found.values():
@@ -151,43 +154,37 @@ def presence(scene: Scene) -> Iterator[LintFinding]:
     for views in scene.views.values():
         slotted = next((view for view in views if view.hides_presence), None)
         for view in views if slotted is not None else ():
-            if slotted is None or view.has_slot or not _is_beside(view, slotted):
+            # Those of one robot, by the folder of their names; not what tells nothing.
+            silent = conventional(view.topic) is Aspect.NOTHING or "*" in view.topic
+            if slotted is None or view.has_slot or silent:
+                continue
+            mine, other = (f"{each.topic.rpartition('/')[0]}/" for each in (view, slotted))
+            sent_for_it = view.topic.startswith(f"{view.receiver.subject.name}/")
+            if sent_for_it or not (mine.startswith(other) or other.startswith(mine)):
                 continue
             message = f"{_begin(slotted, 'in slots')}, but messages of {view.topic} as they come"
             hint = f"filter {view.topic} as well: {{use: presence-only}}"
             yield LintFinding(slotted.rule.line, "presence-open", message, hint)
 
 
-def _is_beside(view: View, slotted: View) -> bool:
-    # Whether both are of one robot, by the folder of their names; not what tells nothing.
-    if conventional(view.topic) is Aspect.NOTHING or "*" in view.topic:
-        return False
-    mine, other = (each.topic.rpartition("/")[0] for each in (view, slotted))
-    sent_for_it = view.topic.startswith(f"{view.receiver.subject.name}/")
-    return not sent_for_it and (f"{mine}/".startswith(f"{other}/") or f"{other}/".startswith(f"{mine}/"))
-
-
 def services(scene: Scene) -> Iterator[LintFinding]:
     for receiver, views in scene.views.items():
         coarse = _first_treated(views, Aspect.POSITION)
-        for name in _callable(scene, receiver) if coarse is not None else ():
+        if coarse is None:
+            continue
+        named = {
+            found.pattern
+            for rule in scene.decider.rules_of(receiver.subject)
+            for clause in rule.clauses
+            if clause.right is Right.CALL and (found := clause.of(receiver.subject)) is not None
+        }
+        told = {name for name in named if name.rpartition("/")[2] in _ASKED and "*" not in name}
+        for name in sorted(told | set(_EVERYWHERE)):
             verdict = scene.decider.decide(receiver.subject, Right.CALL, name)
-            if coarse is not None and verdict:
+            if verdict and not name.startswith(f"{receiver.subject.name}/"):
                 message = f"{_begin(coarse)}, but may call {name}, which tells it"
                 hint = f"take {verdict.clauses[0].pattern} out, or name the services it needs"
                 yield LintFinding(verdict.rules[0].line, "service-tells", message, hint)
-
-
-def _callable(scene: Scene, receiver: LintReceiver) -> list[str]:
-    own = f"{receiver.subject.name}/"
-    named = {
-        found.pattern
-        for rule in scene.decider.rules_of(receiver.subject)
-        for clause in rule.clauses
-        if clause.right is Right.CALL and (found := clause.of(receiver.subject)) is not None
-    }
-    told = {name for name in named if name.rpartition("/")[2] in _ASKED and "*" not in name}
-    return sorted(name for name in told | set(_EVERYWHERE) if not name.startswith(own))
 
 
 def graph(scene: Scene) -> Iterator[LintFinding]:
@@ -248,19 +245,16 @@ def unknown(scene: Scene) -> Iterator[LintFinding]:
             if coarse is None or view.is_known or is_own or view.topic in told:
                 continue
             if view.layout is None:
-                what, hint = (
-                    "of which no type is given",
-                    f"add its type to types: {{{view.topic}: package/Type}}",
-                )
+                what = "of which no type is given"
+                hint = f"add its type to types: {{{view.topic}: package/Type}}"
             else:
                 kind = view.layout.type_name
                 what = f"and of {kind} nothing is known here"
                 hint = f"say what it tells: vocabulary: {{{kind}: {{FIELD: WORD}}}}, or withhold {view.topic}"
             if "*" in view.topic:
                 hint = "name the topics it needs, with their types"
-            yield LintFinding(
-                coarse.rule.line, "unknown-type", f"{_begin(coarse)}, and {view.topic}, {what}", hint
-            )
+            message = f"{_begin(coarse)}, and {view.topic}, {what}"
+            yield LintFinding(coarse.rule.line, "unknown-type", message, hint)
 
 
 def _first_treated(views: Iterable[View], *aspects: Aspect) -> View | None:
@@ -307,24 +301,22 @@ def versions(scene: Scene) -> Iterator[LintFinding]:
     for one, other in (*zip(gridded, gridded, strict=True), *_of_one_owner(gridded)):
         for (first, step), (second, other_step) in product(grids[one], grids[other]):
             here, there = (one.subject.name, first.topic), (other.subject.name, second.topic)
+            if here >= there:
+                continue
             small, large = sorted((step, other_step))
             begin = f"rule {first.rule.id}: {one.label} sees {first.topic}"
-            if here < there and _differ(first, second):
+            plans, frames = (_plan(first), _plan(second)), (_frames(first), _frames(second))
+            apart = (all(plans) and plans[0] != plans[1]) or (all(frames) and not frames[0] & frames[1])
+            if apart:
                 cells = "in cells that do not lie on each other: together they are finer"
                 message = f"{begin}, {other.label} {second.topic}, {cells}"
                 hint = "use one frame and one plan of rooms for both"
                 yield LintFinding(first.rule.line, "two-versions", message, hint)
-            elif here < there and small > 0 and not (large / small).is_integer():
+            elif small > 0 and not (large / small).is_integer():
                 theirs = f"{other.label} {second.topic} in steps of {other_step:g}: together they are finer"
                 hint = "use the same step for both, or a multiple of it"
                 message = f"{begin} in steps of {step:g}, {theirs}"
                 yield LintFinding(first.rule.line, "two-versions", message, hint)
-
-
-def _differ(one: View, other: View) -> bool:
-    plans = _plan(one), _plan(other)
-    frames = _frames(one), _frames(other)
-    return (all(plans) and plans[0] != plans[1]) or (all(frames) and not frames[0] & frames[1])
 
 
 def _plan(view: View) -> frozenset[tuple[str, Scalar]]:

@@ -1,9 +1,9 @@
 """What each receiver of a policy sees: every topic, with all that holds for it together.
 
-Lint judges what a node gets, not what a rule says: two rules that are wise alone may undo each other. A
-receiver is one sample node for each subject of the policy, once for each key that is pinned for such a node;
-what a person may still approve counts as seen. What a field shows (`Aspect`) is said by `grants.vocabulary`;
-where that knows nothing of a number, by its name, and where a topic has no type, by the topic's.
+A receiver is one sample node for each subject of the policy, once for each key that is pinned for such a
+node; what a person may still approve counts as seen. What a field shows (`Aspect`) is said by
+`grants.vocabulary`; where that knows nothing of a number, by its name, and where a topic has no type, by the
+topic's.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -46,34 +46,21 @@ class Aspect(StrEnum):
 
 
 _OF: Final[Mapping[Content, Aspect]] = {
-    Content.COORDINATE: Aspect.POSITION,
-    Content.DEGREES: Aspect.POSITION,
-    Content.HEIGHT: Aspect.POSITION,
+    **dict.fromkeys((Content.COORDINATE, Content.DEGREES, Content.HEIGHT), Aspect.POSITION),
     Content.HEADING: Aspect.HEADING,
-    Content.VELOCITY: Aspect.MOVEMENT,
-    Content.CONTROL: Aspect.MOVEMENT,
+    **dict.fromkeys((Content.VELOCITY, Content.CONTROL, Content.FORCE), Aspect.MOVEMENT),
     Content.UNCERTAINTY: Aspect.COVARIANCE,
     Content.TIME: Aspect.TIME,
     Content.COUNT: Aspect.COUNT,
-    Content.DISTANCE: Aspect.SURROUNDINGS,
-    Content.MAP: Aspect.SURROUNDINGS,
-    Content.PICTURE: Aspect.IMAGE,
-    Content.COMPRESSED_PICTURE: Aspect.IMAGE,
-    Content.NAME: Aspect.NAME,
-    Content.REQUEST: Aspect.NAME,
-    Content.MARK: Aspect.MARK,
-    Content.WEAR: Aspect.MARK,
-    Content.FORCE: Aspect.MOVEMENT,
+    **dict.fromkeys((Content.DISTANCE, Content.MAP), Aspect.SURROUNDINGS),
+    **dict.fromkeys((Content.PICTURE, Content.COMPRESSED_PICTURE), Aspect.IMAGE),
+    **dict.fromkeys((Content.NAME, Content.REQUEST), Aspect.NAME),
+    **dict.fromkeys((Content.MARK, Content.WEAR), Aspect.MARK),
     Content.SAMPLES: Aspect.SOUND,
-    Content.STATE: Aspect.STATE,
-    Content.CHARGE: Aspect.STATE,
-    Content.PRESSURE: Aspect.STATE,
-    Content.TEMPERATURE: Aspect.WARMTH,
-    Content.AMBIENT_TEMPERATURE: Aspect.WARMTH,
-    Content.HUMIDITY: Aspect.HUMIDITY,
-    Content.AMBIENT_HUMIDITY: Aspect.HUMIDITY,
-    Content.BRIGHTNESS: Aspect.LIGHT,
-    Content.AMBIENT_BRIGHTNESS: Aspect.LIGHT,
+    **dict.fromkeys((Content.STATE, Content.CHARGE, Content.PRESSURE), Aspect.STATE),
+    **dict.fromkeys((Content.TEMPERATURE, Content.AMBIENT_TEMPERATURE), Aspect.WARMTH),
+    **dict.fromkeys((Content.HUMIDITY, Content.AMBIENT_HUMIDITY), Aspect.HUMIDITY),
+    **dict.fromkeys((Content.BRIGHTNESS, Content.AMBIENT_BRIGHTNESS), Aspect.LIGHT),
     Content.JOINT: Aspect.JOINT,
 }
 # Beside the values these have sizes and states, which alone show little.
@@ -136,20 +123,14 @@ def _aspect(field: FieldContent, described: Description, topic: str) -> Aspect:
     if field.content is Content.MAP and "local" not in topic:
         return Aspect.PLAN  # the map of a house is not where the robot is
     if field.content is Content.UNCERTAINTY:
-        return _of_uncertainty(field, described)
-    if field.content is Content.JOINT and _last(field.path) in _RATES:
-        return Aspect.JOINT_RATE
-    return _OF.get(field.content, Aspect.NOTHING)
-
-
-def _of_uncertainty(field: FieldContent, described: Description) -> Aspect:
-    above = field.path.rpartition(".")[0]
-    velocities = (one.path for one in described.fields if one.content is Content.VELOCITY)
-    if any(path.startswith(above) for path in velocities):
-        return Aspect.MOVEMENT  # to be cleared with it, as one message
-    if field.path.endswith("covariance"):
-        return Aspect.COVARIANCE
-    return Aspect.POSITION  # a policy says of its own type that the field tells a position
+        above = field.path.rpartition(".")[0]
+        velocities = (one.path for one in described.fields if one.content is Content.VELOCITY)
+        if any(path.startswith(above) for path in velocities):
+            return Aspect.MOVEMENT  # to be cleared with it, as one message
+        # A policy may say of its own type that another field tells a position.
+        return Aspect.COVARIANCE if field.path.endswith("covariance") else Aspect.POSITION
+    is_rate = field.content is Content.JOINT and _last(field.path) in _RATES
+    return Aspect.JOINT_RATE if is_rate else _OF.get(field.content, Aspect.NOTHING)
 
 
 def _by_name(field: FieldContent) -> Aspect:
@@ -328,6 +309,7 @@ def too_fine(rule: FilterRule, aspect: Aspect, path: str) -> bool:
     return isinstance(step, int | float) and step < floor
 
 
+# Lint judges what a node gets, not what a rule says: two rules that are wise alone may undo each other.
 @dataclass(frozen=True)
 class Scene:
     policy: Policy

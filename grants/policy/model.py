@@ -3,8 +3,7 @@
 All values are made by `grants.policy.read`, which checked them; nothing refers to the file any more, except
 the line number of a rule. The vocabulary of a policy names types (`acme_msgs/Bed`) and topics (`/door/open`,
 for a value whose meaning only the topic knows). A field tells a word, and is then hidden at every level but
-`exact`, or has a content of `grants.vocabulary.contents`, and is then treated as these are. What the standard
-table knows cannot be said otherwise.
+`exact`, or has a content of `grants.vocabulary.contents`, and is then treated as these are.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -19,7 +18,7 @@ from grants.limits import rate_text
 from grants.model import FilterRule, Restriction, Right
 from grants.policy import source
 from grants.policy.names import BEGINS_TOPIC, any_node, includes, intersects, is_own, resolve
-from grants.policy.source import Mistakes, Part, YamlMapping, YamlScalar, suggest
+from grants.policy.source import Part, YamlMapping, YamlScalar, suggest
 from grants.vocabulary.contents import NOT_KNOWN, Content, DataWord, Description, Fields, describe
 from grants.vocabulary.levels import Treatment, plan_treatment
 
@@ -108,68 +107,64 @@ class Vocabulary:
 LayoutOfType = Callable[[str, YamlScalar], Layout | None]
 
 
-def read_rooms(part: Part | None, mistakes: Mistakes) -> Treatment | None:
-    mapping = source.mapping(part, "rooms", mistakes)
+def read_rooms(part: Part | None) -> Treatment | None:
+    mapping = source.mapping(part, "rooms")
     if mapping is None:
         return None
-    plan = {name: source.text(value, name, mistakes) for name, (_, value) in mapping.entries.items()}
+    plan = {name: source.text(value, name) for name, (_, value) in mapping.entries.items()}
     if None in plan.values():
         return None
     try:
         return plan_treatment({name: text for name, text in plan.items() if text is not None})
     except FilterRefused as error:
-        mistakes.add(mapping, str(error).removeprefix("position: "), error.hint)
+        mapping.mistake(str(error).removeprefix("position: "), error.hint)
         return None
 
 
 def read_vocabulary(
-    part: Part | None,
-    rooms: Part | None,
-    types: Mapping[str, str],
-    layout_of: LayoutOfType,
-    mistakes: Mistakes,
+    part: Part | None, rooms: Part | None, types: Mapping[str, str], layout_of: LayoutOfType
 ) -> Vocabulary:
-    mapping = source.mapping(part, "vocabulary", mistakes)
     found: dict[bool, dict[str, Fields]] = {True: {}, False: {}}
 
     def read_key(key: YamlScalar) -> str | None:
         is_topic = str(key.value).startswith(BEGINS_TOPIC)
-        return source.pattern(key, "topic", mistakes) if is_topic else str(key.value)
+        return source.pattern(key, "topic") if is_topic else str(key.value)
 
-    for name, key, value in source.by_name(mapping, "vocabulary", read_key, mistakes):
+    for name, key, value in source.by_name(part, "vocabulary", read_key):
         is_topic = name.startswith(BEGINS_TOPIC)
         type_name = types.get(name) if is_topic else name
-        fields = source.mapping(value, f"vocabulary of {name}", mistakes)
+        fields = source.mapping(value, f"vocabulary of {name}")
         if type_name is None:
             hint = suggest(name, types) or f"add it to types: {{{name}: package/Type}}"
-            mistakes.add(key, f"the message type of {name[:80]} is unknown", hint)
+            key.mistake(f"the message type of {name[:80]} is unknown", hint)
         elif fields is not None and TYPE_NAME.fullmatch(type_name) is None:
-            mistakes.add(key, f"not a type or a topic: {type_name[:80]!r}", "package/Type, or /topic")
+            key.mistake(f"not a type or a topic: {type_name[:80]!r}", "package/Type, or /topic")
         elif fields is not None and (layout := layout_of(type_name, key)) is not None:
-            found[is_topic][name] = _fields(layout, fields, mistakes)
-    return Vocabulary(found[False], found[True], read_rooms(rooms, mistakes))
+            found[is_topic][name] = _fields(layout, fields)
+    return Vocabulary(found[False], found[True], read_rooms(rooms))
 
 
 def _is_below(leaf: str, path: str) -> bool:
     return f"{leaf}.".replace("[*]", "").startswith(f"{path}.")
 
 
-def _fields(layout: Layout, mapping: YamlMapping, mistakes: Mistakes) -> Fields:
+def _fields(layout: Layout, mapping: YamlMapping) -> Fields:
     known = describe(layout)
     fields: dict[str, Content] = {}
     for path, key, value in source.by_name(
-        mapping, known.type_name, lambda key: str(key.value).replace("[*]", ""), mistakes
+        mapping, known.type_name, lambda key: str(key.value).replace("[*]", "")
     ):
-        said = source.choice(value, "word or content", SAYABLE, mistakes)
+        said = source.choice(value, "word or content", SAYABLE)
         if said is None:
             continue
         below = [one for one in known.fields if _is_below(one.path, path)]
         if not below:
             hint = suggest(path, [one.path for one in known.fields])
-            mistakes.add(key, f"no field {path[:80]!r} in {known.type_name}", hint)
+            key.mistake(f"no field {path[:80]!r} in {known.type_name}", hint)
+        # What the standard table knows cannot be said otherwise.
         elif any(one.content not in NOT_KNOWN for one in below):
             message = f"{path} of {known.type_name} is in the standard vocabulary"
-            mistakes.add(key, message, f"it is: {below[0].content}; remove this line")
+            key.mistake(message, f"it is: {below[0].content}; remove this line")
         else:
             fields[path] = SAYABLE[said]
     return fields
@@ -296,6 +291,10 @@ class PolicyRule:
     def subjects_text(self) -> str:
         exceptions = _labels(self.exceptions)
         return _labels(self.who) + (f" except {exceptions}" if exceptions else "")
+
+    @property
+    def cited(self) -> str:
+        return f"rule {self.id}, line {self.line}"
 
     @property
     def reason(self) -> str:

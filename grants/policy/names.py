@@ -1,8 +1,7 @@
 """Patterns of rules: does one include the other, do they intersect, and the asking node's own names.
 
 Needed where a right is requested for a whole pattern: `/a/**` may only be granted if every name in it is
-allowed, and not if one of them is denied. Names are infinite, so both are decided on the automata of the
-patterns: a position in each, moved segment by segment.
+allowed, and not if one of them is denied.
 
 `{node}` (`~/pose` for `{node}/pose`) stands for the whole certified name of the node that asks, so it stands
 first: what results is that name or one below it, never one beside it. With an anonymous suffix it stands for
@@ -32,6 +31,8 @@ def segments(pattern: str) -> tuple[str, ...]:
     return tuple(pattern[1:].split("/"))
 
 
+# Names are infinite, so both are decided on the automata of the patterns: a position in each,
+# moved segment by segment.
 @lru_cache(maxsize=4096)
 def includes(outer: str, inner: str, *, tree: bool = False) -> bool:
     wide, narrow = segments(outer), segments(inner)
@@ -119,7 +120,17 @@ def check_rule_pattern(text: str) -> str:
     if slash and head in (_SHORT, NODE) and not _is_marked(rest):
         return NODE + check_pattern(f"/{rest}")
     if _is_marked(text):
-        fault, hint = _fault(text)
+        words = [word for word in _BRACES.findall(text) if word != NODE]
+        if text == _SHORT:
+            fault, hint = "is no name", f'write "{NODE}"'
+        elif words:
+            fault, hint = f"has {words[0][:40]!r}, which stands for nothing", _HINT
+        elif _SHORT not in text:
+            fault, hint = "has {node} where it does not stand for a whole name", _HINT_FIRST
+        else:
+            private = re.fullmatch(r"~([A-Za-z][A-Za-z0-9_/*]*)", text, re.ASCII)
+            fault = "has a ~ that is not before the first /"
+            hint = f"write ~/{private[1]}" if private is not None else _HINT
         raise PatternRefused(f"not a name pattern: {text[:80]!r} {fault}", hint)
     if has_partial_star(text):
         raise PatternRefused(
@@ -176,16 +187,3 @@ def has_partial_star(text: str) -> bool:
 
 def _is_marked(text: str) -> bool:
     return any(mark in text for mark in (*"{}", _SHORT))
-
-
-def _fault(text: str) -> tuple[str, str]:
-    if text == _SHORT:
-        return "is no name", f'write "{NODE}"'
-    words = [word for word in _BRACES.findall(text) if word != NODE]
-    if words:
-        return f"has {words[0][:40]!r}, which stands for nothing", _HINT
-    if _SHORT not in text:
-        return "has {node} where it does not stand for a whole name", _HINT_FIRST
-    private = re.fullmatch(r"~([A-Za-z][A-Za-z0-9_/*]*)", text, re.ASCII)
-    hint = f"write ~/{private[1]}" if private is not None else _HINT
-    return "has a ~ that is not before the first /", hint

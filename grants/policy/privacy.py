@@ -1,9 +1,7 @@
 """Which data is collected, who has access and why: every field, every receiver, until when. Pure.
 
 The effect of a right field by field, for a record of processing (GDPR article 30) as much as for users at
-home. Built from what the policy allows or from live grants: both are `ReceiverAccess`. A `Trial` is the
-effect on one message before anything is granted, by the guard that a publisher would have: not a description
-of it.
+home. Built from what the policy allows or from live grants: both are `ReceiverAccess`.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -199,6 +197,8 @@ class TrialOutcome:
     reason: str = ""
 
 
+# The effect on one message before anything is granted, by the guard that a publisher would have: not a
+# description of it.
 class Trial:
     """One verdict, tried on messages of one layout."""
 
@@ -231,7 +231,7 @@ class Trial:
         return TrialOutcome(b"".join(pieces))
 
     def _failed_condition(self, message: Buffer, now: int) -> str:
-        # The reason why the message is withheld: the first condition that is not true.
+        # As the guard asks: the first condition that is not true, else the slot, else the rate.
         for restriction in self._verdict.restrictions:
             layout = self._layout if restriction.type is not None else None
             for text in restriction.conditions:

@@ -1,28 +1,24 @@
 """The closed schema of a policy: from the tree of the file to a `Policy`, or to its mistakes. Pure.
 
 Any other key is a mistake. Conditions and filters are compiled against the message type of every topic they
-are for, so a rule that cannot be applied is never accepted. At the end: the JSON Schema of a policy for
-editors (structure and keys, not message types); `policy.schema.json` beside this module is its text.
+are for, so a rule that cannot be applied is never accepted.
+`policy.schema.json` beside this module tells editors structure and keys; `tools/schema.py` writes it.
 """
 
-import json
 import unicodedata
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 from ca.errors import HintedError
 from ca.names import closest
 from grants.filters.layout import Layout, parse
-from grants.filters.operators import OPERATORS
-from grants.limits import MAX_PAD, MAX_SLOT, MIN_PAD, MIN_SLOT
 from grants.policy import source
-from grants.policy.assertions import NOTHING, Says, read_tests
+from grants.policy.assertions import read_tests
 from grants.policy.model import (
     EVERYONE,
     LIFETIME,
     PROMPT_TIMEOUT,
-    SAYABLE,
     Defaults,
     Effect,
     Policy,
@@ -33,10 +29,9 @@ from grants.policy.model import (
 )
 from grants.policy.names import NODE
 from grants.policy.restrictions import FieldRule, read_fields
-from grants.policy.rules import EXTRAS, RIGHTS, RuleReader, Subjects, basics_rule, read_basics
 from grants.policy.rules import ID as BASICS_ID
+from grants.policy.rules import RuleReader, Subjects, basics_rule, read_basics
 from grants.policy.source import Mistake, Mistakes, Part, YamlMapping, YamlScalar, read_source, suggest
-from grants.vocabulary.contents import LEVELS
 
 VERSION: Final = 1
 _TOP: Final = (
@@ -90,28 +85,32 @@ class _PolicyReader:
 
     def read(self, top: Part | None) -> Policy:
         if not isinstance(top, YamlMapping):
-            position = top or YamlScalar("", 1, 1)
-            self._mistakes.add(position, "a policy is a mapping", "begin with: rossec: 1")
-            top = YamlMapping({}, 1, 1)
-        source.check_keys(top, "the policy", _TOP, _REQUIRED, self._mistakes)
+            position = top or YamlScalar(1, 1, self._mistakes, "")
+            position.mistake("a policy is a mapping", "begin with: rossec: 1")
+            top = YamlMapping(1, 1, self._mistakes, {})
+        source.check_keys(top, "the policy", _TOP, _REQUIRED)
         version = top.get("rossec")
         if version is not None and (
             not isinstance(version, YamlScalar) or version.value is True or version.value != VERSION
         ):
-            hint = f"this rossec reads version {VERSION}"
-            self._mistakes.add(version, "a policy of an unknown version", hint)
+            version.mistake("a policy of an unknown version", f"this rossec reads version {VERSION}")
         defaults = self._defaults(top.get("defaults"))
         identities = self._identities(top.get("identities"))
         layouts, types = self._types(top.get("types"))
         vocabulary = self._vocabulary(top, types, layouts)
         filters = self._filters(top.get("filters"))
-        subjects = Subjects(self._mistakes, identities, top.get("groups"))
-        reader = RuleReader(self._mistakes, defaults, subjects, types, layouts, filters, vocabulary)
+        subjects = Subjects(identities, top.get("groups"))
+        reader = RuleReader(defaults, subjects, types, layouts, filters, vocabulary)
         rules = self._rules(top.get("rules"), reader)
-        rules += self._basics(top.get("basics"), defaults, rules)
-        robot = source.text(top.get("robot"), "robot", self._mistakes)
+        basics = top.get("basics")
+        if basics is not None and (extras := read_basics(basics)) is not None:
+            for rule in rules:
+                if rule.id == BASICS_ID:
+                    self._mistakes.add(rule.line, 1, f"the rule of basics is called {rule.id!r}", "rename it")
+            rules = (*rules, basics_rule(extras, basics.line, defaults, rules))
+        robot = source.text(top.get("robot"), "robot")
         filter_rules = {name: tuple(item.rule for item in rules) for name, rules in filters.items()}
-        tests = read_tests(top.get("tests"), identities, subjects.groups, self._mistakes)
+        tests = read_tests(top.get("tests"), identities, subjects.groups)
         return Policy(
             robot or "",
             defaults,
@@ -124,31 +123,19 @@ class _PolicyReader:
             subjects.unused,
             vocabulary,
             tests,
-            read_titles(top.get("title"), subjects.groups, self._mistakes),
+            read_titles(top.get("title"), subjects.groups),
         )
 
-    def _basics(
-        self, part: Part | None, defaults: Defaults, rules: tuple[PolicyRule, ...]
-    ) -> tuple[PolicyRule, ...]:
-        extras = read_basics(part, self._mistakes)
-        if part is None or extras is None:
-            return ()
-        for rule in rules:
-            if rule.id == BASICS_ID:
-                at = YamlScalar("", rule.line, 1)
-                self._mistakes.add(at, f"the rule of basics is called {rule.id!r}", "rename it")
-        return (basics_rule(extras, part.line, defaults, rules),)
-
     def _defaults(self, part: Part | None) -> Defaults:
-        mapping = source.mapping(part, "defaults", self._mistakes)
+        mapping = source.mapping(part, "defaults")
         if mapping is None:
             return Defaults()
-        source.check_keys(mapping, "defaults", _DEFAULTS, (), self._mistakes)
+        source.check_keys(mapping, "defaults", _DEFAULTS, ())
         choices = ("deny", "prompt")
-        decision = source.choice(mapping.get("decision"), "default decision", choices, self._mistakes)
-        lifetime = source.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
-        renew = source.duration(mapping.get("renew_until"), "renew_until", self._mistakes, never=True)
-        timeout = source.duration(mapping.get("prompt_timeout"), "prompt_timeout", self._mistakes)
+        decision = source.choice(mapping.get("decision"), "default decision", choices)
+        lifetime = source.duration(mapping.get("lifetime"), "lifetime")
+        renew = source.duration(mapping.get("renew_until"), "renew_until", never=True)
+        timeout = source.duration(mapping.get("prompt_timeout"), "prompt_timeout")
         return Defaults(
             Effect(decision) if decision is not None else Effect.DENY,
             LIFETIME if lifetime is None else lifetime,
@@ -158,40 +145,35 @@ class _PolicyReader:
         )
 
     def _identities(self, part: Part | None) -> dict[str, SubjectPattern]:
-        mapping = source.mapping(part, "identities", self._mistakes)
         found: dict[str, SubjectPattern] = {}
-        for name, (key, value) in mapping.entries.items() if mapping is not None else ():
+        for name, key, value in source.entries(part, "identities"):
             if name == EVERYONE or name.startswith("/") or ":" in name:
-                self._mistakes.add(key, f"{name[:60]!r} cannot be the name of an identity")
+                key.mistake(f"{name[:60]!r} cannot be the name of an identity")
             # Kept even if invalid, so that rules with it are not reported as well.
             found[name] = SubjectPattern(name)
-            who = source.mapping(value, f"identity {name}", self._mistakes)
+            who = source.mapping(value, f"identity {name}")
             if who is None:
                 continue
-            source.check_keys(who, f"identity {name}", ("node", "key"), (), self._mistakes)
-            node = source.subject(who.get("node"), f"node of {name}", self._mistakes)
-            found[name] = SubjectPattern(name, node, source.key(who.get("key"), self._mistakes))
+            source.check_keys(who, f"identity {name}", ("node", "key"), ())
+            node = source.subject(who.get("node"), f"node of {name}")
+            found[name] = SubjectPattern(name, node, source.key(who.get("key")))
             if who.get("node") is None and who.get("key") is None:
-                hint = "add node: /name, or key: ..."
-                self._mistakes.add(who, f"identity {name} has neither node nor key", hint)
+                who.mistake(f"identity {name} has neither node nor key", "add node: /name, or key: ...")
         return found
 
     def _types(self, part: Part | None) -> tuple[dict[str, Layout], dict[str, str]]:
         layouts: dict[str, Layout] = {}
         types: dict[str, str] = {}
-        mapping = source.mapping(part, "types", self._mistakes)
         kinds: dict[YamlScalar, str] = {}
-        for key, value in mapping.entries.values() if mapping is not None else ():
-            name = source.text(value, f"the type of {key.value}", self._mistakes)
+        for _, key, value in source.entries(part, "types"):
+            name = source.text(value, f"the type of {key.value}")
             if name is not None and name not in layouts:
                 self._layout(name, value, layouts)
             if name is not None:
                 kinds[key] = name
-        for topic, key, _ in source.by_name(
-            mapping, "types", lambda key: source.pattern(key, "topic", self._mistakes), self._mistakes
-        ):
+        for topic, key, _ in source.by_name(part, "types", lambda key: source.pattern(key, "topic")):
             if topic == NODE:
-                self._mistakes.add(key, f"{NODE} is no topic", "name one of its topics: ~/pose")
+                key.mistake(f"{NODE} is no topic", "name one of its topics: ~/pose")
             if key in kinds:
                 types[topic] = kinds[key]
         return layouts, types
@@ -201,8 +183,7 @@ class _PolicyReader:
             layouts[name] = parse(name, self._definition(name))
         except HintedError as error:
             near = closest(name, self._known_types)
-            hint = error.hint if near is None else f"did you mean {near!r}?"
-            self._mistakes.add(position, str(error), hint)
+            position.mistake(str(error), error.hint if near is None else f"did you mean {near!r}?")
 
     def _vocabulary(
         self, source: YamlMapping, types: dict[str, str], layouts: dict[str, Layout]
@@ -214,16 +195,13 @@ class _PolicyReader:
                 self._layout(name, position, known)
             return known.get(name)
 
-        return read_vocabulary(
-            source.get("vocabulary"), source.get("rooms"), types, layout_of, self._mistakes
-        )
+        return read_vocabulary(source.get("vocabulary"), source.get("rooms"), types, layout_of)
 
     def _filters(self, part: Part | None) -> dict[str, tuple[FieldRule, ...]]:
         found: dict[str, tuple[FieldRule, ...]] = {}
-        mapping = source.mapping(part, "filters", self._mistakes)
-        for name, (_, value) in mapping.entries.items() if mapping is not None else ():
-            fields = source.mapping(value, f"filter {name}", self._mistakes)
-            found[name] = read_fields(fields, self._mistakes) if fields is not None else ()
+        for name, _, value in source.entries(part, "filters"):
+            fields = source.mapping(value, f"filter {name}")
+            found[name] = read_fields(fields) if fields is not None else ()
         return found
 
     def _rules(self, part: Part | None, reader: RuleReader) -> tuple[PolicyRule, ...]:
@@ -233,8 +211,7 @@ class _PolicyReader:
             rule = reader.read(item)
             if rule is not None and rule.id in first:
                 at = f"{first[rule.id].line}:{first[rule.id].column}"
-                message = f"duplicate rule {rule.id!r}; the first is in {at}"
-                self._mistakes.add(item, message, "use a unique id")
+                item.mistake(f"duplicate rule {rule.id!r}; the first is in {at}", "use a unique id")
             if rule is not None:
                 first.setdefault(rule.id, item)
                 rules.append(rule)
@@ -263,190 +240,32 @@ def flaw_of(title: str) -> str:
     return next((f"a title has {said}" for is_flawed, said in flaws if is_flawed), "")
 
 
-def read_titles(
-    part: Part | None, groups: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes
-) -> dict[str, str]:
-    mapping = source.mapping(part, "title", mistakes)
+def read_titles(part: Part | None, groups: Mapping[str, tuple[SubjectPattern, ...]]) -> dict[str, str]:
     found: dict[str, str] = {}
     of_groups: dict[str, str] = {}
     first: dict[str, YamlScalar] = {}
-    for text, (key, value) in mapping.entries.items() if mapping is not None else ():
-        title = source.text(value, f"the title of {text[:60]}", mistakes)
-        names = _names(text, key, groups, mistakes)
+    for text, key, value in source.entries(part, "title"):
+        title = source.text(value, f"the title of {text[:60]}")
+        names = _names(text, key, groups)
         if title is not None and (flaw := flaw_of(title)):
-            mistakes.add(value, f"the title of {text[:60]}: {flaw}", "for example: Dr. Meier")
+            value.mistake(f"the title of {text[:60]}: {flaw}", "for example: Dr. Meier")
             continue
         if title is None or not names:
             continue
         same = title.casefold()
         if same in first:
-            source.again(value, f"title: {title!r}", first[same], mistakes)
+            source.again(value, f"title: {title!r}", first[same])
         first.setdefault(same, key)
         (of_groups if text in groups else found).update(dict.fromkeys(names, title))
     return {**of_groups, **found}
 
 
-def _names(
-    text: str, key: YamlScalar, groups: Mapping[str, tuple[SubjectPattern, ...]], mistakes: Mistakes
-) -> tuple[str, ...]:
+def _names(text: str, key: YamlScalar, groups: Mapping[str, tuple[SubjectPattern, ...]]) -> tuple[str, ...]:
     if text.startswith("/") or ":" in text:
-        name = source.subject(key, "title", mistakes)
+        name = source.subject(key, "title")
         return () if name is None else (name,)
     if text in groups:
         return tuple(each.node for each in groups[text] if each.node is not None)
     hint = suggest(text, groups) if groups else "a name begins with /: /doctor, /robot/pose"
-    mistakes.add(key, f"title: {text[:60]!r} is neither a name nor a group", hint)
+    key.mistake(f"title: {text[:60]!r} is neither a name nor a group", hint)
     return ()
-
-
-_NAME: Final = r"[A-Za-z][A-Za-z0-9_]*"
-_SEGMENT: Final = rf"(?:{_NAME}|\*\*?)"
-_PATTERN: Final = {"type": "string", "pattern": rf"^(?:/{_SEGMENT})+$"}
-_OWN_NAMES: Final = rf"\{{node\}}(?:/{_SEGMENT})*|~(?:/{_SEGMENT})+"
-_RULE_PATTERN: Final = {"type": "string", "pattern": rf"^(?:(?:/{_SEGMENT})+|{_OWN_NAMES})$"}
-_TOPIC: Final = r"^(?:/|~/|\{node\})"
-_FIELD: Final = rf"^{_NAME}(?:\[\*\])?(?:\.{_NAME}(?:\[\*\])?)*$"
-_DURATION: Final = {"type": "string", "pattern": "^[1-9][0-9]{0,5}[smhdw]$"}
-_RENEW: Final = {"anyOf": [_DURATION, {"const": "never"}]}
-_TEXT: Final = {"type": "string", "minLength": 1, "maxLength": 1000}
-
-_LIMIT: Final = {
-    "type": "object",
-    "properties": {
-        "rate": {"type": "number", "exclusiveMinimum": 0},
-        "slot": {"type": "integer", "minimum": MIN_SLOT, "maximum": MAX_SLOT},
-        "body": {"type": "string", "pattern": "^[A-Za-z][A-Za-z0-9_-]{0,63}$"},
-        "pad": {"type": "integer", "minimum": MIN_PAD, "maximum": MAX_PAD},
-    },
-    "minProperties": 1,
-    "additionalProperties": False,
-}
-
-
-def _object(properties: dict[str, Any], *required: str) -> dict[str, Any]:
-    return {
-        "type": "object",
-        "properties": properties,
-        "required": list(required),
-        "additionalProperties": False,
-    }
-
-
-def _one_or_many(item: dict[str, Any]) -> dict[str, Any]:
-    return {"anyOf": [item, {"type": "array", "items": item, "minItems": 1}]}
-
-
-def _named(item: dict[str, Any], names: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "object", "additionalProperties": item, "propertyNames": names}
-
-
-def _by(pattern: str, item: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "object", "patternProperties": {pattern: item}, "additionalProperties": False}
-
-
-def _rule() -> dict[str, Any]:
-    rights = {**_object({right: _one_or_many(_RULE_PATTERN) for right in RIGHTS}), "minProperties": 1}
-    use = _object({"use": _TEXT}, "use")
-    plain = {"anyOf": [use, {"$ref": "#/$defs/fields"}]}
-    effects = ("allow", "deny", "prompt")
-    rule = _object(
-        {
-            "id": {"type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9_.-]{0,79}$"},
-            "why": _TEXT,
-            "who": _one_or_many(_TEXT),
-            "except": _one_or_many(_TEXT),
-            **{effect: {"$ref": "#/$defs/rights"} for effect in effects},
-            "when": _one_or_many(_TEXT),
-            "filter": {"anyOf": [plain, _by(_TOPIC, plain)]},
-            "see": {"anyOf": [{"$ref": "#/$defs/see"}, _by(_TOPIC, {"$ref": "#/$defs/see"})]},
-            "limit": _LIMIT,
-            "on_stale": {"enum": ["cut", "keep"]},
-            "lifetime": _DURATION,
-            "renew_until": _RENEW,
-        },
-        "id",
-        "who",
-    )
-    restricting = ("when", "filter", "see", "limit", "on_stale", "lifetime", "renew_until")
-    unrestricted: dict[str, Any] = {"properties": dict.fromkeys(restricting, False)}
-    return {
-        "$defs": {"rights": rights},
-        **rule,
-        "oneOf": [{"required": [effect]} for effect in effects],
-        "if": {"required": ["deny"]},
-        "then": unrestricted,
-    }
-
-
-def _test() -> dict[str, Any]:
-    limit = {"anyOf": [{"type": "number", "exclusiveMinimum": 0}, _TEXT]}
-    fields = {"type": "object", "additionalProperties": limit, "minProperties": 1}
-    seen = {"anyOf": [{"const": NOTHING}, fields]}
-    rights = {"$ref": "#/$defs/rights"}
-    return _object(
-        {
-            "who": _TEXT,
-            **{says.value: rights for says in Says},
-            "sees": _by(_TOPIC, seen),
-            "at": _one_or_many({"type": "string", "format": "date-time"}),
-            "message": {"type": "object"},
-        },
-        "who",
-    )
-
-
-def schema() -> dict[str, Any]:
-    rule = _rule()
-    rights = rule.pop("$defs")["rights"]
-    identity = _object({"node": _PATTERN, "key": {"type": "string", "pattern": "^sha256:[0-9a-f]{64}$"}})
-    defaults = _object(
-        {
-            "decision": {"enum": ["deny", "prompt"]},
-            "lifetime": _DURATION,
-            "renew_until": _RENEW,
-            "prompt_timeout": _DURATION,
-        }
-    )
-    types = {"type": "string", "pattern": f"^{_NAME}/{_NAME}$"}
-    title = {"type": "string", "minLength": 1, "maxLength": MAX_TITLE, "pattern": "^[^/]*$"}
-    said_of = {"pattern": rf"^(?:{_NAME}/{_NAME}|(?:/{_SEGMENT})+|{_OWN_NAMES})$"}
-    extras = {"type": "array", "items": {"enum": sorted(EXTRAS)}, "minItems": 1}
-    operator = _object(dict.fromkeys(sorted(OPERATORS), True))
-    levels = {word.value: {"enum": list(names)} for word, names in LEVELS.items()}
-    top = _object(
-        {
-            "rossec": {"const": 1},
-            "robot": _TEXT,
-            "defaults": defaults,
-            "basics": {"anyOf": [{"type": "boolean"}, extras]},
-            "identities": _named({**identity, "minProperties": 1}, {"pattern": "^[^/*]"}),
-            "groups": _named(_one_or_many(_TEXT), {"pattern": "^(?!node$)[A-Za-z][A-Za-z0-9_-]{0,79}$"}),
-            "types": _named(types, _RULE_PATTERN),
-            "vocabulary": _named(_by(_FIELD, {"enum": sorted(SAYABLE)}), said_of),
-            "rooms": {"type": "object", "additionalProperties": _TEXT, "minProperties": 1},
-            "filters": {"type": "object", "additionalProperties": {"$ref": "#/$defs/fields"}},
-            "rules": {"type": "array", "items": {"$ref": "#/$defs/rule"}},
-            "tests": {"type": "array", "items": {"$ref": "#/$defs/test"}},
-            "title": {"type": "object", "additionalProperties": title},
-        },
-        "rossec",
-        "robot",
-        "rules",
-    )
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "rossec policy",
-        "$defs": {
-            "operator": {**operator, "minProperties": 1, "maxProperties": 1},
-            "fields": _by(_FIELD, {"$ref": "#/$defs/operator"}),
-            "see": {**_object(levels), "minProperties": 1},
-            "rights": rights,
-            "rule": rule,
-            "test": _test(),
-        },
-        **top,
-    }
-
-
-def schema_text() -> str:
-    return json.dumps(schema(), indent=2) + "\n"

@@ -1,9 +1,8 @@
 """The restrictions of a rule: filters, conditions, `limit` and `see`; whether they fit a type.
 
-The notation is shorter than in a grant: `{round: 2.0}` for `{round: {step: 2.0}}`. The operators are those of
-`grants.filters.operators`, so a policy supports exactly what its grants support. Of `see` (`{position: room,
-image: no}`, or the same by topic) what is said is an upper limit; a word that is not mentioned is shown as it
-is, unless it gives away one that is.
+The notation is shorter than in a grant: `{round: 2.0}` for `{round: {step: 2.0}}`. Of `see` (`{position:
+room, image: no}`, or the same by topic) what is said is an upper limit; a word that is not mentioned is shown
+as it is, unless it gives away one that is.
 """
 
 import re
@@ -25,15 +24,7 @@ from grants.model import FilterRule, Permission, Right, Scalar
 from grants.policy import source
 from grants.policy.model import Vocabulary
 from grants.policy.names import BEGINS_TOPIC
-from grants.policy.source import (
-    Mistakes,
-    Part,
-    SourcePosition,
-    YamlMapping,
-    YamlScalar,
-    YamlSequence,
-    suggest,
-)
+from grants.policy.source import Part, YamlMapping, YamlScalar, YamlSequence, suggest
 from grants.vocabulary.contents import EXACT, LEVELS, NO, DataWord
 from grants.vocabulary.levels import Levels, Resolved, resolve
 
@@ -56,39 +47,38 @@ _Right = TypeVar("_Right")
 
 @dataclass(frozen=True)
 class FieldRule:
-    position: SourcePosition
+    position: Part
     rule: FilterRule
 
 
 @dataclass(frozen=True)
 class ConditionRule:
-    position: SourcePosition
+    position: Part
     text: str
     reads_message: bool
 
 
-def read_fields(part: YamlMapping, mistakes: Mistakes) -> tuple[FieldRule, ...]:
+def read_fields(part: YamlMapping) -> tuple[FieldRule, ...]:
     rules: list[FieldRule] = []
     for key, treatment in part.entries.values():
         path = str(key.value)
         if not isinstance(treatment, YamlMapping) or len(treatment.entries) != 1:
             hint = "for example {round: 0.5} or {clear: true}"
-            mistakes.add(treatment, f"{path}: exactly one operator per field", hint)
+            treatment.mistake(f"{path}: exactly one operator per field", hint)
             continue
         [(operator, (position, value))] = treatment.entries.items()
-        if operator not in OPERATORS:
-            hint = suggest(operator, OPERATORS)
-            mistakes.add(position, f"{path}: unknown operator {operator[:60]!r}", hint)
+        if operator not in OPERATORS:  # those of grants, so a policy supports exactly what its grants support
+            position.mistake(f"{path}: unknown operator {operator[:60]!r}", suggest(operator, OPERATORS))
             continue
         parameters = _parameters(operator, value)
         if parameters is None:
-            mistakes.add(value, f"{path}: invalid parameters of {operator}", _example(operator))
+            value.mistake(f"{path}: invalid parameters of {operator}", _example(operator))
             continue
         try:
             rule = FilterRule(path, operator, tuple(sorted(parameters.items())))
             treatment_for(rule)
         except GrantError as error:
-            mistakes.add(position, str(error), error.hint or _example(operator))
+            position.mistake(str(error), error.hint or _example(operator))
         else:
             rules.append(FieldRule(key, rule))
     return tuple(rules)
@@ -120,61 +110,58 @@ def _example(operator: str) -> str:
             return f"write {{{operator}: [{', '.join(name.upper() for name in names)}]}}"
 
 
-def check_fields(
-    layout: Layout, rules: tuple[FieldRule, ...], position: SourcePosition, mistakes: Mistakes
-) -> bool:
-    single = [_fits(layout, (item,), item.position, mistakes) for item in rules]
-    return all(single) and _fits(layout, rules, position, mistakes)
+def check_fields(layout: Layout, rules: tuple[FieldRule, ...], position: Part) -> bool:
+    single = [_fits(layout, (item,), item.position) for item in rules]
+    return all(single) and _fits(layout, rules, position)
 
 
-def _fits(layout: Layout, rules: tuple[FieldRule, ...], position: SourcePosition, mistakes: Mistakes) -> bool:
+def _fits(layout: Layout, rules: tuple[FieldRule, ...], position: Part) -> bool:
     try:
         compile_filter(layout, (item.rule for item in rules))
     except GrantError as error:
         hint = suggest_field(layout, rules[0].rule.path)
-        mistakes.add(position, f"{layout.type_name}: {error}", hint or error.hint)
+        position.mistake(f"{layout.type_name}: {error}", hint or error.hint)
         return False
     return True
 
 
-def check_preset(layout: Layout, name: str, position: SourcePosition, mistakes: Mistakes) -> bool:
+def check_preset(layout: Layout, name: str, position: Part) -> bool:
     try:
         preset(name).restriction(layout)
     except FilterRefused as error:
-        mistakes.add(position, f"{name}: {error}", error.hint)
+        position.mistake(f"{name}: {error}", error.hint)
         return False
     return True
 
 
-def read_condition(part: Part, mistakes: Mistakes) -> ConditionRule | None:
+def read_condition(part: Part) -> ConditionRule | None:
     # Its syntax is checked, not yet its types.
     text = part.value if isinstance(part, YamlScalar) else None
     if not isinstance(text, str):
-        mistakes.add(part, "a condition must be text", "put it in single quotes")
+        part.mistake("a condition must be text", "put it in single quotes")
         return None
     try:
         check_syntax(text)
     except ConditionRefused as error:
-        mistakes.add(part, str(error), error.hint or "see docs/spec/policy.md")
+        part.mistake(str(error), error.hint or "see docs/spec/policy.md")
         return None
     try:
         compile_condition(None, text)
     except ConditionRefused as error:
         if _FIELD.search(text) is None:
-            mistakes.add(part, str(error), error.hint)
+            part.mistake(str(error), error.hint)
             return None
         return ConditionRule(part, text, reads_message=True)
     return ConditionRule(part, text, reads_message=False)
 
 
-def check_condition(layout: Layout, condition: ConditionRule, mistakes: Mistakes) -> bool:
+def check_condition(layout: Layout, condition: ConditionRule) -> bool:
     try:
         compile_condition(layout, condition.text)
     except ConditionRefused as error:
         paths = (found[1][1:] for found in _FIELD.finditer(condition.text))
         hints = [hint for path in paths if (hint := suggest_field(layout, path))]
-        hint = hints[0] if hints else error.hint
-        mistakes.add(condition.position, f"{layout.type_name}: {error}", hint)
+        condition.position.mistake(f"{layout.type_name}: {error}", hints[0] if hints else error.hint)
         return False
     return True
 
@@ -213,100 +200,91 @@ class Limit(NamedTuple):
     pad: int | None = None
 
 
-def read_limit(
-    part: Part | None, topics: list[str], name: str, mistakes: Mistakes, *, seen: bool = True
-) -> Limit:
+def read_limit(part: Part | None, topics: list[str], name: str, *, seen: bool = True) -> Limit:
     # `seen`: the rule subscribes to the topics; what it only publishes has no slot and no body.
-    mapping = source.mapping(part, f"limit of rule {name}", mistakes)
+    mapping = source.mapping(part, f"limit of rule {name}")
     if mapping is None:
         return Limit()
-    source.check_keys(mapping, f"limit of rule {name}", _KEYS, (), mistakes)
+    source.check_keys(mapping, f"limit of rule {name}", _KEYS, ())
     given = mapping.entries.keys() & set(_KEYS)
     if not topics:
-        mistakes.add(mapping, f"rule {name}: nothing to limit", "add a subscribe or publish right")
+        mapping.mistake(f"rule {name}: nothing to limit", "add a subscribe or publish right")
     elif not given:
-        mistakes.add(mapping, f"rule {name}: an empty limit", "for example {rate: 1}")
+        mapping.mistake(f"rule {name}: an empty limit", "for example {rate: 1}")
     if not seen and given & {"slot", "body"}:
         message = f"rule {name}: a slot or a body is of what is subscribed to"
-        mistakes.add(mapping, message, "a rule that only publishes may have a rate")
-    body = source.text(mapping.get("body"), "body", mistakes) if "body" in given else None
+        mapping.mistake(message, "a rule that only publishes may have a rate")
+    body = source.text(mapping.get("body"), "body") if "body" in given else None
     if body is not None and not is_body(body):
         hint = "a letter, then at most 63 letters, digits, - and _"
-        mistakes.add(mapping.entries["body"][1], f"not a name of a body: {body[:40]!r}", hint)
+        mapping.entries["body"][1].mistake(f"not a name of a body: {body[:40]!r}", hint)
         body = None
     return Limit(
-        source.number(mapping.get("rate"), "rate", mistakes) if "rate" in given else None,
-        _whole(mapping.get("slot"), _SLOT, mistakes) if "slot" in given else None,
+        source.number(mapping.get("rate"), "rate") if "rate" in given else None,
+        _whole(mapping.get("slot"), _SLOT) if "slot" in given else None,
         body,
-        _whole(mapping.get("pad"), _PAD, mistakes) if "pad" in given else None,
+        _whole(mapping.get("pad"), _PAD) if "pad" in given else None,
     )
 
 
-def _whole(part: Part | None, kind: _Whole, mistakes: Mistakes) -> int | None:
-    found = source.number(part, kind.key, mistakes)
+def _whole(part: Part | None, kind: _Whole) -> int | None:
+    found = source.number(part, kind.key)
     if found is None:
         return None
     if float(found).is_integer() and kind.least <= found <= kind.most:
         return int(found)
     if part is not None:
-        mistakes.add(part, kind.wrong.format(found), f"whole {kind.units}, from {kind.least} to {kind.most}")
+        part.mistake(kind.wrong.format(found), f"whole {kind.units}, from {kind.least} to {kind.most}")
     return None
 
 
 @dataclass(frozen=True)
 class TopicLevels:
-    position: SourcePosition
+    position: Part
     levels: Levels = field(default_factory=dict)
 
 
-def read_see(
-    part: Part | None, topics: Sequence[str], name: str, mistakes: Mistakes
-) -> dict[str, TopicLevels]:
-    mapping = source.mapping(part, f"see of rule {name}", mistakes)
+def read_see(part: Part | None, topics: Sequence[str], name: str) -> dict[str, TopicLevels]:
+    mapping = source.mapping(part, f"see of rule {name}")
     if mapping is None:
         return {}
     if not topics or not mapping.entries:
-        mistakes.add(mapping, f"rule {name}: nothing to see", "add a subscribe right, or remove see")
+        mapping.mistake(f"rule {name}: nothing to see", "add a subscribe right, or remove see")
         return {}
     if not any(key.startswith(BEGINS_TOPIC) for key in mapping.entries):
-        return dict.fromkeys(topics, _levels(mapping, mistakes))
-    found = source.by_topic(mapping, "see", name, topics, Right.SUBSCRIBE, mistakes)
-    return {topic: _levels(inner, mistakes) for topic, (_, inner) in found.items()}
+        return dict.fromkeys(topics, _levels(mapping))
+    found = source.by_topic(mapping, "see", name, topics, Right.SUBSCRIBE)
+    return {topic: _levels(inner) for topic, (_, inner) in found.items()}
 
 
-def _levels(mapping: YamlMapping, mistakes: Mistakes) -> TopicLevels:
+def _levels(mapping: YamlMapping) -> TopicLevels:
     levels: dict[DataWord, str] = {}
     for name, (key, value) in mapping.entries.items():
         if name not in list(DataWord):
-            mistakes.add(key, f"unknown word {name[:60]!r} in see", suggest(name, list(DataWord)))
+            key.mistake(f"unknown word {name[:60]!r} in see", suggest(name, list(DataWord)))
         elif name == DataWord.PRESENCE and getattr(value, "value", None) == NO:
             hint = "write minute or hour, or take the topic out of the rule"
-            mistakes.add(value, "presence: a message that arrives tells it", hint)
-        elif level := source.choice(value, f"level of {name}", LEVELS[DataWord(name)], mistakes):
+            value.mistake("presence: a message that arrives tells it", hint)
+        elif level := source.choice(value, f"level of {name}", LEVELS[DataWord(name)]):
             levels[DataWord(name)] = level
     return TopicLevels(mapping, levels)
 
 
 def resolve_levels(
-    layout: Layout,
-    vocabulary: Vocabulary,
-    topic: str,
-    said: TopicLevels,
-    others: Iterable[FilterRule],
-    mistakes: Mistakes,
+    layout: Layout, vocabulary: Vocabulary, topic: str, said: TopicLevels, others: Iterable[FilterRule]
 ) -> Resolved | None:
     # `others` are the rules of a `filter` beside it: they may not be for the same fields.
     coarse = any(level != EXACT for level in said.levels.values())
     for path, other in vocabulary.contradictions(layout, topic).items() if coarse else ():
         message = f"{topic}: the vocabulary says something else of {path} on {other}"
-        mistakes.add(said.position, message, "name the topics one by one, or say the same of both")
+        said.position.mistake(message, "name the topics one by one, or say the same of both")
         return None
     try:
         described = vocabulary.describe(layout, topic)
         found = resolve(layout, described, said.levels, vocabulary.rooms)
         compile_filter(layout, (*found.rules, *others))
     except FilterRefused as error:
-        mistakes.add(said.position, f"{topic}: {error}", error.hint.replace("/the/topic", topic))
+        said.position.mistake(f"{topic}: {error}", error.hint.replace("/the/topic", topic))
         return None
     return found
 

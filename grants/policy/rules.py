@@ -1,8 +1,5 @@
 """One rule of a policy: its subjects, its rights on names, and their restrictions; and the rule of `basics`.
 
-The restriction of a rule is determined for every topic of the rule separately, against the type of that
-topic: a filter that fits one of two topics is a mistake, not half a filter.
-
 A group (`groups: {robots: [/robot1, /robot2]}`) stands for its members wherever a rule says `who` or
 `except`; it may name other groups, never itself. Identities and groups share one space of names: a word means
 one thing.
@@ -11,7 +8,7 @@ one thing.
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 from grants.errors import GrantError, GrantMalformed
 from grants.filters.compile import PRESETS, preset
@@ -45,7 +42,7 @@ from grants.policy.restrictions import (
     resolve_levels,
     why_unsignable,
 )
-from grants.policy.source import Mistakes, Part, SourcePosition, YamlMapping, YamlScalar, suggest
+from grants.policy.source import Part, YamlMapping, YamlScalar, suggest
 from grants.request import BASICS, TRANSFORMS
 from grants.vocabulary.levels import Resolved, together
 
@@ -63,12 +60,9 @@ _Fields = tuple[FieldRule, ...]
 
 
 class Subjects:
-    def __init__(
-        self, mistakes: Mistakes, identities: Mapping[str, SubjectPattern], part: Part | None
-    ) -> None:
-        self._mistakes = mistakes
+    def __init__(self, identities: Mapping[str, SubjectPattern], part: Part | None) -> None:
         self._identities = identities
-        self._parts = dict(self._named(source.mapping(part, "groups", mistakes)))
+        self._parts = dict(self._named(part))
         self._within: dict[str, frozenset[str]] = {}  # the groups in each, itself among them
         self._used: set[str] = set()
         self.groups: dict[str, _Members] = {}  # the members of each, without groups
@@ -84,7 +78,7 @@ class Subjects:
         return tuple(who for item in source.items(part) for who in self._subjects(item))
 
     def _subjects(self, part: Part) -> Iterable[SubjectPattern]:
-        label = source.text(part, "who", self._mistakes)
+        label = source.text(part, "who")
         if label is None:
             return ()
         if label == EVERYONE:
@@ -96,27 +90,27 @@ class Subjects:
 
     def _single(self, part: Part, label: str) -> _Members:
         if label.startswith("/") or ":" in label:
-            node = source.subject(part, "who", self._mistakes)
+            node = source.subject(part, "who")
             return () if node is None else (SubjectPattern(label, node),)
         if label in self._identities:
             return (self._identities[label],)
         if label.startswith(("~", "{")):
             hint = f"{NODE} stands in the names of a rule; who it is for is a name: /robot1"
-            self._mistakes.add(part, f"{label[:60]!r} is no node", hint)
+            part.mistake(f"{label[:60]!r} is no node", hint)
             return ()
         known = {**self._identities, **self._parts}
         hint = suggest(label, known) if known else f"a node is written /{label.lstrip('/')[:60]}"
-        self._mistakes.add(part, f"unknown identity {label[:60]!r}", hint)
+        part.mistake(f"unknown identity {label[:60]!r}", hint)
         return ()
 
-    def _named(self, mapping: YamlMapping | None) -> Iterator[tuple[str, Part]]:
+    def _named(self, part: Part | None) -> Iterator[tuple[str, Part]]:
         # The groups by name, those with a wrong name too, so that rules report no more.
-        for name, (key, value) in mapping.entries.items() if mapping is not None else ():
+        for name, key, value in source.entries(part, "groups"):
             if name in self._identities:
-                self._mistakes.add(key, f"{name!r} is an identity already", "choose another name")
+                key.mistake(f"{name!r} is an identity already", "choose another name")
             elif _NAME.fullmatch(name) is None or name == NODE[1:-1]:
                 hint = "begin with a letter, then letters, digits, - and _; not node"
-                self._mistakes.add(key, f"{name[:60]!r} cannot be the name of a group", hint)
+                key.mistake(f"{name[:60]!r} cannot be the name of a group", hint)
             yield name, value
 
     def _members_of(self, name: str, above: tuple[str, ...]) -> _Members:
@@ -128,24 +122,23 @@ class Subjects:
             part = self._parts[name]
             if len(found) > MAX_MEMBERS:
                 hint = "give the nodes a namespace of their own: /robots/*"
-                self._mistakes.add(part, f"group {name} has more than {MAX_MEMBERS} members", hint)
+                part.mistake(f"group {name} has more than {MAX_MEMBERS} members", hint)
             if not source.items(part):
-                self._mistakes.add(part, f"group {name} has no members", "add a name: [/robot1]")
+                part.mistake(f"group {name} has no members", "add a name: [/robot1]")
             self.groups[name] = tuple(found)
         return self.groups[name]
 
     def _item(self, part: Part, above: tuple[str, ...]) -> _Members:
-        label = source.text(part, f"a member of group {above[-1]}", self._mistakes)
+        label = source.text(part, f"a member of group {above[-1]}")
         if label is None:
             return ()
         if label in above:
             chain = ", ".join((*above[above.index(label) :], label))
-            message = f"group {label} is a member of itself: {chain}"
-            self._mistakes.add(part, message, "name the nodes in one of them")
+            part.mistake(f"group {label} is a member of itself: {chain}", "name the nodes in one of them")
             return ()
         if label == EVERYONE:
             hint = f"write who: {EVERYONE!r} in the rule"
-            self._mistakes.add(part, f"group {above[-1]}: {EVERYONE} is every node", hint)
+            part.mistake(f"group {above[-1]}: {EVERYONE} is every node", hint)
             return ()
         if label in self._parts:
             members = self._members_of(label, above)
@@ -154,9 +147,33 @@ class Subjects:
         return self._single(part, label)
 
 
+class _Named(NamedTuple):
+    right: Right
+    pattern: str
+    position: Part
+
+    def mistake(self, message: str, hint: str) -> None:
+        self.position.mistake(f"{self.right.label} {self.pattern}: {message}", hint)
+
+
+def _named_rights(rights: YamlMapping, name: str) -> Iterator[_Named]:
+    if not rights.entries:
+        rights.mistake(f"rule {name} has no rights", suggest("", RIGHTS))
+    for label, (key, value) in rights.entries.items():
+        if label not in RIGHTS:
+            key.mistake(f"unknown right {label[:60]!r} in rule {name}", suggest(label, RIGHTS))
+            continue
+        if not source.items(value):
+            value.mistake(f"rule {name}: {label} has no names", "add a name")
+        for item in source.items(value):
+            pattern = source.own_pattern(item, label, RIGHTS[label])
+            if pattern is not None:
+                yield _Named(RIGHTS[label], pattern, item)
+
+
 @dataclass(frozen=True)
 class _TopicFilter:
-    position: SourcePosition
+    position: Part
     fields: _Fields = ()
     preset: str | None = None
     see: TopicLevels | None = None
@@ -164,7 +181,6 @@ class _TopicFilter:
 
 @dataclass
 class RuleReader:
-    _mistakes: Mistakes
     _defaults: Defaults
     _subjects: Subjects
     _types: Mapping[str, str]
@@ -173,25 +189,35 @@ class RuleReader:
     _vocabulary: Vocabulary
 
     def read(self, part: Part) -> PolicyRule | None:
-        mapping = source.mapping(part, "a rule", self._mistakes)
+        mapping = source.mapping(part, "a rule")
         if mapping is None:
             return None
-        name = source.text(mapping.get("id"), "id", self._mistakes) or "?"
+        name = source.text(mapping.get("id"), "id") or "?"
         if name != "?" and _ID.fullmatch(name) is None:
-            self._mistakes.add(mapping, f"not an id: {name[:60]!r}", "letters, digits and dashes")
-        source.check_keys(mapping, f"rule {name}", _KEYS, ("id", "who"), self._mistakes)
-        effect, rights = self._effect(mapping, name)
-        if effect is None or rights is None:
+            mapping.mistake(f"not an id: {name[:60]!r}", "letters, digits and dashes")
+        source.check_keys(mapping, f"rule {name}", _KEYS, ("id", "who"))
+        effects = [effect for effect in Effect if effect.value in mapping.entries]
+        if len(effects) != 1:
+            hint = "write it as two rules" if effects else "for example allow: {subscribe: [/topic]}"
+            mapping.mistake(f"rule {name} needs one of allow, deny and prompt", hint)
             return None
-        lifetime = source.duration(mapping.get("lifetime"), "lifetime", self._mistakes)
-        renew = source.duration(mapping.get("renew_until"), "renew_until", self._mistakes, never=True)
-        stale = source.choice(mapping.get("on_stale"), "on_stale", ("cut", "keep"), self._mistakes)
+        [effect] = effects
+        for key in _RESTRICTING if effect is Effect.DENY else ():
+            if key in mapping.entries:
+                message = f"rule {name}: a deny rule cannot have {key!r}"
+                mapping.entries[key][0].mistake(message, "remove it, or write an allow rule")
+        rights = source.mapping(mapping.get(effect.value), f"{effect.value} of rule {name}")
+        if rights is None:
+            return None
+        lifetime = source.duration(mapping.get("lifetime"), "lifetime")
+        renew = source.duration(mapping.get("renew_until"), "renew_until", never=True)
+        stale = source.choice(mapping.get("on_stale"), "on_stale", ("cut", "keep"))
         return PolicyRule(
             id=name,
             effect=effect,
             who=self._subjects.read(mapping.get("who")),
             exceptions=self._subjects.read(mapping.get("except")),
-            why=source.text(mapping.get("why"), "why", self._mistakes) or "",
+            why=source.text(mapping.get("why"), "why") or "",
             clauses=self._clauses(mapping, rights, name),
             lifetime=self._defaults.lifetime if lifetime is None else lifetime,
             renew_until=self._defaults.renew_until if renew is None else renew,
@@ -200,78 +226,43 @@ class RuleReader:
             line=mapping.line,
         )
 
-    def _effect(self, mapping: YamlMapping, name: str) -> tuple[Effect | None, YamlMapping | None]:
-        effects = [effect for effect in Effect if effect.value in mapping.entries]
-        if len(effects) != 1:
-            hint = "write it as two rules" if effects else "for example allow: {subscribe: [/topic]}"
-            self._mistakes.add(mapping, f"rule {name} needs one of allow, deny and prompt", hint)
-            return None, None
-        [effect] = effects
-        present = [key for key in _RESTRICTING if key in mapping.entries]
-        for key in present if effect is Effect.DENY else ():
-            message = f"rule {name}: a deny rule cannot have {key!r}"
-            self._mistakes.add(mapping.entries[key][0], message, "remove it, or write an allow rule")
-        rights = mapping.get(effect.value)
-        return effect, source.mapping(rights, f"{effect.value} of rule {name}", self._mistakes)
-
     def _clauses(self, mapping: YamlMapping, rights: YamlMapping, name: str) -> tuple[Clause, ...]:
-        named = self._named_rights(rights, name)
-        read = (read_condition(item, self._mistakes) for item in source.items(mapping.get("when")))
+        named = list(_named_rights(rights, name))
+        read = (read_condition(item) for item in source.items(mapping.get("when")))
         conditions = [when for when in read if when is not None]
-        seen = [pattern for right, pattern, _ in named if right is Right.SUBSCRIBE]
+        seen = [each.pattern for each in named if each.right is Right.SUBSCRIBE]
         filtered = Right.SUBSCRIBE if seen else Right.PUBLISH
-        topics = [pattern for right, pattern, _ in named if right is filtered]
+        topics = [each.pattern for each in named if each.right is filtered]
         filters = self._filters_of(mapping.get("filter"), topics, name, filtered)
-        for topic, see in read_see(mapping.get("see"), seen, name, self._mistakes).items():
+        for topic, see in read_see(mapping.get("see"), seen, name).items():
             filters[topic] = replace(filters.get(topic, _TopicFilter(see.position)), see=see)
-        limit = read_limit(mapping.get("limit"), topics, name, self._mistakes, seen=bool(seen))
-        for each in filters.values() if not seen else ():
-            if each.preset is not None or key_names(item.rule for item in each.fields):
+        limit = read_limit(mapping.get("limit"), topics, name, seen=bool(seen))
+        for given in filters.values() if not seen else ():
+            if given.preset is not None or key_names(item.rule for item in given.fields):
                 message = "a preset or a pseudonym is for what is subscribed to, not published"
                 hint = "name the fields and their treatment, or add a subscribe right"
-                self._mistakes.add(each.position, message, hint)
+                given.position.mistake(message, hint)
+        # For every topic separately, against its type: a filter that fits one of two is a mistake, not half a
+        # filter.
         clauses: list[Clause] = []
-        for right, pattern, position in named:
-            mine = (filters, limit) if right is filtered else ({}, Limit())
-            clauses += self._clause(right, pattern, position, conditions, *mine)
+        for each in named:
+            none = _TopicFilter(each.position)
+            mine = (filters.get(each.pattern, none), limit) if each.right is filtered else (none, Limit())
+            clauses += self._clause(each, conditions, *mine)
         restricting = conditions or filters or any(limit) or mapping.get("on_stale") is not None
-        if restricting and any(right & ~MESSAGE_RIGHTS for right, _, _ in named):
+        if restricting and any(each.right & ~MESSAGE_RIGHTS for each in named):
             message = f"rule {name}: parameters, graph and admin rights cannot have restrictions"
-            self._mistakes.add(rights, message, "put these rights into a separate rule")
+            rights.mistake(message, "put these rights into a separate rule")
         return tuple(clauses)
 
-    def _named_rights(self, rights: YamlMapping, name: str) -> list[tuple[Right, str, SourcePosition]]:
-        if not rights.entries:
-            self._mistakes.add(rights, f"rule {name} has no rights", suggest("", RIGHTS))
-        found: list[tuple[Right, str, SourcePosition]] = []
-        for label, (key, value) in rights.entries.items():
-            if label not in RIGHTS:
-                message = f"unknown right {label[:60]!r} in rule {name}"
-                self._mistakes.add(key, message, suggest(label, RIGHTS))
-                continue
-            items = source.items(value)
-            if not items:
-                self._mistakes.add(value, f"rule {name}: {label} has no names", "add a name")
-            for item in items:
-                pattern = source.own_pattern(item, label, RIGHTS[label], self._mistakes)
-                if pattern is not None:
-                    found.append((RIGHTS[label], pattern, item))
-        return found
-
     def _clause(
-        self,
-        right: Right,
-        pattern: str,
-        position: SourcePosition,
-        conditions: list[ConditionRule],
-        filters: Mapping[str, _TopicFilter],
-        limit: Limit,
+        self, named: _Named, conditions: list[ConditionRule], topic_filter: _TopicFilter, limit: Limit
     ) -> list[Clause]:
-        topic_filter = filters.get(pattern, _TopicFilter(position))
+        right, pattern, _ = named
         kind = type_of(self._types, pattern)
         treated = topic_filter.fields or topic_filter.preset or topic_filter.see
         reads_message = treated or any(when.reads_message for when in conditions)
-        if reads_message and not self._fits(right, pattern, position, kind, conditions, topic_filter):
+        if reads_message and not self._fits(named, kind, conditions, topic_filter):
             return []
         levels = self._levels(topic_filter, pattern, kind)
         if levels is None:
@@ -282,10 +273,8 @@ class RuleReader:
             return [Clause(right, pattern, None, given.rate, kind)]
         try:
             if limit.body is not None and given.slot is None:
-                raise GrantMalformed(
-                    f"without a slot the body {limit.body} cannot be told in common",
-                    "for example limit: {slot: 30}",
-                )
+                message = f"without a slot the body {limit.body} cannot be told in common"
+                raise GrantMalformed(message, "for example limit: {slot: 30}")
             texts = tuple(dict.fromkeys(when.text for when in conditions))
             of = kind if reads_message else None
             restriction = Restriction(of, texts, given.rules, slot=given.slot, body=limit.body, pad=limit.pad)
@@ -293,7 +282,7 @@ class RuleReader:
             if reason := why_unsignable((entry,)):
                 raise GrantMalformed(reason, "write fewer or shorter conditions and filters")
         except GrantError as error:
-            self._mistakes.add(position, f"{right.label} {pattern}: {error}", error.hint)
+            named.mistake(str(error), error.hint)
             return []
         return [Clause(right, pattern, restriction, given.rate, kind)]
 
@@ -303,7 +292,7 @@ class RuleReader:
             return Resolved()
         others = self._treatment(topic_filter, kind).rules
         layout, see = self._layouts[kind], topic_filter.see
-        return resolve_levels(layout, self._vocabulary, pattern, see, others, self._mistakes)
+        return resolve_levels(layout, self._vocabulary, pattern, see, others)
 
     def _treatment(self, topic_filter: _TopicFilter, kind: str | None, *given: Resolved) -> Resolved:
         found = [Resolved(tuple(item.rule for item in topic_filter.fields)), *given]
@@ -313,54 +302,46 @@ class RuleReader:
         return together(found)
 
     def _fits(
-        self,
-        right: Right,
-        pattern: str,
-        position: SourcePosition,
-        kind: str | None,
-        conditions: list[ConditionRule],
-        topic_filter: _TopicFilter,
+        self, named: _Named, kind: str | None, conditions: list[ConditionRule], topic_filter: _TopicFilter
     ) -> bool:
-        if not right & (Right.SUBSCRIBE | Right.PUBLISH):
-            message = f"{right.label} {pattern}: conditions on messages are for topics"
-            self._mistakes.add(position, message, "put this right into a separate rule")
+        if not named.right & (Right.SUBSCRIBE | Right.PUBLISH):
+            named.mistake("conditions on messages are for topics", "put this right into a separate rule")
             return False
         if kind is None:
-            message = f"the message type of {pattern} is unknown"
-            hint = f"add it to types: {{{pattern.replace(NODE, '~')}: package/Type}}"
-            self._mistakes.add(position, message, hint)
+            hint = f"add it to types: {{{named.pattern.replace(NODE, '~')}: package/Type}}"
+            named.position.mistake(f"the message type of {named.pattern} is unknown", hint)
             return False
         if kind not in self._layouts:
             return False  # the type itself is the mistake, and recorded
         layout, at = self._layouts[kind], topic_filter.position
-        checked = [check_condition(layout, when, self._mistakes) for when in conditions]
+        checked = [check_condition(layout, when) for when in conditions]
         if topic_filter.preset is not None:
-            checked.append(check_preset(layout, topic_filter.preset, at, self._mistakes))
+            checked.append(check_preset(layout, topic_filter.preset, at))
         if topic_filter.fields:
-            checked.append(check_fields(layout, topic_filter.fields, at, self._mistakes))
+            checked.append(check_fields(layout, topic_filter.fields, at))
         return all(checked)
 
     def _filters_of(
         self, part: Part | None, topics: list[str], name: str, right: Right
     ) -> dict[str, _TopicFilter]:
-        mapping = source.mapping(part, f"filter of rule {name}", self._mistakes)
+        mapping = source.mapping(part, f"filter of rule {name}")
         if mapping is None:
             return {}
         if not topics or not mapping.entries:
             hint = "add a subscribe or publish right, or remove the filter"
-            self._mistakes.add(mapping, f"rule {name}: nothing to filter", hint)
+            mapping.mistake(f"rule {name}: nothing to filter", hint)
             return {}
         if not any(key.startswith(BEGINS_TOPIC) for key in mapping.entries):
             return dict.fromkeys(topics, self._topic_filter(mapping, mapping))
-        found = source.by_topic(mapping, "filter", name, topics, right, self._mistakes)
+        found = source.by_topic(mapping, "filter", name, topics, right)
         return {topic: self._topic_filter(key, inner) for topic, (key, inner) in found.items()}
 
-    def _topic_filter(self, position: SourcePosition, mapping: YamlMapping) -> _TopicFilter:
+    def _topic_filter(self, position: Part, mapping: YamlMapping) -> _TopicFilter:
         if "use" not in mapping.entries:
-            return _TopicFilter(position, read_fields(mapping, self._mistakes))
-        source.check_keys(mapping, "a filter with use", ("use",), (), self._mistakes)
+            return _TopicFilter(position, read_fields(mapping))
+        source.check_keys(mapping, "a filter with use", ("use",), ())
         known = {**PRESETS, **self._filters}
-        name = source.choice(mapping.get("use"), "filter", known, self._mistakes)
+        name = source.choice(mapping.get("use"), "filter", known)
         if name is None or name in self._filters:
             return _TopicFilter(position, self._filters.get(name or "", ()))
         return _TopicFilter(position, preset=name)
@@ -373,7 +354,7 @@ ID: Final = "basics"
 EXTRAS: Final = {"tf": (Right.SUBSCRIBE, TRANSFORMS)}
 
 
-def read_basics(part: Part | None, mistakes: Mistakes) -> tuple[str, ...] | None:
+def read_basics(part: Part | None) -> tuple[str, ...] | None:
     # What it adds to the table: `tf`, or nothing; None without basics.
     if part is None or (isinstance(part, YamlScalar) and part.value is False):
         return None
@@ -382,9 +363,9 @@ def read_basics(part: Part | None, mistakes: Mistakes) -> tuple[str, ...] | None
     items = source.items(part)
     if not items or isinstance(part, YamlScalar):
         hint = "write basics: true, or basics: [tf] for the transforms too"
-        mistakes.add(part, "basics is true, false or a list", hint)
+        part.mistake("basics is true, false or a list", hint)
         return None
-    found = (source.choice(item, "part of basics", EXTRAS, mistakes) for item in items)
+    found = (source.choice(item, "part of basics", EXTRAS) for item in items)
     return tuple(dict.fromkeys(name for name in found if name is not None))
 
 

@@ -1,12 +1,7 @@
 """From YAML text to a tree in which every part has its position. The only YAML reader.
 
-The cost of YAML is in its structure, not in its bytes: an alias stands for a tree, a merge for another map.
-So the size is checked before parsing, and anchors, aliases, tags, directives, further documents, depth and
-the number of events with each event, before a value is built. Duplicate keys are refused: the second would
-silently win. A merge key `<<` is an ordinary key; plain scalars are texts unless they are clearly a number or
-true/false (`22:00`, `no`, `2026-11-20` stay as written). Readers of a part record a mistake if it is
-something else and return None; reading goes on, so that all mistakes are reported at once. A file with one is
-refused: a `Policy` never has any.
+Readers of a part record a mistake if it is something else and return None; reading goes on, so that all
+mistakes are reported at once. A file with one is refused: a `Policy` never has any.
 """
 
 import base64
@@ -16,7 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import Any, Final, NoReturn, Protocol, TypeAlias
+from typing import Any, Final, NoReturn, TypeAlias
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
@@ -72,6 +67,9 @@ MAX_MISTAKES: Final = 200  # more are not useful, and a hostile file must not ca
 _MAX_SUGGESTIONS: Final = 12
 
 
+# The cost of YAML is in its structure, not in its bytes: an alias stands for a tree, a merge for another map.
+# So the size is checked before parsing, and anchors, aliases, tags, directives, further documents, depth and
+# the number of events with each event, before a value is built.
 def events(text: str, bounds: Bounds, *, tags: bool = False) -> Iterator[Any]:
     if len(text) > bounds.size:
         raise YamlRefused(f"{len(text)} characters where at most {bounds.size} are allowed")
@@ -149,7 +147,11 @@ def _scalar(event: Any) -> object:
     kind, text = _tag(event), str(event.value)
     if kind == "str" or (kind is None and event.style in _QUOTED):
         return text
-    value = _bytes(text) if kind == "binary" else _plain(text)
+    value = _plain(text)
+    if kind == "binary":
+        value = None
+        with suppress(ValueError):
+            value = base64.b64decode("".join(text.split()), validate=True)
     if kind == "float" and type(value) is int:
         return float(value)
     if kind is not None and type(value) is not _KINDS[kind]:
@@ -166,12 +168,6 @@ def _plain(text: str) -> object:
         with suppress(ValueError):  # the 30th of February
             return datetime.fromisoformat(text)
     return float(text) if _FLOAT.fullmatch(text) else text
-
-
-def _bytes(text: str) -> bytes | None:
-    with suppress(ValueError):
-        return base64.b64decode("".join(text.split()), validate=True)
-    return None
 
 
 def _tag(event: Any) -> str | None:
@@ -202,16 +198,6 @@ def _refuse(event: Any, problem: str, hint: str = "") -> NoReturn:
     raise YamlRefused(problem, hint, *position(event.start_mark))
 
 
-class SourcePosition(Protocol):
-    """A part of the tree, or a refusal of its text."""
-
-    @property
-    def line(self) -> int: ...
-
-    @property
-    def column(self) -> int: ...
-
-
 @dataclass(frozen=True, order=True)
 class Mistake:
     """One mistake, in the form editors jump to: `file:line:column: message`."""
@@ -233,8 +219,8 @@ class Mistakes:
     file: str
     found: list[Mistake] = field(default_factory=list)
 
-    def add(self, position: SourcePosition, message: str, hint: str = "") -> None:
-        self.found.append(Mistake(position.line, position.column, message, hint, self.file))
+    def add(self, line: int, column: int, message: str, hint: str = "") -> None:
+        self.found.append(Mistake(line, column, message, hint, self.file))
         if len(self.found) >= MAX_MISTAKES:
             self.raise_all()
 
@@ -270,25 +256,31 @@ _UNQUOTED: Final = re.compile(r"(?<![\"'])\{node\}")
 _BOOLEANS: Final = {"true": True, "false": False}
 
 
+# A part knows where it stands and who collects the mistakes of its file, so that a reader of it needs nothing
+# else; without a collector none can be made, as else a mistake might be recorded nowhere.
 @dataclass(frozen=True, eq=False)
-class YamlScalar:
+class _Placed:
+    line: int
+    column: int
+    mistakes: Mistakes = field(repr=False)
+
+    def mistake(self, message: str, hint: str = "") -> None:
+        self.mistakes.add(self.line, self.column, message, hint)
+
+
+@dataclass(frozen=True, eq=False)
+class YamlScalar(_Placed):
     value: Scalar
-    line: int
-    column: int
 
 
 @dataclass(frozen=True, eq=False)
-class YamlSequence:
+class YamlSequence(_Placed):
     items: "tuple[Part, ...]"
-    line: int
-    column: int
 
 
 @dataclass(frozen=True, eq=False)
-class YamlMapping:
+class YamlMapping(_Placed):
     entries: "dict[str, tuple[YamlScalar, Part]]"
-    line: int
-    column: int
 
     def get(self, key: str) -> "Part | None":
         entry = self.entries.get(key)
@@ -312,7 +304,7 @@ def read_source(text: str, mistakes: Mistakes, bounds: Bounds = BOUNDS) -> Part 
         lines = text.splitlines()[error.line - 1 : error.line] if error.line > 0 else []
         own = any(_UNQUOTED.search(each) for each in lines)
         hint = 'put own names in quotes: "{node}/pose", or write ~/pose' if own else error.hint
-        mistakes.add(error, str(error), hint)
+        mistakes.add(error.line, error.column, str(error), hint)
         mistakes.raise_all()
     return found
 
@@ -323,28 +315,29 @@ class _Builder:
     mistakes: Mistakes
 
     def part(self, event: Any) -> Part:
+        at = (*position(event.start_mark), self.mistakes)
         if isinstance(event, ScalarEvent):
             plain: Scalar = event.value if event.style in _QUOTED else _plain_scalar(event.value)
-            return YamlScalar(plain, *position(event.start_mark))
-        line, column = position(event.start_mark)
+            return YamlScalar(*at, plain)
         if isinstance(event, SequenceStartEvent):
             items = []
             while not isinstance(item := next(self.events), SequenceEndEvent):
                 items.append(self.part(item))
-            return YamlSequence(tuple(items), line, column)
+            return YamlSequence(*at, tuple(items))
         entries: dict[str, tuple[YamlScalar, Part]] = {}
         while not isinstance(after := next(self.events), MappingEndEvent):
             key, value = self.part(after), self.part(next(self.events))
             if not isinstance(key, YamlScalar):
-                self.mistakes.add(key, "a key must be a scalar")
-            elif (name := str(key.value)) in entries:
+                key.mistake("a key must be a scalar")
+            elif (name := str(key.value)) in entries:  # the second would win without a word
                 first = f"{entries[name][0].line}:{entries[name][0].column}"
-                self.mistakes.add(key, f"duplicate key {name!r}, first in {first}", "keep one of them")
+                key.mistake(f"duplicate key {name!r}, first in {first}", "keep one of them")
             else:
                 entries[name] = (key, value)
-        return YamlMapping(entries, line, column)
+        return YamlMapping(*at, entries)
 
 
+# Texts, unless they are clearly a number or true/false: `22:00`, `no`, `2026-11-20` stay as written.
 def _plain_scalar(text: str) -> Scalar:
     if text in _BOOLEANS:
         return _BOOLEANS[text]
@@ -363,74 +356,78 @@ _PARTIAL_STAR: Final = (
 _MAX_TEXT: Final = 1000
 
 
-def mapping(part: Part | None, what: str, mistakes: Mistakes) -> YamlMapping | None:
+def mapping(part: Part | None, what: str) -> YamlMapping | None:
     """A mapping; a missing one is None and no mistake."""
     if part is None or isinstance(part, YamlMapping):
         return part
-    mistakes.add(part, f"{what} must be a mapping", "write key: value")
+    part.mistake(f"{what} must be a mapping", "write key: value")
     return None
 
 
-def check_keys(
-    part: YamlMapping, what: str, known: Collection[str], required: Collection[str], mistakes: Mistakes
-) -> None:
+def check_keys(part: YamlMapping, what: str, known: Collection[str], required: Collection[str]) -> None:
     """Record every unknown key, and every required one that is missing.
 
     `required` may be a mapping: to what is to be added for each.
     """
     for name, (key, _) in part.entries.items():
         if name not in known:
-            mistakes.add(key, f"unknown key {name[:60]!r} in {what}", suggest(name, known))
+            key.mistake(f"unknown key {name[:60]!r} in {what}", suggest(name, known))
     for name in required:
         if name not in part.entries:
             example = required[name] if isinstance(required, Mapping) else f"{name}: ..."
-            mistakes.add(part, f"{what} has no {name!r}", f"add {example}")
+            part.mistake(f"{what} has no {name!r}", f"add {example}")
+
+
+def entries(part: Part | None, what: str) -> Iterator[tuple[str, YamlScalar, Part]]:
+    """Name, key and value of each entry of a mapping; none of a missing one."""
+    found = mapping(part, what)
+    for name, (key, value) in found.entries.items() if found is not None else ():
+        yield name, key, value
 
 
 def by_name(
-    part: YamlMapping | None, what: str, read: Callable[[YamlScalar], str | None], mistakes: Mistakes
+    part: Part | None, what: str, read: Callable[[YamlScalar], str | None]
 ) -> Iterator[tuple[str, YamlScalar, Part]]:
-    """The entries of a mapping by what `read` makes of their keys: None if a key is a mistake.
+    """As `entries`, by what `read` makes of the keys: None if a key is a mistake.
 
     Keys of several spellings (`~/pose` and `"{node}/pose"`) are equal only then; the second of two
     would win without a word, so it is a mistake.
     """
     first: dict[str, YamlScalar] = {}
-    for key, value in part.entries.values() if part is not None else ():
+    for _, key, value in entries(part, what):
         name = read(key)
         if name is not None and name in first:
-            again(key, f"{what}: {name[:80]!r}", first[name], mistakes)
+            again(key, f"{what}: {name[:80]!r}", first[name])
         elif name is not None:
             first[name] = key
             yield name, key, value
 
 
 def by_topic(
-    part: YamlMapping, what: str, rule: str, topics: Collection[str], right: Right, mistakes: Mistakes
+    part: YamlMapping, what: str, rule: str, topics: Collection[str], right: Right
 ) -> dict[str, tuple[YamlScalar, YamlMapping]]:
     """What a rule says for some of its topics, `filter` or `see`: a mapping for each."""
     found: dict[str, tuple[YamlScalar, YamlMapping]] = {}
     of_rule = f"{what} of rule {rule}"
-    for topic, key, value in by_name(part, of_rule, lambda key: pattern(key, of_rule, mistakes), mistakes):
-        inner = mapping(value, f"{what} of {topic}", mistakes)
+    for topic, key, value in by_name(part, of_rule, lambda key: pattern(key, of_rule)):
+        inner = mapping(value, f"{what} of {topic}")
         if topic not in topics:
-            message = f"rule {rule} has no {right.label} right on {topic[:80]!r}"
-            mistakes.add(key, message, suggest(topic, topics))
+            key.mistake(f"rule {rule} has no {right.label} right on {topic[:80]!r}", suggest(topic, topics))
         elif inner is not None:
             found[topic] = (key, inner)
     return found
 
 
-def again(key: Part, what: str, first: Part, mistakes: Mistakes) -> None:
-    mistakes.add(key, f"{what} a second time, first in {first.line}:{first.column}", "keep one of them")
+def again(key: Part, what: str, first: Part) -> None:
+    key.mistake(f"{what} a second time, first in {first.line}:{first.column}", "keep one of them")
 
 
-def text(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
+def text(part: Part | None, what: str) -> str | None:
     if part is None:
         return None
     if isinstance(part, YamlScalar) and isinstance(part.value, str) and 0 < len(part.value) <= _MAX_TEXT:
         return part.value
-    mistakes.add(part, f"{what} must be text of 1 to {_MAX_TEXT} characters", "put it in quotes")
+    part.mistake(f"{what} must be text of 1 to {_MAX_TEXT} characters", "put it in quotes")
     return None
 
 
@@ -440,7 +437,7 @@ def items(part: Part | None) -> tuple[Part, ...]:
     return part.items if isinstance(part, YamlSequence) else (part,)
 
 
-def duration(part: Part | None, what: str, mistakes: Mistakes, *, never: bool = False) -> int | None:
+def duration(part: Part | None, what: str, *, never: bool = False) -> int | None:
     """Seconds of `30s`, `15m`, `8h`, `7d`, `4w`; 0 for `never` if allowed."""
     if part is None:
         return None
@@ -450,80 +447,80 @@ def duration(part: Part | None, what: str, mistakes: Mistakes, *, never: bool = 
     match = _DURATION.fullmatch(value) if isinstance(value, str) else None
     if match is None:
         choice = "write 30s, 15m, 8h, 7d or 4w" + (", or never" if never else "")
-        mistakes.add(part, f"{what} is not a duration{_quoted(value)}", choice)
+        part.mistake(f"{what} is not a duration{_quoted(value)}", choice)
         return None
     return int(match[1]) * _UNITS[match[2]]
 
 
-def pattern(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
+def pattern(part: Part | None, what: str) -> str | None:
     if isinstance(part, YamlMapping) and list(part.entries) == [NODE[1:-1]]:
-        mistakes.add(part, f"{what}: {NODE} without quotes", f'put it in quotes: "{NODE}"')
+        part.mistake(f"{what}: {NODE} without quotes", f'put it in quotes: "{NODE}"')
         return None
-    value = text(part, what, mistakes)
+    value = text(part, what)
     if value is None or part is None:
         return None
     try:
         return check_rule_pattern(value)
     except NameRefused as error:
-        mistakes.add(part, f"{what}: {error}", error.hint)
+        part.mistake(f"{what}: {error}", error.hint)
         return None
 
 
-def own_pattern(part: Part | None, what: str, right: Right, mistakes: Mistakes) -> str | None:
+def own_pattern(part: Part | None, what: str, right: Right) -> str | None:
     value = part.value if isinstance(part, YamlScalar) else None
     said = value if isinstance(value, str) and len(value) <= _MAX_TEXT else ""
     if part is not None and (":" in said or (is_alias(said) and right is not Right.GRAPH)):
         hint = "its own authority grants rights on it, by its name there"
-        mistakes.add(part, f"{what}: {said[:80]!r} is a name of another domain", hint)
+        part.mistake(f"{what}: {said[:80]!r} is a name of another domain", hint)
         return None
-    return pattern(part, what, mistakes)
+    return pattern(part, what)
 
 
-def subject(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
-    value = text(part, what, mistakes)
+def subject(part: Part | None, what: str) -> str | None:
+    value = text(part, what)
     if value is None or part is None:
         return None
     if is_alias(value):
         hint = "LABEL:/NAME, for example hospital:/rounds/*"
-        mistakes.add(part, f"{what}: write {value[:80]!r} with the label of the domain", hint)
+        part.mistake(f"{what}: write {value[:80]!r} with the label of the domain", hint)
         return None
     try:
         return local_pattern(value)
     except NameRefused as error:
         hint = _PARTIAL_STAR if has_partial_star(value) else error.hint or "LABEL:/NAME"
-        mistakes.add(part, f"{what}: {error}", hint)
+        part.mistake(f"{what}: {error}", hint)
         return None
 
 
-def key(part: Part | None, mistakes: Mistakes) -> bytes | None:
+def key(part: Part | None) -> bytes | None:
     if part is None:
         return None
     value = part.value if isinstance(part, YamlScalar) else None
     match = _KEY.fullmatch(value) if isinstance(value, str) else None
     if match is None:
         hint = "write sha256: and 64 hexadecimal digits, see: rossec ca show --json"
-        mistakes.add(part, f"not a key thumbprint{_quoted(value)}", hint)
+        part.mistake(f"not a key thumbprint{_quoted(value)}", hint)
         return None
     return bytes.fromhex(match[1])
 
 
-def number(part: Part | None, what: str, mistakes: Mistakes) -> float | None:
+def number(part: Part | None, what: str) -> float | None:
     if part is None:
         return None
     value = part.value if isinstance(part, YamlScalar) else None
     if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= MAX_RATE:
         return value
-    mistakes.add(part, f"{what} must be a number above zero{_quoted(value)}", "for example 0.2")
+    part.mistake(f"{what} must be a number above zero{_quoted(value)}", "for example 0.2")
     return None
 
 
-def choice(part: Part | None, what: str, known: Collection[str], mistakes: Mistakes) -> str | None:
+def choice(part: Part | None, what: str, known: Collection[str]) -> str | None:
     if part is None:
         return None
     value = str(part.value) if isinstance(part, YamlScalar) else ""
     if value in known:
         return value
-    mistakes.add(part, f"unknown {what}{_quoted(value)}", suggest(value, known))
+    part.mistake(f"unknown {what}{_quoted(value)}", suggest(value, known))
     return None
 
 

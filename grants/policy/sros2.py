@@ -1,10 +1,9 @@
 """Conversion of SROS2 policies (XML): kept exactly, or narrower and said, or refused.
 
 Read: `policy/enclaves/enclave/profiles/profile(ns, node)` with `topics`, `services` and `actions` (design
-article "ROS 2 access control policies"). SROS2 matches with fnmatch, whose `*` stands for any characters, `/`
-too: so it is `**` here. What is allowed may become narrower or be left out, and is reported; what is denied
-is kept as wide as it is, or the policy is refused, as is one with parts that are not read: they may deny.
-DTDs are refused before anything in them is read.
+article "ROS 2 access control policies"). What is allowed may become narrower or be left out, and is reported;
+what is denied is kept as wide as it is, or the policy is refused, as is one with parts that are not read:
+they may deny.
 """
 
 import io
@@ -138,7 +137,9 @@ def _parse(xml: str) -> Any:
 
 
 def _bounded(xml: str) -> Any:
-    # The root; the cost of a tree is in its elements and attributes, so they are counted first.
+    # The root; the cost of a tree is in its elements and attributes, so they are counted first. A DTD is
+    # refused before anything in it is read: entities that expand each other are a few bytes and fill the
+    # memory.
     root, depth, count = None, 0, 0
     data = io.BytesIO(xml.encode(errors="replace"))
     for event, element in iterparse(data, events=("start", "end"), forbid_dtd=True):
@@ -214,6 +215,7 @@ def _read_group(
 
 
 def _deep(pattern: str) -> str:
+    # SROS2 matches with fnmatch, whose `*` stands for any characters, `/` too.
     return "/".join("**" if part == "*" else part for part in pattern.split("/"))
 
 

@@ -1,9 +1,8 @@
 """What a policy gives a node outright: the wanted state, which `rossec policy apply` makes true.
 
-Each clause of an allowing rule is decided whole, as a request for its pattern would be. Only what is allowed
-is wanted: what a person decides is left to a person, and a pattern of which one name is denied is withheld
-whole: a grant cannot say "except". Both are reported with their rules. Also here: from verdicts to grants, no
-more than was decided, and what is in force for a right, whatever the policy says of it today.
+Each clause of an allowing rule is decided whole, as a request for its pattern would be. Also here: from
+verdicts to grants, no more than was decided, and what is in force for a right, whatever the policy says of it
+today.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -187,6 +186,8 @@ class WantedState:
             withheld: dict[tuple[Atom, str], Withheld] = {}
             for rule, atom in _clauses(rules, subject):
                 verdict = self._decider.decide_by(rules, subject, *atom)
+                # What a person decides is left to a person, and a pattern of which one name is denied is
+                # withheld whole: a grant cannot say "except".
                 if verdict.effect is Effect.ALLOW:
                     rights.setdefault(atom, WantedRight.of(verdict))
                 else:
@@ -265,7 +266,16 @@ def in_force_lines(found: Iterable[Grant], verdict: Verdict) -> list[str]:
 
 def held_lines(found: Iterable[Grant], right: Right, name: str) -> list[str]:
     """What grants in force give of a right, a line each."""
-    return [_line(grant, right, name) for grant in found]
+    lines: list[str] = []
+    for grant in found:
+        near = [x for x in grant.permissions if right in x.rights and overlaps(x.pattern, right, name)]
+        whole = any(gives(each.pattern, right, name) for each in near)
+        what = ", ".join(dict.fromkeys(shown(each.pattern) for each in near))
+        part = "" if whole else ", a part of it,"
+        how = ", with restrictions" if any(each.is_narrowed for each in near) else ""
+        until = format_time(grant.expires)
+        lines.append(f"in force: grant {grant.short_id} gives {right.label} {what}{part} until {until}{how}")
+    return lines
 
 
 def gives_whole(found: Iterable[Grant], right: Right, name: str) -> bool:
@@ -277,18 +287,6 @@ def gives_whole(found: Iterable[Grant], right: Right, name: str) -> bool:
         )
         for grant in found
     )
-
-
-def _line(grant: Grant, right: Right, name: str) -> str:
-    given = [each for each in grant.permissions if right in each.rights]
-    near = [each for each in given if overlaps(each.pattern, right, name)]
-    whole = any(gives(each.pattern, right, name) for each in near)
-    what = ", ".join(dict.fromkeys(shown(each.pattern) for each in near))
-    part = "" if whole else ", a part of it,"
-    limited = [each.restriction for each in near if each.restriction is not None]
-    how = ", with restrictions" if any(each.restricts_messages for each in limited) else ""
-    until = format_time(grant.expires)
-    return f"in force: grant {grant.short_id} gives {right.label} {what}{part} until {until}{how}"
 
 
 _BASICS: Final = "allow what every ROS program needs: its log, its loggers, the clock (rule basics)"

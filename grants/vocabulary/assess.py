@@ -2,9 +2,7 @@
 
 For rules of any origin: a level of a policy, a preset, a filter by hand, a grant of long ago. Only what is
 certain counts: a word is at a level if every field that tells it is treated at least as strictly as by that
-level, and the rate is no higher; one open relative makes it exact, and so does a condition on one: conditions
-read messages as they are, and that one comes tells what held. Times do not count (every attack used the time
-of arrival), nor what may be recognised in a picture.
+level, and the rate is no higher.
 """
 
 import math
@@ -34,7 +32,7 @@ _HIDING: Final = frozenset({"clear", "drop", "zero", "set", "redact"})
 _METRES: Final = {Content.COORDINATE: 1.0, Content.DEGREES: float(METRES_PER_DEGREE)}
 _ALMOST: Final = 1 + 1e-9  # a rate of 1/30 is a float
 _ROOM: Final = level_of(DataWord.POSITION, "room").treatments[Content.COORDINATE]
-_UNCOUNTED: Final = TIMES | FRAMES
+_UNCOUNTED: Final = TIMES | FRAMES  # every attack used the time of arrival, which no filter hides
 # One message in 5 s: 2 m left 1.05 m to the attacker, at 10 Hz 0.40 to 0.66 m (a cell that is told
 # once leaves 0.82 m): movement through the borders averages the steps away.
 _SELDOM: Final = 0.2
@@ -153,6 +151,8 @@ def _seen(word: DataWord, treated: _Treated, limits: _Limits, conditions: Sequen
     told = tuple(text for text in conditions if any(reads(text, f.path) for f, _ in telling))
     size = _size(telling) if word is DataWord.POSITION and not told else 0.0
     besides = _level(word, telling, limits)
+    # A condition on a relative makes the word exact: it reads messages as they are, and that one comes tells
+    # what held.
     level = EXACT if told else besides
     is_open = level == EXACT and size == 0
     open_fields = tuple(
@@ -291,18 +291,17 @@ def details(one: Seen) -> str:
 
 
 def _told(one: Seen) -> str:
-    texts = " and ".join(_condition(text) for text in one.conditions[:_MAX_CONDITIONS])
+    said: list[str] = []
+    for text in one.conditions[:_MAX_CONDITIONS]:
+        shown = re.sub(r"\bmsg\.", "", " ".join(text.split()))
+        shown = "".join(each if each.isprintable() else "?" for each in shown)
+        said.append(shown if len(shown) <= _MAX_TEXT else f"{shown[: _MAX_TEXT - 3]}...")
+    texts = " and ".join(said)
     more = len(one.conditions) - _MAX_CONDITIONS
     told = f"whether {texts}" + (f" and {more} more" if more > 0 else "")
     if one.besides == NO:
         return told
     return f"{_level_text(one._replace(conditions=(), level=one.besides))}, and {told}"
-
-
-def _condition(text: str) -> str:
-    shown = re.sub(r"\bmsg\.", "", " ".join(text.split()))
-    shown = "".join(each if each.isprintable() else "?" for each in shown)
-    return shown if len(shown) <= _MAX_TEXT else f"{shown[: _MAX_TEXT - 3]}..."
 
 
 def _level_text(one: Seen) -> str:

@@ -1,11 +1,7 @@
 """What each level does, in one table; levels for one message type, resolved into filters and a rate.
 
-What the table does not list is hidden: cleared, or emptied where it is an array. The steps of one word nest
-(5 is odd, and a cell is centred), so the coarser level is a function of the finer one; a rate never rises.
-Every field that tells a coarse word is treated, also where the word is not its own: a velocity beside a
-rounded position would be the exact path. Of several words the strictest treatment holds. A type with an
-unknown field is refused, and so is `exact` for what another level hides. `python -m bench privacy` measures
-what is left.
+What the table does not list is hidden: cleared, or emptied where it is an array. A type with an unknown field
+is refused, and so is `exact` for what another level hides. `python -m bench privacy` measures what is left.
 """
 
 import math
@@ -80,10 +76,11 @@ def position_in(metres: float, degrees: float) -> dict[Content, Treatment | None
 
 _PSEUDONYM: Final = Treatment("hash", (("key", PSEUDONYM_KEY), ("per", "receiver")))
 
-# Position and movement have slots, not rates: they are sampled at moments that are the same for all topics
-# and receivers, and a publisher that sends when something happens does not tell when. The slot follows the
-# cell: one of 2.2 km is crossed in minutes, and a sample in the middle of crossing tells the border.
-# Sixteen squares across in 8 greys show a face only where somebody is close.
+# The steps of one word nest (5 is odd, and a cell is centred), so the coarser level is a function of the
+# finer one; a rate never rises. Position and movement have slots, not rates: they are sampled at moments that
+# are the same for all topics and receivers, and a publisher that sends when something happens does not tell
+# when. The slot follows the cell: one of 2.2 km is crossed in minutes, and a sample in the middle of crossing
+# tells the border. Sixteen squares across in 8 greys show a face only where somebody is close.
 LEVEL_TABLE: Final[Mapping[tuple[DataWord, str], Level]] = {
     (DataWord.POSITION, "room"): Level(None, position_in(4.0, 0.02) | _CLIMATE | _CHARGE, 30, 900),
     (DataWord.POSITION, "area"): Level(None, position_in(20.0, 0.1) | _CHARGE, 300, 3600),
@@ -241,9 +238,26 @@ def resolve(
     """
     # 1. Nothing can be said of a type with an unknown field, nor of a bare value.
     coarse = {word: level for word, level in levels.items() if level != EXACT}
-    _check_known(description, coarse)
-    # 2. The strictest treatment of each field, by the words that concern the type.
-    concerned = {word: level for word, level in coarse.items() if _is_concerned(description, word, levels)}
+    unknown = [field for field in description.fields if field.content is Content.UNKNOWN]
+    bare = [field for field in description.fields if field.content is Content.BARE]
+    if coarse and unknown:
+        raise FilterRefused(
+            f"what {unknown[0].path} of {description.type_name} tells is not known, so no level can be held",
+            f"say it: vocabulary: {{{description.type_name}: {{{unknown[0].path}: position}}}}",
+        )
+    if coarse.keys() - {DataWord.PRESENCE} and bare:
+        raise FilterRefused(
+            f"{bare[0].path} of {description.type_name} is a bare value: only its topic knows what it tells",
+            f"say it: vocabulary: {{/the/topic: {{{bare[0].path}: home}}}}",
+        )
+    # 2. The strictest treatment of each field, by the words that concern the type (presence is of every one),
+    # also where the word is not its own: a velocity beside a rounded position would be the exact path.
+    concerned: dict[DataWord, str] = {}
+    for word, level in coarse.items():
+        beside = TIMES if word is DataWord.IDENTITY else TIMES | FRAMES
+        telling = (one for one in description.fields if _is_told(one, word, levels))
+        if word is DataWord.PRESENCE or any(one.content not in beside for one in telling):
+            concerned[word] = level
     if not concerned:
         return Resolved()
     treated = {field.path: _treatment(field, concerned, levels, description) for field in description.fields}
@@ -266,21 +280,6 @@ def resolve(
     return together(found)
 
 
-def _check_known(description: Description, coarse: Levels) -> None:
-    unknown = [field for field in description.fields if field.content is Content.UNKNOWN]
-    bare = [field for field in description.fields if field.content is Content.BARE]
-    if coarse and unknown:
-        raise FilterRefused(
-            f"what {unknown[0].path} of {description.type_name} tells is not known, so no level can be held",
-            f"say it: vocabulary: {{{description.type_name}: {{{unknown[0].path}: position}}}}",
-        )
-    if coarse.keys() - {DataWord.PRESENCE} and bare:
-        raise FilterRefused(
-            f"{bare[0].path} of {description.type_name} is a bare value: only its topic knows what it tells",
-            f"say it: vocabulary: {{/the/topic: {{{bare[0].path}: home}}}}",
-        )
-
-
 def _treatment(
     field: FieldContent, coarse: Levels, levels: Levels, description: Description
 ) -> Treatment | None:
@@ -298,14 +297,6 @@ def _treatment(
 def _is_told(field: FieldContent, word: DataWord, levels: Levels) -> bool:
     recognised = word in field.meaning.hints and field.meaning.own not in levels
     return word in field.meaning.tells or recognised
-
-
-def _is_concerned(description: Description, word: DataWord, levels: Levels) -> bool:
-    if word is DataWord.PRESENCE:
-        return True
-    telling = [one for one in description.fields if _is_told(one, word, levels)]
-    beside = TIMES if word is DataWord.IDENTITY else TIMES | FRAMES
-    return any(one.content not in beside for one in telling)
 
 
 def _strictness(treatment: Treatment) -> tuple[int, float]:

@@ -150,16 +150,14 @@ def wanted(right: int) -> str:
 
 def permission(given: Permission) -> Sayable:
     """`see /robot/pose (coarse)`."""
-    coarse = given.restriction is not None and given.restriction.restricts_messages
-    return say(words.rights(given.rights), topic_part(given.pattern), *["(coarse)"] * coarse)
+    return say(words.rights(given.rights), topic_part(given.pattern), *["(coarse)"] * given.is_narrowed)
 
 
 def permissions(given: Iterable[Permission], limit: int = 4) -> Sayable:
     """As `permission` for all, in the order of the grant; those with the same rights together."""
     groups: dict[tuple[Right, bool], list[Permission]] = {}
     for each in given:
-        coarse = each.restriction is not None and each.restriction.restricts_messages
-        groups.setdefault((each.rights, coarse), []).append(each)
+        groups.setdefault((each.rights, each.is_narrowed), []).append(each)
     parts: list[SentencePart | str] = []
     for (rights, coarse), members in groups.items():
         parts += [*(["and"] if parts else []), words.rights(rights)]

@@ -8,13 +8,12 @@ import pytest
 
 from grants.errors import (
     GrantError,
+    GrantForged,
+    GrantForOther,
     GrantMissing,
     GrantNotHeld,
     GrantRevoked,
-    NarrowingForged,
-    NarrowingForOther,
-    NarrowingNotAllowed,
-    NarrowingOutsideDomain,
+    GrantTooWide,
 )
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
 from grants.token import NARROWING, pack_chain, peek, sign_narrowing, unpack
@@ -100,18 +99,18 @@ async def test_each_rule_broken_is_refused(handing: Handing, caplog: pytest.LogC
     (link,) = unpack(good).narrowings
     claims: Any = NARROWING.peek(link)
     for who, changes, kind in (
-        (EVE, {}, NarrowingForged),
-        (MALLORY, {3: "hospital"}, NarrowingForOther),
-        (MALLORY, {-70032: bytes(16)}, NarrowingForOther),
-        (MALLORY, {-70034: 2}, NarrowingNotAllowed),
+        (EVE, {}, GrantForged),
+        (MALLORY, {3: "hospital"}, GrantForOther),
+        (MALLORY, {-70032: bytes(16)}, GrantForOther),
+        (MALLORY, {-70034: 2}, GrantTooWide),
         (MALLORY, {8: {5: bytes(32)}}, GrantNotHeld),
     ):
         signer = handing.site.enroll(who).signer()
         forged = NARROWING.sign(signer, claims | changes)
         await is_refused(handing, [pack_chain(handing.token, [forged])], caplog, kind)
     single, other = handing.granted(may_narrow=0), handing.granted(may_narrow=2)
-    await is_refused(handing, [pack_chain(single, [link])], caplog, NarrowingNotAllowed)
-    await is_refused(handing, [pack_chain(other, [link])], caplog, NarrowingForOther)
+    await is_refused(handing, [pack_chain(single, [link])], caplog, GrantTooWide)
+    await is_refused(handing, [pack_chain(other, [link])], caplog, GrantForOther)
     await is_refused(handing, [handing.token], caplog, GrantNotHeld)
     assert (await handing.ask(good)).fields["callerid"] == b"/robot"
 
@@ -120,7 +119,7 @@ async def test_a_right_for_a_foreigner_is_not_handed_to_a_node_of_ours(
     handing: Handing, caplog: pytest.LogCaptureFixture
 ) -> None:
     token = handing.granted(subject="/remote/hospital/mallory", may_narrow=1)
-    await is_refused(handing, [handing.handed(token)], caplog, NarrowingOutsideDomain)
+    await is_refused(handing, [handing.handed(token)], caplog, GrantForOther)
 
 
 @pytest.mark.parametrize("what", ["the grant", "the narrowing", "the key that handed it on"])

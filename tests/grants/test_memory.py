@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from grants.decision import Decision
-from grants.errors import MemoryExhausted
+from grants.errors import GrantError
 from grants.guard import Memory, MemoryScope, MemoryStore
 from grants.model import Right
 
@@ -75,12 +75,12 @@ def test_one_memory_is_bounded() -> None:
     memory = Memory()
     for rate in range(1, 65):
         memory.bucket(rate)
-    with pytest.raises(MemoryExhausted, match="64 rates are stored already") as caught:
+    with pytest.raises(GrantError, match="64 rates are stored already") as caught:
         memory.bucket(65)
     assert "wait until the rates" in caught.value.hint
     for number in range(4096):
         memory.common(GROUP).hysteresis((number,))
-    with pytest.raises(MemoryExhausted, match="4096 fields with hysteresis"):
+    with pytest.raises(GrantError, match="4096 fields with hysteresis"):
         memory.common(GROUP).hysteresis(("more",))
     assert memory.common(GROUP).hysteresis((0,)) is memory.common(GROUP).hysteresis((0,))
 
@@ -116,7 +116,7 @@ def test_a_memory_is_part_of_few_bodies() -> None:
     memory = Memory()
     for number in range(64):
         memory.common((True, str(number)))
-    with pytest.raises(MemoryExhausted, match="64 bodies are stored already"):
+    with pytest.raises(GrantError, match="64 bodies are stored already"):
         memory.common((True, "more"))
 
 
@@ -127,7 +127,7 @@ def test_what_is_common_is_bounded_and_kept_while_a_value_is() -> None:
     memory.common((False, "/unused"))
     memory.common((False, "/b")).hysteresis(("x",)).value = 0.0
     assert scope(decision(2)).common(GROUP) is memory.common(GROUP)
-    with pytest.raises(MemoryExhausted, match="2 topics with hysteresis are stored already"):
+    with pytest.raises(GrantError, match="2 topics with hysteresis are stored already"):
         scope(decision(2)).common((False, "/c"))
 
 
@@ -137,12 +137,12 @@ def test_only_fresh_memories_are_evicted() -> None:
     assert admitted(scope(decision(1)), 0.5, 0)
     scope(decision(2)).gate(86_400).note(object(), 0)
     for _ in range(2):
-        with pytest.raises(MemoryExhausted, match="2 limited rights are stored already"):
+        with pytest.raises(GrantError, match="2 limited rights are stored already"):
             scope(decision(3))
     now[0] = 2
     scope(decision(3))
     assert len(scope.store) == 2
-    with pytest.raises(MemoryExhausted):
+    with pytest.raises(GrantError):
         scope(decision(1))
 
 
@@ -152,7 +152,7 @@ def test_memories_in_use_are_not_evicted() -> None:
     scope = MemoryScope(MemoryStore(lambda: now[0], limit=1), ("/node",))
     used = scope(decision(1))
     state = used.common(GROUP).hysteresis(("x",))
-    with pytest.raises(MemoryExhausted, match="1 limited rights are stored already"):
+    with pytest.raises(GrantError, match="1 limited rights are stored already"):
         scope(decision(2))
     assert admitted(used, 0.5, 10)
     state.value = 4.0

@@ -15,12 +15,11 @@ from grants.errors import (
     ConditionRefused,
     GrantError,
     GrantExpired,
+    GrantForged,
+    GrantForOther,
     GrantMalformed,
     GrantNotYetValid,
-    NarrowingForged,
-    NarrowingForOther,
-    NarrowingNotAllowed,
-    NarrowingOutsideDomain,
+    GrantTooWide,
 )
 from grants.model import Grant, Permission, Restriction, Right
 from grants.token import NARROWING, check_one_domain, follow, peek_chain, sign_narrowing, verify_chain
@@ -101,10 +100,10 @@ def test_the_claims_the_other_cases_change_are_accepted() -> None:
 
 
 BROKEN: Mapping[str, tuple[Any, type[GrantError]]] = {
-    "iss of another": ({1: issuer_uri(bytes(32))}, NarrowingForged),
-    "iss of the next": ({1: issuer_uri(key_of(B))}, NarrowingForged),
+    "iss of another": ({1: issuer_uri(bytes(32))}, GrantForged),
+    "iss of the next": ({1: issuer_uri(key_of(B))}, GrantForged),
     "sub": ({2: "robot"}, GrantMalformed),
-    "aud": ({3: "work"}, NarrowingForOther),
+    "aud": ({3: "work"}, GrantForOther),
     "no aud": ({3: ""}, GrantMalformed),
     "expired": ({4: NOW}, GrantExpired),
     "a text as a time": ({4: "5"}, GrantMalformed),
@@ -118,13 +117,13 @@ BROKEN: Mapping[str, tuple[Any, type[GrantError]]] = {
     "an administrator who filters": ({9: encode([["/a", 128, {3: {"rate": 1}}]])}, GrantMalformed),
     "a graph under conditions": ({9: encode([["/a", 64, {1: ["true"]}]])}, GrantMalformed),
     "parameters at a rate": ({9: encode([["/a", 16, {3: {"rate": 1}}]])}, GrantMalformed),
-    "a parent that is another": ({-70032: bytes(16)}, NarrowingForOther),
+    "a parent that is another": ({-70032: bytes(16)}, GrantForOther),
     "a short parent": ({-70032: bytes(15)}, GrantMalformed),
-    "the key of another": ({-70033: [key_of(B), key_of(B)]}, NarrowingForged),
-    "no point": ({-70033: [bytes(32), bytes(32)]}, NarrowingForged),
+    "the key of another": ({-70033: [key_of(B), key_of(B)]}, GrantForged),
+    "no point": ({-70033: [bytes(32), bytes(32)]}, GrantForged),
     "a short key": ({-70033: [bytes(31), bytes(33)]}, GrantMalformed),
     "no key": ({-70033: []}, GrantMalformed),
-    "a counter that does not fall": ({-70034: 3}, NarrowingNotAllowed),
+    "a counter that does not fall": ({-70034: 3}, GrantTooWide),
     "a counter that rises": ({-70034: 4}, GrantMalformed),
     "a counter below zero": ({-70034: -1}, GrantMalformed),
     "a truth as a counter": ({-70034: True}, GrantMalformed),
@@ -151,16 +150,16 @@ def test_each_claim_is_needed(claim: int) -> None:
 def test_a_narrowing_is_signed_by_the_key_it_names() -> None:
     parent = first().grant
     forged = NARROWING.sign(C, claims(parent))
-    assert refusal(parent, forged) is NarrowingForged
-    assert refusal(parent, NARROWING.sign(C, claims(parent, C))) is NarrowingForged
+    assert refusal(parent, forged) is GrantForged
+    assert refusal(parent, NARROWING.sign(C, claims(parent, C))) is GrantForged
     other = first(holder=C, subject="/c").grant
-    assert refusal(other, NARROWING.sign(A, claims(other))) is NarrowingForged
+    assert refusal(other, NARROWING.sign(A, claims(other))) is GrantForged
 
 
 def test_a_holder_without_a_key_hands_nothing_on() -> None:
     nobody = replace(first().grant, holder=thumbprint_of(bytes(64)))
     signed = NARROWING.sign(A, claims(nobody) | {-70033: [bytes(32), bytes(32)]})
-    with pytest.raises(NarrowingForged, match="not a point"):
+    with pytest.raises(GrantForged, match="not a point"):
         verify_chain(nobody, [signed])
 
 
@@ -189,35 +188,35 @@ def test_the_order_and_the_parent_count() -> None:
         with pytest.raises(GrantError):
             follow(base, order, NOW)
     other = first(serial=b"o" * 16).grant
-    assert refusal(other, one) is NarrowingForOther
+    assert refusal(other, one) is GrantForOther
     sibling = first().narrowed(A, serial=b"s" * 16)
-    with pytest.raises(NarrowingForOther):  # replayed below another narrowing of the same key
+    with pytest.raises(GrantForOther):  # replayed below another narrowing of the same key
         follow(base, (*sibling.narrowings, two), NOW)
 
 
 def test_no_more_narrowings_than_allowed() -> None:
     plain = granted()
-    with pytest.raises(NarrowingNotAllowed, match="allows 0 narrowings") as refused:
+    with pytest.raises(GrantTooWide, match="allows 0 narrowings") as refused:
         follow(plain, first().narrowed(A).narrowings, NOW)
     assert "--may-narrow" in refused.value.hint
     once = first(may_narrow=1)
     made = once.narrowed(A)
-    with pytest.raises(NarrowingNotAllowed):
+    with pytest.raises(GrantTooWide):
         made.narrowed(B, may_narrow=0)
-    with pytest.raises(NarrowingNotAllowed):
+    with pytest.raises(GrantTooWide):
         once.narrowed(A, may_narrow=1)
-    with pytest.raises(NarrowingNotAllowed):
+    with pytest.raises(GrantTooWide):
         follow(first().grant, [], NOW)
     four = [*long_chain().narrowings, long_chain().narrowings[0]]
-    with pytest.raises(NarrowingNotAllowed):
+    with pytest.raises(GrantTooWide):
         follow(first().grant, four, NOW)
 
 
 def test_only_what_verifiers_accept_is_signed() -> None:
     parent = first().grant
-    with pytest.raises(NarrowingForged):
+    with pytest.raises(GrantForged):
         sign_narrowing(B, following(parent), parent)
-    with pytest.raises(NarrowingForOther):
+    with pytest.raises(GrantForOther):
         sign_narrowing(A, following(parent, domain="work"), parent)
     bad = Permission("/a", Right.CALL, Restriction(conditions=("now.getHours(",)))
     with pytest.raises(ConditionRefused):
@@ -259,7 +258,7 @@ def test_a_chain_stays_in_one_domain(sub: str, label: str, peer: str, stays: boo
     if stays:
         check_one_domain(grant, label, peer)
         return
-    with pytest.raises(NarrowingOutsideDomain) as refused:
+    with pytest.raises(GrantForOther) as refused:
         check_one_domain(grant, label, peer)
     assert refused.value.hint
 

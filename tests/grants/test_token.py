@@ -11,7 +11,7 @@ from ca.errors import Revoked
 from ca.keys.signing import KeySigner, thumbprint
 from grants import document
 from grants.decision import authorize
-from grants.errors import GrantExpired, GrantForged, GrantMalformed, GrantRevoked, RenewalForOther
+from grants.errors import GrantExpired, GrantForged, GrantForOther, GrantMalformed, GrantRevoked
 from grants.model import Right
 from grants.renewal import Delegation, Ticket, sign_delegation, sign_ticket
 from grants.token import TokenParts, Verifier, pack, pack_chain, peek, unpack
@@ -50,7 +50,7 @@ def test_a_renewed_grant_is_valid_until_its_ticket_ends() -> None:
 
 
 def test_a_renewed_grant_is_refused_without_the_masters_key() -> None:
-    with pytest.raises(RenewalForOther, match="the master's key is not known"):
+    with pytest.raises(GrantForOther, match="the master's key is not known"):
         replace(VERIFIER, delegates=()).open(TOKEN, LATER)
 
 
@@ -58,7 +58,7 @@ def test_a_renewal_counts_from_each_master_that_is_known() -> None:
     other = ec.generate_private_key(ec.SECP256R1()).public_key()
     for keys in ((other, MASTER.public_key), (MASTER.public_key, other)):
         assert replace(VERIFIER, delegates=keys).open(TOKEN, LATER).id == ID
-    with pytest.raises(RenewalForOther, match="for another key than this one"):
+    with pytest.raises(GrantForOther, match="for another key than this one"):
         replace(VERIFIER, delegates=(other,)).open(TOKEN, LATER)
 
 
@@ -115,7 +115,7 @@ def test_the_end_of_a_chain_below_a_renewed_grant_is_that_of_the_ticket() -> Non
     grant = VERIFIER.open(made.token, NOW + 20)
     assert (grant.expires, grant.cap) == (NOW + 300, NOW + 300)
     assert set(grant.links[0].via) <= set(grant.revocable)
-    with pytest.raises(RenewalForOther):
+    with pytest.raises(GrantForOther):
         replace(VERIFIER, delegates=()).open(made.token, NOW + 20)
 
 

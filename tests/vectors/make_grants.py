@@ -288,15 +288,15 @@ def renewals() -> list[dict[str, object]]:
     good = Ticket(grant, now - 10, now + 500, seq=7)
     tickets = {
         "valid": (sign_ticket(MASTER, good), None),
-        "another grant": (sign_ticket(MASTER, replace(good, grant=bytes(16))), "RenewalForOther"),
-        "too long": (sign_ticket(MASTER, replace(good, expires=now + 591)), "RenewalTooWide"),
-        "beyond the delegation": (sign_ticket(MASTER, replace(good, expires=NOW + 6001)), "RenewalTooWide"),
+        "another grant": (sign_ticket(MASTER, replace(good, grant=bytes(16))), "GrantForOther"),
+        "too long": (sign_ticket(MASTER, replace(good, expires=now + 591)), "GrantTooWide"),
+        "beyond the delegation": (sign_ticket(MASTER, replace(good, expires=NOW + 6001)), "GrantTooWide"),
         "over": (sign_ticket(MASTER, replace(good, expires=now)), "RenewalNotInTime"),
         "not yet": (sign_ticket(MASTER, replace(good, not_before=now + 1)), "RenewalNotInTime"),
-        "newer list": (sign_ticket(MASTER, replace(good, seq=8)), "RenewalAhead"),
-        "another signer": (sign_ticket(OTHER, good), "RenewalForged"),
-        "a grant": (GOOD, "RenewalForged"),
-        "unknown claim": (_ticket_with(good, {9: b""}), "RenewalMalformed"),
+        "newer list": (sign_ticket(MASTER, replace(good, seq=8)), "RenewalNotInTime"),
+        "another signer": (sign_ticket(OTHER, good), "GrantForged"),
+        "a grant": (GOOD, "GrantForged"),
+        "unknown claim": (_ticket_with(good, {9: b""}), "GrantMalformed"),
     }
     return [
         {

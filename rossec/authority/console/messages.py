@@ -28,7 +28,7 @@ from ca.errors import ApprovalRefused, EncodingError
 from ca.names import MASTER
 from grants import document
 from grants.errors import GrantError
-from grants.model import ID_SIZE, Permission
+from grants.model import ID_SIZE
 from rossec.authority.keyservice import messages
 from rossec.authority.keyservice.messages import ServiceRequest
 from rossec.clock import format_duration, format_time
@@ -570,15 +570,11 @@ def given(bodies: Iterable[bytes]) -> str:
         found = []
     if not found:
         return "a right of a node"
-    rights = dict.fromkeys(_right(each) for grant in found for each in grant.permissions)
+    every = (each for grant in found for each in grant.permissions)
+    rights = dict.fromkeys(f"{each}{' (not all of it)' * each.is_narrowed}" for each in every)
     more = f" and {len(rights) - _MOST} more" if len(rights) > _MOST else ""
     until = format_time(min(max(each.expires, each.cap) for each in found))
     return f"{found[0].subject} may {', '.join([*rights][:_MOST])}{more}, until {until}"
-
-
-def _right(given: Permission) -> str:
-    coarser = given.restriction is not None and given.restriction.restricts_messages
-    return f"{given.rights.label} {given.pattern}" + " (not all of it)" * coarser
 
 
 def bodies_of(payload: bytes) -> list[bytes]:

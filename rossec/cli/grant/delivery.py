@@ -98,18 +98,13 @@ def _summary(grant: Grant, revoked: frozenset[bytes], state: str) -> dict[str, o
 
 def permissions_json(grant: Grant) -> list[dict[str, object]]:
     return [
-        {
-            "rights": item.rights.label,
-            "pattern": item.pattern,
-            "restrictions": item.restriction.lines() if item.restriction else [],
-        }
+        {"rights": item.rights.label, "pattern": item.pattern, "restrictions": item.lines()}
         for item in grant.permissions
     ]
 
 
 def _line(grant: Grant, state: str) -> str:
-    given = (f"{item.rights.label} {item.pattern}" for item in grant.permissions)
-    rights = "; ".join(dict.fromkeys(given))  # a right may have several restrictions
+    rights = "; ".join(dict.fromkeys(map(str, grant.permissions)))  # a right may have several restrictions
     end = f"until {format_time(grant.expires)}"
     return f"{grant.id.hex()}  {shown(grant.subject)}  {rights}  {end}  {terminal.state(state)}"
 
@@ -145,8 +140,8 @@ def show(file: Path) -> None:
             to = printable(link.subject)
             say(f"narrowed for {to}, which may also not do more than:" if depth else f"for {to}:")
         for permission in link.permissions:
-            say(printable(f"may {permission.rights.label} {permission.pattern}"))
-            for line in permission.restriction.lines() if permission.restriction else []:
+            say(printable(f"may {permission}"))
+            for line in permission.lines():
                 say(printable(f"  {line}"))
     if content.may_narrow:
         say(f"may be narrowed {content.may_narrow} times")

@@ -204,8 +204,8 @@ def _deliver(
         options.add_entry("grants", {"id": number, "node": draft.subject, "expires": draft.expires})
         say(f"grant {number} for {draft.subject} until {format_time(draft.expires)}")
         for permission in draft.permissions:
-            say(f"  may {permission.rights.label} {permission.pattern}")
-            for line in permission.restriction.lines() if permission.restriction else ():
+            say(f"  may {permission}")
+            for line in permission.lines():
                 say(f"    {line}")
         if out_dir is not None:
             out_dir.mkdir(parents=True, exist_ok=True)

@@ -19,7 +19,7 @@ from ca.errors import PatternRefused
 from ca.names import check_name, is_alias, local_name
 from grants import document
 from grants.conditions.compile import compile_condition
-from grants.errors import ConditionRefused, FilterRefused, GrantMalformed, GrantNotHeld, NarrowingNotAllowed
+from grants.errors import ConditionRefused, FilterRefused, GrantMalformed, GrantNotHeld, GrantTooWide
 from grants.filters.compile import PRESETS, compile_filter, preset
 from grants.filters.layout import parse
 from grants.model import MAX_NARROWINGS, Draft, Permission, Restriction, Right, check_time, filter_rules
@@ -373,7 +373,7 @@ def narrow(
         )
     check_time(held, at)
     if held.may_narrow <= may_narrow:
-        raise NarrowingNotAllowed(
+        raise GrantTooWide(
             f"grant {held.short_id} allows {held.may_narrow} narrowings after it",
             "fewer with --may-narrow"
             if held.may_narrow

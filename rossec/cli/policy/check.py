@@ -285,24 +285,20 @@ def _change(change: Change) -> tuple[str, str]:
 
 
 def _rules(rules: Iterable[PolicyRule]) -> str:
-    return ", ".join(_rule(rule) for rule in rules)
-
-
-def _rule(rule: PolicyRule) -> str:
-    return f"rule {rule.id}, line {rule.line}"
+    return ", ".join(rule.cited for rule in rules)
 
 
 def _withheld(each: Withheld) -> tuple[str, str]:
     what = f"{each.right.label} {each.pattern}"
     if each.effect is Effect.PROMPT:
-        return "?", f"{what} waits for a request and a person ({_rule(each.rule)})"
-    denied = f"is not granted: {_rule(each.by)} denies some of it"
-    return "!", f"{what} ({_rule(each.rule)}) {denied}; write the rule for narrower names"
+        return "?", f"{what} waits for a request and a person ({each.rule.cited})"
+    denied = f"is not granted: {each.by.cited} denies some of it"
+    return "!", f"{what} ({each.rule.cited}) {denied}; write the rule for narrower names"
 
 
 def _against(each: Contradiction) -> str:
     grant = f"grant {each.grant.short_id}, made by hand"
-    return f"{each.right.label} {each.pattern} by {grant}, against the denial of {_rule(each.rule)}"
+    return f"{each.right.label} {each.pattern} by {grant}, against the denial of {each.rule.cited}"
 
 
 def summary(plan: PolicyPlan) -> str:

@@ -193,7 +193,7 @@ def give_outright(service: AuthorityService, name: str) -> None:
 
 def _rights(signed: list[SignedGrant]) -> str:
     found = [
-        f"{item.rights.label} {item.pattern}" + (" (restricted)" if item.restriction else "")
+        f"{item} (restricted)" if item.restriction else str(item)
         for _, data in signed
         for item in document.peek(data).permissions
     ]

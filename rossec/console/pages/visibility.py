@@ -322,7 +322,7 @@ async def grant(visit: Visit) -> Response:
         PermissionLine(
             permission(each),
             words.restrictions([each.restriction] if each.restriction is not None else []),
-            tuple(each.restriction.lines()) if each.restriction is not None else (),
+            tuple(each.lines()),
         )
         for each in held.grant.permissions
     ]

@@ -20,7 +20,7 @@ from ca.revocation.trust_status import SKEW
 from grants import renewal
 from grants.decision import RevocationCheck
 from grants.document import verify
-from grants.errors import GrantNotHeld, RenewalForOther, RenewalNotInTime, RenewalTooWide
+from grants.errors import GrantForOther, GrantNotHeld, GrantTooWide, RenewalNotInTime
 from grants.model import Grant, format_time
 from grants.renewal import OpenDelegation, Ticket, open_delegation, sign_ticket
 from grants.token import pack, unpack
@@ -44,9 +44,7 @@ class TicketSigner:
     def take(self, data: bytes) -> bool:
         new = open_delegation(data, self._anchor.public_key)
         if new.holder != self._own or new.domain != self._anchor.domain:
-            raise RenewalForOther(
-                "the delegation is for another key or trust domain than this master's", _HINT
-            )
+            raise GrantForOther("the delegation is for another key or trust domain than this master's", _HINT)
         if self._held is not None and new.not_before <= self._held.not_before:
             return False
         self._persist(data)
@@ -72,14 +70,14 @@ class TicketSigner:
         if now >= grant.cap:
             cap = format_time(grant.cap)
             hint = "ask the authority for a new grant"
-            raise RenewalTooWide(f"grant {grant.short_id} has reached its cap, {cap}", hint)
+            raise GrantTooWide(f"grant {grant.short_id} has reached its cap, {cap}", hint)
         if now >= self._held.expires:
             raise RenewalNotInTime(f"the delegation expired at {format_time(self._held.expires)}", _HINT)
         # 4. From 5 s ago, as clocks differ, to what comes first.
         ends = min(now - SKEW + self._held.max_ttl, grant.cap, self._held.expires)
         if ends <= grant.expires:
             later = "expires later than any ticket would: ask again later"
-            raise RenewalTooWide(f"grant {grant.short_id} {later}")
+            raise GrantTooWide(f"grant {grant.short_id} {later}")
         ticket = sign_ticket(self._signer, Ticket(grant.id, now - SKEW, ends, seq))
         # 5. Verified as every node will, with what is revoked.
         key = self._signer.public_key

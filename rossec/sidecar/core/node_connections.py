@@ -261,7 +261,7 @@ def _topics_of(remote: ListeningAddress, host: str, port: int) -> ListeningAddre
 
 
 def unrestricted(decision: Decision) -> None:
-    # No guard, where one cannot be: raises `RestrictionMismatch` for a restricted decision.
+    # No guard, where one cannot be: raises `GrantError` for a restricted decision.
     decision.require_unrestricted()
 
 

@@ -7,6 +7,7 @@ that a finding suggests, in the text of a policy.
 import json
 import re
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 from grants.filters.layout import Layout, parse
@@ -36,6 +37,9 @@ TYPES = {
     "/words": "std_msgs/String",
 }
 NO_REASON = "no reason: "
+_SPEC = (Path(__file__).parents[3] / "docs" / "spec" / "policy.md").read_text().partition("| code |")[2]
+"""The codes of the table in the specification."""
+CODES = frozenset(re.findall(r"^\| ([a-z]+(?:-[a-z]+)+) \| [^|]+ \| [^|]+ \|$", _SPEC, re.MULTILINE))
 HEADER = "rossec: 1\nrobot: test\ndefaults: {lifetime: 7d}\n"
 
 

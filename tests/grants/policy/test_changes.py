@@ -4,7 +4,7 @@ import pytest
 
 from grants.model import FilterRule, Permission, Restriction, Right
 from grants.policy.decision import Decider
-from grants.policy.difference import Before, Change, ChangeKind, change_of, kept, withdrawn
+from grants.policy.difference import Before, Change, ChangeKind, change_of, withdrawn
 from grants.policy.model import DAY, Effect, PolicyRule
 from grants.policy.wanted import WantedRight
 from tests.grants.policy.policies import node, rules
@@ -96,7 +96,9 @@ def test_a_right_that_goes_has_the_rules_that_deny_it() -> None:
 
 
 def test_a_kept_right_says_what_it_is() -> None:
-    assert kept(X, wanted((None,))).restrictions == ("valid 1d",)
+    change = change_of(X, wanted((None,)), is_kept=True)
+    assert change.kind is ChangeKind.KEPT
+    assert change.restrictions == ("valid 1d",)
 
 
 def test_each_kind_has_its_sign() -> None:

@@ -134,7 +134,8 @@ def test_a_text_in_a_condition_keeps_its_spaces() -> None:
 
 
 def test_a_rewriting_that_changes_anything_else_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(learn, "_add_types", lambda data, _: data.update(robot="other"))
+    rules_of = learn._rules
+    monkeypatch.setattr(learn, "_rules", lambda data: data.update(robot="other") or rules_of(data))
     with pytest.raises(PolicyRefused, match="nothing was written") as error:
         add_rules(KINDS % "none", [rule(types={})])
     assert error.value.hint == "add the rules by hand: allow for /b (two)"

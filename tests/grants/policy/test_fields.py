@@ -16,22 +16,24 @@ from tests.grants.policy.policies import definition
 
 POSE = parse("geometry_msgs/PoseStamped", definition("geometry_msgs/PoseStamped"))
 STATUS = parse("diagnostic_msgs/DiagnosticArray", definition("diagnostic_msgs/DiagnosticArray"))
-HERE = YamlScalar("", 5, 5)
+MISTAKES = Mistakes("p.yaml")
+HERE = YamlScalar(5, 5, MISTAKES, "")
 
 
 @pytest.fixture
 def mistakes() -> Mistakes:
-    return Mistakes("p.yaml")
+    MISTAKES.found.clear()
+    return MISTAKES
 
 
 def table(text: str) -> YamlMapping:
-    part = read_source(text, Mistakes("p.yaml"))
+    part = read_source(text, MISTAKES)
     assert isinstance(part, YamlMapping)
     return part
 
 
-def rule(text: str, mistakes: Mistakes) -> str | None:
-    rules = read_fields(table(f"a: {text}"), mistakes)
+def rule(text: str) -> str | None:
+    rules = read_fields(table(f"a: {text}"))
     return str(rules[0].rule) if rules else None
 
 
@@ -49,7 +51,7 @@ def rule(text: str, mistakes: Mistakes) -> str | None:
     ],
 )
 def test_short_and_long_forms(text: str, expected: str, mistakes: Mistakes) -> None:
-    assert rule(text, mistakes) == expected
+    assert rule(text) == expected
     assert mistakes.found == []
 
 
@@ -73,7 +75,7 @@ def test_short_and_long_forms(text: str, expected: str, mistakes: Mistakes) -> N
 def test_a_mistake_has_position_and_hint(text: str, message: str, hint: str, mistakes: Mistakes) -> None:
     if text == "{clamp: 5}":
         message, hint = "a: high must be a number", "write {clamp: [LOW, HIGH]}"
-    assert rule(text, mistakes) is None
+    assert rule(text) is None
     (found,) = mistakes.found
     assert found.message.startswith(message)
     assert found.hint.startswith(hint)
@@ -81,18 +83,18 @@ def test_a_mistake_has_position_and_hint(text: str, message: str, hint: str, mis
 
 
 def test_an_invalid_path_is_a_mistake(mistakes: Mistakes) -> None:
-    assert read_fields(table('"a b": {clear: true}'), mistakes) == ()
+    assert read_fields(table('"a b": {clear: true}')) == ()
     assert mistakes.found[0].message == "not a field path: 'a b'"
 
 
 def test_fields_are_checked_each_and_together(mistakes: Mistakes) -> None:
-    good = read_fields(table("pose.position: {round: 1}\nheader.seq: {clear: true}"), mistakes)
-    assert check_fields(POSE, good, HERE, mistakes)
-    overlap = read_fields(table("pose: {clear: true}\npose.position: {round: 1}"), mistakes)
-    assert not check_fields(POSE, overlap, HERE, mistakes)
+    good = read_fields(table("pose.position: {round: 1}\nheader.seq: {clear: true}"))
+    assert check_fields(POSE, good, HERE)
+    overlap = read_fields(table("pose: {clear: true}\npose.position: {round: 1}"))
+    assert not check_fields(POSE, overlap, HERE)
     assert (mistakes.found[-1].line, "contains one" in mistakes.found[-1].message) == (5, True)
-    wrong = read_fields(table("\n\npoze: {clear: true}"), mistakes)
-    assert not check_fields(POSE, wrong, HERE, mistakes)
+    wrong = read_fields(table("\n\npoze: {clear: true}"))
+    assert not check_fields(POSE, wrong, HERE)
     assert (mistakes.found[-1].line, mistakes.found[-1].hint) == (3, "did you mean 'pose'?")
 
 
@@ -101,35 +103,41 @@ def test_fields_are_checked_each_and_together(mistakes: Mistakes) -> None:
     [("now.getHours() >= 6", False), ("msg.header.seq > 1u", None), ("msg.header.seq > 1", True)],
 )
 def test_conditions_that_read_the_message(text: str, message: bool | None, mistakes: Mistakes) -> None:
-    when = read_condition(YamlScalar(text, 1, 1), mistakes)
+    when = read_condition(YamlScalar(1, 1, MISTAKES, text))
     assert (when.reads_message if when is not None else None) is message
 
 
 @pytest.mark.parametrize(
-    "part", [YamlScalar(5, 1, 1), YamlSequence((), 1, 1), YamlScalar("now >", 1, 1), YamlScalar("5", 1, 1)]
+    "part",
+    [
+        YamlScalar(1, 1, MISTAKES, 5),
+        YamlSequence(1, 1, MISTAKES, ()),
+        YamlScalar(1, 1, MISTAKES, "now >"),
+        YamlScalar(1, 1, MISTAKES, "5"),
+    ],
 )
 def test_invalid_conditions_are_mistakes(part: YamlScalar | YamlSequence, mistakes: Mistakes) -> None:
-    assert read_condition(part, mistakes) is None
+    assert read_condition(part) is None
     assert len(mistakes.found) == 1
 
 
 def test_conditions_are_checked_for_a_type(mistakes: Mistakes) -> None:
-    good = read_condition(YamlScalar('msg.header.frame_id == "map"', 1, 1), mistakes)
+    good = read_condition(YamlScalar(1, 1, MISTAKES, 'msg.header.frame_id == "map"'))
     assert good is not None
-    assert check_condition(POSE, good, mistakes)
-    misspelt = read_condition(YamlScalar('msg.header.frameid.startsWith("map")', 2, 2), mistakes)
+    assert check_condition(POSE, good)
+    misspelt = read_condition(YamlScalar(2, 2, MISTAKES, 'msg.header.frameid.startsWith("map")'))
     assert misspelt is not None
-    assert not check_condition(POSE, misspelt, mistakes)
+    assert not check_condition(POSE, misspelt)
     assert (mistakes.found[-1].line, mistakes.found[-1].hint) == (2, "did you mean 'frame_id'?")
-    mixed = read_condition(YamlScalar("msg.pose.position.x + 1 > 2.0", 2, 2), mistakes)
+    mixed = read_condition(YamlScalar(2, 2, MISTAKES, "msg.pose.position.x + 1 > 2.0"))
     assert mixed is not None
-    assert not check_condition(POSE, mixed, mistakes)
+    assert not check_condition(POSE, mixed)
     assert mistakes.found[-1].hint == "write whole numbers as 2.0 beside a double"
 
 
 def test_presets_are_checked_for_the_type(mistakes: Mistakes) -> None:
-    assert check_preset(POSE, "coarse-position", HERE, mistakes)
-    assert not check_preset(STATUS, "coarse-position", HERE, mistakes)
+    assert check_preset(POSE, "coarse-position", HERE)
+    assert not check_preset(STATUS, "coarse-position", HERE)
     assert (mistakes.found[0].line, "does not support" in mistakes.found[0].message) == (5, True)
 
 

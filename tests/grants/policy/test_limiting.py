@@ -9,12 +9,12 @@ from grants.policy.source import Mistakes, read_source
 def read(text: str, topics: list[str] | None = None) -> tuple[Limit, list[tuple[str, str]]]:
     mistakes = Mistakes("a.yaml")
     part = read_source(text, mistakes)
-    found = read_limit(part, ["/pose"] if topics is None else topics, "a", mistakes)
+    found = read_limit(part, ["/pose"] if topics is None else topics, "a")
     return found, [(each.message, each.hint) for each in mistakes.found]
 
 
 def test_no_limit_limits_nothing() -> None:
-    assert read_limit(None, [], "a", Mistakes("a.yaml")) == Limit()
+    assert read_limit(None, [], "a") == Limit()
 
 
 @pytest.mark.parametrize(

@@ -3,15 +3,15 @@
 import pytest
 
 from grants.errors import PolicyRefused
-from grants.policy.source import MAX_MISTAKES, Mistakes, YamlScalar, suggest
+from grants.policy.source import MAX_MISTAKES, Mistakes, suggest
 
 
 def test_all_mistakes_are_raised_in_the_order_of_the_file() -> None:
     mistakes = Mistakes("p.yaml")
     mistakes.raise_if_any()
-    mistakes.add(YamlScalar("", 9, 2), "second", "b")
-    mistakes.add(YamlScalar("", 3, 1), "first", "a")
-    mistakes.add(YamlScalar("", 9, 2), "second", "b")
+    mistakes.add(9, 2, "second", "b")
+    mistakes.add(3, 1, "first", "a")
+    mistakes.add(9, 2, "second", "b")
     with pytest.raises(PolicyRefused) as caught:
         mistakes.raise_if_any()
     assert str(caught.value) == "p.yaml:3:1: first (and 1 more, see: rossec policy check p.yaml)"
@@ -21,7 +21,7 @@ def test_all_mistakes_are_raised_in_the_order_of_the_file() -> None:
 
 def test_one_mistake_is_the_message() -> None:
     mistakes = Mistakes("p.yaml")
-    mistakes.add(YamlScalar("", 1, 1), "only")
+    mistakes.add(1, 1, "only")
     with pytest.raises(PolicyRefused, match=r"^p\.yaml:1:1: only$"):
         mistakes.raise_if_any()
 
@@ -29,9 +29,9 @@ def test_one_mistake_is_the_message() -> None:
 def test_the_number_of_mistakes_is_bounded() -> None:
     mistakes = Mistakes("p.yaml")
     for line in range(MAX_MISTAKES - 1):
-        mistakes.add(YamlScalar("", line, 1), "x")
+        mistakes.add(line, 1, "x")
     with pytest.raises(PolicyRefused) as caught:  # reading stops at the maximum
-        mistakes.add(YamlScalar("", MAX_MISTAKES, 1), "x")
+        mistakes.add(MAX_MISTAKES, 1, "x")
     assert len(caught.value.mistakes) == MAX_MISTAKES
 
 

@@ -9,24 +9,23 @@ import pytest
 from ruamel.yaml import YAML
 
 from grants.filters.operators import OPERATORS
-from grants.policy import read
 from tests.grants.policy.policies import SMALL
 from tests.grants.policy.test_seeds import GOOD, SEEDS
+from tools import schema
 
-FILE = Path(read.__file__).with_name("policy.schema.json")
 EXAMPLES = sorted((Path(__file__).parents[3] / "examples" / "policies").glob("*.yaml"))
 # Mistakes that need the identities, the types and the operators' parameters.
 NOT_DETECTED = {"field": 7, "operator": 0, "identity": 7, "key": 0, "duration": 0, "pattern": 1, "type": 6}
 
 
 def check(text: str) -> list[str]:
-    validator = jsonschema.Draft202012Validator(read.schema())
+    validator = jsonschema.Draft202012Validator(schema.schema())
     return [error.message for error in validator.iter_errors(YAML(typ="safe").load(text))]
 
 
 def test_the_file_has_the_schema() -> None:
-    assert FILE.read_text() == read.schema_text(), "run: python -m tools.schema"
-    jsonschema.Draft202012Validator.check_schema(json.loads(read.schema_text()))
+    assert schema.FILE.read_text() == schema.schema_text(), "run: python -m tools.schema"
+    jsonschema.Draft202012Validator.check_schema(json.loads(schema.schema_text()))
 
 
 @pytest.mark.parametrize("text", [SMALL, GOOD])
@@ -37,7 +36,7 @@ def test_valid_policies_pass(text: str) -> None:
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_the_examples_pass(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     every = dict.fromkeys((*OPERATORS, "hash", "pixelate"))
-    monkeypatch.setattr(read, "OPERATORS", every)
+    monkeypatch.setattr(schema, "OPERATORS", every)
     assert check(path.read_text()) == []
 
 
@@ -49,7 +48,7 @@ def test_inserted_mistakes_are_detected(kind: str) -> None:
 
 def test_a_denial_has_no_filter() -> None:
     deny: dict[str, Any] = {"id": "a", "who": "x", "deny": {"call": "/b"}}
-    validator = jsonschema.Draft202012Validator(read.schema())
+    validator = jsonschema.Draft202012Validator(schema.schema())
     policy = {"rossec": 1, "robot": "r", "rules": [deny]}
     assert validator.is_valid(policy)
     deny["lifetime"] = "1d"
@@ -94,4 +93,4 @@ def test_basics_and_tests(more: str, *, is_valid: bool) -> None:
 def test_own_names_stand_first(name: str, valid: bool) -> None:
     rule = {"id": "a", "who": "robots", "allow": {"call": name}}
     policy = {"rossec": 1, "robot": "r", "groups": {"robots": ["/a", "b"]}, "rules": [rule]}
-    assert jsonschema.Draft202012Validator(read.schema()).is_valid(policy) is valid
+    assert jsonschema.Draft202012Validator(schema.schema()).is_valid(policy) is valid

@@ -22,7 +22,7 @@ def read(text: str) -> tuple[Vocabulary, list[str]]:
     mistakes = Mistakes("p.yaml")
     part = read_source(text, mistakes)
     assert isinstance(part, YamlMapping)
-    found = read_vocabulary(part, None, TYPES, layout_of, mistakes)
+    found = read_vocabulary(part, None, TYPES, layout_of)
     return found, [f"{item.message}|{item.hint}" for item in mistakes.found]
 
 
@@ -88,7 +88,7 @@ def test_mistakes_are_named(text: str, message: str, hint: str) -> None:
 )
 def test_a_plan_that_is_none_is_a_mistake(text: str, message: str) -> None:
     mistakes = Mistakes("p.yaml")
-    assert read_rooms(read_source(text, mistakes), mistakes) is None
+    assert read_rooms(read_source(text, mistakes)) is None
     assert message in mistakes.found[0].message
 
 
@@ -114,7 +114,7 @@ VALUE = parse("std_msgs/Float64", definition("std_msgs/Float64"))
 
 def contents(topic: str, *said: str) -> list[Content]:
     part = read_source("\n".join(said), mistakes := Mistakes("p.yaml"))
-    found = read_vocabulary(part, None, LAMPS, layout_of, mistakes)
+    found = read_vocabulary(part, None, LAMPS, layout_of)
     assert mistakes.found == []
     return [field.content for field in found.describe(VALUE, topic).fields]
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from grants.errors import RestrictionMismatch
+from grants.errors import GrantError
 from grants.model import Restriction, filter_rules
 from rossec.console import samples
 from rossec.console.samples import Recorded, as_mapping, see, try_see
@@ -45,7 +45,7 @@ def test_a_pseudonym_needs_no_key_of_the_publisher() -> None:
 
 
 def test_what_does_not_fit_is_refused_as_by_a_guard() -> None:
-    with pytest.raises(RestrictionMismatch):
+    with pytest.raises(GrantError):
         see(recorded("std_msgs/String"), "/a", [COARSE])
     assert try_see(recorded("std_msgs/String"), "/a", [COARSE]) is None
     unknown = recorded()._replace(type="a/B")

@@ -6,7 +6,7 @@ from typing import Final
 import pytest
 
 from grants.decision import Decision
-from grants.errors import DefinitionRefused, RestrictionMismatch
+from grants.errors import DefinitionRefused, GrantError
 from grants.model import Restriction, Right
 from rossec.errors import ConnectionHeaderRefused
 from rossec.participant.definitions import (
@@ -101,9 +101,9 @@ def test_an_unknown_definition_is_refused() -> None:
 
 def test_a_right_for_another_type_is_refused_before_a_definition_is_looked_up() -> None:
     for own in (ANY, WORD, undefined(WORD)):
-        with pytest.raises(RestrictionMismatch, match="these are std_msgs/String"):
+        with pytest.raises(GrantError, match="these are std_msgs/String"):
             receiver_definition(own, WORD, restricted(PATH.name), unasked)
-    with pytest.raises(RestrictionMismatch):
+    with pytest.raises(GrantError):
         sender_definition(WORD, restricted(WORD.name, PATH.name), unasked)
 
 

@@ -9,14 +9,7 @@ from ca.encoding import encode
 from ca.errors import Revoked
 from ca.keys.signing import KeySigner, thumbprint, to_coordinates
 from grants.document import grant_id
-from grants.errors import (
-    GrantError,
-    GrantMalformed,
-    GrantMissing,
-    GrantNotHeld,
-    GrantRevoked,
-    RenewalForOther,
-)
+from grants.errors import GrantError, GrantForOther, GrantMalformed, GrantMissing, GrantNotHeld, GrantRevoked
 from grants.model import Grant, Right
 from grants.renewal import Delegation, Ticket, sign_delegation, sign_ticket
 from grants.token import pack
@@ -77,17 +70,17 @@ def test_tickets_of_the_own_domain_count_from_its_masters(pair: Pair) -> None:
     opener, kitchen = TokenOpener(pair.standing), SomeNode(pair.home, "/master/kitchen")
     by_own, by_kitchen = renewed(pair.home, pair.own_master), renewed(pair.home, kitchen)
     for token in (by_own, by_kitchen):
-        with pytest.raises(RenewalForOther):
+        with pytest.raises(GrantForOther):
             opener.open(token, "home", NOW)
     opener.own_master = pair.own_master.key
     assert opener.open(by_own, "home", NOW).expires == NOW + 60
-    with pytest.raises(RenewalForOther):
+    with pytest.raises(GrantForOther):
         opener.open(by_kitchen, "home", NOW)
     keys = (to_coordinates(kitchen.key),)
     pair.anchors.update(domains(pair.home, foreign(pair.hospital), seq=2, masters=keys))
     assert opener.open(by_kitchen, "home", NOW).expires == NOW + 60
     pair.confirm_own(kitchen.identity.thumbprint, seq=2)
-    with pytest.raises((RenewalForOther, GrantRevoked)):
+    with pytest.raises((GrantForOther, GrantRevoked)):
         opener.open(by_kitchen, "home", NOW)
 
 
@@ -96,7 +89,7 @@ def test_tickets_of_a_foreign_domain_count_from_the_masters_that_were_seen(pair:
     opener.own_master = pair.own_master.key
     assert opener.open(renewed(pair.hospital, pair.master), DOMAIN, NOW).expires == NOW + 60
     for token in (renewed(pair.hospital, other), renewed(pair.hospital, pair.own_master)):
-        with pytest.raises(RenewalForOther):
+        with pytest.raises(GrantForOther):
             opener.open(token, DOMAIN, NOW)
     pair.confirm_foreign(pair.master.identity.thumbprint[:16], seq=2)
     token = renewed(pair.hospital, pair.master)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from grants.decision import Decision
-from grants.errors import GrantExpired, RestrictionMismatch
+from grants.errors import GrantError, GrantExpired
 from grants.guard import Guard, Memory
 from grants.model import Restriction, Right
 from rossec.errors import ChannelClosed, HeaderRefused, RossecError
@@ -73,7 +73,7 @@ class FakeGuard:
 
     def apply(self, message: bytes, now: int) -> list[bytes] | None:
         if message.startswith(b"x"):
-            raise RestrictionMismatch("it cannot be checked")
+            raise GrantError("it cannot be checked")
         return None if message.startswith(b"-") else [message[:1], message[1:]]
 
 

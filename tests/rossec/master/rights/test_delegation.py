@@ -7,12 +7,11 @@ from ca.revocation.trust_status import SKEW
 from grants.document import grant_id, verify
 from grants.errors import (
     GrantForged,
+    GrantForOther,
     GrantNotHeld,
     GrantRevoked,
-    RenewalForged,
-    RenewalForOther,
+    GrantTooWide,
     RenewalNotInTime,
-    RenewalTooWide,
 )
 from grants.model import Grant, Right
 from grants.renewal import open_delegation
@@ -82,9 +81,9 @@ def test_a_ticket_expires_with_the_delegation() -> None:
 @pytest.mark.parametrize(
     ("lifetime", "cap", "later", "refusal", "message"),
     [
-        (HOUR // 2, 10 * HOUR, 10 * HOUR, RenewalTooWide, "has reached its cap"),
-        (HOUR // 2, 0, 0, RenewalTooWide, "expires later than any ticket"),
-        (DAY, 2 * DAY, 0, RenewalTooWide, "expires later than any ticket"),
+        (HOUR // 2, 10 * HOUR, 10 * HOUR, GrantTooWide, "has reached its cap"),
+        (HOUR // 2, 0, 0, GrantTooWide, "expires later than any ticket"),
+        (DAY, 2 * DAY, 0, GrantTooWide, "expires later than any ticket"),
     ],
 )
 def test_grants_that_cannot_be_renewed(
@@ -122,11 +121,11 @@ def test_without_a_delegation_nothing_is_renewed() -> None:
 
 
 def test_delegations_for_others_are_refused(world: World) -> None:
-    with pytest.raises(RenewalForOther):
+    with pytest.raises(GrantForOther):
         world.delegate.take(world.site.delegation(world.node))
-    with pytest.raises(RenewalForOther):
+    with pytest.raises(GrantForOther):
         world.delegate.take(world.site.delegation(world.master, domain="office"))
-    with pytest.raises(RenewalForged):
+    with pytest.raises(GrantForged):
         world.delegate.take(Site().delegation(world.master))
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from grants.decision import Decision
-from grants.errors import RestrictionMismatch
+from grants.errors import GrantError
 from grants.guard import Guard, Memory
 from grants.model import Restriction, Right
 from rossec.errors import ConnectionHeaderRefused
@@ -80,5 +80,5 @@ def test_a_shared_guard_keeps_its_place_among_the_connections_of_its_key() -> No
 
 def test_services_of_programs_are_unrestricted() -> None:
     unrestricted(decision())
-    with pytest.raises(RestrictionMismatch):
+    with pytest.raises(GrantError):
         unrestricted(decision(NEVER))
