@@ -21,7 +21,7 @@ from ca.errors import EncodingError
 from ca.keys.signing import thumbprint
 from ca.things.constrained_nodes import ThingKey
 from rossec.border.messages import KEY_SIZE, SALT_SIZE, OscoreContext
-from rossec.errors import DatagramRefused, ThingUnauthenticated
+from rossec.errors import DatagramRefused, ThingError
 
 MAX_PENDING: Final = 256
 PENDING_FOR: Final = 20.0  # seconds; message_1 is repeated for longer, but gets a new answer
@@ -89,14 +89,14 @@ class Handshakes:
 
     def begin(self, message_1: bytes, source: Hashable, now: float) -> bytes:
         if len(message_1) > MAX_MESSAGE_1:
-            raise ThingUnauthenticated(f"a message_1 of {len(message_1)} octets")
+            raise ThingError(f"a message_1 of {len(message_1)} octets")
         # Check G_X, after METHOD and SUITES_I (RFC 9528 section 5.2.1); the rest is for lakers.
         head = _BEFORE_POINT.match(message_1)
         x = message_1[head.end() : head.end() + _POINT] if head else b""
         try:
             ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), b"\x02" + x)
         except ValueError:
-            raise ThingUnauthenticated("no key that is on the curve") from None
+            raise ThingError("no key that is on the curve") from None
         responder = lakers.EdhocResponder(r=self._own.private, cred_r=self._own.credential.ccs)
         raw_id, extensions = _guarded(responder.process_message_1, message_1)
         peer_id = bytes(raw_id)
@@ -106,7 +106,7 @@ class Handshakes:
             if own_id != peer_id and own_id not in self._pending and not self._is_taken(own_id):
                 break
         else:
-            raise ThingUnauthenticated("no free ID")
+            raise ThingError("no free ID")
         message_2 = bytes(
             _guarded(responder.prepare_message_2, lakers.CredentialTransfer.ByReference, own_id, None)
         )
@@ -125,21 +125,21 @@ class Handshakes:
         except EncodingError:
             is_message_3 = False
         if pending is None or not is_message_3:
-            raise ThingUnauthenticated("no such handshake, or no message_3")
+            raise ThingError("no such handshake, or no message_3")
         responder = pending.responder
         id_cred, extensions = _guarded(responder.parse_message_3, message_3)
         _check_extensions(extensions)
         key = self._find(_kid(bytes(id_cred)))
         _guarded(responder.verify_message_3, (self._decoy if key is None else key).ccs)
         if key is None:
-            raise ThingUnauthenticated("the key of no thing that is served here")
+            raise ThingError("the key of no thing that is served here")
         message_4 = bytes(_guarded(responder.prepare_message_4))
         secret = bytes(_guarded(responder.edhoc_exporter, _KEY, [], KEY_SIZE))
         salt = bytes(_guarded(responder.edhoc_exporter, _SALT, [], SALT_SIZE))
         try:
             context = OscoreContext(secret, salt, pending.peer_id, own_id)
         except DatagramRefused as error:
-            raise ThingUnauthenticated(str(error)) from None
+            raise ThingError(str(error)) from None
         return HandshakeCompleted(key, context, message_4)
 
     def expire(self, now: float) -> None:
@@ -167,7 +167,7 @@ def _kid(id_cred: bytes) -> bytes:
 
 def _check_extensions(extensions: Any) -> None:
     if any(each.is_critical() for each in extensions or ()):
-        raise ThingUnauthenticated("a critical extension that is not known")
+        raise ThingError("a critical extension that is not known")
 
 
 def _guarded(function: Callable[..., Any], *arguments: object) -> Any:
@@ -176,4 +176,4 @@ def _guarded(function: Callable[..., Any], *arguments: object) -> Any:
     except _LEAVES:
         raise
     except BaseException as error:  # noqa: BLE001 - PanicException of pyo3 is no Exception
-        raise ThingUnauthenticated(f"EDHOC: {str(error)[:80]}") from None
+        raise ThingError(f"EDHOC: {str(error)[:80]}") from None

@@ -28,12 +28,12 @@ from rossec.errors import (
     ChannelError,
     ConfigurationError,
     ConnectionHeaderRefused,
-    FrameRefused,
     MessageError,
     RossecError,
     ServiceFailed,
     ServiceRefused,
     ServiceUnavailable,
+    WireError,
 )
 from rossec.net.aio import SecureStream
 from rossec.net.limits import unit_limit
@@ -79,7 +79,7 @@ async def receive_request(stream: SecureStream[Identity], *, wait: bool) -> byte
             while content is None:
                 content = frames.feed_one(await stream.receive())
     except TimeoutError:
-        raise FrameRefused("a request that did not arrive in time") from None
+        raise WireError("a request that did not arrive in time") from None
     return content
 
 

@@ -23,7 +23,7 @@ from grants.decision import Decision
 from grants.filters.layout import Buffer
 from grants.guard import Guard, Memory
 from grants.limits import TokenBucket
-from rossec.errors import ConfigurationError, ConnectionHeaderRefused, FrameRefused
+from rossec.errors import ConfigurationError, ConnectionHeaderRefused, WireError
 from rossec.participant.handshakes import Fields
 from rossec.peer_limits import CAUSE, LogRateLimit
 
@@ -185,11 +185,11 @@ def claimed_size(content: bytes, limit: int) -> int:
     elif content[:1] == DEFLATED and len(content) > _START:
         (size,) = _SIZE.unpack_from(content, 1)
         if size < len(content):
-            raise FrameRefused(f"a message of {size} bytes that is longer when deflated")
+            raise WireError(f"a message of {size} bytes that is longer when deflated")
     else:
-        raise FrameRefused("a frame that is neither deflated nor as it is")
+        raise WireError("a frame that is neither deflated nor as it is")
     if size > limit:
-        raise FrameRefused(f"a deflated message of {size} bytes, at most {limit} allowed")
+        raise WireError(f"a deflated message of {size} bytes, at most {limit} allowed")
     return size
 
 
@@ -203,9 +203,9 @@ def inflated(content: bytes, limit: int) -> bytes:
         # One byte more, for the end of the data to be read; zero would mean no limit.
         message = engine.decompress(memoryview(content)[_START:], size + 1)
     except zlib.error:
-        raise FrameRefused("a deflated message that cannot be inflated") from None
+        raise WireError("a deflated message that cannot be inflated") from None
     if len(message) != size or not engine.eof or engine.unused_data:
-        raise FrameRefused(f"a deflated message that has not the {size} bytes it says")
+        raise WireError(f"a deflated message that has not the {size} bytes it says")
     return message
 
 

@@ -18,7 +18,7 @@ from ca.errors import NameRefused
 from ca.names import REMOTE, alias_of, check_name, is_alias, origin_of, refuse_alias, shown, split_alias
 from grants.decision import Decision
 from grants.model import Right
-from rossec.errors import CallerMismatch, ConfigurationError, ConnectionHeaderRefused
+from rossec.errors import ConfigurationError, ConnectionHeaderRefused
 from rossec.participant.access import FIELD, HandshakeAccess
 from rossec.ros.names import ANY_TYPE
 
@@ -42,7 +42,7 @@ Rename = Callable[[str], str]
 def check_caller(fields: Mapping[str, bytes], peer: Identity) -> None:
     caller = text(fields, "callerid")
     if not peer.covers(caller):
-        raise CallerMismatch(
+        raise ConnectionHeaderRefused(
             f"a node certified as {shown(peer.name)} calls itself {caller}",
             "start it under the name it was enrolled with",
         )

@@ -23,7 +23,7 @@ from ca.revocation.lists import digest, is_tree, open_timestamp
 from rossec import clock
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.environment import OWN_MASTER
-from rossec.errors import AnswerRefused, CallRefused, ChannelError, ConfigurationError, RossecError
+from rossec.errors import AnswerRefused, ChannelError, ConfigurationError, RossecError
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream, as_master
@@ -349,7 +349,7 @@ class Membership:
             ):
                 self.domains.take_foreign(domain, data, timestamp, chain)
             case _:
-                raise CallRefused(f"{method} has other parameters")
+                raise RossecError(f"{method} has other parameters")
 
     def _domains_changed(self, is_new: bool) -> None:
         self._connections.cut_ended(clock.now())

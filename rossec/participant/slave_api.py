@@ -16,7 +16,7 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.names import is_alias, is_relay_name, shown
 from grants.model import Right
-from rossec.errors import CallRefused
+from rossec.errors import RossecError
 from rossec.participant.access import HandshakeAccess
 from rossec.participant.handshakes import answer_for
 from rossec.ros import names
@@ -63,8 +63,8 @@ def check_slave_call(
     right = SLAVE_CALLS.get(method)
     if right is None:
         if method in MASTER_ONLY:
-            raise CallRefused(f"{method} is for the master alone")
-        raise CallRefused(f"{method} is for a relay alone" if method in RELAY_ONLY else "no such method")
+            raise RossecError(f"{method} is for the master alone")
+        raise RossecError(f"{method} is for a relay alone" if method in RELAY_ONLY else "no such method")
     access.authorize(peer, presented, right, node, now)
 
 

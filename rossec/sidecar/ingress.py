@@ -18,7 +18,7 @@ from ca.names import shown
 from rossec import clock
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
-from rossec.errors import CallRefused, ChannelClosed, HangUp
+from rossec.errors import ChannelClosed, HangUp, RossecError
 from rossec.host.local_sockets import Holder
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream, connect
@@ -173,7 +173,7 @@ class Ingress:
                 match method, params:
                     case update, (_, *rest) if update in SIGNED_UPDATES:
                         if not self._agent.access.is_master(peer):
-                            raise CallRefused(f"{update} is for the master alone")
+                            raise RossecError(f"{update} is for the master alone")
                         self._on_push(update, (*rest,), peer)
                         return [1, "", 0]
                     case names.PRESENT_GRANTS, (_, bytes() as grants):

@@ -28,7 +28,7 @@ from ca.revocation.lists import (
 )
 from ca.revocation.trust_status import Revocations
 from grants.model import Grant
-from rossec.errors import QueryRefused
+from rossec.errors import RossecError
 from rossec.master.rights.caller import CertifiedPeer
 
 MAX_HELD_LISTS: Final = 16 * 1024  # nodes whose list is recorded
@@ -253,7 +253,7 @@ class Series:
             # The cursor is too old: `more` tells the requester to send a full query.
             return {_DIFF_SET: [], _CURSOR: None, _MORE: last is not None}
         elif query.cursor > last:
-            raise QueryRefused("a cursor that was never sent (2)")
+            raise RossecError("a cursor that was never sent (2)")
         else:
             wanted = [update for update in self._updates if update.number > query.cursor]
             wanted = wanted[: query.diff or MAX_N]
@@ -299,11 +299,11 @@ def read_query(query: bytes) -> Query:
     try:
         value = decode(query, limit=MAX_QUERY)
     except EncodingError as error:
-        raise QueryRefused(f"not a query: {error} (0)") from None
+        raise RossecError(f"not a query: {error} (0)") from None
     if not isinstance(value, dict) or value.keys() - {"diff", "cursor"}:
-        raise QueryRefused("a query is a map of diff and cursor (1)")
+        raise RossecError("a query is a map of diff and cursor (1)")
     if any(type(number) is not int or number < 0 for number in value.values()):
-        raise QueryRefused("diff and cursor are non-negative integers (0)")
+        raise RossecError("diff and cursor are non-negative integers (0)")
     if "cursor" in value and "diff" not in value:
-        raise QueryRefused("a cursor without diff (1)")
+        raise RossecError("a cursor without diff (1)")
     return Query(**value)  # type: ignore[arg-type]

@@ -13,7 +13,7 @@ from grants.decision import Decision
 from grants.errors import GrantExpired
 from grants.guard import Guard, Memory
 from grants.model import Restriction, Right
-from rossec.errors import ChannelClosed, FrameRefused
+from rossec.errors import ChannelClosed, WireError
 from rossec.participant.delivery import LARGE, Wishes, inflated
 from rossec.ros import tcpros
 from rossec.sidecar import pump
@@ -210,4 +210,4 @@ async def test_a_message_above_the_limit_ends_both_connections(
     caplog.set_level(logging.INFO)
     with log_end("/viewer"):
         await everything(Peer(), Wishes(deflate=True), bytes(11))
-    assert str(FrameRefused("a frame of 11 bytes, at most 10 allowed")) in caplog.text
+    assert str(WireError("a frame of 11 bytes, at most 10 allowed")) in caplog.text
