@@ -7,7 +7,6 @@ size before parsing. A valid identity requests its successor without operator ac
 possession of the new key, the old key's signature around it the right to the name.
 """
 
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -18,6 +17,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from ca import svid
+from ca.bounded import Newest
 from ca.encoding import Value
 from ca.errors import (
     CertificateExpired,
@@ -333,8 +333,6 @@ class TrustAnchor:
             raise self._foreign("certificate", certificate)
         identity = _read(self.domain, certificate, der)
         _cache[issuer.certificate, der] = _CachedLeaf(signed, identity)
-        if len(_cache) > CACHE_SIZE:
-            _cache.popitem(last=False)
         return identity
 
 
@@ -346,7 +344,7 @@ class _CachedLeaf(NamedTuple):
 # By the DER of the issuer and of the leaf. Peers connect again for every topic, and parsing a
 # certificate is a pure function of its bytes, so the result is cached once it has verified.
 # The decision is never cached: signature and validity times are checked each time.
-_cache: Final[OrderedDict[tuple[bytes, bytes], _CachedLeaf]] = OrderedDict()
+_cache: Final[Newest[tuple[bytes, bytes], _CachedLeaf]] = Newest(CACHE_SIZE)
 
 
 def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:

@@ -9,10 +9,10 @@ to the person before the phone is asked, and an act is carried on only in the se
 import base64
 import binascii
 import re
-from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple, Protocol
 
+from ca.bounded import Newest
 from ca.encoding import Value
 from ca.names import check_name, check_pattern, check_wildcard, is_master_name
 from ca.svid import MAX_REQUEST
@@ -48,11 +48,9 @@ class MadeCodes:
     """Approvals of join codes, by their id, that were not shown yet; the oldest makes room."""
 
     def __init__(self) -> None:
-        self._sessions: OrderedDict[bytes, bytes] = OrderedDict()
+        self._sessions: Newest[bytes, bytes] = Newest(MAX_CODES)
 
     def add(self, approval: bytes, session: bytes) -> None:
-        while len(self._sessions) >= MAX_CODES:
-            self._sessions.popitem(last=False)
         self._sessions[approval] = session
 
     def take(self, approval: bytes, session: bytes) -> bool:

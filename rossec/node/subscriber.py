@@ -248,7 +248,6 @@ class Subscriber:
         return self.endpoint.type
 
     def _opened(self, connection: PublisherConnection, answer: Fields) -> None: ...
-
     def _ended(self, connection: PublisherConnection) -> None: ...
 
     def _keep(self, _connection: PublisherConnection, messages: list[bytes]) -> None:

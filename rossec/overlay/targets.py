@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Final, NamedTuple, Protocol, TypeAlias
 
+from ca.bounded import Newest
 from ca.certificates import Identity
 from ca.names import shown
 from rossec import clock
@@ -67,7 +68,7 @@ class TopicPorts:
         self._context = context
         self._name = name
         self._check_peer = check_peer
-        self._nodes: dict[tuple[str, str, int], _Known] = {}  # the oldest first
+        self._nodes: Newest[tuple[str, str, int], _Known] = Newest(MOST)
 
     async def of(self, name: str, host: str, port: int) -> Place:
         return await self._kept(name, host, port, partial(self._ask, name))
@@ -85,8 +86,6 @@ class TopicPorts:
         key = name, host, port
         known = self._nodes.get(key)
         if known is None:
-            if len(self._nodes) >= MOST:
-                del self._nodes[next(iter(self._nodes))]
             known = self._nodes[key] = _Known()
         async with known.turn:
             if known.until < time.monotonic():

@@ -58,7 +58,6 @@ class PeerStream(Protocol):
 
     # Pad what is sent from now on to a multiple of so many bytes; 0: do not.
     def pad_units(self, multiple: int) -> None: ...
-
     def abort(self, reason: str) -> None: ...
 
 
@@ -181,7 +180,6 @@ Connection: TypeAlias = AuthorizedConnection[Any, Any]
 
 class RenewableStream(Protocol):
     def on_renewal(self, callback: Callable[[Renewal[Identity]], None]) -> None: ...
-
     def present_grants(self, data: bytes) -> bool: ...
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from secrets import SystemRandom
 from typing import Final
 
+from ca.bounded import Newest
 from ca.certificates import Identity
 from ca.errors import CAError, HintedError, RevocationsStale
 from ca.names import shown
@@ -122,7 +123,7 @@ class GrantDelivery:
         self._holder = holder
         self._access = access
         self._directory = directory
-        self._received: dict[bytes, None] = {}  # ids, valid or not: not again in this session
+        self._received: Newest[bytes, None] = Newest(MAX_KNOWN)  # ids, also of invalid ones
         self._new: list[bytes] = []
         self._unsaved: list[tuple[bytes, bytes]] = []
         self._arrived = asyncio.Event()
@@ -180,10 +181,7 @@ class GrantDelivery:
             raise AnswerMalformed("the master sends a grant that is not bytes")
         try:
             grant_id = document.grant_id(data)
-            self._received.pop(grant_id, None)
             self._received[grant_id] = None
-            if len(self._received) > MAX_KNOWN:
-                del self._received[next(iter(self._received))]
             self._check(data, clock.now())
         except HintedError as error:
             _log.warning("a grant that the master delivers is refused: %s", printable(error))

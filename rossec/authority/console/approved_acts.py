@@ -10,7 +10,6 @@ approval ends in one transaction; then nodes get the new grants, and the master 
 import logging
 import secrets
 import threading
-from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import closing
 from hashlib import sha256
@@ -29,6 +28,7 @@ from ca.approvals.statement import (
     StatementKind,
 )
 from ca.authority import MAX_LIFETIME
+from ca.bounded import ExpiringTable
 from ca.certificates import check_intermediate_request, to_pem
 from ca.errors import HintedError, PasskeyUnknown, RequestClosed, StoreError
 from ca.keys.signing import thumbprint
@@ -238,7 +238,7 @@ class InvitationAct(ApprovedAct):
         self._address = address
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._lock = threading.Lock()
-        self._codes: OrderedDict[bytes, tuple[str, float]] = OrderedDict()
+        self._codes: ExpiringTable[bytes, bytes] = ExpiringTable(MAX_CODES, CODES_KEPT)
 
     def prepare(self, _service: AuthorityService, arguments: Arguments, now: int, /) -> ToApprove:
         # Check what it would allow.
@@ -266,15 +266,12 @@ class InvitationAct(ApprovedAct):
         )
         store.invitations.add(row)
         with self._lock:
-            self._codes[approved.id] = code.text(), self._elapsed() + CODES_KEPT
-            while len(self._codes) > MAX_CODES:
-                self._codes.popitem(last=False)
+            self._codes.put(approved.id, code.text().encode(), self._elapsed())
         return f"join code {row.id.hex()[:8]}"
 
     def made(self, _service: AuthorityService, approved: Approved, /) -> bytes:
         with self._lock:
-            text, end = self._codes.get(approved.id, ("", 0.0))
-        return text.encode() if self._elapsed() < end else b""
+            return self._codes.get(approved.id, self._elapsed()) or b""
 
 
 class RevokeMasterAct(ApprovedAct):

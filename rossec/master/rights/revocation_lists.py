@@ -8,10 +8,11 @@ nodes rely on the list signed by the authority.
 """
 
 import hashlib
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Sequence
 from typing import Final, NamedTuple
 
+from ca.bounded import Newest
 from ca.certificates import TrustAnchor
 from ca.encoding import Value, decode, encode
 from ca.errors import EncodingError, RevocationRefused
@@ -280,17 +281,14 @@ class RevocationQueries:
 
     def __init__(self, start: int) -> None:
         self._first = start << 20  # reached by a later run only after a million updates a second
-        self._series: OrderedDict[bytes, Series] = OrderedDict()
+        self._series: Newest[bytes, Series] = Newest(MAX_REQUESTERS)
 
     def answer(self, requester: bytes, entries: frozenset[bytes], query: bytes) -> bytes:
         """Answer one query of the requester whose part of the TRL is `entries`."""
         parsed = read_query(query)
-        series = self._series.get(requester)
+        series = self._series.use(requester)
         if series is None:
             series = self._series[requester] = Series(self._first, entries)
-            if len(self._series) > MAX_REQUESTERS:
-                self._series.popitem(last=False)
-        self._series.move_to_end(requester)
         series.note(entries)
         return encode(series.answer(parsed))
 

@@ -49,16 +49,11 @@ class ServedStream(Protocol[PeerT_co]):
 
     @property
     def has_unit(self) -> bool: ...  # whether `next_unit` would return one
-
     def next_unit(self) -> bytes | None: ...
-
     @property
     def lags(self) -> bool: ...  # whether the peer does not read what was sent
-
     def write_nowait(self, data: bytes) -> bool: ...
-
     async def send(self, *pieces: bytes) -> None: ...
-
     async def close(self) -> None: ...
 
 
@@ -301,9 +296,7 @@ def _failure(error: Exception) -> Fault:
 
 class Stream(Protocol):
     async def send(self, *pieces: bytes) -> None: ...
-
     async def receive(self) -> bytes: ...
-
     async def close(self) -> None: ...
 
 
