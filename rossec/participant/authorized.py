@@ -184,6 +184,9 @@ class RenewableStream(Protocol):
 
 
 class _Budgets:
+    # Every renewal that is judged costs signatures; a domain that is foreign has one budget for all its keys,
+    # as it makes as many as it likes.
+
     def __init__(self) -> None:
         self._lock = Lock()
         self._buckets: dict[bytes | str, TokenBucket] = {}

@@ -167,25 +167,23 @@ def _renamed(method: str, value: object, rename: Rename) -> object:
         case "getName", str() as name:
             return (_rename_all(rename, name) or ("",))[0]
         case (("getPublications" | "getSubscriptions" | "getBusInfo"), list() as rows):
-            return [row for each in rows if (row := _renamed_row(each, rename)) is not None]
+            found = list[object]()
+            for row in rows:
+                match row:
+                    case [str() as topic, str() as kind] if (names := _rename_all(rename, topic)) is not None:
+                        found.append([*names, kind])
+                    case [number, str() as end, direction, transport, str() as topic, *rest]:
+                        names = _rename_all(rename, *([] if "://" in end else [end]), topic)
+                        if names is not None:
+                            end = names[0] if len(names) > 1 else end
+                            found.append([number, end, direction, transport, names[-1], *rest])
+                    case _:  # of a third domain, or no row
+                        pass
+            return found
         case (("getName" | "getPublications" | "getSubscriptions" | "getBusInfo"), _):
             return "" if method == "getName" else []
         case _:
             return value
-
-
-def _renamed_row(row: object, rename: Rename) -> list[object] | None:
-    match row:
-        case [str() as topic, str() as kind]:
-            names = _rename_all(rename, topic)
-            return None if names is None else [*names, kind]
-        case [number, str() as end, direction, transport, str() as topic, *rest]:
-            names = _rename_all(rename, *([] if "://" in end else [end]), topic)
-            if names is None:
-                return None
-            return [number, names[0] if len(names) > 1 else end, direction, transport, names[-1], *rest]
-        case _:
-            return None
 
 
 def _rename_all(rename: Rename, *names: str) -> tuple[str, ...] | None:

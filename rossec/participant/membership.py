@@ -195,18 +195,15 @@ class MasterSession:
                 raise CAError(*NO_LIST)
 
     def _apply(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        def corrects_clock() -> bool:
-            # Only the answer to the node's own call may do so: it is at most as old as the call.
-            return clock.correct(open_timestamp(timestamp, master.public_key).issued)
-
+        # Only the answer to the node's own call may correct the clock: it is at most as old as the call.
         try:
             self._refresh(revocations, timestamp, master)
-        except ClocksDisagree:  # only then: a revoked master sets no clock
-            if not corrects_clock():
+        except ClocksDisagree:  # only then before it is taken: a revoked master sets no clock
+            if not clock.correct(open_timestamp(timestamp, master.public_key).issued):
                 raise
             self._refresh(revocations, timestamp, master)
         else:
-            corrects_clock()
+            clock.correct(open_timestamp(timestamp, master.public_key).issued)
 
 
 class LoadedIdentity:

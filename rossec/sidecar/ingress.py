@@ -28,6 +28,7 @@ from rossec.participant.access import Access
 from rossec.participant.authorized import AuthorizedConnection, memory_scope
 from rossec.participant.connections import ConnectionTable, serve_peer
 from rossec.participant.definitions import FilterKey
+from rossec.participant.delivery import WishedQueue
 from rossec.ros import names, tcpros
 from rossec.ros.names import SIGNED_UPDATES, is_loopback
 from rossec.ros.tcpros import MESSAGE_LIMIT
@@ -39,7 +40,7 @@ from rossec.sidecar.core.layers import AgentState, ListeningAddress
 from rossec.sidecar.core.node_connections import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
 from rossec.sidecar.loopback_port import PlainStream, PortPool, bind_free_port
-from rossec.sidecar.pump import WishSender, split_header
+from rossec.sidecar.pump import split_header
 
 # Peers send headers and requests; what programs send leaves in small units.
 ACCEPT_LIMITS: Final = {
@@ -252,8 +253,9 @@ class Ingress:
                 elif after_request:
                     _log.warning("%s sends data where it subscribes", shown(stream.peer.name))
                 elif admitted.wishes:
-                    sender = WishSender(stream, admitted.wishes)
-                    sender.put(initial)
+                    sender = WishedQueue(stream, admitted.wishes)
+                    if initial:
+                        sender.enqueue(initial)
                     await pump.publish_as_wished(program, stream, guard, after_answer, sender)
                 else:
                     if initial:

@@ -137,8 +137,17 @@ async def dial(host: str, port: int, within: float) -> socket.socket:
     """Return a connected, non-blocking socket within that time in seconds."""
     family = _family(host)
     if family is None:
+        loop, task = asyncio.get_running_loop(), asyncio.current_task()
         async with asyncio.timeout(within):
-            return await _race(host, port)
+            found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+            if not found:
+                raise OSError(f"no address for {host}")
+            cancelled = task is not None and task.cancelling()
+            sock = await start_connection(found, happy_eyeballs_delay=STAGGER)
+            if task is not None and task.cancelling() > cancelled:  # while other attempts were ended
+                sock.close()
+                raise asyncio.CancelledError
+            return sock
     # No thread, no resolver, and on loopback no waiting.
     sock = socket.socket(family, socket.SOCK_STREAM)
     try:
@@ -158,19 +167,6 @@ def _family(host: str) -> int | None:
             socket.inet_pton(family, host)
             return family
     return None
-
-
-async def _race(host: str, port: int) -> socket.socket:
-    loop, task = asyncio.get_running_loop(), asyncio.current_task()
-    found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    if not found:
-        raise OSError(f"no address for {host}")
-    cancelled = task is not None and task.cancelling()
-    sock = await start_connection(found, happy_eyeballs_delay=STAGGER)
-    if task is not None and task.cancelling() > cancelled:  # while other attempts were ended
-        sock.close()
-        raise asyncio.CancelledError
-    return sock
 
 
 def _connected(sock: socket.socket) -> bool:

@@ -40,10 +40,6 @@ AT_ONCE: Final = socket.MSG_DONTWAIT
 PUMPED: Final = 16  # buffers in one go
 
 
-def _now() -> int:
-    return clock.now()
-
-
 class SecureSocket(Generic[PeerT]):
     """A connection over a connected TCP socket, which it owns.
 
@@ -141,7 +137,7 @@ class SecureSocket(Generic[PeerT]):
                 self._call_core(self._core.receive_eof)
                 self._fail(ChannelClosed("the peer closed the connection"))
             else:
-                self._handle_events(self._call_core(self._core.buffer_updated, count, _now()))
+                self._handle_events(self._call_core(self._core.buffer_updated, count, clock.now()))
         if self._renewed:
             self._tell_renewals()
         if self._error is None:
@@ -229,22 +225,6 @@ class SecureSocket(Generic[PeerT]):
 
     # -- sending
 
-    def _write_unit(self, pieces: tuple[Bytes, ...], end: float | None) -> None:
-        if len(pieces) == 1 and isinstance(pieces[0], bytes):
-            with self._core_lock:
-                small = self._core.seal_small(pieces[0])
-            if small is not None:
-                self._write(small, end)
-                return
-        with self._core_lock:
-            records = self._core.seal_unit(*pieces, reuse=True)
-        while True:
-            with self._core_lock:
-                record = self._call_core(next, records, None)
-            if record is None:
-                return
-            self._write(record, end)
-
     def _flush(self, end: float | None) -> None:
         while self._core.has_data_to_send:
             if not self._writing.acquire(blocking=False):
@@ -304,7 +284,7 @@ class SecureSocket(Generic[PeerT]):
         self._run_timers(reading=event == select.POLLIN)
 
     def _run_timers(self, *, reading: bool = False) -> None:
-        now = _now()
+        now = clock.now()
         if now == self._timers_run_at:
             return
         # A connection that is only written to, or cached, has no reader: the confirmation is taken in here,
@@ -416,7 +396,20 @@ class SecureSocket(Generic[PeerT]):
         self._run_timers()
         with self._writing:
             self._raise_if_ended()
-            self._write_unit(pieces, end)
+            record: Bytes | None = None
+            if len(pieces) == 1 and isinstance(pieces[0], bytes):
+                with self._core_lock:
+                    record = self._core.seal_small(pieces[0])
+            if record is not None:
+                self._write(record, end)
+            else:
+                with self._core_lock:
+                    records = self._core.seal_unit(*pieces, reuse=True)
+                    record = self._call_core(next, records, None)
+                while record is not None:  # the lock is never held while a record is written
+                    self._write(record, end)
+                    with self._core_lock:
+                        record = self._call_core(next, records, None)
         self._flush(end)
 
     def try_send(self, data: bytes) -> bool:
