@@ -192,6 +192,7 @@ class Subscriber:
             await asyncio.sleep(pause)
 
     async def _receive_from(self, uri: str) -> None:
+        # The whole way has one deadline, as rospy's: a publisher that stalls holds no descriptor for longer.
         async with asyncio.timeout(HANDSHAKE_DEADLINE):
             stream = await self._context.dialer.topic(uri, self.topic)
             try:
@@ -232,6 +233,7 @@ class Subscriber:
             units = frames.feed(await stream.receive())
         answer = tcpros.decode(units[0])
         decision = admit_publisher(answer, stream.peer, endpoint.expected, context.access, clock.now())
+        # Of a type of fixed size a unit needs less than the most that any type may have.
         stream.raise_unit_limit(unit_limit(self._size, MESSAGE_LIMIT))
         del answer[FIELD]  # what is kept of it needs no grants
 

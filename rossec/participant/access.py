@@ -286,6 +286,7 @@ class Access:
             self.check_peer(master, now)
         self._revocations.confirm(open_timestamp(timestamp, master.public_key), now)
         self.check_peer(master, now)
+        # Last: a master that was refused above may renew no grant.
         self._tokens.own_master = master.public_key
 
     def expire_confirmation(self, until: int) -> None:
@@ -361,21 +362,26 @@ class Access:
         self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
     ) -> Decision:
         """Decide whether `peer`, which presents `presented`, may use `right` on `name` now."""
+        # 1. The peer itself: of a revoked one nothing is opened.
         self.check_peer(peer, now)
+        # 2. What only gateways offer, whatever a grant says.
         if right & _OFFERS and is_in_gateway(name) and not is_own_gateway(peer):
             verb = "publishes" if right & Right.PUBLISH else "provides"
             raise NotAdmitted(
                 f"{shown(peer.name)} {verb} {name}, which only a gateway of this domain does",
                 "a gateway is a node that is enrolled as /gateway or /gateway/NAME",
             )
+        # 3. Whose grants count, and by which name: an alias is of its origin's domain.
         domain, origin = self._origin(right, name)
         if presented is None:
             raise GrantMissing(
                 f"{shown(peer.name)} shows no grant to {right.label} {shown(name)}",
                 remedy=_remedy(peer, right, origin),
             )
+        # 4. Each token for itself: one that is invalid takes nothing from the others.
         grants, refusals = self._tokens.open_all(presented, domain, peer, now)
         check = self._tokens.check_of(domain, peer.domain)
+        # 5. The decision, by what is left: for this key, this right and this name.
         try:
             decision = authorize(grants, right, origin, holder=peer.thumbprint, now=now, check=check)
         except GrantMissing as error:

@@ -248,6 +248,7 @@ class RenewedGrants:
                 connection.update_end()
                 on_renewed(connection)
             case GrantsPresented(data):
+                # Kept also where it is refused: the list that it needs may be on its way.
                 connection.presented.by_peer = data
                 connection.presented.pause = _RETRY
                 held = connection.decision

@@ -261,14 +261,18 @@ def admit_publisher(
     The caller applies the decision's restrictions to each message (`topic_guard.guard_for`), by the
     receiver's definition: the publisher's may differ under the same md5sum.
     """
+    # 1. A refusal has no other fields.
     if "error" in fields:
         raise ConnectionHeaderRefused(f"{shown(peer.name)} refuses: {text(fields, 'error')}")
+    # 2. Who it says it is, by its certificate.
     check_caller(fields, peer)
+    # 3. What was asked for, and no other topic for which it has a grant.
     if text(fields, "topic") != origin_of(expected.topic):
         raise ConnectionHeaderRefused(
             f"{shown(peer.name)} answers with another topic than {shown(expected.topic)}"
         )
     check_type(fields, expected)
+    # 4. Its right, by the name that the topic has here.
     return access.authorize(peer, fields.get(FIELD), Right.PUBLISH, expected.topic, now)
 
 

@@ -195,7 +195,7 @@ class GrantDelivery:
     def _check(self, data: bytes, now: int) -> None:
         # Verify a grant; one that is not valid yet, or may be renewed, is taken too.
         domain = document.peek(data).domain
-        # Whose key a grant must be signed by: its domain only selects it.
+        # Whose key it must be signed by: the domain that it names only selects one of those trusted here.
         listed = self._standing.anchors.listed_domain(domain)
         anchor = self._standing.anchors.own if listed is None else listed.anchor
         grant = document.verify(data, anchor.public_key, domain=anchor.domain)

@@ -102,6 +102,7 @@ class MasterSession:
             stream = await self._dial()
         except ChannelError as error:
             raise as_master(error) from error
+        # Any node of the domain may listen at that address: before anything is said, is it the master?
         if stream.peer.name != self._master:
             stream.abort("not the master")
             raise ConfigurationError(
@@ -302,10 +303,16 @@ class Membership:
 
     def start(self, opening: Callable[[], Awaitable[None]] | None = None) -> None:
         """Start the session (which `opening` opens, unless it is open), the watchdog, and maintenance."""
+
+        async def run_session() -> None:
+            if opening is not None:
+                await opening()
+            await self.session.run()
+
         name = self._identity.name
         watchdog = ConnectionWatchdog(self._connections, self._access.expire_confirmation)
         self.tasks.spawn(watchdog.run(), f"{name}: watchdog")
-        self.tasks.spawn(self._run_session(opening), f"{name}: master session")
+        self.tasks.spawn(run_session(), f"{name}: master session")
         self.tasks.spawn(self._maintain(), f"{name}: maintenance")
         self.tasks.spawn(self._watch.run(), f"{name}: waiting for grants")
 
@@ -332,13 +339,8 @@ class Membership:
                 self.update_revocations(revocations, timestamp, master)
             case names.DOMAINS_UPDATE, (bytes() as data,):
                 self.domains.take_domains(data)
-            case names.FOREIGN_UPDATE, (
-                str() as domain,
-                bytes() as data,
-                bytes() as timestamp,
-                list() as chain,
-            ):
-                self.domains.take_foreign(domain, data, timestamp, chain)
+            case names.FOREIGN_UPDATE, (str() as domain, bytes() as data, bytes() as stamp, list() as chain):
+                self.domains.take_foreign(domain, data, stamp, chain)
             case _:
                 raise RossecError(f"{method} has other parameters")
 
@@ -347,11 +349,6 @@ class Membership:
         if is_new:
             self.rights_version += 1
             self._domains_are_new = True
-
-    async def _run_session(self, opening: Callable[[], Awaitable[None]] | None) -> None:
-        if opening is not None:
-            await opening()
-        await self.session.run()
 
     async def _restore(self, session: MasterSession) -> None:
         # What is held is presented before anything is fetched: calls of the program go on meanwhile.

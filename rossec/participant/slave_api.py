@@ -118,18 +118,21 @@ def refusal(
     rule = RULES.get(method)
     if rule is None:
         return [_ERROR, "rossec: no such method", 0]
+    # 1. Who may call it, before any parameter is looked at (N1 to N4).
     if method in RELAY_ONLY:
         only = None if is_relay(peer) else "a relay"
     else:
         only = "the master" if rule.master_only and peer.name != master else None
     if only is not None and not (authorized and method in SLAVE_CALLS):
         return [_ERROR, f"rossec: {method} is for {only} alone", rule.default]
+    # 2. Number and types of the parameters, in stock's words where stock has some.
     unnamed = without_caller(params, rule.default)
     if unnamed is not None:
         return unnamed
     expected = (str, *rule.kinds)
     if len(params) != len(expected) or not all(map(isinstance, params, expected)):
         return [_ERROR, "Error: bad call arity or types", rule.default]
+    # 3. The name that it gives itself, which logs and programs would believe.
     if not peer.covers(str(params[0])):
         return [_ERROR, f"rossec: caller_id is not {shown(peer.name)}", rule.default]
     return alias_asked(method, params)

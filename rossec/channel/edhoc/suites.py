@@ -103,10 +103,8 @@ class HybridExchange:
         key = mlkem.MLKEM768PrivateKey.from_seed_bytes(random(64))
         finish, share = _X25519.start(random)
         # An invalid ciphertext gives a random secret (implicit rejection): the handshake fails later.
-        return (
-            lambda peer: key.decapsulate(peer[:1088]) + finish(peer[1088:]),
-            key.public_key().public_bytes_raw() + share,
-        )
+        share = key.public_key().public_bytes_raw() + share
+        return lambda peer: key.decapsulate(peer[:1088]) + finish(peer[1088:]), share
 
     def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
         try:

@@ -75,6 +75,7 @@ async def connect(
         stream = await _handshake(await _dial(host, port, timeout), by_hash)
     except (HandshakeFailed, PeerRefused) as error:
         # Any failure of a handshake by hash may be due to the hash.
+        # Error 3 is not authenticated: whoever forges it costs one more handshake, by value.
         if isinstance(error, PeerCredentialUnknown | OwnCredentialUnknown):
             known.forget_introductions()
         elif not request_x5t or isinstance(error, HandshakeTimeout):

@@ -411,7 +411,7 @@ class RpcClient:
         except TimeoutError as error:
             raise CallFailed(f"{method}: no answer within {self._deadline:g} s") from error
         finally:
-            if not complete:
+            if not complete:  # a late answer would be taken for the answer to the next call
                 self.closed = True
                 with contextlib.suppress(RossecError):
                     await self._stream.close()
