@@ -192,7 +192,7 @@ class Subscriber:
             await asyncio.sleep(pause)
 
     async def _receive_from(self, uri: str) -> None:
-        # The whole way has one deadline, as rospy's: a publisher that stalls holds no descriptor for longer.
+        # The whole way has one deadline: a publisher that stalls holds no descriptor for longer.
         async with asyncio.timeout(HANDSHAKE_DEADLINE):
             stream = await self._context.dialer.topic(uri, self.topic)
             try:

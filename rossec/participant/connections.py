@@ -360,7 +360,7 @@ class Dialer:
             answer = await RpcClient(stream).ask("requestTopic", caller, name, [["TCPROS"]])
         finally:
             stream.close_soon()  # the peer could make this take longer than a caller has
-        # The address is the peer's word: this node would connect to itself, or call another one by its name.
+        # The address is the peer's word: it may not lead this node to itself.
         match answer:
             case ["TCPROS", str() as host, int() as port] if 0 < port < 1 << 16:
                 named = host, port
