@@ -212,7 +212,11 @@ class Subscriber:
                     if wished is None:
                         self._deliver(connection, messages)
                     else:
-                        await self._deliver_wished(connection, wished, messages)
+                        for content in messages:
+                            message = await wished.inflated(content)
+                            # That took its time, in which the right may have ended.
+                            self._context.connections.check(connection)
+                            self._deliver(connection, [message], wished)
                     messages = await next_messages(stream, framing)
         finally:
             self.links.discard(connection)
@@ -256,27 +260,15 @@ class Subscriber:
         self._queue.extend(messages)
         self._wake.set()
 
-    def _deliver(self, connection: PublisherConnection, messages: list[bytes]) -> None:
+    def _deliver(
+        self, connection: PublisherConnection, messages: list[bytes], wished: WishedMessages | None = None
+    ) -> None:
         if connection.guard is not None:
             peer = shown(connection.stream.peer.name)
             messages = self._filtered(connection.guard, messages, peer, clock.time())
-        if messages:
+        if messages and (wished is None or wished.admits()):
             self.received += len(messages)
             self._keep(connection, messages)
-
-    async def _deliver_wished(
-        self, connection: PublisherConnection, wished: WishedMessages, contents: list[bytes]
-    ) -> None:
-        # It takes its time, in which the right may end.
-        for content in contents:
-            messages = [await wished.inflated(content)]
-            self._context.connections.check(connection)
-            if connection.guard is not None:
-                peer = shown(connection.stream.peer.name)
-                messages = self._filtered(connection.guard, messages, peer, clock.time())
-            if messages and wished.admits():
-                self.received += 1
-                self._keep(connection, messages)
 
     def _filtered(self, guard: Guard, messages: list[bytes], peer: str, now: float) -> list[bytes]:
         filtered = []

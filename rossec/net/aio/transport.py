@@ -283,12 +283,7 @@ class BaseStream:
     # -- receiving
 
     async def receive(self) -> bytes:
-        """Return the next unit.
-
-        Raises:
-            ChannelClosed: the connection was closed in order.
-            ChannelError: it ended in another way; the class says how.
-        """
+        """Return the next unit."""
         while (unit := self.next_unit()) is None:
             await self._changed()
         return unit
@@ -331,9 +326,6 @@ class BaseStream:
         """Pass each unit to `write_nowait` as it arrives, without another turn of the loop.
 
         When it returns false, nothing more is read until `drain` returns.
-
-        Raises:
-            ChannelError: the connection has ended; or what `write_nowait` or `drain` raise.
         """
         try:
             while True:
