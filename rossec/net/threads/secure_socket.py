@@ -40,6 +40,10 @@ AT_ONCE: Final = socket.MSG_DONTWAIT
 PUMPED: Final = 16  # buffers in one go
 
 
+def _now() -> int:  # tests set it, for connections alone
+    return clock.now()
+
+
 class SecureSocket(Generic[PeerT]):
     """A connection over a connected TCP socket, which it owns.
 
@@ -137,7 +141,7 @@ class SecureSocket(Generic[PeerT]):
                 self._call_core(self._core.receive_eof)
                 self._fail(ChannelClosed("the peer closed the connection"))
             else:
-                self._handle_events(self._call_core(self._core.buffer_updated, count, clock.now()))
+                self._handle_events(self._call_core(self._core.buffer_updated, count, _now()))
         if self._renewed:
             self._tell_renewals()
         if self._error is None:
@@ -284,7 +288,7 @@ class SecureSocket(Generic[PeerT]):
         self._run_timers(reading=event == select.POLLIN)
 
     def _run_timers(self, *, reading: bool = False) -> None:
-        now = clock.now()
+        now = _now()
         if now == self._timers_run_at:
             return
         # A connection that is only written to, or cached, has no reader: the confirmation is taken in here,
