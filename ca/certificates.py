@@ -4,7 +4,6 @@ The form is the X.509-SVID of SPIFFE without its options (`ca.svid`), issued by 
 by one intermediate. A valid identity requests its successor without operator action.
 """
 
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -15,6 +14,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from ca import svid
+from ca.bounded import Newest
 from ca.encoding import Value
 from ca.errors import (
     CertificateExpired,
@@ -334,8 +334,6 @@ class TrustAnchor:
             raise self._foreign("certificate", certificate)
         identity = _read(self.domain, certificate, der)
         _cache[issuer.certificate, der] = _CachedLeaf(signed, identity)
-        if len(_cache) > CACHE_SIZE:
-            _cache.popitem(last=False)
         return identity
 
 
@@ -347,7 +345,7 @@ class _CachedLeaf(NamedTuple):
 # By the DER of the issuer and of the leaf. Peers connect again for every topic, and parsing a
 # certificate is a pure function of its bytes, so the result is cached once it has verified.
 # The decision is never cached: signature and validity times are checked each time.
-_cache: Final[OrderedDict[tuple[bytes, bytes], _CachedLeaf]] = OrderedDict()
+_cache: Final[Newest[tuple[bytes, bytes], _CachedLeaf]] = Newest(CACHE_SIZE)
 
 
 def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:

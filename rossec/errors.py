@@ -27,16 +27,8 @@ class ConnectionHeaderRefused(RossecError):
     """A peer's TCPROS header that does not fit what this node publishes or subscribes."""
 
 
-class CallerMismatch(ConnectionHeaderRefused):
-    """A peer that calls itself by another name than its certificate says."""
-
-
 class HangUp(RossecError):
     """Close the connection without an answer."""
-
-
-class CallRefused(RossecError):
-    """A call to a node's slave API that this peer may not make."""
 
 
 class ServiceUnavailable(RossecError):
@@ -83,18 +75,6 @@ class FormRefused(RossecError):
     """A form of the console with other fields than its page has, or a field that is no answer."""
 
 
-class EnrollmentUnknown(RossecError):
-    """An enrollment that the console does not run, or no longer."""
-
-
-class TooManyEnrollments(RossecError):
-    """More enrollments at a time than the console runs."""
-
-
-class PictureRefused(RossecError):
-    """A picture without a code, or one that could not be read in time."""
-
-
 class ScannerBusy(RossecError):
     """Another picture is being read."""
 
@@ -117,10 +97,6 @@ class WireError(RossecError):
 
 class HeaderRefused(WireError):
     """A TCPROS connection header that is malformed, ambiguous or too long."""
-
-
-class FrameRefused(WireError):
-    """A TCPROS message longer than allowed."""
 
 
 class KeyMessageRefused(WireError):
@@ -160,10 +136,6 @@ class AnswerRefused(RossecError):
 
 class ImportRefused(RossecError):
     """Facts or parameters of another master that this one does not take over."""
-
-
-class QueryRefused(RossecError):
-    """A query of the revocation list that is invalid, or cannot be answered."""
 
 
 class PeerUserRefused(RossecError):
@@ -218,10 +190,6 @@ class ProtocolViolation(ChannelError):
     """A frame or message which the state machine does not allow here."""
 
 
-class RecordForged(ChannelError):
-    """A record did not verify: altered, replayed, reordered or left out."""
-
-
 class ConnectionTruncated(ChannelError):
     """The connection ended without the peer's authenticated close."""
 
@@ -230,24 +198,12 @@ class LimitExceeded(ChannelError):
     """A size, rate or lifetime limit of the channel was reached."""
 
 
-class IdentityExpired(LimitExceeded):
-    """The peer's certificate expired while the connection was open."""
-
-
 class AnnouncementRefused(RossecError):
     """A datagram that is not a valid announcement of this trust domain's master."""
 
 
 class MasterNotFound(RossecError):
     """No announcement of a master of this trust domain was received."""
-
-
-class FederationError(RossecError):
-    """A step that following another master does not have."""
-
-
-class GatewayError(RossecError):
-    """A step that serving another domain's topic does not have."""
 
 
 class GraphHidden(RossecError):
@@ -302,24 +258,12 @@ class RulesNotConfined(RossecError):
     """The process for rules cannot be started here, or cannot be confined."""
 
 
-class NamesExtraMissing(RossecError):
-    """The library that applies rules is not installed."""
-
-
 class ThingError(RossecError):
     """A constrained thing, or whoever sends to a border router, that does not keep its protocol."""
 
 
 class DatagramRefused(ThingError):
     """Bytes that are not a CoAP message, or that no key of a thing has protected."""
-
-
-class ThingUnauthenticated(ThingError):
-    """A handshake that did not prove the key of a thing that is served here."""
-
-
-class ThingLinksRefused(ThingError):
-    """A list of resources that is malformed, or names something that a thing cannot have."""
 
 
 class BodyRefused(ThingError):

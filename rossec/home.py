@@ -219,6 +219,7 @@ class NodeHome:
                 f"{self.name} trusts another authority already",
                 f"to change it, move {self.path} away and enroll the node anew",
             )
+        # The identity last: its file is what says that the node is enrolled.
         files.replace(self.path / "ca.pem", to_pem(root), 0o644)
         files.replace(self.path / "node.pem", bundle, 0o644)
         files.make_private_directory(self.path / "grants")

@@ -2,9 +2,11 @@
 
 import logging
 import unicodedata
-from collections import Counter, OrderedDict
+from collections import Counter
+from collections.abc import Callable
 from typing import Final, Generic, NamedTuple, TypeVar
 
+from ca.bounded import Newest
 from rossec.errors import LimitExceeded
 
 TEXT_LIMIT: Final = 1000
@@ -130,6 +132,10 @@ class SharedTable(Generic[K, V]):
         found = self._entries.get(key)
         return None if found is None else (found.owner, found.rank)
 
+    def drop(self, is_over: Callable[[V], bool]) -> None:
+        for key in [key for key, entry in self._entries.items() if is_over(entry.value)]:
+            del self._entries[key]
+
     def items(self) -> list[tuple[K, V]]:
         return [(key, entry.value) for key, entry in self._entries.items()]
 
@@ -161,7 +167,7 @@ class LogRateLimit(logging.Filter):
         super().__init__()
         self._logged: dict[str, tuple[float, str]] = {}  # the oldest first
         self._subjects: Counter[str] = Counter()
-        self._left_out: OrderedDict[str, int] = OrderedDict()  # of lines that were logged before
+        self._left_out: Newest[str, int] = Newest(_MAX_FIRST_LINES)  # of lines that were logged before
 
     def filter(self, record: logging.LogRecord) -> bool:
         line, about = getattr(record, CAUSE, None) or (record.getMessage(), subject(record))
@@ -172,9 +178,7 @@ class LogRateLimit(logging.Filter):
             del self._logged[oldest]
             self._subjects -= Counter([cause])  # drops zero counts
         if line in self._logged:
-            self._left_out[line] = self._left_out.pop(line, 0) + 1
-            if len(self._left_out) > _MAX_FIRST_LINES:
-                self._left_out.popitem(last=False)
+            self._left_out[line] = self._left_out.get(line, 0) + 1
             return False
         most = _MAX_LINES if self._subjects[about] else _MAX_FIRST_LINES
         if self._subjects[about] >= _PER_SUBJECT or len(self._logged) >= most:

@@ -11,6 +11,7 @@ from functools import lru_cache
 from ipaddress import IPv6Address, ip_address
 from typing import Final
 
+from ca.bounded import Newest
 from grants.limits import TokenBucket
 from rossec.border.messages import Address, OscoreContext
 
@@ -67,7 +68,7 @@ class Unauthenticated:
     def __init__(self, total: float) -> None:
         self._total = total
         self._all = TokenBucket(total, total)
-        self._sources: OrderedDict[Hashable, TokenBucket] = OrderedDict()
+        self._sources: Newest[Hashable, TokenBucket] = Newest(MAX_SOURCES)
 
     def take(self, host: str, port: int, now: float) -> bool:
         # One port, one host (of IPv6 its network of 64 bits), all: who has many leaves half to others.
@@ -77,8 +78,6 @@ class Unauthenticated:
             self._bucket(network_of(host), half, half),
             self._all,
         )
-        while len(self._sources) > MAX_SOURCES:
-            self._sources.popitem(last=False)
         if any(bucket.refill(now) < 1 for bucket in buckets):
             return False
         for bucket in buckets:
@@ -86,8 +85,7 @@ class Unauthenticated:
         return True
 
     def _bucket(self, source: Hashable, rate: float, burst: float) -> TokenBucket:
-        bucket = self._sources.pop(source, None) or TokenBucket(rate, burst)
-        self._sources[source] = bucket
+        bucket = self._sources[source] = self._sources.get(source) or TokenBucket(rate, burst)
         return bucket
 
 
@@ -224,7 +222,7 @@ class DatagramQueue:
 
     def __init__(self) -> None:
         self._waiting: OrderedDict[bytes, _Host] = OrderedDict()
-        self._things: OrderedDict[Address, TokenBucket] = OrderedDict()
+        self._things: Newest[Address, TokenBucket] = Newest(CAPACITY)
         self._count = 0
         self.lost = 0
 
@@ -234,10 +232,7 @@ class DatagramQueue:
     def is_first(self, address: Address, now: float) -> bool:
         # From where an authenticated thing was last: taken at once, up to several times the rate of a thing.
         # More is lost, as the address may be forged.
-        bucket = self._things.pop(address, None) or TokenBucket(RATE, BURST)
-        self._things[address] = bucket
-        if len(self._things) > CAPACITY:
-            self._things.popitem(last=False)
+        bucket = self._things[address] = self._things.get(address) or TokenBucket(RATE, BURST)
         if bucket.refill(now) < 1:
             self.lost += 1
             return False

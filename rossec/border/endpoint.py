@@ -17,7 +17,7 @@ from ca.things.constrained_nodes import ThingKey
 from rossec.border import messages
 from rossec.border.conversations import MAX_BLOCK, MAX_BODY, Conversation, Conversations, Unauthenticated
 from rossec.border.handshakes import ID_SIZE, MAX_MESSAGE_3, HandshakeCompleted, Handshakes, StaticKey
-from rossec.errors import DatagramRefused, ThingError, ThingUnauthenticated, ThingUnreachable
+from rossec.errors import DatagramRefused, ThingError, ThingUnreachable
 
 DEADLINE: Final = 95.0  # seconds for one message and its answer; repeated for 62 to 93
 RETRY: Final = 0.25  # seconds until a request is sent again that got an unprotected answer
@@ -348,7 +348,7 @@ class CoapEndpoint:
             # A.2.1: C_R goes before message_3, as a byte string of three octets.
             head = bytes((0x40 | ID_SIZE,))
             if payload[:1] != head or len(payload) <= 1 + ID_SIZE:
-                raise ThingUnauthenticated("a message_3 without a connection identifier")
+                raise ThingError("a message_3 without a connection identifier")
             own_id, message_3 = payload[1 : 1 + ID_SIZE], payload[1 + ID_SIZE :]
             found = self._finish(own_id, message_3, address, now)
             self._answer(message, Message(code=codes.CHANGED, payload=found.message_4), address)
@@ -367,7 +367,7 @@ class CoapEndpoint:
         found = self._handshakes.finish(own_id, message_3, now)
         served = self._served.by_key(found.key.kid)
         if served is None:  # revoked while the handshake was under way
-            raise ThingUnauthenticated("a thing that is not served any more")
+            raise ThingError("a thing that is not served any more")
         self.counts.octets["message_3"] = len(message_3)
         self.counts.handshakes += 1
         conversation = Conversation(served[0], found.context, address, self._number())
@@ -491,7 +491,7 @@ class CoapEndpoint:
     def _spend(self, budget: Unauthenticated, address: messages.Address, now: float) -> None:
         if not budget.take(str(address[0]), int(address[1]), now):
             self.counts.over_budget += 1
-            raise ThingUnauthenticated("more attempts than are looked at")
+            raise ThingError("more attempts than are looked at")
 
     def _ended(self, conversation: Conversation) -> None:
         self.requests.end(conversation)
@@ -504,5 +504,5 @@ def _split_combined(payload: bytes) -> tuple[bytes, bytes]:
     size = payload[1] if payload[:1] == b"\x58" and len(payload) > 1 else -1
     begin, length = (2, size) if size >= 0 else (1, payload[0] - 0x40 if payload else -1)
     if not 0 < length <= MAX_MESSAGE_3 or (begin == 1 and length >= _ALONE):
-        raise ThingUnauthenticated("a combined request without message_3")
+        raise ThingError("a combined request without message_3")
     return payload[: begin + length], payload[begin + length :]

@@ -18,7 +18,7 @@ from ca.errors import EncodingError
 from ca.keys.signing import thumbprint
 from ca.things.constrained_nodes import ThingKey
 from rossec.border.messages import KEY_SIZE, SALT_SIZE, OscoreContext
-from rossec.errors import DatagramRefused, ThingUnauthenticated
+from rossec.errors import DatagramRefused, ThingError
 
 MAX_PENDING: Final = 256
 PENDING_FOR: Final = 20.0  # seconds; message_1 is repeated for longer, but gets a new answer
@@ -82,7 +82,7 @@ class Handshakes:
 
     def begin(self, message_1: bytes, source: Hashable, now: float) -> bytes:
         if len(message_1) > MAX_MESSAGE_1:
-            raise ThingUnauthenticated(f"a message_1 of {len(message_1)} octets")
+            raise ThingError(f"a message_1 of {len(message_1)} octets")
         # 5.2.3: G_X, after METHOD and SUITES_I. lakers would panic on a point that is not on the curve, and
         # write a stack trace to stderr; what else is wrong it refuses.
         head = _BEFORE_POINT.match(message_1)
@@ -90,7 +90,7 @@ class Handshakes:
         try:
             ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), b"\x02" + x)
         except ValueError:
-            raise ThingUnauthenticated("no key that is on the curve") from None
+            raise ThingError("no key that is on the curve") from None
         # 5.2.3: process message_1; a critical EAD that is not known ends the session (3.8).
         responder = lakers.EdhocResponder(r=self._own.private, cred_r=self._own.credential.ccs)
         raw_id, extensions = _guarded(responder.process_message_1, message_1)
@@ -102,7 +102,7 @@ class Handshakes:
             if own_id != peer_id and own_id not in self._pending and not self._is_taken(own_id):
                 break
         else:
-            raise ThingUnauthenticated("no free ID")
+            raise ThingError("no free ID")
         message_2 = bytes(
             _guarded(responder.prepare_message_2, lakers.CredentialTransfer.ByReference, own_id, None)
         )
@@ -121,7 +121,7 @@ class Handshakes:
         except EncodingError:
             is_message_3 = False
         if pending is None or not is_message_3:
-            raise ThingUnauthenticated("no such handshake, or no message_3")
+            raise ThingError("no such handshake, or no message_3")
         # 5.4.3: process message_3: decrypt, read ID_CRED_I, verify by the credential that it names. One that
         # nobody has costs the same work and gets the same answer as a wrong proof.
         responder = pending.responder
@@ -135,7 +135,7 @@ class Handshakes:
         key = self._find(kid if isinstance(kid, bytes) else b"")
         _guarded(responder.verify_message_3, (self._decoy if key is None else key).ccs)
         if key is None:
-            raise ThingUnauthenticated("the key of no thing that is served here")
+            raise ThingError("the key of no thing that is served here")
         # 5.5.2: message_4; appendix A.1: the context, whose IDs are C_I and C_R.
         message_4 = bytes(_guarded(responder.prepare_message_4))
         secret = bytes(_guarded(responder.edhoc_exporter, _KEY, [], KEY_SIZE))
@@ -143,7 +143,7 @@ class Handshakes:
         try:
             context = OscoreContext(secret, salt, pending.peer_id, own_id)
         except DatagramRefused as error:
-            raise ThingUnauthenticated(str(error)) from None
+            raise ThingError(str(error)) from None
         return HandshakeCompleted(key, context, message_4)
 
     def expire(self, now: float) -> None:
@@ -159,7 +159,7 @@ class Handshakes:
 
 def _check_extensions(extensions: Any) -> None:
     if any(each.is_critical() for each in extensions or ()):
-        raise ThingUnauthenticated("a critical extension that is not known")
+        raise ThingError("a critical extension that is not known")
 
 
 def _guarded(function: Callable[..., Any], *arguments: object) -> Any:
@@ -168,4 +168,4 @@ def _guarded(function: Callable[..., Any], *arguments: object) -> Any:
     except _LEAVES:
         raise
     except BaseException as error:  # noqa: BLE001 - PanicException of pyo3 is no Exception
-        raise ThingUnauthenticated(f"EDHOC: {str(error)[:80]}") from None
+        raise ThingError(f"EDHOC: {str(error)[:80]}") from None

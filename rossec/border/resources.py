@@ -18,7 +18,7 @@ from ca.errors import EncodingError, NameRefused
 from ca.names import check_name
 from grants.filters.layout import PRIMITIVES, Array, Layout, Primitive, Struct, Text, Type
 from rossec.border.conversations import MAX_BODY, MAX_OBSERVATIONS, MAX_RESOURCES
-from rossec.errors import BodyRefused, ThingLinksRefused
+from rossec.errors import BodyRefused, ThingError
 
 PUBLISHER, SUBSCRIBER, SERVICE = "ros.pub", "ros.sub", "ros.srv"
 KINDS: Final = frozenset({PUBLISHER, SUBSCRIBER, SERVICE})
@@ -52,26 +52,26 @@ class Resource:
 
 def read_links(data: bytes, thing: str) -> list[Resource]:
     if len(data) > MAX_LIST:
-        raise ThingLinksRefused(f"a list of resources of {len(data)} octets, at most {MAX_LIST}")
+        raise ThingError(f"a list of resources of {len(data)} octets, at most {MAX_LIST}")
     try:
         text = data.decode("ascii")
     except UnicodeDecodeError:
-        raise ThingLinksRefused("a list of resources that is not ASCII") from None
+        raise ThingError("a list of resources that is not ASCII") from None
     links: list[tuple[str, str]] = []
     end = 0
     while end < len(text):
         match = _LINK.match(text, end)
         if match is None or len(links) > MAX_RESOURCES:
-            raise ThingLinksRefused(f"not a list of links at character {end}")
+            raise ThingError(f"not a list of links at character {end}")
         links.append((match[1], match[2]))
         end = match.end()
     found = [each for each in (_resource(*link, thing) for link in links) if each]
     if sum(each.kind == PUBLISHER for each in found) > MAX_OBSERVATIONS:
-        raise ThingLinksRefused(f"a thing publishes at most {MAX_OBSERVATIONS} topics")
+        raise ThingError(f"a thing publishes at most {MAX_OBSERVATIONS} topics")
     if len({(each.kind, each.name) for each in found}) != len(found):
-        raise ThingLinksRefused("two resources of a thing have one name")
+        raise ThingError("two resources of a thing have one name")
     if len({each.path for each in found}) != len(found):
-        raise ThingLinksRefused("one resource of a thing is listed twice")
+        raise ThingError("one resource of a thing is listed twice")
     return found
 
 
@@ -79,26 +79,26 @@ def _resource(target: str, parameters: str, thing: str) -> Resource | None:
     values: dict[str, str] = {}
     for match in _PARAMETER.finditer(parameters):
         if match[1] in values:
-            raise ThingLinksRefused(f"the link to {target!a} says {match[1]!a} twice")
+            raise ThingError(f"the link to {target!a} says {match[1]!a} twice")
         values[match[1]] = (match[2] or "").strip('"')
     kind = values.get("rt", "")
     if kind not in KINDS:
         return None
     type_name = values.get("if", "")
     if _TYPE.fullmatch(type_name) is None:
-        raise ThingLinksRefused(f"{type_name!a} is not a ROS type", "package/Type")
+        raise ThingError(f"{type_name!a} is not a ROS type", "package/Type")
     path = tuple(target.removeprefix("/").split("/"))
     good = all(_SEGMENT.fullmatch(each) and each not in {".", ".."} for each in path)
     if not target.startswith("/") or len(target) > MAX_PATH or not good:
-        raise ThingLinksRefused(f"{target[:MAX_PATH]!a} is not the path of a resource")
+        raise ThingError(f"{target[:MAX_PATH]!a} is not the path of a resource")
     title = values.get("title", "")
     try:
         name = check_name(f"{thing}/{title[1:]}" if title.startswith("~") else title)
     except NameRefused as error:
-        raise ThingLinksRefused(f"the name {title!a}: {error}", "~name, or /absolute") from None
+        raise ThingError(f"the name {title!a}: {error}", "~name, or /absolute") from None
     form = values.get("ct", str(ROS_BODY))
     if form not in {str(each) for each in FORMATS}:
-        raise ThingLinksRefused(f"content format {form!a}", f"{ROS_BODY} or {CBOR_BODY}")
+        raise ThingError(f"content format {form!a}", f"{ROS_BODY} or {CBOR_BODY}")
     return Resource(kind, path, type_name, name, int(form))
 
 

@@ -55,7 +55,6 @@ from rossec.errors import (
     ConnectionTruncated,
     HandshakeFailed,
     HandshakeTimeout,
-    IdentityExpired,
     LimitExceeded,
     PeerCredentialUnknown,
     ProtocolViolation,
@@ -291,7 +290,7 @@ class Connection(Generic[PeerT]):
             if self.state is not ConnectionState.OPEN or self._session is None or self._peer is None:
                 raise HandshakeTimeout("the peer did not finish the handshake in time", HINT_SILENT)
             if now >= self._peer.not_after:
-                raise IdentityExpired("the peer's certificate has expired", "renew it")
+                raise LimitExceeded("the peer's certificate has expired", "renew it")
             self._session.check_progress(now, reading=reading)
             self._out.append(self._session.renew(now))
         except ChannelError:

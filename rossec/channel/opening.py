@@ -151,22 +151,18 @@ def classify_answer(data: bytes, protocol: WireProtocol) -> int | None:
         wanted = min(length, MAX_OPENING)
         if len(data) < wanted:
             return None
-        text = _error_field(data[4:wanted])
-        said = "answers without an error" if text is None else f"says: {text}"
+        said, body = "answers without an error", data[4:wanted]
+        while len(body) >= 4:
+            length = int.from_bytes(body[:4], "little")
+            name, _, value = body[4 : 4 + length].partition(b"=")
+            if name == b"error":
+                said = f"says: {printable(value.decode(errors='replace'))}"
+                break
+            body = body[4 + length :]
         raise PlainPeer(f"the peer is a plain ROS node and {said}", _HINT_PLAIN)
     if protocol is WireProtocol.HTTP:
         raise PlainPeer("the peer does not answer in HTTP", _HINT_PLAIN)
     return 0
-
-
-def _error_field(body: bytes) -> str | None:
-    while len(body) >= 4:
-        length = int.from_bytes(body[:4], "little")
-        name, _, value = body[4 : 4 + length].partition(b"=")
-        if name == b"error":
-            return printable(value.decode(errors="replace"))
-        body = body[4 + length :]
-    return None
 
 
 def post_quantum(environ: Mapping[str, str], option: str | None = None) -> tuple[int, ...]:

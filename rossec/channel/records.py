@@ -17,7 +17,7 @@ from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
 from rossec.channel.edhoc.messages import MAX_MESSAGE
 from rossec.channel.edhoc.suites import EdhocExporter, Suite
 from rossec.channel.tuning import ENCRYPT_INTO_FROM, JOIN_PIECES_BELOW
-from rossec.errors import LimitExceeded, ProtocolViolation, RecordForged
+from rossec.errors import ChannelError, LimitExceeded, ProtocolViolation
 
 HEADER: Final = 4
 TAG: Final = 16
@@ -128,14 +128,14 @@ class Direction:
         try:
             return self._aead.decrypt(self._nonce(len(body) - TAG), body, head)
         except InvalidTag:
-            raise RecordForged("a record does not verify") from None
+            raise ChannelError("a record does not verify") from None
 
     def open_into(self, head: bytes, body: memoryview, target: memoryview) -> None:
         # Decrypt into `target`, whose content counts only if this returns.
         try:
             self._aead.decrypt_into(self._nonce(len(body) - TAG), body, head, target)
         except InvalidTag:
-            raise RecordForged("a record does not verify") from None
+            raise ChannelError("a record does not verify") from None
 
 
 class Epochs:

@@ -20,7 +20,7 @@ from ca.errors import CodeRefused, EnrollmentExpired, EnrollmentOver, HintedErro
 from rossec.authority.console import messages
 from rossec.authority.console.messages import ApprovalOutcome, IdentityRequestView, NodeView
 from rossec.enrollment.enroll import deliver, fetch
-from rossec.errors import EnrollmentUnknown, KeyServiceFailed, TooManyEnrollments
+from rossec.errors import KeyServiceFailed, RossecError
 from rossec.host import addresses
 from rossec.host.runner import TaskSet
 from rossec.peer_limits import SharedTable
@@ -284,7 +284,7 @@ class Enrollments:
             ended = self._running.add(number, place, owner, messages.rank(owner))
         if ended is None:
             said = f"{MAX_RUNNING} nodes are being added already"
-            raise TooManyEnrollments(said, "finish or reject one of them")
+            raise RossecError(said, "finish or reject one of them")
         for each in ended:  # its page says why
             each.found.fail(EnrollmentOver("its place was needed for another node", _AGAIN))
             if each.task is not None:
@@ -320,7 +320,7 @@ class Enrollments:
     def _place(self, number: str) -> _Place:
         place = self._running.get(number) or self._ended.get(number)
         if place is None:
-            raise EnrollmentUnknown("this console adds no such node, or no longer", _AGAIN)
+            raise RossecError("this console adds no such node, or no longer", _AGAIN)
         return place
 
     def _spawn(self, place: _Place, work: Callable[[], Coroutine[None, None, None]]) -> None:

@@ -5,13 +5,14 @@ the process. It shows, denies and revokes; it never approves.
 """
 
 import base64
-from collections import Counter, OrderedDict, deque
+from collections import Counter, deque
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import Final, Generic, TypeVar
 
+from ca.bounded import Newest
 from rossec import clock
 from rossec.authority.console import messages
 from rossec.authority.console.messages import PhoneView
@@ -161,7 +162,7 @@ class FailureLimit:
     # by the network, since a device has as many addresses as it likes.
 
     def __init__(self) -> None:
-        self._failures: OrderedDict[str, deque[float]] = OrderedDict()
+        self._failures: Newest[str, deque[float]] = Newest(MAX_ADDRESSES)
 
     def is_blocked(self, address: str, now: float) -> bool:
         if not address:  # behind a proxy all have none: one would keep out everybody
@@ -171,11 +172,7 @@ class FailureLimit:
 
     def note(self, address: str, now: float) -> None:
         key = source_of(address)
-        times = self._failures.setdefault(key, deque(maxlen=MAX_FAILURES))
-        self._failures.move_to_end(key)
-        times.append(now)
-        while len(self._failures) > MAX_ADDRESSES:
-            self._failures.popitem(last=False)
+        self._failures[key] = deque((*self._failures.get(key, ()), now), maxlen=MAX_FAILURES)
 
 
 class LoginTurns:

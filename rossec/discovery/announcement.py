@@ -5,11 +5,12 @@ trust anchor. It gives the address of the master, nothing more: the peer there s
 authenticate in the handshake, so a forger can only cause probes that fail.
 """
 
-from collections import Counter, OrderedDict, deque
+from collections import Counter, deque
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Final
 
+from ca.bounded import ExpiringTable, Newest
 from ca.certificates import Identity, TrustAnchor
 from ca.encoding import Value
 from ca.errors import CAError
@@ -166,8 +167,8 @@ class Budget:
 
     def __init__(self, share: float = SHARE, total: float = TOTAL) -> None:
         self._share = share
-        self._shares: OrderedDict[Hashable, TokenBucket] = OrderedDict()
-        self._verified: OrderedDict[Hashable, TokenBucket] = OrderedDict()
+        self._shares: Newest[Hashable, TokenBucket] = Newest(MAX_SOURCES)
+        self._verified: Newest[Hashable, TokenBucket] = Newest(MAX_VERIFIED)
         self._totals = {known: TokenBucket(total, total) for known in (True, False)}
 
     def spend(self, source: Hashable, cost: int, clock: float, *, known_chain: bool) -> None:
@@ -185,19 +186,10 @@ class Budget:
     def note_verified(self, source: Hashable) -> None:
         if source not in self._verified:
             self._verified[source] = self._of(source)
-            _bound(self._verified, MAX_VERIFIED)
 
     def _of(self, source: Hashable) -> TokenBucket:
-        if source not in self._shares:
-            self._shares[source] = TokenBucket(self._share, self._share)
-            _bound(self._shares, MAX_SOURCES)
-        self._shares.move_to_end(source)
-        return self._shares[source]
-
-
-def _bound(table: OrderedDict[Hashable, TokenBucket], most: int) -> None:
-    while len(table) > most:
-        table.popitem(last=False)
+        bucket = self._shares[source] = self._shares.get(source) or TokenBucket(self._share, self._share)
+        return bucket
 
 
 @dataclass(frozen=True)
@@ -259,9 +251,9 @@ class Candidates:
         self._anchor = anchor
         self._revoked = revoked
         self._candidates: dict[tuple[bytes, DatagramSource], Candidate] = {}
-        self._seen: OrderedDict[tuple[bytes, int, int], None] = OrderedDict()
+        self._seen: Newest[tuple[bytes, int, int], None] = Newest(_SEEN)
         self._newest: dict[bytes, Announcement] = {}
-        self._chains: OrderedDict[tuple[bytes, ...], tuple[Identity, float]] = OrderedDict()
+        self._chains: ExpiringTable[tuple[bytes, ...], Identity] = ExpiringTable(MAX_CANDIDATES, _CHAIN_LIFE)
         self._budget: Budget = Budget()
         self.refused: Counter[str] = Counter()
 
@@ -280,8 +272,6 @@ class Candidates:
             announcement = claim.verify(identity)
             self._budget.note_verified(source)
             self._seen[announcement.instance, announcement.seq, source.link] = None
-            if len(self._seen) > _SEEN:
-                self._seen.popitem(last=False)
             key = identity.thumbprint
             # 3. A recorded one points to where the master was: sequence numbers only rise, and a new instance
             # is later than the previous one.
@@ -311,16 +301,14 @@ class Candidates:
         return next((one for one in self.ranked(now, clock) if one.rtt is not None), None)
 
     def _identity(self, claim: MasterClaim, source: DatagramSource, now: int, clock: float) -> Identity:
-        identity, until = self._chains.get(claim.chain, (None, 0.0))
-        if identity is not None and clock < until:
+        identity = self._chains.get(claim.chain, clock)
+        if identity is not None:
             self._budget.spend(source, 1, clock, known_chain=True)
             return identity
         self._budget.spend(source, 1 + len(claim.chain), clock, known_chain=False)
         identity = claim.verify_chain(self._anchor, self._revoked, now)
         # For a minute: one that ends or is revoked meanwhile gives an address, and the handshake refuses it.
-        self._chains[claim.chain] = identity, clock + _CHAIN_LIFE
-        if len(self._chains) > MAX_CANDIDATES:
-            self._chains.popitem(last=False)
+        self._chains.put(claim.chain, identity, clock)
         return identity
 
     def _take(

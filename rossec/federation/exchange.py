@@ -9,11 +9,11 @@ domain are judged by `DomainTrust`, and passed on to the own nodes, which judge 
 import asyncio
 import contextlib
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
+from ca.bounded import Newest
 from ca.certificates import Identity
 from ca.domains.trust import ListedDomain
 from ca.errors import DomainsRefused, RevocationRefused, RevocationsStale
@@ -41,15 +41,12 @@ class Chains:
     # The handshake gives the identity alone; nodes verify a foreign master's word themselves, so its chain
     # is kept.
     def __init__(self) -> None:
-        self._chains: OrderedDict[bytes, tuple[bytes, ...]] = OrderedDict()
+        self._chains: Newest[bytes, tuple[bytes, ...]] = Newest(MAX_CHAINS)
 
     def recording(self, verify: Verify[Identity]) -> Verify[Identity]:
         def verified(chain: tuple[bytes, ...], now: int) -> Identity:
             identity = verify(chain, now)
-            self._chains.pop(identity.thumbprint, None)
             self._chains[identity.thumbprint] = chain
-            if len(self._chains) > MAX_CHAINS:
-                self._chains.popitem(last=False)
             return identity
 
         return verified

@@ -11,7 +11,7 @@ from enum import Enum
 from itertools import accumulate
 from typing import Any, Final, NamedTuple
 
-from rossec.errors import AnswerMalformed, FederationError, ImportRefused
+from rossec.errors import AnswerMalformed, ImportRefused, RossecError
 from rossec.federation.settings import SiteSettings
 from rossec.master.state.forwarded_ports import NODE, SERVICE, Door, Target
 from rossec.master.state.imported_facts import FACTS_LIMIT, PROVIDER, checked, parts
@@ -86,7 +86,7 @@ class SiteState:
     def take(self, event: SiteEvent, clock: float) -> SiteEffect:
         found = TABLE.get((self.phase, event))
         if found is None:
-            raise FederationError(f"a site that is {self.phase.value}, and: {event.value}")
+            raise RossecError(f"a site that is {self.phase.value}, and: {event.value}")
         self.phase, effect = found
         if event in (SiteEvent.FAILED, SiteEvent.REFUSED):
             self.failures += 1

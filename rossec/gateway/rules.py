@@ -24,7 +24,7 @@ from ca.names import (
     split_alias,
 )
 from grants.errors import DefinitionRefused
-from rossec.errors import ConfigurationError, ConnectionHeaderRefused, GatewayError
+from rossec.errors import ConfigurationError, ConnectionHeaderRefused, RossecError
 from rossec.node.subscriber import RawSource
 from rossec.participant.definitions import Definition
 from rossec.participant.delivery import Wishes
@@ -255,7 +255,7 @@ class TopicState:
 
     def _enter(self, event: GatewayEvent, now: float) -> Action:
         if (self.phase, event) not in TABLE:
-            raise GatewayError(f"a topic that is {self.phase.value}, and then: {event.value}")
+            raise RossecError(f"a topic that is {self.phase.value}, and then: {event.value}")
         self.phase, action = TABLE[self.phase, event]
         waits = {GatewayPhase.LINGERING: LINGER, GatewayPhase.PAUSED: self._pause}.get(self.phase)
         self.due = None if waits is None else now + waits

@@ -14,6 +14,7 @@ from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from ca.bounded import Newest
 from rossec.errors import PeerUserRefused
 from rossec.host import local_sockets
 from rossec.host.local_ports import LOOPBACK, Loopback
@@ -120,7 +121,7 @@ class SocketOwners:
 
     def __init__(self, ancestor: int) -> None:
         self._ancestor = ancestor
-        self._locations: dict[int, _SocketLocation] = {}  # by socket inode; the oldest first
+        self._locations: Newest[int, _SocketLocation] = Newest(REMEMBERED)  # by socket inode
         self._seen: dict[Process, set[str]] = {}  # descriptors that were no caller's socket
         self._wanted: set[int] = set()
         self._search_lock = asyncio.Lock()
@@ -165,8 +166,6 @@ class SocketOwners:
                 self._locations[inode] = location
                 # A program that connects again often uses the same descriptor.
                 self._seen[location.process].discard(location.descriptor)
-                if len(self._locations) > REMEMBERED:
-                    del self._locations[next(iter(self._locations))]
                 if not missing:
                     return
             if time.monotonic() >= end:

@@ -11,12 +11,13 @@ import errno
 import logging
 import queue
 import time
-from collections import Counter, OrderedDict
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from threading import Event, Lock, RLock, Thread
 from typing import Final, TypeAlias
 
+from ca.bounded import Newest
 from ca.certificates import Identity
 from ca.errors import HintedError
 from grants.guard import Guard
@@ -72,7 +73,7 @@ class Registrations:
     def __init__(self, now: Callable[[], float]) -> None:
         self.table = RegistrationTable()  # what is registered, or was refused
         self.publishers = PublisherGrace(now)  # those that the master names, by topic
-        self._nodes: dict[tuple[str, int], None] = {}
+        self._nodes: Newest[tuple[str, int], None] = Newest(_NODES)
 
     def record(self, method: str, params: Sequence[object], answer: object) -> None:
         if method in UNREGISTERS:  # whatever the answer: the program is done with it
@@ -85,8 +86,6 @@ class Registrations:
                 elif method == "lookupNode" and isinstance(value, str):
                     with suppress(ConfigurationError):
                         self._nodes[parse_uri(value)] = None
-                    if len(self._nodes) > _NODES:
-                        del self._nodes[next(iter(self._nodes))]
             case [_, str(status), _] if status.startswith(REFUSED):
                 self.table.record(method, params, refused=True)
             case _:
@@ -108,7 +107,7 @@ class CallReporter:
 
     def __init__(self, write: Callable[[str], None]) -> None:
         self._write = write
-        self._reported: OrderedDict[str, None] = OrderedDict()
+        self._reported: Newest[str, None] = Newest(REMEMBERED)
         self._since, self._counts, self._suppressed = 0.0, Counter[str](), False
         self.abandon()
         forget_in_children(self)
@@ -127,8 +126,6 @@ class CallReporter:
             if line in self._reported:
                 return
             self._reported[line] = None
-            if len(self._reported) > REMEMBERED:
-                self._reported.popitem(last=False)
             # No peer may suppress the lines about others, nor fill the disk: a share for each subject.
             subject, moment = what.partition(":")[0], time.monotonic()
             if moment - self._since > _PERIOD:

@@ -13,7 +13,7 @@ from importlib.resources import files
 from types import TracebackType
 from typing import Final, Self
 
-from rossec.errors import NamesExtraMissing, ProposedNameRefused, RossecError, RulesExceeded, RulesNotConfined
+from rossec.errors import ProposedNameRefused, RossecError, RulesExceeded, RulesNotConfined
 from rossec.host.workers import AskedWorker, worker_command
 from rossec.naming import requests
 from rossec.naming.requests import NameKind, NameRequest, Result, check_proposed, check_query
@@ -35,7 +35,7 @@ def shipped_example(name: str) -> bytes:
 
 def require_extra(library: str = LIBRARY) -> None:
     if importlib.util.find_spec(library) is None:
-        raise NamesExtraMissing(
+        raise RossecError(
             f"names by rules need {library}, which is not installed",
             "install the extra: pip install 'rossec[names]'",
         )

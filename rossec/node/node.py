@@ -114,7 +114,7 @@ class Listener:
         now = clock.now()
         authorized = False
         try:
-            self._access.check_peer(peer, now)
+            self._access.check_peer(peer, now)  # at each call: a connection may be older than the list
             match method, params:
                 case names.PRESENT_GRANTS, (_, bytes() as grants):
                     presented[:] = [grants]
@@ -150,6 +150,7 @@ class Listener:
     ) -> Callable[[], Awaitable[None]]:
         if "service" not in fields:
             now = clock.now()
+            # The right before the look-up: without it a peer does not learn what is published here (N5).
             decision = admit_subscriber(fields, stream.peer, self._access, now)
             publisher = self._publishers.get(requested_topic(fields))
             if publisher is None:
@@ -433,7 +434,7 @@ class Node:
         self.topics.drop_expired_publishers()
 
     def crashed(self, error: BaseException) -> None:
-        """Close the node when a task fails: without its watchdog it would close no connection."""
+        # Fail closed: without its watchdog the node would cut no connection any more.
         if not self._ended.done():
             self._ended.set_exception(error)
         if not self._ended.cancelled():

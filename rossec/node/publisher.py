@@ -11,7 +11,6 @@ import struct
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from functools import partial
-from time import monotonic
 from typing import Any, Final, TypeAlias
 
 from ca.certificates import Identity
@@ -30,13 +29,11 @@ from rossec.participant import delivery
 from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.definitions import Definition, forwarded_definition, needs_definition
 from rossec.participant.delivery import (
-    LARGE,
     NO_WISHES,
-    Deflatable,
     Latch,
     Sample,
     SharedDeflation,
-    WishedRate,
+    WishedQueue,
     Wishes,
     check_carried_out,
 )
@@ -74,77 +71,24 @@ class SubscriberQueue:
         self._wake.set()
 
     async def run(self) -> None:
-        async with asyncio.TaskGroup() as group:
-            group.create_task(self._until_closed())
-            while True:
-                await self._wake.wait()
-                self._wake.clear()
-                while self._queue:
-                    await self._stream.send(*self._next_batch())
-
-    async def _until_closed(self) -> None:
-        while True:  # a TCPROS subscriber sends nothing after its header
-            await self._stream.receive()
-
-    def _next_batch(self) -> list[bytes | bytearray | memoryview]:
-        batch: list[bytes | bytearray | memoryview] = []
-        size = 0
-        while self._queue and size < BATCH:
-            pieces = self._queue.popleft()
-            length = sum(map(len, pieces))
-            batch.append(LENGTH.pack(length))
-            batch.extend(pieces)
-            size += LENGTH.size + length
-        return batch
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            while self._queue:
+                batch: list[bytes | bytearray | memoryview] = []
+                size = 0
+                while self._queue and size < BATCH:
+                    pieces = self._queue.popleft()
+                    length = sum(map(len, pieces))
+                    batch.append(LENGTH.pack(length))
+                    batch.extend(pieces)
+                    size += LENGTH.size + length
+                await self._stream.send(*batch)
 
 
-class DeliveryQueue(SubscriberQueue):
-    """As `SubscriberQueue`, for a subscriber with `wishes`: thinned out, the newest only, deflated.
-
-    What comes here has passed the guard. Messages are sent one by one. For the newest to be sent, a message
-    is taken from the queue only when those before it have left, and is deflated only then.
-    """
-
-    def __init__(
-        self, stream: SecureStream[Identity], queue_size: int, wishes: Wishes, deflation: SharedDeflation
-    ) -> None:
-        super().__init__(stream, 1 if wishes.newest else queue_size)
-        self.thinned = 0  # messages that the rate took away
-        self._wishes = wishes
-        self._deflation = deflation
-        self._rate = None if wishes.rate is None else WishedRate(wishes.rate)
-        self._waiting: deque[Deflatable] = deque()
-        if wishes.newest:
-            stream.transport.limit_unsent()
-
-    def enqueue(self, pieces: Pieces) -> None:
-        # Queue one filtered message, unless the rate takes it away; the oldest gives way.
-        if self._rate is not None and not self._rate.admits(monotonic()):
-            self.thinned += 1
-            return
-        if len(self._waiting) >= self._queue_size:
-            self._waiting.popleft()
-            self.dropped += 1
-        self._waiting.append(self._deflation.of(pieces, pieces))
-        self._wake.set()
-
-    async def run(self) -> None:
-        async with asyncio.TaskGroup() as group:
-            group.create_task(self._until_closed())
-            while True:
-                await self._wake.wait()
-                self._wake.clear()
-                while self._waiting:
-                    if self._wishes.newest:
-                        await self._stream.flushed()
-                    message = self._waiting.popleft()
-                    size = sum(map(len, message.pieces))
-                    if not self._wishes.deflate:
-                        await self._stream.send(LENGTH.pack(size), *message.pieces)
-                        continue
-                    large = size >= LARGE
-                    content = await asyncio.to_thread(message.content) if large else message.content()
-                    await self._stream.send(LENGTH.pack(len(content)), content)
+async def until_closed(stream: SecureStream[Identity]) -> None:
+    while True:  # a TCPROS subscriber sends nothing after its header
+        await stream.receive()
 
 
 class Publisher:
@@ -162,7 +106,7 @@ class Publisher:
         check_queue_size(queue_size)
         self.endpoint = endpoint
         self.latch = latch
-        self.links: dict[SubscriberConnection, SubscriberQueue] = {}
+        self.links: dict[SubscriberConnection, SubscriberQueue | WishedQueue] = {}
         self._layout = layout
         self._context = context
         self._queue_size = queue_size
@@ -255,7 +199,7 @@ class Publisher:
         the answer is sent: a revocation received meanwhile closes it."""
         connection = AuthorizedConnection(stream, decision, guard, partial(self._rebuilt, wishes))
         queue = (
-            DeliveryQueue(stream, self._queue_size, wishes, self._deflation)
+            WishedQueue(stream, wishes, self._queue_size, self._deflation)
             if wishes
             else SubscriberQueue(stream, self._queue_size)
         )
@@ -271,7 +215,9 @@ class Publisher:
                         if pieces is not None:
                             queue.enqueue(pieces)
                             break
-                await queue.run()
+                async with asyncio.TaskGroup() as group:
+                    group.create_task(until_closed(stream))
+                    await queue.run()
         except* RossecError as group:
             _log.info("%s: %s left: %s", self.topic, shown(stream.peer.name), group.exceptions[0])
         finally:

@@ -28,12 +28,12 @@ from rossec.errors import (
     ChannelError,
     ConfigurationError,
     ConnectionHeaderRefused,
-    FrameRefused,
     MessageError,
     RossecError,
     ServiceFailed,
     ServiceRefused,
     ServiceUnavailable,
+    WireError,
 )
 from rossec.net.aio import SecureStream
 from rossec.net.limits import unit_limit
@@ -79,7 +79,7 @@ async def receive_request(stream: SecureStream[Identity], *, wait: bool) -> byte
             while content is None:
                 content = frames.feed_one(await stream.receive())
     except TimeoutError:
-        raise FrameRefused("a request that did not arrive in time") from None
+        raise WireError("a request that did not arrive in time") from None
     return content
 
 
@@ -162,7 +162,7 @@ class Service:
             self.links.discard(connection)
 
     async def _answer(self, connection: CallerConnection, share: asyncio.Semaphore, request: bytes) -> None:
-        self._context.connections.check(connection)
+        self._context.connections.check(connection)  # at each request: the connection may be hours old
         await connection.stream.send(*await self._respond(connection, share, request))
 
     async def _respond(
@@ -196,6 +196,7 @@ class Service:
         except ServiceFailed:
             raise
         except Exception as error:
+            # The text of an exception may hold what the caller may not read: it is for this log alone.
             _log.exception("%s: the handler failed", self.name)
             raise ServiceFailed("the service failed") from error
 
@@ -304,6 +305,7 @@ class Services:
     ) -> Callable[[], Awaitable[None]]:
         """Decide on a caller from its header; returns what serves it."""
         context, now = self._context, clock.now()
+        # The right before the look-up: a probe without it learns nothing (N6).
         decision = admit_caller(fields, stream.peer, context.access, now)
         name = requested_service(fields)
         service = self._provided.get(name)
@@ -316,6 +318,7 @@ class Services:
         if is_set(fields, "probe"):
             return partial(stream.send, answer)
         guard = service.guard(decision)
+        # Only now: of a peer without the right no more than a header is kept (N8).
         stream.raise_unit_limit(unit_limit(service.kind.request_layout.root.size, REQUEST_LIMIT))
         persistent = is_set(fields, "persistent")
         return partial(service.serve, stream, decision, guard, answer, persistent=persistent)

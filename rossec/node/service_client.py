@@ -170,15 +170,23 @@ class ServiceClient:
             complete = True
             raise
         finally:
-            if not complete:
+            if not complete:  # a late response would be taken for that of the next call
                 self._discard(connection)
         return b"".join(connection.guard.response(response, clock.time()))
 
     async def _connect(self) -> ProviderConnection:
         stream = await self._dial(self.service)
         try:
+            kind = ExpectedService(self.kind.name, self.kind.md5sum)
+            caller, access = self._context.name_for(stream.peer), self._context.access
             async with asyncio.timeout(HANDSHAKE_DEADLINE):
-                connection = await self._handshake(stream)
+                answer, decision = await exchange_headers(
+                    stream, caller, self.service, kind, access, persistent=self._persistent
+                )
+            check_md5(answer, self.service, kind.md5sum)
+            stream.raise_unit_limit(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
+            connection = AuthorizedConnection(stream, decision, self._guard(decision), self._guard)
+            # In the table before the first request: from here on a revocation cuts it.
             self._context.connections.add(connection)
         except BaseException:
             stream.abort("the connection header was refused")
@@ -191,20 +199,6 @@ class ServiceClient:
 
         self._task_set.spawn(discard_when_ended(), f"{self.service}: connection")
         return connection
-
-    async def _handshake(self, stream: SecureStream[Identity]) -> ProviderConnection:
-        kind = ExpectedService(self.kind.name, self.kind.md5sum)
-        answer, decision = await exchange_headers(
-            stream,
-            self._context.name_for(stream.peer),
-            self.service,
-            kind,
-            self._context.access,
-            persistent=self._persistent,
-        )
-        check_md5(answer, self.service, kind.md5sum)
-        stream.raise_unit_limit(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
-        return AuthorizedConnection(stream, decision, self._guard(decision), self._guard)
 
     def _guard(self, decision: Decision) -> ServiceGuard:
         context = self._context

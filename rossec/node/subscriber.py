@@ -192,6 +192,7 @@ class Subscriber:
             await asyncio.sleep(pause)
 
     async def _receive_from(self, uri: str) -> None:
+        # The whole way has one deadline: a publisher that stalls holds no descriptor for longer.
         async with asyncio.timeout(HANDSHAKE_DEADLINE):
             stream = await self._context.dialer.topic(uri, self.topic)
             try:
@@ -211,7 +212,11 @@ class Subscriber:
                     if wished is None:
                         self._deliver(connection, messages)
                     else:
-                        await self._deliver_wished(connection, wished, messages)
+                        for content in messages:
+                            message = await wished.inflated(content)
+                            # That took its time, in which the right may have ended.
+                            self._context.connections.check(connection)
+                            self._deliver(connection, [message], wished)
                     messages = await next_messages(stream, framing)
         finally:
             self.links.discard(connection)
@@ -232,6 +237,7 @@ class Subscriber:
             units = frames.feed(await stream.receive())
         answer = tcpros.decode(units[0])
         decision = admit_publisher(answer, stream.peer, endpoint.expected, context.access, clock.now())
+        # Of a type of fixed size a unit needs less than the most that any type may have.
         stream.raise_unit_limit(unit_limit(self._size, MESSAGE_LIMIT))
         del answer[FIELD]  # what is kept of it needs no grants
 
@@ -248,34 +254,21 @@ class Subscriber:
         return self.endpoint.type
 
     def _opened(self, connection: PublisherConnection, answer: Fields) -> None: ...
-
     def _ended(self, connection: PublisherConnection) -> None: ...
 
     def _keep(self, _connection: PublisherConnection, messages: list[bytes]) -> None:
         self._queue.extend(messages)
         self._wake.set()
 
-    def _deliver(self, connection: PublisherConnection, messages: list[bytes]) -> None:
+    def _deliver(
+        self, connection: PublisherConnection, messages: list[bytes], wished: WishedMessages | None = None
+    ) -> None:
         if connection.guard is not None:
             peer = shown(connection.stream.peer.name)
             messages = self._filtered(connection.guard, messages, peer, clock.time())
-        if messages:
+        if messages and (wished is None or wished.admits()):
             self.received += len(messages)
             self._keep(connection, messages)
-
-    async def _deliver_wished(
-        self, connection: PublisherConnection, wished: WishedMessages, contents: list[bytes]
-    ) -> None:
-        # It takes its time, in which the right may end.
-        for content in contents:
-            messages = [await wished.inflated(content)]
-            self._context.connections.check(connection)
-            if connection.guard is not None:
-                peer = shown(connection.stream.peer.name)
-                messages = self._filtered(connection.guard, messages, peer, clock.time())
-            if messages and wished.admits():
-                self.received += 1
-                self._keep(connection, messages)
 
     def _filtered(self, guard: Guard, messages: list[bytes], peer: str, now: float) -> list[bytes]:
         filtered = []

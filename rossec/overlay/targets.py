@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Final, NamedTuple, TypeAlias
 
+from ca.bounded import Newest
 from ca.certificates import Identity
 from ca.names import shown
 from rossec import clock
@@ -59,7 +60,7 @@ class TopicPorts:
         self, context: SecureContext[Identity], name: str, check_peer: Callable[[Identity, int], None]
     ) -> None:
         self._context, self._name, self._check_peer = context, name, check_peer
-        self._nodes: dict[tuple[str, str, int], _Known] = {}  # the oldest first
+        self._nodes: Newest[tuple[str, str, int], _Known] = Newest(MOST)
 
     async def of(self, name: str, host: str, port: int) -> Place:
         return await self._kept(name, host, port, partial(self._ask, name))
@@ -77,8 +78,6 @@ class TopicPorts:
         key = name, host, port
         known = self._nodes.get(key)
         if known is None:
-            if len(self._nodes) >= MOST:
-                del self._nodes[next(iter(self._nodes))]
             known = self._nodes[key] = _Known()
         async with known.turn:
             if known.until < time.monotonic():

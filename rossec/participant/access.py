@@ -8,7 +8,6 @@ only a gateway publishes under it. Which domain a token must be of is the caller
 is asked for; never the token's.
 """
 
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ from typing import Final, Protocol
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from ca.bounded import Newest
 from ca.certificates import Identity, TrustAnchor
 from ca.encoding import Value, decode, encode
 from ca.errors import CAError, EncodingError, NameRefused, NotAdmitted, RevocationsStale
@@ -94,7 +94,7 @@ class TokenOpener:
     def __init__(self, standing: Standing) -> None:
         self._standing = standing
         self._own: Final = standing.anchors.own
-        self._opened: OrderedDict[tuple[bytes, bytes], Grant] = OrderedDict()
+        self._opened: Newest[tuple[bytes, bytes], Grant] = Newest(CACHE_SIZE)
         self.own_master: ec.EllipticCurvePublicKey | None = None
 
     def open_all(
@@ -143,14 +143,10 @@ class TokenOpener:
     def _open_once(self, data: bytes, domain: str, now: int) -> Grant:
         # As `open`; the signature of one seen before is not checked again.
         seen = self._root(domain).thumbprint, sha256(data).digest()
-        known = self._opened.get(seen)
+        known = self._opened.use(seen)
         if known is not None and known.not_before <= now < known.expires:
-            self._opened.move_to_end(seen)
             return known
-        grant = self.open(data, domain, now)
-        self._opened[seen] = grant
-        if len(self._opened) > CACHE_SIZE:
-            self._opened.popitem(last=False)
+        grant = self._opened[seen] = self.open(data, domain, now)
         return grant
 
     def _root(self, domain: str) -> TrustAnchor:
@@ -290,6 +286,7 @@ class Access:
             self.check_peer(master, now)
         self._revocations.confirm(open_timestamp(timestamp, master.public_key), now)
         self.check_peer(master, now)
+        # Last: a master that was refused above may renew no grant.
         self._tokens.own_master = master.public_key
 
     def expire_confirmation(self, until: int) -> None:
@@ -365,21 +362,26 @@ class Access:
         self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
     ) -> Decision:
         """Decide whether `peer`, which presents `presented`, may use `right` on `name` now."""
+        # 1. The peer itself: of a revoked one nothing is opened.
         self.check_peer(peer, now)
+        # 2. What only gateways offer, whatever a grant says.
         if right & _OFFERS and is_in_gateway(name) and not is_own_gateway(peer):
             verb = "publishes" if right & Right.PUBLISH else "provides"
             raise NotAdmitted(
                 f"{shown(peer.name)} {verb} {name}, which only a gateway of this domain does",
                 "a gateway is a node that is enrolled as /gateway or /gateway/NAME",
             )
+        # 3. Whose grants count, and by which name: an alias is of its origin's domain.
         domain, origin = self._origin(right, name)
         if presented is None:
             raise GrantMissing(
                 f"{shown(peer.name)} shows no grant to {right.label} {shown(name)}",
                 remedy=_remedy(peer, right, origin),
             )
+        # 4. Each token for itself: one that is invalid takes nothing from the others.
         grants, refusals = self._tokens.open_all(presented, domain, peer, now)
         check = self._tokens.check_of(domain, peer.domain)
+        # 5. The decision, by what is left: for this key, this right and this name.
         try:
             decision = authorize(grants, right, origin, holder=peer.thumbprint, now=now, check=check)
         except GrantMissing as error:
@@ -401,9 +403,7 @@ def _remedy(peer: Identity, right: Right, name: str) -> str:
 
 class HandshakeAccess(Protocol):
     def present(self, right: Right, name: str, now: int) -> bytes: ...
-
     def is_master(self, peer: Identity) -> bool: ...
-
     def check_peer(self, peer: Identity, now: int) -> None: ...
 
     def authorize(
@@ -414,9 +414,6 @@ class HandshakeAccess(Protocol):
 class HeldGrants(Protocol):
     @property
     def epoch(self) -> int: ...
-
     def hold(self, data: bytes) -> None: ...
-
     def hold_renewed(self, token: bytes, now: int) -> None: ...
-
     def held_grants(self) -> list[HeldGrant]: ...

@@ -58,7 +58,6 @@ class PeerStream(Protocol):
 
     # Pad what is sent from now on to a multiple of so many bytes; 0: do not.
     def pad_units(self, multiple: int) -> None: ...
-
     def abort(self, reason: str) -> None: ...
 
 
@@ -181,11 +180,13 @@ Connection: TypeAlias = AuthorizedConnection[Any, Any]
 
 class RenewableStream(Protocol):
     def on_renewal(self, callback: Callable[[Renewal[Identity]], None]) -> None: ...
-
     def present_grants(self, data: bytes) -> bool: ...
 
 
 class _Budgets:
+    # Every renewal that is judged costs signatures; a domain that is foreign has one budget for all its keys,
+    # as it makes as many as it likes.
+
     def __init__(self) -> None:
         self._lock = Lock()
         self._buckets: dict[bytes | str, TokenBucket] = {}
@@ -247,6 +248,7 @@ class RenewedGrants:
                 connection.update_end()
                 on_renewed(connection)
             case GrantsPresented(data):
+                # Kept also where it is refused: the list that it needs may be on its way.
                 connection.presented.by_peer = data
                 connection.presented.pause = _RETRY
                 held = connection.decision

@@ -102,6 +102,7 @@ class ConnectionTable(Generic[StreamT]):
         most = PEER_CONNECTIONS if self._most is None else self._most
         with self._lock:
             if limited:
+                # N8: a certified peer can exhaust this node's descriptors as well as a stranger.
                 same = [each for each in self._accepted.values() if each.source == source]
                 if len(same) >= most:
                     raise LimitExceeded(f"{shown(name)} has {most} connections already")
@@ -193,6 +194,7 @@ class ConnectionTable(Generic[StreamT]):
         with self._standing_lock:
             ended = [(each, each.termination_reason(self._standing, now)) for each in connections]
             refused = [(each, self._refusal(each.peer, now)) for each in accepted]
+        # No lock is held from here on: an abort runs callbacks that take it.
         for connection, reason in ended:
             if reason is None or self._continues(connection, now):
                 continue
@@ -227,7 +229,7 @@ class ConnectionTable(Generic[StreamT]):
 
     def close(self, reason: str) -> None:
         """Cut every connection, and admit none any more: nothing would cut it."""
-        self._closed = reason
+        self._closed = reason  # first: what is added meanwhile is cut by its own check
         for connection in self:
             self.discard(connection)
             connection.stream.abort(reason)
@@ -364,6 +366,7 @@ class Dialer:
             answer = await RpcClient(stream).ask("requestTopic", caller, name, [["TCPROS"]])
         finally:
             stream.close_soon()  # the peer could make this take longer than a caller has
+        # The address is the peer's word: it may not lead this node to itself.
         match answer:
             case ["TCPROS", str() as host, int() as port] if 0 < port < 1 << 16:
                 named = host, port

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, TypeAlias
 
-from ca.errors import HintedError
 from ca.names import closest
 from grants.decision import Decision
 from grants.errors import DefinitionIncomplete, DefinitionRefused
@@ -179,7 +178,18 @@ def sender_definition(own: Definition, decision: Decision, find_installed: FindD
     try:
         is_proven = own.layout.is_proven
     except (DefinitionIncomplete, ConnectionHeaderRefused) as error:
-        return _instead_of(own, error, find_installed)
+        # rosnodejs sends no nested types, other clients nothing at all: what is installed is what the guard
+        # is built from and what receivers are told, so that both read the same.
+        if isinstance(error, ConnectionHeaderRefused) and own.definition.strip():
+            raise
+        trusted = find_installed(own.name)
+        if trusted is not None and trusted.md5sum == own.md5sum:
+            return trusted
+        name = own.name[:80]
+        raise ConnectionHeaderRefused(
+            f"the program's definition of {name} does not say all of it: {error}",
+            f"the right is restricted, so this host must know the type: {what_to_install(name)}",
+        ) from error
     if is_proven:
         return own
     trusted = find_installed(own.name)
@@ -189,21 +199,6 @@ def sender_definition(own: Definition, decision: Decision, find_installed: FindD
         f"the program's definition of {own.name} is not the one this host knows",
         "it has the same md5sum but other arrays: update the package on one side",
     )
-
-
-def _instead_of(own: Definition, error: HintedError, find_installed: FindDefinition) -> Definition:
-    # rosnodejs sends no nested types, other clients nothing at all. It is what the guard is built from and
-    # what receivers are told, so that both read the same.
-    if isinstance(error, ConnectionHeaderRefused) and own.definition.strip():
-        raise error
-    trusted = find_installed(own.name)
-    if trusted is not None and trusted.md5sum == own.md5sum:
-        return trusted
-    name = own.name[:80]
-    raise ConnectionHeaderRefused(
-        f"the program's definition of {name} does not say all of it: {error}",
-        f"the right is restricted, so this host must know the type: {what_to_install(name)}",
-    ) from error
 
 
 def forwarded_definition(sent: Definition, decision: Decision, find_installed: FindDefinition) -> Definition:

@@ -1,5 +1,4 @@
 """How a subscriber is sent messages: its wishes, the latched message, and what is said of withheld ones.
-Pure.
 
 Fields of the connection header (docs/spec/transport.md section 2.1): the subscriber's say what it wishes, the
 answer's what this publisher carries out; one that knows none ignores them all. A wish never gives more than
@@ -8,22 +7,27 @@ filtered or withheld is never deflated. What programs write into these fields is
 forwards bytes could not read what came of it.
 """
 
+import asyncio
 import logging
 import re
 import struct
 import zlib
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from threading import Lock
+from time import monotonic
 from typing import Final, Generic, TypeVar
 from weakref import WeakKeyDictionary, ref
 
+from ca.certificates import Identity
 from ca.errors import HintedError
 from grants.decision import Decision
 from grants.filters.layout import Buffer
 from grants.guard import Guard, Memory
 from grants.limits import TokenBucket
-from rossec.errors import ConfigurationError, ConnectionHeaderRefused, FrameRefused
+from rossec.errors import ConfigurationError, ConnectionHeaderRefused, WireError
+from rossec.net.aio import SecureStream
 from rossec.participant.handshakes import Fields
 from rossec.peer_limits import CAUSE, LogRateLimit
 
@@ -48,6 +52,7 @@ _SHORTEST: Final = 64  # bytes; below it there is nothing to gain
 _RAW: Final = -zlib.MAX_WBITS  # no header and no checksum: the channel authenticates
 _SIZE: Final = struct.Struct("<I")
 _START: Final = len(DEFLATED) + _SIZE.size
+_LAGGING: Final = 64 * 1024  # bytes that wait, above which a peer lags
 
 SENT: Final = "%(where)s: withheld from %(peer)s: %(cause)s"
 RECEIVED: Final = "%(where)s: withheld a message of %(peer)s: %(cause)s"
@@ -185,11 +190,11 @@ def claimed_size(content: bytes, limit: int) -> int:
     elif content[:1] == DEFLATED and len(content) > _START:
         (size,) = _SIZE.unpack_from(content, 1)
         if size < len(content):
-            raise FrameRefused(f"a message of {size} bytes that is longer when deflated")
+            raise WireError(f"a message of {size} bytes that is longer when deflated")
     else:
-        raise FrameRefused("a frame that is neither deflated nor as it is")
+        raise WireError("a frame that is neither deflated nor as it is")
     if size > limit:
-        raise FrameRefused(f"a deflated message of {size} bytes, at most {limit} allowed")
+        raise WireError(f"a deflated message of {size} bytes, at most {limit} allowed")
     return size
 
 
@@ -203,9 +208,9 @@ def inflated(content: bytes, limit: int) -> bytes:
         # One byte more, for the end of the data to be read; zero would mean no limit.
         message = engine.decompress(memoryview(content)[_START:], size + 1)
     except zlib.error:
-        raise FrameRefused("a deflated message that cannot be inflated") from None
+        raise WireError("a deflated message that cannot be inflated") from None
     if len(message) != size or not engine.eof or engine.unused_data:
-        raise FrameRefused(f"a deflated message that has not the {size} bytes it says")
+        raise WireError(f"a deflated message that has not the {size} bytes it says")
     return message
 
 
@@ -246,6 +251,75 @@ class SharedDeflation:
             self._last = ref(last)
             self._kept = last if sum(map(len, pieces)) < LARGE else None
         return last
+
+
+class WishedQueue:
+    """What waits for one subscriber with `wishes`: thinned out, the newest only, deflated.
+
+    What comes here has passed the guard. `most`: how many messages wait; None: whoever fills it asks `lags`,
+    or waits until it is `idle`.
+    """
+
+    def __init__(
+        self,
+        stream: SecureStream[Identity],
+        wishes: Wishes,
+        most: int | None = None,
+        deflation: SharedDeflation | None = None,
+    ) -> None:
+        self.newest = wishes.newest
+        self.withheld = self.dropped = 0
+        self.thinned = 0  # messages that the rate took away
+        self._stream = stream
+        self._deflate = wishes.deflate
+        self._deflation = SharedDeflation() if deflation is None else deflation
+        self._rate = None if wishes.rate is None else WishedRate(wishes.rate)
+        self._most = 1 if wishes.newest else most
+        self._held = 0  # bytes that wait
+        self._queue: deque[Deflatable] = deque()
+        self._wake, self._idle = asyncio.Event(), asyncio.Event()
+        self._idle.set()
+        if wishes.newest:
+            stream.transport.limit_unsent()
+
+    @property
+    def lags(self) -> bool:
+        return self._held > _LAGGING or self._stream.lags
+
+    async def idle(self) -> None:
+        await self._idle.wait()
+
+    def enqueue(self, pieces: Sequence[Buffer]) -> None:
+        """Queue one filtered message, unless the rate takes it away; the oldest gives way."""
+        if self._rate is not None and not self._rate.admits(monotonic()):
+            self.thinned += 1
+            return
+        if self._most is not None and len(self._queue) >= self._most:
+            self._held -= sum(map(len, self._queue.popleft().pieces))
+            self.dropped += 1
+        self._queue.append(self._deflation.of(pieces, pieces))
+        self._held += sum(map(len, pieces))
+        self._idle.clear()
+        self._wake.set()
+
+    async def run(self) -> None:
+        # One by one: for the newest to be sent, a message is taken from the queue, and deflated, only when
+        # those before it have left.
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            while self._queue:
+                if self.newest:
+                    await self._stream.flushed()
+                message = self._queue.popleft()
+                pieces, size = message.pieces, sum(map(len, message.pieces))
+                self._held -= size
+                if self._deflate:
+                    large = size >= LARGE
+                    pieces = [await asyncio.to_thread(message.content) if large else message.content()]
+                    size = len(pieces[0])
+                await self._stream.send(_SIZE.pack(size), *pieces)
+            self._idle.set()
 
 
 @dataclass(frozen=True)

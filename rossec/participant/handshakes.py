@@ -18,7 +18,7 @@ from ca.errors import NameRefused
 from ca.names import REMOTE, alias_of, check_name, is_alias, origin_of, refuse_alias, shown, split_alias
 from grants.decision import Decision
 from grants.model import Right
-from rossec.errors import CallerMismatch, ConfigurationError, ConnectionHeaderRefused
+from rossec.errors import ConfigurationError, ConnectionHeaderRefused
 from rossec.participant.access import FIELD, HandshakeAccess
 from rossec.ros.names import ANY_TYPE
 
@@ -42,7 +42,7 @@ Rename = Callable[[str], str]
 def check_caller(fields: Mapping[str, bytes], peer: Identity) -> None:
     caller = text(fields, "callerid")
     if not peer.covers(caller):
-        raise CallerMismatch(
+        raise ConnectionHeaderRefused(
             f"a node certified as {shown(peer.name)} calls itself {caller}",
             "start it under the name it was enrolled with",
         )
@@ -167,25 +167,23 @@ def _renamed(method: str, value: object, rename: Rename) -> object:
         case "getName", str() as name:
             return (_rename_all(rename, name) or ("",))[0]
         case (("getPublications" | "getSubscriptions" | "getBusInfo"), list() as rows):
-            return [row for each in rows if (row := _renamed_row(each, rename)) is not None]
+            found = list[object]()
+            for row in rows:
+                match row:
+                    case [str() as topic, str() as kind] if (names := _rename_all(rename, topic)) is not None:
+                        found.append([*names, kind])
+                    case [number, str() as end, direction, transport, str() as topic, *rest]:
+                        names = _rename_all(rename, *([] if "://" in end else [end]), topic)
+                        if names is not None:
+                            end = names[0] if len(names) > 1 else end
+                            found.append([number, end, direction, transport, names[-1], *rest])
+                    case _:  # of a third domain, or no row
+                        pass
+            return found
         case (("getName" | "getPublications" | "getSubscriptions" | "getBusInfo"), _):
             return "" if method == "getName" else []
         case _:
             return value
-
-
-def _renamed_row(row: object, rename: Rename) -> list[object] | None:
-    match row:
-        case [str() as topic, str() as kind]:
-            names = _rename_all(rename, topic)
-            return None if names is None else [*names, kind]
-        case [number, str() as end, direction, transport, str() as topic, *rest]:
-            names = _rename_all(rename, *([] if "://" in end else [end]), topic)
-            if names is None:
-                return None
-            return [number, names[0] if len(names) > 1 else end, direction, transport, names[-1], *rest]
-        case _:
-            return None
 
 
 def _rename_all(rename: Rename, *names: str) -> tuple[str, ...] | None:
@@ -263,14 +261,18 @@ def admit_publisher(
     The caller applies the decision's restrictions to each message (`topic_guard.guard_for`), by the
     receiver's definition: the publisher's may differ under the same md5sum.
     """
+    # 1. A refusal has no other fields.
     if "error" in fields:
         raise ConnectionHeaderRefused(f"{shown(peer.name)} refuses: {text(fields, 'error')}")
+    # 2. Who it says it is, by its certificate.
     check_caller(fields, peer)
+    # 3. What was asked for, and no other topic for which it has a grant.
     if text(fields, "topic") != origin_of(expected.topic):
         raise ConnectionHeaderRefused(
             f"{shown(peer.name)} answers with another topic than {shown(expected.topic)}"
         )
     check_type(fields, expected)
+    # 4. Its right, by the name that the topic has here.
     return access.authorize(peer, fields.get(FIELD), Right.PUBLISH, expected.topic, now)
 
 

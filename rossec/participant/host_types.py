@@ -6,7 +6,7 @@ Packages are looked for along ROS_PACKAGE_PATH, then where Debian and ROS instal
 """
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
@@ -62,28 +62,21 @@ def _registered(name: str) -> str:
 
 def _text(name: str) -> str:
     package, leaf = name.split("/")
-    for directory in _directories(package):
-        path = directory / "msg" / f"{leaf}.msg"
-        try:
-            if path.stat().st_size <= MAX_TEXT:
-                return path.read_text(errors="replace")  # comments may be in any encoding
-        except OSError:
-            continue
+    for place in map(Path, places(os.environ)):
+        below = () if str(place) in INSTALLED else _below(place).get(package, ())
+        for directory in (place / package, *([place] if place.name == package else []), *below):
+            path = directory / "msg" / f"{leaf}.msg"
+            try:
+                if path.stat().st_size <= MAX_TEXT:
+                    return path.read_text(errors="replace")  # comments may be in any encoding
+            except OSError:
+                continue
     return _registered(name).partition(SEPARATOR)[0]
 
 
 def places(variables: Mapping[str, str]) -> list[str]:
     given = variables.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
     return list(dict.fromkeys(place for place in (*given, *INSTALLED) if place))
-
-
-def _directories(package: str) -> Iterator[Path]:
-    for place in map(Path, places(os.environ)):
-        yield place / package
-        if place.name == package:
-            yield place
-        if str(place) not in INSTALLED:
-            yield from _below(place).get(package, ())
 
 
 @lru_cache(maxsize=16)
@@ -94,20 +87,15 @@ def _below(place: Path) -> Mapping[str, tuple[Path, ...]]:
     pending, seen = [(place, 0)], 0
     while pending and seen < _MOST_FOLDERS:
         folder, depth = pending.pop()
-        for inner in _folders(folder):
+        try:
+            with os.scandir(folder) as entries:  # links are not followed: these may lead in circles
+                inside = sorted(each.path for each in entries if each.is_dir(follow_symlinks=False))
+        except OSError:
+            continue
+        for inner in (each for each in map(Path, inside) if not each.name.startswith(".")):
             seen += 1
             if depth > 0:
                 found[inner.name] = (*found.get(inner.name, ()), inner)
             if depth < _DEPTH and not (inner / "package.xml").exists():
                 pending.append((inner, depth + 1))
     return found
-
-
-def _folders(place: Path) -> list[Path]:
-    # The folders in a folder, not those behind links: these may lead in circles.
-    try:
-        with os.scandir(place) as entries:
-            found = [each.path for each in entries if each.is_dir(follow_symlinks=False)]
-    except OSError:
-        return []
-    return [Path(each) for each in sorted(found) if not Path(each).name.startswith(".")]

@@ -16,6 +16,7 @@ from pathlib import Path
 from secrets import SystemRandom
 from typing import Final
 
+from ca.bounded import Newest
 from ca.certificates import Identity
 from ca.errors import CAError, HintedError, RevocationsStale
 from ca.names import shown
@@ -122,7 +123,7 @@ class GrantDelivery:
         self._holder = holder
         self._access = access
         self._directory = directory
-        self._received: dict[bytes, None] = {}  # ids, valid or not: not again in this session
+        self._received: Newest[bytes, None] = Newest(MAX_KNOWN)  # ids, also of invalid ones
         self._new: list[bytes] = []
         self._unsaved: list[tuple[bytes, bytes]] = []
         self._arrived = asyncio.Event()
@@ -180,10 +181,7 @@ class GrantDelivery:
             raise AnswerMalformed("the master sends a grant that is not bytes")
         try:
             grant_id = document.grant_id(data)
-            self._received.pop(grant_id, None)
             self._received[grant_id] = None
-            if len(self._received) > MAX_KNOWN:
-                del self._received[next(iter(self._received))]
             self._check(data, clock.now())
         except HintedError as error:
             _log.warning("a grant that the master delivers is refused: %s", printable(error))
@@ -197,7 +195,7 @@ class GrantDelivery:
     def _check(self, data: bytes, now: int) -> None:
         # Verify a grant; one that is not valid yet, or may be renewed, is taken too.
         domain = document.peek(data).domain
-        # Whose key a grant must be signed by: its domain only selects it.
+        # Whose key it must be signed by: the domain that it names only selects one of those trusted here.
         listed = self._standing.anchors.listed_domain(domain)
         anchor = self._standing.anchors.own if listed is None else listed.anchor
         grant = document.verify(data, anchor.public_key, domain=anchor.domain)

@@ -23,7 +23,7 @@ from ca.revocation.lists import digest, is_tree, open_timestamp
 from rossec import clock
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.environment import OWN_MASTER
-from rossec.errors import AnswerRefused, CallRefused, ChannelError, ConfigurationError, RossecError
+from rossec.errors import AnswerRefused, ChannelError, ConfigurationError, RossecError
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream, as_master
@@ -102,6 +102,7 @@ class MasterSession:
             stream = await self._dial()
         except ChannelError as error:
             raise as_master(error) from error
+        # Any node of the domain may listen at that address: before anything is said, is it the master?
         if stream.peer.name != self._master:
             stream.abort("not the master")
             raise ConfigurationError(
@@ -195,18 +196,15 @@ class MasterSession:
                 raise CAError(*NO_LIST)
 
     def _apply(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        def corrects_clock() -> bool:
-            # Only the answer to the node's own call may do so: it is at most as old as the call.
-            return clock.correct(open_timestamp(timestamp, master.public_key).issued)
-
+        # Only the answer to the node's own call may correct the clock: it is at most as old as the call.
         try:
             self._refresh(revocations, timestamp, master)
-        except ClocksDisagree:  # only then: a revoked master sets no clock
-            if not corrects_clock():
+        except ClocksDisagree:  # only then before it is taken: a revoked master sets no clock
+            if not clock.correct(open_timestamp(timestamp, master.public_key).issued):
                 raise
             self._refresh(revocations, timestamp, master)
         else:
-            corrects_clock()
+            clock.correct(open_timestamp(timestamp, master.public_key).issued)
 
 
 class LoadedIdentity:
@@ -239,21 +237,15 @@ class MembershipAccess(HeldGrants, HandshakeAccess, Provable, Protocol):
     ) -> None: ...
 
     def expire_confirmation(self, until: int) -> None: ...
-
     def current(self, now: int) -> list[bytes]: ...
 
 
 class MembershipHooks(Protocol):
     async def dial_master(self) -> SecureStream[Identity]: ...
-
     async def dial_watch(self) -> SecureStream[Identity]: ...
-
     async def restore(self) -> None: ...
-
     async def rights_changed(self) -> None: ...
-
     def maintain(self) -> None: ...
-
     def crashed(self, error: BaseException) -> None: ...
 
 
@@ -311,10 +303,16 @@ class Membership:
 
     def start(self, opening: Callable[[], Awaitable[None]] | None = None) -> None:
         """Start the session (which `opening` opens, unless it is open), the watchdog, and maintenance."""
+
+        async def run_session() -> None:
+            if opening is not None:
+                await opening()
+            await self.session.run()
+
         name = self._identity.name
         watchdog = ConnectionWatchdog(self._connections, self._access.expire_confirmation)
         self.tasks.spawn(watchdog.run(), f"{name}: watchdog")
-        self.tasks.spawn(self._run_session(opening), f"{name}: master session")
+        self.tasks.spawn(run_session(), f"{name}: master session")
         self.tasks.spawn(self._maintain(), f"{name}: maintenance")
         self.tasks.spawn(self._watch.run(), f"{name}: waiting for grants")
 
@@ -341,26 +339,16 @@ class Membership:
                 self.update_revocations(revocations, timestamp, master)
             case names.DOMAINS_UPDATE, (bytes() as data,):
                 self.domains.take_domains(data)
-            case names.FOREIGN_UPDATE, (
-                str() as domain,
-                bytes() as data,
-                bytes() as timestamp,
-                list() as chain,
-            ):
-                self.domains.take_foreign(domain, data, timestamp, chain)
+            case names.FOREIGN_UPDATE, (str() as domain, bytes() as data, bytes() as stamp, list() as chain):
+                self.domains.take_foreign(domain, data, stamp, chain)
             case _:
-                raise CallRefused(f"{method} has other parameters")
+                raise RossecError(f"{method} has other parameters")
 
     def _domains_changed(self, is_new: bool) -> None:
         self._connections.cut_ended(clock.now())
         if is_new:
             self.rights_version += 1
             self._domains_are_new = True
-
-    async def _run_session(self, opening: Callable[[], Awaitable[None]] | None) -> None:
-        if opening is not None:
-            await opening()
-        await self.session.run()
 
     async def _restore(self, session: MasterSession) -> None:
         # What is held is presented before anything is fetched: calls of the program go on meanwhile.

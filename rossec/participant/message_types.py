@@ -126,25 +126,21 @@ def register_types(definitions: Mapping[str, str]) -> None:
             found = get_types_from_msg(definition, _ros2_name(name))
         except TypesysError as error:
             raise MessageError(f"cannot register {name}: {error}", _CHECK_TEXT) from error
-        _check_nested(name, found)
+        for _, fields in found.values():
+            if len({attribute_of(field) for field, _ in fields}) < len(fields):
+                raise MessageError(f"cannot register {name}: two fields of one name", _CHECK_TEXT)
+            for kind in (kind for _, kind in fields):
+                while kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+                    kind = kind[1][0]  # noqa: PLW2901 - walk down to the element
+                if kind[0] is Nodetype.NAME and kind[1] not in _store().fielddefs.keys() | found.keys():
+                    unknown = kind[1].replace("/msg/", "/")
+                    raise MessageError(f"cannot register {name}: unknown type {unknown}", _CHECK_TEXT)
         types |= found
     try:
         _store().register(types)
     except TypesysError as error:
         names = " and ".join(definitions)
         raise MessageError(f"cannot register {names}: {error}", _CHECK_TEXT) from error
-
-
-def _check_nested(name: str, types: Mapping[str, Any]) -> None:
-    for _, fields in types.values():
-        if len({attribute_of(field) for field, _ in fields}) < len(fields):
-            raise MessageError(f"cannot register {name}: two fields of one name", _CHECK_TEXT)
-        for kind in (kind for _, kind in fields):
-            while kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-                kind = kind[1][0]  # noqa: PLW2901 - walk down to the element
-            if kind[0] is Nodetype.NAME and kind[1] not in _store().fielddefs.keys() | types.keys():
-                unknown = kind[1].replace("/msg/", "/")
-                raise MessageError(f"cannot register {name}: unknown type {unknown}", _CHECK_TEXT)
 
 
 def field_names(message: Message) -> list[str]:

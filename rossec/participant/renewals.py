@@ -222,7 +222,6 @@ async def renew_identity(call: MasterCall, renewal: IdentityRenewal, now: int) -
 class Provable(Protocol):
     @property
     def unproved(self) -> list[bytes]: ...
-
     def add_proof(self, entry: bytes, proof: bytes) -> None: ...
 
 

@@ -16,7 +16,7 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.names import is_alias, is_relay_name, shown
 from grants.model import Right
-from rossec.errors import CallRefused
+from rossec.errors import RossecError
 from rossec.participant.access import HandshakeAccess
 from rossec.participant.handshakes import answer_for
 from rossec.ros import names
@@ -63,25 +63,20 @@ def check_slave_call(
     right = SLAVE_CALLS.get(method)
     if right is None:
         if method in MASTER_ONLY:
-            raise CallRefused(f"{method} is for the master alone")
-        raise CallRefused(f"{method} is for a relay alone" if method in RELAY_ONLY else "no such method")
+            raise RossecError(f"{method} is for the master alone")
+        raise RossecError(f"{method} is for a relay alone" if method in RELAY_ONLY else "no such method")
     access.authorize(peer, presented, right, node, now)
 
 
 class SlaveEvents(Protocol):
     def publishers_changed(self, topic: str, uris: list[str]) -> None: ...
-
     def parameter_changed(self, key: str, value: object) -> None: ...
-
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None: ...
-
     def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None: ...
 
     # The master shuts this node down, for example because another one has its name.
     def shutdown_requested(self, reason: str) -> None: ...
-
     def topic_endpoint(self) -> tuple[str, int]: ...
-
     def describe(self) -> Mapping[str, object]: ...
 
 
@@ -123,18 +118,21 @@ def refusal(
     rule = RULES.get(method)
     if rule is None:
         return [_ERROR, "rossec: no such method", 0]
+    # 1. Who may call it, before any parameter is looked at (N1 to N4).
     if method in RELAY_ONLY:
         only = None if is_relay(peer) else "a relay"
     else:
         only = "the master" if rule.master_only and peer.name != master else None
     if only is not None and not (authorized and method in SLAVE_CALLS):
         return [_ERROR, f"rossec: {method} is for {only} alone", rule.default]
+    # 2. Number and types of the parameters, in stock's words where stock has some.
     unnamed = without_caller(params, rule.default)
     if unnamed is not None:
         return unnamed
     expected = (str, *rule.kinds)
     if len(params) != len(expected) or not all(map(isinstance, params, expected)):
         return [_ERROR, "Error: bad call arity or types", rule.default]
+    # 3. The name that it gives itself, which logs and programs would believe.
     if not peer.covers(str(params[0])):
         return [_ERROR, f"rossec: caller_id is not {shown(peer.name)}", rule.default]
     return alias_asked(method, params)

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from rossec.errors import FrameRefused, HeaderRefused, ServiceFailed
+from rossec.errors import HeaderRefused, ServiceFailed, WireError
 from rossec.peer_limits import STEP, Progress, printable
 
 HEADER_LIMIT: Final = 64 * 1024
@@ -144,7 +144,7 @@ class FrameReader:
     def _next(self) -> bytes | None:
         if self._refusal is not None:
             self._buffer.clear()
-            raise FrameRefused(self._refusal)
+            raise WireError(self._refusal)
         lead = 0 if self._first is not None else self._lead
         start = lead + _LENGTH.size
         if len(self._buffer) < start:
@@ -165,10 +165,10 @@ class FrameReader:
             raise self._refuse(f"a frame of {length} bytes, at most {limit} allowed")
         return length
 
-    def _refuse(self, reason: str) -> FrameRefused:
+    def _refuse(self, reason: str) -> WireError:
         self._buffer.clear()
         self._refusal = reason
-        return FrameRefused(reason)
+        return WireError(reason)
 
 
 class Framing:
@@ -234,5 +234,5 @@ def open_response(content: bytes) -> bytes:
         text = message.decode(errors="replace")
         raise ServiceFailed(printable(text, _ERROR_LIMIT) or "the service failed without a reason")
     if mark != _OK:
-        raise FrameRefused("a response that is neither a success nor a failure")
+        raise WireError("a response that is neither a success nor a failure")
     return message

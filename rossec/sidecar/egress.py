@@ -6,10 +6,10 @@ Each connection runs one layer after another; an error closes that connection on
 import asyncio
 import logging
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final, Generic, TypeVar
 
+from ca.bounded import ExpiringTable
 from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.names import shown
@@ -55,16 +55,13 @@ class Said(Generic[T]):
 
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
-        self._said: OrderedDict[T, float] = OrderedDict()
+        self._said: ExpiringTable[T, bool] = ExpiringTable(_REMEMBERED, SAID_FOR)
 
     def add(self, what: T) -> bool:
         now = self._now()
-        if now - self._said.get(what, -SAID_FOR) < SAID_FOR:
+        if self._said.get(what, now):
             return False
-        self._said[what] = now
-        self._said.move_to_end(what)
-        if len(self._said) > _REMEMBERED:
-            self._said.popitem(last=False)
+        self._said.put(what, True, now)
         return True
 
 

@@ -16,7 +16,7 @@ from ca.names import shown
 from rossec import clock
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import ChannelLimits
-from rossec.errors import CallRefused, ChannelClosed, HangUp
+from rossec.errors import ChannelClosed, HangUp, RossecError
 from rossec.host.local_ports import PortPool, bind_free_port
 from rossec.host.local_sockets import Holder
 from rossec.host.runner import TaskSet
@@ -27,6 +27,7 @@ from rossec.participant.access import Access
 from rossec.participant.authorized import AuthorizedConnection, memory_scope
 from rossec.participant.connections import ConnectionTable, serve_peer
 from rossec.participant.definitions import FilterKey
+from rossec.participant.delivery import WishedQueue
 from rossec.ros import names, tcpros
 from rossec.ros.names import SIGNED_UPDATES, is_loopback
 from rossec.ros.tcpros import MESSAGE_LIMIT
@@ -38,7 +39,7 @@ from rossec.sidecar.core.layers import AgentState, ListeningAddress
 from rossec.sidecar.core.node_connections import AdmittedConnection
 from rossec.sidecar.executor import AgentServices, CommandExecutor
 from rossec.sidecar.loopback_port import PlainStream
-from rossec.sidecar.pump import WishSender, split_header
+from rossec.sidecar.pump import split_header
 
 # Peers send headers and requests; what programs send leaves in small units.
 ACCEPT_LIMITS: Final = {
@@ -167,7 +168,7 @@ class Ingress:
                 match method, params:
                     case update, (_, *rest) if update in SIGNED_UPDATES:
                         if not self._agent.access.is_master(peer):
-                            raise CallRefused(f"{update} is for the master alone")
+                            raise RossecError(f"{update} is for the master alone")
                         self._on_push(update, (*rest,), peer)
                         return [1, "", 0]
                     case names.PRESENT_GRANTS, (_, bytes() as grants):
@@ -245,9 +246,10 @@ class Ingress:
                 elif after_request:
                     _log.warning("%s sends data where it subscribes", peer)
                 elif admitted.wishes:
-                    sender = WishSender(stream, admitted.wishes)
-                    sender.put(initial)
-                    await pump.publish_as_wished(program, guard, after_answer, sender)
+                    sender = WishedQueue(stream, admitted.wishes)
+                    if initial:
+                        sender.enqueue(initial)
+                    await pump.publish_as_wished(program, stream, guard, after_answer, sender)
                 else:
                     if initial:
                         await stream.send(*pump.framed(initial))

@@ -8,9 +8,7 @@ import asyncio
 import contextlib
 import logging
 import struct
-from collections import deque
 from collections.abc import Iterator
-from time import monotonic
 from typing import Final, TypeAlias
 
 from ca.certificates import Identity
@@ -22,7 +20,7 @@ from rossec.errors import ChannelClosed, ConnectionHeaderRefused, HeaderRefused
 from rossec.net.aio import SecureStream
 from rossec.net.aio.stream import next_messages
 from rossec.participant import delivery
-from rossec.participant.delivery import LARGE, WishedRate, Wishes, deflated
+from rossec.participant.delivery import WishedQueue
 from rossec.participant.handshakes import Fields
 from rossec.ros import tcpros
 from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
@@ -33,7 +31,6 @@ End: TypeAlias = PlainStream | SecureStream[Identity]
 _LENGTH: Final = struct.Struct("<I")
 _log = logging.getLogger("rossec.sidecar")
 Buffer = bytes | bytearray | memoryview
-_LAGGING: Final = 64 * 1024  # bytes that wait, above which a peer lags
 
 
 async def split_header(end: End) -> tuple[Fields, bytes]:
@@ -173,63 +170,19 @@ async def run_both(
         peer.abort("the other end was closed")
 
 
-class WishSender:
-    """Sends filtered messages to `peer` as it wishes."""
-
-    def __init__(self, peer: SecureStream[Identity], wishes: Wishes) -> None:
-        self.newest = wishes.newest  # a message replaces those that wait
-        self.peer: Final = peer
-        self._deflate = wishes.deflate
-        self._rate = None if wishes.rate is None else WishedRate(wishes.rate)
-        self._held = 0  # bytes that wait
-        self._waiting: deque[list[Buffer]] = deque(maxlen=1 if wishes.newest else None)
-        self._wake, self._idle = asyncio.Event(), asyncio.Event()
-        self._idle.set()
-        if wishes.newest:
-            peer.transport.limit_unsent()
-
-    @property
-    def lags(self) -> bool:
-        return self._held > _LAGGING or self.peer.lags
-
-    def put(self, pieces: list[Buffer]) -> None:
-        if not pieces or (self._rate is not None and not self._rate.admits(monotonic())):
-            return
-        self._held = sum(map(len, pieces)) + (0 if self.newest else self._held)
-        self._waiting.append(pieces)
-        self._idle.clear()
-        self._wake.set()
-
-    async def idle(self) -> None:
-        await self._idle.wait()
-
-    async def run(self) -> None:
-        while True:
-            await self._wake.wait()
-            self._wake.clear()
-            while self._waiting:
-                if self.newest:
-                    await self.peer.flushed()
-                pieces = self._waiting.popleft()
-                size = sum(map(len, pieces))
-                self._held -= size
-                if self._deflate:
-                    large = size >= LARGE
-                    pieces = [await asyncio.to_thread(deflated, pieces) if large else deflated(pieces)]
-                await self.peer.send(*framed(pieces))
-            self._idle.set()
-
-
 async def publish_as_wished(
-    program: PlainStream, guard: MessageGuard | None, initial: bytes, sender: WishSender
+    program: PlainStream,
+    peer: SecureStream[Identity],
+    guard: MessageGuard | None,
+    initial: bytes,
+    sender: WishedQueue,
 ) -> None:
-    peer = sender.peer
     forwarding = forward_as_wished(program, shown(peer.peer.name), guard, initial, sender)
     await run_both(program, peer, forwarding, sender.run(), expect_no_data(peer))
 
 
 async def forward_as_wished(
-    program: PlainStream, peer: str, guard: MessageGuard | None, initial: bytes, sender: WishSender
+    program: PlainStream, peer: str, guard: MessageGuard | None, initial: bytes, sender: WishedQueue
 ) -> None:
     # The guard comes first, as without wishes: if it keeps state, or only the newest message is wished,
     # messages are checked as they come, and a peer that lags misses some; else it slows the program down.
@@ -243,7 +196,9 @@ async def forward_as_wished(
             guard.check(now)
         if sender.newest or not keeps_state or not sender.lags:
             for message in messages:
-                sender.put([message] if guard is None else filtered(guard, message, peer, now))
+                pieces = [message] if guard is None else filtered(guard, message, peer, now)
+                if pieces:
+                    sender.enqueue(pieces)
         if not sender.newest and not keeps_state:
             await sender.idle()
         try:

@@ -4,7 +4,7 @@ from typing import Final
 
 import pytest
 
-from rossec.errors import CallerMismatch
+from rossec.errors import ConnectionHeaderRefused
 from rossec.ros.names import MASTER
 from tests.support.attacker import EVE, call, credentials, expect_refused, fields_for, listen, send_header
 from tests.support.site import Site
@@ -35,7 +35,7 @@ async def test_a_topic_under_another_name(
     listen(caplog)
     fields = fields_for(name, TOPIC, eve.enroll(EVE).grants())
     heard = await send_header(witness.topic_port, credentials(eve), fields)
-    expect_refused(heard, caplog, CallerMismatch, f"certified as {EVE} calls itself {name}")
+    expect_refused(heard, caplog, ConnectionHeaderRefused, f"certified as {EVE} calls itself {name}")
 
 
 @pytest.mark.attack("anonymous-tail")
@@ -45,7 +45,7 @@ async def test_a_suffix_without_a_certified_wildcard(
     site.subscribe(EVE, TOPIC)
     fields = fields_for("/eve_1", TOPIC, site.enroll(EVE).grants())
     heard = await send_header(witness.topic_port, credentials(site), fields)
-    expect_refused(heard, caplog, CallerMismatch, f"certified as {EVE} calls itself /eve_1")
+    expect_refused(heard, caplog, ConnectionHeaderRefused, f"certified as {EVE} calls itself /eve_1")
 
 
 @pytest.mark.attack("anonymous-tail")

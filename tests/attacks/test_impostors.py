@@ -13,7 +13,7 @@ from grants.errors import GrantExpired, GrantForged, GrantMalformed, GrantMissin
 from grants.model import Right
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.demo.intruder import UnverifiedPeer, accept_any
-from rossec.errors import CallerMismatch, ConnectionHeaderRefused, ForeignIdentity
+from rossec.errors import ConnectionHeaderRefused, ForeignIdentity
 from rossec.net.aio import SecureStream, WireProtocol, serve
 from rossec.net.rpc.calls import serve_calls
 from rossec.node import message_type
@@ -114,7 +114,7 @@ async def test_a_publisher_without_grants_is_refused(site: Site, witness: Witnes
 async def test_a_publisher_with_the_name_of_another_is_refused(site: Site, witness: Witness) -> None:
     fields = answer(site.enroll("/robot").grants(), callerid="/robot")
     async with impostor(credentials(site), fields) as uri:
-        assert type(await led(site, witness, uri)) is CallerMismatch
+        assert type(await led(site, witness, uri)) is ConnectionHeaderRefused
 
 
 @pytest.mark.attack("false-publisher")

@@ -12,7 +12,7 @@ import pytest
 from grants.model import Restriction, filter_rules
 from rossec.channel.records import HEADER, TAG, Bytes, Frame
 from rossec.demo.intruder import accept_any
-from rossec.errors import ConnectionHeaderRefused, FrameRefused
+from rossec.errors import ConnectionHeaderRefused, WireError
 from rossec.net.aio import SecureStream, connect
 from rossec.node import Subscriber, node
 from rossec.participant import handshakes
@@ -217,7 +217,7 @@ async def bombed(
 async def test_a_bomb_ends_its_own_connection(site: Site, witness: Witness, name: str) -> None:
     async with bombed(site, BOMBS[name](), deflate=True) as (subscriber, _):
         await until(lambda: subscriber.refusals)
-        assert isinstance(subscriber.refusals[0], FrameRefused)
+        assert isinstance(subscriber.refusals[0], WireError)
         assert subscriber.received == 0
     await witness.goes_on()
 

@@ -1,5 +1,4 @@
 import dataclasses
-from collections import OrderedDict
 
 import pytest
 from cryptography import x509
@@ -8,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ca import certificates, svid
+from ca.bounded import Newest
 from ca.certificates import Identity, TrustAnchor, from_pem, to_pem
 from ca.errors import CertificateExpired, CertificateNotYetValid, CertificateRefused, ForeignCertificate
 from ca.keys.signing import thumbprint
@@ -250,8 +250,7 @@ def test_a_remembered_certificate_is_verified_each_time(monkeypatch: pytest.Monk
 
 
 def test_so_many_certificates_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(certificates, "_cache", OrderedDict())
-    monkeypatch.setattr(certificates, "CACHE_SIZE", 2)
+    monkeypatch.setattr(certificates, "_cache", Newest(2))
     first, *others = (SITE.leaf() for _ in range(3))
     identity = SITE.anchor.verify([first], NOW)
     for leaf in others:

@@ -8,7 +8,6 @@ key is done in the transaction of its approval.
 import logging
 import secrets
 import threading
-from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import closing
 from hashlib import sha256
@@ -27,6 +26,7 @@ from ca.approvals.statement import (
     StatementKind,
 )
 from ca.authority import MAX_LIFETIME
+from ca.bounded import ExpiringTable
 from ca.certificates import check_intermediate_request, to_pem
 from ca.errors import ApprovalRefused, HintedError, RequestClosed, StoreError
 from ca.keys.signing import thumbprint
@@ -226,7 +226,7 @@ class InvitationAct(ApprovedAct):
         self._address = address
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._lock = threading.Lock()
-        self._codes: OrderedDict[bytes, tuple[str, float]] = OrderedDict()
+        self._codes: ExpiringTable[bytes, bytes] = ExpiringTable(MAX_CODES, CODES_KEPT)
 
     def prepare(
         self, _service: AuthorityService, now: int, pattern: str, uses: int, seconds: int, wildcard: bool
@@ -244,15 +244,12 @@ class InvitationAct(ApprovedAct):
         code, row = make_invitation(self._home, *given, address, approved.at, wildcard=what.wildcard)
         store.invitations.add(row)
         with self._lock:
-            self._codes[approved.id] = code.text(), self._elapsed() + CODES_KEPT
-            while len(self._codes) > MAX_CODES:
-                self._codes.popitem(last=False)
+            self._codes.put(approved.id, code.text().encode(), self._elapsed())
         return f"join code {row.id.hex()[:8]}"
 
     def made(self, _service: AuthorityService, approved: Approved) -> bytes:
         with self._lock:
-            text, end = self._codes.get(approved.id, ("", 0.0))
-        return text.encode() if self._elapsed() < end else b""
+            return self._codes.get(approved.id, self._elapsed()) or b""
 
 
 class RevokeMasterAct(ApprovedAct):

@@ -138,9 +138,7 @@ class Statements:
     def _drop_old(self) -> None:
         now = self._elapsed()
         for table in self._shown.values():
-            for number, shown in table.items():
-                if now >= shown.end:
-                    table.pop(number)
+            table.drop(lambda shown: now >= shown.end)
 
 
 MAX_REQUESTS: Final = 32

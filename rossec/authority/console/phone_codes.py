@@ -122,7 +122,9 @@ class Codes:
         text = base64.urlsafe_b64encode(self._random(_SIZE)).rstrip(b"=").decode()
         code = _Code(_digest(text), self._elapsed() + CODE_LIFETIME, owner)
         with self._lock:
-            self._drop_old()
+            now = self._elapsed()
+            for table in self._codes.values():
+                table.drop(lambda each: now >= each.end)
             if self._codes[use].add(code.digest, code, owner, messages.rank(owner)) is None:
                 raise KeyServiceRefused(f"{MAX_CODES} codes were made already", "use them, or wait")
         return text
@@ -139,13 +141,6 @@ class Codes:
     def use(self, text: str, use: CodeUse) -> None:
         with self._lock:
             self._codes[use].pop(self._find(text, use).digest)
-
-    def _drop_old(self) -> None:
-        now = self._elapsed()
-        for table in self._codes.values():
-            for digest, code in table.items():
-                if now >= code.end:
-                    table.pop(digest)
 
     def _find(self, text: str, use: CodeUse) -> _Code:
         now, given = self._elapsed(), _digest(text)
@@ -230,9 +225,7 @@ class Proposals:
 
     def _drop_old(self) -> None:
         now = self._elapsed()
-        for number, each in self._proposed.items():
-            if now >= each.end:
-                self._proposed.pop(number)
+        self._proposed.drop(lambda each: now >= each.end)
 
 
 def digits_of(number: bytes, passkey: Passkey) -> str:

@@ -7,12 +7,12 @@ the hash answers with error 3, and the caller retries, by value.
 """
 
 import hashlib
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol, TypeAlias, TypeVar
 from weakref import WeakValueDictionary
 
+from ca.bounded import Newest
 from ca.encoding import Value, encode
 from ca.keys.signing import Signer
 from rossec.channel.edhoc.suites import PublicKey, bstr
@@ -32,14 +32,11 @@ _CAPACITY: Final = 256
 class PeerIdentity(Protocol):
     @property
     def public_key(self) -> PublicKey: ...
-
     @property
     def not_after(self) -> int: ...
 
 
 PeerT = TypeVar("PeerT", bound=PeerIdentity)
-KeyT = TypeVar("KeyT")
-ValueT = TypeVar("ValueT")
 
 Verify: TypeAlias = Callable[[Chain, int], PeerT]
 """From the chain and `now` to the identity; raises a `HintedError`.
@@ -138,10 +135,9 @@ class KnownCertificates:
     """A bounded cache of one node, least recently used first out; a hash that two share finds neither."""
 
     def __init__(self, capacity: int = _CAPACITY) -> None:
-        self._capacity = capacity
-        self._chains: OrderedDict[bytes, Chain | None] = OrderedDict()
-        self._introduced: OrderedDict[bytes, None] = OrderedDict()
-        self._addresses: OrderedDict[tuple[str, int], None] = OrderedDict()
+        self._chains: Newest[bytes, Chain | None] = Newest(capacity)
+        self._introduced: Newest[bytes, None] = Newest(capacity)
+        self._addresses: Newest[tuple[str, int], None] = Newest(capacity)
 
     def __len__(self) -> int:
         return len(self._chains)
@@ -150,29 +146,28 @@ class KnownCertificates:
         key = _short(chain[0])
         there = self._chains.get(key, chain)
         ambiguous = there is None or there[0] != chain[0]
-        self._put(self._chains, key, None if ambiguous else chain)
+        self._chains[key] = None if ambiguous else chain
 
     def find(self, id_cred: Value) -> Chain:
         match id_cred:
             case {34: [-15, bytes() as short], **rest} if not rest:
-                chain = self._chains.get(short)
+                chain = self._chains.use(short)
                 if chain is None:
                     raise PeerCredentialUnknown("the peer names a certificate this node does not know")
-                self._chains.move_to_end(short)
                 return chain
             case _:
                 return x5chain(id_cred)
 
     def introduce(self, certificate: bytes) -> None:
         """Note that the holder of `certificate` has received this node's own."""
-        self._put(self._introduced, certificate, None)
+        self._introduced[certificate] = None
 
     def is_introduced(self, certificate: bytes) -> bool:
         return certificate in self._introduced
 
     def note_address(self, address: tuple[str, int]) -> None:
         """Note that a known peer was reached at this host and port."""
-        self._put(self._addresses, address, None)
+        self._addresses[address] = None
 
     def knows_address(self, address: tuple[str, int]) -> bool:
         return address in self._addresses
@@ -180,12 +175,6 @@ class KnownCertificates:
     def forget_introductions(self) -> None:
         """After an error 3: a peer does not know this node's certificate (any more)."""
         self._introduced.clear()
-
-    def _put(self, table: OrderedDict[KeyT, ValueT], key: KeyT, value: ValueT) -> None:
-        table[key] = value
-        table.move_to_end(key)
-        if len(table) > self._capacity:
-            table.popitem(last=False)
 
 
 class Dial:

@@ -102,7 +102,9 @@ class HybridExchange:
     def start(self, random: Random) -> tuple[Finish, bytes]:
         key = mlkem.MLKEM768PrivateKey.from_seed_bytes(random(64))
         finish, share = _X25519.start(random)
-        return partial(_hybrid, key, finish), key.public_key().public_bytes_raw() + share
+        # An invalid ciphertext gives a random secret (implicit rejection): the handshake fails later.
+        share = key.public_key().public_bytes_raw() + share
+        return lambda peer: key.decapsulate(peer[:1088]) + finish(peer[1088:]), share
 
     def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
         try:
@@ -112,11 +114,6 @@ class HybridExchange:
         secret, ciphertext = key.encapsulate()
         share, shared = _X25519.answer(random, g_x[1184:])
         return ciphertext + share, secret + shared
-
-
-def _hybrid(own: mlkem.MLKEM768PrivateKey, finish: Finish, peer: bytes) -> bytes:
-    # An invalid ciphertext gives a random secret (implicit rejection): the handshake fails later.
-    return own.decapsulate(peer[:1088]) + finish(peer[1088:])
 
 
 def _p256(own: ec.EllipticCurvePrivateKey, peer: bytes) -> bytes:

@@ -26,7 +26,7 @@ from rossec.console.scanning.frames import Found, Unreadable
 from rossec.console.server import control
 from rossec.console.server.control import WebSettings, read_settings
 from rossec.console.server.serving import ConsoleServer
-from rossec.errors import ConfigurationError, KeyMessageRefused, PictureRefused, ScannerBusy
+from rossec.errors import ConfigurationError, KeyMessageRefused, RossecError, ScannerBusy
 from rossec.host.runner import TaskSet, log_as_json
 from rossec.host.sandbox import protect_memory
 from rossec.host.workers import read_frame, run_confined
@@ -148,7 +148,7 @@ class ScannerClient:
 
     async def read(self, picture: bytes) -> str | None:
         if not 0 < len(picture) <= frames.MAX_PICTURE:
-            raise PictureRefused(f"a picture has at most {frames.MAX_PICTURE // 1024} kB here", _PASTE)
+            raise RossecError(f"a picture has at most {frames.MAX_PICTURE // 1024} kB here", _PASTE)
         if self._is_busy:
             raise ScannerBusy("another picture is being read", "wait a moment")
         answer: asyncio.Future[Answer | None] = asyncio.get_running_loop().create_future()
@@ -159,9 +159,9 @@ class ScannerClient:
             case Found(text):
                 return text or None
             case Unreadable(message, hint):
-                raise PictureRefused(message, hint)
+                raise RossecError(message, hint)
             case _:
-                raise PictureRefused("pictures cannot be read any more", _PASTE)
+                raise RossecError("pictures cannot be read any more", _PASTE)
 
     async def close(self) -> None:
         self._ended = True

@@ -6,11 +6,11 @@ what it was sent; a state is a set of facts, so all changes between two calls ar
 Nothing is queued: a slow caller is updated less often, one without a stored view is sent everything.
 """
 
-from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from itertools import count
 from typing import Final, NamedTuple, TypeAlias
 
+from ca.bounded import Newest
 from rossec.master.api.methods import CallRequest, MasterTables, Reply, Steps, collected
 from rossec.master.rights import publisher_views
 from rossec.master.rights.access_rules import AccessControl, require_capacity, require_place
@@ -201,7 +201,7 @@ class GraphViews:
     def __init__(self, instance: str) -> None:
         self._instance = instance
         self._cursors = count(_START + 1)
-        self._views: OrderedDict[bytes, OrderedDict[int, _Sent]] = OrderedDict()
+        self._views: dict[bytes, Newest[int, _Sent]] = {}
 
     def __len__(self) -> int:
         return sum(map(len, self._views.values()))
@@ -220,7 +220,7 @@ class GraphViews:
     ) -> dict[str, object]:
         # The changes since the caller's last view; the cursor stays if there are none.
         instance, cursor = seen
-        views = self._views.setdefault(caller, OrderedDict())
+        views = self._views.setdefault(caller, Newest(MAX_VIEWS))
         cursor = cursor if isinstance(cursor, int) and instance == self._instance else _START
         known = views.get(cursor)
         old = frozenset() if known is None else known.facts
@@ -231,8 +231,6 @@ class GraphViews:
             cursor = next(self._cursors)
             view = (old | frozenset(sent_added)) - frozenset(sent_removed)
             views[cursor] = _Sent(view, beside)
-            if len(views) > MAX_VIEWS:
-                views.popitem(last=False)
         return {
             "instance": self._instance,
             "version": version % (1 << 31),  # XML-RPC's integers end there

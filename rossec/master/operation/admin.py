@@ -12,13 +12,13 @@ import os
 import resource
 import socket
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from ca.bounded import Newest
 from grants.limits import TokenBucket
 from rossec.errors import ConfigurationError, PeerUserRefused
 from rossec.host.audit import LEFT_OUT
@@ -57,12 +57,13 @@ class DenialRateLimit(logging.Filter):
         super().__init__()
         self._clock = clock
         self._common = TokenBucket(50, 1000)
-        self._nodes: OrderedDict[str, NodeBudget] = OrderedDict()
+        self._nodes: Newest[str, NodeBudget] = Newest(MAX_NODES)
 
     def filter(self, record: logging.LogRecord) -> bool:
         # Whether the line is written; if so, it records how many before it were not.
         now = self._clock()
-        budget = self._budget(subject(record))
+        node = subject(record)
+        budget = self._nodes[node] = self._nodes.get(node) or NodeBudget()  # the newest
         common = self._common if self._common.refill(now) >= 1 else budget.reserved
         if not (budget.limit.refill(now) >= 1 and common.refill(now) >= 1):
             budget.left_out += 1
@@ -73,13 +74,6 @@ class DenialRateLimit(logging.Filter):
             setattr(record, LEFT_OUT, budget.left_out)
             budget.left_out = 0
         return True
-
-    def _budget(self, node: str) -> NodeBudget:
-        budget = self._nodes.pop(node, None) or NodeBudget()
-        self._nodes[node] = budget
-        if len(self._nodes) > MAX_NODES:
-            self._nodes.popitem(last=False)
-        return budget
 
 
 @contextmanager

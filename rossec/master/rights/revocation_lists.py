@@ -8,10 +8,11 @@ nodes rely on the list signed by the authority.
 """
 
 import hashlib
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Sequence
 from typing import Final, NamedTuple
 
+from ca.bounded import Newest
 from ca.certificates import TrustAnchor
 from ca.encoding import Value, decode, encode
 from ca.errors import EncodingError, RevocationRefused
@@ -28,7 +29,7 @@ from ca.revocation.lists import (
 )
 from ca.revocation.trust_status import Revocations
 from grants.model import Grant
-from rossec.errors import QueryRefused
+from rossec.errors import RossecError
 from rossec.master.rights.caller import CertifiedPeer
 
 MAX_HELD_LISTS: Final = 16 * 1024  # nodes whose list is recorded
@@ -251,7 +252,7 @@ class Series:
             # The cursor is too old: `more` tells the requester to send a full query.
             return {_DIFF_SET: [], _CURSOR: None, _MORE: last is not None}
         elif query.cursor > last:
-            raise QueryRefused("a cursor that was never sent (2)")
+            raise RossecError("a cursor that was never sent (2)")
         else:
             wanted = [update for update in self._updates if update.number > query.cursor]
             wanted = wanted[: query.diff or MAX_N]
@@ -276,17 +277,14 @@ class RevocationQueries:
     # the master, so a cursor of an earlier run is recognized as too old.
     def __init__(self, start: int) -> None:
         self._first = start << 20  # reached by a later run only after a million updates a second
-        self._series: OrderedDict[bytes, Series] = OrderedDict()
+        self._series: Newest[bytes, Series] = Newest(MAX_REQUESTERS)
 
     def answer(self, requester: bytes, entries: frozenset[bytes], query: bytes) -> bytes:
         """Answer one query of the requester whose part of the TRL is `entries`."""
         parsed = read_query(query)
-        series = self._series.get(requester)
+        series = self._series.use(requester)
         if series is None:
             series = self._series[requester] = Series(self._first, entries)
-            if len(self._series) > MAX_REQUESTERS:
-                self._series.popitem(last=False)
-        self._series.move_to_end(requester)
         series.note(entries)
         return encode(series.answer(parsed))
 
@@ -295,11 +293,11 @@ def read_query(query: bytes) -> Query:
     try:
         value = decode(query, limit=MAX_QUERY)
     except EncodingError as error:
-        raise QueryRefused(f"not a query: {error} (0)") from None
+        raise RossecError(f"not a query: {error} (0)") from None
     if not isinstance(value, dict) or value.keys() - {"diff", "cursor"}:
-        raise QueryRefused("a query is a map of diff and cursor (1)")
+        raise RossecError("a query is a map of diff and cursor (1)")
     if any(type(number) is not int or number < 0 for number in value.values()):
-        raise QueryRefused("diff and cursor are non-negative integers (0)")
+        raise RossecError("diff and cursor are non-negative integers (0)")
     if "cursor" in value and "diff" not in value:
-        raise QueryRefused("a cursor without diff (1)")
+        raise RossecError("a cursor without diff (1)")
     return Query(**value)  # type: ignore[arg-type]

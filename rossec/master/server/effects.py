@@ -8,7 +8,7 @@ enforced before the call that delivered it is answered, except for what would ta
 import asyncio
 import logging
 import os
-from collections import Counter, OrderedDict
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -16,6 +16,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Final, TypeAlias
 
+from ca.bounded import Newest
 from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.names import is_alias, is_in_gateway, shown
@@ -114,7 +115,7 @@ class DenialCauses:
     # program asks for by itself and works without is one cause for each node. Refusals for other reasons,
     # such as an address of another node, are all logged.
     def __init__(self) -> None:
-        self._logged: OrderedDict[_Cause, _Logged] = OrderedDict()
+        self._logged: Newest[_Cause, _Logged] = Newest(MAX_CAUSES)
 
     def text(self, now: int, denied: CallDenied) -> str | None:
         # Of what every program works without it begins with `BASICS`: it is no warning.
@@ -139,9 +140,6 @@ class DenialCauses:
             before.left_out += 1
             return None
         self._logged[cause] = _Logged(now)
-        self._logged.move_to_end(cause)
-        if len(self._logged) > MAX_CAUSES:
-            self._logged.popitem(last=False)
         left_out = before.left_out if before is not None else 0
         return f"{text} ({left_out} more like this since it was logged last)" if left_out else text
 

@@ -15,7 +15,7 @@ from typing import Final
 
 from ca.certificates import Identity
 from ca.names import shown
-from rossec.errors import AnswerRefused, CallerMismatch, RossecError
+from rossec.errors import AnswerRefused, ConnectionHeaderRefused, RossecError
 from rossec.host.runner import TaskSet
 from rossec.master.state.parameters import encoded_size
 from rossec.master.state.registry import NodeRef
@@ -50,7 +50,7 @@ class SlaveDialer:
             stream.abort("not the node that was registered")
             self._on_mismatch(node, stream.peer)
             other, name = shown(stream.peer.name), shown(node.name)
-            raise CallerMismatch(f"{other} answers at the slave API of {name}")
+            raise ConnectionHeaderRefused(f"{other} answers at the slave API of {name}")
         return RpcClient(stream)
 
     async def probe(self, node: NodeRef) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
+from ca.bounded import Newest
 from rossec.master.state.registry import Endpoint, endpoint
 from rossec.ros.names import build_door
 
@@ -103,7 +104,7 @@ class ForwardedPorts:
         self._version = 0
         self._wants: dict[str, set[Target]] = {}
         self._wanted: dict[Target, int] = {}  # since which version, the oldest first
-        self._gone: dict[Target, int] = {}
+        self._gone: Newest[Target, int] = Newest(limit)
         self._relays: dict[str, _Relay] = {}
         self._superseded: dict[str, str] = {}  # the run before that of now, by relay
         self._serving: dict[str, str] = {}  # which relay serves a peer
@@ -202,8 +203,6 @@ class ForwardedPorts:
             return
         del self._wanted[target]
         self._gone[target] = self._next_version()
-        if len(self._gone) > self._limit:
-            del self._gone[next(iter(self._gone))]
         for relay in self._relays.values():
             relay.drop(target)
 

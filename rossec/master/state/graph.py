@@ -4,10 +4,10 @@ Imported nodes are aliases, so no name of a node occurs twice; a topic occurs on
 of all masters. What is yielded one by one is as of when it is yielded.
 """
 
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
 from typing import Final, NamedTuple
 
+from ca.bounded import Newest
 from ca.errors import NameRefused
 from ca.names import alias_of_served, is_alias, is_in_gateway, served_name
 from grants.limits import MAX_SLOT
@@ -39,7 +39,7 @@ class PublisherLog:
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
         self._current: dict[str, dict[NodeRef, Published]] = {}
-        self._ended: OrderedDict[str, list[Published]] = OrderedDict()
+        self._ended: Newest[str, list[Published]] = Newest(MAX_TOPICS)
         self.now = 0
 
     def __len__(self) -> int:
@@ -79,13 +79,9 @@ class PublisherLog:
         return list({**self._current, **self._ended})
 
     def _keep(self, topic: str, published: Published) -> None:
-        self._ended.setdefault(topic, []).append(published)
-        self._ended.move_to_end(topic)
         oldest = self.now - MAX_SLOT
-        kept = [each for each in self._ended[topic] if (each.until or 0) >= oldest]
-        self._ended[topic] = kept[-MAX_ENDED:]
-        while len(self._ended) > MAX_TOPICS:
-            self._ended.popitem(last=False)
+        ended = (*self._ended.get(topic, ()), published)
+        self._ended[topic] = [each for each in ended if (each.until or 0) >= oldest][-MAX_ENDED:]
 
 
 class ServedTopics:

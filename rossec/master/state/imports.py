@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Generator, Iterable, Iterator,
 from contextlib import suppress
 from typing import Final
 
+from ca.bounded import Newest
 from ca.errors import NameRefused
 from ca.names import REMOTE, alias_of_served, is_alias, served_name, split_alias
 from grants.decision import Reach
@@ -49,16 +50,14 @@ class Demand:
     def __init__(self, registry: Registry) -> None:
         self.version = 0
         self._registry = registry
-        self._asked: dict[str, int] = {}  # until when, the oldest first
+        self._asked: Newest[str, int] = Newest(MAX_WANTED)  # until when
         self._everything_until = 0
 
     def ask(self, name: str, now: int) -> None:
         is_subscribed = len(self._registry.registered_nodes(Kind.SUBSCRIBER, name)) > 1  # by others
-        if self._asked.pop(name, 0) <= now and not is_subscribed:
+        if self._asked.get(name, 0) <= now and not is_subscribed:
             self.version += 1
         self._asked[name] = now + WANTED_SECONDS
-        while len(self._asked) > MAX_WANTED:
-            del self._asked[next(iter(self._asked))]
 
     def ask_everything(self, now: int) -> None:
         if self._everything_until <= now:

@@ -75,6 +75,7 @@ async def connect(
         stream = await _handshake(await _dial(host, port, timeout), by_hash)
     except (HandshakeFailed, PeerRefused) as error:
         # Any failure of a handshake by hash may be due to the hash.
+        # Error 3 is not authenticated: whoever forges it costs one more handshake, by value.
         if isinstance(error, PeerCredentialUnknown | OwnCredentialUnknown):
             known.forget_introductions()
         elif not request_x5t or isinstance(error, HandshakeTimeout):
@@ -137,8 +138,17 @@ async def dial(host: str, port: int, within: float) -> socket.socket:
     """Return a connected, non-blocking socket within that time in seconds."""
     family = _family(host)
     if family is None:
+        loop, task = asyncio.get_running_loop(), asyncio.current_task()
         async with asyncio.timeout(within):
-            return await _race(host, port)
+            found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+            if not found:
+                raise OSError(f"no address for {host}")
+            cancelled = task is not None and task.cancelling()
+            sock = await start_connection(found, happy_eyeballs_delay=STAGGER)
+            if task is not None and task.cancelling() > cancelled:  # while other attempts were ended
+                sock.close()
+                raise asyncio.CancelledError
+            return sock
     # No thread, no resolver, and on loopback no waiting.
     sock = socket.socket(family, socket.SOCK_STREAM)
     try:
@@ -158,19 +168,6 @@ def _family(host: str) -> int | None:
             socket.inet_pton(family, host)
             return family
     return None
-
-
-async def _race(host: str, port: int) -> socket.socket:
-    loop, task = asyncio.get_running_loop(), asyncio.current_task()
-    found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    if not found:
-        raise OSError(f"no address for {host}")
-    cancelled = task is not None and task.cancelling()
-    sock = await start_connection(found, happy_eyeballs_delay=STAGGER)
-    if task is not None and task.cancelling() > cancelled:  # while other attempts were ended
-        sock.close()
-        raise asyncio.CancelledError
-    return sock
 
 
 def _connected(sock: socket.socket) -> bool:

@@ -268,10 +268,6 @@ class SecureStream(BaseStream, Generic[PeerT]):
         one took to send: such a burst is joined in one record, which leaves at the end of this turn
         of the loop. A large one must not change until this returns; a `send` of one that is
         cancelled while it waits for the peer drops the connection, as half a unit was sent.
-
-        Raises:
-            ChannelError: the connection has ended.
-            LimitExceeded: the unit is too long; the connection is untouched.
         """
         size = 0
         for piece in pieces:
@@ -353,10 +349,6 @@ class SecureStream(BaseStream, Generic[PeerT]):
 
         For the only sender of a connection, which then waits: what the socket does not take is
         buffered without a limit.
-
-        Raises:
-            ChannelError: the connection has ended.
-            LimitExceeded: the unit is too long; the connection is untouched.
         """
         self.check()
         if self._queue:
@@ -403,11 +395,7 @@ class SecureStream(BaseStream, Generic[PeerT]):
 
 
 async def next_messages(source: UnitSource, framing: Framing) -> list[bytes]:
-    """The messages that the next bytes complete, possibly none; each must make progress.
-
-    Raises:
-        ChannelError: there are no more; or as of `Framing`.
-    """
+    """The messages that the next bytes complete, possibly none; each must make progress."""
     while framing.incomplete:
         try:
             async with asyncio.timeout(PATIENCE):

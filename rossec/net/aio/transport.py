@@ -30,9 +30,7 @@ class TransportOwner(Protocol):
         ...
 
     def buffer_updated(self, count: int) -> None: ...
-
     def eof_received(self) -> bool | None: ...
-
     def resume_writing(self) -> None: ...
 
     def connection_lost(self) -> None:
@@ -45,32 +43,22 @@ class ByteTransport(Protocol):
 
     @property
     def backlog(self) -> int: ...
-
     @property
     def closed(self) -> bool: ...
 
     # This side's IP address, as the peer sees it unless there is NAT between; or empty.
     @property
     def local_address(self) -> str: ...
-
     @property
     def writable(self) -> bool: ...
-
     @property
     def reading(self) -> bool: ...
-
     def resume_reading(self) -> None: ...
-
     def pause_reading(self) -> None: ...
-
     def write(self, data: Bytes) -> None: ...
-
     def limit_unsent(self) -> None: ...
-
     def write_eof(self) -> None: ...
-
     def finish(self) -> None: ...
-
     def abort(self) -> None: ...
 
 
@@ -295,12 +283,7 @@ class BaseStream:
     # -- receiving
 
     async def receive(self) -> bytes:
-        """Return the next unit.
-
-        Raises:
-            ChannelClosed: the connection was closed in order.
-            ChannelError: it ended in another way; the class says how.
-        """
+        """Return the next unit."""
         while (unit := self.next_unit()) is None:
             await self._changed()
         return unit
@@ -343,9 +326,6 @@ class BaseStream:
         """Pass each unit to `write_nowait` as it arrives, without another turn of the loop.
 
         When it returns false, nothing more is read until `drain` returns.
-
-        Raises:
-            ChannelError: the connection has ended; or what `write_nowait` or `drain` raise.
         """
         try:
             while True:

@@ -49,16 +49,11 @@ class ServedStream(Protocol[PeerT_co]):
 
     @property
     def has_unit(self) -> bool: ...  # whether `next_unit` would return one
-
     def next_unit(self) -> bytes | None: ...
-
     @property
     def lags(self) -> bool: ...  # whether the peer does not read what was sent
-
     def write_nowait(self, data: bytes) -> bool: ...
-
     async def send(self, *pieces: bytes) -> None: ...
-
     async def close(self) -> None: ...
 
 
@@ -301,9 +296,7 @@ def _failure(error: Exception) -> Fault:
 
 class Stream(Protocol):
     async def send(self, *pieces: bytes) -> None: ...
-
     async def receive(self) -> bytes: ...
-
     async def close(self) -> None: ...
 
 
@@ -418,7 +411,7 @@ class RpcClient:
         except TimeoutError as error:
             raise CallFailed(f"{method}: no answer within {self._deadline:g} s") from error
         finally:
-            if not complete:
+            if not complete:  # a late answer would be taken for the answer to the next call
                 self.closed = True
                 with contextlib.suppress(RossecError):
                     await self._stream.close()

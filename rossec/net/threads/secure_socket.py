@@ -40,7 +40,7 @@ AT_ONCE: Final = socket.MSG_DONTWAIT
 PUMPED: Final = 16  # buffers in one go
 
 
-def _now() -> int:
+def _now() -> int:  # tests set it, for connections alone
     return clock.now()
 
 
@@ -229,22 +229,6 @@ class SecureSocket(Generic[PeerT]):
 
     # -- sending
 
-    def _write_unit(self, pieces: tuple[Bytes, ...], end: float | None) -> None:
-        if len(pieces) == 1 and isinstance(pieces[0], bytes):
-            with self._core_lock:
-                small = self._core.seal_small(pieces[0])
-            if small is not None:
-                self._write(small, end)
-                return
-        with self._core_lock:
-            records = self._core.seal_unit(*pieces, reuse=True)
-        while True:
-            with self._core_lock:
-                record = self._call_core(next, records, None)
-            if record is None:
-                return
-            self._write(record, end)
-
     def _flush(self, end: float | None) -> None:
         while self._core.has_data_to_send:
             if not self._writing.acquire(blocking=False):
@@ -416,7 +400,20 @@ class SecureSocket(Generic[PeerT]):
         self._run_timers()
         with self._writing:
             self._raise_if_ended()
-            self._write_unit(pieces, end)
+            record: Bytes | None = None
+            if len(pieces) == 1 and isinstance(pieces[0], bytes):
+                with self._core_lock:
+                    record = self._core.seal_small(pieces[0])
+            if record is not None:
+                self._write(record, end)
+            else:
+                with self._core_lock:
+                    records = self._core.seal_unit(*pieces, reuse=True)
+                    record = self._call_core(next, records, None)
+                while record is not None:  # the lock is never held while a record is written
+                    self._write(record, end)
+                    with self._core_lock:
+                        record = self._call_core(next, records, None)
         self._flush(end)
 
     def try_send(self, data: bytes) -> bool:

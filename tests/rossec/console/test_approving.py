@@ -12,7 +12,7 @@ from rossec.console import approvals
 from rossec.console.approvals import DAY, ProposedAct, carried_out, certificate_request, read
 from rossec.console.enrollments import Enrollment
 from rossec.console.sessions import SessionTable
-from rossec.errors import EnrollmentUnknown, FormRefused
+from rossec.errors import FormRefused, RossecError
 
 QUESTION = "q" * 22
 KITCHEN = "/master/kitchen"
@@ -61,7 +61,7 @@ class Sources:
 
     def get(self, number: str) -> Enrollment:
         if number not in self.known:
-            raise EnrollmentUnknown("there is none")
+            raise RossecError("there is none")
         found: Any = self.known[number]
         return found  # type: ignore[no-any-return]
 
@@ -145,7 +145,7 @@ async def test_a_form_with_a_field_more_or_less_is_refused(
 GRANT = {"question": QUESTION, "coarse": "", "duration": "week"}
 REFUSED: list[tuple[str, dict[str, str], type[HintedError], str]] = [
     ("lift", {}, FormRefused, "nothing of the kind 'lift'"),
-    ("enroll", {"enrollment": "e9"}, EnrollmentUnknown, "there is none"),
+    ("enroll", {"enrollment": "e9"}, RossecError, "there is none"),
     ("enroll", {"enrollment": "e3"}, EnrollmentOver, "it is over"),
     ("enroll", {"enrollment": "e2"}, FormRefused, "has changed meanwhile"),
     ("enroll", {"enrollment": "e1", "name": "/fridge"}, FormRefused, "has changed meanwhile"),

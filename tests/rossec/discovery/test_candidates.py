@@ -138,9 +138,9 @@ def test_new_chains_do_not_block_verified_ones(candidates: Candidates, make: Mak
 
 def test_a_chain_is_verified_again_after_a_while(candidates: Candidates, make: Make) -> None:
     heard(candidates, make(1))
-    ((identity, until),) = candidates._chains.values()
+    ((identity, until),) = candidates._chains._entries.values()
     assert candidates.heard(make(2), NEAR, NOW, until + 1) is not None
-    assert [later for _, later in candidates._chains.values()] == [until + 1 + 60]
+    assert [later for _, later in candidates._chains._entries.values()] == [until + 1 + 60]
     assert identity.name == "/master"
 
 

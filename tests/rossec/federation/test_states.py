@@ -1,6 +1,6 @@
 import pytest
 
-from rossec.errors import FederationError
+from rossec.errors import RossecError
 from rossec.federation.site_state import (
     LONGEST_PAUSE,
     LOST_FOR,
@@ -84,7 +84,7 @@ def test_what_is_not_in_the_table_is_an_error() -> None:
             if (phase, event) in TABLE:
                 state.take(event, 0.0)
                 continue
-            with pytest.raises(FederationError, match=phase.value):
+            with pytest.raises(RossecError, match=phase.value):
                 state.take(event, 0.0)
             refused += 1
     assert refused == len(SitePhase) * len(SiteEvent) - len(TABLE)

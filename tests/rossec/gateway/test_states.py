@@ -1,6 +1,6 @@
 import pytest
 
-from rossec.errors import GatewayError
+from rossec.errors import RossecError
 from rossec.gateway.rules import (
     FIRST_PAUSE,
     LINGER,
@@ -63,5 +63,5 @@ def test_every_other_event_is_an_error() -> None:
                 continue
             state = TopicState()
             state.phase = phase
-            with pytest.raises(GatewayError):
+            with pytest.raises(RossecError):
                 state._enter(event, 0)

@@ -6,7 +6,7 @@ from ca.errors import HintedError
 from grants.decision import Decision
 from grants.errors import MessageRefused
 from grants.model import Restriction, Right, filter_rules
-from rossec.errors import ChannelClosed, FrameRefused, ServiceRefused
+from rossec.errors import ChannelClosed, ServiceRefused, WireError
 from rossec.inprocess.sockets import ClientFilter, ServerFilter
 from rossec.participant.service_types import ServiceGuard, service_type
 from rossec.ros import tcpros as wire
@@ -50,9 +50,9 @@ def test_only_whole_requests_pass() -> None:
 
 
 def test_a_request_is_bounded_and_comes_alone() -> None:
-    with pytest.raises(FrameRefused, match="at most"):
+    with pytest.raises(WireError, match="at most"):
         Server().incoming(b"\xff\xff\xff\xff")
-    with pytest.raises(FrameRefused, match="before its answer"):
+    with pytest.raises(WireError, match="before its answer"):
         Server().incoming(ON + ON)
 
 

@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from rossec.errors import FrameRefused, MessageError
+from rossec.errors import MessageError, WireError
 from rossec.participant import delivery
 
 LOG = logging.getLogger("rossec.node")
@@ -46,7 +46,7 @@ def test_a_cause_is_logged_once_in_a_minute(now: list[float], caplog: pytest.Log
 def test_other_causes_peers_and_places_are_logged(now: list[float], caplog: pytest.LogCaptureFixture) -> None:
     for _ in range(3):
         warn(MessageError("one"))
-        warn(FrameRefused("two"))
+        warn(WireError("two"))
         warn(MessageError("three"), peer="/viewer")
         warn(MessageError("four"), where="/map")
         warn("five")

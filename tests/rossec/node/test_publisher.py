@@ -9,9 +9,9 @@ import pytest
 from grants.errors import MessageRefused
 from grants.filters import layout
 from rossec.errors import ChannelClosed, ConfigurationError, NodeShutdown
-from rossec.node.publisher import DeliveryQueue, Publisher
+from rossec.node.publisher import Publisher
 from rossec.participant.authorized import memory_scope
-from rossec.participant.delivery import Wishes
+from rossec.participant.delivery import WishedQueue, Wishes
 from rossec.participant.handshakes import TopicEndpoint
 from rossec.participant.message_types import message_type
 
@@ -239,7 +239,7 @@ async def test_a_subscriber_with_wishes_gets_them_after_its_guard() -> None:
     await settle()
     assert b"".join(plain.sent[1:]) == framed("one", "two", "three")
     assert b"".join(wishing.sent[1:]) == framed("one", "two")
-    (queue,) = (queue for queue in topic.links.values() if isinstance(queue, DeliveryQueue))
+    (queue,) = (queue for queue in topic.links.values() if isinstance(queue, WishedQueue))
     assert (queue.withheld, queue.thinned) == (3, 1)
     for task in tasks:
         task.cancel()

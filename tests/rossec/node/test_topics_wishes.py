@@ -9,9 +9,8 @@ from grants.model import Restriction, filter_rules
 from rossec.errors import ConfigurationError, ConnectionHeaderRefused
 from rossec.node import Node, Publisher, node
 from rossec.node import subscriber as subscribing
-from rossec.node.publisher import DeliveryQueue
 from rossec.participant import handshakes
-from rossec.participant.delivery import NO_WISHES, Wishes
+from rossec.participant.delivery import NO_WISHES, WishedQueue, Wishes
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -54,7 +53,7 @@ async def test_deflated_messages_arrive_as_they_were_sent(site: Site) -> None:
         say(publisher, *WORDS)
         assert await heard(subscriber, 5) == WORDS
         (queue,) = publisher.links.values()
-        assert isinstance(queue, DeliveryQueue)
+        assert isinstance(queue, WishedQueue)
 
 
 async def test_what_is_filtered_is_not_deflated(site: Site) -> None:
@@ -66,8 +65,8 @@ async def test_what_is_filtered_is_not_deflated(site: Site) -> None:
         subscriber = await viewer.subscriber(TOPIC, TYPE, deflate=True, newest=True)
         await publisher.wait_for_subscribers()
         (queue,) = publisher.links.values()
-        assert isinstance(queue, DeliveryQueue)
-        assert queue._wishes == Wishes(newest=True)
+        assert isinstance(queue, WishedQueue)
+        assert (queue.newest, queue._deflate, queue._rate) == (True, False, None)
         say(publisher, WORDS[3])
         assert await heard(subscriber, 1) == ["3"]
 
@@ -81,7 +80,7 @@ async def test_a_rate_is_kept_by_the_publisher(site: Site) -> None:
         say(publisher, "one", "two", *WORDS)
         assert await heard(subscriber, 2) == ["one", "two"]
         (queue,) = publisher.links.values()
-        assert isinstance(queue, DeliveryQueue)
+        assert isinstance(queue, WishedQueue)
         assert queue.thinned == 5
 
 
@@ -95,7 +94,7 @@ async def test_an_older_publisher_ignores_them(site: Site, monkeypatch: pytest.M
         say(publisher, "one", "two", *WORDS)
         assert await heard(subscriber, 2) == ["one", "two"]
         (queue,) = publisher.links.values()
-        assert not isinstance(queue, DeliveryQueue)
+        assert not isinstance(queue, WishedQueue)
 
 
 async def test_a_publisher_that_does_what_was_not_asked_is_refused(

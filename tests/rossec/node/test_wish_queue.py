@@ -9,11 +9,9 @@ from typing import Any
 
 import pytest
 
-from rossec.errors import ChannelClosed
-from rossec.node import publisher
-from rossec.node.publisher import DeliveryQueue, Pieces
+from rossec.node.publisher import Pieces
 from rossec.participant import delivery
-from rossec.participant.delivery import LARGE, SharedDeflation, Wishes, deflated
+from rossec.participant.delivery import LARGE, WishedQueue, Wishes, deflated
 from tests.support.witness import until
 
 
@@ -22,7 +20,7 @@ class Stream:
 
     def __init__(self) -> None:
         self.sent: list[bytes] = []
-        self.line, self.closed = asyncio.Event(), asyncio.Event()
+        self.line = asyncio.Event()
         self.line.set()
         self.limited = 0
         self.transport = SimpleNamespace(limit_unsent=self._limit)
@@ -36,22 +34,15 @@ class Stream:
     async def flushed(self) -> None:
         await self.line.wait()
 
-    async def receive(self) -> bytes:
-        await self.closed.wait()
-        raise ChannelClosed("the peer closed the connection")
-
 
 @contextlib.asynccontextmanager
-async def running(stream: Any, wishes: Wishes, size: int = 10) -> AsyncIterator[DeliveryQueue]:
-    queue = DeliveryQueue(stream, size, wishes, SharedDeflation())
+async def running(stream: Any, wishes: Wishes, size: int = 10) -> AsyncIterator[WishedQueue]:
+    queue = WishedQueue(stream, wishes, size)
     task = asyncio.ensure_future(queue.run())
     try:
         yield queue
     finally:
-        stream.closed.set()
-        (ended,) = await asyncio.gather(task, return_exceptions=True)
-        assert isinstance(ended, ExceptionGroup)
-        assert isinstance(ended.exceptions[0], ChannelClosed)
+        task.cancel()
 
 
 def framed(content: bytes) -> bytes:
@@ -60,7 +51,7 @@ def framed(content: bytes) -> bytes:
 
 async def test_the_rate_takes_messages_away(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 0.0
-    monkeypatch.setattr(publisher, "monotonic", lambda: now)
+    monkeypatch.setattr(delivery, "monotonic", lambda: now)
     stream = Stream()
     async with running(stream, Wishes(1.0), size=100) as queue:
         for number in range(100):

@@ -6,7 +6,7 @@ import zlib
 
 import pytest
 
-from rossec.errors import ConnectionHeaderRefused, FrameRefused
+from rossec.errors import ConnectionHeaderRefused, WireError
 from rossec.node import subscriber as module
 from rossec.node.subscriber import WishedMessages, wished_messages
 from rossec.participant.delivery import LARGE, NO_WISHES, Wishes, deflated
@@ -57,7 +57,7 @@ async def test_messages_are_inflated(size: int) -> None:
 async def test_a_message_beyond_the_limit_is_refused(size: int) -> None:
     engine = zlib.compressobj(9, zlib.DEFLATED, -15)
     bomb = b"\1" + struct.pack("<I", size) + engine.compress(bytes(9)) + engine.flush()
-    with pytest.raises(FrameRefused, match=f"at most {LIMIT} allowed"):
+    with pytest.raises(WireError, match=f"at most {LIMIT} allowed"):
         await of(ALL, ALL).inflated(bomb)
 
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.errors import FrameRefused
+from rossec.errors import WireError
 from rossec.participant import delivery
 from rossec.participant.delivery import (
     LARGE,
@@ -59,7 +59,7 @@ def test_a_size_above_the_limit_is_refused_before_anything_is_inflated(
 ) -> None:
     monkeypatch.setattr(zlib, "decompressobj", None)
     for packed in (content(bytes(LIMIT + 1)), b"\0" + bytes(LIMIT + 1)):
-        with pytest.raises(FrameRefused, match=f"at most {LIMIT} allowed"):
+        with pytest.raises(WireError, match=f"at most {LIMIT} allowed"):
             inflated(packed, LIMIT)
 
 
@@ -83,7 +83,7 @@ def test_a_size_above_the_limit_is_refused_before_anything_is_inflated(
     ],
 )
 def test_what_is_not_what_it_says_is_refused(packed: bytes, said: str) -> None:
-    with pytest.raises(FrameRefused, match=said):
+    with pytest.raises(WireError, match=said):
         inflated(packed, LIMIT)
 
 
@@ -91,7 +91,7 @@ def test_every_byte_of_a_deflated_message_counts() -> None:
     """No second form of a message: none is accepted that is cut, and none grows beyond its size."""
     packed = content(TEXT)
     for end in range(len(packed)):
-        with pytest.raises(FrameRefused):
+        with pytest.raises(WireError):
             inflated(packed[:end], LIMIT)
 
 
@@ -99,7 +99,7 @@ def test_a_bomb_that_lies_about_its_size_takes_no_more_memory_than_it_says() -> 
     bomb = content(bytes(64 << 20), 70_000)
     gc.collect()
     tracemalloc.start()
-    with pytest.raises(FrameRefused, match="has not the 70000 bytes"):
+    with pytest.raises(WireError, match="has not the 70000 bytes"):
         inflated(bomb, LIMIT)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()

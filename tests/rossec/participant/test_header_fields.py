@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 
 from ca.svid import build_request
-from rossec.errors import CallerMismatch, ConnectionHeaderRefused
+from rossec.errors import ConnectionHeaderRefused
 from rossec.participant.handshakes import check_caller, refuse_on_wire, text
 from tests.support.pki import NOW, Site, new_signer
 
@@ -18,7 +18,7 @@ def test_a_caller_is_named_by_its_certificate() -> None:
     )
     check_caller({"callerid": b"/rviz"}, single)
     check_caller({"callerid": b"/rviz_17"}, anonymous)
-    with pytest.raises(CallerMismatch, match="certified as /rviz calls itself /rviz_17") as caught:
+    with pytest.raises(ConnectionHeaderRefused, match="certified as /rviz calls itself /rviz_17") as caught:
         check_caller({"callerid": b"/rviz_17"}, single)
     assert "the name it was enrolled with" in caught.value.hint
     with pytest.raises(ConnectionHeaderRefused, match="has no 'callerid'"):
@@ -51,5 +51,5 @@ def test_a_foreign_caller_calls_itself_by_its_certified_name() -> None:
     peer = SITE.anchor.verify([SITE.leaf("/robot")], NOW)
     peer = replace(peer, name="/remote/hospital/robot", certified="/robot")
     check_caller({"callerid": b"/robot"}, peer)
-    with pytest.raises(CallerMismatch, match="certified as hospital:/robot calls itself /remote"):
+    with pytest.raises(ConnectionHeaderRefused, match="certified as hospital:/robot calls itself /remote"):
         check_caller({"callerid": peer.name.encode()}, peer)

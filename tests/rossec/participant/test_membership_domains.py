@@ -6,7 +6,7 @@ import pytest
 
 from ca.errors import NotAdmitted
 from grants.model import Right
-from rossec.errors import CallRefused, ConfigurationError
+from rossec.errors import ConfigurationError, RossecError
 from rossec.participant.membership import LoadedIdentity
 from rossec.ros import names
 from rossec.ros.names import MASTER
@@ -81,7 +81,7 @@ async def test_the_master_pushes_what_is_signed(site: Site, tmp_path: Path) -> N
         (names.FOREIGN_UPDATE, word),
         (names.REVOCATION_UPDATE, (data,)),
     ):
-        with pytest.raises(CallRefused):
+        with pytest.raises(RossecError):
             take(method, params, master)
 
 

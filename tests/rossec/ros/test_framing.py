@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.errors import FrameRefused, LimitExceeded
+from rossec.errors import LimitExceeded, WireError
 from rossec.peer_limits import STEP, WINDOW
 from rossec.ros.tcpros import FrameReader, Framing, frame
 
@@ -20,7 +20,7 @@ def test_messages_are_cut_as_the_reader_cuts_them() -> None:
     assert incomplete(framing) is True
     assert framing.feed(frame(b"two")[5:], NOW) == [b"two"]
     assert incomplete(framing) is False
-    with pytest.raises(FrameRefused):
+    with pytest.raises(WireError):
         Framing(FrameReader(10)).feed(frame(bytes(11)), NOW)
 
 

@@ -2,7 +2,7 @@ import struct
 
 import pytest
 
-from rossec.errors import FrameRefused, ServiceFailed
+from rossec.errors import ServiceFailed, WireError
 from rossec.ros import tcpros as wire
 
 
@@ -39,14 +39,14 @@ def test_a_failure_has_its_reason() -> None:
 
 
 def test_an_invalid_ok_byte() -> None:
-    with pytest.raises(FrameRefused, match="neither a success nor a failure"):
+    with pytest.raises(WireError, match="neither a success nor a failure"):
         wire.open_response(b"\2abc")
-    with pytest.raises(FrameRefused):
+    with pytest.raises(WireError):
         wire.open_response(b"")
 
 
 def test_a_tail_and_a_request_that_is_too_long() -> None:
-    with pytest.raises(FrameRefused, match="before its answer"):
+    with pytest.raises(WireError, match="before its answer"):
         wire.request_reader().feed_one(joined(wire.framed([b"abc"])) + b"x")
-    with pytest.raises(FrameRefused, match="at most 16777216"):
+    with pytest.raises(WireError, match="at most 16777216"):
         wire.request_reader().feed_one(struct.pack("<I", wire.REQUEST_LIMIT + 1))

@@ -112,10 +112,9 @@ async def test_a_cancelled_caller_does_not_cancel_others(
         assert first.cancelled()
 
 
-async def test_the_location_cache_is_bounded(
-    owners: SocketOwners, monkeypatch: pytest.MonkeyPatch, searches: list[None]
-) -> None:
+async def test_the_location_cache_is_bounded(monkeypatch: pytest.MonkeyPatch, searches: list[None]) -> None:
     monkeypatch.setattr(callers, "REMEMBERED", 1)
+    owners = SocketOwners(os.getpid())
     with programs() as one, one.connection(0) as end, one.connection(0) as other:
         for each in (end, other, end):
             assert await owners.holds(local_sockets.holder_of(each).inode)

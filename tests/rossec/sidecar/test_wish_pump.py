@@ -13,13 +13,13 @@ from grants.decision import Decision
 from grants.errors import GrantExpired
 from grants.guard import Guard, Memory
 from grants.model import Restriction, Right
-from rossec.errors import ChannelClosed, FrameRefused
-from rossec.participant.delivery import LARGE, Wishes, inflated
+from rossec.errors import ChannelClosed, WireError
+from rossec.participant.delivery import LARGE, WishedQueue, Wishes, inflated
 from rossec.ros import tcpros
 from rossec.sidecar import pump
 from rossec.sidecar.core.guards import CopyTracker, MessageGuard
 from rossec.sidecar.loopback_port import PlainStream
-from rossec.sidecar.pump import WishSender, forward_as_wished, log_end, publish_as_wished
+from rossec.sidecar.pump import forward_as_wished, log_end, publish_as_wished
 from tests.rossec.sidecar.test_plain_stream import pair
 from tests.rossec.sidecar.test_pump import FakeGuard
 from tests.support.witness import until
@@ -68,9 +68,9 @@ async def everything(peer: Any, wishes: Wishes, *messages: bytes, guard: Message
         await left.close()
 
     closing = asyncio.ensure_future(speak())
-    sender = WishSender(peer, wishes)
+    sender = WishedQueue(peer, wishes)
     try:
-        await publish_as_wished(right, guard, tcpros.frame(messages[0]), sender)
+        await publish_as_wished(right, peer, guard, tcpros.frame(messages[0]), sender)
     finally:
         right.abort()
         with contextlib.suppress(ChannelClosed):
@@ -113,12 +113,12 @@ async def test_of_what_waits_only_the_newest_is_sent() -> None:
     messages = [b"%d" % number + bytes(300_000) for number in range(50)]
     left, right = pair()
     stream: Any = peer
-    sender = WishSender(stream, Wishes(newest=True))
-    running = asyncio.ensure_future(publish_as_wished(right, None, b"", sender))
+    sender = WishedQueue(stream, Wishes(newest=True))
+    running = asyncio.ensure_future(publish_as_wished(right, stream, None, b"", sender))
     for message in messages:
         await left.send(tcpros.frame(message))
     closing = asyncio.ensure_future(left.close())
-    await until(lambda: sender._waiting and sender._waiting[0] == [messages[-1]])
+    await until(lambda: sender._queue and sender._queue[0].pieces == [messages[-1]])
     assert peer.received == []
     peer.line.set()
     await asyncio.gather(running, closing)
@@ -134,9 +134,9 @@ def limited(rate: float) -> Guard:
 @contextlib.asynccontextmanager
 async def forwarding(
     peer: Any, wishes: Wishes, guard: MessageGuard | None
-) -> AsyncIterator[tuple[PlainStream, WishSender]]:
+) -> AsyncIterator[tuple[PlainStream, WishedQueue]]:
     left, right = pair()
-    sender = WishSender(peer, wishes)
+    sender = WishedQueue(peer, wishes)
     work = asyncio.gather(sender.run(), forward_as_wished(right, "/viewer", guard, b"", sender))
     try:
         yield left, sender
@@ -174,10 +174,10 @@ async def test_the_newest_only_is_no_way_around_a_rate_of_the_grant() -> None:
         async with forwarding(peer, Wishes(newest=True), shared) as (left, sender):
             for number in range(40):
                 await left.send(tcpros.frame(b"%d" % number))
-            await until(lambda: sender._waiting)
+            await until(lambda: sender._queue)
             for _ in range(100):
                 await asyncio.sleep(0)
-            assert sender._waiting == type(sender._waiting)([[b"1"]])
+            assert [each.pieces for each in sender._queue] == [[b"1"]]
             peer.line.set()
             await until(lambda: peer.received)
     assert peer.received == [b"1"]
@@ -185,11 +185,10 @@ async def test_the_newest_only_is_no_way_around_a_rate_of_the_grant() -> None:
 
 async def test_what_is_withheld_is_not_sent() -> None:
     peer: Any = Peer()
-    sender = WishSender(peer, Wishes(newest=True))
-    sender.put([])
+    sender = WishedQueue(peer, Wishes(newest=True))
     await sender.idle()
     assert not sender.lags
-    sender.put([b""])
+    sender.enqueue([b""])
     assert not sender._idle.is_set()
 
 
@@ -210,4 +209,4 @@ async def test_a_message_above_the_limit_ends_both_connections(
     caplog.set_level(logging.INFO)
     with log_end("/viewer"):
         await everything(Peer(), Wishes(deflate=True), bytes(11))
-    assert str(FrameRefused("a frame of 11 bytes, at most 10 allowed")) in caplog.text
+    assert str(WireError("a frame of 11 bytes, at most 10 allowed")) in caplog.text

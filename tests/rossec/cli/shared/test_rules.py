@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from rossec.cli.shared import rules
-from rossec.errors import ConfigurationError, MetadataRefused, NamesExtraMissing, NameUndefined, RulesRefused
+from rossec.errors import ConfigurationError, MetadataRefused, NameUndefined, RossecError, RulesRefused
 from rossec.naming import rule_runner
 from rossec.naming.requests import MAX_INPUT
 from tests.rossec.naming.stylesheets import gives
@@ -27,7 +27,7 @@ def test_the_shipped_rules_or_those_of_a_file(tmp_path: Path) -> None:
 
 def test_without_the_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
-    with pytest.raises(NamesExtraMissing) as caught:
+    with pytest.raises(RossecError) as caught:
         rules.read_rules(None)
     assert "rossec[names]" in caught.value.hint
 

@@ -17,7 +17,7 @@ from rossec.authority.console import messages
 from rossec.console.enrollments import Destination, Enrollment, Enrollments, RecordedName, Stage
 from rossec.console.rendering import MAX_FRAME
 from rossec.console.server.control import WebSettings
-from rossec.errors import PictureRefused, ScannerBusy
+from rossec.errors import RossecError, ScannerBusy
 from tests.support.consolepages import ORIGIN, Browser
 from tests.support.enrolling import Robot, clock, compared
 
@@ -119,7 +119,7 @@ JPEG = {"content-type": "image/jpeg", "accept": "application/json"}
         ("ROSSEC:X", 200, {"text": "ROSSEC:X"}),
         (None, 200, {"text": ""}),
         (ScannerBusy("busy"), 429, {"text": ""}),
-        (PictureRefused("too dark", "light"), 422, {"error": "too dark", "hint": "light"}),
+        (RossecError("too dark", "light"), 422, {"error": "too dark", "hint": "light"}),
     ],
 )
 def test_a_frame_is_read_by_the_scanner(

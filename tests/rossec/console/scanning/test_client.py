@@ -10,7 +10,7 @@ import pytest
 from rossec.console.scanning import frames
 from rossec.console.scanning.frames import Found, Unreadable
 from rossec.console.server.web import ScannerClient
-from rossec.errors import PictureRefused, ScannerBusy
+from rossec.errors import RossecError, ScannerBusy
 
 
 class Supervised:
@@ -43,7 +43,7 @@ async def test_the_text_of_a_code_is_returned() -> None:
 async def test_a_picture_that_could_not_be_read_is_refused_with_its_reason() -> None:
     async with supervised() as pair:
         pair.answers(Unreadable("several codes", "show one"))
-        with pytest.raises(PictureRefused, match="several codes") as refusal:
+        with pytest.raises(RossecError, match="several codes") as refusal:
             await pair.client.read(b"one")
         assert refusal.value.hint == "show one"
 
@@ -51,7 +51,7 @@ async def test_a_picture_that_could_not_be_read_is_refused_with_its_reason() -> 
 @pytest.mark.parametrize("size", [0, frames.MAX_PICTURE + 1])
 async def test_a_picture_of_no_or_too_great_size_is_not_sent(size: int) -> None:
     async with supervised() as pair:
-        with pytest.raises(PictureRefused, match="at most 256 kB"):
+        with pytest.raises(RossecError, match="at most 256 kB"):
             await pair.client.read(bytes(size))
         await pair.client.close()
         assert pair.end.recv(1) == b""
@@ -85,7 +85,7 @@ async def test_without_a_supervisor_pictures_are_refused(data: bytes) -> None:
         pair.end.sendall(data)
         pair.end.close()
         for _ in range(2):
-            with pytest.raises(PictureRefused, match="cannot be read any more"):
+            with pytest.raises(RossecError, match="cannot be read any more"):
                 await pair.client.read(b"x")
 
 

@@ -15,7 +15,7 @@ from ca.enrollment import qr
 from rossec.console.scanning import frames
 from rossec.console.server.supervisor import WORKER, ScannerSupervisor
 from rossec.console.server.web import ScannerClient
-from rossec.errors import KeyMessageRefused, PictureRefused
+from rossec.errors import KeyMessageRefused, RossecError
 
 TEXT = qr.label_code(b"a request")
 LIAR = "import sys; sys.stdout.buffer.write(bytes(4)); sys.stdout.flush(); sys.stdin.read()"
@@ -80,7 +80,7 @@ async def test_a_worker_that_fails_is_one_picture_that_was_not_read(
     deadline = 0.3 if "time" in command[-1] else 20.0
     async with scanner(command, deadline=deadline) as client:
         for _ in range(2):
-            with pytest.raises(PictureRefused, match="took too long, or failed"):
+            with pytest.raises(RossecError, match="took too long, or failed"):
                 await client.read(b"x")
 
 

@@ -86,8 +86,9 @@ def test_a_topic_that_others_subscribe_is_wanted_already(registry: Registry, dem
     assert demand.version == before
 
 
-def test_what_is_asked_for_is_bounded(demand: Demand, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_asked_for_is_bounded(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_WANTED", 2)
+    demand = Demand(registry)
     for name in ("/a", "/b", "/c"):
         demand.ask(name, 0)
     assert demand.wanted(KITCHEN, 0) == ("/b", "/c")

@@ -11,8 +11,8 @@ from rossec.channel.records import ChannelLimits
 from rossec.errors import (
     ConnectionTruncated,
     HandshakeFailed,
-    IdentityExpired,
     IdentityRefused,
+    LimitExceeded,
     PeerRefused,
     PlainPeer,
 )
@@ -69,7 +69,7 @@ async def test_an_expiring_certificate_ends_the_connection() -> None:
 
     async with serve(echo, "127.0.0.1", 0, context(BOB, short)) as server:
         stream = await connect("127.0.0.1", server.port, context(ALICE, short))
-        with pytest.raises((IdentityExpired, ConnectionTruncated)):
+        with pytest.raises((LimitExceeded, ConnectionTruncated)):
             await stream.receive()
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from rossec.channel.negotiation import GrantsPresented, IdentityRenewed
 from rossec.channel.records import ChannelLimits
-from rossec.errors import ChannelError, HandshakeTimeout, IdentityExpired, IdentityRefused, PeerRefused
+from rossec.errors import ChannelError, HandshakeTimeout, IdentityRefused, LimitExceeded, PeerRefused
 from rossec.net.limits import HalfOpen, HalfOpenCount
 from rossec.net.threads import secure_socket
 from tests.support.contexts import context, live
@@ -128,7 +128,7 @@ def test_an_expiring_certificate_ends_a_waiting_read() -> None:
 
     with make_listener(verify=short) as listener:
         left, right = pair(listener)
-        with left, right, pytest.raises(IdentityExpired):
+        with left, right, pytest.raises(LimitExceeded, match="certificate has expired"):
             right.recv(1)
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from grants.errors import GrantMissing
 from grants.model import Restriction, Right, filter_rules
-from rossec.errors import CallerMismatch, ConnectionHeaderRefused, HangUp
+from rossec.errors import ConnectionHeaderRefused, HangUp
 from rossec.participant.access import FIELD
 from rossec.participant.authorized import memory_scope
 from rossec.participant.delivery import Wishes
@@ -68,7 +68,7 @@ def test_the_program_is_not_contacted_for_a_peer_without_grant(setup: AgentSetup
 
 def test_a_subscriber_with_another_caller_id_is_refused(setup: AgentSetup, authorized: Fields) -> None:
     """N6."""
-    with pytest.raises(CallerMismatch):
+    with pytest.raises(ConnectionHeaderRefused, match="calls itself"):
         run_layer(admit(setup, authorized | {"callerid": b"/robot"}))
 
 
