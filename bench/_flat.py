@@ -1,6 +1,6 @@
 """A flat of six rooms and somebody with habits in it, by a seed: the same for the same numbers.
 
-Whoever lives there stays for minutes at a few places and walks through the doors at 0.5 m/s; where
+Whoever lives there stays for minutes at a few places and walks through the forwarded ports at 0.5 m/s; where
 it goes, and for how long, is the habit. The origin of the map is nowhere in particular, so that no
 wall lies at a border of a grid.
 """
@@ -61,7 +61,7 @@ def walk(seed: int, seconds: int) -> npt.NDArray[np.float64]:
         goal = int(rng.choice(len(ROOMS), p=others / others.sum()))
         place = _PLACES[int(rng.integers(len(_PLACES)))]
         end = np.array(ROOMS[goal].at(*place)) + rng.normal(0, 0.25, 2)
-        for stop in (*_doors(room, goal), end):
+        for stop in (*_forwarded_ports(room, goal), end):
             parts.append(_leg(here, np.array(stop)))
             here = np.array(stop)
         stay = max(1, int(rng.exponential(_HABITS[goal][1]) * RATE))
@@ -75,8 +75,8 @@ def _leg(start: npt.NDArray[np.float64], stop: npt.NDArray[np.float64]) -> npt.N
     return start + np.linspace(0, 1, count, endpoint=False)[:, np.newaxis] * (stop - start)
 
 
-def _doors(room: int, goal: int) -> list[tuple[float, float]]:
-    """The doors on the way: along the row first, then to the other one."""
+def _forwarded_ports(room: int, goal: int) -> list[tuple[float, float]]:
+    """The forwarded ports on the way: along the row first, then to the other one."""
     found = []
     while room % COLUMNS != goal % COLUMNS:
         step = 1 if goal % COLUMNS > room % COLUMNS else -1

@@ -24,9 +24,9 @@ from ca.certificates import Identity
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureContext, SecureStream, serve
 from rossec.net.aio.client import dial
-from rossec.overlay.documents import OPEN_SEAT, Routers
+from rossec.overlay.documents import OPEN_ACCOUNT, Routers
 from rossec.overlay.endpoint import LinkListener, dial_link, idle_round_trip
-from rossec.overlay.link_frames import mailbox
+from rossec.overlay.link_frames import inbox
 from rossec.overlay.mux import NODE, Role, StreamTarget
 from rossec.overlay.router_settings import COMMON, client_settings
 from rossec.overlay.streams import Pump, Streams
@@ -37,11 +37,11 @@ from tests.support.ports import free_port
 ECHO: Final = b"E"
 SINK: Final = b"S"
 HEAD: Final = 9
-ONE_ROUTER: Final = mailbox(OPEN_SEAT, bytes(16))
-TWO_ROUTERS: Final = mailbox(OPEN_SEAT, bytes([1]) * 16)
-RELAY: Final = mailbox(OPEN_SEAT, bytes([4]) * 16)
-RAW: Final = mailbox(OPEN_SEAT, bytes([2]) * 16)
-RAW_BACK: Final = mailbox(OPEN_SEAT, bytes([3]) * 16)
+ONE_ROUTER: Final = inbox(OPEN_ACCOUNT, bytes(16))
+TWO_ROUTERS: Final = inbox(OPEN_ACCOUNT, bytes([1]) * 16)
+RELAY: Final = inbox(OPEN_ACCOUNT, bytes([4]) * 16)
+RAW: Final = inbox(OPEN_ACCOUNT, bytes([2]) * 16)
+RAW_BACK: Final = inbox(OPEN_ACCOUNT, bytes([3]) * 16)
 
 
 def head(mode: bytes, size: int) -> bytes:
@@ -130,7 +130,7 @@ def _far_process(far: Far, ready: Connection) -> None:
         async with AsyncExitStack() as stack:
 
             async def listen(key: str, *locators: str) -> None:
-                carrier = await Carrier.open(Routers(locators, OPEN_SEAT))
+                carrier = await Carrier.open(Routers(locators, OPEN_ACCOUNT))
                 stack.push_async_callback(carrier.close)
                 await stack.enter_async_context(LinkListener(carrier, key, own, _secure))
 
@@ -140,7 +140,7 @@ def _far_process(far: Far, ready: Connection) -> None:
             else:
                 await listen(ONE_ROUTER, far.near_router)
                 await listen(TWO_ROUTERS, far.far_router)
-                raw = open_session(client_settings(Routers((far.near_router,), OPEN_SEAT)))
+                raw = open_session(client_settings(Routers((far.near_router,), OPEN_ACCOUNT)))
                 echo = RawEcho(raw)
                 ready.send(serve(_secure, "127.0.0.1", 0, own).port)
                 del echo
@@ -176,7 +176,7 @@ def _called_relay_process(folder: Path, router: str, port: int, ready: Connectio
             await Streams(stream, Role.CALLED, "near", dial_node, round_trip=round_trip).run()
 
     async def main() -> None:
-        carrier = await Carrier.open(Routers((router,), OPEN_SEAT))
+        carrier = await Carrier.open(Routers((router,), OPEN_ACCOUNT))
         async with LinkListener(carrier, RELAY, context(folder, "server"), serve_streams):
             ready.send(0)
             await asyncio.Event().wait()
@@ -185,20 +185,20 @@ def _called_relay_process(folder: Path, router: str, port: int, ready: Connectio
 
 
 def _calling_relay_process(folder: Path, router: str, ready: Connection) -> None:
-    """A relay with one door, whose port it says."""
+    """A relay with one forwarded port, whose port it says."""
 
     async def main() -> None:
-        carrier = await Carrier.open(Routers((router,), OPEN_SEAT))
-        link = await dial_link(carrier, RELAY, OPEN_SEAT, context(folder, "client"))
+        carrier = await Carrier.open(Routers((router,), OPEN_ACCOUNT))
+        link = await dial_link(carrier, RELAY, OPEN_ACCOUNT, context(folder, "client"))
         streams = Streams(link, Role.CALLER, "far", round_trip=partial(idle_round_trip, link))
         running = asyncio.ensure_future(streams.run())
         loop = asyncio.get_running_loop()
-        with socket.create_server(("127.0.0.1", 0)) as door:
-            door.setblocking(False)
-            ready.send(door.getsockname()[1])
+        with socket.create_server(("127.0.0.1", 0)) as forwarded_port:
+            forwarded_port.setblocking(False)
+            ready.send(forwarded_port.getsockname()[1])
             carried = []
             while not running.done():
-                connection, _ = await loop.sock_accept(door)
+                connection, _ = await loop.sock_accept(forwarded_port)
                 carrying = streams.carry(StreamTarget(NODE, "/far"), connection)
                 carried.append(asyncio.ensure_future(carrying))
 
@@ -260,7 +260,7 @@ class Programs:
         return self._start(_far_process, Far(self.folder, near_router, far_router, triangle))[0]
 
     def relays(self, router: str, port: int) -> int:
-        """Two relays, and a router between, on the way to `port`; the door's port."""
+        """Two relays, and a router between, on the way to `port`; the forwarded port's port."""
         self._start(_called_relay_process, self.folder, router, port)
         return self._start(_calling_relay_process, self.folder, router)[0]
 

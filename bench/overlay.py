@@ -1,7 +1,7 @@
 """Bytes between two sites through routers of the overlay, each program a process, on loopback.
 
 `direct` is a `SecureStream` over TCP; `router1` and `router2` are one over a link through one and
-two routers; `relay1` is `direct` by a door of a relay, a router between and another relay, as nodes
+two routers; `relay1` is `direct` by a forwarded port of a relay, a router between and another relay, as nodes
 of two sites have it. `raw_router1` is Zenoh alone, without seals and acknowledgements; `splice1` is
 `direct` through a program that copies bytes. Latency is half of an echo, in microseconds;
 throughput is of a loop of sends until the far side has all. `sealed_vs_raw` is the ratio of
@@ -24,7 +24,7 @@ from bench._overlay import ECHO, ONE_ROUTER, RAW, RAW_BACK, SINK, TWO_ROUTERS, P
 from ca.certificates import Identity
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureStream, connect
-from rossec.overlay.documents import OPEN_SEAT, Routers
+from rossec.overlay.documents import OPEN_ACCOUNT, Routers
 from rossec.overlay.endpoint import dial_link
 from rossec.overlay.router_settings import client_settings
 from rossec.overlay.zenoh_carrier import Carrier, open_session
@@ -124,21 +124,21 @@ async def compare(seconds: float) -> dict[str, Any]:
         near = programs.router()
         far = programs.router(near)
         port = programs.far(near, far)
-        spliced, door = programs.splice(port), programs.relays(near, port)
+        spliced, forwarded_port = programs.splice(port), programs.relays(near, port)
         own = _overlay.context(programs.folder, "client")
-        carrier = await Carrier.open(Routers((near,), OPEN_SEAT))
+        carrier = await Carrier.open(Routers((near,), OPEN_ACCOUNT))
         stack.push_async_callback(carrier.close)
         makers: dict[str, Callable[[], Awaitable[SecureStream[Identity]]]] = {
             "direct": lambda: connect("127.0.0.1", port, own),
-            "router1": lambda: dial_link(carrier, ONE_ROUTER, OPEN_SEAT, own),
-            "router2": lambda: dial_link(carrier, TWO_ROUTERS, OPEN_SEAT, own),
-            "relay1": lambda: connect("127.0.0.1", door, own),
+            "router1": lambda: dial_link(carrier, ONE_ROUTER, OPEN_ACCOUNT, own),
+            "router2": lambda: dial_link(carrier, TWO_ROUTERS, OPEN_ACCOUNT, own),
+            "relay1": lambda: connect("127.0.0.1", forwarded_port, own),
             "splice1": lambda: connect("127.0.0.1", spliced, own),
         }
         pipes: dict[str, Pipe] = {
             name: await stack.enter_async_context(await make()) for name, make in makers.items()
         }
-        session = open_session(client_settings(Routers((near,), OPEN_SEAT)))
+        session = open_session(client_settings(Routers((near,), OPEN_ACCOUNT)))
         stack.callback(session.close)
         pipes["raw_router1"] = Raw(session)
         await asyncio.sleep(0.5)  # until routers know of every subscription
@@ -177,10 +177,10 @@ async def gap(number: signal.Signals) -> float:
         triangle.append(programs.router(*triangle))
         triangle.append(programs.router(*triangle))
         programs.far("", "", *triangle)
-        carrier = await Carrier.open(Routers(tuple(triangle), OPEN_SEAT))
+        carrier = await Carrier.open(Routers(tuple(triangle), OPEN_ACCOUNT))
         stack.push_async_callback(carrier.close)
         own = _overlay.context(programs.folder, "client")
-        stream = await dial_link(carrier, ONE_ROUTER, OPEN_SEAT, own)
+        stream = await dial_link(carrier, ONE_ROUTER, OPEN_ACCOUNT, own)
         stack.callback(stream.abort, "measured")
         arrivals = [time.perf_counter()]
         echoes = asyncio.gather(_send(stream), _receive(stream, arrivals))

@@ -96,8 +96,8 @@ class DomainsRefused(CAError):
     """A list of foreign domains that is malformed, forged, or older than one already seen."""
 
 
-class CardRefused(CAError):
-    """A domain's card that is malformed, forged or expired, or not the one that is meant."""
+class BundleRefused(CAError):
+    """A domain's bundle that is malformed, forged or expired, or not the one that is meant."""
 
 
 class ThingRefused(CAError):

@@ -231,7 +231,7 @@ class LinkCrowded(StreamRefused):
 
 
 class RelayRefused(RossecError):
-    """Another relay, a card or a door is refused."""
+    """Another relay, a bundle or a door is refused."""
 
 
 class RulesRefused(RossecError):

@@ -19,7 +19,7 @@ from ca.keys import private_keys
 from ca.keys.signing import thumbprint
 from ca.names import check_domain
 from ca.revocation.lists import MAX_LIST
-from ca.revocation.trust_status import NO_FLOOR, Revocations, Standing, open_statement
+from ca.revocation.trust_status import NO_FLOOR, Revocations, TrustStatus, open_statement
 from ca.things.constrained_nodes import (
     MAX_STATEMENT,
     SECRET_SIZE,
@@ -94,19 +94,19 @@ class DomainFiles:
             anchors.update(saved)
         return anchors
 
-    def standing(self, anchors: Anchors, own: Revocations, now: int) -> Standing:
+    def trust_status(self, anchors: Anchors, own: Revocations, now: int) -> TrustStatus:
         """The own list and those of the listed domains that were saved, none of them confirmed."""
-        standing = Standing(anchors, own)
-        self.restore(standing, now)
-        return standing
+        trust_status = TrustStatus(anchors, own)
+        self.restore(trust_status, now)
+        return trust_status
 
-    def restore(self, standing: Standing, now: int) -> None:
+    def restore(self, trust_status: TrustStatus, now: int) -> None:
         """Load the saved list of each listed domain of which none is held yet; raises likewise."""
-        for listed in standing.anchors.all_listed:
-            held = standing.foreign(listed.entry.domain)
+        for listed in trust_status.anchors.all_listed:
+            held = trust_status.foreign(listed.entry.domain)
             saved = None if held is None or held.data else self.load_foreign(listed.entry.domain)
             if saved is not None:
-                standing.restore(listed.entry.domain, saved, now)
+                trust_status.restore(listed.entry.domain, saved, now)
 
     def _number(self, data: bytes) -> tuple[int, int]:
         try:

@@ -22,7 +22,7 @@ from bench.thesis.programs import Program, Programs, programs
 from bench.thesis.talk import TOPIC
 from grants.model import Right
 from rossec.host.callers import descendants, parents
-from rossec.overlay.documents import OPEN_SEAT, Routers
+from rossec.overlay.documents import OPEN_ACCOUNT, Routers
 from rossec.ros.names import MASTER
 from tests.support.hosts import Host
 from tests.support.ports import free_port
@@ -153,9 +153,9 @@ def _relay(running: Programs, environ: dict[str, str]) -> Program:
     home = str(running.directory / "router")
     router = running.rossec(_HERE, {}, "router", "--home", home, "--listen", locator, "--open", "--json")
     router.line()
-    seat = running.directory / "seat.json"
-    seat.write_bytes(Routers((locator,), OPEN_SEAT).write())
-    relay = running.rossec(_HERE, environ, "relay", "--seat", str(seat), "--json")
+    account = running.directory / "account.json"
+    account.write_bytes(Routers((locator,), OPEN_ACCOUNT).write())
+    relay = running.rossec(_HERE, environ, "relay", "--account", str(account), "--json")
     relay.line()
     return relay
 

@@ -16,9 +16,9 @@ from bench._sites import enroll_masters
 from bench.thesis.network import ETHERNET, Device, Testbed
 from bench.thesis.programs import Program, Programs
 from bench.thesis.talk import TOPIC
-from rossec.overlay.documents import OPEN_SEAT, Peer, Routers
+from rossec.overlay.documents import OPEN_ACCOUNT, Peer, Routers
 from rossec.overlay.homes import RelayFiles
-from rossec.overlay.link_frames import BOX, mailbox
+from rossec.overlay.link_frames import BOX, inbox
 from rossec.ros.names import MASTER
 from tests.support.site import Site
 
@@ -165,15 +165,15 @@ class Relayed(Setup):
         return started
 
     def _join(self, here: str, router: str) -> None:
-        """Write the files of a relay: its seat, and its peers, as exchanged cards would."""
+        """Write the files of a relay: its account, and its peers, as exchanged cards would."""
         files = self._files(here)
         locators = tuple(f"tcp/{router}:{_ROUTER_PORT + number}" for number in range(2))
-        files.keep_seat(Routers(locators, OPEN_SEAT).write())
+        files.keep_account(Routers(locators, OPEN_ACCOUNT).write())
         peers = [self._peer(here, there) for there in (SITES[1:] if here == "s1" else SITES[:1])]
         files.change(lambda found: found.update({each.label: each for each in peers}))
 
     def _peer(self, here: str, there: str) -> Peer:
-        key = mailbox(OPEN_SEAT, bytes.fromhex(self._box(there, here)))
+        key = inbox(OPEN_ACCOUNT, bytes.fromhex(self._box(there, here)))
         return Peer(there, self._box(here, there), "", self._relay(there), key)
 
     def _start_master(self, name: str) -> Program:
@@ -188,7 +188,7 @@ class Relayed(Setup):
 
     def _start_relay(self, name: str) -> Program:
         host = self.network[name]
-        words = ("relay", "--doors", host.ipv4, "--json")
+        words = ("relay", "--bind", host.ipv4, "--json")
         return self.programs.rossec(host, self.environ(name), *words)
 
     def environ(self, host: str) -> Mapping[str, str]:

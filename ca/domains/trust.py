@@ -1,4 +1,4 @@
-"""Foreign trust domains: their cards, the signed list of them, and whom a node trusts to name somebody.
+"""Foreign trust domains: their bundles, the signed list of them, and whom a node trusts to name somebody.
 
 The list is the own authority's, ordered as the revocation list: the higher (epoch, seq) wins, an
 older one is refused. What a foreign root says counts for the names that the list admits and for
@@ -18,8 +18,8 @@ from ca import svid
 from ca.certificates import Identity, TrustAnchor
 from ca.encoding import Value, decode, encode, is_number
 from ca.errors import (
+    BundleRefused,
     CAError,
-    CardRefused,
     CertificateRefused,
     DomainsRefused,
     EncodingError,
@@ -31,16 +31,16 @@ from ca.keys.signing import Profile, Signer, from_coordinates, thumbprint, to_co
 from ca.names import alias_of, check_domain, check_label, check_pattern, pattern_covers
 from ca.svid import MAX_CERTIFICATE
 
-CARD: Final = Profile("rossec-card+cwt")
-CARD_LIFETIME: Final = 7 * 86400
-MAX_CARD_LIFETIME: Final = 30 * 86400
-MAX_CARD_NAMES: Final = 16
-MAX_CARD_MASTERS: Final = 8
-MAX_CARD: Final = MAX_CERTIFICATE + 8 * 1024
+TRUST_BUNDLE: Final = Profile("rossec-card+cwt")
+TRUST_BUNDLE_LIFETIME: Final = 7 * 86400
+MAX_TRUST_BUNDLE_LIFETIME: Final = 30 * 86400
+MAX_TRUST_BUNDLE_NAMES: Final = 16
+MAX_TRUST_BUNDLE_MASTERS: Final = 8
+MAX_TRUST_BUNDLE: Final = MAX_CERTIFICATE + 8 * 1024
 SKEW: Final = 300  # seconds that another site's clock may be behind
 _EXP, _IAT, _ROOT, _NAMES, _MASTERS = 4, 6, -70037, -70038, -70039
 _URI: Final = re.compile(r"http://[A-Za-z0-9.:\[\]-]{1,255}/?", re.ASCII)
-_HINT: Final = "ask for the file that `rossec domain card` wrote"
+_HINT: Final = "ask for the file that `rossec domain bundle` wrote"
 
 DOMAINS: Final = Profile("rossec-domains+cwt")
 MAX_LIST: Final = 64 * 1024
@@ -56,12 +56,12 @@ NameRights = tuple[str, int]
 """A pattern of names, and the bits of the rights on them."""
 
 NO_FLOOR: Final = (0, 0)
-ADMIT_HINT: Final = "at this side's authority: rossec domain list, rossec domain accept CARD"
+ADMIT_HINT: Final = "at this side's authority: rossec domain list, rossec domain accept TRUST_BUNDLE"
 
 
 @dataclass(frozen=True)
-class Card:
-    """What a card says. Names and addresses are proposals: who accepts decides what is admitted."""
+class TrustBundle:
+    """What a bundle says. Names and addresses are proposals: who accepts decides what is admitted."""
 
     root: bytes  # the root certificate of the domain, DER
     names: tuple[str, ...]  # patterns of the nodes for which admission is asked
@@ -71,68 +71,75 @@ class Card:
 
     def __post_init__(self) -> None:
         if not (is_number(self.issued) and is_number(self.expires) and self.issued < self.expires):
-            raise CardRefused("a card that is never valid", _HINT)
-        if self.expires - self.issued > MAX_CARD_LIFETIME:
-            raise CardRefused("a card that is valid for more than 30 days", _HINT)
-        if not 1 <= len(self.names) <= MAX_CARD_NAMES or len(self.masters) > MAX_CARD_MASTERS:
-            raise CardRefused("a card with no names, or with too many names or masters", _HINT)
+            raise BundleRefused("a bundle that is never valid", _HINT)
+        if self.expires - self.issued > MAX_TRUST_BUNDLE_LIFETIME:
+            raise BundleRefused("a bundle that is valid for more than 30 days", _HINT)
+        if not 1 <= len(self.names) <= MAX_TRUST_BUNDLE_NAMES or len(self.masters) > MAX_TRUST_BUNDLE_MASTERS:
+            raise BundleRefused("a bundle with no names, or with too many names or masters", _HINT)
         for pattern in self.names:
             check_pattern(pattern)
         for uri in self.masters:
             if _URI.fullmatch(uri) is None:
-                raise CardRefused(f"{uri[:300]!a} is not a master's address", "http://HOST:PORT")
+                raise BundleRefused(f"{uri[:300]!a} is not a master's address", "http://HOST:PORT")
 
     @cached_property
     def anchor(self) -> TrustAnchor:
         return TrustAnchor.load(self.root)
 
 
-def sign_card(signer: Signer, card: Card) -> bytes:
-    if thumbprint(signer.public_key) != card.anchor.thumbprint:
-        raise CardRefused("the card is not about this authority", "an intermediate signs no cards")
-    names: list[Value] = [*card.names]
-    claims: dict[int | str, Value] = {_EXP: card.expires, _IAT: card.issued, _ROOT: card.root, _NAMES: names}
-    if card.masters:
-        claims[_MASTERS] = [*card.masters]
-    return CARD.sign(signer, claims)
+def sign_bundle(signer: Signer, bundle: TrustBundle) -> bytes:
+    if thumbprint(signer.public_key) != bundle.anchor.thumbprint:
+        raise BundleRefused("the bundle is not about this authority", "an intermediate signs no bundles")
+    names: list[Value] = [*bundle.names]
+    claims: dict[int | str, Value] = {
+        _EXP: bundle.expires,
+        _IAT: bundle.issued,
+        _ROOT: bundle.root,
+        _NAMES: names,
+    }
+    if bundle.masters:
+        claims[_MASTERS] = [*bundle.masters]
+    return TRUST_BUNDLE.sign(signer, claims)
 
 
-def open_card(data: bytes, now: int) -> Card:
+def open_bundle(data: bytes, now: int) -> TrustBundle:
     # Signed by the root key in it: that proves that its maker has the key, and nothing about who that is. A
     # person compares the fingerprint over another way.
     try:
-        card = _read_card(CARD.peek(data, limit=MAX_CARD))  # the key to verify with is in it
-        CARD.open(data, card.anchor.public_key, limit=MAX_CARD)
-    except CardRefused:
+        bundle = _read_bundle(
+            TRUST_BUNDLE.peek(data, limit=MAX_TRUST_BUNDLE)
+        )  # the key to verify with is in it
+        TRUST_BUNDLE.open(data, bundle.anchor.public_key, limit=MAX_TRUST_BUNDLE)
+    except BundleRefused:
         raise
     except (SignatureError, EncodingError) as error:
-        raise CardRefused(f"this is not a domain's card: {error}", _HINT) from None
+        raise BundleRefused(f"this is not a domain's bundle: {error}", _HINT) from None
     except CAError as error:
-        raise CardRefused(f"in the card: {error}", _HINT) from error
-    if now >= card.expires:
-        raise CardRefused(f"the card expired {now - card.expires} s ago", "ask for a new one")
-    if now < card.issued - SKEW:
-        raise CardRefused("the card is from the future", "check the clocks of both computers")
-    return card
+        raise BundleRefused(f"in the bundle: {error}", _HINT) from error
+    if now >= bundle.expires:
+        raise BundleRefused(f"the bundle expired {now - bundle.expires} s ago", "ask for a new one")
+    if now < bundle.issued - SKEW:
+        raise BundleRefused("the bundle is from the future", "check the clocks of both computers")
+    return bundle
 
 
-def _read_card(payload: Value) -> Card:
+def _read_bundle(payload: Value) -> TrustBundle:
     match payload:
         case {4: int() as exp, 6: int() as iat, -70037: bytes() as root, -70038: list() as names, **rest} if (
             rest.keys() <= {_MASTERS}
         ):
             masters = rest.get(_MASTERS, [])
         case _:
-            raise CardRefused("the card has missing or unknown fields", _HINT)
+            raise BundleRefused("the bundle has missing or unknown fields", _HINT)
     if not isinstance(masters, list) or (_MASTERS in rest and not masters):
-        raise CardRefused("the masters of the card are not a list of addresses", _HINT)
-    return Card(root, _texts(names), _texts(masters), iat, exp)
+        raise BundleRefused("the masters of the bundle are not a list of addresses", _HINT)
+    return TrustBundle(root, _texts(names), _texts(masters), iat, exp)
 
 
 def _texts(items: list[Value]) -> tuple[str, ...]:
     texts = tuple(each for each in items if isinstance(each, str))
-    if len(texts) != len(items) or len(items) > MAX_CARD_NAMES:
-        raise CardRefused("the card has a name or an address that is not one", _HINT)
+    if len(texts) != len(items) or len(items) > MAX_TRUST_BUNDLE_NAMES:
+        raise BundleRefused("the bundle has a name or an address that is not one", _HINT)
     return texts
 
 

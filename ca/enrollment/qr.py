@@ -1,9 +1,9 @@
-"""The text in a node's QR code, its rendering, sheets of labels, and the code of a domain's card.
+"""The text in a node's QR code, its rendering, sheets of labels, and the code of a domain's bundle.
 
 A code authenticates a request that is sent over an untrusted network: it holds the request's
 SHA-256. A *label code* holds nothing else and may be printed. A *screen code* adds a one-time
-secret, its expiry, and the address the request can be fetched from. The code of a card holds the
-card's digest.
+secret, its expiry, and the address the request can be fetched from. The code of a bundle holds the
+bundle's digest.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,7 +16,7 @@ from typing import Final
 
 import segno
 
-from ca.errors import CardRefused, CodeRefused
+from ca.errors import BundleRefused, CodeRefused
 
 # `ROSSEC:` and base45 (RFC 9285) of fixed binary stay in the QR alphanumeric mode. It is never a URL, which a
 # phone's camera app would open.
@@ -56,9 +56,9 @@ _PAGE: Final = (
     "svg.page {{ display: block; break-after: page }}</style></head>\n<body>\n{}</body></html>\n"
 )
 
-_CARD: Final = 0x51  # the low half is the version
-_MAX_CARD_TEXT: Final = 64
-_CARD_HINT: Final = "scan or paste what `rossec domain card --qr` shows, beginning with ROSSEC:"
+_TRUST_BUNDLE: Final = 0x51  # the low half is the version
+_MAX_TRUST_BUNDLE_TEXT: Final = 64
+_TRUST_BUNDLE_HINT: Final = "scan or paste what `rossec domain bundle --qr` shows, beginning with ROSSEC:"
 
 
 @dataclass(frozen=True)
@@ -212,21 +212,21 @@ def _lines(label: Label) -> Iterator[str]:
         )
 
 
-def card_code(data: bytes) -> str:
-    """The text of a code that fits this card alone: `ROSSEC:` and 50 characters."""
-    return PREFIX + encode_base45(bytes([_CARD]) + sha256(data).digest())
+def bundle_code(data: bytes) -> str:
+    """The text of a code that fits this bundle alone: `ROSSEC:` and 50 characters."""
+    return PREFIX + encode_base45(bytes([_TRUST_BUNDLE]) + sha256(data).digest())
 
 
 def check_code(text: str, data: bytes) -> None:
-    """Return if the code `text`, as scanned or pasted, is that of the card `data`."""
+    """Return if the code `text`, as scanned or pasted, is that of the bundle `data`."""
     stripped = text.strip()
-    if not stripped.startswith(PREFIX) or len(stripped) > _MAX_CARD_TEXT:
-        raise CodeRefused("this is not the code of a card", _CARD_HINT)
+    if not stripped.startswith(PREFIX) or len(stripped) > _MAX_TRUST_BUNDLE_TEXT:
+        raise CodeRefused("this is not the code of a bundle", _TRUST_BUNDLE_HINT)
     found = decode_base45(stripped.removeprefix(PREFIX))
-    if len(found) != 1 + _DIGEST_SIZE or found[0] != _CARD:
-        raise CodeRefused("this is not the code of a card", _CARD_HINT)
+    if len(found) != 1 + _DIGEST_SIZE or found[0] != _TRUST_BUNDLE:
+        raise CodeRefused("this is not the code of a bundle", _TRUST_BUNDLE_HINT)
     if not compare_digest(found[1:], sha256(data).digest()):
-        raise CardRefused(
-            "the card does not fit the code: it was changed on its way, or is another one",
-            "take the file and the code of the same `rossec domain card`",
+        raise BundleRefused(
+            "the bundle does not fit the code: it was changed on its way, or is another one",
+            "take the file and the code of the same `rossec domain bundle`",
         )

@@ -226,7 +226,7 @@ class _Foreign:
     masters: dict[bytes, ec.EllipticCurvePublicKey] = field(default_factory=dict)
 
 
-class Standing:
+class TrustStatus:
     """The revocations of the own domain and of those that `anchors` lists."""
 
     def __init__(self, anchors: Anchors, own: Revocations) -> None:

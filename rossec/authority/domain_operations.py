@@ -13,7 +13,14 @@ from typing import Any, NamedTuple
 
 from ca import svid
 from ca.certificates import Identity, from_pem
-from ca.domains.trust import CARD_LIFETIME, Card, DomainList, ForeignDomain, ListedDomain, sign_card
+from ca.domains.trust import (
+    TRUST_BUNDLE_LIFETIME,
+    DomainList,
+    ForeignDomain,
+    ListedDomain,
+    TrustBundle,
+    sign_bundle,
+)
 from ca.errors import DomainUnknown
 from ca.names import alias_of, pattern_covers, split_alias
 from ca.revocation.lists import RevocationList
@@ -38,12 +45,12 @@ class Domains:
     def __init__(self, session: AuthoritySession) -> None:
         self._session = session
 
-    def card(
-        self, names: tuple[str, ...], masters: tuple[str, ...] = (), lifetime: int = CARD_LIFETIME
+    def bundle(
+        self, names: tuple[str, ...], masters: tuple[str, ...] = (), lifetime: int = TRUST_BUNDLE_LIFETIME
     ) -> bytes:
         authority, at = self._session.unlock(), self._session.now()
         root = authority.authority.anchor.certificate
-        return sign_card(authority.signer, Card(root, names, masters, at, at + lifetime))
+        return sign_bundle(authority.signer, TrustBundle(root, names, masters, at, at + lifetime))
 
     def accept(self, domain: ForeignDomain) -> DomainList:
         authority, at = self._session.unlock(), self._session.now()

@@ -173,7 +173,7 @@ class AuthoritySession:
 
     def master_has_list(self) -> bool:
         node, what = self.home.node(), "the question for its list"
-        method, hint = "rossec.revocationStanding", "rossec ca publish"
+        method, hint = "rossec.revocationStatus", "rossec ca publish"
         answer = self.deliver(StatementCall(node, method, (), what, hint, within=DEPOSIT_SECONDS))
         newest = open_statement(self.home.revocation_list(), self.home.anchor().public_key)
         if self.now() >= newest.expires:

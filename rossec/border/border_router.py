@@ -226,7 +226,7 @@ class BorderRouter:
         self.roster.reload()
         await node.__aenter__()
         self._shared = SharedIdentity(
-            node.access.standing,
+            node.access.trust_status,
             node.settings,
             node.push_arrived,
             lambda: node.revocations.data,

@@ -18,7 +18,7 @@ from ca.certificates import Identity
 from ca.errors import CAError, HintedError
 from ca.names import shown
 from ca.revocation.lists import digest
-from ca.revocation.trust_status import Standing
+from ca.revocation.trust_status import TrustStatus
 from rossec import clock
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.channel.edhoc.suites import PRODUCTION
@@ -59,7 +59,7 @@ _RETRY: Final = 600  # seconds
 class SharedIdentity:
     """What is equal for all identities of this process."""
 
-    standing: Standing  # whose peers count, what was revoked; kept current by the border router's node
+    trust_status: TrustStatus  # whose peers count, what was revoked; kept current by the border router's node
     settings: Settings
     take_push: Callable[[str, tuple[object, ...], Identity], None]  # from the master, to any identity
     held_list: Callable[[], bytes]  # the signed revocation list
@@ -119,8 +119,8 @@ class MasterVisits:
         if self.is_open:  # a new connection presents all: what came from the disk since
             await self.present(self._access.current(clock.now())[:MAX_CALL])
         await self._connected()
-        standing = self._shared.standing
-        delivery = GrantDelivery(standing, self._holder, self._access, self._directory)
+        trust_status = self._shared.trust_status
+        delivery = GrantDelivery(trust_status, self._holder, self._access, self._directory)
         await delivery.fetch(self.call)
         renewed = await renew(self.call, self._renewals, clock.now())
         await self.present(delivery.take_new())
@@ -203,15 +203,15 @@ class ThingNode:
         self._home, self._shared, self._host = home, shared, host
         self.closed = self._failed = False
         identity = self._load(clock.now())
-        access = Access(shared.standing, master=shared.master)
-        verify = shared.standing.anchors.verify
+        access = Access(shared.trust_status, master=shared.master)
+        verify = shared.trust_status.anchors.verify
         secure: SecureContext[Identity] = SecureContext(
             self._credentials, verify, suites=shared.suites, half_open=shared.half_open
         )
         own_addresses = OwnAddresses()
         dialer = Dialer(self.name, secure, access.check_peer, own_addresses)
         self.connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
-            shared.standing, master=shared.master
+            shared.trust_status, master=shared.master
         )
         self._directory = GrantDirectory(home, access)
         self._grants_at = 0
@@ -235,7 +235,7 @@ class ThingNode:
         )
 
     def _load(self, now: int) -> Identity:
-        own = self._shared.standing.anchors.own
+        own = self._shared.trust_status.anchors.own
         if self._home.anchor().thumbprint != own.thumbprint:
             raise ConfigurationError(
                 f"{self.name} trusts another authority than this border router",

@@ -83,7 +83,7 @@ _POLICY: Final = {
 _PRIVACY: Final = {"opt-out": ("policy.apply:opt_out", "node")}
 _DOMAIN: Final = {
     "accept": "domain.trust:accept",
-    "card": "domain.trust:card",
+    "bundle": "domain.trust:bundle",
     "limit": ("domain.trust:limit", "domain"),
     "list": "domain.listing:list_",
     "remove": ("domain.trust:remove", "domain"),

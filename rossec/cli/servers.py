@@ -28,7 +28,7 @@ _PHONES: Final = {"remove": ("console.phones:remove", "phone")}
 @option("--port -p", "instead of the one in ROS_MASTER_URI; 0 for any", type=click.IntRange(0, 65535))
 @flag("--json as_json", "say the address as a line of JSON")
 @option(
-    "--complaints",
+    "--denial-log",
     "denial log: append each missing right, for: rossec policy learn --from-log FILE",
     type=NEW_FILE,
 )

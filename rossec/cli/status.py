@@ -202,7 +202,7 @@ def relay_status(environment: Environment, *, as_json: bool, watch: bool) -> Non
         lambda: send_command(socket, "status", "relay"),
         _relay_lines,
         lambda answer: (
-            "" if answer["peers"] else "no relay of another site is known: rossec relay card LABEL"
+            "" if answer["peers"] else "no relay of another site is known: rossec relay descriptor LABEL"
         ),
         as_json=as_json,
         watch=watch,
@@ -211,9 +211,9 @@ def relay_status(environment: Environment, *, as_json: bool, watch: bool) -> Non
 
 def _relay_lines(answer: Answer) -> list[str]:
     router = answer["router"] or "no router is in reach"
-    head = f"{answer['relay']} of {answer['domain']}, seat {answer['seat']} at {router}"
-    lines = [f"{head}, {answer['doors']} doors"]
-    lines += [f"{name}: {why or 'polled for doors'}" for name, why in answer["masters"].items()]
+    head = f"{answer['relay']} of {answer['domain']}, account {answer['account']} at {router}"
+    lines = [f"{head}, {answer['forwarded_ports']} forwarded ports"]
+    lines += [f"{name}: {why or 'polled for forwarded_ports'}" for name, why in answer["masters"].items()]
     for peer in answer["peers"]:
         speed = f"  {peer['rtt_ms']} ms, {peer['retransmissions']} retransmissions" if peer["rtt_ms"] else ""
         called = f", {peer['called']} links from it" if peer["called"] else ""

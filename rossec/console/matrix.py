@@ -49,17 +49,17 @@ class Endings:
     def __init__(self) -> None:
         self.heard = Heard()
 
-    def note(self, standing: ListProgress, asked_at: int) -> None:
+    def note(self, trust_status: ListProgress, asked_at: int) -> None:
         # A master that has not the list goes on confirming the old one.
-        if not (standing.is_signed and standing.is_at_master):
+        if not (trust_status.is_signed and trust_status.is_at_master):
             return
         every, cut = self.heard
         # A revocation is over when every node with a session has its list. A node without a session takes no
         # messages for long: its view of the list is stale within two minutes, and it cuts what does not
         # outlive that (`on_stale: keep`, grant.md section 4).
-        if 0 < standing.nodes == standing.nodes_with_list:
+        if 0 < trust_status.nodes == trust_status.nodes_with_list:
             every = max(every, asked_at)
-        elif not standing.nodes:
+        elif not trust_status.nodes:
             cut = max(cut, asked_at - STALE)
         self.heard = Heard(every, cut)
 

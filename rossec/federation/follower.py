@@ -38,7 +38,7 @@ from rossec.federation.site_state import (
     LONGEST_PAUSE,
     METHOD,
     SILENCE,
-    DoorFacts,
+    ForwardedPortFacts,
     SiteChange,
     SiteCursor,
     SiteEffect,
@@ -47,46 +47,50 @@ from rossec.federation.site_state import (
     SiteState,
     site_status,
 )
-from rossec.master.state.forwarded_ports import MASTER, MAX_DOORS, ForwardedPorts, Target
+from rossec.master.state.forwarded_ports import MASTER, MAX_FORWARDED_PORTS, ForwardedPorts, Target
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.calls import RpcClient
 from rossec.peer_limits import printable
 from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.xmlrpc import Fault
 
-DOOR_WAIT: Final = 5.0  # seconds for the master's door: a relay that polls opens it at once
+FORWARDED_PORT_WAIT: Final = (
+    5.0  # seconds for the master's forwarded port: a relay that polls opens it at once
+)
 NODES_WAIT: Final = 1.0  # seconds for those of new nodes; they are shown without others after it
 NO_CHANGE: Final = SiteChange(frozenset(), frozenset(), False, b"", b"")
 _log = logging.getLogger("rossec.federation")
 
 
-class SiteDoors:
-    """The doors of one site; `on_door` is called when its master's was opened."""
+class SitePorts:
+    """The forwarded ports of one site; `on_forwarded_port` is called when its master's was opened."""
 
-    def __init__(self, doors: ForwardedPorts, settings: SiteSettings, on_door: Callable[[], None]) -> None:
-        self._doors = doors
+    def __init__(
+        self, forwarded_ports: ForwardedPorts, settings: SiteSettings, on_forwarded_port: Callable[[], None]
+    ) -> None:
+        self._forwarded_ports = forwarded_ports
         self._settings = settings
-        self._on_door = on_door
+        self._on_forwarded_port = on_forwarded_port
         self._master = Target(settings.via, MASTER, settings.master)
-        self._facts = DoorFacts(settings.via, doors.door)
-        self._had_door = False
+        self._facts = ForwardedPortFacts(settings.via, forwarded_ports.forwarded_port)
+        self._had_forwarded_port = False
         self._missing = 0
         self.changed: Final = asyncio.Event()
-        doors.listen(settings.label, self._note)
+        forwarded_ports.listen(settings.label, self._note)
 
     async def address(self) -> tuple[str, int]:
         self._want(self._facts.targets)
-        await self._wait([self._master], DOOR_WAIT)
-        door = self._doors.door(self._master)
-        if door is not None:
-            return door
-        if self._doors.way(self._settings.via) is None:
+        await self._wait([self._master], FORWARDED_PORT_WAIT)
+        forwarded_port = self._forwarded_ports.forwarded_port(self._master)
+        if forwarded_port is not None:
+            return forwarded_port
+        if self._forwarded_ports.way(self._settings.via) is None:
             raise RelayRefused(
                 f"no relay of this site knows a peer {self._settings.via}",
                 f"is `rossec relay` running, and was this done: rossec relay add {self._settings.via} FILE",
             )
         raise RelayRefused(
-            f"the relay opens no door for {self._settings.master} of {self._settings.via}",
+            f"the relay opens no forwarded port for {self._settings.master} of {self._settings.via}",
             "rossec relay status",
         )
 
@@ -108,39 +112,39 @@ class SiteDoors:
         self._want(())
 
     def close(self) -> None:
-        self._doors.forget(self._settings.label)
+        self._forwarded_ports.forget(self._settings.label)
 
     def status(self) -> dict[str, Any]:
-        found = self._doors.way(self._settings.via)
+        found = self._forwarded_ports.way(self._settings.via)
         if found is None:
             return {}
         return {"relay": found[0], **found[1]._asdict()}
 
     def _want(self, targets: Collection[Target]) -> None:
-        missing = self._doors.want(self._settings.label, {self._master, *targets})
+        missing = self._forwarded_ports.want(self._settings.label, {self._master, *targets})
         if missing and not self._missing:
             _log.warning(
-                "site %s: %d nodes and services have no address here: a site has half of %d doors",
+                "site %s: %d nodes and services have no address here: a site has half of %d forwarded ports",
                 self._settings.label,
                 missing,
-                MAX_DOORS,
+                MAX_FORWARDED_PORTS,
             )
         self._missing = missing
 
     async def _wait(self, targets: Collection[Target], longest: float) -> None:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(longest):
-                while any(self._doors.door(target) is None for target in targets):
+                while any(self._forwarded_ports.forwarded_port(target) is None for target in targets):
                     self.changed.clear()
                     await self.changed.wait()
         self.changed.set()  # it was not looked at what else has changed
 
     def _note(self) -> None:
         self.changed.set()
-        has_door = self._doors.door(self._master) is not None
-        if has_door and not self._had_door:
-            self._on_door()
-        self._had_door = has_door
+        has_forwarded_port = self._forwarded_ports.forwarded_port(self._master) is not None
+        if has_forwarded_port and not self._had_forwarded_port:
+            self._on_forwarded_port()
+        self._had_forwarded_port = has_forwarded_port
 
 
 _DIAL: Final = 5.0
@@ -148,18 +152,18 @@ _DIAL_VIA: Final = 15.0  # the relay may have to dial its peer first
 
 
 class SiteConnections:
-    """Connects with one site; `doors`: of the site, if it is reached by a relay."""
+    """Connects with one site; `forwarded_ports`: of the site, if it is reached by a relay."""
 
-    def __init__(self, settings: SiteSettings, own: OwnMaster, doors: SiteDoors | None) -> None:
+    def __init__(self, settings: SiteSettings, own: OwnMaster, forwarded_ports: SitePorts | None) -> None:
         self._settings = settings
         self._own = own
-        self._doors = doors
+        self._forwarded_ports = forwarded_ports
 
     @contextlib.asynccontextmanager
     async def open(self) -> AsyncIterator[tuple[RpcClient, Identity]]:
-        async with asyncio.timeout(_DIAL if self._doors is None else _DIAL_VIA):
-            doors, settings = self._doors, self._settings
-            address = settings.address if doors is None else await doors.address()
+        async with asyncio.timeout(_DIAL if self._forwarded_ports is None else _DIAL_VIA):
+            forwarded_ports, settings = self._forwarded_ports, self._settings
+            address = settings.address if forwarded_ports is None else await forwarded_ports.address()
             stream = await connect(*address, self._own.context, WireProtocol.HTTP)
         try:
             self._check(stream)
@@ -194,7 +198,7 @@ PACE: Final = 0.05  # seconds between two questions: a site may answer at once, 
 _audit = logging.getLogger("rossec.audit")
 
 _RANDOM: Final = SystemRandom().random
-_AT_DOOR: Final = (ChannelClosed, HandshakeFailed, PeerUnreachable)  # of a relay without a link
+_AT_FORWARDED_PORT: Final = (ChannelClosed, HandshakeFailed, PeerUnreachable)  # of a relay without a link
 Failures: Final = (HintedError, OSError, TimeoutError, Fault)
 
 
@@ -213,9 +217,9 @@ class FollowedSite:
         self._woken = asyncio.Event()
         self._lists_changed = asyncio.Event()
         self._foreign = ForeignLists(own, settings.domain) if settings.domain else None
-        doors = SiteDoors(own.state.doors, settings, self.wake) if settings.via else None
-        self._doors = doors
-        self.connections: Final = SiteConnections(settings, own, doors)
+        forwarded_ports = SitePorts(own.state.forwarded_ports, settings, self.wake) if settings.via else None
+        self._forwarded_ports = forwarded_ports
+        self.connections: Final = SiteConnections(settings, own, forwarded_ports)
 
     async def run(self) -> None:
         while True:
@@ -246,8 +250,8 @@ class FollowedSite:
 
     def remove(self) -> None:
         self._take(SiteEvent.REMOVED)
-        if self._doors is not None:
-            self._doors.close()
+        if self._forwarded_ports is not None:
+            self._forwarded_ports.close()
 
     async def send_lists(self) -> None:
         # The connection on which it is followed waits for an answer, so another one is made.
@@ -267,7 +271,7 @@ class FollowedSite:
             "error": self.error,
             "hint": self.hint,
             "mirrored": self._mirroring.mirrored,
-            "way": {} if self._doors is None else self._doors.status(),
+            "way": {} if self._forwarded_ports is None else self._forwarded_ports.status(),
         }
 
     async def _follow(self) -> None:
@@ -321,15 +325,18 @@ class FollowedSite:
 
     async def _is_answered(self, asking: asyncio.Future[SiteChange], peer: Identity, demand: int) -> bool:
         imports, changes = self._own.state.imports, self._own.state.demand_changes
-        events = [self._lists_changed, *([] if self._doors is None else [self._doors.changed])]
+        events = [
+            self._lists_changed,
+            *([] if self._forwarded_ports is None else [self._forwarded_ports.changed]),
+        ]
         while not asking.done():
             if self.state.phase is SitePhase.FOLLOWING and imports.demand.version != demand:
                 return False
             if self._lists_changed.is_set():
                 self._lists_changed.clear()
                 self.connections.check_trust(peer)
-            if self._doors is not None and self._doors.changed.is_set():
-                await self._apply(self._doors.refreshed())
+            if self._forwarded_ports is not None and self._forwarded_ports.changed.is_set():
+                await self._apply(self._forwarded_ports.refreshed())
             others: list[asyncio.Future[Any]] = [
                 asyncio.ensure_future(changes.wait(SILENCE)),
                 *(asyncio.ensure_future(event.wait()) for event in events),
@@ -356,7 +363,7 @@ class FollowedSite:
 
     async def _take_over(self, change: SiteChange) -> None:
         try:
-            change = change if self._doors is None else await self._doors.take(change)
+            change = change if self._forwarded_ports is None else await self._forwarded_ports.take(change)
         except ImportRefused as error:
             raise SiteRefused(f"facts of {self.settings.label}: {error}", error.hint) from error
         await self._apply(change)
@@ -386,7 +393,7 @@ class FollowedSite:
 
     def _advice(self, error: BaseException) -> str:
         # The hint of a failure; a stranger is not told why it is refused, but can guess.
-        if self._doors is not None and isinstance(error, _AT_DOOR):
+        if self._forwarded_ports is not None and isinstance(error, _AT_FORWARDED_PORT):
             return "is there a link? rossec relay status"
         if isinstance(error, PeerRefused) and self._foreign is not None:
             return f"does {self.settings.domain} trust this domain? there: rossec domain list"
@@ -410,8 +417,8 @@ class FollowedSite:
 
     def _begin_again(self) -> None:
         self._cursor = SiteCursor()
-        if self._doors is not None:
-            self._doors.drop()
+        if self._forwarded_ports is not None:
+            self._forwarded_ports.drop()
 
     def _deliver(self, events: Iterable[Any]) -> None:
         for event in events:

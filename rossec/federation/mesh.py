@@ -110,7 +110,7 @@ class Mesh:
         self._followers: dict[str, tuple[FollowedSite, asyncio.Task[Any]]] = {}
         self._tasks = TaskSet()
         own.state.trust.domains.own_sites = lambda: [each.label for each in self._own_sites()]
-        own.state.doors.masters = lambda: {
+        own.state.forwarded_ports.masters = lambda: {
             each.master: each.uri for each in self._own_sites() if is_connectable(each.uri, "http")
         }
 
@@ -140,7 +140,7 @@ class Mesh:
     def _step(self) -> None:
         self._update()
         returned = set() if self._announced is None else self._announced.take_returned()
-        for relay in self._own.state.doors.expire(self._own.state.now()):
+        for relay in self._own.state.forwarded_ports.expire(self._own.state.now()):
             _audit.warning("relay %s is silent", relay)
         for follower, _ in self._followers.values():
             follower.tick()

@@ -13,12 +13,12 @@ from typing import Any, Final, NamedTuple
 
 from rossec.errors import AnswerMalformed, ImportRefused, RossecError
 from rossec.federation.settings import SiteSettings
-from rossec.master.state.forwarded_ports import NODE, SERVICE, Door, Target
+from rossec.master.state.forwarded_ports import NODE, SERVICE, ForwardedPort, Target
 from rossec.master.state.imported_facts import FACTS_LIMIT, PROVIDER, checked, parts
 from rossec.master.state.imported_facts import NODE as NODE_FACT
 from rossec.master.state.imports import Imports
 from rossec.participant.registrations import Fact, facts_of
-from rossec.ros.names import build_door, build_uri
+from rossec.ros.names import build_forwarded_port, build_uri
 
 SILENCE: Final = 12.0  # seconds without an answer; a poll is answered after at most 5
 LOST_FOR: Final = 60.0  # seconds that facts stay without a connection
@@ -232,20 +232,20 @@ def _digest(value: object) -> bytes:
 
 _KINDS: Final = {NODE_FACT: NODE, PROVIDER: SERVICE}
 
-FindDoor = Callable[[Target], Door | None]
+FindForwardedPort = Callable[[Target], ForwardedPort | None]
 
 
-class DoorFacts:
+class ForwardedPortFacts:
     """What one site says, as far as it concerns addresses; `peer`: the relay's label of the site."""
 
-    # A node or service has no address here until its door is open, and another one when the relay was started
-    # again; a door that is gone counts until there is another, or each restart of the relay would take all
+    # A node or service has no address here until its forwarded port is open, and another one when the relay was started
+    # again; a forwarded port that is gone counts until there is another, or each restart of the relay would take all
     # publishers from their subscribers for a moment.
-    def __init__(self, peer: str, find: FindDoor) -> None:
+    def __init__(self, peer: str, find: FindForwardedPort) -> None:
         self._peer = peer
         self._find = find
         self._said: set[Fact] = set()
-        self._doors: dict[Target, Door] = {}
+        self._forwarded_ports: dict[Target, ForwardedPort] = {}
         self._shown: set[Fact] = set()
 
     @property
@@ -263,28 +263,38 @@ class DoorFacts:
 
     def shown(self, change: SiteChange) -> SiteChange:
         self._look()
-        doors = set[Fact]()
+        forwarded_ports = set[Fact]()
         for fact in self._said:
             kind, name, _ = fact
-            if (door := self._doors.get(self._target(fact))) is not None:
-                service = build_uri(*door, scheme="rosrpc").removesuffix("/")
-                doors.add((kind, name, build_door(*door) if kind == NODE_FACT else service))
-        added = _without_addresses(change.added) | (doors if change.whole else doors - self._shown)
-        removed = _without_addresses(change.removed) | (self._shown - doors)
-        self._shown = doors
+            if (forwarded_port := self._forwarded_ports.get(self._target(fact))) is not None:
+                service = build_uri(*forwarded_port, scheme="rosrpc").removesuffix("/")
+                forwarded_ports.add(
+                    (kind, name, build_forwarded_port(*forwarded_port) if kind == NODE_FACT else service)
+                )
+        added = _without_addresses(change.added) | (
+            forwarded_ports if change.whole else forwarded_ports - self._shown
+        )
+        removed = _without_addresses(change.removed) | (self._shown - forwarded_ports)
+        self._shown = forwarded_ports
         return change._replace(added=frozenset(added), removed=frozenset(removed))
 
     def forget(self) -> None:
-        self._said, self._doors, self._shown = set(), {}, set()
+        self._said, self._forwarded_ports, self._shown = set(), {}, set()
 
     def _look(self) -> None:
-        # Find the doors of now; one that is gone is kept unless its place is another's.
+        # Find the forwarded ports of now; one that is gone is kept unless its place is another's.
         targets = self.targets
-        found = {target: door for target in targets if (door := self._find(target)) is not None}
+        found = {
+            target: forwarded_port for target in targets if (forwarded_port := self._find(target)) is not None
+        }
         taken = set(found.values())
-        kept = self._doors.items()
-        old = {target: door for target, door in kept if target in targets and door not in taken}
-        self._doors = {**old, **found}
+        kept = self._forwarded_ports.items()
+        old = {
+            target: forwarded_port
+            for target, forwarded_port in kept
+            if target in targets and forwarded_port not in taken
+        }
+        self._forwarded_ports = {**old, **found}
 
     def _target(self, fact: Fact) -> Target:
         return Target(self._peer, _KINDS[fact[0]], fact[1])

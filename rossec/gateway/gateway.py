@@ -39,7 +39,7 @@ from rossec.net.rpc.calls import RpcClient
 from rossec.node import Node
 from rossec.node.publisher import Publisher, RawPublisher
 from rossec.node.subscriber import RawReceiver, RawSource
-from rossec.participant.delivery import Wishes
+from rossec.participant.delivery import DeliveryOptions
 from rossec.participant.registrations import WATCH_GRAPH, GraphView, Retry
 from rossec.ros.xmlrpc import Fault
 
@@ -64,7 +64,7 @@ class RawTopics(Protocol):
     ) -> RawPublisher: ...
     async def unpublish(self, publisher: Publisher) -> None: ...
     async def subscribe_raw(
-        self, topic: str, receiver: RawReceiver, *, wishes: Wishes
+        self, topic: str, receiver: RawReceiver, *, options: DeliveryOptions
     ) -> GatewaySubscription: ...
 
 
@@ -83,7 +83,7 @@ class ServedTopic:
         self._thinned: dict[RawSource, Thinning] = {}
         self._publisher: RawPublisher | None = None
         self._subscription: GatewaySubscription | None = None
-        self._wishes = candidate.rule.wishes
+        self._options = candidate.rule.options
         self._thins_here = self._subscribes_again = self._stopped = False
         self._wake = asyncio.Event()
 
@@ -144,7 +144,7 @@ class ServedTopic:
     async def _subscribe(self) -> None:
         try:
             self._subscription = await self._topics.subscribe_raw(
-                self.candidate.alias, self, wishes=self._wishes
+                self.candidate.alias, self, options=self._options
             )
         except REFUSALS as error:
             self._note(error)
@@ -174,7 +174,7 @@ class ServedTopic:
     # -- of the subscription at the origin (RawReceiver)
 
     def connected(self, source: RawSource) -> None:
-        publisher, rate = self._publisher, self.candidate.rule.wishes.rate
+        publisher, rate = self._publisher, self.candidate.rule.options.rate
         if publisher is None or self._stopped:
             raise NodeShutdown(f"{shown(self.candidate.alias)} is served no longer")
         if not is_alias(source.peer):
@@ -183,7 +183,7 @@ class ServedTopic:
             # A sender that thins out drops what is too much, perhaps the very last: of a latched topic that
             # is its value (docs/decisions/0036). So it is thinned out here.
             self._thins_here = self._subscribes_again = True
-            self._wishes = replace(self._wishes, rate=None, newest=True)
+            self._options = replace(self._options, rate=None, newest=True)
             self._wake.set()
             raise ConnectionHeaderRefused("the topic is latched: asked again, without a rate")
         try:
@@ -454,9 +454,9 @@ def status(gateway: Gateway, name: str) -> dict[str, Any]:
         {
             "from": each.label,
             "pattern": each.pattern,
-            "rate": each.wishes.rate,
-            "newest": each.wishes.newest,
-            "compress": each.wishes.deflate,
+            "rate": each.options.rate,
+            "newest": each.options.newest,
+            "compress": each.options.deflate,
         }
         for each in gateway.rules
     ]

@@ -27,7 +27,7 @@ from grants.errors import DefinitionRefused
 from rossec.errors import ConfigurationError, ConnectionHeaderRefused, RossecError
 from rossec.node.subscriber import RawSource
 from rossec.participant.definitions import Definition
-from rossec.participant.delivery import Wishes
+from rossec.participant.delivery import DeliveryOptions
 from rossec.participant.registrations import Fact
 from rossec.ros.names import ANY_TYPE
 
@@ -45,10 +45,10 @@ LONGEST_PAUSE: Final = 15.0
 class TopicRule:
     label: str
     pattern: str
-    wishes: Wishes = Wishes()  # noqa: RUF009 - has no state
+    options: DeliveryOptions = DeliveryOptions()  # noqa: RUF009 - has no state
 
 
-def rule(label: str, pattern: str, wishes: Wishes) -> TopicRule:
+def rule(label: str, pattern: str, options: DeliveryOptions) -> TopicRule:
     try:
         check_label(label)
     except HintedError as error:
@@ -70,7 +70,7 @@ def rule(label: str, pattern: str, wishes: Wishes) -> TopicRule:
             f"{pattern} is what {label} calls other domains' topics: they travel one hop",
             "take the topic from its own domain: --from THAT-DOMAIN PATTERN",
         )
-    return TopicRule(label, pattern, wishes)
+    return TopicRule(label, pattern, options)
 
 
 def covering(rules: Sequence[TopicRule], alias: str) -> TopicRule | None:

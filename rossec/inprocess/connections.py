@@ -42,7 +42,7 @@ from rossec.participant.message_types import MessageType
 from rossec.participant.service_types import ServiceGuard, ServiceType
 from rossec.peer_limits import printable
 from rossec.ros import tcpros
-from rossec.ros.names import is_door, parse_uri
+from rossec.ros.names import is_forwarded_port, parse_uri
 from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
 
 DEADLINE: Final = 5.0
@@ -128,7 +128,7 @@ class Connections:
         if sock is None or protocol is None:
             return
         try:
-            if sock.is_plain and is_door(str(transport.endpoint_id)):
+            if sock.is_plain and is_forwarded_port(str(transport.endpoint_id)):
                 raise PlainPeer("the peer behind a relay is a plain ROS node", _HINT_PLAIN)
             data = tcpros.encode(self._fields(protocol, sock))
             with tried_again():
@@ -153,7 +153,7 @@ class Connections:
             if key in stock
         }
         caller = self._local_identity.name_for(sock.peer)
-        return {**stock, **named, "callerid": caller, FIELD: proof, **sock.wishes.fields}
+        return {**stock, **named, "callerid": caller, FIELD: proof, **sock.options.fields}
 
     def read_header(self, transport: Any) -> None:
         sock, protocol = transport.socket, transport.protocol
@@ -191,7 +191,7 @@ class Connections:
         subscribed = definition_of(protocol.recv_data_class)
         expected = handshakes.ExpectedTopic(name, subscribed.name, subscribed.md5sum)
         decision = handshakes.admit_publisher(fields, peer, expected, access, now())
-        delivery.taken_wishes(fields, delivery.NO_WISHES)
+        delivery.accepted_options(fields, delivery.NO_OPTIONS)
         claimed = definitions.from_header(fields)
 
         def kind_under(decision: Decision) -> definitions.Definition:
@@ -273,12 +273,12 @@ class Connections:
             if published is None or published.closed:
                 raise ConnectionHeaderRefused(f"{self._local_identity.name} does not publish {topic}")
             kind = definition_of(published.data_class)
-            wishes = delivery.carried_out(delivery.requested_wishes(fields), decision)
-            # Without a queue a publisher waits for each subscriber: no wish is taken then.
-            sock.wishes = delivery.NO_WISHES if published.queue_size is None else wishes
+            options = delivery.carried_out(delivery.requested_options(fields), decision)
+            # Without a queue a publisher waits for each subscriber: no option is taken then.
+            sock.options = delivery.NO_OPTIONS if published.queue_size is None else options
 
             def guard_under(decision: Decision) -> Guard | None:
-                delivery.check_carried_out(sock.wishes, decision)
+                delivery.check_carried_out(sock.options, decision)
                 return self._guard_for(kind, decision)
 
             connection = AuthorizedConnection(sock, decision, guard_under(decision), guard_under)
@@ -381,8 +381,8 @@ class SubscriptionLoop:
     def run(
         self, conn: Any, host: str, port: int, uri: str, callback: Callable[..., None], topic: str
     ) -> None:
-        # `host`, `port`: the publisher's answer, of no use at a relay's door, where its topics are.
-        if is_door(uri):
+        # `host`, `port`: the publisher's answer, of no use at a relay's forwarded port, where its topics are.
+        if is_forwarded_port(uri):
             host, port = parse_uri(uri)
         pause = _FIRST_PAUSE
         while not conn.done and not rospy.is_shutdown():

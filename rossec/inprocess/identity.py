@@ -95,7 +95,7 @@ class LocalIdentity(LoadedIdentity):
         self.live_context = SecureContext(
             self.live_credentials, self.anchors.verify, suites=suites, renews=Identity.renews
         )
-        self.access = LockedAccess(Access(self.standing, master=master))
+        self.access = LockedAccess(Access(self.trust_status, master=master))
 
     def name_for(self, peer: Identity) -> str:
         return caller_for(peer, self.name, self.identity.name)

@@ -188,7 +188,7 @@ class BackgroundLoop:
         access = local_identity.access
         self._dialer = Dialer(local_identity.name, local_identity.live_context, access.check_peer)
         self.connections: ConnectionTable[RosSocket] = ConnectionTable(
-            local_identity.standing, access.lock, PEER_CONNECTIONS, local_identity.master
+            local_identity.trust_status, access.lock, PEER_CONNECTIONS, local_identity.master
         )
         self.membership = Membership(
             local_identity, access, self.connections, registrations.publishers, self, access.lock

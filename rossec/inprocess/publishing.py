@@ -35,7 +35,14 @@ from rossec.inprocess.process import RosConnection
 from rossec.inprocess.sockets import RosSocket
 from rossec.net.context import forget_in_children
 from rossec.participant import delivery
-from rossec.participant.delivery import Deflatable, Latch, Sample, SharedDeflation, WishedRate, Wishes
+from rossec.participant.delivery import (
+    Deflatable,
+    DeliveryOptions,
+    Latch,
+    RequestedRate,
+    Sample,
+    SharedDeflation,
+)
 
 _UNUSED: Final = 2  # references: the buffer's, and the argument of `getrefcount`
 LENGTH: Final = struct.Struct("<I")
@@ -247,21 +254,21 @@ def _filtered(transport: Any, data: bytes) -> Pieces:
 
 
 def queue_for(connection: Any, queue_size: int) -> SendQueue:
-    wishes: Wishes = connection.socket.wishes
-    if wishes:
-        return WishQueue(connection, queue_size, wishes)
+    options: DeliveryOptions = connection.socket.options
+    if options:
+        return OptionsQueue(connection, queue_size, options)
     return SendQueue(connection, queue_size)
 
 
-class WishQueue(SendQueue):
-    """For a subscriber with wishes: thinned out, the newest only, deflated. It has passed the guard."""
+class OptionsQueue(SendQueue):
+    """For a subscriber with options: thinned out, the newest only, deflated. It has passed the guard."""
 
-    def __init__(self, connection: Any, queue_size: int, wishes: Wishes) -> None:
-        size = 1 if wishes.newest else queue_size
+    def __init__(self, connection: Any, queue_size: int, options: DeliveryOptions) -> None:
+        size = 1 if options.newest else queue_size
         self._waiting: deque[Deflatable] = deque(maxlen=size if size > 0 else None)
-        self._wishes = wishes
-        self._rate = None if wishes.rate is None else WishedRate(wishes.rate)
-        if wishes.newest:
+        self._options = options
+        self._rate = None if options.rate is None else RequestedRate(options.rate)
+        if options.newest:
             connection.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT)
         super().__init__(connection, 1)
 
@@ -286,7 +293,7 @@ class WishQueue(SendQueue):
         self._queue.clear()
         while self._waiting:  # nobody else takes from it
             message = self._waiting.popleft()
-            pieces = (message.content(),) if self._wishes.deflate else message.pieces
+            pieces = (message.content(),) if self._options.deflate else message.pieces
             yield [(LENGTH.pack(sum(map(len, pieces))), *pieces)]
 
 

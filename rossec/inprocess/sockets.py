@@ -26,7 +26,7 @@ from rossec.inprocess.identity import CONNECT_TIMEOUT, Connector, PlainSocketStr
 from rossec.inprocess.options import PlainConnection, PlainPeers
 from rossec.net.threads.secure_socket import SecureSocket
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.delivery import NO_WISHES
+from rossec.participant.delivery import NO_OPTIONS
 from rossec.participant.service_types import ServiceGuard
 from rossec.ros import tcpros as wire
 from rossec.ros.tcpros import MESSAGE_LIMIT, PATIENCE, FrameReader, Framing
@@ -64,7 +64,7 @@ def parse_rosrpc(uri: str) -> tuple[str, int]:
 def for_family(family: int, address: tuple[str, int]) -> tuple[str, int]:
     """`address` as a socket of this family takes it: an IPv4 literal for IPv6 is mapped.
 
-    With ROS_IPV6=on all sockets of rospy are of IPv6; a relay's doors are at 127.0.0.1.
+    With ROS_IPV6=on all sockets of rospy are of IPv6; a relay's forwarded ports are at 127.0.0.1.
     """
     host, port = address
     try:
@@ -84,7 +84,7 @@ def resets() -> Iterator[None]:
 
 # rospy tries a publisher again after ECONNABORTED, a timeout or a network that is gone, and gives it
 # up after any other error of a socket: after a reset, too. But one that accepts and resets is not
-# gone, as at the door of a relay while the other site is out of reach.
+# gone, as at the forwarded port of a relay while the other site is out of reach.
 @contextmanager
 def tried_again() -> Iterator[None]:
     try:
@@ -188,7 +188,7 @@ class RosSocket(Renewing):
         self.aborted = False  # its right has ended; what had arrived before is discarded
         self.closed_locally = False  # later failures are not reported
         self.service_filter: ServerFilter | ClientFilter | None = None
-        self.wishes = NO_WISHES  # what a subscriber is promised of how it is sent messages
+        self.options = NO_OPTIONS  # what a subscriber is promised of how it is sent messages
         self._ready = memoryview(b"")
         self._pump_at = 0.0
 

@@ -58,7 +58,7 @@ from rossec.participant.slave_api import SLAVE_CALLS, check_slave_call, ports_an
 from rossec.ros import names
 from rossec.ros.calls import CallClient, CallServer, value_in, value_steps
 from rossec.ros.http import Oversized
-from rossec.ros.names import PRESENT_GRANTS, SIGNED_UPDATES, is_door, parse_uri
+from rossec.ros.names import PRESENT_GRANTS, SIGNED_UPDATES, is_forwarded_port, parse_uri
 from rossec.ros.xmlrpc import FAULT_CODE, Call, Encoded, Fault
 
 _log = logging.getLogger("rossec.rospy")
@@ -378,7 +378,7 @@ class XmlRpcClient:
         try:
             stream = self._process.connector.initiate(sock, WireProtocol.HTTP, address)
         except PlainPeer:
-            if not self._process.plain or method != "requestTopic" or is_door(uri):
+            if not self._process.plain or method != "requestTopic" or is_forwarded_port(uri):
                 raise
             return self._call_plain(address, _named(method, params, local_identity.name), params)
         try:

@@ -35,7 +35,7 @@ from rossec.node.topics import Topics
 from rossec.participant.access import Access
 from rossec.participant.authorized import memory_scope
 from rossec.participant.connections import ConnectionTable, Dialer, OwnAddresses, serve_peer
-from rossec.participant.delivery import Wishes, carried_out, requested_wishes
+from rossec.participant.delivery import DeliveryOptions, carried_out, requested_options
 from rossec.participant.handshakes import (
     TopicEndpoint,
     admit_subscriber,
@@ -155,14 +155,14 @@ class Listener:
             publisher = self._publishers.get(requested_topic(fields))
             if publisher is None:
                 raise ConnectionHeaderRefused(f"{self._node.name} does not publish {requested_topic(fields)}")
-            wishes = carried_out(requested_wishes(fields), decision)
+            options = carried_out(requested_options(fields), decision)
             await publisher.ready()
             check_type(fields, publisher.endpoint.expected)
             guard = publisher.guard(decision)
             name = self._node.name_for(stream.peer)
             answer = publisher_header(name, publisher.endpoint, self._access, now, latching=publisher.latch)
-            head = tcpros.encode(answer | wishes.fields)
-            return partial(publisher.serve, stream, decision, guard, head, wishes)
+            head = tcpros.encode(answer | options.fields)
+            return partial(publisher.serve, stream, decision, guard, head, options)
         if "topic" in fields:
             raise ConnectionHeaderRefused("the connection header asks for a topic and for a service")
         return self._services.admit(fields, stream)
@@ -205,7 +205,7 @@ class Node:
         self.master_name = loaded.master
         self.home, self.anchor, self.identity = loaded.home, loaded.anchor, loaded.identity
         self.credentials, self.revocations = loaded.live_credentials, loaded.revocations
-        self.access = Access(loaded.standing, master=loaded.master)
+        self.access = Access(loaded.trust_status, master=loaded.master)
         secure = SecureContext(
             self.credentials,
             loaded.anchors.verify,
@@ -216,7 +216,7 @@ class Node:
         own_addresses = OwnAddresses()
         self._dialer = Dialer(self.name, secure, self.access.check_peer, own_addresses, self.identity.name)
         connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
-            loaded.standing, master=loaded.master
+            loaded.trust_status, master=loaded.master
         )
         grace = PublisherGrace(clock.counter())
         self._membership = Membership(loaded, self.access, connections, grace, self)
@@ -308,9 +308,9 @@ class Node:
         Raises:
             MessageError, RossecError: unknown type, a wrong rate, or the master refuses.
         """
-        wishes = Wishes(rate, newest, deflate)
+        options = DeliveryOptions(rate, newest, deflate)
         endpoint = TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
-        return await self.topics.subscribe(endpoint, queue_size=queue_size, wishes=wishes)
+        return await self.topics.subscribe(endpoint, queue_size=queue_size, options=options)
 
     async def service(
         self,

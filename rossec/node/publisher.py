@@ -29,12 +29,12 @@ from rossec.participant import delivery
 from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.definitions import Definition, forwarded_definition, needs_definition
 from rossec.participant.delivery import (
-    NO_WISHES,
+    NO_OPTIONS,
+    DeliveryOptions,
+    DeliveryQueue,
     Latch,
     Sample,
     SharedDeflation,
-    WishedQueue,
-    Wishes,
     check_carried_out,
 )
 from rossec.participant.handshakes import TopicEndpoint
@@ -106,7 +106,7 @@ class Publisher:
         check_queue_size(queue_size)
         self.endpoint = endpoint
         self.latch = latch
-        self.links: dict[SubscriberConnection, SubscriberQueue | WishedQueue] = {}
+        self.links: dict[SubscriberConnection, SubscriberQueue | DeliveryQueue] = {}
         self._layout = layout
         self._context = context
         self._queue_size = queue_size
@@ -179,8 +179,8 @@ class Publisher:
         keys = {name: context.filter_key(name) for name in needed_keys(decision.restrictions)}
         return Guard(self._shape(decision), decision, keys, context.memory_scope)
 
-    def _rebuilt(self, wishes: Wishes, decision: Decision) -> Guard:
-        check_carried_out(wishes, decision)
+    def _rebuilt(self, options: DeliveryOptions, decision: Decision) -> Guard:
+        check_carried_out(options, decision)
         return self.guard(decision)
 
     def _shape(self, _decision: Decision) -> Layout | None:
@@ -193,14 +193,14 @@ class Publisher:
         decision: Decision,
         guard: Guard,
         answer: bytes,
-        wishes: Wishes = NO_WISHES,
+        options: DeliveryOptions = NO_OPTIONS,
     ) -> None:
         """Answer one admitted subscriber and send it messages until its stream ends. It is registered before
         the answer is sent: a revocation received meanwhile closes it."""
-        connection = AuthorizedConnection(stream, decision, guard, partial(self._rebuilt, wishes))
+        connection = AuthorizedConnection(stream, decision, guard, partial(self._rebuilt, options))
         queue = (
-            WishedQueue(stream, wishes, self._queue_size, self._deflation)
-            if wishes
+            DeliveryQueue(stream, options, self._queue_size, self._deflation)
+            if options
             else SubscriberQueue(stream, self._queue_size)
         )
         self.links[connection] = queue

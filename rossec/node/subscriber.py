@@ -34,13 +34,13 @@ from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.definitions import Definition, from_header, guard_for, receiver_definition, size_of
 from rossec.participant.delivery import (
     LARGE,
-    NO_WISHES,
+    NO_OPTIONS,
     OVERHEAD,
-    WishedRate,
-    Wishes,
+    DeliveryOptions,
+    RequestedRate,
+    accepted_options,
     claimed_size,
     inflated,
-    taken_wishes,
 )
 from rossec.participant.handshakes import Fields, TopicEndpoint, admit_publisher, subscriber_header
 from rossec.participant.host_types import known_type
@@ -61,16 +61,16 @@ OnClose = Callable[["Subscriber"], Awaitable[None]]
 _log = logging.getLogger("rossec.node")
 
 
-class WishedMessages:
-    """The messages of one connection that was asked for with wishes; `limit`: how many bytes one may have.
+class RequestedMessages:
+    """The messages of one connection that was asked for with options; `limit`: how many bytes one may have.
 
-    Inflates what the publisher deflates, never much in one turn of the loop. A publisher may take no wish:
+    Inflates what the publisher deflates, never much in one turn of the loop. A publisher may take no option:
     then messages are thinned out here, which spares the program and not the line.
     """
 
-    def __init__(self, asked: Wishes, taken: Wishes, limit: int) -> None:
+    def __init__(self, asked: DeliveryOptions, taken: DeliveryOptions, limit: int) -> None:
         thins = asked.rate is not None and taken.rate is None
-        self._rate = WishedRate(asked.rate) if asked.rate is not None and thins else None
+        self._rate = RequestedRate(asked.rate) if asked.rate is not None and thins else None
         self._deflated = taken.deflate
         self._limit = limit
         self._this_turn = 0  # bytes inflated since the loop had its turn
@@ -91,11 +91,13 @@ class WishedMessages:
         return self._rate is None or self._rate.admits(monotonic())
 
 
-def wished_messages(asked: Wishes, answer: Mapping[str, bytes], limit: int) -> WishedMessages | None:
-    """For a publisher with this answer; None: its messages come as they do without wishes."""
-    taken = taken_wishes(answer, asked)
+def requested_messages(
+    asked: DeliveryOptions, answer: Mapping[str, bytes], limit: int
+) -> RequestedMessages | None:
+    """For a publisher with this answer; None: its messages come as they do without options."""
+    taken = accepted_options(answer, asked)
     if taken.deflate or taken.rate != asked.rate:
-        return WishedMessages(asked, taken, limit)
+        return RequestedMessages(asked, taken, limit)
     return None
 
 
@@ -110,7 +112,7 @@ class Subscriber:
         memory_scope: MemoryScope,
         *,
         queue_size: int = QUEUE_SIZE,
-        wishes: Wishes = NO_WISHES,
+        options: DeliveryOptions = NO_OPTIONS,
     ) -> None:
         check_queue_size(queue_size)
         self.endpoint = endpoint
@@ -121,7 +123,7 @@ class Subscriber:
         self.memory_scope = memory_scope
         self._context = context
         self._on_close = on_close
-        self._wishes = wishes
+        self._options = options
         self._size = size_of(endpoint.type)
         self._longest = message_limit(self._size, MESSAGE_LIMIT)
         self._task_set = TaskSet()
@@ -196,10 +198,10 @@ class Subscriber:
         async with asyncio.timeout(HANDSHAKE_DEADLINE):
             stream = await self._context.dialer.topic(uri, self.topic)
             try:
-                limit = self._longest + (OVERHEAD if self._wishes.deflate else 0)
+                limit = self._longest + (OVERHEAD if self._options.deflate else 0)
                 frames = FrameReader(limit, first=tcpros.HEADER_LIMIT)
                 connection, answer, early = await self._handshake(stream, frames)
-                wished = wished_messages(self._wishes, answer, self._longest)
+                requested = requested_messages(self._options, answer, self._longest)
             except BaseException:
                 stream.abort("the connection header was refused")
                 raise
@@ -209,14 +211,14 @@ class Subscriber:
                 self._opened(connection, answer)
                 framing, messages = Framing(frames), early
                 while True:
-                    if wished is None:
+                    if requested is None:
                         self._deliver(connection, messages)
                     else:
                         for content in messages:
-                            message = await wished.inflated(content)
+                            message = await requested.inflated(content)
                             # That took its time, in which the right may have ended.
                             self._context.connections.check(connection)
-                            self._deliver(connection, [message], wished)
+                            self._deliver(connection, [message], requested)
                     messages = await next_messages(stream, framing)
         finally:
             self.links.discard(connection)
@@ -231,7 +233,7 @@ class Subscriber:
         own = context.certified or context.name
         endpoint = replace(self.endpoint, topic=granted_name(stream.peer, self.topic, own))
         fields = subscriber_header(name, endpoint, context.access, clock.now())
-        await stream.send(tcpros.encode(fields | self._wishes.fields))
+        await stream.send(tcpros.encode(fields | self._options.fields))
         units: list[bytes] = []
         while not units:
             units = frames.feed(await stream.receive())
@@ -261,12 +263,15 @@ class Subscriber:
         self._wake.set()
 
     def _deliver(
-        self, connection: PublisherConnection, messages: list[bytes], wished: WishedMessages | None = None
+        self,
+        connection: PublisherConnection,
+        messages: list[bytes],
+        requested: RequestedMessages | None = None,
     ) -> None:
         if connection.guard is not None:
             peer = shown(connection.stream.peer.name)
             messages = self._filtered(connection.guard, messages, peer, clock.time())
-        if messages and (wished is None or wished.admits()):
+        if messages and (requested is None or requested.admits()):
             self.received += len(messages)
             self._keep(connection, messages)
 

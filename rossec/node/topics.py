@@ -12,7 +12,7 @@ from rossec.errors import ConfigurationError
 from rossec.node.context import NodeContext
 from rossec.node.publisher import Publisher, RawPublisher
 from rossec.node.subscriber import OnClose, RawReceiver, RawSubscriber, Subscriber
-from rossec.participant.delivery import NO_WISHES, Wishes
+from rossec.participant.delivery import NO_OPTIONS, DeliveryOptions
 from rossec.participant.handshakes import TopicEndpoint, refuse_offer
 from rossec.participant.registrations import PublisherGrace
 
@@ -71,21 +71,21 @@ class Topics:
             raise
 
     async def subscribe(
-        self, endpoint: TopicEndpoint, *, queue_size: int, wishes: Wishes = NO_WISHES
+        self, endpoint: TopicEndpoint, *, queue_size: int, options: DeliveryOptions = NO_OPTIONS
     ) -> Subscriber:
         """Register a subscriber."""
         subscriber = Subscriber(
-            endpoint, *self._for_subscriber(endpoint.topic), queue_size=queue_size, wishes=wishes
+            endpoint, *self._for_subscriber(endpoint.topic), queue_size=queue_size, options=options
         )
         await self._listen(subscriber)
         return subscriber
 
     async def subscribe_raw(
-        self, topic: str, receiver: RawReceiver, *, wishes: Wishes = NO_WISHES
+        self, topic: str, receiver: RawReceiver, *, options: DeliveryOptions = NO_OPTIONS
     ) -> RawSubscriber:
         """Register a subscriber of any type, which hands on what arrives; raises as `subscribe`."""
         given = self._for_subscriber(topic)
-        subscriber = RawSubscriber(topic, receiver, *given, wishes=wishes)
+        subscriber = RawSubscriber(topic, receiver, *given, options=options)
         await self._listen(subscriber)
         return subscriber
 

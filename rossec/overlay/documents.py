@@ -1,4 +1,4 @@
-"""The JSON files of relays and routers: a relay's peers, its card, and the seat file. Pure.
+"""The JSON files of relays and routers: a relay's peers, its descriptor, and the account file. Pure.
 
 Each is one object that names its form, with exactly these keys.
 """
@@ -15,20 +15,20 @@ from ca.certificates import Identity
 from ca.errors import NameRefused
 from ca.names import alias_of, check_domain, check_label, display_name, is_relay_name, split_alias
 from rossec.errors import ConfigurationError, RelayRefused
-from rossec.overlay.link_frames import BOX, is_mailbox, is_seat
+from rossec.overlay.link_frames import BOX, is_account, is_inbox
 
 VERSION: Final = 1
 MAX_PEERS: Final = 64
 MAX_PEERS_FILE: Final = 64 * 1024
 _FORM: Final = "rossec-overlay"
 _BOX: Final = re.compile(r"[0-9a-f]{32}", re.ASCII)
-_HINT: Final = "it is written by `rossec relay card`, `add` and `remove`: use these"
-MAX_CARD: Final = 4 * 1024
-_RELAY_CARDS_FORM: Final = "rossec-relay-card"
-_RELAY_CARDS_HINT: Final = "ask for the file that `rossec relay card` wrote at the other site"
-MAX_SEAT_FILE: Final = 16 * 1024
+_HINT: Final = "it is written by `rossec relay descriptor`, `add` and `remove`: use these"
+MAX_DESCRIPTOR: Final = 4 * 1024
+_RELAY_DESCRIPTORS_FORM: Final = "rossec-relay-descriptor"
+_RELAY_DESCRIPTORS_HINT: Final = "ask for the file that `rossec relay descriptor` wrote at the other site"
+MAX_ACCOUNT_FILE: Final = 16 * 1024
 MAX_LOCATORS: Final = 16
-OPEN_SEAT: Final = "open"  # of everybody, at a router without seats
+OPEN_ACCOUNT: Final = "open"  # of everybody, at a router without accounts
 _PASSWORD: Final = re.compile(r"[A-Za-z0-9_-]{22,128}", re.ASCII)
 # Nothing more: what Zenoh takes behind a `?` or `#` would change the settings of the session.
 _LOCATOR: Final = re.compile(
@@ -37,8 +37,8 @@ _LOCATOR: Final = re.compile(
     r":(?P<port>[0-9]{1,5})",
     re.ASCII,
 )
-_ROUTERS_FORM: Final = "rossec-seat"
-_AGAIN: Final = "ask the operator of the router for it again: rossec router seats show NAME"
+_ROUTERS_FORM: Final = "rossec-account"
+_AGAIN: Final = "ask the operator of the router for it again: rossec router accounts show NAME"
 
 
 def read_document(data: bytes, form: str, keys: frozenset[str], *, limit: int, hint: str) -> dict[str, Any]:
@@ -82,16 +82,16 @@ def _refuse_constant(name: str) -> NoReturn:
 
 @dataclass(frozen=True)
 class Peer:
-    """A relay of another site, as `label`; without its card, `relay` and `mailbox` are empty."""
+    """A relay of another site, as `label`; without its descriptor, `relay` and `inbox` are empty."""
 
-    # For each peer there is a mailbox of its own, told to nobody else, so that each peer is cut alone
+    # For each peer there is an inbox of its own, told to nobody else, so that each peer is cut alone
     # (decision 0034). A link that arrives in it must come from that peer's domain and relay.
 
     label: str
-    box: str = field(repr=False)  # of the own mailbox that is told to it alone, hexadecimal
+    box: str = field(repr=False)  # of the own inbox that is told to it alone, hexadecimal
     domain: str | None = None  # label of its foreign domain; empty: the own one; None: nobody has said it
     relay: str = ""  # the name it is certified for
-    mailbox: str = field(default="", repr=False)  # the key of its mailbox for this relay
+    inbox: str = field(default="", repr=False)  # the key of its inbox for this relay
 
     def __post_init__(self) -> None:
         try:
@@ -101,19 +101,19 @@ class Peer:
         except NameRefused as error:
             raise ConfigurationError(str(error), error.hint) from error
         if _BOX.fullmatch(self.box) is None:
-            raise ConfigurationError(f"the mailbox for {self.label} has {2 * BOX} digits", _HINT)
-        if not self.relay and not self.mailbox:
+            raise ConfigurationError(f"the inbox for {self.label} has {2 * BOX} digits", _HINT)
+        if not self.relay and not self.inbox:
             return
         if not is_relay_name(self.relay):
             raise ConfigurationError(
                 f"{self.relay[:255]!a} is not the name of a relay", "/relay, or /relay/attic"
             )
-        if not is_mailbox(self.mailbox) or self.domain is None:
-            raise ConfigurationError(f"the card of {self.label} is not complete", _HINT)
+        if not is_inbox(self.inbox) or self.domain is None:
+            raise ConfigurationError(f"the descriptor of {self.label} is not complete", _HINT)
 
     @property
     def is_complete(self) -> bool:
-        """Whether its card is here, so that links with it can be made."""
+        """Whether its descriptor is here, so that links with it can be made."""
         return bool(self.relay)
 
     @property
@@ -130,9 +130,9 @@ class Peer:
         label, name = ("", found.name) if alias is None else alias
         if not self.is_complete or (label, name) != (self.domain, self.relay):
             raise RelayRefused(
-                f"{display_name(label, name)} is at the mailbox of {self.label},"
-                f" not {self.shown or 'a relay whose card is here'}",
-                f"exchange cards anew: rossec relay remove {self.label}",
+                f"{display_name(label, name)} is at the inbox of {self.label},"
+                f" not {self.shown or 'a relay whose descriptor is here'}",
+                f"exchange descriptors anew: rossec relay remove {self.label}",
             )
 
 
@@ -146,8 +146,8 @@ def checked_peers(peers: Iterable[Peer]) -> dict[str, Peer]:
             if each.label == other.label:
                 raise ConfigurationError(f"two peers are called {each.label}", "give each its own label")
             same_relay = each.is_complete and (each.domain, each.relay) == (other.domain, other.relay)
-            same_mailbox = each.is_complete and each.mailbox == other.mailbox
-            if same_relay or each.box == other.box or same_mailbox:
+            same_inbox = each.is_complete and each.inbox == other.inbox
+            if same_relay or each.box == other.box or same_inbox:
                 raise ConfigurationError(
                     f"{other.label} and {each.label} are one relay", f"rossec relay remove {other.label}"
                 )
@@ -180,39 +180,41 @@ def _peer(row: object, name: str) -> Peer:
             "box": str() as box,
             "domain": (str() | None) as domain,
             "relay": str() as relay,
-            "mailbox": str() as mailbox,
+            "inbox": str() as inbox,
             **rest,
         } if not rest:
-            return Peer(label, box, domain, relay, mailbox)
+            return Peer(label, box, domain, relay, inbox)
     raise ConfigurationError(f"{name} has a peer that is not in form", _HINT)
 
 
 @dataclass(frozen=True)
-class RelayCard:
+class RelayDescriptor:
     """What one relay's operator hands to another's, to link their sites."""
 
-    # Not signed: the peer proves by its certificate who it is, and a forged card only leads to a mailbox
-    # where that proof fails. Whoever reads it can send to that mailbox, so it is handed to its receiver
+    # Not signed: the peer proves by its certificate who it is, and a forged descriptor only leads to an inbox
+    # where that proof fails. Whoever reads it can send to that inbox, so it is handed to its receiver
     # alone. Routers are not in it: each site has its own.
 
     domain: str  # the trust domain of the relay, as its authority has named it
     relay: str
-    mailbox: str = field(repr=False)  # the key of its mailbox for the receiver of the card
+    inbox: str = field(repr=False)  # the key of its inbox for the receiver of the descriptor
 
     def __post_init__(self) -> None:
         try:
             check_domain(self.domain)
         except NameRefused as error:
-            raise RelayRefused(f"in the relay's card: {error}", _RELAY_CARDS_HINT) from error
-        if not is_relay_name(self.relay) or not is_mailbox(self.mailbox):
-            raise RelayRefused("the card names no relay, or no mailbox", _RELAY_CARDS_HINT)
+            raise RelayRefused(f"in the relay's descriptor: {error}", _RELAY_DESCRIPTORS_HINT) from error
+        if not is_relay_name(self.relay) or not is_inbox(self.inbox):
+            raise RelayRefused("the descriptor names no relay, or no inbox", _RELAY_DESCRIPTORS_HINT)
 
     @classmethod
     def read(cls, data: bytes) -> Self:
         keys = frozenset(each.name for each in fields(cls))
-        refused = RelayRefused("this is not the card of a relay", _RELAY_CARDS_HINT)
+        refused = RelayRefused("this is not the descriptor of a relay", _RELAY_DESCRIPTORS_HINT)
         try:
-            found = read_document(data, _RELAY_CARDS_FORM, keys, limit=MAX_CARD, hint=_RELAY_CARDS_HINT)
+            found = read_document(
+                data, _RELAY_DESCRIPTORS_FORM, keys, limit=MAX_DESCRIPTOR, hint=_RELAY_DESCRIPTORS_HINT
+            )
         except ConfigurationError as error:
             raise refused from error
         if not is_texts(list(found.values())):
@@ -220,30 +222,30 @@ class RelayCard:
         return cls(**found)
 
     def write(self) -> str:
-        return write_document(_RELAY_CARDS_FORM, asdict(self)).decode()
+        return write_document(_RELAY_DESCRIPTORS_FORM, asdict(self)).decode()
 
 
 @dataclass(frozen=True)
 class Routers:
-    """Which routers carry a site's links, and its seat there: the seat file.
+    """Which routers carry a site's links, and its account there: the account file.
 
-    `rossec router seats add` writes it, the operator of the routers hands it to the site, and `rossec
-    relay seat` keeps it. Whoever has the file has the seat. Routers behind TLS are verified by
+    `rossec router accounts add` writes it, the operator of the routers hands it to the site, and `rossec
+    relay account` keeps it. Whoever has the file has the account. Routers behind TLS are verified by
     `root_certificate` alone, never by the authorities of the web.
     """
 
     locators: tuple[str, ...]  # where they listen: any of them will do
-    seat: str  # name of the customer, a part of its keys (`rossec.overlay.link_frames`)
+    account: str  # name of the customer, a part of its keys (`rossec.overlay.link_frames`)
     password: str = field(default="", repr=False)  # empty at a router that is open to all
     root_certificate: str = field(default="", repr=False)  # PEM; empty without TLS
 
     def __post_init__(self) -> None:
         if not 0 < len(self.locators) <= MAX_LOCATORS:
-            raise ConfigurationError(f"a seat names 1 to {MAX_LOCATORS} routers", _AGAIN)
+            raise ConfigurationError(f"an account names 1 to {MAX_LOCATORS} routers", _AGAIN)
         for each in self.locators:
             check_locator(each)
-        check_seat(self.seat)
-        if self.seat != OPEN_SEAT or self.password:
+        check_account(self.account)
+        if self.account != OPEN_ACCOUNT or self.password:
             check_password(self.password)
         if not self.root_certificate and not any(map(is_encrypted, self.locators)):
             return
@@ -251,33 +253,33 @@ class Routers:
             (_certificate,) = x509.load_pem_x509_certificates(self.root_certificate.encode())
         except ValueError:
             raise ConfigurationError(
-                "a seat at a router with TLS needs the certificate of its authority", _AGAIN
+                "an account at a router with TLS needs the certificate of its authority", _AGAIN
             ) from None
 
     @classmethod
     def read(cls, data: bytes) -> Self:
         keys = frozenset(each.name for each in fields(cls))
-        found = read_document(data, _ROUTERS_FORM, keys, limit=MAX_SEAT_FILE, hint=_AGAIN)
+        found = read_document(data, _ROUTERS_FORM, keys, limit=MAX_ACCOUNT_FILE, hint=_AGAIN)
         locators = found.pop("locators")
         if not is_texts(locators) or not is_texts(list(found.values())):
-            raise ConfigurationError("the seat file has a value of another type", _AGAIN)
+            raise ConfigurationError("the account file has a value of another type", _AGAIN)
         return cls(tuple(locators), **found)
 
     def write(self) -> bytes:
         return write_document(_ROUTERS_FORM, asdict(self))
 
 
-def check_seat(seat: str) -> str:
-    if not is_seat(seat):
+def check_account(account: str) -> str:
+    if not is_account(account):
         raise ConfigurationError(
-            f"{seat[:40]!a} is not the name of a seat", "at most 32 of the characters a-z and 0-9"
+            f"{account[:40]!a} is not the name of an account", "at most 32 of the characters a-z and 0-9"
         )
-    return seat
+    return account
 
 
 def check_password(password: str) -> str:
     if not _PASSWORD.fullmatch(password):
-        raise ConfigurationError("the password of a seat is not in form", _AGAIN)
+        raise ConfigurationError("the password of an account is not in form", _AGAIN)
     return password
 
 

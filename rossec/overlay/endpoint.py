@@ -1,4 +1,4 @@
-"""Both ends of a link with a secure stream on it: `dial_link`, and `LinkListener` for a mailbox."""
+"""Both ends of a link with a secure stream on it: `dial_link`, and `LinkListener` for an inbox."""
 
 import asyncio
 import logging
@@ -21,17 +21,17 @@ from rossec.net.aio.transport import BaseStream, TransportOwner
 from rossec.net.context import SecureContext
 from rossec.overlay.documents import Routers
 from rossec.overlay.link import ENDED, Link, LinkStats
-from rossec.overlay.link_frames import BOX, LINK_ID, LinkFrameKind, kind_of, link_of, mailbox, refusal
+from rossec.overlay.link_frames import BOX, LINK_ID, LinkFrameKind, inbox, kind_of, link_of, refusal
 from rossec.overlay.zenoh_carrier import Carrier
 
 STALLED: Final = 15.0  # seconds: half of what a link endures
 _log = logging.getLogger("rossec.overlay.endpoint")
-ADDRESS: Final = "a link"  # of the peer, in messages: keys of mailboxes are told to nobody
+ADDRESS: Final = "a link"  # of the peer, in messages: keys of inboxes are told to nobody
 OPENS_PER_SECOND: Final = 32
 PROTOCOL: Final = WireProtocol.HTTP
 
 
-class MailboxReader(Protocol):
+class InboxReader(Protocol):
     def close(self) -> None: ...
 
 
@@ -40,10 +40,10 @@ class FrameCarrier(Protocol):
     def heard_at(self) -> float: ...
 
     def put(self, key: str, data: bytes) -> None:
-        # Send a frame to a mailbox; never raises for one that is lost.
+        # Send a frame to an inbox; never raises for one that is lost.
         ...
 
-    def subscribe(self, key: str, callback: Callable[[bytes], None]) -> MailboxReader: ...
+    def subscribe(self, key: str, callback: Callable[[bytes], None]) -> InboxReader: ...
     def reopen(self) -> None: ...
 
 
@@ -252,11 +252,11 @@ def stats_of(stream: BaseStream) -> LinkStats:
 
 
 async def dial_link(
-    carrier: FrameCarrier, key: str, seat: str, context: SecureContext[PeerT]
+    carrier: FrameCarrier, key: str, account: str, context: SecureContext[PeerT]
 ) -> SecureStream[PeerT]:
-    """Open a link to a mailbox and authenticate; the caller judges who answered (`peer`)."""
-    # A mailbox of its own for each link: who knows the one of before learns nothing of this one (section 2).
-    reply_key = mailbox(seat, secrets.token_bytes(BOX))
+    """Open a link to an inbox and authenticate; the caller judges who answered (`peer`)."""
+    # An inbox of its own for each link: who knows the one of before learns nothing of this one (section 2).
+    reply_key = inbox(account, secrets.token_bytes(BOX))
     link = Link.open(secrets.token_bytes(LINK_ID), reply_key, _now())
     transport: LinkTransport | None = None
 
@@ -282,10 +282,10 @@ async def dial_link(
 
 
 class LinkListener(AcceptedStreams[PeerT]):
-    """A mailbox in which links arrive; `handler` runs once for each authenticated peer.
+    """An inbox in which links arrive; `handler` runs once for each authenticated peer.
 
     The link ends when the handler returns. Who the peer is, is for the handler to judge. `address`
-    is that of the peers, in messages and in the context's limits: which mailbox they came by.
+    is that of the peers, in messages and in the context's limits: which inbox they came by.
     """
 
     def __init__(
@@ -311,7 +311,7 @@ class LinkListener(AcceptedStreams[PeerT]):
         if transport is not None:
             transport.frame_received(frame)
         elif kind_of(frame) in {LinkFrameKind.OPEN, LinkFrameKind.PROBE} and self._looks.refill(_now()) >= 1:
-            # Whoever knows the mailbox may put to it: only so many frames of unknown links cost anything.
+            # Whoever knows the inbox may put to it: only so many frames of unknown links cost anything.
             self._looks.tokens -= 1
             if kind_of(frame) == LinkFrameKind.OPEN:
                 self._open(frame)
@@ -331,7 +331,7 @@ class LinkListener(AcceptedStreams[PeerT]):
             self._links[link.link_id] = transport
             return transport
 
-        # The same limits as at a port: half-open handshakes of this mailbox, as of an address (section 2).
+        # The same limits as at a port: half-open handshakes of this inbox, as of an address (section 2).
         slot = self._admit(self._address)
         if slot is not None:
             self._begin(make, self._address, slot)
@@ -355,21 +355,21 @@ class RouterNetwork:
     """A carrier and the identity whose links it carries."""
 
     def __init__(self, carrier: Carrier, routers: Routers, context: SecureContext[Identity]) -> None:
-        self.seat: Final = routers.seat
+        self.account: Final = routers.account
         self._carrier, self._context = carrier, context
 
     @property
     def router(self) -> str:
         return self._carrier.router
 
-    async def dial(self, mailbox: str) -> SecureStream[Identity]:
-        return await dial_link(self._carrier, mailbox, self.seat, self._context)
+    async def dial(self, inbox: str) -> SecureStream[Identity]:
+        return await dial_link(self._carrier, inbox, self.account, self._context)
 
     def listen(
-        self, mailbox: str, serve: Callable[[SecureStream[Identity]], Awaitable[None]], label: str
+        self, inbox: str, serve: Callable[[SecureStream[Identity]], Awaitable[None]], label: str
     ) -> LinkListener[Identity]:
-        """Call `serve` with each authenticated link that arrives in this mailbox.
+        """Call `serve` with each authenticated link that arrives in this inbox.
 
         Unfinished handshakes are limited for each `label`, that of the peer it was told to.
         """
-        return LinkListener(self._carrier, mailbox, self._context, serve, address=f"a link from {label}")
+        return LinkListener(self._carrier, inbox, self._context, serve, address=f"a link from {label}")

@@ -1,7 +1,7 @@
 """The files in a relay's home, and in a router's directory. A shell.
 
-A relay has `overlay.json`, its peers, and `seat.json`, its routers. A router has its TLS authority, its
-certificate, its seats and what it was told; the authority's key and the seats are the operator's, and
+A relay has `overlay.json`, its peers, and `account.json`, its routers. A router has its TLS authority, its
+certificate, its accounts and what it was told; the authority's key and the accounts are the operator's, and
 the same at all their routers. Files are written under the directory's lock and replaced whole.
 """
 
@@ -20,20 +20,20 @@ from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.host.local_sockets import process_lock
 from rossec.overlay import documents, router_settings
-from rossec.overlay.documents import OPEN_SEAT, Peer, Peers, Routers, is_encrypted
-from rossec.overlay.router_settings import RouterFiles, RouterSettings, Seats
+from rossec.overlay.documents import OPEN_ACCOUNT, Peer, Peers, Routers, is_encrypted
+from rossec.overlay.router_settings import Accounts, RouterFiles, RouterSettings
 from rossec.overlay.router_tls import RouterAuthority, Share, key_pem
 
 RELAY_PEERS: Final = "overlay.json"
-RELAY_SEAT: Final = "seat.json"
-_NO_SEAT: Final = (
-    "the routers' operator makes one: rossec router seats add NAME; here: rossec relay seat FILE"
+RELAY_ACCOUNT: Final = "account.json"
+_NO_ACCOUNT: Final = (
+    "the routers' operator makes one: rossec router accounts add NAME; here: rossec relay account FILE"
 )
 DIRECTORY: Final = "router"  # below ROSSEC_HOME
 AUTHORITY_KEY: Final = "authority.key"
 AUTHORITY: Final = "authority.pem"
 SETTINGS: Final = "router.json"
-SEATS: Final = "seats.json"
+ACCOUNTS: Final = "accounts.json"
 _LOCK: Final = "router.lock"
 _MAX_PEM: Final = 8 * 1024
 _PASSWORD: Final = 32  # random bytes
@@ -45,7 +45,7 @@ class RelayFiles:
     def __init__(self, home: NodeHome) -> None:
         self.home: Final = home
         self._peers = home.path / RELAY_PEERS
-        self._seat = home.path / RELAY_SEAT
+        self._account = home.path / RELAY_ACCOUNT
         self._read: tuple[tuple[int, ...], Peers] = (), {}
 
     def peers(self) -> Peers:
@@ -64,18 +64,18 @@ class RelayFiles:
             files.replace(self._peers, documents.write_peers(documents.checked_peers(found.values())))
 
     @property
-    def has_seat(self) -> bool:
-        return self._seat.exists()
+    def has_account(self) -> bool:
+        return self._account.exists()
 
     def routers(self) -> Routers:
-        missing = ConfigurationError(f"{self.home.name} has no seat at a router", _NO_SEAT)
-        return Routers.read(files.read_own(self._seat, documents.MAX_SEAT_FILE, missing))
+        missing = ConfigurationError(f"{self.home.name} has no account at a router", _NO_ACCOUNT)
+        return Routers.read(files.read_own(self._account, documents.MAX_ACCOUNT_FILE, missing))
 
-    def keep_seat(self, data: bytes) -> Routers:
-        """Keep a seat file, checked, in place of one of before."""
+    def keep_account(self, data: bytes) -> Routers:
+        """Keep an account file, checked, in place of one of before."""
         self._check_enrolled()
         found = Routers.read(data)
-        files.replace(self._seat, data)
+        files.replace(self._account, data)
         return found
 
     def _check_enrolled(self) -> None:
@@ -103,14 +103,14 @@ class RouterHome:
         )
 
     def prepare(self) -> None:
-        """Make what a first start needs: the directory, the authority, an empty list of seats."""
+        """Make what a first start needs: the directory, the authority, an empty list of accounts."""
         files.make_private_directory(self.path)
         with files.locked_directory(self.path):
             if not (self.path / AUTHORITY_KEY).exists():
                 key = ec.generate_private_key(ec.SECP256R1())
                 self.write_authority(RouterAuthority.create(key, now=clock.now(), serial=_serial()))
-            if not (self.path / SEATS).exists():
-                files.create(self.path / SEATS, Seats(new_password()).write())
+            if not (self.path / ACCOUNTS).exists():
+                files.create(self.path / ACCOUNTS, Accounts(new_password()).write())
 
     def alone(self) -> AbstractContextManager[None]:
         """One router at a time runs from a directory."""
@@ -129,14 +129,14 @@ class RouterHome:
         files.replace(self.path / AUTHORITY, authority.pem, 0o644)
         files.create(self.path / AUTHORITY_KEY, key_pem(authority.key))
 
-    def seats(self) -> Seats:
-        return Seats.read(self._private(SEATS, router_settings.MAX_SEATS_FILE))
+    def accounts(self) -> Accounts:
+        return Accounts.read(self._private(ACCOUNTS, router_settings.MAX_ACCOUNTS_FILE))
 
-    def change_seats(self, change: Callable[[Seats], Seats]) -> Seats:
-        """Let `change` make other seats of them, and keep those; a running router takes them over."""
+    def change_accounts(self, change: Callable[[Accounts], Accounts]) -> Accounts:
+        """Let `change` make other accounts of them, and keep those; a running router takes them over."""
         with files.locked_directory(self.path):
-            changed = change(self.seats())
-            files.replace(self.path / SEATS, changed.write())
+            changed = change(self.accounts())
+            files.replace(self.path / ACCOUNTS, changed.write())
         return changed
 
     def settings(self) -> RouterSettings:
@@ -156,16 +156,16 @@ class RouterHome:
                 files.replace(self.path / SETTINGS, found.write())
         return found
 
-    def seat_file(self, seat: str) -> Routers:
-        """What a relay needs for a seat; `OPEN_SEAT` is that of everybody, without a password."""
-        password = "" if seat == OPEN_SEAT else self.seats().password(seat)
+    def account_file(self, account: str) -> Routers:
+        """What a relay needs for an account; `OPEN_ACCOUNT` is that of everybody, without a password."""
+        password = "" if account == OPEN_ACCOUNT else self.accounts().password(account)
         locators = self.settings().locators
         encrypted = any(map(is_encrypted, locators))
         root = self.authority().pem.decode() if encrypted else ""
-        return Routers(locators, seat, password, root)
+        return Routers(locators, account, password, root)
 
     def share(self) -> Share:
-        return Share(self.authority(), self.seats(), self.settings().locators)
+        return Share(self.authority(), self.accounts(), self.settings().locators)
 
     def take(self, share: Share) -> None:
         """Take over what another router shares; what this one has of the same authority gives way."""
@@ -173,20 +173,20 @@ class RouterHome:
         with files.locked_directory(self.path):
             if not (self.path / AUTHORITY_KEY).exists():
                 self.write_authority(share.authority)
-            # Seat files of this one trust its own authority alone: they would end without a word.
+            # Account files of this one trust its own authority alone: they would end without a word.
             elif self.authority().pem != share.authority.pem:
                 raise ConfigurationError(
                     f"{self.path} belongs to routers of another authority",
                     "take the file over into another --home, or remove that directory first",
                 )
-            files.replace(self.path / SEATS, share.seats.write())
+            files.replace(self.path / ACCOUNTS, share.accounts.write())
         own = self.settings().own_locators
         self.tell(join=tuple(each for each in share.join if each not in own))
 
-    def write_for_zenoh(self, settings: RouterSettings, seats: Seats | None) -> None:
+    def write_for_zenoh(self, settings: RouterSettings, accounts: Accounts | None) -> None:
         """Bring the files that Zenoh reads up to date: users, and a certificate that is not old."""
-        if seats is not None:
-            files.replace(self.files.users, seats.dictionary())
+        if accounts is not None:
+            files.replace(self.files.users, accounts.dictionary())
         authority, hosts, now = self.authority(), settings.certified, clock.now()
         if self.files.key.exists() and self.files.certificate.exists():
             found = files.read(self.files.certificate, _MAX_PEM)
@@ -198,13 +198,13 @@ class RouterHome:
         files.replace(self.files.key, key_pem(key))
         files.replace(self.files.certificate, made, 0o644)
 
-    def seats_version(self) -> tuple[int, ...]:
-        return _version(self.path / SEATS)
+    def accounts_version(self) -> tuple[int, ...]:
+        return _version(self.path / ACCOUNTS)
 
     def _private(self, name: str, limit: int) -> bytes:
         path = self.path / name
         data = files.read_own(path, limit, self._missing(name))
-        # Whoever has a seat's password has the seat.
+        # Whoever has an account's password has the account.
         if os.lstat(path).st_mode & 0o077:
             raise ConfigurationError(f"{path} can be read by others", f"chmod 600 {path}")
         return data
@@ -212,12 +212,12 @@ class RouterHome:
     def _missing(self, name: str) -> ConfigurationError:
         return ConfigurationError(
             f"there is no {self.path / name}",
-            "this is made by `rossec router seats add`, or the first start of `rossec router`",
+            "this is made by `rossec router accounts add`, or the first start of `rossec router`",
         )
 
 
 def new_password() -> str:
-    """For a seat, or for routers: 43 characters."""
+    """For an account, or for routers: 43 characters."""
     return secrets.token_urlsafe(_PASSWORD)
 
 

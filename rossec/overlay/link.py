@@ -175,7 +175,7 @@ class Link:
         self._out.append(frame)
 
     def _allowance(self) -> int:
-        # 3.3: the reply mailbox may be forged: until the peer is authenticated it must not amplify.
+        # 3.3: the reply inbox may be forged: until the peer is authenticated it must not amplify.
         if self._validated or self._opener:
             return MAX_FRAME
         return AMPLIFICATION * self._octets_in - self._octets_out - HEAD

@@ -1,9 +1,9 @@
-"""The frames of a link, written, and read strictly; keys of mailboxes. Pure. docs/spec/overlay.md section 3.
+"""The frames of a link, written, and read strictly; keys of inboxes. Pure. docs/spec/overlay.md section 3.
 
     kind(1) link(16) offset(8) received(8) limit(8) body
 
 Every frame says how far the sender of it has received, and how far it may be sent to. Nothing in it
-is authenticated: the bytes that it carries are, inside. A mailbox is `rossec/1/<seat>/<box>`: its key has no
+is authenticated: the bytes that it carries are, inside. An inbox is `rossec/1/<account>/<box>`: its key has no
 name, label, domain or topic in it.
 """
 
@@ -17,7 +17,7 @@ from rossec.errors import LinkEnded
 
 BOX: Final = 16  # bytes
 _KEY: Final = re.compile(r"rossec/1/[a-z0-9]{1,32}/[0-9a-f]{32}")
-_SEAT: Final = re.compile(r"[a-z0-9]{1,32}")
+_ACCOUNT: Final = re.compile(r"[a-z0-9]{1,32}")
 _HEAD: Final = Struct(">B16sQQQ")
 _RANGE: Final = Struct(">QQ")
 HEAD: Final = _HEAD.size
@@ -29,19 +29,19 @@ MAX_RANGES: Final = 32
 _LAST: Final = 1 << 62
 
 
-def is_seat(name: str) -> bool:
-    return _SEAT.fullmatch(name) is not None
+def is_account(name: str) -> bool:
+    return _ACCOUNT.fullmatch(name) is not None
 
 
-def is_mailbox(key: str) -> bool:
+def is_inbox(key: str) -> bool:
     return _KEY.fullmatch(key) is not None
 
 
-def mailbox(seat: str, box: bytes) -> str:
-    """The key of the mailbox `box` (16 random bytes) of a seat."""
-    key = f"rossec/1/{seat}/{box.hex()}"
-    if not is_mailbox(key):
-        raise ValueError("not the key of a mailbox")
+def inbox(account: str, box: bytes) -> str:
+    """The key of the inbox `box` (16 random bytes) of an account."""
+    key = f"rossec/1/{account}/{box.hex()}"
+    if not is_inbox(key):
+        raise ValueError("not the key of an inbox")
     return key
 
 
@@ -105,13 +105,13 @@ def return_address(reply_key: str, size: int) -> bytes:
 
 
 def split_return_address(body: memoryview) -> tuple[str, memoryview]:
-    """The mailbox to answer to, and the bytes after the padding."""
+    """The inbox to answer to, and the bytes after the padding."""
     length = body[0] if body else 0
     key = bytes(body[1 : 1 + length]).decode("ascii", "replace")
     padding = int.from_bytes(body[1 + length : 3 + length])
     begin = 3 + length + padding
-    # A key with a wildcard would be put to many mailboxes.
-    if begin > len(body) or not is_mailbox(key):
+    # A key with a wildcard would be put to many inboxes.
+    if begin > len(body) or not is_inbox(key):
         raise LinkEnded("a frame that does not say where to answer")
     if any(body[3 + length : begin]):
         raise LinkEnded("padding that is not zero")

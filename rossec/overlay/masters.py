@@ -15,7 +15,7 @@ from typing import Final
 from ca.certificates import Identity
 from ca.errors import HintedError, RevocationsStale
 from ca.names import shown
-from ca.revocation.trust_status import Standing
+from ca.revocation.trust_status import TrustStatus
 from rossec import clock
 from rossec.channel.edhoc.credentials import KnownCertificates
 from rossec.channel.opening import post_quantum
@@ -33,16 +33,16 @@ from rossec.host.runner import TaskSet
 from rossec.master.state.registry import is_connectable
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
 from rossec.net.rpc.calls import CallFailed, RpcClient
-from rossec.overlay.forwarded_ports import DoorTable
+from rossec.overlay.forwarded_ports import ForwardedPortTable
 from rossec.overlay.mux import MASTER
-from rossec.overlay.wanted_ports import Orders, WantedDoors
+from rossec.overlay.wanted_ports import Orders, WantedPorts
 from rossec.participant.access import Access
 from rossec.participant.connections import ConnectionTable, Dialer
 from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.registrations import PublisherGrace, Retry
 from rossec.peer_limits import printable
 from rossec.ros import names
-from rossec.ros.names import RELAY_DOORS, RELAY_TARGET, Settings, build_door, parse_uri
+from rossec.ros.names import RELAY_FORWARDED_PORTS, RELAY_TARGET, Settings, build_forwarded_port, parse_uri
 from rossec.ros.xmlrpc import Fault
 
 _log = logging.getLogger("rossec.overlay")
@@ -67,8 +67,8 @@ class RelayMember:
         self.name: Final = name
         self.master: Final = loaded.master
         self.identity: Final = loaded.identity
-        self.standing: Final[Standing] = loaded.standing
-        self.access: Final = Access(loaded.standing, master=loaded.master)
+        self.trust_status: Final[TrustStatus] = loaded.trust_status
+        self.access: Final = Access(loaded.trust_status, master=loaded.master)
         suites = post_quantum(environ)
         verify = loaded.anchors.verify
         self.context: Final = SecureContext(
@@ -78,7 +78,7 @@ class RelayMember:
             loaded.live_credentials, verify, suites=suites, renews=Identity.renews
         )
         self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
-            loaded.standing, master=loaded.master
+            loaded.trust_status, master=loaded.master
         )
         self._links: set[SecureStream[Identity]] = set()
         self._failed = False
@@ -125,7 +125,7 @@ class RelayMember:
             if not link.peer.is_foreign:
                 raise
             for key in link.peer.keys:
-                self.standing.own.check(key, clock.now())
+                self.trust_status.own.check(key, clock.now())
 
     def check_target(self, peer: Identity, kind: str) -> None:
         """Return if a link with `peer` may lead to a target of this kind now."""
@@ -192,14 +192,14 @@ class MasterLink:
         relay: str,
         instance: str,
         dial: Dial,
-        doors: DoorTable,
+        forwarded_ports: ForwardedPortTable,
         on_masters: Callable[[Mapping[str, str]], None],
     ) -> None:
         self.name: Final = name
         self.error = ""  # why the master is not polled now; empty: it is
         self._relay, self._instance, self._dial = relay, instance, dial
-        self._doors, self._on_masters = doors, on_masters
-        self._wanted = WantedDoors()
+        self._forwarded_ports, self._on_masters = forwarded_ports, on_masters
+        self._wanted = WantedPorts()
         self._asking: RpcClient | None = None
         self._turn = asyncio.Lock()
         self._retry = Retry(SystemRandom().random)
@@ -211,7 +211,7 @@ class MasterLink:
                 await asyncio.sleep(pause)
         finally:
             for target in self._wanted.held:
-                self._doors.release(target, self.name)
+                self._forwarded_ports.release(target, self.name)
 
     async def close(self) -> None:
         async with self._turn:
@@ -225,7 +225,7 @@ class MasterLink:
             text = error.faultString if isinstance(error, Fault) else error
             raise StreamRefused(printable(f"{self.name}: {text}")) from error
         match answer:
-            case [str() as host, int() as port] if is_connectable(build_door(host, port), "http"):
+            case [str() as host, int() as port] if is_connectable(build_forwarded_port(host, port), "http"):
                 return host, port
             case _:
                 raise AnswerMalformed(f"{self.name} says that a target is nowhere")
@@ -263,9 +263,9 @@ class MasterLink:
                 self._wanted.connected()
                 while True:
                     report = self._wanted.report()
-                    ways = {peer: way._asdict() for peer, way in self._doors.ways().items()}
+                    ways = {peer: way._asdict() for peer, way in self._forwarded_ports.ways().items()}
                     answer = await client.ask(
-                        RELAY_DOORS, self._relay, self._instance, self._wanted.seen, report, ways
+                        RELAY_FORWARDED_PORTS, self._relay, self._instance, self._wanted.seen, report, ways
                     )
                     orders = self._wanted.take(answer, len(report))
                     self._retry.succeeded()
@@ -284,15 +284,15 @@ class MasterLink:
 
     async def _carry_out(self, orders: Orders) -> None:
         for target in orders.close:
-            self._doors.release(target, self.name)
-        again = self._wanted.lost(self._doors.take_dropped(self.name))
+            self._forwarded_ports.release(target, self.name)
+        again = self._wanted.lost(self._forwarded_ports.take_dropped(self.name))
         for target in (*orders.open, *again):
             try:
-                self._wanted.opened(target, await self._doors.open(target, self.name))
+                self._wanted.opened(target, await self._forwarded_ports.open(target, self.name))
             except _Failures as error:
                 if self._wanted.failed(target):
                     where = f"{target.name} of {target.peer}"
-                    _log.warning("no door for %s: %s", where, printable(error))
+                    _log.warning("no forwarded port for %s: %s", where, printable(error))
         self._on_masters(orders.masters)
 
     def _report(self, text: str) -> None:
@@ -305,8 +305,8 @@ class MasterLink:
 class OwnMasters:
     """The links of a relay to masters of its own domain; `instance`: random, of this run of it."""
 
-    def __init__(self, member: RelayMember, instance: str, doors: DoorTable) -> None:
-        self._member, self._instance, self._doors = member, instance, doors
+    def __init__(self, member: RelayMember, instance: str, forwarded_ports: ForwardedPortTable) -> None:
+        self._member, self._instance, self._forwarded_ports = member, instance, forwarded_ports
         self._links: dict[str, MasterLink] = {}
         self._runs: dict[str, asyncio.Task[None]] = {}
         self._uris: dict[str, str] = {}
@@ -318,7 +318,11 @@ class OwnMasters:
         member = self._member
         self._tasks.spawn(self._refresh(), "asking for lists")
         dial = member.dial_master
-        self._begin(MasterLink(member.master, member.name, self._instance, dial, self._doors, self._answered))
+        self._begin(
+            MasterLink(
+                member.master, member.name, self._instance, dial, self._forwarded_ports, self._answered
+            )
+        )
 
     async def wait_failed(self) -> None:
         await asyncio.shield(self._failed)
@@ -349,7 +353,7 @@ class OwnMasters:
 
     def _begin(self, link: MasterLink) -> None:
         self._links[link.name] = link
-        self._runs[link.name] = self._tasks.spawn(link.run(), f"doors of {link.name}")
+        self._runs[link.name] = self._tasks.spawn(link.run(), f"forwarded ports of {link.name}")
 
     async def _refresh(self) -> None:
         while True:
@@ -375,7 +379,12 @@ class OwnMasters:
                 self._uris[name] = uri
                 dial = partial(self._dial, uri)
                 link = MasterLink(
-                    name, self._member.name, self._instance, dial, self._doors, lambda _masters: None
+                    name,
+                    self._member.name,
+                    self._instance,
+                    dial,
+                    self._forwarded_ports,
+                    lambda _masters: None,
                 )
                 self._begin(link)
 

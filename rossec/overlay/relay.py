@@ -1,7 +1,7 @@
 """The relay of a site: what its parts are, who of them knows whom, and the link to each peer. A shell.
 
 Forwarded ports lead connections of this site into the link to their peer; links that peers make lead
-to what the masters of this site show. Masters say which ports there are. A peer is cut when its card
+to what the masters of this site show. Masters say which ports there are. A peer is cut when its descriptor
 is removed here, its domain is trusted no more, or its identity is revoked.
 """
 
@@ -34,8 +34,8 @@ from rossec.master.state.forwarded_ports import PeerWay
 from rossec.net.aio import SecureStream
 from rossec.overlay.documents import Peer, Peers
 from rossec.overlay.endpoint import LinkListener, RouterNetwork, idle_round_trip
-from rossec.overlay.forwarded_ports import DoorTable, PeerTarget
-from rossec.overlay.link_frames import mailbox
+from rossec.overlay.forwarded_ports import ForwardedPortTable, PeerTarget
+from rossec.overlay.link_frames import inbox
 from rossec.overlay.masters import OwnMasters, RelayMember
 from rossec.overlay.mux import Role, StreamTarget
 from rossec.overlay.streams import Pump, Streams
@@ -50,10 +50,12 @@ _log = logging.getLogger("rossec.overlay")
 DialPeer: TypeAlias = Callable[[Peer], Awaitable[SecureStream[Identity]]]
 """Makes a link to a peer, which is that peer and admitted. Raises a `HintedError` or `OSError`."""
 
-_SILENT: Final = "does its relay run, does it have the newest card of this one, and is a router in reach?"
+_SILENT: Final = (
+    "does its relay run, does it have the newest descriptor of this one, and is a router in reach?"
+)
 _ENDED: Final = (
     "the other relay's log says why; it must trust this domain (there: rossec domain list) and have"
-    " this relay's card (there: rossec relay list)"
+    " this relay's descriptor (there: rossec relay list)"
 )
 MAX_CALLED: Final = 2  # links that one peer has made: a new one, and one that it may have given up
 _PERIOD: Final = 1.0
@@ -129,7 +131,7 @@ class PeerLink:
     async def _make(self) -> Streams | RelayRefused:
         try:
             stream = await self._dial(self.peer)
-        except (TimeoutError, HandshakeTimeout):  # nobody reads that mailbox
+        except (TimeoutError, HandshakeTimeout):  # nobody reads that inbox
             return self._failed(f"{self.peer.label} does not answer", _SILENT)
         except HintedError as error:
             return self._failed(str(error), error.hint)
@@ -187,9 +189,9 @@ class Relay:
         self._member, self._network, self._read_peers = member, network, read_peers
         self._peers: dict[str, Peer] = {}
         self._links: dict[str, PeerLink] = {}
-        self._mailboxes: dict[str, LinkListener[Identity]] = {}
+        self._inboxes: dict[str, LinkListener[Identity]] = {}
         self._called: dict[str, list[tuple[SecureStream[Identity], Streams]]] = {}
-        self._table: Final = DoorTable(admission, self._carry, self.ways)
+        self._table: Final = ForwardedPortTable(admission, self._carry, self.ways)
         self._masters = OwnMasters(member, secrets.token_hex(16), self._table)
         ports = TopicPorts(member.context, member.name, member.access.check_peer)
         self._targets = Targets(self._masters.target, ports)
@@ -230,7 +232,7 @@ class Relay:
             if router and router != before:
                 _log.warning("router %s is in use now", router)
             elif router != before:
-                _log.warning("no router takes the seat %s any more; links wait", self._network.seat)
+                _log.warning("no router takes the account %s any more; links wait", self._network.account)
             await self._take_peers()
             for link in self._links.values():
                 link.tick()
@@ -250,9 +252,9 @@ class Relay:
             await self._drop(label)
         for label in found.keys() - self._peers.keys():
             peer = found[label]
-            key = mailbox(self._network.seat, bytes.fromhex(peer.box))
+            key = inbox(self._network.account, bytes.fromhex(peer.box))
             try:
-                self._mailboxes[label] = self._network.listen(key, partial(self._serve, peer), label)
+                self._inboxes[label] = self._network.listen(key, partial(self._serve, peer), label)
             except OverlayUnavailable as error:  # tried again in a second
                 _log.warning("%s: %s", label, error)
                 continue
@@ -263,7 +265,7 @@ class Relay:
         del self._peers[label]
         _audit.info("no links with %s any more", label)
         self._table.drop_peer(label)
-        await self._mailboxes.pop(label).close()
+        await self._inboxes.pop(label).close()
         await self._links.pop(label).close()
         for stream, _ in self._called.pop(label, []):
             stream.abort("the peer is removed")
@@ -283,20 +285,20 @@ class Relay:
 
     # -- links
 
-    async def _carry(self, door: PeerTarget, sock: socket.socket) -> None:
-        link = self._links.get(door.peer)
+    async def _carry(self, forwarded_port: PeerTarget, sock: socket.socket) -> None:
+        link = self._links.get(forwarded_port.peer)
         if link is None:
             sock.close()
-            raise RelayRefused(f"no relay is called {door.peer} any more")
-        await link.carry(door.target, sock)
+            raise RelayRefused(f"no relay is called {forwarded_port.peer} any more")
+        await link.carry(forwarded_port.target, sock)
 
     async def _dial(self, peer: Peer) -> SecureStream[Identity]:
         # Say before the handshake what would be less clear after it.
-        listed = self._member.standing.anchors.listed(peer.domain) if peer.domain else None
+        listed = self._member.trust_status.anchors.listed(peer.domain) if peer.domain else None
         if peer.domain and listed is None:
             raise RelayRefused(
                 f"no trusted domain is called {peer.domain}",
-                "at this side's authority: rossec domain accept CARD",
+                "at this side's authority: rossec domain accept DESCRIPTOR",
             )
         admitted = () if listed is None else listed.entry.admitted
         if listed is not None and not any(pattern_covers(pattern, peer.relay) for pattern in admitted):
@@ -307,7 +309,7 @@ class Relay:
                 f"{peer.shown} is not admitted: the domain was accepted before relays were",
                 f"at this side's authority: rossec domain limit {peer.domain} {options}",
             )
-        stream = await self._network.dial(peer.mailbox)
+        stream = await self._network.dial(peer.inbox)
         self._admit(peer, stream)
         return stream
 
@@ -323,7 +325,7 @@ class Relay:
         try:
             self._admit(peer, stream)
         except HintedError as error:
-            where = f"the mailbox for {peer.label}"
+            where = f"the inbox for {peer.label}"
             delivery.warn(_audit, delivery.REFUSED, where, shown(stream.peer.name), error)
             return
         remote = RemoteRelay(peer.domain or "", peer.name)
@@ -355,7 +357,7 @@ class Relay:
         return {
             "relay": self._member.name,
             "domain": self._member.identity.domain,
-            "seat": self._network.seat,
+            "account": self._network.account,
             "router": self._network.router,
             "masters": self._masters.status(),
             "peers": [
@@ -369,7 +371,7 @@ class Relay:
                 }
                 for label, link in sorted(self._links.items())
             ],
-            "doors": len(self._table),
+            "forwarded_ports": len(self._table),
             "problem": self._problem,
         }
 

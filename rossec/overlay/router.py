@@ -1,6 +1,6 @@
 """A router as a process: Zenoh does the routing, this begins, watches and ends it. A shell.
 
-Zenoh's own log is never begun: at its finer levels it would name mailboxes.
+Zenoh's own log is never begun: at its finer levels it would name inboxes.
 """
 
 import asyncio
@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from rossec.errors import ConfigurationError, OverlayUnavailable, RossecError
 from rossec.overlay.homes import RouterHome
-from rossec.overlay.router_settings import RouterSettings, Seats, zenoh_settings
+from rossec.overlay.router_settings import Accounts, RouterSettings, zenoh_settings
 from rossec.overlay.zenoh_carrier import open_session
 
 _log = logging.getLogger("rossec.overlay.router")
@@ -24,19 +24,19 @@ class Router:
 
     def __init__(self, home: RouterHome, settings: RouterSettings, *, is_open: bool) -> None:
         self._home, self._settings, self._is_open = home, settings, is_open
-        self._seats_version: tuple[int, ...] = ()
+        self._accounts_version: tuple[int, ...] = ()
         self._certificate_due = 0.0
         self._session: Any = None
         self._joined = 0
 
     async def start(self) -> None:
-        self._seats_version = self._home.seats_version()
-        await self._begin(seats_of(self._home, is_open=self._is_open))
+        self._accounts_version = self._home.accounts_version()
+        await self._begin(accounts_of(self._home, is_open=self._is_open))
 
-    async def _begin(self, seats: Seats | None) -> None:
+    async def _begin(self, accounts: Accounts | None) -> None:
         self._certificate_due = asyncio.get_running_loop().time() + _CERTIFICATE_PERIOD
-        self._home.write_for_zenoh(self._settings, seats)
-        found = zenoh_settings(self._settings, seats, self._home.files)
+        self._home.write_for_zenoh(self._settings, accounts)
+        found = zenoh_settings(self._settings, accounts, self._home.files)
         try:
             self._session = await asyncio.to_thread(open_session, found)
         except OverlayUnavailable as error:
@@ -73,33 +73,33 @@ class Router:
         return 0 if self._session is None else len(self._session.info.routers_zid())
 
     async def _take_over(self) -> None:
-        # Begin anew if seats changed, if the certificate may be old, or if it is not listening: Zenoh reads
+        # Begin anew if accounts changed, if the certificate may be old, or if it is not listening: Zenoh reads
         # its users, rules and certificate once. It takes less than a second, which links of relays survive.
         due = asyncio.get_running_loop().time() >= self._certificate_due
         if self._session is not None and not due:
-            version = self._home.seats_version()
-            changed, self._seats_version = version != self._seats_version, version
+            version = self._home.accounts_version()
+            changed, self._accounts_version = version != self._accounts_version, version
             if not changed:
                 return
-        seats: Seats | None = self._home.seats()  # if they are damaged, the old ones stay in force
+        accounts: Accounts | None = self._home.accounts()  # if they are damaged, the old ones stay in force
         if self._is_open:
-            seats = seats_of(self._home, is_open=True)
+            accounts = accounts_of(self._home, is_open=True)
         await self.close()
-        await self._begin(seats)
-        _log.info("the router began anew, with the seats and the certificate of now")
+        await self._begin(accounts)
+        _log.info("the router began anew, with the accounts and the certificate of now")
 
 
-def seats_of(home: RouterHome, *, is_open: bool) -> Seats | None:
-    """The seats of a router that begins; None: it is open to all."""
-    seats = home.seats()
-    if is_open and seats.names:
+def accounts_of(home: RouterHome, *, is_open: bool) -> Accounts | None:
+    """The accounts of a router that begins; None: it is open to all."""
+    accounts = home.accounts()
+    if is_open and accounts.names:
         raise ConfigurationError(
-            f"the router has seats ({', '.join(seats.names)}), so it is not open",
-            "leave out --open, or remove them: rossec router seats remove NAME",
+            f"the router has accounts ({', '.join(accounts.names)}), so it is not open",
+            "leave out --open, or remove them: rossec router accounts remove NAME",
         )
-    if not is_open and not seats.names:
+    if not is_open and not accounts.names:
         raise ConfigurationError(
-            "nobody has a seat at this router",
-            "give seats: rossec router seats add NAME > NAME.seat; or let in everybody: --open",
+            "nobody has an account at this router",
+            "give accounts: rossec router accounts add NAME > NAME.account; or let in everybody: --open",
         )
-    return None if is_open else seats
+    return None if is_open else accounts

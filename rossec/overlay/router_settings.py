@@ -1,7 +1,7 @@
-"""What a router is told by its operator, its seats, and Zenoh's settings that follow from both. Pure.
+"""What a router is told by its operator, its accounts, and Zenoh's settings that follow from both. Pure.
 
-Seats are the accounts at the routers of one operator. A seat may read the mailboxes below its own name
-and send to any mailbox; everything else is denied. What the settings are for is in sections 3.6 and 4 of
+Accounts are the accounts at the routers of one operator. An account may read the inboxes below its own name
+and send to any inbox; everything else is denied. What the settings are for is in sections 3.6 and 4 of
 docs/spec/overlay.md.
 """
 
@@ -17,13 +17,13 @@ from rossec.errors import ConfigurationError
 from rossec.overlay import documents
 from rossec.overlay.link_frames import MAX_FRAME
 
-MAX_SEATS_FILE: Final = 256 * 1024
-MAX_SEATS: Final = 512  # each costs two rules, which a router looks through for every new session
-ROUTER_USER: Final = "_router"  # no seat's name has this character
+MAX_ACCOUNTS_FILE: Final = 256 * 1024
+MAX_ACCOUNTS: Final = 512  # each costs two rules, which a router looks through for every new session
+ROUTER_USER: Final = "_router"  # no account's name has this character
 ROUTER_NAME: Final = "rossec router"  # common name of every router's certificate
-EVERY_MAILBOX: Final = "rossec/1/*/*"  # two segments: a put to rossec/** fits no rule
-_FORM: Final = "rossec-seats"
-_HINT: Final = "it is written by `rossec router seats`: put back a copy"
+EVERY_INBOX: Final = "rossec/1/*/*"  # two segments: a put to rossec/** fits no rule
+_FORM: Final = "rossec-accounts"
+_HINT: Final = "it is written by `rossec router accounts`: put back a copy"
 _SEND: Final = "send"
 _ACCEPTED: Final = "router-accepted"
 _JOINED: Final = "router-joined"
@@ -59,20 +59,21 @@ _LOCAL: Final = ("localhost", "127.0.0.1", "::1")
 
 
 @dataclass(frozen=True)
-class Seats:
-    """The passwords of the seats, by name, and that by which the operator's routers join each other."""
+class Accounts:
+    """The passwords of the accounts, by name, and that by which the operator's routers join each other."""
 
     router: str = field(repr=False)
     passwords: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         documents.check_password(self.router)
-        if len(self.passwords) > MAX_SEATS:
-            raise ConfigurationError(f"at most {MAX_SEATS} seats", "remove what nobody uses")
-        for seat, password in self.passwords.items():
-            if documents.check_seat(seat) == documents.OPEN_SEAT:
+        if len(self.passwords) > MAX_ACCOUNTS:
+            raise ConfigurationError(f"at most {MAX_ACCOUNTS} accounts", "remove what nobody uses")
+        for account, password in self.passwords.items():
+            if documents.check_account(account) == documents.OPEN_ACCOUNT:
                 raise ConfigurationError(
-                    f"{documents.OPEN_SEAT} is the seat at a router without seats", "give it another name"
+                    f"{documents.OPEN_ACCOUNT} is the account at a router without accounts",
+                    "give it another name",
                 )
             documents.check_password(password)
 
@@ -87,36 +88,38 @@ class Seats:
     @classmethod
     def read(cls, data: bytes) -> Self:
         found = documents.read_document(
-            data, _FORM, frozenset({"router", "seats"}), limit=MAX_SEATS_FILE, hint=_HINT
+            data, _FORM, frozenset({"router", "accounts"}), limit=MAX_ACCOUNTS_FILE, hint=_HINT
         )
         match found:
-            case {"router": str() as router, "seats": dict() as seats} if all(
-                isinstance(each, str) for each in seats.values()
+            case {"router": str() as router, "accounts": dict() as accounts} if all(
+                isinstance(each, str) for each in accounts.values()
             ):
-                return cls(router, seats)
+                return cls(router, accounts)
         raise ConfigurationError(f"the {_FORM} file has a value of another type", _HINT)
 
     def write(self) -> bytes:
-        return documents.write_document(_FORM, {"router": self.router, "seats": dict(self.passwords)})
+        return documents.write_document(_FORM, {"router": self.router, "accounts": dict(self.passwords)})
 
-    def add(self, seat: str, password: str) -> Self:
-        if seat in self.passwords:
+    def add(self, account: str, password: str) -> Self:
+        if account in self.passwords:
             raise ConfigurationError(
-                f"there is a seat {seat} already",
-                f"its file again: rossec router seats show {seat}; a new password: remove it first",
+                f"there is an account {account} already",
+                f"its file again: rossec router accounts show {account}; a new password: remove it first",
             )
-        return replace(self, passwords={**self.passwords, seat: password})
+        return replace(self, passwords={**self.passwords, account: password})
 
-    def remove(self, seat: str) -> Self:
-        self.password(seat)
-        return replace(self, passwords={name: each for name, each in self.passwords.items() if name != seat})
+    def remove(self, account: str) -> Self:
+        self.password(account)
+        return replace(
+            self, passwords={name: each for name, each in self.passwords.items() if name != account}
+        )
 
-    def password(self, seat: str) -> str:
-        if seat not in self.passwords:
+    def password(self, account: str) -> str:
+        if account not in self.passwords:
             raise ConfigurationError(
-                f"there is no seat {seat[:40]!a}", f"there are: {', '.join(self.names) or 'none'}"
+                f"there is no account {account[:40]!a}", f"there are: {', '.join(self.names) or 'none'}"
             )
-        return self.passwords[seat]
+        return self.passwords[account]
 
     def dictionary(self) -> bytes:
         users = {**self.passwords, ROUTER_USER: self.router}
@@ -127,19 +130,19 @@ class Seats:
             {"id": _ACCEPTED, "usernames": [ROUTER_USER]},
             {"id": _JOINED, "cert_common_names": [ROUTER_NAME]},
         ]
-        rules = [_rule(_SEND, "ingress", "put", EVERY_MAILBOX)]
+        rules = [_rule(_SEND, "ingress", "put", EVERY_INBOX)]
         subjects: list[Entry] = []
         policies: list[Entry] = []
-        for seat in self.names:
-            # What only this seat may: declare that it reads a mailbox of its own, and get what is there.
-            # Nothing allows that a declaration goes out to it: it would name a mailbox of another seat, or
+        for account in self.names:
+            # What only this account may: declare that it reads an inbox of its own, and get what is there.
+            # Nothing allows that a declaration goes out to it: it would name an inbox of another account, or
             # tell by a pattern whether there is one that begins so, and with that all digits of it in turn.
-            rules.append(_rule(f"read-{seat}", "ingress", "declare_subscriber", _mailboxes(seat)))
-            rules.append(_rule(f"get-{seat}", "egress", "put", _mailboxes(seat)))
-            subjects.append({"id": f"seat-{seat}", "usernames": [seat]})
-            policies.append(_policy(f"seat-{seat}", _SEND, f"read-{seat}", f"get-{seat}"))
+            rules.append(_rule(f"read-{account}", "ingress", "declare_subscriber", _inboxes(account)))
+            rules.append(_rule(f"get-{account}", "egress", "put", _inboxes(account)))
+            subjects.append({"id": f"account-{account}", "usernames": [account]})
+            policies.append(_policy(f"account-{account}", _SEND, f"read-{account}", f"get-{account}"))
         return _access_control(
-            [*rules, *_forwarding(EVERY_MAILBOX)],
+            [*rules, *_forwarding(EVERY_INBOX)],
             [*subjects, *routers],
             [*policies, _policy(_ACCEPTED, *_FORWARD), _policy(_JOINED, *_FORWARD)],
         )
@@ -147,7 +150,9 @@ class Seats:
 
 def open_access_control() -> Entry:
     return _access_control(
-        _forwarding(_mailboxes(documents.OPEN_SEAT)), [{"id": "everybody"}], [_policy("everybody", *_FORWARD)]
+        _forwarding(_inboxes(documents.OPEN_ACCOUNT)),
+        [{"id": "everybody"}],
+        [_policy("everybody", *_FORWARD)],
     )
 
 
@@ -166,8 +171,8 @@ def _forwarding(keys: str) -> list[Entry]:
     return [_rule(put, "both", "put", keys), _rule(declare, "both", "declare_subscriber", keys)]
 
 
-def _mailboxes(seat: str) -> str:
-    return f"rossec/1/{seat}/*"
+def _inboxes(account: str) -> str:
+    return f"rossec/1/{account}/*"
 
 
 def _rule(name: str, flow: str, message: str, keys: str) -> Entry:
@@ -192,7 +197,7 @@ def client_settings(routers: documents.Routers) -> dict[str, object]:
         "connect/exit_on_failure": True,
     }
     if routers.password:
-        settings["transport/auth/usrpwd/user"] = routers.seat
+        settings["transport/auth/usrpwd/user"] = routers.account
         settings["transport/auth/usrpwd/password"] = routers.password
     if routers.root_certificate:
         root = base64.b64encode(routers.root_certificate.encode()).decode()
@@ -203,7 +208,7 @@ def client_settings(routers: documents.Routers) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class RouterSettings:
-    """What one router was told; kept in its directory, for the seat files that name it."""
+    """What one router was told; kept in its directory, for the account files that name it."""
 
     hosts: tuple[str, ...] = ()  # names and addresses by which relays reach it
     listen: tuple[str, ...] = LISTEN
@@ -278,8 +283,10 @@ class RouterFiles(NamedTuple):
     certificate: Path
 
 
-def zenoh_settings(settings: RouterSettings, seats: Seats | None, files: RouterFiles) -> dict[str, object]:
-    """Paths of Zenoh's configuration with their values; without seats the router is open to all."""
+def zenoh_settings(
+    settings: RouterSettings, accounts: Accounts | None, files: RouterFiles
+) -> dict[str, object]:
+    """Paths of Zenoh's configuration with their values; without accounts the router is open to all."""
     found = {
         **COMMON,
         "mode": "router",
@@ -298,27 +305,27 @@ def zenoh_settings(settings: RouterSettings, seats: Seats | None, files: RouterF
             "transport/link/tls/listen_certificate": str(files.certificate),
             "transport/link/tls/verify_name_on_connect": True,
         }
-    if seats is None:
+    if accounts is None:
         return {**found, "access_control": open_access_control()}
     # The side that connects is told no user: it knows by the certificate whom it joined (section 4.3), and
     # would otherwise forward nothing.
     plain = [each for each in settings.join if not documents.is_encrypted(each)]
     if plain:
         raise ConfigurationError(
-            f"a router with seats does not join {plain[0]}: nothing says who answers there",
+            f"a router with accounts does not join {plain[0]}: nothing says who answers there",
             "join it by tls/ or quic/",
         )
     # Customers and what they connect as routers are below; their routes are not the routers' own.
     # Else one who connects as a router to two of them, and claims that the way is short, would be sent what
     # they have for each other, which the access control then drops.
-    below = [{"modes": ["client", "peer"]}], [{"region_names": [seats.region], "negated": True}]
+    below = [{"modes": ["client", "peer"]}], [{"region_names": [accounts.region], "negated": True}]
     return {
         **found,
-        "region_name": seats.region,
+        "region_name": accounts.region,
         "gateway": {"south": [{"filters": filters} for filters in below]},
-        "access_control": seats.access_control(),
+        "access_control": accounts.access_control(),
         "transport/auth/usrpwd/user": ROUTER_USER,
-        "transport/auth/usrpwd/password": seats.router,
+        "transport/auth/usrpwd/password": accounts.router,
         "transport/auth/usrpwd/dictionary_file": str(files.users),
     }
 

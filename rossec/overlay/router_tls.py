@@ -21,16 +21,16 @@ from ca.certificates import BACKDATE
 from rossec.errors import ConfigurationError
 from rossec.overlay import router_settings
 from rossec.overlay.documents import MAX_LOCATORS, check_locator, is_texts, read_document, write_document
-from rossec.overlay.router_settings import ROUTER_NAME, Seats
+from rossec.overlay.router_settings import ROUTER_NAME, Accounts
 
 DAY: Final = 86400
-LIFETIME: Final = 20 * 365 * DAY  # every seat file has it: a new authority means new files for all
+LIFETIME: Final = 20 * 365 * DAY  # every account file has it: a new authority means new files for all
 LEAF_LIFETIME: Final = 365 * DAY
 _ROOT: Final = "rossec routers"
-_DAMAGED: Final = "put back a copy of the directory, or remove it and give out new seats"
-MAX_SHARE_FILE: Final = 2 * router_settings.MAX_SEATS_FILE
+_DAMAGED: Final = "put back a copy of the directory, or remove it and give out new accounts"
+MAX_SHARE_FILE: Final = 2 * router_settings.MAX_ACCOUNTS_FILE
 _FORM: Final = "rossec-routers"
-_KEYS: Final = frozenset({"authority_key", "authority", "seats", "join"})
+_KEYS: Final = frozenset({"authority_key", "authority", "accounts", "join"})
 _HINT: Final = "write it again, at the other router: rossec router share"
 
 
@@ -112,7 +112,7 @@ class Share:
     """What a further router needs. All of the file is secret; with it one is the operator."""
 
     authority: RouterAuthority = field(repr=False)
-    seats: Seats
+    accounts: Accounts
     join: tuple[str, ...]  # where the router listens that wrote it, and those that it joins itself
 
     def write(self) -> bytes:
@@ -121,7 +121,7 @@ class Share:
             {
                 "authority_key": key_pem(self.authority.key).decode(),
                 "authority": self.authority.pem.decode(),
-                "seats": self.seats.write().decode(),
+                "accounts": self.accounts.write().decode(),
                 "join": list(self.join),
             },
         )
@@ -133,11 +133,11 @@ class Share:
             case {
                 "authority_key": str() as key,
                 "authority": str() as pem,
-                "seats": str() as listed,
+                "accounts": str() as listed,
                 "join": list() as join,
             } if is_texts(join) and 0 < len(join) <= MAX_LOCATORS:
                 authority = RouterAuthority.load(key.encode(), pem.encode())
                 for each in join:
                     check_locator(each)
-                return cls(authority, Seats.read(listed.encode()), tuple(join))
+                return cls(authority, Accounts.read(listed.encode()), tuple(join))
         raise ConfigurationError(f"the {_FORM} file has a value of another type", _HINT)

@@ -1,4 +1,4 @@
-"""What one master wants of its relay: which doors are open for it, and what to tell it next. Pure.
+"""What one master wants of its relay: which forwarded ports are open for it, and what to tell it next. Pure.
 
 On a new connection everything is wanted and told anew, as the master may have been started again.
 What it then does not want any more is closed when it has told all: an answer without news.
@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 from ca.errors import NameRefused
 from ca.names import check_label, check_name, is_master_name
 from rossec.errors import AnswerMalformed
-from rossec.master.state.forwarded_ports import AT_ONCE, KINDS, MAX_DOORS, Door, Target
+from rossec.master.state.forwarded_ports import AT_ONCE, KINDS, MAX_FORWARDED_PORTS, ForwardedPort, Target
 from rossec.master.state.registry import is_connectable
 
 REPORTED_AT_ONCE: Final = AT_ONCE // 2  # a call is limited in size, and has all ways too
@@ -25,11 +25,11 @@ class Orders(NamedTuple):
     masters: Mapping[str, str]  # names and URIs of others of the own domain, to be polled too
 
 
-class WantedDoors:
+class WantedPorts:
     def __init__(self) -> None:
         self.seen = 0
-        self._held: dict[Target, Door] = {}
-        self._untold: dict[Target, Door] = {}
+        self._held: dict[Target, ForwardedPort] = {}
+        self._untold: dict[Target, ForwardedPort] = {}
         self._failed: dict[Target, None] = {}
         self._old: set[Target] = set()  # held before this connection, and not wanted anew so far
 
@@ -45,7 +45,7 @@ class WantedDoors:
 
     def report(self) -> list[list[object]]:
         told = list(self._untold.items())[:REPORTED_AT_ONCE]
-        return [[*target, *door] for target, door in told]
+        return [[*target, *forwarded_port] for target, forwarded_port in told]
 
     def take(self, answer: object, reported: int) -> Orders:
         match answer:
@@ -58,11 +58,11 @@ class WantedDoors:
             } if not rest:
                 pass
             case _:
-                raise AnswerMalformed("a master's answer about doors that is malformed")
+                raise AnswerMalformed("a master's answer about forwarded ports that is malformed")
         new, gone = [*map(_target, wanted)], [*map(_target, unwanted)]
         others = _masters(masters)
-        if len(self._held.keys() | set(new)) > MAX_DOORS:
-            raise AnswerMalformed(f"a master that wants more than {MAX_DOORS} doors")
+        if len(self._held.keys() | set(new)) > MAX_FORWARDED_PORTS:
+            raise AnswerMalformed(f"a master that wants more than {MAX_FORWARDED_PORTS} forwarded ports")
         self.seen = version
         for target in list(self._untold)[:reported]:
             del self._untold[target]
@@ -76,8 +76,8 @@ class WantedDoors:
         closed = tuple(target for target in gone if self._held.pop(target, None) is not None)
         return Orders(tuple(dict.fromkeys((*new, *self._failed))), closed, others)
 
-    def opened(self, target: Target, door: Door) -> None:
-        self._held[target] = self._untold[target] = door
+    def opened(self, target: Target, forwarded_port: ForwardedPort) -> None:
+        self._held[target] = self._untold[target] = forwarded_port
         self._failed.pop(target, None)
 
     def failed(self, target: Target) -> bool:
@@ -98,9 +98,9 @@ def _target(value: object) -> Target:
             try:
                 return Target(check_label(peer), kind, check_name(name))
             except NameRefused as error:
-                raise AnswerMalformed(f"a master that wants a door of no target: {error}") from None
+                raise AnswerMalformed(f"a master that wants a forwarded port of no target: {error}") from None
         case _:
-            raise AnswerMalformed("a master that wants a door of no target")
+            raise AnswerMalformed("a master that wants a forwarded port of no target")
 
 
 def _masters(found: Mapping[object, object]) -> dict[str, str]:

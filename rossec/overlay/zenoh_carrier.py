@@ -1,8 +1,8 @@
-"""Unreliable messages between mailboxes, through the routers: the one module that knows Zenoh.
+"""Unreliable messages between inboxes, through the routers: the one module that knows Zenoh.
 
 Whoever puts is not told whether anybody received: a link acknowledges by itself. Zenoh calls back
 in its own threads; here everything that arrived meanwhile wakes the loop once. What waits is
-bounded for each subscription, since anybody with a seat may put to a mailbox that it knows.
+bounded for each subscription, since anybody with an account may put to an inbox that it knows.
 """
 
 import asyncio
@@ -154,7 +154,7 @@ class Carrier:
     # -- sending
 
     def put(self, key: str, data: bytes) -> None:
-        """Send at most `MAX_FRAME` octets to this mailbox; nobody says whether they arrive."""
+        """Send at most `MAX_FRAME` octets to this inbox; nobody says whether they arrive."""
         self._queue.put(key, data)
 
     def _put(self, key: str, data: bytes) -> None:
@@ -164,7 +164,7 @@ class Carrier:
     # -- receiving
 
     def subscribe(self, key: str, callback: Callable[[bytes], None]) -> CarrierSubscription:
-        """Call back on the loop with each message that arrives in this mailbox."""
+        """Call back on the loop with each message that arrives in this inbox."""
         subscription = CarrierSubscription(self, key, callback)
         self._declare(subscription)
         self._subscriptions.add(subscription)
@@ -173,10 +173,10 @@ class Carrier:
     def _declare(self, subscription: CarrierSubscription) -> None:
         def receive(sample: "zenoh.Sample") -> None:  # in a thread of Zenoh's
             if str(sample.key_expr) != subscription.key:
-                return  # put to a pattern: whoever did does not know this mailbox
+                return  # put to a pattern: whoever did does not know this inbox
             data = sample.payload.to_bytes()
             with self._lock:
-                # Anybody with a seat may put to a mailbox that it knows: what waits is bounded for each.
+                # Anybody with an account may put to an inbox that it knows: what waits is bounded for each.
                 if subscription.waiting > _MOST_WAITING:
                     return
                 subscription.waiting += len(data) + _OVERHEAD
@@ -217,7 +217,7 @@ class Carrier:
     # -- the session
 
     def reopen(self) -> None:
-        """Replace the session until a router takes the seat: nothing arrives, though it should."""
+        """Replace the session until a router takes the account: nothing arrives, though it should."""
         if self._reopening is None and not self.closed:
             self._reopening = self._loop.create_task(self._replace_session(), name="rossec overlay session")
 
@@ -268,8 +268,8 @@ async def _open(routers: Routers) -> "zenoh.Session":
         if isinstance(error.__cause__, ImportError):
             raise
         raise OverlayUnavailable(
-            f"no router takes the seat {routers.seat}: {', '.join(routers.locators)}",
-            "does a router run there, can this host reach it, and is the seat file the newest of"
+            f"no router takes the account {routers.account}: {', '.join(routers.locators)}",
+            "does a router run there, can this host reach it, and is the account file the newest of"
             " its operator?",
         ) from error
 

@@ -31,7 +31,7 @@ from ca.names import (
     split_alias,
 )
 from ca.revocation.lists import open_timestamp
-from ca.revocation.trust_status import Standing
+from ca.revocation.trust_status import TrustStatus
 from grants.decision import Decision, RevocationCheck, authorize, check_tail
 from grants.errors import GrantError, GrantMalformed, GrantMissing
 from grants.model import MESSAGE_RIGHTS, Grant, Right
@@ -91,9 +91,9 @@ class TokenOpener:
     """Verifies tokens, each once, by the root, the list and the masters of one domain. `own_master`: the key
     of the node's own master, which may renew grants of the own domain."""
 
-    def __init__(self, standing: Standing) -> None:
-        self._standing = standing
-        self._own: Final = standing.anchors.own
+    def __init__(self, trust_status: TrustStatus) -> None:
+        self._trust_status = trust_status
+        self._own: Final = trust_status.anchors.own
         self._opened: Newest[tuple[bytes, bytes], Grant] = Newest(CACHE_SIZE)
         self.own_master: ec.EllipticCurvePublicKey | None = None
 
@@ -102,7 +102,7 @@ class TokenOpener:
     ) -> tuple[list[Grant], list[GrantError]]:
         grants: list[Grant] = []
         refusals: list[GrantError] = []
-        listed = None if domain == self._own.domain else self._standing.anchors.listed_domain(domain)
+        listed = None if domain == self._own.domain else self._trust_status.anchors.listed_domain(domain)
         label = "" if listed is None else listed.entry.label
         for data in _unpack(presented):
             try:
@@ -116,13 +116,13 @@ class TokenOpener:
 
     def open(self, data: bytes, domain: str, now: int) -> Grant:
         is_own = domain == self._own.domain
-        revocations = self._standing.own if is_own else self._standing.foreign(domain)
+        revocations = self._trust_status.own if is_own else self._trust_status.foreign(domain)
         held = None if revocations is None else revocations.current
         mine = (self.own_master,) if is_own and self.own_master is not None else ()
         verifier = Verifier(
             self._root(domain).public_key,
             domain,
-            (*mine, *self._standing.delegates(domain)),
+            (*mine, *self._trust_status.delegates(domain)),
             0 if held is None else held.seq,
             self.check_of(domain),
         )
@@ -131,12 +131,12 @@ class TokenOpener:
     def check_of(self, *domains: str) -> RevocationCheck:
         foreign = dict.fromkeys(domain for domain in domains if domain != self._own.domain)
         if not foreign:
-            return self._standing.own.check
+            return self._trust_status.own.check
 
         def check(entry: bytes, now: int) -> None:
-            self._standing.own.check(entry, now)
+            self._trust_status.own.check(entry, now)
             for domain in foreign:
-                self._standing.check(domain, entry, now)
+                self._trust_status.check(domain, entry, now)
 
         return check
 
@@ -152,7 +152,7 @@ class TokenOpener:
     def _root(self, domain: str) -> TrustAnchor:
         if domain == self._own.domain:
             return self._own
-        listed = self._standing.anchors.listed_domain(domain)
+        listed = self._trust_status.anchors.listed_domain(domain)
         if listed is None:
             raise GrantMissing(f"a grant of domain {domain!a}, which is not listed here")
         return listed.anchor
@@ -209,13 +209,13 @@ class HeldGrant:
 class Access:
     """Holds the grants of a node and checks those of its peers; `master`: its own one's certified name."""
 
-    def __init__(self, standing: Standing, held: Iterable[bytes] = (), master: str = MASTER) -> None:
-        self.standing = standing
-        self._revocations: Final = standing.own
-        self._anchor: Final = standing.anchors.own
+    def __init__(self, trust_status: TrustStatus, held: Iterable[bytes] = (), master: str = MASTER) -> None:
+        self.trust_status = trust_status
+        self._revocations: Final = trust_status.own
+        self._anchor: Final = trust_status.anchors.own
         self.master = master
         self._held: dict[bytes, HeldGrant] = {}
-        self._tokens = TokenOpener(standing)
+        self._tokens = TokenOpener(trust_status)
         for data in held:
             self.hold(data)
 
@@ -235,7 +235,7 @@ class Access:
     def held_grants(self) -> list[HeldGrant]:
         """All grants this node holds, expired ones too, except those known to be revoked."""
         own, others = self._revocations.entries, self._domains_held() - {self._anchor.domain}
-        revoked = {domain: own | self.standing.revoked(domain) for domain in others}
+        revoked = {domain: own | self.trust_status.revoked(domain) for domain in others}
         return [
             held
             for held in self._held.values()
@@ -247,11 +247,11 @@ class Access:
 
     @property
     def foreign_domains(self) -> frozenset[str]:
-        listed = self.standing.anchors.listed_domain
+        listed = self.trust_status.anchors.listed_domain
         return frozenset(domain for domain in self._domains_held() if listed(domain) is not None)
 
     def domain_called(self, label: str) -> str | None:
-        listed = self.standing.anchors.listed(label)
+        listed = self.trust_status.anchors.listed(label)
         return None if listed is None else listed.entry.domain
 
     def is_master(self, peer: Identity) -> bool:
@@ -290,7 +290,7 @@ class Access:
         self._tokens.own_master = master.public_key
 
     def expire_confirmation(self, until: int) -> None:
-        self.standing.expire_confirmations(until)
+        self.trust_status.expire_confirmations(until)
 
     @property
     def unproved(self) -> list[bytes]:
@@ -340,7 +340,7 @@ class Access:
         if found is None:
             return self._anchor.domain, name
         label, origin = found
-        listed = self.standing.anchors.listed(label)
+        listed = self.trust_status.anchors.listed(label)
         if listed is None and right & MESSAGE_RIGHTS:
             raise NotAdmitted(
                 f"{shown(name)}: no domain is called {label} here",
@@ -356,7 +356,7 @@ class Access:
 
     def check_peer(self, peer: Identity, now: int) -> None:
         """Raise a `CAError` when `peer` is revoked, not trusted any more, or this is not known."""
-        self.standing.check_peer(peer, now)
+        self.trust_status.check_peer(peer, now)
 
     def authorize(
         self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int

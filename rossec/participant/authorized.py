@@ -16,7 +16,7 @@ from ca.certificates import Identity
 from ca.encoding import encode
 from ca.errors import HintedError, NotAdmitted, RevocationsStale, Revoked
 from ca.names import alias_of_served, shown, split_alias
-from ca.revocation.trust_status import Standing
+from ca.revocation.trust_status import TrustStatus
 from grants.decision import Decision
 from grants.guard import MemoryScope, MemoryStore
 from grants.limits import TokenBucket
@@ -118,7 +118,7 @@ class AuthorizedConnection(Generic[StreamT, GuardT]):
         self.decision = decision
         self.update_end()
 
-    def termination_reason(self, standing: Standing, now: int) -> str | None:
+    def termination_reason(self, trust_status: TrustStatus, now: int) -> str | None:
         """Why it must be closed now; None while it may stay open.
 
         The peer's keys count on the own list and on that of its domain; the grants' entries also on
@@ -130,44 +130,44 @@ class AuthorizedConnection(Generic[StreamT, GuardT]):
             return "its grant or its certificate has expired"
         # What ends it when revoked, with the domain whose list says so.
         peer = self.stream.peer
-        of_peer = dict.fromkeys((standing.anchors.own.domain, peer.domain))
+        of_peer = dict.fromkeys((trust_status.anchors.own.domain, peer.domain))
         of_grants = of_peer | dict.fromkeys(grant.domain for grant in self.decision.grants)
         entries = [*product(of_peer, peer.keys), *product(of_grants, self.decision.grant_ids)]
-        errors = {(domain, entry): _error_of(domain, entry, standing, now) for domain, entry in entries}
+        errors = {(domain, entry): _error_of(domain, entry, trust_status, now) for domain, entry in entries}
         for error in errors.values():  # all of them before staleness, which the first may have too
             if isinstance(error, Revoked | NotAdmitted):
                 return str(error)
         try:
-            standing.check_trust(peer, now)
-            _check_label(self.decision, standing)
+            trust_status.check_trust(peer, now)
+            _check_label(self.decision, trust_status)
         except NotAdmitted as error:
             return str(error)
         if self.decision.keep_when_stale:
             return None
         for entry, stale in errors.items():
-            if stale is not None and now >= standing.status_valid_until(*entry) + STALE_GRACE:
+            if stale is not None and now >= trust_status.status_valid_until(*entry) + STALE_GRACE:
                 return str(stale)
         return None
 
 
 def _error_of(
-    domain: str, entry: bytes, standing: Standing, now: int
+    domain: str, entry: bytes, trust_status: TrustStatus, now: int
 ) -> Revoked | NotAdmitted | RevocationsStale | None:
     try:
-        standing.check(domain, entry, now)
+        trust_status.check(domain, entry, now)
     except (Revoked, NotAdmitted, RevocationsStale) as error:
         return error
     return None
 
 
-def _check_label(decision: Decision, standing: Standing) -> None:
+def _check_label(decision: Decision, trust_status: TrustStatus) -> None:
     # What a gateway serves is of the own domain's grants, and ends with the label. Whose label it is then,
     # the gateway's own connections to the origin have been cut for.
     served = alias_of_served(decision.name)
     found = split_alias(decision.name if served is None else served)
     if found is None:
         return
-    listed = standing.anchors.listed(found[0])
+    listed = trust_status.anchors.listed(found[0])
     if served is not None and listed is not None:
         return
     domain = None if listed is None else listed.entry.domain

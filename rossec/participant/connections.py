@@ -17,7 +17,7 @@ from typing import Any, Final, Generic, NamedTuple, TypeVar
 from ca.certificates import Identity
 from ca.errors import NotAdmitted
 from ca.names import is_alias, shown
-from ca.revocation.trust_status import Standing
+from ca.revocation.trust_status import TrustStatus
 from rossec import clock
 from rossec.errors import ChannelClosed, ConnectionHeaderRefused, LimitExceeded
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
@@ -53,17 +53,17 @@ class _Accepted(NamedTuple):
 
 
 class ConnectionTable(Generic[StreamT]):
-    """The connections of one identity; `lock` is held while `standing` is read, if threads share it."""
+    """The connections of one identity; `lock` is held while `trust_status` is read, if threads share it."""
 
     def __init__(
         self,
-        standing: Standing,
+        trust_status: TrustStatus,
         lock: AbstractContextManager[object] = nullcontext(),  # noqa: B008 - has no state
         most: int | None = None,  # connections of one peer (N8); None: `PEER_CONNECTIONS`
         master: str = MASTER,  # which may have more
     ) -> None:
-        self._standing = standing
-        self._standing_lock = lock
+        self._trust_status = trust_status
+        self._trust_status_lock = lock
         self._most = most
         self._master = master
         self._lock = Lock()  # never held together with the other one
@@ -176,8 +176,8 @@ class ConnectionTable(Generic[StreamT]):
 
     def check(self, connection: AuthorizedConnection[StreamT, Any]) -> None:
         now = clock.now()
-        with self._standing_lock:
-            reason = connection.termination_reason(self._standing, now)
+        with self._trust_status_lock:
+            reason = connection.termination_reason(self._trust_status, now)
         if self._closed is None and (reason is None or self._continues(connection, now)):
             return
         reason = self._closed or reason or ""
@@ -191,8 +191,8 @@ class ConnectionTable(Generic[StreamT]):
         connections = tuple(self)
         with self._lock:
             accepted = tuple(self._accepted.values())
-        with self._standing_lock:
-            ended = [(each, each.termination_reason(self._standing, now)) for each in connections]
+        with self._trust_status_lock:
+            ended = [(each, each.termination_reason(self._trust_status, now)) for each in connections]
             refused = [(each, self._refusal(each.peer, now)) for each in accepted]
         # No lock is held from here on: an abort runs callbacks that take it.
         for connection, reason in ended:
@@ -212,17 +212,17 @@ class ConnectionTable(Generic[StreamT]):
         # Whether a connection that must end goes on with what its peer presented meanwhile.
         if self.renewed is None or not self.renewed.continues(connection, now):
             return False
-        with self._standing_lock:
-            return connection.termination_reason(self._standing, now) is None
+        with self._trust_status_lock:
+            return connection.termination_reason(self._trust_status, now) is None
 
     def _refusal(self, peer: Identity | str, now: int) -> str | None:
         if isinstance(peer, str):
             return None
-        domains = dict.fromkeys((self._standing.anchors.own.domain, peer.domain))
-        if not all(self._standing.revoked(each).isdisjoint(peer.keys) for each in domains):
+        domains = dict.fromkeys((self._trust_status.anchors.own.domain, peer.domain))
+        if not all(self._trust_status.revoked(each).isdisjoint(peer.keys) for each in domains):
             return "the peer's identity is revoked"
         try:
-            self._standing.check_trust(peer, now)
+            self._trust_status.check_trust(peer, now)
         except NotAdmitted as error:
             return str(error)
         return None
@@ -374,7 +374,7 @@ class Dialer:
                 raise ConnectionHeaderRefused(
                     f"{shown(stream.peer.name)} offers no connection for {shown(topic)}"
                 )
-        address = api if names.is_door(uri) else named
+        address = api if names.is_forwarded_port(uri) else named
         self._own_addresses.check_redirect(api, address)
         stream = await self._connect(*address, WireProtocol.TCPROS)
         self._check_identity(stream)

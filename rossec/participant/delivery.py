@@ -1,7 +1,7 @@
-"""How a subscriber is sent messages: its wishes, the latched message, and what is said of withheld ones.
+"""How a subscriber is sent messages: its options, the latched message, and what is said of withheld ones.
 
-Fields of the connection header (docs/spec/transport.md section 2.1): the subscriber's say what it wishes, the
-answer's what this publisher carries out; one that knows none ignores them all. A wish never gives more than
+Fields of the connection header (docs/spec/transport.md section 2.1): the subscriber's say what it asks for, the
+answer's what this publisher carries out; one that knows none ignores them all. A delivery option never gives more than
 the grant: guards come first, and what they let through is thinned out, kept back or made smaller; what is
 filtered or withheld is never deflated. What programs write into these fields is not passed on: an agent that
 forwards bytes could not read what came of it.
@@ -65,8 +65,8 @@ Data = TypeVar("Data", bytes, memoryview)
 
 
 @dataclass(frozen=True)
-class Wishes:
-    """The wishes for one connection; false if there are none."""
+class DeliveryOptions:
+    """The options for one connection; false if there are none."""
 
     rate: float | None = None  # messages a second at most, 0.001 to 10000, to three decimals; None: all
     newest: bool = False  # of the messages that wait for a slow line only the newest is sent
@@ -82,7 +82,7 @@ class Wishes:
         object.__setattr__(self, "rate", round(float(self.rate), 3))
 
     def __bool__(self) -> bool:
-        return self != NO_WISHES
+        return self != NO_OPTIONS
 
     @property
     def fields(self) -> Fields:
@@ -91,12 +91,12 @@ class Wishes:
         return found | ({DEFLATE: _YES} if self.deflate else {})
 
 
-NO_WISHES: Final = Wishes()
+NO_OPTIONS: Final = DeliveryOptions()
 
 
-def requested_wishes(fields: Mapping[str, bytes]) -> Wishes:
+def requested_options(fields: Mapping[str, bytes]) -> DeliveryOptions:
     if _FIELDS.isdisjoint(fields):
-        return NO_WISHES
+        return NO_OPTIONS
     value, rate = fields.get(RATE), None
     if value is not None:
         if not _RATE.fullmatch(value) or not _LOWEST <= float(value) <= _HIGHEST:
@@ -104,10 +104,10 @@ def requested_wishes(fields: Mapping[str, bytes]) -> Wishes:
                 f"the connection header's {RATE!r} is no rate", f"it is a decimal, {_LOWEST} to {_HIGHEST}"
             )
         rate = float(value)
-    return Wishes(rate, _is_set(fields, NEWEST), _is_set(fields, DEFLATE))
+    return DeliveryOptions(rate, _is_set(fields, NEWEST), _is_set(fields, DEFLATE))
 
 
-def carried_out(wishes: Wishes, decision: Decision) -> Wishes:
+def carried_out(options: DeliveryOptions, decision: Decision) -> DeliveryOptions:
     """What a publisher carries out for a right: nothing filtered, withheld or padded is deflated.
 
     Encryption leaves the length of a message visible. That of a filtered one has few values, and
@@ -115,27 +115,27 @@ def carried_out(wishes: Wishes, decision: Decision) -> Wishes:
     """
     restrictions = decision.restrictions
     if any(each.filters or each.conditions or each.slot or each.pad for each in restrictions):
-        return replace(wishes, deflate=False)
-    return wishes
+        return replace(options, deflate=False)
+    return options
 
 
-def check_carried_out(wishes: Wishes, decision: Decision) -> None:
-    """Return if the wishes that are carried out on a connection may be under another decision."""
-    if carried_out(wishes, decision) != wishes:
+def check_carried_out(options: DeliveryOptions, decision: Decision) -> None:
+    """Return if the options that are carried out on a connection may be under another decision."""
+    if carried_out(options, decision) != options:
         raise ConnectionHeaderRefused("messages that are filtered now were to be sent deflated")
 
 
-def taken_wishes(answer: Mapping[str, bytes], asked: Wishes) -> Wishes:
+def accepted_options(answer: Mapping[str, bytes], asked: DeliveryOptions) -> DeliveryOptions:
     """What the publisher with this answer carries out: those that were asked, or some of them."""
-    taken = requested_wishes(answer)
+    taken = requested_options(answer)
     if taken.rate not in (None, asked.rate) or taken.newest > asked.newest:
-        raise ConnectionHeaderRefused("the publisher answers another wish than it was asked")
+        raise ConnectionHeaderRefused("the publisher answers another delivery option than it was asked")
     if taken.deflate > asked.deflate:
         raise ConnectionHeaderRefused("the publisher deflates messages, and was not asked to")
     return taken
 
 
-def without_wishes(fields: Mapping[str, bytes]) -> Fields:
+def without_options(fields: Mapping[str, bytes]) -> Fields:
     return {key: value for key, value in fields.items() if key not in _FIELDS}
 
 
@@ -146,7 +146,7 @@ def _is_set(fields: Mapping[str, bytes], key: str) -> bool:
     return value is not None
 
 
-class WishedRate:
+class RequestedRate:
     """Admits `rate` messages a second on average, and never more than two at once.
 
     Not the rate of a grant, which is a limit and belongs to the holder's key (`grants.guard`): this one
@@ -253,8 +253,8 @@ class SharedDeflation:
         return last
 
 
-class WishedQueue:
-    """What waits for one subscriber with `wishes`: thinned out, the newest only, deflated.
+class DeliveryQueue:
+    """What waits for one subscriber with `options`: thinned out, the newest only, deflated.
 
     What comes here has passed the guard. `most`: how many messages wait; None: whoever fills it asks `lags`,
     or waits until it is `idle`.
@@ -263,23 +263,23 @@ class WishedQueue:
     def __init__(
         self,
         stream: SecureStream[Identity],
-        wishes: Wishes,
+        options: DeliveryOptions,
         most: int | None = None,
         deflation: SharedDeflation | None = None,
     ) -> None:
-        self.newest = wishes.newest
+        self.newest = options.newest
         self.withheld = self.dropped = 0
         self.thinned = 0  # messages that the rate took away
         self._stream = stream
-        self._deflate = wishes.deflate
+        self._deflate = options.deflate
         self._deflation = SharedDeflation() if deflation is None else deflation
-        self._rate = None if wishes.rate is None else WishedRate(wishes.rate)
-        self._most = 1 if wishes.newest else most
+        self._rate = None if options.rate is None else RequestedRate(options.rate)
+        self._most = 1 if options.newest else most
         self._held = 0  # bytes that wait
         self._queue: deque[Deflatable] = deque()
         self._wake, self._idle = asyncio.Event(), asyncio.Event()
         self._idle.set()
-        if wishes.newest:
+        if options.newest:
             stream.transport.limit_unsent()
 
     @property

@@ -21,7 +21,7 @@ from ca.certificates import Identity
 from ca.errors import CAError, HintedError, RevocationsStale
 from ca.names import shown
 from ca.revocation.lists import digest
-from ca.revocation.trust_status import Standing
+from ca.revocation.trust_status import TrustStatus
 from grants import document
 from grants.errors import GrantError, GrantExpired, GrantNotHeld
 from grants.token import peek
@@ -117,9 +117,9 @@ class GrantDelivery:
     """
 
     def __init__(
-        self, standing: Standing, holder: bytes, access: HeldGrants, directory: GrantDirectory
+        self, trust_status: TrustStatus, holder: bytes, access: HeldGrants, directory: GrantDirectory
     ) -> None:
-        self._standing = standing
+        self._trust_status = trust_status
         self._holder = holder
         self._access = access
         self._directory = directory
@@ -196,14 +196,14 @@ class GrantDelivery:
         # Verify a grant; one that is not valid yet, or may be renewed, is taken too.
         domain = document.peek(data).domain
         # Whose key it must be signed by: the domain that it names only selects one of those trusted here.
-        listed = self._standing.anchors.listed_domain(domain)
-        anchor = self._standing.anchors.own if listed is None else listed.anchor
+        listed = self._trust_status.anchors.listed_domain(domain)
+        anchor = self._trust_status.anchors.own if listed is None else listed.anchor
         grant = document.verify(data, anchor.public_key, domain=anchor.domain)
         if grant.holder != self._holder:
             raise GrantNotHeld("the grant is bound to another key", f"it is for {grant.subject}")
         if now >= grant.cap:
             raise GrantExpired(f"the grant {grant.short_id} has expired")
-        if grant.id in self._standing.own.entries | self._standing.revoked(grant.domain):
+        if grant.id in self._trust_status.own.entries | self._trust_status.revoked(grant.domain):
             raise GrantError(f"the grant {grant.short_id} is revoked")
 
 
@@ -272,19 +272,19 @@ class DomainUpdates:
     The list is fetched at each beginning of a session and with each heartbeat, the revocations of a foreign
     domain when its peers or grants are here, and of the others often enough that a new peer finds them fresh;
     both are pushed besides. `changed` is called after each that was taken, to cut what it ends: with whether
-    it says anything new, so that what was refused may be tried again. `lock` is held while `standing` is
+    it says anything new, so that what was refused may be tried again. `lock` is held while `trust_status` is
     changed, if threads share it.
     """
 
     def __init__(
         self,
-        standing: Standing,
+        trust_status: TrustStatus,
         files: DomainFiles,
         changed: Callable[[bool], None],
         in_use: Callable[[], Iterable[str]],  # the foreign domains of which there are peers or grants here
         lock: AbstractContextManager[object] = nullcontext(),  # noqa: B008 - has no state
     ) -> None:
-        self._standing = standing
+        self._trust_status = trust_status
         self._files = files
         self._changed = changed
         self._in_use = in_use
@@ -296,12 +296,12 @@ class DomainUpdates:
     # -- what the master pushes, or answers
 
     def take_domains(self, data: bytes) -> bool:
-        anchors = self._standing.anchors
+        anchors = self._trust_status.anchors
         with self._lock:
             if data == anchors.data:
                 return False
             anchors.update(data, self._files.save_domains)
-            self._files.restore(self._standing, clock.now())
+            self._files.restore(self._trust_status, clock.now())
             self._wanted = {each.entry.domain for each in anchors.all_listed}
         self._changed(True)
         return True
@@ -312,12 +312,12 @@ class DomainUpdates:
         certificates = [item for item in chain if isinstance(item, bytes)]
         if len(certificates) != len(chain) or len(chain) > MAX_CHAIN:
             raise AnswerMalformed("the chain of a foreign master is not a list of certificates")
-        listed = self._standing.anchors.listed_domain(domain)
+        listed = self._trust_status.anchors.listed_domain(domain)
         persist = None if listed is None else partial(self._files.save_foreign, listed.anchor)
         now, before = clock.now(), self._state(domain)
         try:
             with self._lock:
-                self._standing.take_foreign(domain, revocations, timestamp, certificates, now, persist)
+                self._trust_status.take_foreign(domain, revocations, timestamp, certificates, now, persist)
         finally:
             self._changed(self._state(domain) != before)
 
@@ -325,8 +325,8 @@ class DomainUpdates:
 
     async def session_opened(self, call: MasterCall) -> None:
         self._supported = True
-        self._wanted = {each.entry.domain for each in self._standing.anchors.all_listed}
-        if await self._fetch_domains(call) and self._standing.anchors.data:
+        self._wanted = {each.entry.domain for each in self._trust_status.anchors.all_listed}
+        if await self._fetch_domains(call) and self._trust_status.anchors.data:
             with contextlib.suppress(Fault, AnswerRefused):
                 if await call(DOMAINS, digest(b"")) == b"":  # it has none at all
                     await self._send(call)
@@ -342,12 +342,12 @@ class DomainUpdates:
         # refused, and the master may receive its first list a moment after this node asked.
         self._wanted |= {
             each.entry.domain
-            for each in self._standing.anchors.all_listed
-            if (held := self._standing.foreign(each.entry.domain)) is None or held.current is None
+            for each in self._trust_status.anchors.all_listed
+            if (held := self._trust_status.foreign(each.entry.domain)) is None or held.current is None
         }
         while self._wanted and self._supported:
             await self._fetch_foreign(call, self._wanted.pop())
-        for listed in self._standing.anchors.all_listed:
+        for listed in self._trust_status.anchors.all_listed:
             if self._supported and await self._prove(call, listed.entry.domain):
                 await self._fetch_foreign(call, listed.entry.domain)
 
@@ -355,7 +355,7 @@ class DomainUpdates:
         if not self._supported:
             return False
         try:
-            answer = await call(DOMAINS, digest(self._standing.anchors.data))
+            answer = await call(DOMAINS, digest(self._trust_status.anchors.data))
         except (Fault, AnswerRefused) as error:
             if is_unknown_method(error):
                 _log.debug("the master knows no domains: %s", printable(error))
@@ -377,7 +377,7 @@ class DomainUpdates:
         return False
 
     async def _send(self, call: MasterCall) -> None:
-        held = self._standing.anchors.data
+        held = self._trust_status.anchors.data
         try:
             newer = bool(held) and await call(UPDATE_DOMAINS, held) == 1
         except (Fault, AnswerRefused) as error:
@@ -390,7 +390,7 @@ class DomainUpdates:
             )
 
     async def _fetch_foreign(self, call: MasterCall, domain: str) -> None:
-        held = self._standing.foreign(domain)
+        held = self._trust_status.foreign(domain)
         if held is None:
             return
         try:
@@ -404,7 +404,7 @@ class DomainUpdates:
             self._warn(domain, error)
 
     async def _prove(self, call: MasterCall, domain: str) -> bool:
-        held = self._standing.foreign(domain)
+        held = self._trust_status.foreign(domain)
         wanted = [] if held is None else held.unproved[:MAX_PROOFS_PER_CALL]
         if held is None or not wanted:
             return False
@@ -424,14 +424,14 @@ class DomainUpdates:
 
     def _state(self, domain: str) -> tuple[bytes, bool]:
         with self._lock:
-            held = self._standing.foreign(domain)
+            held = self._trust_status.foreign(domain)
             return (b"", False) if held is None else (held.data, held.fresh_until >= clock.now())
 
     def _due(self, now: int) -> set[str]:
-        listed = {each.entry.domain: each.entry for each in self._standing.anchors.all_listed}
+        listed = {each.entry.domain: each.entry for each in self._trust_status.anchors.all_listed}
         due = listed.keys() & set(self._in_use())
         for domain, entry in listed.items():
-            held = self._standing.foreign(domain)
+            held = self._trust_status.foreign(domain)
             if held is None or held.fresh_until - now < entry.fresh // 2:
                 due.add(domain)
         return due

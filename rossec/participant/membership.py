@@ -220,7 +220,7 @@ class LoadedIdentity:
         self.revocations = saved_revocations(home, self.anchor, clock.now())
         self.domain_files = DomainFiles(home, self.anchor)
         self.anchors = self.domain_files.anchors()
-        self.standing = self.domain_files.standing(self.anchors, self.revocations, clock.now())
+        self.trust_status = self.domain_files.trust_status(self.anchors, self.revocations, clock.now())
 
 
 class MembershipAccess(HeldGrants, HandshakeAccess, Provable, Protocol):
@@ -250,7 +250,7 @@ class MembershipHooks(Protocol):
 
 
 class Membership:
-    """Keeps one identity connected to the master. `lock` is held while `identity.standing` is changed, if
+    """Keeps one identity connected to the master. `lock` is held while `identity.trust_status` is changed, if
     threads share it; then `access` has a lock, too."""
 
     def __init__(
@@ -270,10 +270,10 @@ class Membership:
         self._grant_directory = GrantDirectory(identity.home, access)
         self._grant_directory.take_new()
         self._delivery = GrantDelivery(
-            identity.standing, identity.identity.thumbprint, access, self._grant_directory
+            identity.trust_status, identity.identity.thumbprint, access, self._grant_directory
         )
         self.domains = DomainUpdates(
-            identity.standing,
+            identity.trust_status,
             identity.domain_files,
             self._domains_changed,
             lambda: access.foreign_domains | connections.domains,

@@ -37,14 +37,14 @@ _NUMBERED: Final = """
 getParam setParam hasParam registerPublisher registerSubscriber registerService unregisterPublisher
 unregisterSubscriber unregisterService lookupNode lookupService getSystemState publisherUpdate
 paramUpdate requestTopic rossec.presentGrants rossec.revocationUpdate rossec.revocationsSince
-rossec.watchGraph rossec.watchGrants rossec.followSite rossec.relayDoors getPid getUri
+rossec.watchGraph rossec.watchGrants rossec.followSite rossec.relayForwardedPorts getPid getUri
 getPublishedTopics getTopicTypes getParamNames searchParam deleteParam subscribeParam
 unsubscribeParam shutdown system.multicall getName getMasterUri getBusStats getBusInfo
 getSubscriptions getPublications rossec.renewGrants rossec.renewIdentity rossec.updateDelegation
 rossec.revocations rossec.updateRevocations rossec.updateRevocationTree rossec.revocationEntries
 rossec.revocationProofs rossec.domains rossec.updateDomains rossec.foreignRevocations
 rossec.foreignRevocationProofs rossec.trl rossec.relayTarget rossec.depositGrants
-rossec.deliveryStates rossec.revocationStanding rossec.recentDenials rossec.fetchGrants
+rossec.deliveryStates rossec.revocationStatus rossec.recentDenials rossec.fetchGrants
 rossec.domainsUpdate rossec.foreignRevocationUpdate rossec.ports
 """
 METHODS: Final = tuple(_NUMBERED.split())

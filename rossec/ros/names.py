@@ -24,7 +24,7 @@ MASTER: Final = names.MASTER  # the name a domain's first master is certified fo
 AUTHORITY: Final = "/ca"  # the name the authority's own node is certified for
 DEFAULT_MASTER_URI: Final = "http://localhost:11311"
 DEFAULT_PORT: Final = 11311
-DOOR_PATH: Final = "/via"  # of a slave API's URI that a relay serves
+FORWARDED_PORT_PATH: Final = "/via"  # of a slave API's URI that a relay serves
 _ASSIGN: Final = ":="
 _SPECIAL: Final = frozenset({"__name", "__ns", "__master", "__ip", "__hostname", "__log"})
 PRESENT_GRANTS: Final = "rossec.presentGrants"  # to the master, and to the slave API of a node
@@ -36,7 +36,7 @@ FOREIGN_PROOFS: Final = "rossec.foreignRevocationProofs"
 RENEW_IDENTITY: Final = "rossec.renewIdentity"
 WATCH_RENEWALS: Final = "rossec.watchRenewals"  # to the master, from the authority's service
 SETTLE_RENEWALS: Final = "rossec.settleRenewals"
-RELAY_DOORS: Final = "rossec.relayDoors"  # to the master, from a relay
+RELAY_FORWARDED_PORTS: Final = "rossec.relayForwardedPorts"  # to the master, from a relay
 RELAY_TARGET: Final = "rossec.relayTarget"
 PORTS: Final = "rossec.ports"  # from a relay to a node
 DOMAINS_UPDATE: Final = "rossec.domainsUpdate"  # from the master to a node
@@ -182,19 +182,19 @@ def build_uri(host: str, port: int, *, scheme: str = "http") -> str:
     return f"{scheme}://[{host}]:{port}/" if ":" in host else f"{scheme}://{host}:{port}/"
 
 
-def is_door(uri: str) -> bool:
-    # Whether a slave API's URI is a relay's door: `http://host:port/via`. At a door the node's TCPROS
+def is_forwarded_port(uri: str) -> bool:
+    # Whether a slave API's URI is a relay's forwarded port: `http://host:port/via`. At a forwarded port the node's TCPROS
     # connections are accepted too, so the address in its answer to `requestTopic` is not used: it is one of
     # the node's own network.
     try:
-        return urlsplit(uri).path == DOOR_PATH
+        return urlsplit(uri).path == FORWARDED_PORT_PATH
     except ValueError:
         return False
 
 
-def build_door(host: str, port: int) -> str:
-    """The URI of the door of a node, that `is_door` recognizes."""
-    return build_uri(host, port).removesuffix("/") + DOOR_PATH
+def build_forwarded_port(host: str, port: int) -> str:
+    """The URI of the forwarded port of a node, that `is_forwarded_port` recognizes."""
+    return build_uri(host, port).removesuffix("/") + FORWARDED_PORT_PATH
 
 
 def is_loopback(host: str) -> bool:

@@ -201,10 +201,10 @@ class CommandExecutor:
 
     def _no_answer(self, remote: layers.ListeningAddress) -> int:
         # The port of a peer that does not answer: it refuses callers, as that of a dead node.
-        # One behind a door may be out of reach for a while, and programs that were refused never try again:
+        # One behind a forwarded port may be out of reach for a while, and programs that were refused never try again:
         # they are admitted and hung up on.
         services = self._services
-        return services.open_egress(remote) if remote.door else services.refuse_egress(remote)
+        return services.open_egress(remote) if remote.forwarded_port else services.refuse_egress(remote)
 
     async def _client_of_peer(self, remote: layers.ListeningAddress, right: Right | None) -> SlaveApiClient:
         if self._peer_client is None or not self._peer_client.usable:

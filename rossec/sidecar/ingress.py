@@ -27,7 +27,7 @@ from rossec.participant.access import Access
 from rossec.participant.authorized import AuthorizedConnection, memory_scope
 from rossec.participant.connections import ConnectionTable, serve_peer
 from rossec.participant.definitions import FilterKey
-from rossec.participant.delivery import WishedQueue
+from rossec.participant.delivery import DeliveryQueue
 from rossec.ros import names, tcpros
 from rossec.ros.names import SIGNED_UPDATES, is_loopback
 from rossec.ros.tcpros import MESSAGE_LIMIT
@@ -245,11 +245,11 @@ class Ingress:
                     await pump.exchange(program, stream, after_answer, after_request)
                 elif after_request:
                     _log.warning("%s sends data where it subscribes", peer)
-                elif admitted.wishes:
-                    sender = WishedQueue(stream, admitted.wishes)
+                elif admitted.options:
+                    sender = DeliveryQueue(stream, admitted.options)
                     if initial:
                         sender.enqueue(initial)
-                    await pump.publish_as_wished(program, stream, guard, after_answer, sender)
+                    await pump.publish_by_options(program, stream, guard, after_answer, sender)
                 else:
                     if initial:
                         await stream.send(*pump.framed(initial))

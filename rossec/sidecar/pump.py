@@ -20,7 +20,7 @@ from rossec.errors import ChannelClosed, ConnectionHeaderRefused, HeaderRefused
 from rossec.net.aio import SecureStream
 from rossec.net.aio.stream import next_messages
 from rossec.participant import delivery
-from rossec.participant.delivery import WishedQueue
+from rossec.participant.delivery import DeliveryQueue
 from rossec.participant.handshakes import Fields
 from rossec.ros import tcpros
 from rossec.ros.tcpros import MESSAGE_LIMIT, FrameReader, Framing
@@ -170,21 +170,21 @@ async def run_both(
         peer.abort("the other end was closed")
 
 
-async def publish_as_wished(
+async def publish_by_options(
     program: PlainStream,
     peer: SecureStream[Identity],
     guard: MessageGuard | None,
     initial: bytes,
-    sender: WishedQueue,
+    sender: DeliveryQueue,
 ) -> None:
-    forwarding = forward_as_wished(program, shown(peer.peer.name), guard, initial, sender)
+    forwarding = forward_by_options(program, shown(peer.peer.name), guard, initial, sender)
     await run_both(program, peer, forwarding, sender.run(), expect_no_data(peer))
 
 
-async def forward_as_wished(
-    program: PlainStream, peer: str, guard: MessageGuard | None, initial: bytes, sender: WishedQueue
+async def forward_by_options(
+    program: PlainStream, peer: str, guard: MessageGuard | None, initial: bytes, sender: DeliveryQueue
 ) -> None:
-    # The guard comes first, as without wishes: if it keeps state, or only the newest message is wished,
+    # The guard comes first, as without options: if it keeps state, or only the newest message is requested,
     # messages are checked as they come, and a peer that lags misses some; else it slows the program down.
     # What the program sent before it closed is delivered.
     framing = Framing(FrameReader())

@@ -134,7 +134,7 @@ class Agent:
     ) -> None:
         self.home, self.callers, self._settings = home, callers, settings
         loaded = LoadedIdentity(home, home.name, master_name)
-        access = Access(loaded.standing, master=master_name)
+        access = Access(loaded.trust_status, master=master_name)
         endpoints = EndpointMap(settings.address or "", callers.loopback.host)
         publisher_grace = PublisherGrace(clock.counter())
         self.state = AgentState(loaded.identity, access, endpoints, master_uri, known_type, publisher_grace)
@@ -149,7 +149,7 @@ class Agent:
         )
         self._connector = PeerConnector(context, access)
         self._connections: ConnectionTable[SecureStream[Identity]] = ConnectionTable(
-            loaded.standing, master=master_name
+            loaded.trust_status, master=master_name
         )
         self._membership = Membership(loaded, access, self._connections, publisher_grace, self)
         self._resubscriber = Resubscriber(self, self.state)

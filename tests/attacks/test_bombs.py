@@ -89,7 +89,7 @@ CONFIGURATIONS = {
     "5,000 brackets on 5,000 lines": "port: " + "[\n" * 5000,
     "a directive": "%YAML 1.1\n---\nport: 1",
     "two documents": "port: 1\n---\nport: 2",
-    "an escape of nothing": 'complaints: "a\\0b"',
+    "an escape of nothing": 'denial_log: "a\\0b"',
     "a bare carriage return in a key": '"a\\rb": 1',
     "an alias of nothing": "port: *nowhere",
 }

@@ -47,7 +47,7 @@ async def test_only_the_authoritys_own_node_learns_who_was_denied_and_who_lags(
     """Names of other nodes, and what they tried: each right of the domain is not enough."""
     below(site, AUTHORITY)
     async with caller(site, EVE, {"/**": Right(255)}) as eve, authority(site) as false:
-        for method in ("rossec.recentDenials", "rossec.revocationStanding"):
+        for method in ("rossec.recentDenials", "rossec.revocationStatus"):
             assert ONLY in await eve.refused(method)
             assert "cannot act as another" in refusal(await eve.lie(method, AUTHORITY))
             assert ONLY in await false.refused(method)

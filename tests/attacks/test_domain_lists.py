@@ -1,13 +1,13 @@
-"""Who tries to be trusted as another domain: by a card, an old list, a label that was left."""
+"""Who tries to be trusted as another domain: by a bundle, an old list, a label that was left."""
 
 import dataclasses
 from pathlib import Path
 
 import pytest
 
-from ca.domains.trust import CARD, Anchors, open_card, sign_domains
-from ca.enrollment.qr import card_code, check_code
-from ca.errors import CardRefused, DomainsRefused, LogDamaged, StoreError
+from ca.domains.trust import TRUST_BUNDLE, Anchors, open_bundle, sign_domains
+from ca.enrollment.qr import bundle_code, check_code
+from ca.errors import BundleRefused, DomainsRefused, LogDamaged, StoreError
 from ca.keys.signing import KeySigner
 from ca.store.record import Store
 from grants.model import Draft, Permission, Right
@@ -19,29 +19,29 @@ from tests.support.domains import domains, foreign
 from tests.support.pki import DAY, NOW, Site
 
 
-def card_of(site: Site, signer: Site | None = None) -> bytes:
-    """A card for the root of `site`, by the key of `signer`, whatever a card should be."""
-    return CARD.sign(
+def bundle_of(site: Site, signer: Site | None = None) -> bytes:
+    """A bundle for the root of `site`, by the key of `signer`, whatever a bundle should be."""
+    return TRUST_BUNDLE.sign(
         KeySigner((signer or site).key), {4: NOW + 7 * DAY, 6: NOW, -70037: site.root, -70038: ["/**"]}
     )
 
 
-@pytest.mark.attack("foreign-card")
-def test_a_card_that_another_has_made_or_changed() -> None:
+@pytest.mark.attack("foreign-bundle")
+def test_a_bundle_that_another_has_made_or_changed() -> None:
     hospital, mallory = Site.create("hospital"), Site.create("hospital")
-    genuine = card_of(hospital)
-    with pytest.raises(CardRefused, match="does not verify"):
-        open_card(card_of(hospital, mallory), NOW)
-    swapped = card_of(mallory)
-    with pytest.raises(CardRefused, match="does not fit the code"):
-        check_code(card_code(genuine), swapped)
-    assert open_card(swapped, NOW).anchor.thumbprint != open_card(genuine, NOW).anchor.thumbprint
-    with pytest.raises(CardRefused, match="expired"):
-        open_card(genuine, NOW + 7 * DAY)
+    genuine = bundle_of(hospital)
+    with pytest.raises(BundleRefused, match="does not verify"):
+        open_bundle(bundle_of(hospital, mallory), NOW)
+    swapped = bundle_of(mallory)
+    with pytest.raises(BundleRefused, match="does not fit the code"):
+        check_code(bundle_code(genuine), swapped)
+    assert open_bundle(swapped, NOW).anchor.thumbprint != open_bundle(genuine, NOW).anchor.thumbprint
+    with pytest.raises(BundleRefused, match="expired"):
+        open_bundle(genuine, NOW + 7 * DAY)
     for wide in (["/**"] * 17, [], ["/a*"]):
-        with pytest.raises(CardRefused):
-            open_card(
-                CARD.sign(
+        with pytest.raises(BundleRefused):
+            open_bundle(
+                TRUST_BUNDLE.sign(
                     KeySigner(hospital.key), {4: NOW + DAY, 6: NOW, -70037: hospital.root, -70038: [*wide]}
                 ),
                 NOW,

@@ -25,7 +25,7 @@ OURS: dict[str, tuple[object, ...]] = {
     "rossec.foreignRevocationProofs": (HOSPITAL, []),
     "rossec.depositGrants": ([],),
     "rossec.deliveryStates": ([],),
-    "rossec.revocationStanding": (),
+    "rossec.revocationStatus": (),
     "rossec.recentDenials": (),
     "rossec.watchRenewals": (0,),
     "rossec.settleRenewals": ([],),

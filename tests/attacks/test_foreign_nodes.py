@@ -62,7 +62,7 @@ class Visitor:
 
     @property
     def held(self) -> bytes:
-        found = self.witness.robot._membership._identity.standing.foreign(DOMAIN)
+        found = self.witness.robot._membership._identity.trust_status.foreign(DOMAIN)
         return b"" if found is None else found.data
 
     @property
@@ -213,7 +213,7 @@ async def test_a_list_confirmed_under_another_root_counts_for_nothing(visit: Vis
         with pytest.raises(CAError):
             robot.push_arrived("rossec.foreignRevocationUpdate", word, master)
     assert visit.witness.robot.revocations.entries == frozenset()
-    assert robot._membership._identity.standing.revoked(DOMAIN) == {bytes(32)}
+    assert robot._membership._identity.trust_status.revoked(DOMAIN) == {bytes(32)}
 
 
 @pytest.mark.attack("foreign-grants")

@@ -20,8 +20,8 @@ from rossec.overlay.link_frames import (
     OPEN_SIZE,
     LinkFrameKind,
     head,
+    inbox,
     kind_of,
-    mailbox,
     read,
     return_address,
     split_return_address,
@@ -190,7 +190,7 @@ def _forged_open(number: int, body: bytes) -> bytes:
 
 
 async def test_it_forges_openings_that_are_answered_to_a_victim() -> None:
-    """As anybody with a seat who knows the mailbox can."""
+    """As anybody with an account who knows the inbox can."""
     impatient = ChannelLimits(handshake_seconds=1)
     async with called(limits=impatient) as (router, bob), await dialled(router) as honest:
         _, recorded = router.sent(LinkFrameKind.OPEN)[0]
@@ -212,12 +212,12 @@ async def test_it_forges_openings_that_are_answered_to_a_victim() -> None:
         assert await echoed(honest, MESSAGE) == MESSAGE
 
 
-async def test_it_floods_a_mailbox_with_garbage() -> None:
+async def test_it_floods_a_inbox_with_garbage() -> None:
     dice = Random(7)
     async with called() as (router, bob):
         async with await dialled(router) as honest:
             link = read(router.sent(LinkFrameKind.OPEN)[0][1]).link
-            other = mailbox("ward", bytes(16))
+            other = inbox("ward", bytes(16))
             for number in range(3000):
                 router.put(BOX, dice.randbytes(dice.randrange(200)))
                 router.put(BOX, head(LinkFrameKind.PROBE, number.to_bytes(16), 0, 0, 0))

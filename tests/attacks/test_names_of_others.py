@@ -243,8 +243,8 @@ async def test_metadata_cannot_be_taken_out_or_exchanged_on_the_way(home: JoinSi
 
     def other(message: JoinMessage) -> JoinMessage:
         if isinstance(message, Join):
-            door = LAMP.replace(b"lamp", b"door")
-            return Join(message.name, message.csr, message.proof, door)
+            forwarded_port = LAMP.replace(b"lamp", b"forwarded_port")
+            return Join(message.name, message.csr, message.proof, forwarded_port)
         return Named("/fleet/door") if isinstance(message, Named) else message
 
     for change in (without, other):

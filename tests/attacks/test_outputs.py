@@ -83,7 +83,7 @@ def test_a_pipe_stays_a_pipe(shell: Shell, tmp_path: Path, words: tuple[str, ...
 @pytest.mark.parametrize("kind", ["link", "pipe", "another's"])
 def test_a_log_in_a_shared_directory(tmp_path: Path, kind: str) -> None:
     """/tmp/complaints, created before by a user who wants to read it."""
-    shared, log = tmp_path / "shared", tmp_path / "shared" / "complaints"
+    shared, log = tmp_path / "shared", tmp_path / "shared" / "denial_log"
     shared.mkdir()
     shared.chmod(0o1777)
     if kind == "link":

@@ -29,13 +29,13 @@ async def flood(eve: Caller, names: int) -> None:
 async def test_one_node_cannot_fill_the_log_of_denials(tmp_path: Path) -> None:
     """A policy is learnt from it, so one node must not displace the others."""
     site = Site(tmp_path / "site")
-    log = DenialLog(tmp_path / "complaints")
+    log = DenialLog(tmp_path / "denial_log")
     site.on_denial = log
     async with site.running(), caller(site, EVE) as eve, caller(site, ROBOT) as robot:
         await flood(eve, MAX_LINES + 2000)
         assert (await robot("getParam", "/robot/speed"))[0] == -1
     log.close()
-    lines = (tmp_path / "complaints").read_text().splitlines()
+    lines = (tmp_path / "denial_log").read_text().splitlines()
     assert [line for line in lines if "/robot/speed" in line]
     assert len(lines) < MAX_LINES + 2000
 

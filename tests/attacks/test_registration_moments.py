@@ -9,7 +9,7 @@ import pytest
 
 from grants.document import sign
 from grants.model import Draft, Permission, Restriction, Right
-from tests.rossec.master.rights.slotted import DOOR, SLOT, URI, SlottedMaster
+from tests.rossec.master.rights.slotted import FORWARDED_PORT, SLOT, URI, SlottedMaster
 from tests.rossec.master.world import World, until
 
 SECONDS = 10
@@ -55,7 +55,7 @@ def test_updates_are_sent_where_a_slot_begins() -> None:
     del master.statements.callers["/sensor"]
     master.deliver(master.registry.remove_node("/sensor"), 250)
     assert master.sent["/watcher"][2:] == [(240, [URI]), (250, [])]
-    assert DOOR not in str(master.answers(master.watcher, 251)["getPublishedTopics"])
+    assert FORWARDED_PORT not in str(master.answers(master.watcher, 251)["getPublishedTopics"])
 
 
 @pytest.mark.attack("registration-moments")
@@ -66,8 +66,8 @@ async def test_a_master_tells_in_the_next_slot() -> None:
         begin = time.time()
         shift = SECONDS - begin % SECONDS - 1.5  # a slot begins soon
         world.server.state.clock = lambda: time.time() + shift
-        sensor = await world.node("/sensor", {DOOR: Right.PUBLISH})
-        witness = await world.node("/witness", {DOOR: Right.SUBSCRIBE})
+        sensor = await world.node("/sensor", {FORWARDED_PORT: Right.PUBLISH})
+        witness = await world.node("/witness", {FORWARDED_PORT: Right.SUBSCRIBE})
         watcher = await world.node("/watcher", {"/other": Right.SUBSCRIBE})
         draft = Draft(
             domain=world.site.domain,
@@ -77,17 +77,17 @@ async def test_a_master_tells_in_the_next_slot() -> None:
             expires=world.site.now + 900,
             cap=world.site.now + 900,
             serial=secrets.token_bytes(16),
-            permissions=(Permission(DOOR, Right.SUBSCRIBE, Restriction(slot=SECONDS)),),
+            permissions=(Permission(FORWARDED_PORT, Right.SUBSCRIBE, Restriction(slot=SECONDS)),),
         )
         await watcher.ask("rossec.presentGrants", [sign(world.site.signer, draft)])
         for node in (witness, watcher):
-            assert await node.ask("registerSubscriber", DOOR, "*", node.uri) == []
+            assert await node.ask("registerSubscriber", FORWARDED_PORT, "*", node.uri) == []
         came = world.server.state.now() // SECONDS
-        await sensor.ask("registerPublisher", DOOR, "std_msgs/Bool", sensor.uri)
-        await until(lambda: witness.received_calls("publisherUpdate") == [(DOOR, [sensor.uri])])
+        await sensor.ask("registerPublisher", FORWARDED_PORT, "std_msgs/Bool", sensor.uri)
+        await until(lambda: witness.received_calls("publisherUpdate") == [(FORWARDED_PORT, [sensor.uri])])
         if world.server.state.now() // SECONDS == came:
             assert watcher.received_calls("publisherUpdate") == []
-        await until(lambda: watcher.received_calls("publisherUpdate") == [(DOOR, [sensor.uri])])
+        await until(lambda: watcher.received_calls("publisherUpdate") == [(FORWARDED_PORT, [sensor.uri])])
         assert world.server.state.now() // SECONDS > came
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from ca.certificates import Identity
 from rossec.host.addresses import source_for
-from rossec.master.state.forwarded_ports import Door, PeerWay, RelayReport, Target
+from rossec.master.state.forwarded_ports import ForwardedPort, PeerWay, RelayReport, Target
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.calls import RpcClient
 from rossec.ros.names import parse_uri
@@ -91,11 +91,13 @@ async def test_m8_the_same_calls_of_who_is_near_are_answered(world: VisitWorld) 
 
 
 @pytest.mark.attack("near-by-relay")
-async def test_m8_a_door_is_registered_by_nobody(world: VisitWorld) -> None:
-    doors, target = world.server.state.doors, Target("ward", "node", "/bed")
-    doors.want("ward", [target])
-    report = RelayReport("one", 0, {target: Door("10.0.0.7", 7001)}, {"ward": PeerWay("up", 1.0, 0, "", 0)})
-    doors.hear("/relay", report, world.server.state.now())
+async def test_m8_a_forwarded_port_is_registered_by_nobody(world: VisitWorld) -> None:
+    forwarded_ports, target = world.server.state.forwarded_ports, Target("ward", "node", "/bed")
+    forwarded_ports.want("ward", [target])
+    report = RelayReport(
+        "one", 0, {target: ForwardedPort("10.0.0.7", 7001)}, {"ward": PeerWay("up", 1.0, 0, "", 0)}
+    )
+    forwarded_ports.hear("/relay", report, world.server.state.now())
     async with caller(world, world.robot) as client:
         found = await client.call("registerPublisher", world.robot.name, "/pose", T, "http://10.0.0.7:7001/")
         assert isinstance(found, list)
@@ -104,21 +106,23 @@ async def test_m8_a_door_is_registered_by_nobody(world: VisitWorld) -> None:
 
 
 @pytest.mark.attack("near-by-relay")
-async def test_m8_a_relay_that_comes_by_a_relay_has_no_doors_and_no_targets_on_this_host(
+async def test_m8_a_relay_that_comes_by_a_relay_has_no_forwarded_ports_and_no_targets_on_this_host(
     world: VisitWorld,
 ) -> None:
     relay, robot = world.site.enroll("/relay"), world.site.enroll("/robot")
     async with caller(world, robot, relay="") as client:
         await client.ask("registerPublisher", "/robot", "/pose", T, NEAR)
-    door = ["ward", "node", "/bed", "127.0.0.1", 22]
-    world.server.state.doors.want("ward", [Target("ward", "node", "/bed")])  # answered at once
+    forwarded_port = ["ward", "node", "/bed", "127.0.0.1", 22]
+    world.server.state.forwarded_ports.want("ward", [Target("ward", "node", "/bed")])  # answered at once
     for by, code in ((RELAY, -1), ("", 1)):
         async with caller(world, relay, relay=by) as client:
             target = await client.call("rossec.relayTarget", "/relay", "", "node", "/robot")
-            doors = await client.call("rossec.relayDoors", "/relay", "one", 0, [door], {"ward": WAY})
+            forwarded_ports = await client.call(
+                "rossec.relayForwardedPorts", "/relay", "one", 0, [forwarded_port], {"ward": WAY}
+            )
             assert isinstance(target, list)
-            assert isinstance(doors, list)
-            assert (target[0], doors[0]) == (code, code)
+            assert isinstance(forwarded_ports, list)
+            assert (target[0], forwarded_ports[0]) == (code, code)
 
 
 @pytest.mark.attack("near-by-relay")

@@ -1,7 +1,7 @@
 """A relay of another domain that is admitted, and asks for more: attacks on the relay it calls.
 
 Two whole sites in one process. The attacker has the identity of the home's relay, makes links to
-the mailbox that the office told it, and writes what units it likes.
+the inbox that the office told it, and writes what units it likes.
 """
 
 import asyncio
@@ -56,7 +56,7 @@ async def sites(tmp_path: Path) -> AsyncIterator[Sites]:
 async def attacker(sites: Sites) -> AsyncIterator[Link]:
     """A link to the office, as the home's relay."""
     home, office = sites
-    link = await home.network.dial(office.relay_mailbox(home))
+    link = await home.network.dial(office.relay_inbox(home))
     try:
         yield link
     finally:
@@ -85,8 +85,8 @@ async def ends(link: Link) -> None:
 async def honest_call(sites: Sites) -> None:
     """The home's real relay is served all the while, on a link of its own."""
     home, office = sites
-    door = await home.door("office", "master", "/master")
-    client = RpcClient(await home.through(door))
+    forwarded_port = await home.forwarded_port("office", "master", "/master")
+    client = RpcClient(await home.through(forwarded_port))
     assert await client.ask("getUri", "/master") == office.master.server.uri
     await client.close()
 
@@ -254,8 +254,8 @@ BREACHES = {
 @pytest.mark.attack("relay-floods")
 async def test_what_breaks_the_rules_ends_the_link_and_no_other(sites: Sites) -> None:
     home, office = sites
-    door = await home.door("office", "master", "/master")
-    client = RpcClient(await home.through(door))
+    forwarded_port = await home.forwarded_port("office", "master", "/master")
+    client = RpcClient(await home.through(forwarded_port))
     for units in BREACHES.values():
         async with attacker(sites) as link:
             await link.send(units)

@@ -84,8 +84,8 @@ def carry(shell: Shell, neighbours: Neighbours) -> None:
     """A grant that somebody carries to another domain."""
     out = shell.root / "visit.grant"
     certificate = str(neighbours.hospital.node("/rounds/robot3") / "node.pem")
-    wish = ("--subscribe", "/robot/pose", "--certificate", certificate, "--out", str(out))
-    assert shell.unlocked("grant", "sign", "hospital:/rounds/robot3", *wish).code == 0
+    option = ("--subscribe", "/robot/pose", "--certificate", certificate, "--out", str(out))
+    assert shell.unlocked("grant", "sign", "hospital:/rounds/robot3", *option).code == 0
     service = AuthorityService(shell.root, lambda: PASSPHRASE, lambda _: None)
     assert service.grants.deposit([out.read_bytes()]) == []
     service.close()
@@ -154,8 +154,8 @@ def test_it_is_backed_up_comes_back_and_goes_on(
     assert home.node().filter_key("ward") == AuthorityHome.at(used.root).node().filter_key("ward")
     new.enroll("/lamp")
     assert new.unlocked("grant", "decide", *NOBODY).code in {0, 3}
-    wish = ("--subscribe", "/scan", "--for", "1d", "--out", str(tmp_path / "g"))
-    assert new.unlocked("grant", "sign", "/lamp", *wish).code == 0
+    option = ("--subscribe", "/scan", "--for", "1d", "--out", str(tmp_path / "g"))
+    assert new.unlocked("grant", "sign", "/lamp", *option).code == 0
     assert document.peek((tmp_path / "g").read_bytes()).subject == "/lamp"
     assert new.unlocked("ca", "revoke", "/robot", *NOBODY).code == 3
     assert new("ca", "log", "verify").code == 0

@@ -100,13 +100,13 @@ async def test_what_was_done_while_locked_reaches_the_master_when_it_is_unlocked
     assert await client.revoke_node("/robot", "lost") == (0, 0)
     waits = await home.enroll("/late")
     assert waits.state == "waiting"
-    standing = await client.standing(0, 0)
-    assert not standing.is_signed
+    trust_status = await client.trust_status(0, 0)
+    assert not trust_status.is_signed
     unlocked = time.monotonic()
     await asyncio.to_thread(service.run, "ca", "unlock", "--passphrase-file", str(service.secret))
 
     async def has_come() -> bool:
-        found = await client.standing(0, 0)
+        found = await client.trust_status(0, 0)
         return found.is_signed and found.is_at_master
 
     await until(has_come)

@@ -22,7 +22,7 @@ from tests.support.witness import until
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 POSE, MAP, SECRET, TEXT = "/robot/pose", "/robot/map", "/robot/secret", "/robot/text"
-DOOR: Final = "/robot/door"
+FORWARDED_PORT: Final = "/robot/door"
 HERE: Final = "/remote/ada"
 SERVED: Final = "/gateway/ada"
 TYPE: Final = "std_msgs/String"
@@ -47,16 +47,16 @@ def enroll(mesh: Mesh) -> None:
     accept(ada.site, ben.site, admitted=("/gateway", "/gateway/*", "/master", "/phone"))
     accept(ben.site, ada.site, admitted=("/robot", "/robot/*", "/master"))
     ada.enroll("/robot", publish=f"{POSE} {SECRET} {TEXT}")
-    ada.enroll("/robot/eyes", publish=f"{MAP} {DOOR}")
+    ada.enroll("/robot/eyes", publish=f"{MAP} {FORWARDED_PORT}")
     ada.enroll("/robot/ears", publish=MAP)
     for name in ("/gateway", "/gateway/attic"):
         ben.enroll(name, publish=f"{SERVED}/**", graph="/master")
-        ada.invite(ben, name, subscribe=f"{POSE} {MAP} {DOOR}")
+        ada.invite(ben, name, subscribe=f"{POSE} {MAP} {FORWARDED_PORT}")
         rules = filter_rules({"data": {"truncate": {"length": 1}}})
         share(ada.site, ben.site, name, Right.SUBSCRIBE, TEXT, Restriction(TYPE, (), rules))
     ada.invite(ben, "/master", graph="/**")
     for name in LISTENERS:
-        ben.enroll(name, subscribe=f"{SERVED}{POSE} {SERVED}{MAP} {SERVED}{TEXT} {SERVED}{DOOR}")
+        ben.enroll(name, subscribe=f"{SERVED}{POSE} {SERVED}{MAP} {SERVED}{TEXT} {SERVED}{FORWARDED_PORT}")
     ben.enroll("/curious", subscribe=f"{SERVED}/**")
     for domain in mesh.domains.values():
         carry(domain.site)
@@ -87,14 +87,14 @@ async def links(world: Mesh, node: str, topic: str) -> int:
 
 async def test_the_last_latched_message_arrives_in_spite_of_a_rate(world: Mesh) -> None:
     """A publisher that thins out would keep it back; so the gateway does, and sends it later."""
-    robot, heard = world["robot"].crew, house(world).heard["/tablet", HERE + DOOR]
-    rules = ("--from", "ada", DOOR, "--rate", "1", "--compress")
+    robot, heard = world["robot"].crew, house(world).heard["/tablet", HERE + FORWARDED_PORT]
+    rules = ("--from", "ada", FORWARDED_PORT, "--rate", "1", "--compress")
     async with gateway_of(world["house"], *rules, name="/gateway/attic"):
-        await robot.do("/robot/eyes", "say", DOOR, "shut")
-        await house(world).subscribe("/tablet", HERE + DOOR)
+        await robot.do("/robot/eyes", "say", FORWARDED_PORT, "shut")
+        await house(world).subscribe("/tablet", HERE + FORWARDED_PORT)
         await until(lambda: heard == ["shut"], within=40)
         for state in ("ajar", "wide", "open"):
-            await robot.do("/robot/eyes", "say", DOOR, state)
+            await robot.do("/robot/eyes", "say", FORWARDED_PORT, state)
         await until(lambda: heard[-1] == "open")
         assert len(heard) <= 3
         await house(world).do("/tablet", "leave")

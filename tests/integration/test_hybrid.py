@@ -18,12 +18,12 @@ from grants.model import Right
 from rossec.federation.settings import read_config
 from rossec.master.operation.config import parse
 from rossec.overlay.documents import Peer
-from rossec.overlay.forwarded_ports import OpenDoors
+from rossec.overlay.forwarded_ports import OpenPorts
 from rossec.overlay.homes import RelayFiles
-from rossec.overlay.link_frames import mailbox
+from rossec.overlay.link_frames import inbox
 from rossec.overlay.masters import RelayMember
 from rossec.overlay.relay import Relay
-from rossec.ros.names import is_door
+from rossec.ros.names import is_forwarded_port
 from tests.support.masters import Master, masters
 from tests.support.relayedsites import WireNetwork, Wires
 from tests.support.site import Site
@@ -47,14 +47,14 @@ class Place:
         }
         self.member = RelayMember(relay, environ)
         network = WireNetwork(wires, label, self.member.link_context)
-        self.relay = Relay(self.member, cast("Any", network), OpenDoors("127.0.0.1"), self.files.peers)
+        self.relay = Relay(self.member, cast("Any", network), OpenPorts("127.0.0.1"), self.files.peers)
 
     @property
-    def mailbox(self) -> str:
-        return mailbox(self.label, bytes.fromhex(BOX[self.label]))
+    def inbox(self) -> str:
+        return inbox(self.label, bytes.fromhex(BOX[self.label]))
 
     def add(self, other: "Place") -> None:
-        peer = Peer(other.label, BOX[self.label], "", other.name, other.mailbox)
+        peer = Peer(other.label, BOX[self.label], "", other.name, other.inbox)
         self.files.change(lambda peers: peers.update({other.label: peer}))
 
 
@@ -131,12 +131,12 @@ async def test_a_mesh_inside_and_relays_between(home: Home) -> None:
 
     assert home.hall.imported("/heat") == ["http://127.0.0.1:4712/"]
     assert home.kitchen.imported("/light") == ["http://127.0.0.1:4711/"]
-    assert home.hall.imported("/paper") == home.kitchen.imported("/paper"), "one door serves both"
+    assert home.hall.imported("/paper") == home.kitchen.imported("/paper"), "one forwarded port serves both"
     for topic in ("/light", "/heat"):
         [uri] = home.office.imported(topic)
-        assert is_door(uri)
+        assert is_forwarded_port(uri)
     [uri] = home.hall.imported("/paper")
-    assert is_door(uri)
+    assert is_forwarded_port(uri)
 
 
 async def test_a_topic_from_the_office_to_a_node_of_the_meshed_kitchen(home: Home) -> None:

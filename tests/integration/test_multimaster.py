@@ -22,7 +22,7 @@ from tests.support.trust import accept, carry, newest, remove
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 HOME: Final = ("hall", "kitchen", "garage")
 HOSPITAL: Final = ("ward", "lab")
-POSE, HEAT, LOG, DOOR = "/robot/pose", "/kitchen/heat", "/lab/log", "/robot/door"
+POSE, HEAT, LOG, FORWARDED_PORT = "/robot/pose", "/kitchen/heat", "/lab/log", "/robot/door"
 ABROAD: Final = "/remote/home"
 VISITOR: Final = "/rounds/robot3"
 CUT: Final = 2.0  # seconds; a loaded machine is slow
@@ -47,7 +47,7 @@ async def world(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Mesh]
         await asyncio.gather(*(place.begin("--admin", shortened=True) for place in mesh.places.values()))
         follow(mesh)
         await mesh["hall"].crew.publish("/robot", POSE)
-        await mesh["hall"].crew.do("/robot", "provide", DOOR)
+        await mesh["hall"].crew.do("/robot", "provide", FORWARDED_PORT)
         await mesh["kitchen"].crew.publish("/cook", HEAT)
         await mesh["ward"].crew.publish("/robot", POSE)
         await mesh["lab"].crew.publish("/log", LOG)
@@ -61,13 +61,13 @@ def enroll(mesh: Mesh) -> None:
     home, hospital = mesh.domains["home"], mesh.domains["hospital"]
     accept(home.site, hospital.site, admitted=("/rounds/**", "/master"))
     accept(hospital.site, home.site, admitted=("/robot", "/master"))
-    home.enroll("/robot", publish=POSE, provide=DOOR)
+    home.enroll("/robot", publish=POSE, provide=FORWARDED_PORT)
     home.enroll("/viewer", subscribe=f"{POSE} {HEAT}")
     home.enroll("/cook", publish=HEAT, subscribe=HEAT)
     hospital.enroll("/robot", publish=POSE)  # the same name as at home
     hospital.enroll("/log", publish=LOG)
     hospital.enroll(VISITOR, subscribe=f"{POSE} {LOG}")
-    home.invite(hospital, VISITOR, subscribe=POSE, call=DOOR)
+    home.invite(hospital, VISITOR, subscribe=POSE, call=FORWARDED_PORT)
     home.invite(hospital, "/master", graph="/**")
     for domain in mesh.domains.values():
         carry(domain.site)
@@ -103,7 +103,7 @@ async def comes_to_be(place: Place, topic: str, *nodes: str) -> None:
 async def test_what_is_granted_is_reached_under_its_own_name_or_its_alias(world: Mesh) -> None:
     """Two robots of one name, and two topics of one name, are apart."""
     garage, ward = world["garage"], world["ward"]
-    assert await ward.crew.do(VISITOR, "call", ABROAD + DOOR) == "/robot on is True"
+    assert await ward.crew.do(VISITOR, "call", ABROAD + FORWARDED_PORT) == "/robot on is True"
     assert await publishers(garage, POSE) == ["/remote/hall/robot"]
     assert await publishers(ward, POSE) == ["/robot"]
     assert await publishers(ward, ABROAD + POSE) == ["/remote/home/robot"]
@@ -188,9 +188,9 @@ async def test_a_domain_whose_list_runs_out_is_neither_admitted_nor_cut(world: M
 
 
 async def opens(place: Place) -> bool:
-    """Whether the visitor may open the door now."""
+    """Whether the visitor may open the forwarded port now."""
     try:
-        return bool(await place.crew.do(VISITOR, "call", ABROAD + DOOR))
+        return bool(await place.crew.do(VISITOR, "call", ABROAD + FORWARDED_PORT))
     except NotDone:
         return False
 

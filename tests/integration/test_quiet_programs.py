@@ -90,7 +90,7 @@ class Site:
     @contextlib.contextmanager
     def master(self) -> Iterator[Running]:
         log = str(self.root / "denials")
-        with self.started(ROSSEC, "master", "--complaints", log) as master:
+        with self.started(ROSSEC, "master", "--denial-log", log) as master:
             master.wait_for("master of home at")
             yield master
 

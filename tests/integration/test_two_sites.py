@@ -24,8 +24,8 @@ SITES: Final = {"ada": ("ada", "kitchen"), "ben": ("ben",), "cottage": ("cottage
 ROUTERS: Final = ("router", "second")
 CLEAR: Final = """
 rossec router --listen tcp/[::]:7447 &
-rossec router seats show s1 > ~/stick/s1.seat
-rossec router seats show s2 > ~/stick/s2.seat
+rossec router accounts show s1 > ~/stick/s1.account
+rossec router accounts show s2 > ~/stick/s2.account
 """
 LISTEN: Final = """
 rossec topic echo ada:/robot/pose geometry_msgs/PoseStamped --as /tablet > heard 2> complaints &
@@ -96,16 +96,16 @@ async def test_two_sites_work_as_printed(wan: Wan, shells: dict[str, TypedShell]
 async def test_routers_learn_nothing_of_two_sites(
     wan: Wan, shells: dict[str, TypedShell], short_path: Path, tmp_path: Path
 ) -> None:
-    """Mailboxes are what a router sees, and so does the recording; its log has not even those."""
+    """Inboxes are what a router sees, and so does the recording; its log has not even those."""
     async with wan.recorded(tmp_path / "capture") as found:
         for block in itertools.takewhile(lambda block: block.host != "cottage", blocks_of(PAGE)):
-            if block.host != "second":  # routers with seats join each other with TLS only
+            if block.host != "second":  # routers with accounts join each other with TLS only
                 shells[block.host].type(block.commands.replace("rossec router &", CLEAR))
     assert shells["ben"].said.count("x: 3.0") == 2
     assert "tcp/203.0.113.10:7447, linked" in shells["ben"].said
-    cards = [short_path / "stick" / f"relay-for-{name}.card" for name in ("ada", "ben")]
-    mailboxes = [json.loads(card.read_bytes())["mailbox"].encode() for card in cards]
-    assert seen(found[0], mailboxes) == mailboxes
+    descriptors = [short_path / "stick" / f"relay-for-{name}.descriptor" for name in ("ada", "ben")]
+    inboxes = [json.loads(descriptor.read_bytes())["inbox"].encode() for descriptor in descriptors]
+    assert seen(found[0], inboxes) == inboxes
     assert seen(found[0], NAMES) == []
     assert [name for name in NAMES if name.decode() in shells["router"].said] == []
     assert "rossec/1/" not in shells["router"].said

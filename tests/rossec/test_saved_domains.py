@@ -31,7 +31,7 @@ def test_nothing_is_saved_at_first(saved: DomainFiles, pair: Pair) -> None:
     assert (saved.load_domains(), saved.load_foreign(DOMAIN)) == (None, None)
     anchors = saved.anchors()
     assert anchors.current is None
-    assert saved.standing(anchors, pair.own, NOW).foreign(DOMAIN) is None
+    assert saved.trust_status(anchors, pair.own, NOW).foreign(DOMAIN) is None
 
 
 def test_what_was_known_is_known_after_a_restart(saved: DomainFiles, pair: Pair) -> None:
@@ -39,11 +39,11 @@ def test_what_was_known_is_known_after_a_restart(saved: DomainFiles, pair: Pair)
     saved.save_domains(listed)
     saved.save_foreign(pair.hospital.anchor, revoked(pair.hospital, KEY, seq=3))
     anchors = saved.anchors()
-    standing = saved.standing(anchors, pair.own, NOW)
+    trust_status = saved.trust_status(anchors, pair.own, NOW)
     assert anchors.data == listed
-    assert standing.revoked(DOMAIN) == {KEY}
+    assert trust_status.revoked(DOMAIN) == {KEY}
     with pytest.raises(RollbackRefused):
-        standing.take_foreign(DOMAIN, revoked(pair.hospital, seq=2), b"", [], NOW)
+        trust_status.take_foreign(DOMAIN, revoked(pair.hospital, seq=2), b"", [], NOW)
     with pytest.raises(DomainsRefused, match="older"):
         anchors.update(domains(pair.home, seq=0))
 
@@ -64,8 +64,8 @@ def test_a_damaged_file_is_replaced_and_loads_as_nothing(
 ) -> None:
     saved.save_domains(domains(pair.home, foreign(pair.hospital)))
     saved.save_foreign(pair.hospital.anchor, b"damaged")
-    standing = saved.standing(saved.anchors(), pair.own, NOW)
-    found = standing.foreign(DOMAIN)
+    trust_status = saved.trust_status(saved.anchors(), pair.own, NOW)
+    found = trust_status.foreign(DOMAIN)
     assert found is not None
     assert found.data == b""
     data = revoked(pair.hospital)
@@ -87,8 +87,8 @@ def test_a_list_of_an_earlier_root_is_replaced(saved: DomainFiles, pair: Pair) -
 def test_what_is_held_already_is_not_loaded_again(saved: DomainFiles, pair: Pair) -> None:
     pair.confirm_foreign(seq=5)
     saved.save_foreign(pair.hospital.anchor, revoked(pair.hospital, KEY, seq=6))
-    saved.restore(pair.standing, NOW)
-    assert pair.standing.revoked(DOMAIN) == frozenset()
+    saved.restore(pair.trust_status, NOW)
+    assert pair.trust_status.revoked(DOMAIN) == frozenset()
 
 
 @pytest.mark.parametrize("domain", ["..", "x" * 255])

@@ -158,7 +158,7 @@ class FakeHome:
         ]
         gives = (PolicyRight("/map", int(Right.SUBSCRIBE), "/robot/pose", "", "7d"),)
         self.policy = PolicyView("/home/anna/ca/policy.yaml", b"\x08" * 32, gives, (), 3, ())
-        self.standing = ListProgress(1, 4, True, True, 3, 3)
+        self.trust_status = ListProgress(1, 4, True, True, 3, 3)
         self.names: list[PolicyName] = []
         self.answers: dict[bytes, list[QuestionAnswer]] = {}
 

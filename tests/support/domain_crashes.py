@@ -11,7 +11,7 @@ from collections import Counter
 from functools import partial
 from pathlib import Path
 
-from ca.revocation.trust_status import Standing
+from ca.revocation.trust_status import TrustStatus
 from rossec.home import NodeHome
 from rossec.participant.master_updates import DomainUpdates
 from rossec.saved_statements import DomainFiles
@@ -22,17 +22,17 @@ from tests.support.pki import NOW
 DOMAIN, KEY = "hospital.example", b"k" * 32
 
 
-def start(pair: Pair, directory: Path) -> tuple[DomainFiles, Standing]:
+def start(pair: Pair, directory: Path) -> tuple[DomainFiles, TrustStatus]:
     """What a node that was started knows."""
     files = DomainFiles(NodeHome(directory, "/robot"), pair.home.anchor)
-    return files, files.standing(files.anchors(), pair.own, NOW)
+    return files, files.trust_status(files.anchors(), pair.own, NOW)
 
 
 def take(pair: Pair, directory: Path, listed: bytes, word: bytes) -> None:
-    files, standing = start(pair, directory)
-    updates = DomainUpdates(standing, files, lambda _: None, tuple)
+    files, trust_status = start(pair, directory)
+    updates = DomainUpdates(trust_status, files, lambda _: None, tuple)
     updates.take_domains(listed)
-    held = standing.foreign(DOMAIN)
+    held = trust_status.foreign(DOMAIN)
     assert held is not None
     if held.data != word:
         held.update(word, NOW, partial(files.save_foreign, pair.hospital.anchor))
@@ -48,12 +48,12 @@ def main(directory: Path) -> None:
         node.mkdir(mode=0o700)
         take(pair, node, lists[0], words[0])
         name = run_killed(partial(take, pair, node, lists[1], words[1]), last)
-        files, standing = start(pair, node)
-        held = standing.foreign(DOMAIN)
+        files, trust_status = start(pair, node)
+        held = trust_status.foreign(DOMAIN)
         assert held is not None
-        assert standing.anchors.data in lists
+        assert trust_status.anchors.data in lists
         assert held.data in words
-        assert held.data != words[1] or standing.anchors.data == lists[1], "not in this order"
+        assert held.data != words[1] or trust_status.anchors.data == lists[1], "not in this order"
         take(pair, node, lists[1], words[1])
         assert (files.load_domains(), files.load_foreign(DOMAIN)) == (lists[1], words[1])
         if name is None:

@@ -19,7 +19,7 @@ from ca.revocation.lists import (
     sign_timestamp,
     sign_tree,
 )
-from ca.revocation.trust_status import Revocations, Standing
+from ca.revocation.trust_status import Revocations, TrustStatus
 from ca.svid import build_request
 from grants import document
 from grants.model import Draft, Permission, Right
@@ -46,9 +46,9 @@ def domains(
     return sign_domains(KeySigner(home.key), listed, home.anchor.domain)
 
 
-def alone(anchor: TrustAnchor, own: Revocations) -> Standing:
+def alone(anchor: TrustAnchor, own: Revocations) -> TrustStatus:
     """What a node knows that has no list of foreign domains."""
-    return Standing(Anchors(anchor), own)
+    return TrustStatus(Anchors(anchor), own)
 
 
 def grant(
@@ -119,7 +119,7 @@ class Pair:
         self.own = Revocations(self.home.anchor.public_key)
         self.anchors = Anchors(self.home.anchor)
         self.anchors.update(domains(self.home, foreign(self.hospital, **changes)))
-        self.standing = Standing(self.anchors, self.own)
+        self.trust_status = TrustStatus(self.anchors, self.own)
 
     def peer(self, member: SomeNode | None = None) -> Identity:
         """A node of the hospital, as this side sees it: `/rounds/robot3` by default."""
@@ -136,4 +136,4 @@ class Pair:
         data = revoked(self.hospital, *entries, seq=seq)
         stamp = self.master.stamp(data, seq, issued=now)
         domain = self.hospital.anchor.domain
-        return self.standing.take_foreign(domain, data, stamp, [self.master.leaf], now)
+        return self.trust_status.take_foreign(domain, data, stamp, [self.master.leaf], now)

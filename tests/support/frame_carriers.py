@@ -1,4 +1,4 @@
-"""Mailboxes in memory: frames arrive in the next turn of the loop, unless `fate` says otherwise."""
+"""Inboxes in memory: frames arrive in the next turn of the loop, unless `fate` says otherwise."""
 
 import asyncio
 from collections.abc import Callable
@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from rossec.overlay.link_frames import LinkFrameKind, kind_of
 
 Fate = Callable[[str, bytes], int]
-"""From a mailbox and a frame: how often it arrives there."""
+"""From an inbox and a frame: how often it arrives there."""
 
 
 @dataclass
 class MemoryReader:
-    """A mailbox that is read."""
+    """An inbox that is read."""
 
     carrier: "MemoryCarrier"
     key: str
@@ -49,5 +49,5 @@ class MemoryCarrier:
         self.reopened += 1
 
     def sent(self, kind: LinkFrameKind) -> list[tuple[str, bytes]]:
-        """What was put of this kind, with its mailbox."""
+        """What was put of this kind, with its inbox."""
         return [(key, frame) for key, frame in self.frames if kind_of(frame) == kind]

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 
-from rossec.overlay.documents import OPEN_SEAT, Routers
+from rossec.overlay.documents import OPEN_ACCOUNT, Routers
 from rossec.overlay.router_settings import COMMON
 from rossec.overlay.zenoh_carrier import Carrier, open_session
 from tests.support.ports import free_port
@@ -12,7 +12,7 @@ from tests.support.ports import free_port
 
 @contextmanager
 def router(locator: str = "") -> Iterator[str]:
-    """A router without seats; its locator."""
+    """A router without accounts; its locator."""
     where = locator or f"tcp/127.0.0.1:{free_port()}"
     session = open_session({**COMMON, "mode": "router", "listen/endpoints": [where]})
     try:
@@ -22,7 +22,7 @@ def router(locator: str = "") -> Iterator[str]:
 
 
 def routers_at(*locators: str) -> Routers:
-    return Routers(locators, OPEN_SEAT)
+    return Routers(locators, OPEN_ACCOUNT)
 
 
 @asynccontextmanager

@@ -12,12 +12,12 @@ from typing import Any, cast
 from ca.certificates import Identity
 from ca.domains.trust import Anchors, ForeignDomain
 from rossec.errors import LinkEnded
-from rossec.master.state.forwarded_ports import Door, Target
+from rossec.master.state.forwarded_ports import ForwardedPort, Target
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, connect, serve
 from rossec.overlay.documents import Peer
-from rossec.overlay.forwarded_ports import OpenDoors
+from rossec.overlay.forwarded_ports import OpenPorts
 from rossec.overlay.homes import RelayFiles
-from rossec.overlay.link_frames import mailbox
+from rossec.overlay.link_frames import inbox
 from rossec.overlay.masters import RelayMember
 from rossec.overlay.relay import Relay
 from tests.support.masters import Master, domain_list
@@ -29,7 +29,7 @@ Serve = Callable[[SecureStream[Identity]], Awaitable[None]]
 
 @dataclass
 class Wires:
-    """Mailboxes: each that is read is a port of loopback."""
+    """Inboxes: each that is read is a port of loopback."""
 
     ports: dict[str, int] = field(default_factory=dict)
 
@@ -37,21 +37,21 @@ class Wires:
 class WireNetwork:
     """What a relay needs of routers, over TCP."""
 
-    def __init__(self, wires: Wires, seat: str, context: SecureContext[Identity]) -> None:
-        self._wires, self.seat, self._context = wires, seat, context
+    def __init__(self, wires: Wires, account: str, context: SecureContext[Identity]) -> None:
+        self._wires, self.account, self._context = wires, account, context
         self.router = "tcp/127.0.0.1:7447"
         self.dialled: list[str] = []
 
-    async def dial(self, mailbox: str) -> SecureStream[Identity]:
-        self.dialled.append(mailbox)
-        if mailbox not in self._wires.ports:
+    async def dial(self, inbox: str) -> SecureStream[Identity]:
+        self.dialled.append(inbox)
+        if inbox not in self._wires.ports:
             raise LinkEnded("nobody answers")
-        port = self._wires.ports[mailbox]
+        port = self._wires.ports[inbox]
         return await connect("127.0.0.1", port, self._context, WireProtocol.HTTP)
 
-    def listen(self, mailbox: str, serve_one: Serve, _label: str) -> SecureServer[Identity]:
+    def listen(self, inbox: str, serve_one: Serve, _label: str) -> SecureServer[Identity]:
         server = serve(serve_one, "127.0.0.1", 0, self._context, WireProtocol.HTTP)
-        self._wires.ports[mailbox] = server.port
+        self._wires.ports[inbox] = server.port
         return server
 
 
@@ -91,16 +91,16 @@ class RelayedSite:
         return self.master.domains
 
     def box(self, other: "RelayedSite") -> str:
-        """Of the mailbox that is told to `other`."""
+        """Of the inbox that is told to `other`."""
         return hashlib.sha256(f"{self.domain} {other.domain}".encode()).hexdigest()[:32]
 
-    def relay_mailbox(self, other: "RelayedSite") -> str:
+    def relay_inbox(self, other: "RelayedSite") -> str:
         """Where `other` sends to."""
-        return mailbox(self.label, bytes.fromhex(self.box(other)))
+        return inbox(self.label, bytes.fromhex(self.box(other)))
 
     def add(self, other: "RelayedSite") -> None:
-        """Cards were exchanged with `other`."""
-        key = other.relay_mailbox(self)
+        """Descriptors were exchanged with `other`."""
+        key = other.relay_inbox(self)
         peer = Peer(other.label, self.box(other), other.label, "/relay", key)
         self.files.change(lambda peers: peers.update({other.label: peer}))
 
@@ -116,7 +116,7 @@ class RelayedSite:
         }
         self.member = RelayMember("/relay", environ)
         self.network = WireNetwork(self.wires, self.label, self.member.link_context)
-        self.relay = Relay(self.member, cast("Any", self.network), OpenDoors("127.0.0.1"), self.files.peers)
+        self.relay = Relay(self.member, cast("Any", self.network), OpenPorts("127.0.0.1"), self.files.peers)
         self.running = asyncio.ensure_future(self.relay.run())
 
     async def stop(self) -> None:
@@ -125,29 +125,32 @@ class RelayedSite:
             self.running.cancel()
             await asyncio.gather(self.running, return_exceptions=True)
 
-    async def door(self, peer: str, kind: str, name: str) -> Door:
-        """The door that the master gets for a target."""
-        doors, target = self.master.server.state.doors, Target(peer, kind, name)
-        doors.want(f"{peer} {kind} {name}", [target])
-        await until(lambda: doors.door(target) is not None)
-        found = doors.door(target)
+    async def forwarded_port(self, peer: str, kind: str, name: str) -> ForwardedPort:
+        """The forwarded port that the master gets for a target."""
+        forwarded_ports, target = self.master.server.state.forwarded_ports, Target(peer, kind, name)
+        forwarded_ports.want(f"{peer} {kind} {name}", [target])
+        await until(lambda: forwarded_ports.forwarded_port(target) is not None)
+        found = forwarded_ports.forwarded_port(target)
         assert found is not None
         return found
 
     async def through(
-        self, door: Door, caller: str = "/master", protocol: WireProtocol = WireProtocol.HTTP
+        self,
+        forwarded_port: ForwardedPort,
+        caller: str = "/master",
+        protocol: WireProtocol = WireProtocol.HTTP,
     ) -> SecureStream[Identity]:
-        """A connection of a node of this site through a door."""
+        """A connection of a node of this site through a forwarded port."""
         home = self.site.enroll(caller)
         anchors = Anchors(self.site.anchor)
         anchors.update(self.master.domains)
         context = SecureContext(home.credentials(), anchors.verify)
-        return await connect(door.host, door.port, context, protocol)
+        return await connect(forwarded_port.host, forwarded_port.port, context, protocol)
 
 
 @contextlib.asynccontextmanager
 async def two_sites(root: Path, *, told: bool = True) -> AsyncIterator[tuple[RelayedSite, RelayedSite]]:
-    """A home and an office that trust each other, whose relays have each other's cards.
+    """A home and an office that trust each other, whose relays have each other's descriptors.
 
     `told`: the masters have heard of each other's revocations.
     """

@@ -1,4 +1,4 @@
-"""A relay without an overlay: its doors lead straight to what the other site's relay is told.
+"""A relay without an overlay: its forwarded ports lead straight to what the other site's relay is told.
 
 `StraightRelay` is a real member of its domain and polls a real master; only what is between two
 relays is missing. The called side asks its master and connects as a relay must: from an address of
@@ -14,7 +14,7 @@ from typing import Any, cast
 from ca.certificates import Identity
 from rossec.errors import RelayRefused, RossecError
 from rossec.host.addresses import source_for
-from rossec.master.state.forwarded_ports import Door, PeerWay, Target
+from rossec.master.state.forwarded_ports import ForwardedPort, PeerWay, Target
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
 from rossec.overlay.masters import MasterLink
 from rossec.ros.names import parse_uri
@@ -56,14 +56,14 @@ class StraightRelay:
         await asyncio.gather(*tasks, return_exceptions=True)
         await self.link.close()
 
-    async def open(self, target: Target, master: str) -> Door:
+    async def open(self, target: Target, master: str) -> ForwardedPort:
         if target.peer not in self.peers:
             raise RelayRefused(f"no peer {target.peer}", "rossec relay add")
         if target not in self.servers:
             serve = partial(self._serve, target)
             self.servers[target] = await asyncio.start_server(serve, "127.0.0.1", 0)
         host, port = self.servers[target].sockets[0].getsockname()
-        return Door(host, port)
+        return ForwardedPort(host, port)
 
     def release(self, target: Target, master: str) -> None:
         self.servers.pop(target).close()

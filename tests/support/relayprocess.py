@@ -5,7 +5,7 @@ import subprocess
 from collections.abc import Iterator
 from typing import Final
 
-from rossec.overlay.documents import OPEN_SEAT, Routers
+from rossec.overlay.documents import OPEN_ACCOUNT, Routers
 from tests.integration.sidecarworld import ROSSEC, Running, World
 from tests.support.hosts import Host
 
@@ -20,7 +20,7 @@ def locator(port: int, host: Host = LOOPBACK) -> str:
 
 @contextlib.contextmanager
 def router(world: World, port: int, host: Host = LOOPBACK) -> Iterator[Running]:
-    """A router without seats; its own files are in `world`'s directory."""
+    """A router without accounts; its own files are in `world`'s directory."""
     home = str(world.directory / "router")
     command = ROSSEC, "router", "--home", home, "--listen", locator(port, host), "--open"
     with world.started(host, *command) as running:
@@ -29,20 +29,20 @@ def router(world: World, port: int, host: Host = LOOPBACK) -> Iterator[Running]:
 
 
 def seated(world: World, port: int, host: Host = LOOPBACK) -> None:
-    """Enroll the relay of a site, and keep its seat at that router."""
+    """Enroll the relay of a site, and keep its account at that router."""
     world.site.enroll(RELAY)
-    file = world.directory / "seat.json"
-    file.write_bytes(Routers((locator(port, host),), OPEN_SEAT).write())
-    told(world, "seat", str(file))
+    file = world.directory / "account.json"
+    file.write_bytes(Routers((locator(port, host),), OPEN_ACCOUNT).write())
+    told(world, "account", str(file))
 
 
 def exchange(one: World, one_label: str, other: World, other_label: str) -> None:
-    """The relays take each other's cards; `one_label`: what the first one is called there."""
+    """The relays take each other's descriptors; `one_label`: what the first one is called there."""
     for side, label, there in ((one, other_label, other), (other, one_label, one)):
-        card = side.directory / f"{label}.card"
-        card.write_text(told(side, "card", label))
+        descriptor = side.directory / f"{label}.descriptor"
+        descriptor.write_text(told(side, "descriptor", label))
         own = one_label if side is one else other_label
-        told(there, "add", own, str(card))
+        told(there, "add", own, str(descriptor))
 
 
 def told(world: World, *words: str) -> str:

@@ -122,7 +122,7 @@ async def tcp_pair() -> tuple[socket.socket, socket.socket]:
 
 @contextlib.asynccontextmanager
 async def carried(streams: Streams, target: StreamTarget = ROBOT) -> AsyncIterator[Ends]:
-    """A connection that a stream carries: what a program holds that went through a door."""
+    """A connection that a stream carries: what a program holds that went through a forwarded port."""
     mine, theirs = await tcp_pair()
     task = asyncio.ensure_future(streams.carry(target, theirs))
     reader, writer = await asyncio.open_connection(sock=mine)

@@ -1,4 +1,4 @@
-"""`rossec router` as a separate process, and a router with seats in this one."""
+"""`rossec router` as a separate process, and a router with accounts in this one."""
 
 import asyncio
 import os
@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-from rossec.overlay.documents import OPEN_SEAT, Routers
+from rossec.overlay.documents import OPEN_ACCOUNT, Routers
 from rossec.overlay.homes import RouterHome
-from rossec.overlay.router_settings import Seats, zenoh_settings
+from rossec.overlay.router_settings import Accounts, zenoh_settings
 from rossec.overlay.zenoh_carrier import open_session
 from tests.support.ports import free_port
 
@@ -19,26 +19,26 @@ HOST = "127.0.0.1"
 PASSWORD = "p" * 40
 
 
-def home_with(path: Path, *seats: str, protocol: str = "tls", join: tuple[str, ...] = ()) -> RouterHome:
-    """A router's directory, told a free port, with these seats; their passwords are known."""
+def home_with(path: Path, *accounts: str, protocol: str = "tls", join: tuple[str, ...] = ()) -> RouterHome:
+    """A router's directory, told a free port, with these accounts; their passwords are known."""
     home = RouterHome(path)
     home.prepare()
     home.tell(listen=(f"{protocol}/{HOST}:{free_port()}",), join=join)
-    for seat in seats:
-        home.change_seats(partial(_with, seat))
+    for account in accounts:
+        home.change_accounts(partial(_with, account))
     return home
 
 
-def _with(seat: str, seats: Seats) -> Seats:
-    return seats.add(seat, PASSWORD + seat)
+def _with(account: str, accounts: Accounts) -> Accounts:
+    return accounts.add(account, PASSWORD + account)
 
 
 @contextmanager
 def running(home: RouterHome) -> Iterator[None]:
-    """The router of `home` in this process, with its seats."""
-    settings, seats = home.settings(), home.seats()
-    home.write_for_zenoh(settings, seats)
-    session = open_session(zenoh_settings(settings, seats, home.files))
+    """The router of `home` in this process, with its accounts."""
+    settings, accounts = home.settings(), home.accounts()
+    home.write_for_zenoh(settings, accounts)
+    session = open_session(zenoh_settings(settings, accounts, home.files))
     try:
         yield
     finally:
@@ -49,7 +49,7 @@ class RouterProcess:
     """Starts, freezes, kills and restarts one router.
 
     Args:
-        home: as made by `home_with`; with seats, or the router is open.
+        home: as made by `home_with`; with accounts, or the router is open.
     """
 
     def __init__(self, home: RouterHome) -> None:
@@ -61,13 +61,13 @@ class RouterProcess:
     def locator(self) -> str:
         return self.home.settings().listen[0]
 
-    def routers(self, seat: str = OPEN_SEAT) -> Routers:
+    def routers(self, account: str = OPEN_ACCOUNT) -> Routers:
         """What a relay needs."""
-        return self.home.seat_file(seat)
+        return self.home.account_file(account)
 
     async def start(self, *options: str, **variables: str) -> None:
         """Run `rossec -v router` with these variables, and wait until it listens."""
-        is_open = [] if self.home.seats().names else ["--open"]
+        is_open = [] if self.home.accounts().names else ["--open"]
         base = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
         with self.log.open("ab") as log:
             self.process = await asyncio.create_subprocess_exec(

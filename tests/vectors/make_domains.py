@@ -1,4 +1,4 @@
-"""Writes the vectors of foreign domains: lists and cards, each valid or with one flaw, and chains.
+"""Writes the vectors of foreign domains: lists and bundles, each valid or with one flaw, and chains.
 
 Run `python -m tests.vectors.make_domains` after a change of the format. Keys are fixed and
 signatures deterministic (RFC 6979), so the same program always writes the same file.
@@ -11,7 +11,15 @@ from typing import Any, Final
 
 from ca.authority import DAY, Authority, create_root
 from ca.certificates import TrustAnchor
-from ca.domains.trust import CARD, DOMAINS, Card, DomainList, ForeignDomain, sign_card, sign_domains
+from ca.domains.trust import (
+    DOMAINS,
+    TRUST_BUNDLE,
+    DomainList,
+    ForeignDomain,
+    TrustBundle,
+    sign_bundle,
+    sign_domains,
+)
 from ca.encoding import Value
 from ca.keys.signing import to_coordinates
 from ca.svid import build_request
@@ -42,7 +50,7 @@ LISTS: Final = {
     "both": DomainList(1, 3, NOW, NOW + DAY, (ENTRY,), MASTERS),
 }
 _LIST: Final = "DomainsRefused"
-_CARD: Final = "CardRefused"
+_TRUST_BUNDLE: Final = "BundleRefused"
 
 
 def claims(**changes: Value) -> dict[int | str, Value]:
@@ -117,16 +125,16 @@ FLAWED: Final[dict[str, dict[int | str, Value]]] = {
         n70031=second(d3=create_root(HOSPITAL, "office", now=NOW, serial=5))
     ),
 }
-CARDS: Final = {
-    "without masters": Card(FOREIGN, ("/**",), (), NOW, NOW + DAY),
-    "with masters": Card(
+TRUST_BUNDLES: Final = {
+    "without masters": TrustBundle(FOREIGN, ("/**",), (), NOW, NOW + DAY),
+    "with masters": TrustBundle(
         FOREIGN, ("/master", "/rounds/**"), ("http://192.168.1.7:11311",), NOW, NOW + 7 * DAY
     ),
 }
 
 
-def card_claims(**changes: Value) -> dict[int | str, Value]:
-    """A card's claims, as `claims`."""
+def bundle_claims(**changes: Value) -> dict[int | str, Value]:
+    """A bundle's claims, as `claims`."""
     found: dict[int | str, Value] = {4: NOW + DAY, 6: NOW, -70037: FOREIGN, -70038: ["/**"]}
     for name, value in changes.items():
         number = int(name[1:]) * (-1 if name[0] == "n" else 1)
@@ -136,21 +144,21 @@ def card_claims(**changes: Value) -> dict[int | str, Value]:
     return found
 
 
-FLAWED_CARDS: Final[dict[str, dict[int | str, Value]]] = {
-    "a field is missing": card_claims(c6=None),
-    "an unknown field": card_claims(n70099=1),
-    "a root of another key": card_claims(n70037=SECOND),
-    "no root": card_claims(n70037=b""),
-    "no names": card_claims(n70038=[]),
-    "too many names": card_claims(n70038=["/a"] * 17),
-    "a name that is none": card_claims(n70038=["a"]),
-    "a number for a name": card_claims(n70038=[1]),
-    "no room for masters": card_claims(n70039=[]),
-    "an address of another scheme": card_claims(n70039=["file:///etc/passwd"]),
-    "never valid": card_claims(c4=NOW),
-    "for too long": card_claims(c4=NOW + 30 * DAY + 1),
-    "expired": card_claims(c4=NOW - 1, c6=NOW - DAY),
-    "from the future": card_claims(c4=NOW + DAY, c6=NOW + 301),
+FLAWED_TRUST_BUNDLES: Final[dict[str, dict[int | str, Value]]] = {
+    "a field is missing": bundle_claims(c6=None),
+    "an unknown field": bundle_claims(n70099=1),
+    "a root of another key": bundle_claims(n70037=SECOND),
+    "no root": bundle_claims(n70037=b""),
+    "no names": bundle_claims(n70038=[]),
+    "too many names": bundle_claims(n70038=["/a"] * 17),
+    "a name that is none": bundle_claims(n70038=["a"]),
+    "a number for a name": bundle_claims(n70038=[1]),
+    "no room for masters": bundle_claims(n70039=[]),
+    "an address of another scheme": bundle_claims(n70039=["file:///etc/passwd"]),
+    "never valid": bundle_claims(c4=NOW),
+    "for too long": bundle_claims(c4=NOW + 30 * DAY + 1),
+    "expired": bundle_claims(c4=NOW - 1, c6=NOW - DAY),
+    "from the future": bundle_claims(c4=NOW + DAY, c6=NOW + 301),
 }
 
 
@@ -195,12 +203,12 @@ def vectors() -> dict[str, Any]:
         "refused": {
             **{name: {"data": sign(each), "error": _LIST} for name, each in FLAWED.items()},
             "another key": {"data": DOMAINS.sign(HOSPITAL, claims()).hex(), "error": _LIST},
-            "another kind": {"data": CARD.sign(HOME, claims()).hex(), "error": _LIST},
+            "another kind": {"data": TRUST_BUNDLE.sign(HOME, claims()).hex(), "error": _LIST},
         },
-        "cards": {name: sign_card(HOSPITAL, each).hex() for name, each in CARDS.items()},
-        "refused_cards": {
-            name: {"data": CARD.sign(HOSPITAL, each).hex(), "error": _CARD}
-            for name, each in FLAWED_CARDS.items()
+        "bundles": {name: sign_bundle(HOSPITAL, each).hex() for name, each in TRUST_BUNDLES.items()},
+        "refused_bundles": {
+            name: {"data": TRUST_BUNDLE.sign(HOSPITAL, each).hex(), "error": _TRUST_BUNDLE}
+            for name, each in FLAWED_TRUST_BUNDLES.items()
         },
         "chains": {name: {"leaf": der.hex(), "result": result} for name, (der, result) in chains().items()},
     }

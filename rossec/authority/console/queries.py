@@ -290,7 +290,7 @@ def _right(change: Change) -> PolicyRight:
     return PolicyRight(change.subject.name, int(change.right), change.pattern, words, span)
 
 
-STANDING: Final = "rossec.revocationStanding"
+TRUST_STATUS: Final = "rossec.revocationStatus"
 DENIALS: Final = "rossec.recentDenials"
 PERIOD: Final = 2.0  # seconds between two questions
 FRESH: Final = 30.0  # seconds for which what was heard is shown
@@ -321,10 +321,10 @@ class MasterView:
         self._came_back = came_back
         self._is_away = False
         self._asking = threading.Lock()  # held by the thread that asks
-        self._begun = self._heard = self._standing_asked = float("-inf")
+        self._begun = self._heard = self._trust_status_asked = float("-inf")
         self._view = GraphView()
         self._denials: tuple[DenialView, ...] = ()
-        self._standing: ListProgress | None = None
+        self._trust_status: ListProgress | None = None
         self._changes = 0
 
     def look(self) -> int:
@@ -344,10 +344,10 @@ class MasterView:
         is_old = self._elapsed() - self._heard > FRESH
         return to_value(self._recent_denials() if is_old else self._denials)
 
-    def standing(self, epoch: int, seq: int) -> Value:
-        self._standing_asked = self._elapsed()
-        self._standing = self._list_standing(epoch, seq)
-        return to_value(self._standing)
+    def trust_status(self, epoch: int, seq: int) -> Value:
+        self._trust_status_asked = self._elapsed()
+        self._trust_status = self._list_trust_status(epoch, seq)
+        return to_value(self._trust_status)
 
     def _ask_and_release(self) -> None:
         try:
@@ -364,9 +364,9 @@ class MasterView:
 
     def _ask(self) -> None:
         # Ask what pages are likely to show; a page with ticks is not kept waiting by the graph.
-        standing = self._standing
-        if standing is not None and self._elapsed() - self._standing_asked < FRESH:
-            self._note(standing, self._list_standing(standing.epoch, standing.seq))
+        trust_status = self._trust_status
+        if trust_status is not None and self._elapsed() - self._trust_status_asked < FRESH:
+            self._note(trust_status, self._list_trust_status(trust_status.epoch, trust_status.seq))
             if self._elapsed() - self._heard < FRESH / 2:
                 return
         before = self._view.facts
@@ -401,7 +401,7 @@ class MasterView:
                     raise NotDelivered("the master's answer about denials is malformed", _HINT)
         return tuple(found)
 
-    def _list_standing(self, epoch: int, seq: int) -> ListProgress:
+    def _list_trust_status(self, epoch: int, seq: int) -> ListProgress:
         home, now = self._work.home(), self._work.now()
         with closing(home.store()) as store:
             data = store.newest_list()
@@ -419,7 +419,7 @@ class MasterView:
         # asked for hold this one too.
         answer: object = None
         with contextlib.suppress(NotDelivered):
-            answer = self._call(STANDING, (), "a question about a list", SHORT)
+            answer = self._call(TRUST_STATUS, (), "a question about a list", SHORT)
         match answer:
             case {"list": str(number), "nodes": int(nodes), "holding": int(holding)} if 0 <= holding <= nodes:
                 is_there = _number(number) >= wanted

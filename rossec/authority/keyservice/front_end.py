@@ -48,7 +48,7 @@ from rossec.ros.xmlrpc import Fault
 ANY: Final = "*"  # as the host of a join address: every address of this host
 _ODD: Final = "the service does not answer as it should"
 _FRESH: Final = 10.0  # seconds for which the own identity is not read again
-_log = logging.getLogger("rossec.authority.face")
+_log = logging.getLogger("rossec.authority.front_end")
 
 
 class FrontEnd:

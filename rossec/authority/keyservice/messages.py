@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, TypeAlias
 from cryptography import x509
 
 from ca.authority import read_unsigned
-from ca.domains.trust import CARD, DOMAINS
+from ca.domains.trust import DOMAINS, TRUST_BUNDLE
 from ca.encoding import Value, decode, encode
 from ca.enrollment.invitation import MAX_CLAIM_SIZE as MAX_CLAIM
 from ca.enrollment.invitation import MAX_REQUEST_SIZE as MAX_JOIN
@@ -53,7 +53,7 @@ _STATEMENTS: Final[Mapping[str, Profile]] = {
     "a revocation tree": TREE,
     "a head of the log": HEAD_PROFILE,
     "a list of domains": DOMAINS,
-    "a card of its domain": CARD,
+    "a bundle of its domain": TRUST_BUNDLE,
     "a statement about a thing": THING,
 }
 _HINT: Final = "the program that asked is of another version of rossec, or not rossec"

@@ -1,4 +1,4 @@
-"""`rossec domain card | accept | limit | remove`: how far, and until when, a foreign domain is trusted."""
+"""`rossec domain bundle | accept | limit | remove`: how far, and until when, a foreign domain is trusted."""
 
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -10,16 +10,16 @@ import click
 
 from ca.domains.trust import (
     LEAST_FRESH,
-    MAX_CARD,
-    MAX_CARD_LIFETIME,
+    MAX_TRUST_BUNDLE,
+    MAX_TRUST_BUNDLE_LIFETIME,
     MOST_FRESH,
-    Card,
     ForeignDomain,
     NameRights,
-    open_card,
+    TrustBundle,
+    open_bundle,
 )
 from ca.enrollment import qr
-from ca.enrollment.qr import card_code, check_code
+from ca.enrollment.qr import bundle_code, check_code
 from ca.errors import NameRefused
 from ca.names import MASTER, RELAY, check_label, check_pattern
 from ca.store.signed_statements import check_domains_apart
@@ -49,7 +49,7 @@ admit = option(
 
 
 @click.command()
-@option("--out", "write it here, instead of DOMAIN.card", type=NEW_FILE)
+@option("--out", "write it here, instead of DOMAIN.bundle", type=NEW_FILE)
 @option(
     "--names=PATTERN",
     "your nodes that shall be admitted there",
@@ -59,11 +59,11 @@ admit = option(
 )
 @option("--at=URI masters", "where they reach your master", multiple=True)
 @options.duration(
-    "--for lifetime", "how long it can be accepted", days=MAX_CARD_LIFETIME // 86400, default="7d"
+    "--for lifetime", "how long it can be accepted", days=MAX_TRUST_BUNDLE_LIFETIME // 86400, default="7d"
 )
 @flag("--qr picture", "also show its code as a picture, on stderr")
 @json_result(pass_service)
-def card(
+def bundle(
     service: AuthorityService,
     out: Path | None,
     names: tuple[str, ...],
@@ -71,23 +71,25 @@ def card(
     lifetime: int,
     picture: bool,
 ) -> None:
-    """Write this domain's card, for the authority of another one.
+    """Write this domain's bundle, for the authority of another one.
 
-    A card is no secret, and anybody could make one in your name: let them compare its fingerprint
+    A bundle is no secret, and anybody could make one in your name: let them compare its fingerprint
     with yours by telephone or on paper, or scan its code from your screen.
     """
     home = service.home
-    data = service.domains.card(names, masters, lifetime)
-    target = out or Path(f"{home.domain}.card")
+    data = service.domains.bundle(names, masters, lifetime)
+    target = out or Path(f"{home.domain}.bundle")
     files.replace(target, data, 0o644)
-    record(domain=home.domain, file=str(target), code=card_code(data), fingerprint=fingerprint(home.anchor()))
-    say(f"card of {home.domain}: {target}")
+    record(
+        domain=home.domain, file=str(target), code=bundle_code(data), fingerprint=fingerprint(home.anchor())
+    )
+    say(f"bundle of {home.domain}: {target}")
     say(f"fingerprint {fingerprint(home.anchor())}")
-    say(f"code {card_code(data)}")
+    say(f"code {bundle_code(data)}")
     if picture:
-        note_picture(qr.terminal(card_code(data)))
+        note_picture(qr.terminal(bundle_code(data)))
     note(f"there: rossec domain accept {target.name} --as LABEL")
-    note("that lets your nodes in there; for theirs here, accept their card: it is two-sided")
+    note("that lets your nodes in there; for theirs here, accept their bundle: it is two-sided")
 
 
 def lifetime(default: str | None) -> Callable[..., Any]:
@@ -110,13 +112,13 @@ def rules(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @click.command()
-@click.argument("card", type=FILE)
+@click.argument("bundle", type=FILE)
 @option("--as label", "what it is called here, for example hospital")
 @admit
 @fresh("1h")
 @lifetime("365d")
 @rules
-@option("--code", "the code that its authority shows (rossec domain card)")
+@option("--code", "the code that its authority shows (rossec domain bundle)")
 @options.image
 @option("--fingerprint expected", "the fingerprint that its authority has told you")
 @options.master_uri
@@ -124,7 +126,7 @@ def rules(command: Callable[..., Any]) -> Callable[..., Any]:
 @json_result(pass_service)
 def accept(
     service: AuthorityService,
-    card: Path,
+    bundle: Path,
     label: str | None,
     admit: tuple[str, ...],
     fresh: int,
@@ -136,24 +138,24 @@ def accept(
     expected: str | None,
     yes: bool,
 ) -> None:
-    """Trust the domain of CARD, as far as these options say.
+    """Trust the domain of TRUST_BUNDLE, as far as these options say.
 
     Shows its fingerprint, which you compare with the one its authority shows, and asks. Its nodes
     that are admitted may then connect and say who they are; what they may do is up to grants. By
-    default the names are admitted that the card asks for. Accepting it again changes the terms.
+    default the names are admitted that the bundle asks for. Accepting it again changes the terms.
     """
-    # 1. The card is the one that was meant, as far as that can be checked here.
-    home, data = service.home, files.read(card, MAX_CARD)
+    # 1. The bundle is the one that was meant, as far as that can be checked here.
+    home, data = service.home, files.read(bundle, MAX_TRUST_BUNDLE)
     if image is not None:
         code = code_in_file(image, sys.stdin.buffer)
     if code is not None:
         check_code(code, data)
-    found = open_card(data, now())
+    found = open_bundle(data, now())
     shown = format_fingerprint(found.anchor.thumbprint)
     if expected is not None and "".join(expected.lower().split()) != shown.replace(" ", ""):
         raise ConfigurationError(
-            f"the fingerprint of the card is {shown}",
-            "it is another authority's: ask yours for its card again, and trust no other",
+            f"the fingerprint of the bundle is {shown}",
+            "it is another authority's: ask yours for its bundle again, and trust no other",
         )
     domain = ForeignDomain(
         found.anchor.domain,
@@ -168,8 +170,8 @@ def accept(
     # 2. What would be refused when it is signed, before a person compares and answers.
     if domain.domain == home.domain:
         raise ConfigurationError(
-            f"this is the card of {home.domain}, the own domain",
-            "accept the card that the other authority wrote",
+            f"this is the bundle of {home.domain}, the own domain",
+            "accept the bundle that the other authority wrote",
         )
     for row in home.store().domains.accepted():
         check_domains_apart(row, domain.domain, domain.label, domain.anchor.thumbprint)
@@ -180,18 +182,18 @@ def accept(
     record(**as_json(domain), list=listed.seq)
     say(f"{domain.domain} is trusted as {domain.label} (list of domains {listed.seq})")
     note(f"this is one way: until {domain.label} accepts you too, connections with it fail there")
-    note(f"  here: rossec domain card --out {home.domain}.card")
-    note(f"  there: rossec domain accept {home.domain}.card --as LABEL")
+    note(f"  here: rossec domain bundle --out {home.domain}.bundle")
+    note(f"  there: rossec domain accept {home.domain}.bundle --as LABEL")
     for uri in found.masters[:1]:
         note(printable(f"your master follows theirs: rossec federation add {uri} --as {domain.label}"))
     note(f"its nodes may do nothing yet: rossec grant sign {domain.label}:/NODE --certificate FILE")
     publish_domains(service)
 
 
-def _label(home: AuthorityHome, card: Card, given: str | None) -> str:
+def _label(home: AuthorityHome, bundle: TrustBundle, given: str | None) -> str:
     if given is not None:
         return check_label(given)
-    domain = card.anchor.domain
+    domain = bundle.anchor.domain
     for row in home.store().domains.accepted():
         if row.domain == domain:
             return row.label
@@ -237,17 +239,17 @@ def _rule(text: str) -> NameRights:
     return check_pattern(pattern), int(bits)
 
 
-def _show(home: AuthorityHome, domain: ForeignDomain, card: Card, *, is_checked: bool) -> None:
+def _show(home: AuthorityHome, domain: ForeignDomain, bundle: TrustBundle, *, is_checked: bool) -> None:
     say(printable(f"domain {domain.domain}, here {domain.label}:/... and /remote/{domain.label}"))
     for line in lines(domain):
         say(printable(line))
-    for uri in card.masters:
+    for uri in bundle.masters:
         say(printable(f"  its master is at {uri}"))
     for row in home.store().domains.accepted():
         if row.domain == domain.domain:
             say("  it is trusted already: these terms replace those of before")
     say(
-        "  this is the card that was meant"
+        "  this is the bundle that was meant"
         if is_checked
         else "  no code was checked: compare the fingerprint with the one its authority shows"
     )

@@ -11,7 +11,7 @@ from typing import Final
 import click
 
 from rossec.gateway.rules import MAX_RULES, TopicRule, rule
-from rossec.participant.delivery import Wishes
+from rossec.participant.delivery import DeliveryOptions
 
 FROM: Final = "--from"
 RATE: Final = "--rate"
@@ -32,8 +32,8 @@ class _Group:
             raise click.UsageError(f"{FROM} takes a label, and then patterns: {FROM} hospital /robot/pose")
         if not self.patterns:
             raise click.UsageError(f"{FROM} {self.label} names no topics: {FROM} {self.label} /robot/pose")
-        wishes = Wishes(self.rate, self.newest, self.compress)
-        return (rule(self.label, pattern, wishes) for pattern in self.patterns)
+        options = DeliveryOptions(self.rate, self.newest, self.compress)
+        return (rule(self.label, pattern, options) for pattern in self.patterns)
 
 
 def split(words: Sequence[str]) -> tuple[tuple[TopicRule, ...], list[str]]:

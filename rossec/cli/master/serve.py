@@ -87,7 +87,7 @@ def run(
                 find_domains=local_list.domains_if_changed,
                 renewer=renewer,
                 now=now(),
-                on_denial=DenialLog(config.complaints) if config.complaints is not None else ignore_denial,
+                on_denial=DenialLog(config.denial_log) if config.denial_log is not None else ignore_denial,
                 limits=config.limits,
                 suites=suites,
             )

@@ -52,7 +52,7 @@ _CHOICES = {"a": "allow", "c": "allow coarsely", "g": "allow beside it too", "d"
 
 @click.command()
 @option("--from-graph=NODE node", "as this node ask the running master")
-@option("--from-log log", "from this denial log (rossec master --complaints FILE)", type=FILE)
+@option("--from-log log", "from this denial log (rossec master --denial-log FILE)", type=FILE)
 @option("--out", "write here instead of the policy", type=PATH)
 @options.policy
 @json_result(pass_environment)

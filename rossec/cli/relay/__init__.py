@@ -10,23 +10,23 @@ from rossec.cli.shared.options import NEW_FILE, flag, option
 
 _RELAY: Final = {
     "add": ("relay.sites:add_relay", "free"),
-    "card": ("relay.sites:card", "free"),
+    "descriptor": ("relay.sites:descriptor", "free"),
     "list": "relay.sites:list_relays",
     "remove": ("relay.sites:remove_relay", "free"),
-    "seat": "relay.sites:seat",
+    "account": "relay.sites:account",
     "status": "status:relay_status",
 }
 
 
 @click.group(cls=LazyGroup, table=_RELAY, invoke_without_command=True)
 @option(
-    "--doors=ADDRESS",
+    "--bind=ADDRESS",
     "listen here for nodes of other hosts of this site; default: loopback, for this user",
     default="",
 )
 @option(
-    "--seat=FILE seat_file",
-    "the routers and the seat there, instead of what `rossec relay seat` keeps",
+    "--account=FILE account_file",
+    "the routers and the account there, instead of what `rossec relay account` keeps",
     type=NEW_FILE,
 )
 @option("--name=NAME", "which of the domain's relays: /relay, or /relay/attic; instead of ROSSEC_RELAY")
@@ -36,8 +36,8 @@ _RELAY: Final = {
 def relay(
     context: click.Context,
     environment: Environment,
-    doors: str,
-    seat_file: Path | None,
+    forwarded_ports: str,
+    account_file: Path | None,
     name: str | None,
     *,
     as_json: bool,
@@ -52,9 +52,9 @@ def relay(
 
         context.obj = environment = Environment({**environment.variables, OWN_RELAY: name})
     if context.invoked_subcommand is not None:
-        if doors or seat_file is not None or as_json:
+        if forwarded_ports or account_file is not None or as_json:
             raise click.UsageError("only --name stands before a verb")
         return
     from rossec.cli.relay.serve import run  # noqa: PLC0415 - imported when it runs
 
-    run(environment, doors, seat_file, as_json=as_json)
+    run(environment, forwarded_ports, account_file, as_json=as_json)

@@ -21,9 +21,9 @@ from rossec.host.local_ports import PortAdmission, find_loopback
 from rossec.host.local_sockets import process_lock
 from rossec.host.runner import stop_on_signals, until_reached, until_stopped
 from rossec.master.operation.admin import AdminPort, raise_descriptor_limit
-from rossec.overlay.documents import MAX_SEAT_FILE, Routers
+from rossec.overlay.documents import MAX_ACCOUNT_FILE, Routers
 from rossec.overlay.endpoint import RouterNetwork
-from rossec.overlay.forwarded_ports import OpenDoors
+from rossec.overlay.forwarded_ports import OpenPorts
 from rossec.overlay.masters import RelayMember
 from rossec.overlay.relay import Relay
 from rossec.overlay.zenoh_carrier import Carrier
@@ -32,23 +32,23 @@ from rossec.terminal import note, printable, say, say_json
 _log = logging.getLogger("rossec.overlay")
 
 
-def run(environment: Environment, doors: str, seat_file: Path | None, *, as_json: bool) -> None:
+def run(environment: Environment, forwarded_ports: str, account_file: Path | None, *, as_json: bool) -> None:
     """Run the relay of this host.
 
-    Without an address of `doors` they are on loopback, for this user. `seat_file` is used instead of
-    the seat that is kept.
+    Without an address of `forwarded_ports` they are on loopback, for this user. `account_file` is used instead of
+    the account that is kept.
     """
     store = relay_files(environment)
     store.home.anchor()  # before anything is written there
-    if seat_file is None:
+    if account_file is None:
         routers = store.routers()
     else:
-        missing = ConfigurationError(f"there is no {seat_file}", "`rossec router seats add` made it")
-        routers = Routers.read(files.read_own(seat_file, MAX_SEAT_FILE, missing, link=True))
+        missing = ConfigurationError(f"there is no {account_file}", "`rossec router accounts add` made it")
+        routers = Routers.read(files.read_own(account_file, MAX_ACCOUNT_FILE, missing, link=True))
 
     async def serve() -> None:
         stop = stop_on_signals()
-        admission = _admission(doors)
+        admission = _admission(forwarded_ports)
         name = own_relay(environment.variables)
         member = RelayMember(name, await with_master(environment, name))
 
@@ -70,7 +70,7 @@ def run(environment: Environment, doors: str, seat_file: Path | None, *, as_json
                 said = f"relay {store.home.name} of {store.home.anchor().domain} at {carrier.router}"
                 say(printable(said))
                 if not store.peers():
-                    note("it has no peers yet: rossec relay card LABEL, rossec relay add LABEL FILE")
+                    note("it has no peers yet: rossec relay descriptor LABEL, rossec relay add LABEL FILE")
             await until_stopped(stop, environment.variables, relay.run())
         finally:
             await admin.close()
@@ -85,16 +85,16 @@ def run(environment: Environment, doors: str, seat_file: Path | None, *, as_json
         asyncio.run(serve())
 
 
-def _admission(doors: str) -> PortAdmission:
-    if not doors:
+def _admission(forwarded_ports: str) -> PortAdmission:
+    if not forwarded_ports:
         return Callers({os.geteuid()}, loopback=find_loopback())
     try:
-        address = str(ip_address(doors))
-        # Bound once to see that it is of this host: doors are opened later, one for each node.
+        address = str(ip_address(forwarded_ports))
+        # Bound once to see that it is of this host: forwarded ports are opened later, one for each node.
         with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as sock:
             sock.bind((address, 0))
     except (ValueError, OSError) as error:
         raise ConfigurationError(
-            f"{doors[:80]} is not an address of this host", "--doors 192.168.1.5, as ROS_IP is"
+            f"{forwarded_ports[:80]} is not an address of this host", "--bind 192.168.1.5, as ROS_IP is"
         ) from error
-    return OpenDoors(address)
+    return OpenPorts(address)

@@ -1,4 +1,4 @@
-"""`rossec relay`, `rossec router seats | share | take`, `rossec federation`: other sites."""
+"""`rossec relay`, `rossec router accounts | share | take`, `rossec federation`: other sites."""
 
 import secrets
 import sys
@@ -23,15 +23,15 @@ from rossec.environment import own_master, own_relay
 from rossec.errors import ConfigurationError
 from rossec.federation.settings import SiteFile, SiteSettings, checked_sites
 from rossec.home import NodeHome
-from rossec.overlay.documents import MAX_CARD, MAX_SEAT_FILE, Peer, RelayCard, check_seat
+from rossec.overlay.documents import MAX_ACCOUNT_FILE, MAX_DESCRIPTOR, Peer, RelayDescriptor, check_account
 from rossec.overlay.homes import DIRECTORY, RelayFiles, RouterHome, new_password
-from rossec.overlay.link_frames import BOX, mailbox
+from rossec.overlay.link_frames import BOX, inbox
 from rossec.overlay.router_tls import MAX_SHARE_FILE, Share
 from rossec.saved_statements import DomainFiles
 from rossec.terminal import note, printable, record, say, say_json, say_secret
 
 RELAY_SOCKET: Final = "admin.sock"
-_LISTED = "at the authority: rossec domain accept CARD; then the master has the list, and the relay"
+_LISTED = "at the authority: rossec domain accept DESCRIPTOR; then the master has the list, and the relay"
 _Known = TypeVar("_Known", Peer, SiteSettings)
 pass_home = click.make_pass_decorator(RouterHome)
 
@@ -44,11 +44,11 @@ pass_home = click.make_pass_decorator(RouterHome)
     default=None,
 )
 @pass_environment
-def card(environment: Environment, label: str, domain: str | None) -> None:
-    """Print the card for the relay LABEL: the mailbox that it alone shall send to.
+def descriptor(environment: Environment, label: str, domain: str | None) -> None:
+    """Print the descriptor for the relay LABEL: the inbox that it alone shall send to.
 
-    The same again each time, and after a change of the seat a new one. Hand it to that relay's
-    operator only. Without --domain the card that comes back says of which domain LABEL is.
+    The same again each time, and after a change of the account a new one. Hand it to that relay's
+    operator only. Without --domain the descriptor that comes back says of which domain LABEL is.
     """
     store = relay_files(environment)
     own = store.home.anchor().domain
@@ -65,12 +65,12 @@ def card(environment: Environment, label: str, domain: str | None) -> None:
         peers[label] = replace(peer, domain=domain)
 
     store.change(put)
-    # A mailbox for each peer: one relay may send there, and no other (decision 0034).
+    # An inbox for each peer: one relay may send there, and no other (decision 0034).
     box = bytes.fromhex(store.peers()[label].box)
-    say_secret(RelayCard(own, store.home.name, mailbox(routers.seat, box)).write().rstrip())
+    say_secret(RelayDescriptor(own, store.home.name, inbox(routers.account, box)).write().rstrip())
     if not store.peers()[label].is_complete:
         note(f"for the relay {label} alone; there: rossec relay add LABEL FILE")
-        note(f"here, its card: rossec relay add {label} FILE")
+        note(f"here, its descriptor: rossec relay add {label} FILE")
 
 
 def relay_files(environment: Environment) -> RelayFiles:
@@ -95,40 +95,40 @@ def known_domains(environment: Environment, home: NodeHome) -> Anchors:
 @click.argument("file", type=FILE)
 @json_result(pass_environment)
 def add_relay(environment: Environment, label: str, file: Path) -> None:
-    """Take the card in FILE of another site's relay, and call it LABEL.
+    """Take the descriptor in FILE of another site's relay, and call it LABEL.
 
-    Links with it are made once it has this relay's card too: rossec relay card LABEL. A running
+    Links with it are made once it has this relay's descriptor too: rossec relay descriptor LABEL. A running
     relay takes it within a second.
     """
     store = relay_files(environment)
-    found = RelayCard.read(files.read(file, MAX_CARD))
+    found = RelayDescriptor.read(files.read(file, MAX_DESCRIPTOR))
     anchors, domain = known_domains(environment, store.home), ""
     if found.domain != anchors.own.domain:
         listed = anchors.listed_domain(found.domain)
         if listed is None:
-            raise ConfigurationError(f"the card is of domain {found.domain}, not trusted here", _LISTED)
+            raise ConfigurationError(f"the descriptor is of domain {found.domain}, not trusted here", _LISTED)
         domain = listed.entry.label
     if not domain and found.relay == store.home.name:
         raise ConfigurationError(
-            f"this is the card of {found.relay}, the relay of this host itself",
-            "add the card that the other relay printed",
+            f"this is the descriptor of {found.relay}, the relay of this host itself",
+            "add the descriptor that the other relay printed",
         )
 
     def put(peers: dict[str, Peer]) -> None:
         peer = peers.get(label) or Peer(check_label(label), secrets.token_hex(BOX))
         if peer.domain is not None and peer.domain != domain:
             raise ConfigurationError(
-                f"the card is of domain {found.domain}, and {label} is to be of"
+                f"the descriptor is of domain {found.domain}, and {label} is to be of"
                 f" {peer.domain or 'the own one'}",
-                f"take the right card, or begin anew: rossec relay remove {label}",
+                f"take the right descriptor, or begin anew: rossec relay remove {label}",
             )
         if peer.is_complete and peer.relay != found.relay:
             raise ConfigurationError(f"{label} is {peer.shown} already", f"rossec relay remove {label}")
-        peers[label] = replace(peer, domain=domain, relay=found.relay, mailbox=found.mailbox)
+        peers[label] = replace(peer, domain=domain, relay=found.relay, inbox=found.inbox)
 
     store.change(put)
     say(f"{label} is {store.peers()[label].shown}", label=label, domain=domain, relay=found.relay)
-    note(f"it needs this relay's card too: rossec relay card {label} > FILE, and there: add")
+    note(f"it needs this relay's descriptor too: rossec relay descriptor {label} > FILE, and there: add")
 
 
 @click.command()
@@ -137,7 +137,7 @@ def add_relay(environment: Environment, label: str, file: Path) -> None:
 def remove_relay(environment: Environment, labels: tuple[str, ...]) -> None:
     """Link with LABEL no longer: its links end at once.
 
-    Its mailbox is gone: a card that was handed out for it is of no use any more.
+    Its inbox is gone: a descriptor that was handed out for it is of no use any more.
     """
     labels = unique(labels)
     batch = Batch(len(labels), "name")
@@ -164,38 +164,38 @@ def _find(known: dict[str, _Known], label: str, what: str) -> _Known:
 @flag("--json as_json", "a line of JSON for each")
 @pass_environment
 def list_relays(environment: Environment, *, as_json: bool) -> None:
-    """List the relays of other sites, as cards have named them."""
+    """List the relays of other sites, as descriptors have named them."""
     peers = relay_files(environment).peers()
     for label, each in sorted(peers.items()):
         if as_json:
             say_json({"label": label, "domain": each.domain, "relay": each.relay})
         else:
-            say(printable(f"{label:<16} {each.shown or 'its card is not here yet'}"))
+            say(printable(f"{label:<16} {each.shown or 'its descriptor is not here yet'}"))
     if not peers and not as_json:
-        note("no relay of another site: rossec relay card LABEL, rossec relay add LABEL FILE")
+        note("no relay of another site: rossec relay descriptor LABEL, rossec relay add LABEL FILE")
 
 
 @click.command()
 @click.argument("file", type=FILE)
 @json_result(pass_environment)
-def seat(environment: Environment, file: Path) -> None:
-    """Keep the seat FILE that the operator of the routers made.
+def account(environment: Environment, file: Path) -> None:
+    """Keep the account FILE that the operator of the routers made.
 
     It has a password in it. A relay that runs uses it when it is started again.
     """
     store = relay_files(environment)
-    before = store.routers().seat if store.has_seat else ""
-    found = store.keep_seat(files.read(file, MAX_SEAT_FILE))
-    record(seat=found.seat, locators=list(found.locators))
-    say(printable(f"seat {found.seat} at {' '.join(found.locators)}"))
-    # Mailboxes are derived from the seat: cards that were handed out name the old ones.
-    if before and before != found.seat:
-        note("the mailboxes have other keys now: hand out the cards again, rossec relay card LABEL")
-    note(f"{file} is not needed any more, and whoever has it has the seat: remove it")
+    before = store.routers().account if store.has_account else ""
+    found = store.keep_account(files.read(file, MAX_ACCOUNT_FILE))
+    record(account=found.account, locators=list(found.locators))
+    say(printable(f"account {found.account} at {' '.join(found.locators)}"))
+    # Inboxes are derived from the account: descriptors that were handed out name the old ones.
+    if before and before != found.account:
+        note("the inboxes have other keys now: hand out the descriptors again, rossec relay descriptor LABEL")
+    note(f"{file} is not needed any more, and whoever has it has the account: remove it")
 
 
 def _reached(command: Callable[..., Any]) -> Callable[..., Any]:
-    # Options of what makes a seat file: where the router is found, if it was not told yet.
+    # Options of what makes an account file: where the router is found, if it was not told yet.
     listen = option(
         "--listen=LOCATOR",
         "where this router will listen, if it never ran yet; as of rossec router",
@@ -212,17 +212,17 @@ def _reached(command: Callable[..., Any]) -> Callable[..., Any]:
 @_reached
 @pass_home
 def add_account(home: RouterHome, name: str, host: tuple[str, ...], listen: tuple[str, ...]) -> None:
-    """Make the seat NAME, and print its file for the relay of that site.
+    """Make the account NAME, and print its file for the relay of that site.
 
-    For example: rossec router seats add home > home.seat. The file holds a password: bring it to
+    For example: rossec router accounts add home > home.account. The file holds a password: bring it to
     the site as you would a key.
     """
-    check_seat(name)
+    check_account(name)
     home.prepare()
     home.tell(hosts=host, listen=listen)
-    home.settings().locators  # noqa: B018 - raises: before there is a seat whose file nobody could use
-    home.change_seats(lambda found: found.add(name, new_password()))
-    say_secret(home.seat_file(name).write().decode().rstrip())
+    home.settings().locators  # noqa: B018 - raises: before there is an account whose file nobody could use
+    home.change_accounts(lambda found: found.add(name, new_password()))
+    say_secret(home.account_file(name).write().decode().rstrip())
 
 
 @click.command()
@@ -230,31 +230,31 @@ def add_account(home: RouterHome, name: str, host: tuple[str, ...], listen: tupl
 @_reached
 @pass_home
 def show_account(home: RouterHome, name: str, host: tuple[str, ...], listen: tuple[str, ...]) -> None:
-    """Print the file of the seat NAME again, with the routers of now.
+    """Print the file of the account NAME again, with the routers of now.
 
     NAME is `open` for a router that was started with --open.
     """
     home.prepare()
     home.tell(hosts=host, listen=listen)
-    say_secret(home.seat_file(name).write().decode().rstrip())
+    say_secret(home.account_file(name).write().decode().rstrip())
 
 
 @click.command("list")
 @flag("--json as_json", "a line of JSON")
 @pass_home
 def list_accounts(home: RouterHome, *, as_json: bool) -> None:
-    """List the seats."""
-    names = home.seats().names
-    say_result(as_json, {"seats": list(names)}, names)
+    """List the accounts."""
+    names = home.accounts().names
+    say_result(as_json, {"accounts": list(names)}, names)
     if not names and not as_json:
-        note("nobody has a seat: rossec router seats add NAME > NAME.seat")
+        note("nobody has an account: rossec router accounts add NAME > NAME.account")
 
 
 @click.command()
 @click.argument("names", metavar="NAME...", nargs=-1, required=True)
 @json_result(pass_home)
 def remove_account(home: RouterHome, names: tuple[str, ...]) -> None:
-    """Take the seat NAME away; a router that runs cuts its relay off within a second.
+    """Take the account NAME away; a router that runs cuts its relay off within a second.
 
     Do it at each router of the operator.
     """
@@ -262,8 +262,8 @@ def remove_account(home: RouterHome, names: tuple[str, ...]) -> None:
     batch = Batch(len(names), "name")
     for name in names:
         with batch.item(name):
-            home.change_seats(methodcaller("remove", name))
-            say(f"the seat {name} is no more")
+            home.change_accounts(methodcaller("remove", name))
+            say(f"the account {name} is no more")
     batch.finish()
 
 
@@ -273,8 +273,8 @@ def share(home: RouterHome) -> None:
     """Write what another router of the operator needs to join.
 
     For example: rossec router share > share.json. It holds the key of the routers' authority and
-    the passwords of all seats: bring it to the other host by ssh, and remove it there. Do it again
-    when seats were added or removed.
+    the passwords of all accounts: bring it to the other host by ssh, and remove it there. Do it again
+    when accounts were added or removed.
     """
     say_secret(home.share().write().decode().rstrip())
     note("this holds every password of the routers: keep it to yourself")
@@ -287,8 +287,8 @@ def share(home: RouterHome) -> None:
 def take(home: RouterHome, file: Path, host: tuple[str, ...]) -> None:
     """Take over FILE of `share` here, and join that router.
 
-    That is its authority, its seats and its address. FILE is - for standard input. A router that
-    runs here takes the seats over within a second.
+    That is its authority, its accounts and its address. FILE is - for standard input. A router that
+    runs here takes the accounts over within a second.
     """
     if str(file) == "-":
         data = sys.stdin.buffer.read(MAX_SHARE_FILE + 1)
@@ -297,8 +297,8 @@ def take(home: RouterHome, file: Path, host: tuple[str, ...]) -> None:
         data = files.read_own(file, MAX_SHARE_FILE, missing, link=True)
     home.take(Share.read(data))
     home.tell(hosts=host)
-    record(seats=list(home.seats().names), joins=list(home.settings().join))
-    say(f"seats: {', '.join(home.seats().names) or 'none'}; joins {', '.join(home.settings().join)}")
+    record(accounts=list(home.accounts().names), joins=list(home.settings().join))
+    say(f"accounts: {', '.join(home.accounts().names) or 'none'}; joins {', '.join(home.settings().join)}")
 
 
 @click.command()
@@ -332,7 +332,7 @@ def add_site(
         raise ConfigurationError(
             f"{master} is the master of this host itself",
             "another one of this domain has another name: --name /master/kitchen;"
-            " that of another domain is followed once that is trusted: rossec domain accept CARD",
+            " that of another domain is followed once that is trusted: rossec domain accept DESCRIPTOR",
         )
 
     def put(sites: dict[str, SiteSettings]) -> None:

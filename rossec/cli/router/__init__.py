@@ -8,8 +8,8 @@ import click
 from rossec.cli.shared.context import Environment, LazyGroup, pass_environment
 from rossec.cli.shared.options import FOLDER, flag, option
 
-_ROUTER: Final = {"seats": "router:seats", "share": "relay.sites:share", "take": "relay.sites:take"}
-_SEATS: Final = {
+_ROUTER: Final = {"accounts": "router:accounts", "share": "relay.sites:share", "take": "relay.sites:take"}
+_ACCOUNTS: Final = {
     "add": ("relay.sites:add_account", "free"),
     "list": "relay.sites:list_accounts",
     "remove": ("relay.sites:remove_account", "free"),
@@ -34,7 +34,7 @@ _SEATS: Final = {
     "name or address by which relays reach it, for its certificate; may be repeated",
     multiple=True,
 )
-@flag("--open is_open", "let in everybody, without seats")
+@flag("--open is_open", "let in everybody, without accounts")
 @flag("--print-config", "print it for a stock zenohd, and end")
 @flag("--json as_json", "say where it listens as a line of JSON")
 @pass_environment
@@ -52,8 +52,8 @@ def router(
 ) -> None:
     """Run a router, through which relays of several sites reach each other. Ends with Ctrl-C.
 
-    It learns random mailboxes, sizes and times, nothing else. --listen, --join and --host are kept
-    for the next start. A seat that is added or removed while it runs is taken over at once.
+    It learns random inboxes, sizes and times, nothing else. --listen, --join and --host are kept
+    for the next start. An account that is added or removed while it runs is taken over at once.
     """
     from rossec.cli.relay.sites import home_of  # noqa: PLC0415 - imported when it runs
 
@@ -72,10 +72,10 @@ def router(
     run(environment, home, given, is_open=is_open, as_json=as_json)
 
 
-@click.group(cls=LazyGroup, table=_SEATS)
-def seats() -> None:
+@click.group(cls=LazyGroup, table=_ACCOUNTS)
+def accounts() -> None:
     """Say who may use the router, and make the files for relays.
 
-    A seat is for one site: its relay reads the mailboxes of its seat, and sends to any that it
+    An account is for one site: its relay reads the inboxes of its account, and sends to any that it
     knows. A router that runs takes changes over within a second.
     """

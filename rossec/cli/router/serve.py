@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from rossec.cli.shared.context import Environment
 from rossec.host.runner import stop_on_signals, until_stopped
 from rossec.overlay.homes import RouterHome
-from rossec.overlay.router import Router, seats_of
+from rossec.overlay.router import Router, accounts_of
 from rossec.overlay.router_settings import RouterSettings, nested, zenoh_settings
 from rossec.terminal import json_text, note, say, say_block, say_json
 
@@ -34,7 +34,7 @@ def run(
                 if is_open:
                     note("it is open: whoever reaches it can use it, and count what others send")
                 else:
-                    say(f"seats: {', '.join(home.seats().names)}")
+                    say(f"accounts: {', '.join(home.accounts().names)}")
                 if settings.join:
                     say(f"joins {', '.join(settings.join)}")
             await until_stopped(stop, environment.variables, router.run())
@@ -43,7 +43,7 @@ def run(
 
     with home.alone():
         settings = home.tell(**given)
-        seats_of(home, is_open=is_open)
+        accounts_of(home, is_open=is_open)
         asyncio.run(serve(settings))
 
 
@@ -51,8 +51,8 @@ def print_settings(home: RouterHome, given: Mapping[str, tuple[str, ...]], *, is
     """Print what `zenohd --config FILE` reads; it names files of `home`, which are made."""
     home.prepare()
     settings = home.tell(**given)
-    seats = seats_of(home, is_open=is_open)
-    home.write_for_zenoh(settings, seats)
-    say_block(json_text(nested(zenoh_settings(settings, seats, home.files)), 1))
-    if seats is not None:
+    accounts = accounts_of(home, is_open=is_open)
+    home.write_for_zenoh(settings, accounts)
+    say_block(json_text(nested(zenoh_settings(settings, accounts, home.files)), 1))
+    if accounts is not None:
         note("it holds the password of this router: keep the file to yourself (chmod 600)")

@@ -176,17 +176,17 @@ async def show_ending(visit: Visit) -> Response:
         node, what = await _grant(visit, from_base64url(visit.query["grant"]))
     elif "node" in visit.query:
         node = await _node(visit, visit.query["node"])
-    standing = await visit.service.standing(epoch, seq)
-    locked = not standing.is_signed and (await visit.service.status()).locked
-    has_all = 0 < standing.nodes == standing.nodes_with_list
-    values = {"standing": standing, "node": node, "what": what, "locked": locked, "has_all": has_all}
+    trust_status = await visit.service.trust_status(epoch, seq)
+    locked = not trust_status.is_signed and (await visit.service.status()).locked
+    has_all = 0 < trust_status.nodes == trust_status.nodes_with_list
+    values = {"trust_status": trust_status, "node": node, "what": what, "locked": locked, "has_all": has_all}
     answer = visit.show("revoked.html", **values)
     if not has_all:
         answer.headers["Refresh"] = str(REFRESH)
         return answer
     # So that it stays ended where the master, which alone knows, is away in the next moment.
     with suppress(HintedError):
-        visit.context.endings.note(await visit.service.standing(0, 0), visit.context.clock())
+        visit.context.endings.note(await visit.service.trust_status(0, 0), visit.context.clock())
     return answer
 
 

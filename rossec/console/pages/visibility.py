@@ -97,7 +97,7 @@ async def load(visit: Visit) -> Overview:
     if not found.ending or without_master:
         return found
     with suppress(HintedError):  # then it is not known, and said to be ending
-        endings.note(await visit.service.standing(0, 0), now)
+        endings.note(await visit.service.trust_status(0, 0), now)
     return view()
 
 

@@ -2,7 +2,7 @@
 
 Stricter than stock, because rights are matched on names: a topic, service or parameter must have a
 well-formed ROS name after it is resolved, and a URI must have a host and a port to connect to. What
-a relay of the own domain says is shown to people and given to nodes: its doors are well-formed
+a relay of the own domain says is shown to people and given to nodes: its forwarded ports are well-formed
 addresses, and everything has a limit.
 """
 
@@ -13,10 +13,10 @@ from typing import Final, TypeVar
 from ca.errors import NameRefused
 from ca.names import check_label, check_name, check_pattern
 from rossec.master.rights.renewals import OFFER_LIMIT, Settlement
-from rossec.master.state.forwarded_ports import AT_ONCE, KINDS, MAX_PEERS, Door, PeerWay, Target
+from rossec.master.state.forwarded_ports import AT_ONCE, KINDS, MAX_PEERS, ForwardedPort, PeerWay, Target
 from rossec.master.state.registry import is_connectable, is_type_name
 from rossec.ros import names
-from rossec.ros.names import build_door
+from rossec.ros.names import build_forwarded_port
 
 KEY_LIMIT: Final = 255
 _TEXT_LIMIT: Final = 255
@@ -136,22 +136,22 @@ def name(value: object, _caller: str, label: str) -> str:
 
 
 @_check
-def doors(value: object, _caller: str, label: str) -> dict[Target, Door]:
+def forwarded_ports(value: object, _caller: str, label: str) -> dict[Target, ForwardedPort]:
     if not isinstance(value, list) or len(value) > AT_ONCE:
         raise ArgumentRefused(f"ERROR: parameter [{label}] must be a list of at most {AT_ONCE}")
-    found: dict[Target, Door] = {}
+    found: dict[Target, ForwardedPort] = {}
     for each in value:
         match each:
             case [str() as peer, str() as what, str() as target, str() as host, int() as port]:
                 with suppress(NameRefused, ValueError):
                     check_label(peer)
                     check_name(target)
-                    if is_connectable(build_door(host, port), "http") and what in KINDS:
-                        found[Target(peer, what, target)] = Door(host, port)
+                    if is_connectable(build_forwarded_port(host, port), "http") and what in KINDS:
+                        found[Target(peer, what, target)] = ForwardedPort(host, port)
                         continue
             case _:
                 pass
-        raise ArgumentRefused(f"ERROR: parameter [{label}] has a door that is not one")
+        raise ArgumentRefused(f"ERROR: parameter [{label}] has a forwarded port that is not one")
     return found
 
 

@@ -67,7 +67,9 @@ class MasterApi:
         connected: Callable[[], Iterable[CertifiedPeer]] = tuple,
     ) -> None:
         self._presence = tables.graph.presence
-        self._access_control = AccessControl(tables.graph, tables.name, tables.doors.is_door)
+        self._access_control = AccessControl(
+            tables.graph, tables.name, tables.forwarded_ports.is_forwarded_port
+        )
         self.graph = GraphCalls(tables, self._access_control, instance)
         self.parameters = ParameterCalls(tables)
         self.sites = SiteCalls(tables, instance, uri)
@@ -85,7 +87,12 @@ class MasterApi:
         )
         unregister_publisher = partial(graph.unregister, Kind.PUBLISHER)
         seen = arg.text("instance"), arg.number("cursor")
-        relay = arg.text("instance"), arg.number("seen"), arg.doors("doors"), arg.ways("ways")
+        relay = (
+            arg.text("instance"),
+            arg.number("seen"),
+            arg.forwarded_ports("forwarded_ports"),
+            arg.ways("ways"),
+        )
         target = arg.text("domain"), arg.kind("kind"), arg.name("name")
         domain, digest, known = arg.text("domain"), arg.binary("digest"), arg.binary("known")
         presented, renewed = (
@@ -128,7 +135,7 @@ class MasterApi:
             # 3. Watchers, other masters, relays.
             WATCH: Method(seen, {}, graph.watch),
             FOLLOW: Method((*seen, arg.patterns("wanted", MAX_WANTED)), {}, sites.follow),
-            names.RELAY_DOORS: Method(relay, {}, sites.poll),
+            names.RELAY_FORWARDED_PORTS: Method(relay, {}, sites.poll),
             names.RELAY_TARGET: Method(target, [], sites.target),
             # 4. Grants and revocations of the own domain.
             "rossec.presentGrants": Method((presented,), 0, statements.present),
@@ -154,7 +161,7 @@ class MasterApi:
             names.RENEW_IDENTITY: Method((arg.binary("request"),), b"", statements.renew_identity),
             names.WATCH_RENEWALS: Method((arg.number("locked"),), {}, statements.offer_renewals),
             names.SETTLE_RENEWALS: Method((arg.settlements,), 0, statements.settle_renewals),
-            own.STANDING: Method((), {}, statements.standing),
+            own.TRUST_STATUS: Method((), {}, statements.trust_status),
             own.DENIALS: Method((), [], statements.recent_denials),
         }
 

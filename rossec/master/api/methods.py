@@ -35,7 +35,7 @@ class MasterTables:
     parameter_bytes: int = SIZE_LIMIT  # of all parameters together
     deposits: Deposits = field(default_factory=Deposits)  # by default none is accepted
     recent_denials: RecentDenials = field(default_factory=RecentDenials)
-    doors: ForwardedPorts = field(default_factory=ForwardedPorts)
+    forwarded_ports: ForwardedPorts = field(default_factory=ForwardedPorts)
 
     def __post_init__(self) -> None:
         self.registry = self.imports.registry

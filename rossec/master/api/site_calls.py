@@ -27,9 +27,7 @@ MAX_PATTERNS: Final = 64  # wanted, with a wildcard before their end: each costs
 # The answer after a wait without a change; short, as there are many in a silent mesh
 UNCHANGED: Final[tuple[int, str, dict[str, object]]] = (1, "", {})
 _KINDS: Final = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
-_UNREACHABLE: Final = (
-    "a relay on another host than the master needs doors that others reach: rossec relay --doors ADDRESS"
-)
+_UNREACHABLE: Final = "a relay on another host than the master needs forwarded ports that others reach: rossec relay --bind ADDRESS"
 _ANOTHER: Final = (
     "another relay with this name has come since: end one of them, "
     "or give it a name of its own (rossec relay --name /relay/attic)"
@@ -46,7 +44,7 @@ class SiteCalls:
     def __init__(self, tables: MasterTables, instance: str, uri: str) -> None:
         self._registry = tables.registry
         self._trust = tables.trust
-        self._doors = tables.doors
+        self._forwarded_ports = tables.forwarded_ports
         self._own = tables.name, uri
         self.views: Final = GraphViews(instance)
 
@@ -67,25 +65,25 @@ class SiteCalls:
         return Reply(answer, "facts of this site")
 
     def poll(self, request: CallRequest) -> Reply:
-        _, instance, seen, doors, ways = request.arguments
-        if not (isinstance(seen, int) and isinstance(doors, dict) and isinstance(ways, dict)):
+        _, instance, seen, forwarded_ports, ways = request.arguments
+        if not (isinstance(seen, int) and isinstance(forwarded_ports, dict) and isinstance(ways, dict)):
             raise TypeError("a relay's call whose arguments were not checked")
-        report = RelayReport(str(instance), seen, doors, ways)
-        for door in report.doors.values():
-            if is_loopback_host(door.host) and not request.is_local:
+        report = RelayReport(str(instance), seen, forwarded_ports, ways)
+        for forwarded_port in report.forwarded_ports.values():
+            if is_loopback_host(forwarded_port.host) and not request.is_local:
                 raise Refused(_UNREACHABLE)
-        if not self._doors.has_room_for(request.caller.name):
+        if not self._forwarded_ports.has_room_for(request.caller.name):
             raise Refused("this master has too many relays")
-        if self._doors.is_superseded(request.caller.name, report.instance):
+        if self._forwarded_ports.is_superseded(request.caller.name, report.instance):
             raise Refused(_ANOTHER)
-        change = self._doors.hear(request.caller.name, report, request.now)
+        change = self._forwarded_ports.hear(request.caller.name, report, request.now)
         answer = {
             "version": change.version,
             "wanted": [list(target) for target in change.wanted],
             "unwanted": [list(target) for target in change.unwanted],
-            "masters": dict(self._doors.masters()),
+            "masters": dict(self._forwarded_ports.masters()),
         }
-        return Reply(answer, "doors")
+        return Reply(answer, "forwarded_ports")
 
     def target(self, request: CallRequest) -> Reply:
         domain, kind, name = map(request.text, (1, 2, 3))

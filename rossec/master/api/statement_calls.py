@@ -33,7 +33,7 @@ RENEW_LIMIT: Final = 16
 PROOF_LIMIT: Final = 64
 MAX_DOMAIN: Final = 255  # characters
 WATCH_GRANTS: Final = "rossec.watchGrants"
-STANDING: Final = "rossec.revocationStanding"
+TRUST_STATUS: Final = "rossec.revocationStatus"
 DENIALS: Final = "rossec.recentDenials"
 DEPOSIT_LIMIT: Final = 64  # grants in one call
 STATES_LIMIT: Final = 256
@@ -219,11 +219,11 @@ class StatementCalls:
         done = Administered(request.caller.identity, f"renewed or refused {settled} identities")
         return Reply(settled, "settled", events=(done,) if settled else ())
 
-    def standing(self, request: CallRequest) -> Reply:
+    def trust_status(self, request: CallRequest) -> Reply:
         key = request.caller.thumbprint  # the authority has signed the list and needs none
         own = (peer for peer in self._connected() if not is_alias(peer.name))
         nodes = [peer for peer in own if peer.thumbprint != key]
-        found = self._trust.standing(nodes, request.now)
+        found = self._trust.trust_status(nodes, request.now)
         epoch, seq = self._trust.list_number
         answer = {
             "list": f"{epoch}.{seq}",
@@ -231,7 +231,7 @@ class StatementCalls:
             "holding": found.holding,
             "lacking": list(found.lacking[:MAX_LACKING]),
         }
-        return Reply(answer, "standing of the revocation list")
+        return Reply(answer, "trust status of the revocation list")
 
     def recent_denials(self, request: CallRequest) -> Reply:
         answer = [

@@ -56,7 +56,7 @@ _EXPECTED: Final = {
     "audit": _SWITCH,
     "admin": _SWITCH,
     "announce": _SWITCH,
-    "complaints": "the path of a file",
+    "denial_log": "the path of a file",
 }
 
 
@@ -70,7 +70,7 @@ class Config:
     admin: bool = False  # open the local port of an administrator
     announce: bool = False  # announce the master on the local links
     metrics: int | None = None  # port for Prometheus, on loopback; None: none
-    complaints: Path | None = None  # file of the denial log; None: none
+    denial_log: Path | None = None  # file of the denial log; None: none
     # limits, federation: parts of the file; the second is for `rossec.federation.settings`
     limits: MasterLimits = field(default_factory=MasterLimits)
     federation: "Part | None" = None
@@ -128,7 +128,7 @@ def _value(key: str, part: "Part", where: str) -> object:
         return value
     if key == "log" and value in _LOGS:
         return value
-    if key == "complaints" and isinstance(value, str) and value and printable(value) == value:
+    if key == "denial_log" and isinstance(value, str) and value and printable(value) == value:
         return Path(value)
     known = [f.name for f in dataclasses.fields(Config)]
     if key not in known:

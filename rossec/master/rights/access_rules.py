@@ -112,7 +112,7 @@ RULES: Final[Mapping[str, AccessRule]] = {
     "rossec.revocationProofs": AccessRule(Scope.OPEN),  # the caller must know an entry to query it
     "rossec.depositGrants": AccessRule(Scope.AUTHORITY),
     "rossec.deliveryStates": AccessRule(Scope.AUTHORITY),
-    "rossec.revocationStanding": AccessRule(Scope.AUTHORITY),
+    "rossec.revocationStatus": AccessRule(Scope.AUTHORITY),
     "rossec.recentDenials": AccessRule(Scope.AUTHORITY),
     "rossec.fetchGrants": AccessRule(Scope.OPEN),  # only grants of the caller's key are returned
     "rossec.watchGrants": AccessRule(Scope.OPEN),  # as above
@@ -122,7 +122,7 @@ RULES: Final[Mapping[str, AccessRule]] = {
     names.UPDATE_DOMAINS: AccessRule(Scope.MEMBER),  # signed by the authority
     names.FOREIGN_REVOCATIONS: AccessRule(Scope.MEMBER),
     names.FOREIGN_PROOFS: AccessRule(Scope.MEMBER),  # the caller must know an entry to query it
-    names.RELAY_DOORS: AccessRule(Scope.RELAY),
+    names.RELAY_FORWARDED_PORTS: AccessRule(Scope.RELAY),
     names.RELAY_TARGET: AccessRule(Scope.RELAY),  # of what is exported to the domain it asks for
 }
 
@@ -135,12 +135,12 @@ class AccessControl:
     """Authorizes calls whose arguments are already resolved."""
 
     def __init__(
-        self, graph: Graph, master: str, is_door: Callable[[Endpoint], bool] = lambda _place: False
+        self, graph: Graph, master: str, is_forwarded_port: Callable[[Endpoint], bool] = lambda _place: False
     ) -> None:
         self._graph = graph
         self._registry = graph.registry
         self._master = master  # the master's own certified name; ADMIN is a right on this name
-        self._is_door = is_door  # whether a relay of this site has a door at a place: no node is there
+        self._is_forwarded_port = is_forwarded_port  # whether a relay of this site has a forwarded port at a place: no node is there
 
     def acting_caller(self, method: str, caller: Caller, caller_id: str) -> Caller:
         """The caller as the node `caller_id`: itself, or a node whose registrations it cleans up."""
@@ -190,7 +190,7 @@ class AccessControl:
             require_address(self._registry, caller, str(arguments[rule.api]), is_local=is_local)
         if scope is Scope.NAMED:
             given = [str(arguments[at]) for at in (rule.api, rule.service) if at is not None]
-            if any(self._is_door(endpoint(uri)) for uri in given):  # its target would lose it here
+            if any(self._is_forwarded_port(endpoint(uri)) for uri in given):  # its target would lose it here
                 raise Refused("a relay of this site listens at this address")
         if rule.service is not None and caller.is_foreign:
             _require_foreign_address(self._registry, caller, str(arguments[rule.service]), is_local=is_local)

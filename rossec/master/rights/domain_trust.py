@@ -19,7 +19,7 @@ from ca.errors import NotAdmitted, RevocationRefused, RevocationsStale
 from ca.keys.signing import THUMBPRINT_SIZE, thumbprint
 from ca.names import is_master_name
 from ca.revocation.lists import GRANT_ID_SIZE, digest, is_tree
-from ca.revocation.trust_status import Standing
+from ca.revocation.trust_status import TrustStatus
 from grants.decision import Reach, RevocationCheck
 from grants.model import Permission, Right
 from grants.token import Verifier
@@ -51,13 +51,13 @@ class DomainTrust:
 
     def __init__(
         self,
-        standing: Standing,
+        trust_status: TrustStatus,
         persist: Callable[[bytes], None] = lambda _data: None,
         persist_foreign: PersistForeign = lambda _domain, _data: None,
         load_foreign: LoadForeign = lambda _domain: None,
     ) -> None:
-        self.standing: Final = standing
-        self.anchors: Final = standing.anchors
+        self.trust_status: Final = trust_status
+        self.anchors: Final = trust_status.anchors
         # persist, persist_foreign: make a list durable; called before it takes effect
         self._persist = persist
         self._persist_foreign = persist_foreign
@@ -87,12 +87,12 @@ class DomainTrust:
     def take(
         self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[bytes], now: int
     ) -> None:
-        # Arguments and errors as `Standing.take_foreign`.
+        # Arguments and errors as `TrustStatus.take_foreign`.
         # A valid list is in force even if the timestamp is refused: `generation` has grown then.
         before = self._data(domain)
         persist = partial(self._persist_foreign, domain)
         try:
-            self.standing.take_foreign(domain, revocations, timestamp, chain, now, persist)
+            self.trust_status.take_foreign(domain, revocations, timestamp, chain, now, persist)
             self._words[domain] = ForeignWord(self._data(domain), timestamp, tuple(chain))
         finally:
             if self._data(domain) != before:
@@ -122,12 +122,12 @@ class DomainTrust:
         return [known.get(entry, b"") for entry in entries]
 
     def wanted_proofs(self, domain: str) -> list[bytes]:
-        held = self.standing.foreign(domain)
+        held = self.trust_status.foreign(domain)
         unproved = () if held is None else held.unproved
         return list(dict.fromkeys((*unproved, *self._wanted.get(domain, ()))))
 
     def add_proof(self, domain: str, entry: bytes, proof: bytes) -> None:
-        held = self.standing.foreign(domain)
+        held = self.trust_status.foreign(domain)
         if held is None or not is_tree(held.data):
             raise RevocationRefused("a proof, but there is no such tree")
         before = len(held.entries)
@@ -140,7 +140,7 @@ class DomainTrust:
         self.generation += len(held.entries) != before
 
     def admit(self, peer: Identity, now: int) -> None:
-        # Return if a foreigner may open a connection; raises as `Standing.check_peer`. The own master is the
+        # Return if a foreigner may open a connection; raises as `TrustStatus.check_peer`. The own master is the
         # source of the own list's freshness: that it is held is enough. A foreign master may come while its
         # domain's revocations are stale, or two masters that know nothing of each other yet would wait for
         # each other; it has no right until they are not.
@@ -151,14 +151,14 @@ class DomainTrust:
 
     def check_fresh(self, peer: Identity, now: int) -> None:
         for key in peer.keys:
-            self.standing.check(peer.domain, key, now)
+            self.trust_status.check(peer.domain, key, now)
 
     def check_connected(self, peer: Identity, now: int) -> None:
-        self.standing.check_trust(peer, now)
+        self.trust_status.check_trust(peer, now)
         stale: RevocationsStale | None = None
         for key in peer.keys:
             try:
-                self.standing.check(peer.domain, key, now)
+                self.trust_status.check(peer.domain, key, now)
             except RevocationsStale as error:
                 stale = stale or error
         if stale is None or is_master_name(peer.certified_name):
@@ -168,7 +168,7 @@ class DomainTrust:
 
     def check_known(self, domain: str, entry: bytes, now: int) -> None:
         with suppress(RevocationsStale):
-            self.standing.check(domain, entry, now)
+            self.trust_status.check(domain, entry, now)
 
     def check_for(self, peer: Identity, entry: bytes, now: int) -> None:
         """As `check_known` with a foreigner's domain; nothing counts for a master that is stale."""
@@ -202,17 +202,17 @@ class DomainTrust:
 
     def verifier(self, domain: str) -> Verifier:
         """Opens grants of a listed foreign domain."""
-        listed, held = self.anchors.listed_domain(domain), self.standing.foreign(domain)
+        listed, held = self.anchors.listed_domain(domain), self.trust_status.foreign(domain)
         if listed is None or held is None:
             raise NotAdmitted(f"domain {domain!a} is not listed here")
         seq = 0 if held.current is None else held.current.seq
         check: RevocationCheck = partial(self.check_known, domain)
-        delegates = self.standing.delegates(domain)
+        delegates = self.trust_status.delegates(domain)
         return Verifier(listed.anchor.public_key, domain, delegates, seq, check)
 
     def own_delegates(self) -> tuple[ec.EllipticCurvePublicKey, ...]:
         """The keys of the listed own masters, unless revoked: their tickets count."""
-        return self.standing.delegates(self.anchors.own.domain)
+        return self.trust_status.delegates(self.anchors.own.domain)
 
     def keep_only(self, thumbprints: frozenset[bytes]) -> None:
         self._stale_since = {key: since for key, since in self._stale_since.items() if key in thumbprints}
@@ -226,7 +226,7 @@ class DomainTrust:
         return {each.entry.domain: each.anchor.thumbprint for each in self.anchors.all_listed}
 
     def _data(self, domain: str) -> bytes:
-        held = self.standing.foreign(domain)
+        held = self.trust_status.foreign(domain)
         return b"" if held is None else held.data
 
     def _list_replaced(self, ended: frozenset[str]) -> None:
@@ -237,7 +237,7 @@ class DomainTrust:
             domain = listed.entry.domain
             saved = None if self._data(domain) else self._load_foreign(domain)
             if saved is not None:
-                self.standing.restore(domain, saved, 0)  # 0: of a tree nothing is proved
+                self.trust_status.restore(domain, saved, 0)  # 0: of a tree nothing is proved
         self._own_masters = frozenset(map(thumbprint, self.anchors.masters))
         entries = [each.entry for each in self.anchors.all_listed]
         self._exports = {each.domain: _reach(each.exported) for each in entries}

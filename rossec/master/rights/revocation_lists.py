@@ -36,7 +36,7 @@ MAX_HELD_LISTS: Final = 16 * 1024  # nodes whose list is recorded
 SILENT_AFTER: Final = 35  # seconds; a node says every 10 s what it holds
 
 
-class ListStanding(NamedTuple):
+class ListStatus(NamedTuple):
     nodes: int
     holding: int
     lacking: tuple[str, ...]
@@ -58,7 +58,7 @@ class HeldLists:
     def keep_only(self, thumbprints: frozenset[bytes]) -> None:
         self._held = {key: held for key, held in self._held.items() if key[1] in thumbprints}
 
-    def standing(self, connected: Iterable[CertifiedPeer], digest: bytes, now: int) -> ListStanding:
+    def trust_status(self, connected: Iterable[CertifiedPeer], digest: bytes, now: int) -> ListStatus:
         # Nodes of a wildcard identity count one by one, as long as they speak. An identity that is connected
         # and silent counts as one node that does not hold the list.
         speaking: dict[bytes, list[tuple[str, bool]]] = {}
@@ -68,7 +68,7 @@ class HeldLists:
         identities = {peer.thumbprint: peer.name for peer in connected}
         found = [node for key, name in identities.items() for node in speaking.get(key, [(name, False)])]
         lacking = sorted(name for name, holds in found if not holds)
-        return ListStanding(len(found), len(found) - len(lacking), tuple(lacking))
+        return ListStatus(len(found), len(found) - len(lacking), tuple(lacking))
 
 
 _PUBLISH: Final = "deliver it with: rossec ca publish"
@@ -111,8 +111,8 @@ class ListInForce:
         data, stamp = self.current(now)
         return (b"" if self.held_lists.holds(peer, digest(data)) else data), stamp
 
-    def standing(self, connected: Iterable[CertifiedPeer], now: int) -> ListStanding:
-        return self.held_lists.standing(connected, digest(self._revocations.data), now)
+    def trust_status(self, connected: Iterable[CertifiedPeer], now: int) -> ListStatus:
+        return self.held_lists.trust_status(connected, digest(self._revocations.data), now)
 
     @property
     def list_data(self) -> bytes:

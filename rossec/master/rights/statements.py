@@ -18,7 +18,7 @@ from ca.errors import CAError, HintedError, RenewalRefused, Revoked
 from ca.keys.signing import Signer
 from ca.names import MASTER, REMOTE, is_alias, shown
 from ca.revocation.lists import digest
-from ca.revocation.trust_status import Revocations, Standing
+from ca.revocation.trust_status import Revocations, TrustStatus
 from grants.errors import GrantError
 from grants.model import Grant, Right
 from grants.token import Verifier, peek
@@ -59,7 +59,7 @@ class TrustState(ListInForce):
         super().__init__(anchor, signer, revocations, persist, persist_entries)
         self.identities: Final = IdentityRenewals(anchor, renewer)
         self._delegate = TicketSigner(anchor, signer) if delegate is None else delegate
-        self.domains: Final = domains or DomainTrust(Standing(Anchors(anchor), revocations))
+        self.domains: Final = domains or DomainTrust(TrustStatus(Anchors(anchor), revocations))
         self._judge = Judge(anchor.domain, self._check_grant, self.domains.domain_of)
         self._held: dict[bytes, PresentedGrants] = {}
         self._held_by_foreigners: dict[tuple[str, bytes], PresentedGrants] = {}

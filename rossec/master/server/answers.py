@@ -23,7 +23,7 @@ from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureStream
 from rossec.net.rpc.calls import Dispatch
 from rossec.net.rpc.time_slices import of_loop, source_of
-from rossec.ros.names import PRESENT_GRANTS, RELAY_DOORS, WATCH_RENEWALS
+from rossec.ros.names import PRESENT_GRANTS, RELAY_FORWARDED_PORTS, WATCH_RENEWALS
 from rossec.ros.xmlrpc import Fault
 
 
@@ -110,7 +110,7 @@ class CallAnswers:
         self._polls = {
             WATCH_GRANTS: self._watch_grants,
             WATCH_RENEWALS: self._watch_renewals,
-            RELAY_DOORS: self._relay_doors,
+            RELAY_FORWARDED_PORTS: self._relay_forwarded_ports,
         }
 
     def dispatch(self, is_local: bool, method: str, params: tuple[object, ...], peer: Identity) -> object:
@@ -192,7 +192,7 @@ class CallAnswers:
             case answer:
                 return answer
 
-    async def _relay_doors(self, call: PendingCall) -> object:
+    async def _relay_forwarded_ports(self, call: PendingCall) -> object:
         polls, relay = self._state.relay_polls, call.peer.thumbprint
         polls.wake((relay,))
         answer = await self._answer(call)
@@ -200,7 +200,7 @@ class CallAnswers:
             return answer
         await polls.wait(WATCH_WAIT, relay)
         caller_id, instance, seen, _, ways = call.params
-        # The doors it reported were taken over with the first answer.
+        # The forwarded ports it reported were taken over with the first answer.
         return await self._answer(call._replace(params=(caller_id, instance, seen, [], ways)))
 
     async def _probe_owner(self, owner: NodeRef, call: PendingCall) -> object:

@@ -183,7 +183,7 @@ class MasterState(MasterTables):
         self.imports.filter.rules = self.trust.domains.imported
         self.imports.on_settled = self.settled.notify
         self.trust.domains.own_sites = self.imports.own_sites
-        self.doors.on_wanted = self.relay_polls.notify
+        self.forwarded_ports.on_wanted = self.relay_polls.notify
         self.trust.identities.on_asked = self.renewal_changes.notify
 
     def now(self) -> int:

@@ -35,7 +35,7 @@ from rossec.ros.xmlrpc import Fault
 
 SOURCE: Final = "the authority on this host"
 
-_log = logging.getLogger("rossec.master.nearby")
+_log = logging.getLogger("rossec.master.discovery")
 
 # Returns the newest signed list or tree, and the entries of a tree; None: unchanged
 FindRevocations: TypeAlias = Callable[[], tuple[bytes, bytes] | None]
@@ -282,7 +282,7 @@ _CLOCK_SET_BACK: Final = (
 )
 
 _SAVE_PAUSE: Final = 1.0  # seconds between two times that parameters are saved, however many
-_maintenance_log = logging.getLogger("rossec.master.upkeep")
+_maintenance_log = logging.getLogger("rossec.master.maintenance")
 
 
 class Maintenance:

@@ -22,8 +22,8 @@ from rossec.master.state import journals
 from rossec.master.state.journals import DepositChange, ParameterChange
 from rossec.master.state.parameters import Parameters
 
-_log = logging.getLogger("rossec.master.keeping")
-_journal_log = logging.getLogger("rossec.master.memory")
+_log = logging.getLogger("rossec.master.saved_state")
+_journal_log = logging.getLogger("rossec.master.process_memory")
 
 REWRITE_FACTOR: Final = 4  # a journal is compacted when it is this many times as long as needed
 REWRITE_MIN: Final = 1024 * 1024  # and at least this long

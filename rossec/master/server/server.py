@@ -334,7 +334,7 @@ def _domains(
     home: NodeHome, anchor: TrustAnchor, own: Revocations, saved_list: ListFile, now: int
 ) -> DomainTrust:
     saved = DomainFiles(home, anchor)
-    standing = saved.standing(saved.anchors(), own, now)
+    trust_status = saved.trust_status(saved.anchors(), own, now)
 
     def load_foreign(domain: str) -> bytes | None:
         try:
@@ -344,9 +344,9 @@ def _domains(
             return None
 
     def save_foreign(domain: str, data: bytes) -> None:
-        listed = standing.anchors.listed_domain(domain)
+        listed = trust_status.anchors.listed_domain(domain)
         if listed is not None:
             saved_list.save_by(("of", domain), partial(saved.save_foreign, listed.anchor), data)
 
     save = partial(saved_list.save_by, "domains", saved.save_domains)
-    return DomainTrust(standing, save, save_foreign, load_foreign)
+    return DomainTrust(trust_status, save, save_foreign, load_foreign)

@@ -1,8 +1,8 @@
-"""Doors: local ports of relays that stand for masters, nodes and services of other sites. Pure.
+"""Forwarded ports: local ports of relays that stand for masters, nodes and services of other sites. Pure.
 
-Followers say what they want, relays poll for it, open doors and tell where they are. A door is one
+Followers say what they want, relays poll for it, open forwarded ports and tell where they are. A forwarded port is one
 of the own relay's, so nothing that another site says decides where it is. A relay that was started
-again has no doors: it is told anew of all that is wanted. Of two relays that know a peer, one
+again has no forwarded ports: it is told anew of all that is wanted. Of two relays that know a peer, one
 serves it, and the other when that one falls silent. Of two with one name the newer one counts.
 """
 
@@ -12,9 +12,9 @@ from typing import Final, NamedTuple
 
 from ca.bounded import Newest
 from rossec.master.state.registry import Endpoint, endpoint
-from rossec.ros.names import build_door
+from rossec.ros.names import build_forwarded_port
 
-MAX_DOORS: Final = 4096  # as many as a relay has
+MAX_FORWARDED_PORTS: Final = 4096  # as many as a relay has
 MAX_RELAYS: Final = 64
 MAX_PEERS: Final = 256  # of one relay
 AT_ONCE: Final = 1024  # targets in one answer
@@ -27,14 +27,14 @@ Masters = Callable[[], Mapping[str, str]]
 
 
 class Target(NamedTuple):
-    """What a door stands for: a master, node or service at a peer, by its name there."""
+    """What a forwarded port stands for: a master, node or service at a peer, by its name there."""
 
     peer: str
     kind: str
     name: str
 
 
-class Door(NamedTuple):
+class ForwardedPort(NamedTuple):
     """Where a relay listens for a target."""
 
     host: str
@@ -42,13 +42,13 @@ class Door(NamedTuple):
 
     @property
     def endpoint(self) -> Endpoint:
-        return endpoint(build_door(*self))
+        return endpoint(build_forwarded_port(*self))
 
 
 class PeerWay(NamedTuple):
     """How a relay reaches a peer: what it says of its links, for people."""
 
-    state: str  # of its link; a relay dials when a door is used first
+    state: str  # of its link; a relay dials when a forwarded port is used first
     rtt_ms: float  # round trip, milliseconds; 0: not known yet
     retransmissions: int  # since the link is there
     router: str  # which one is in use
@@ -56,11 +56,11 @@ class PeerWay(NamedTuple):
 
 
 class RelayReport(NamedTuple):
-    """A relay's call: its run, the version it has seen, doors opened since, and all its peers."""
+    """A relay's call: its run, the version it has seen, forwarded ports opened since, and all its peers."""
 
     instance: str
     seen: int
-    doors: Mapping[Target, Door]
+    forwarded_ports: Mapping[Target, ForwardedPort]
     ways: Mapping[str, PeerWay]
 
 
@@ -75,29 +75,29 @@ class _Relay:
     instance: str
     heard: int = 0
     ways: Mapping[str, PeerWay] = field(default_factory=dict)
-    doors: dict[Target, Door] = field(default_factory=dict)
+    forwarded_ports: dict[Target, ForwardedPort] = field(default_factory=dict)
     places: dict[Endpoint, Target] = field(default_factory=dict)
 
-    def put(self, target: Target, door: Door) -> bool:
-        if self.doors.get(target) == door:
+    def put(self, target: Target, forwarded_port: ForwardedPort) -> bool:
+        if self.forwarded_ports.get(target) == forwarded_port:
             return False
-        before = self.places.get(door.endpoint)
+        before = self.places.get(forwarded_port.endpoint)
         for each in (target, before):
             if each is not None:
                 self.drop(each)
-        self.doors[target], self.places[door.endpoint] = door, target
+        self.forwarded_ports[target], self.places[forwarded_port.endpoint] = forwarded_port, target
         return True
 
     def drop(self, target: Target) -> None:
-        door = self.doors.pop(target, None)
-        if door is not None:
-            self.places.pop(door.endpoint, None)
+        forwarded_port = self.forwarded_ports.pop(target, None)
+        if forwarded_port is not None:
+            self.places.pop(forwarded_port.endpoint, None)
 
 
 class ForwardedPorts:
     """What is wanted of all relays, and what they have opened."""
 
-    def __init__(self, limit: int = MAX_DOORS) -> None:
+    def __init__(self, limit: int = MAX_FORWARDED_PORTS) -> None:
         self.on_wanted: Callable[[], object] = lambda: None  # called when relays are to be told of something
         self.masters: Masters = dict  # those that relays shall poll too
         self._limit = limit
@@ -115,7 +115,7 @@ class ForwardedPorts:
 
     def want(self, label: str, targets: Iterable[Target]) -> int:
         # All that the follower of a site wants from now on; returns how many are too many. Those are wanted
-        # when it asks again and others are wanted no longer. The master of a site always has a door; of
+        # when it asks again and others are wanted no longer. The master of a site always has a forwarded port; of
         # others a site has at most as many as are left for all: none takes them from the next one, whatever
         # it says that it has.
         wanted, held, before = set(targets), self._wants.setdefault(label, set()), self._version
@@ -142,11 +142,11 @@ class ForwardedPorts:
         self._wants.pop(label, None)
         self._listeners.pop(label, None)
 
-    def door(self, target: Target) -> Door | None:
+    def forwarded_port(self, target: Target) -> ForwardedPort | None:
         relay = self._relays.get(self._serving.get(target.peer, ""))
-        return None if relay is None else relay.doors.get(target)
+        return None if relay is None else relay.forwarded_ports.get(target)
 
-    def is_door(self, place: Endpoint) -> bool:
+    def is_forwarded_port(self, place: Endpoint) -> bool:
         return any(place in relay.places for relay in self._relays.values())
 
     def way(self, peer: str) -> tuple[str, PeerWay] | None:
@@ -170,9 +170,9 @@ class ForwardedPorts:
         held.heard = now
         held.ways = dict(report.ways)
         changed = self._assign()
-        for target, door in report.doors.items():
+        for target, forwarded_port in report.forwarded_ports.items():
             if target in self._wanted and self._serving.get(target.peer) == relay:
-                changed |= held.put(target, door)
+                changed |= held.put(target, forwarded_port)
         if changed:
             self._notify()
         since = report.seen if report.seen <= self._version else 0  # it polled an earlier run of this master
@@ -212,7 +212,7 @@ class ForwardedPorts:
             if name not in self._relays or peer not in self._relays[name].ways:
                 del self._serving[peer]
                 for relay in self._relays.values():
-                    for target in [each for each in relay.doors if each.peer == peer]:
+                    for target in [each for each in relay.forwarded_ports if each.peer == peer]:
                         relay.drop(target)
         for name in sorted(self._relays):
             for peer in self._relays[name].ways:

@@ -16,7 +16,7 @@ from rossec.errors import HangUp, RossecError
 from rossec.participant.access import Access
 from rossec.participant.definitions import FindDefinition
 from rossec.participant.registrations import PublisherGrace, RegistrationTable
-from rossec.ros.names import DOOR_PATH, is_door, parse_uri
+from rossec.ros.names import FORWARDED_PORT_PATH, is_forwarded_port, parse_uri
 
 _SCHEMES: Final = {WireProtocol.HTTP: "http", WireProtocol.TCPROS: "rosrpc"}
 Outcome = TypeVar("Outcome")
@@ -31,14 +31,16 @@ class ListeningAddress:
     host: str
     port: int
     via_slave_api: bool = False  # `port` is the slave API's; the topic port is requested from it
-    door: bool = False  # a slave API behind a relay, which leads TCPROS connections to the same node
+    forwarded_port: bool = (
+        False  # a slave API behind a relay, which leads TCPROS connections to the same node
+    )
 
     @property
     def uri(self) -> str:
-        """As in ROS: `http://host:port/` or `rosrpc://host:port`; a door's is `http://host:port/via`."""
+        """As in ROS: `http://host:port/` or `rosrpc://host:port`; a forwarded port's is `http://host:port/via`."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         end = "/" if self.protocol is WireProtocol.HTTP else ""
-        end = DOOR_PATH if self.door else end
+        end = FORWARDED_PORT_PATH if self.forwarded_port else end
         return f"{_SCHEMES[self.protocol]}://{host}:{self.port}{end}"
 
 
@@ -59,7 +61,9 @@ def parse_endpoint(uri: object, protocol: WireProtocol) -> ListeningAddress | No
         address = parse_uri("http://" + uri.removeprefix(head))
     except HintedError:
         return None
-    return ListeningAddress(protocol, *address, door=protocol is WireProtocol.HTTP and is_door(uri))
+    return ListeningAddress(
+        protocol, *address, forwarded_port=protocol is WireProtocol.HTTP and is_forwarded_port(uri)
+    )
 
 
 class EndpointMap:

@@ -254,8 +254,8 @@ def _answer_for_program(
 
 
 def _topics_of(remote: ListeningAddress, host: str, port: int) -> ListeningAddress:
-    # From a peer behind a relay's door only that it offers TCPROS counts: the topic is at the door, too.
-    if remote.door:
+    # From a peer behind a relay's forwarded port only that it offers TCPROS counts: the topic is at the forwarded port, too.
+    if remote.forwarded_port:
         host, port = remote.host, remote.port
     return ListeningAddress(WireProtocol.TCPROS, host, port)
 
@@ -274,7 +274,7 @@ class AdmittedConnection:
     guard: Guard | None  # filters each message before it is forwarded; None: bytes pass unchanged
     service: bool  # both directions carry data; else only from publisher to subscriber
     message_size: int | None = None  # of every message to a program, if it is fixed and known
-    wishes: delivery.Wishes = delivery.NO_WISHES  # of a peer that subscribes
+    options: delivery.DeliveryOptions = delivery.NO_OPTIONS  # of a peer that subscribes
     rebuild: Callable[[Decision], Guard | None] = unrestricted  # for another decision of the same peer
 
 
@@ -288,7 +288,7 @@ def admit_peer(
     now: int,
 ) -> Layer[AdmittedConnection]:
     # 1. What is asked for, at the port for that; 2. the peer's right to it, before the program hears of it.
-    service, wishes = _is_service(fields), delivery.NO_WISHES
+    service, options = _is_service(fields), delivery.NO_OPTIONS
     if service is local.via_slave_api:
         raise ConnectionHeaderRefused(f"this port is not for {'services' if service else 'topics'}")
     if service:
@@ -297,7 +297,7 @@ def admit_peer(
         target = local
     else:
         decision = handshakes.admit_subscriber(fields, peer, agent.access, now)
-        wishes = delivery.carried_out(delivery.requested_wishes(fields), decision)
+        options = delivery.carried_out(delivery.requested_options(fields), decision)
         target = yield from _request_topic(agent, local, fields, peer)
     # 3. The program's own answer, without what only peers may see; 4. the proof of this side, and the guard.
     event = yield ConnectProgram(target, handshakes.fields_here(without_grants(fields), peer))
@@ -312,11 +312,11 @@ def admit_peer(
         own = handshakes.provider_proof(handshakes.text(fields, "service"), agent.access, arrived.now)
         return AdmittedConnection({**answer, **own}, decision, None, service)
     answer["topic"], topic = fields["topic"], handshakes.text(fields, "topic")
-    own = {FIELD: agent.access.present(Right.PUBLISH, topic, arrived.now), **wishes.fields}
+    own = {FIELD: agent.access.present(Right.PUBLISH, topic, arrived.now), **options.fields}
     sent, program = definitions.from_header(answer), _program_name(arrived.fields)
 
     def guard_under(decision: Decision) -> Guard | None:
-        delivery.check_carried_out(wishes, decision)
+        delivery.check_carried_out(options, decision)
         if not decision.restrictions:
             return None
         kind = definitions.sender_definition(sent, decision, agent.known_types)
@@ -326,7 +326,7 @@ def admit_peer(
         kind = definitions.sender_definition(sent, decision, agent.known_types)
         answer |= {} if kind is sent else definitions.definition_fields(kind, decision)
     return AdmittedConnection(
-        {**answer, **own}, decision, guard_under(decision), service, wishes=wishes, rebuild=guard_under
+        {**answer, **own}, decision, guard_under(decision), service, options=options, rebuild=guard_under
     )
 
 
@@ -398,7 +398,7 @@ def connect_to_peer(
     request[FIELD] = agent.access.present(Right.SUBSCRIBE, granted, now)
     arrived, peer = _from_peer((yield ConnectPeer(remote, request)))
     decision = handshakes.admit_publisher(arrived.fields, peer, expected, agent.access, arrived.now)
-    delivery.taken_wishes(arrived.fields, delivery.NO_WISHES)
+    delivery.accepted_options(arrived.fields, delivery.NO_OPTIONS)
     sent = definitions.from_header(arrived.fields)
     kind = definitions.receiver_definition(own, sent, decision, agent.known_types)
 
@@ -447,4 +447,4 @@ def _require_header(event: Event) -> HeaderArrived:
 
 
 def without_grants(fields: Mapping[str, bytes]) -> dict[str, bytes]:
-    return {key: value for key, value in delivery.without_wishes(fields).items() if key != FIELD}
+    return {key: value for key, value in delivery.without_options(fields).items() if key != FIELD}

@@ -5,9 +5,9 @@ import json
 import pytest
 
 from ca.certificates import TrustAnchor
-from ca.domains.trust import Anchors, open_card, open_domains
+from ca.domains.trust import Anchors, open_bundle, open_domains
 from ca.errors import CAError
-from tests.vectors.make_domains import CARDS, FILE, LISTS, vectors
+from tests.vectors.make_domains import FILE, LISTS, TRUST_BUNDLES, vectors
 
 V = json.loads(FILE.read_text())
 OWN = TrustAnchor.load(bytes.fromhex(V["root"]))
@@ -30,16 +30,16 @@ def test_a_list_with_a_flaw(name: str) -> None:
     assert type(caught.value).__name__ == vector["error"]
 
 
-@pytest.mark.parametrize("name", V["cards"])
-def test_a_card(name: str) -> None:
-    assert open_card(bytes.fromhex(V["cards"][name]), V["now"]) == CARDS[name]
+@pytest.mark.parametrize("name", V["bundles"])
+def test_a_bundle(name: str) -> None:
+    assert open_bundle(bytes.fromhex(V["bundles"][name]), V["now"]) == TRUST_BUNDLES[name]
 
 
-@pytest.mark.parametrize("name", V["refused_cards"])
-def test_a_card_with_a_flaw(name: str) -> None:
-    vector = V["refused_cards"][name]
+@pytest.mark.parametrize("name", V["refused_bundles"])
+def test_a_bundle_with_a_flaw(name: str) -> None:
+    vector = V["refused_bundles"][name]
     with pytest.raises(CAError) as caught:
-        open_card(bytes.fromhex(vector["data"]), V["now"])
+        open_bundle(bytes.fromhex(vector["data"]), V["now"])
     assert type(caught.value).__name__ == vector["error"]
 
 

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from ca.certificates import to_pem
-from ca.domains.trust import Anchors, DomainList, ForeignDomain, open_card, open_domains
-from ca.errors import CardRefused, CertificateRefused, DomainsRefused, DomainUnknown, StoreError
+from ca.domains.trust import Anchors, DomainList, ForeignDomain, open_bundle, open_domains
+from ca.errors import BundleRefused, CertificateRefused, DomainsRefused, DomainUnknown, StoreError
 from ca.revocation.lists import open_list
-from ca.revocation.trust_status import Revocations, Standing
+from ca.revocation.trust_status import Revocations, TrustStatus
 from grants import document
 from grants.model import Draft, Permission, Right
 from rossec.authority.domain_operations import find_row, living_grants
@@ -79,14 +79,14 @@ def office(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Office:
     return Office(tmp_path / "home")
 
 
-def test_a_card_is_signed_by_the_root(office: Office) -> None:
-    data = office.service.domains.card(("/robot/**",), ("http://10.0.0.1:11311",), DAY)
-    card = open_card(data, NOW)
-    assert card.anchor == office.home.anchor()
-    assert (card.names, card.masters) == (("/robot/**",), ("http://10.0.0.1:11311",))
-    assert card.expires == NOW + DAY
-    with pytest.raises(CardRefused):
-        office.service.domains.card((), ())
+def test_a_bundle_is_signed_by_the_root(office: Office) -> None:
+    data = office.service.domains.bundle(("/robot/**",), ("http://10.0.0.1:11311",), DAY)
+    bundle = open_bundle(data, NOW)
+    assert bundle.anchor == office.home.anchor()
+    assert (bundle.names, bundle.masters) == (("/robot/**",), ("http://10.0.0.1:11311",))
+    assert bundle.expires == NOW + DAY
+    with pytest.raises(BundleRefused):
+        office.service.domains.bundle((), ())
 
 
 def test_a_domain_is_accepted_limited_and_removed(office: Office) -> None:
@@ -263,7 +263,7 @@ def test_a_foreigner_that_is_revoked_here_is_cut(office: Office) -> None:
     anchors = Anchors(office.home.anchor())
     anchors.update((office.home.domain_list() or (b"",))[0])
     own = Revocations(office.home.own_key())
-    connections, reasons = table(Standing(anchors, own)), list[str]()
+    connections, reasons = table(TrustStatus(anchors, own)), list[str]()
     connections.accept(1, anchors.verify([robot.leaf], NOW), reasons.append)
     connections.cut_ended(NOW)
     assert reasons == []
@@ -279,14 +279,14 @@ def test_the_key_may_be_held_by_the_running_service(office: Office) -> None:
             office.service.domains.accept(office.hospital)
         running.operations.unlock(SECRET, 0, "a test")
         office.service.domains.accept(office.hospital)
-        office.service.domains.card(("/**",))
+        office.service.domains.bundle(("/**",))
         robot = SomeNode(office.site, "/rounds/robot3")
         office.service.domains.revoke_foreigner(ROBOT, "lost", to_pem(robot.leaf))
         office.service.close()
     assert entries_of(office) == {robot.identity.thumbprint}
     said = " ".join(running.audit)
     assert "signs a list of domains" in said
-    assert "signs a card of its domain" in said
+    assert "signs a bundle of its domain" in said
     assert open_domains((office.home.domain_list() or (b"",))[0], office.home.anchor()).seq == 1
 
 

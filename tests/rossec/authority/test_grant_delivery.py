@@ -26,7 +26,7 @@ class Delivering(Office):
         self.refuses: dict[bytes, str] = {}
         self.answer: object = None
         self.lacks = False  # the newest list, so it refuses everything
-        self.standing: object = None
+        self.trust_status: object = None
         super().__init__(root)
 
     def opened(self) -> AuthorityService:
@@ -34,7 +34,7 @@ class Delivering(Office):
 
     def respond(self, call: StatementCall) -> object:
         self._deliver(call)
-        if call.method == "rossec.revocationStanding":
+        if call.method == "rossec.revocationStatus":
             return self.said_of_its_list()
         if call.method == "rossec.updateRevocations":
             self.lacks = False
@@ -53,10 +53,10 @@ class Delivering(Office):
         return [self.refuses.get(item, "") for item in items]
 
     def said_of_its_list(self) -> object:
-        if isinstance(self.standing, Exception):
-            raise self.standing
-        if self.standing is not None:
-            return self.standing
+        if isinstance(self.trust_status, Exception):
+            raise self.trust_status
+        if self.trust_status is not None:
+            return self.trust_status
         newest = open_statement(self.home.revocation_list(), self.home.anchor().public_key)
         epoch, seq = (0, 0) if self.lacks else newest.number
         return {"list": f"{epoch}.{seq}"}
@@ -107,7 +107,7 @@ def test_grants_are_deposited_and_those_of_this_home_stored_too(office: Deliveri
     assert office.asked == asked, "no passphrase is needed"
     call, asked_after = office.calls
     assert (call.node.name, call.what, call.within) == ("/ca", "the grants", 15.0)
-    assert asked_after.method == "rossec.revocationStanding"
+    assert asked_after.method == "rossec.revocationStatus"
 
 
 def test_grants_are_deposited_in_calls_that_the_master_takes(
@@ -207,7 +207,7 @@ def test_a_master_that_lacks_the_list_is_given_it_and_asked_again(office: Delive
     (refused,) = office.service.grants.deposit([data, other])
     assert (refused.node, refused.reason) == ("/camera", "no room")
     assert office.states == {document.grant_id(data): "waiting"}
-    assert office.methods() == ["depositGrants", "revocationStanding", "updateRevocations", "depositGrants"]
+    assert office.methods() == ["depositGrants", "revocationStatus", "updateRevocations", "depositGrants"]
     office.calls.clear()
     assert len(office.service.grants.deposit([other])) == 1
     assert "updateRevocations" not in office.methods(), "it has the list: that is not the reason"
@@ -216,14 +216,14 @@ def test_a_master_that_lacks_the_list_is_given_it_and_asked_again(office: Delive
 @pytest.mark.parametrize("said", [{}, {"list": 5}, "1.1", [], {"list": "1.1 "}])
 def test_an_unclear_answer_about_the_list_is_answered_with_it(office: Delivering, said: object) -> None:
     data = office.grant()
-    office.lacks, office.standing = True, said
+    office.lacks, office.trust_status = True, said
     assert office.service.grants.deposit([data]) == []
 
 
 def test_an_older_master_is_not_asked_again(office: Delivering) -> None:
     """The operator reads what to do."""
     data = office.grant()
-    office.lacks, office.standing = True, NotDelivered("no such method", "rossec ca publish")
+    office.lacks, office.trust_status = True, NotDelivered("no such method", "rossec ca publish")
     (refused,) = office.service.grants.deposit([data])
     assert refused.hint == "rossec ca publish; afterwards deliver it with: rossec grant deliver"
     assert "updateRevocations" not in office.methods()

@@ -63,7 +63,7 @@ class Office:
     def _deliver(self, call: StatementCall) -> object:
         if not self.reachable:
             raise NotDelivered(f"no master for {call.what}", call.hint)
-        if call.method == "rossec.revocationStanding":  # it has the newest list
+        if call.method == "rossec.revocationStatus":  # it has the newest list
             home = self.service.home
             newest = open_statement(home.revocation_list(), home.anchor().public_key)
             return {"list": f"{newest.number[0]}.{newest.number[1]}"}

@@ -8,6 +8,6 @@ from tests.support.site import Site
 async def test_it_is_what_the_routers_node_has(site: Site) -> None:
     async with site.node("/border") as node:
         shared = shared_by(node)
-        assert shared.standing is node.access.standing
+        assert shared.trust_status is node.access.trust_status
         assert shared.held_list() == node.revocations.data != b""
         assert shared.turns._value == AT_A_TIME

@@ -22,7 +22,7 @@ FLOAT = "std_msgs/Float32"
 def shared_by(node: Node) -> SharedIdentity:
     """What things share with the router's node."""
     return SharedIdentity(
-        node.access.standing,
+        node.access.trust_status,
         node.settings,
         node.push_arrived,
         lambda: node.revocations.data,

@@ -106,8 +106,8 @@ def test_documents_of_the_authority(site: Shell, tmp_path: Path) -> None:
     site.enroll(MASTER)
     delegated = document(site, "master", "delegate", *NOBODY, unlocked=True, code=3)
     assert (delegated["master"], delegated["published"]) == (MASTER, False)
-    card = document(site, "domain", "card", "--out", "home.card", unlocked=True)
-    assert card["fingerprint"]
+    bundle = document(site, "domain", "bundle", "--out", "home.bundle", unlocked=True)
+    assert bundle["fingerprint"]
 
 
 def test_documents_of_other_tools(site: Shell) -> None:
@@ -121,9 +121,9 @@ def test_documents_of_other_tools(site: Shell) -> None:
     assert document(site, "federation", "param", "attic", "/robot/**")["mirrored"] is True
     gone = document(site, "federation", "remove", "attic", "cellar", code=1)
     assert [each["ok"] for each in gone["results"]] == [True, False]
-    site("router", "seats", "add", "home", "--host", "10.0.0.1")
-    (seat,) = document(site, "router", "seats", "remove", "home")["results"]
-    assert seat == {"name": "home", "ok": True}
+    site("router", "accounts", "add", "home", "--host", "10.0.0.1")
+    (account,) = document(site, "router", "accounts", "remove", "home")["results"]
+    assert account == {"name": "home", "ok": True}
     assert Path(document(site, "namespace", "messages", str(site.root))["path"]).exists()
 
 

@@ -10,7 +10,7 @@ DONE = ListProgress(1, 4, True, True, 3, 3)
 
 
 @pytest.mark.parametrize(
-    ("standing", "heard"),
+    ("trust_status", "heard"),
     [
         (DONE, Heard(ASKED, 0)),
         (DONE._replace(nodes_with_list=2), Heard()),
@@ -20,9 +20,9 @@ DONE = ListProgress(1, 4, True, True, 3, 3)
         (DONE._replace(nodes=0, nodes_with_list=0), Heard(0, ASKED - STALE)),
     ],
 )
-def test_only_the_third_tick_ends_it(standing: ListProgress, heard: Heard) -> None:
+def test_only_the_third_tick_ends_it(trust_status: ListProgress, heard: Heard) -> None:
     endings = Endings()
-    endings.note(standing, ASKED)
+    endings.note(trust_status, ASKED)
     assert endings.heard == heard
 
 

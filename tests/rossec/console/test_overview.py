@@ -50,11 +50,11 @@ async def test_a_node_without_a_grant_is_ending_too_until_every_node_has_heard()
     home.nodes.append(home.nodes[0]._replace(name="/old", key=b"o" * 32, not_after=NOW))
     made = Browser(as_service(home))
     made.now = NOW
-    made.home.standing = made.home.standing._replace(nodes_with_list=0)
+    made.home.trust_status = made.home.trust_status._replace(nodes_with_list=0)
     assert (await visibility.load(visit(made))).ending == {home.nodes[0].key.hex()}
-    made.home.standing = made.home.standing._replace(nodes_with_list=3)
+    made.home.trust_status = made.home.trust_status._replace(nodes_with_list=3)
     assert (await visibility.load(visit(made))).ending == frozenset()
-    made.home.refusals["standing"] = KeyServiceRefused("busy")
+    made.home.refusals["trust_status"] = KeyServiceRefused("busy")
     home.nodes[1] = home.nodes[1]._replace(revoked_at=NOW)
     assert (await visibility.load(visit(made))).ending == {home.nodes[1].key.hex()}
 

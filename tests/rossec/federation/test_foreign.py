@@ -130,7 +130,7 @@ async def test_its_revocations_are_fetched_at_once(pair: list[Master]) -> None:
     assert word.chain == there.home.credentials().chain
     key = there.site.identity("/rounds/robot3").thumbprint
     there.take_list(there.site.revoke(key))
-    await until(lambda: key in domains.standing.revoked("hospital"), within=3)
+    await until(lambda: key in domains.trust_status.revoked("hospital"), within=3)
 
 
 async def test_lists_in_a_row_are_taken_one_each_second(
@@ -152,7 +152,7 @@ async def test_lists_in_a_row_are_taken_one_each_second(
     for number in range(8):
         there.take_list(there.site.revoke(bytes([number]) * 32))
         await asyncio.sleep(0.2)
-    await until(lambda: len(domains.standing.revoked("hospital")) == 8, within=3)
+    await until(lambda: len(domains.trust_status.revoked("hospital")) == 8, within=3)
     assert taken[0] - began < APART, "the first one at once"
     assert all(later - sooner > APART * 0.9 for sooner, later in pairwise(taken))
 
@@ -179,7 +179,7 @@ async def test_a_master_that_shows_nothing_is_asked_once_and_heard(
     assert "needs the right graph" in there.state_of("h1")["error"]
     key = here.site.identity("/rounds/robot3").thumbprint
     here.take_list(here.site.revoke(key))
-    revoked = there.server.state.trust.domains.standing.revoked
+    revoked = there.server.state.trust.domains.trust_status.revoked
     await until(lambda: key in revoked("home"), within=3)
     assert there.state_of("h1")["state"] == "listening"
     for name in ("rossec.federation", "rossec.audit", "rossec.audit.denials"):
@@ -228,8 +228,8 @@ async def test_proofs_of_its_tree_are_fetched(pair: list[Master], monkeypatch: p
     assert domains.proofs("hospital", [revoked, valid]) == [b"", b""]
     here.want("/asked")  # the next answer comes at once
     await until(lambda: all(domains.proofs("hospital", [revoked, valid])), within=8)
-    assert revoked in domains.standing.revoked("hospital")
-    assert valid not in domains.standing.revoked("hospital")
+    assert revoked in domains.trust_status.revoked("hospital")
+    assert valid not in domains.trust_status.revoked("hospital")
 
 
 class OtherMaster(RpcClient):

@@ -130,8 +130,8 @@ async def test_a_relay_is_told_the_masters_that_it_can_reach_itself(pair: list[M
     hall, kitchen = pair
     office = SiteSettings("office", "", "/master/office", via="office")
     hall.follow(kitchen.as_site("kitchen"), office)
-    doors = hall.server.state.doors
-    await until(lambda: doors.masters() == {"/master/kitchen": kitchen.server.uri})
+    forwarded_ports = hall.server.state.forwarded_ports
+    await until(lambda: forwarded_ports.masters() == {"/master/kitchen": kitchen.server.uri})
 
 
 async def test_a_relay_that_fell_silent_is_forgotten(
@@ -139,9 +139,9 @@ async def test_a_relay_that_fell_silent_is_forgotten(
 ) -> None:
     caplog.set_level(logging.WARNING, "rossec.audit")
     hall, _ = pair
-    doors, now = hall.server.state.doors, hall.server.state.now()
+    forwarded_ports, now = hall.server.state.forwarded_ports, hall.server.state.now()
     way = {"office": PeerWay("up", 1.0, 0, "", 0)}
-    doors.hear("/relay", RelayReport("one", 0, {}, way), now - SILENCE - 1)
+    forwarded_ports.hear("/relay", RelayReport("one", 0, {}, way), now - SILENCE - 1)
     hall.follow()
-    await until(lambda: doors.way("office") is None)
+    await until(lambda: forwarded_ports.way("office") is None)
     assert "relay /relay is silent" in caplog.text

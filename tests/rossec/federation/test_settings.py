@@ -122,7 +122,7 @@ def test_a_site_in_the_file_has_its_fields_and_no_others(changed: dict[str, Any]
             read_sites(json.dumps(less).encode(), "f")
 
 
-def test_a_site_behind_a_relay_has_doors_that_may_be_on_this_host() -> None:
+def test_a_site_behind_a_relay_has_forwarded_ports_that_may_be_on_this_host() -> None:
     assert OFFICE.site == Site("office", "", on_this_host=True)
     assert (OFFICE.place, KITCHEN.place) == ("via ward", "at http://kitchen:11311/")
 

@@ -9,9 +9,9 @@ import pytest
 from rossec.errors import IdentityRefused, RelayRefused, RossecError, SiteRefused
 from rossec.federation import follower
 from rossec.federation.exchange import OwnMaster
-from rossec.federation.follower import SiteConnections, SiteDoors
+from rossec.federation.follower import SiteConnections, SitePorts
 from rossec.federation.settings import SiteSettings
-from rossec.master.state.forwarded_ports import Door, PeerWay, RelayReport, Target
+from rossec.master.state.forwarded_ports import ForwardedPort, PeerWay, RelayReport, Target
 from tests.support.masters import Master, masters
 from tests.support.relaying import StraightRelay, relayed
 from tests.support.site import Site
@@ -26,10 +26,10 @@ class Dialled:
         self.own = OwnMaster(server.state, server.effects, server.context, server.mirror, server.drop_mirror)
 
     def connections(self, settings: SiteSettings) -> SiteConnections:
-        doors = None
+        forwarded_ports = None
         if settings.via:
-            doors = SiteDoors(self.own.state.doors, settings, lambda: None)
-        return SiteConnections(settings, self.own, doors)
+            forwarded_ports = SitePorts(self.own.state.forwarded_ports, settings, lambda: None)
+        return SiteConnections(settings, self.own, forwarded_ports)
 
 
 @pytest.fixture
@@ -75,7 +75,9 @@ async def test_a_revoked_one_is_refused(dialled: Dialled) -> None:
             pass
 
 
-async def test_a_site_is_reached_at_its_door(dialled: Dialled, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_site_is_reached_at_its_forwarded_port(
+    dialled: Dialled, monkeypatch: pytest.MonkeyPatch
+) -> None:
     here, there = StraightRelay(dialled.hall), StraightRelay(dialled.kitchen, "/relay/kitchen")
     here.meet("kitchen", there)
     settings = SiteSettings("kitchen", "", "/master/kitchen", via="kitchen")
@@ -85,21 +87,21 @@ async def test_a_site_is_reached_at_its_door(dialled: Dialled, monkeypatch: pyte
         with pytest.raises(RossecError):  # there is no such master
             async with dialled.connections(wrong).open():
                 pass
-    monkeypatch.setattr(follower, "DOOR_WAIT", 0.05)
-    dialled.own.state.doors.expire(dialled.own.state.now() + 100)
+    monkeypatch.setattr(follower, "FORWARDED_PORT_WAIT", 0.05)
+    dialled.own.state.forwarded_ports.expire(dialled.own.state.now() + 100)
     with pytest.raises(RelayRefused, match="no relay of this site knows"):
         async with dialled.connections(settings).open():
             pass
 
 
-async def test_who_answers_at_a_door_is_checked(dialled: Dialled) -> None:
+async def test_who_answers_at_a_forwarded_port_is_checked(dialled: Dialled) -> None:
     settings = SiteSettings("office", "", "/master/office", via="office")
     target = Target("office", "master", "/master/office")
-    connections, doors = dialled.connections(settings), dialled.own.state.doors
-    doors.want("office", [target])
+    connections, forwarded_ports = dialled.connections(settings), dialled.own.state.forwarded_ports
+    forwarded_ports.want("office", [target])
     ways = {"office": PeerWay("up", 0.0, 0, "", 0)}
-    door = {target: Door("127.0.0.1", dialled.kitchen.server.port)}
-    doors.hear("/relay", RelayReport("one", 0, door, ways), dialled.own.state.now())
+    forwarded_port = {target: ForwardedPort("127.0.0.1", dialled.kitchen.server.port)}
+    forwarded_ports.hear("/relay", RelayReport("one", 0, forwarded_port, ways), dialled.own.state.now())
     with pytest.raises(SiteRefused, match="/master/kitchen answers via office, not /master/office"):
         async with connections.open():
             pass

@@ -12,26 +12,26 @@ import pytest
 from ca.domains.trust import ForeignDomain
 from rossec.errors import RelayRefused
 from rossec.federation import follower
-from rossec.federation.follower import SiteDoors
+from rossec.federation.follower import SitePorts
 from rossec.federation.settings import SiteSettings
 from rossec.federation.site_state import SiteChange
 from rossec.master.state.forwarded_ports import (
     MASTER,
     NODE,
-    Door,
+    ForwardedPort,
     ForwardedPorts,
     PeerWay,
     RelayReport,
     Target,
 )
-from rossec.ros.names import is_door
+from rossec.ros.names import is_forwarded_port
 from tests.support.masters import Master, domain_list, masters
 from tests.support.relaying import StraightRelay, relayed
 from tests.support.site import DAY, Site
 from tests.support.witness import until
 
 OFFICE = SiteSettings("office", "", "/master/office", via="office")
-AT = Door("127.0.0.1", 7001)
+AT = ForwardedPort("127.0.0.1", 7001)
 MASTER_THERE = Target("office", MASTER, "/master/office")
 ROBOT = Target("office", NODE, "/robot")
 WAY = PeerWay("up", 1.5, 2, "tls/r:7447", 3)
@@ -59,16 +59,16 @@ async def pair(tmp_path: Path) -> AsyncIterator[Pair]:
         yield Pair(*found)
 
 
-async def test_facts_behind_a_relay_have_doors_for_addresses(pair: Pair) -> None:
+async def test_facts_behind_a_relay_have_forwarded_ports_for_addresses(pair: Pair) -> None:
     await pair.office.register("/robot", "/pose", 4711)
     pair.hall.follow(OFFICE)
     async with relayed(pair.here, pair.there):
         await until(lambda: pair.hall.imported("/pose"))
         [uri] = pair.hall.imported("/pose")
-        door = pair.hall.server.state.doors.door(ROBOT)
-        assert door is not None
-        assert is_door(uri)
-        assert uri == f"http://127.0.0.1:{door.port}/via"
+        forwarded_port = pair.hall.server.state.forwarded_ports.forwarded_port(ROBOT)
+        assert forwarded_port is not None
+        assert is_forwarded_port(uri)
+        assert uri == f"http://127.0.0.1:{forwarded_port.port}/via"
         await until(lambda: pair.state["state"] == "following")
         assert (pair.state["via"], pair.state["uri"]) == ("office", "")
         assert pair.state["topics"] == ["/pose"]
@@ -79,7 +79,7 @@ async def test_facts_behind_a_relay_have_doors_for_addresses(pair: Pair) -> None
         assert pair.hall.imported("/pose") == []
 
 
-async def test_a_relay_that_is_started_again_opens_other_doors(pair: Pair) -> None:
+async def test_a_relay_that_is_started_again_opens_other_forwarded_ports(pair: Pair) -> None:
     await pair.office.register("/robot", "/pose", 4711)
     pair.hall.follow(OFFICE)
     async with relayed(pair.there):
@@ -99,18 +99,18 @@ async def test_a_relay_that_is_started_again_opens_other_doors(pair: Pair) -> No
 async def test_without_a_relay_it_is_said_what_is_missing(
     pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(follower, "DOOR_WAIT", 0.2)
+    monkeypatch.setattr(follower, "FORWARDED_PORT_WAIT", 0.2)
     pair.hall.follow(OFFICE)
     await until(lambda: pair.state["error"])
     assert pair.state["error"] == "no relay of this site knows a peer office"
     assert "rossec relay add office FILE" in pair.state["hint"]
     assert pair.state["way"] == {}
-    async with relayed(pair.here, pair.there):  # it is dialled as soon as there is a door
+    async with relayed(pair.here, pair.there):  # it is dialled as soon as there is a forwarded port
         await until(lambda: pair.state["state"] == "following", within=10)
         assert pair.state["error"] == ""
 
 
-async def test_a_door_that_leads_nowhere_is_the_relays_matter(pair: Pair) -> None:
+async def test_a_forwarded_port_that_leads_nowhere_is_the_relays_matter(pair: Pair) -> None:
     await pair.office.stop()
     pair.hall.follow(OFFICE)
     async with relayed(pair.here, pair.there):
@@ -118,7 +118,7 @@ async def test_a_door_that_leads_nowhere_is_the_relays_matter(pair: Pair) -> Non
         assert pair.state["hint"] == "is there a link? rossec relay status"
 
 
-async def test_another_master_behind_the_door_is_refused(pair: Pair) -> None:
+async def test_another_master_behind_the_forwarded_port_is_refused(pair: Pair) -> None:
     pair.hall.follow(replace(OFFICE, master="/master/cellar"))
     pair.office.name = "/master/cellar"
     pair.there.link = pair.here.link  # asks the wrong master
@@ -128,7 +128,7 @@ async def test_another_master_behind_the_door_is_refused(pair: Pair) -> None:
     assert pair.hall.imported("/pose") == []
 
 
-async def test_a_master_that_is_removed_wants_no_doors(pair: Pair) -> None:
+async def test_a_master_that_is_removed_wants_no_forwarded_ports(pair: Pair) -> None:
     await pair.office.register("/robot", "/pose", 4711)
     mesh = pair.hall.follow(OFFICE)
     async with relayed(pair.here, pair.there):
@@ -141,8 +141,8 @@ async def test_a_master_that_is_removed_wants_no_doors(pair: Pair) -> None:
 
 async def test_masters_in_the_mesh_are_told_to_the_relay(pair: Pair) -> None:
     pair.hall.follow(pair.office.as_site("office"))
-    doors = pair.hall.server.state.doors
-    await until(lambda: doors.masters() == {"/master/office": pair.office.server.uri})
+    forwarded_ports = pair.hall.server.state.forwarded_ports
+    await until(lambda: forwarded_ports.masters() == {"/master/office": pair.office.server.uri})
 
 
 async def test_a_foreign_site_is_reached_and_its_rules_hold(tmp_path: Path) -> None:
@@ -173,23 +173,23 @@ async def test_a_foreign_site_is_reached_and_its_rules_hold(tmp_path: Path) -> N
 
 
 class Doorless:
-    """The doors of a site, with a relay that polls when it is told to."""
+    """The forwarded ports of a site, with a relay that polls when it is told to."""
 
     def __init__(self, limit: int = 100) -> None:
-        self.doors = ForwardedPorts(limit)
+        self.forwarded_ports = ForwardedPorts(limit)
         self.woken = 0
-        self.site = SiteDoors(self.doors, OFFICE, self._wake)
+        self.site = SitePorts(self.forwarded_ports, OFFICE, self._wake)
 
     def _wake(self) -> None:
         self.woken += 1
 
     def report(self, instance: str = "one", **ports: int) -> None:
         known = {"master": MASTER_THERE, "robot": ROBOT}
-        doors = {known[name]: Door("127.0.0.1", port) for name, port in ports.items()}
-        self.doors.hear("/relay", RelayReport(instance, 0, doors, {"office": WAY}), 0)
+        forwarded_ports = {known[name]: ForwardedPort("127.0.0.1", port) for name, port in ports.items()}
+        self.forwarded_ports.hear("/relay", RelayReport(instance, 0, forwarded_ports, {"office": WAY}), 0)
 
 
-async def test_the_masters_door_is_waited_for() -> None:
+async def test_the_masters_forwarded_port_is_waited_for() -> None:
     doorless = Doorless()
     waiting = asyncio.ensure_future(doorless.site.address())
     await asyncio.sleep(0)
@@ -204,15 +204,17 @@ async def test_the_masters_door_is_waited_for() -> None:
     assert doorless.site.status()["router"] == "tls/r:7447"
 
 
-async def test_a_relay_that_opens_no_door_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(follower, "DOOR_WAIT", 0.01)
+async def test_a_relay_that_opens_no_forwarded_port_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(follower, "FORWARDED_PORT_WAIT", 0.01)
     doorless = Doorless()
     doorless.report()
-    with pytest.raises(RelayRefused, match="opens no door for /master/office of office"):
+    with pytest.raises(RelayRefused, match="opens no forwarded port for /master/office of office"):
         await doorless.site.address()
 
 
-async def test_facts_are_shown_without_doors_that_do_not_come(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_facts_are_shown_without_forwarded_ports_that_do_not_come(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(follower, "NODES_WAIT", 0.01)
     doorless = Doorless()
     doorless.report()
@@ -225,7 +227,7 @@ async def test_facts_are_shown_without_doors_that_do_not_come(monkeypatch: pytes
     assert not doorless.site.changed.is_set()
 
 
-async def test_more_than_there_are_doors_is_said_once(
+async def test_more_than_there_are_forwarded_ports_is_said_once(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(follower, "NODES_WAIT", 0.01)
@@ -235,4 +237,4 @@ async def test_more_than_there_are_doors_is_said_once(
     assert caplog.text.count("1 nodes and services have no address here") == 1
     doorless.site.drop()
     doorless.site.close()
-    assert doorless.doors.want("other", [ROBOT]) == 0
+    assert doorless.forwarded_ports.want("other", [ROBOT]) == 0

@@ -9,16 +9,18 @@ from rossec.gateway.rules import SourceCandidate, TopicRule
 from rossec.node.publisher import Publisher, RawPublisher
 from rossec.node.subscriber import RawReceiver, RawSource
 from rossec.participant.definitions import Definition
-from rossec.participant.delivery import NO_WISHES, Wishes
+from rossec.participant.delivery import NO_OPTIONS, DeliveryOptions
 
 STRING = Definition("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1", "string data\n")
 INT8 = Definition("std_msgs/Int8", "27ffa0c9c4b8fb8492252bcad9e5c57b", "int8 data\n")
 
 
-def candidate(name: str = "/pose", wishes: Wishes = NO_WISHES, label: str = "ada") -> SourceCandidate:
+def candidate(
+    name: str = "/pose", options: DeliveryOptions = NO_OPTIONS, label: str = "ada"
+) -> SourceCandidate:
     """A topic of another domain, as a rule covers it."""
     alias, served = f"/remote/{label}{name}", f"/gateway/{label}{name}"
-    return SourceCandidate(alias, served, TopicRule(label, "/**", wishes), STRING.name)
+    return SourceCandidate(alias, served, TopicRule(label, "/**", options), STRING.name)
 
 
 def source(kind: Definition = STRING, *, latching: bool = False) -> RawSource:
@@ -74,8 +76,8 @@ class ServedPublisher(RawPublisher):
 class OriginSubscription:
     """A subscription at the origin, until it is closed."""
 
-    def __init__(self, receiver: RawReceiver, wishes: Wishes) -> None:
-        self.receiver, self.wishes = receiver, wishes
+    def __init__(self, receiver: RawReceiver, options: DeliveryOptions) -> None:
+        self.receiver, self.options = receiver, options
         self.sources: list[RawSource] = []
         self.is_open = True
 
@@ -116,11 +118,13 @@ class Topics:
         publisher.cut("no longer published")
         del self.publishers[publisher.topic]
 
-    async def subscribe_raw(self, topic: str, receiver: RawReceiver, *, wishes: Wishes) -> OriginSubscription:
+    async def subscribe_raw(
+        self, topic: str, receiver: RawReceiver, *, options: DeliveryOptions
+    ) -> OriginSubscription:
         await asyncio.sleep(0)
         if topic in self.refuses:
             raise AnswerRefused(f"no right to subscribe {topic}")
-        self.subscriptions.append(OriginSubscription(receiver, wishes))
+        self.subscriptions.append(OriginSubscription(receiver, options))
         return self.subscriptions[-1]
 
     async def restore(self) -> None:

@@ -14,12 +14,15 @@ from rossec.gateway import gateway as module
 from rossec.gateway.gateway import Gateway, Obstacle, status
 from rossec.gateway.rules import TypeChanged, rule
 from rossec.participant.access import possible_names
-from rossec.participant.delivery import Wishes
+from rossec.participant.delivery import DeliveryOptions
 from rossec.participant.registrations import WATCH_GRAPH, Retry
 from tests.rossec.gateway.doubles import INT8, Topics, source
 from tests.support.witness import until
 
-RULES = [rule("ada", "/robot/**", Wishes()), rule("ben", "/**", Wishes(rate=2, newest=True))]
+RULES = [
+    rule("ada", "/robot/**", DeliveryOptions()),
+    rule("ben", "/**", DeliveryOptions(rate=2, newest=True)),
+]
 NONE = Obstacle("")
 POSE, SERVED = "/remote/ada/robot/pose", "/gateway/ada/robot/pose"
 

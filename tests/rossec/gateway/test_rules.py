@@ -2,13 +2,13 @@ import pytest
 
 from rossec.errors import ConfigurationError
 from rossec.gateway.rules import TopicRule, covering, rule
-from rossec.participant.delivery import Wishes
+from rossec.participant.delivery import DeliveryOptions
 
-SLOW = Wishes(rate=2)
+SLOW = DeliveryOptions(rate=2)
 
 
 def test_the_first_rule_that_covers_a_topic_counts() -> None:
-    rules = [rule("ada", "/robot/pose", SLOW), rule("ada", "/robot/**", Wishes())]
+    rules = [rule("ada", "/robot/pose", SLOW), rule("ada", "/robot/**", DeliveryOptions())]
     assert covering(rules, "/remote/ada/robot/pose") == TopicRule("ada", "/robot/pose", SLOW)
     assert covering(rules, "/remote/ada/robot/tf") == TopicRule("ada", "/robot/**")
     assert covering(rules, "/remote/ada/kitchen") is None
@@ -21,7 +21,7 @@ def test_what_gateways_serve_there_is_not_handed_to_and_fro() -> None:
     theirs, all_of_it = "/remote/ada/gateway/ben/pose", rule("ada", "/**", SLOW)
     assert covering([all_of_it], theirs) is None
     assert covering([all_of_it], "/remote/ada/gatewayx/pose") == all_of_it
-    asked = rule("ada", "/gateway/ben/*", Wishes())
+    asked = rule("ada", "/gateway/ben/*", DeliveryOptions())
     assert covering([all_of_it, asked], theirs) == asked
 
 
@@ -39,5 +39,5 @@ def test_what_gateways_serve_there_is_not_handed_to_and_fro() -> None:
 )
 def test_a_wrong_rule_says_what_to_write(label: str, pattern: str, says: str, hint: str) -> None:
     with pytest.raises(ConfigurationError, match=says) as caught:
-        rule(label, pattern, Wishes())
+        rule(label, pattern, DeliveryOptions())
     assert hint in caught.value.hint

@@ -5,10 +5,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rossec.gateway.rules import BATCH, Observed, SourceCandidate, TopicRule, chosen, observing, rule
-from rossec.participant.delivery import Wishes
+from rossec.participant.delivery import DeliveryOptions
 from rossec.participant.registrations import Fact
 
-RULES = (rule("ada", "/robot/**", Wishes()), rule("ben", "/**", Wishes(rate=1)))
+RULES = (rule("ada", "/robot/**", DeliveryOptions()), rule("ben", "/**", DeliveryOptions(rate=1)))
 
 
 def observed(facts: Iterable[Fact], rules: tuple[TopicRule, ...]) -> Observed:

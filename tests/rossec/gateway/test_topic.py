@@ -11,7 +11,7 @@ from rossec.gateway import rules
 from rossec.gateway.gateway import ServedTopic
 from rossec.gateway.rules import GatewayPhase, SourceCandidate, TypeChanged
 from rossec.node.subscriber import RawSource
-from rossec.participant.delivery import Wishes
+from rossec.participant.delivery import DeliveryOptions
 from tests.rossec.gateway.doubles import (
     INT8,
     STRING,
@@ -137,16 +137,16 @@ async def test_the_last_message_of_each_source_that_latches_is_kept_while_it_is_
 
 async def test_a_latched_topic_is_asked_again_without_a_rate() -> None:
     """A sender that thins out would keep the last message back for ever."""
-    async with served(candidate(wishes=Wishes(rate=10, deflate=True))) as it:
+    async with served(candidate(options=DeliveryOptions(rate=10, deflate=True))) as it:
         it.publisher.subscribe()
         first = await it.subscribed()
-        assert first.wishes == Wishes(rate=10, deflate=True)
+        assert first.options == DeliveryOptions(rate=10, deflate=True)
         with pytest.raises(ConnectionHeaderRefused, match="asked again"):
             first.connect(source(latching=True))
         it.topic.refused(ConnectionHeaderRefused("the topic is latched: asked again"))
         await until(lambda: not first.is_open and len(it.topics.open) == 1)
         again = it.topics.open[0]
-        assert again.wishes == Wishes(newest=True, deflate=True)
+        assert again.options == DeliveryOptions(newest=True, deflate=True)
         assert it.topic.problem == ""
         robot = again.connect(source(latching=True))
         it.topic.received(robot, [b"1", b"2", b"3"])
@@ -156,7 +156,7 @@ async def test_a_latched_topic_is_asked_again_without_a_rate() -> None:
 
 
 async def test_a_topic_that_does_not_latch_is_thinned_out_by_its_sender() -> None:
-    async with served(candidate(wishes=Wishes(rate=10))) as it:
+    async with served(candidate(options=DeliveryOptions(rate=10))) as it:
         it.publisher.subscribe()
         origin = await it.subscribed()
         it.topic.received(origin.connect(source()), [b"1", b"2", b"3"])

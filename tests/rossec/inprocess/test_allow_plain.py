@@ -17,8 +17,8 @@ from rossec.ros import tcpros
 from rossec.ros.names import MASTER, parse_uri
 from tests.support import stock
 from tests.support.attacker import call, credentials
-from tests.support.doors import Door, door
 from tests.support.fleet import Program, entitle, environment, program
+from tests.support.forwarded_ports import ForwardedPort, forwarded_port
 from tests.support.site import Site
 
 HERE = "127.0.0.1"
@@ -98,18 +98,21 @@ async def register_plain(site: Site, api: str, port: int) -> None:
         assert answer[0] == 1, answer
 
 
-async def offer_doors(site: Site, robot: Program, own: str, api: str, port: int) -> None:
+async def offer_forwarded_ports(site: Site, robot: Program, own: str, api: str, port: int) -> None:
     """Behind a relay nothing is plain: not the node, and not what its relay leads to instead."""
 
-    async def named(door: Door, said: str) -> None:
-        answer = await call(own, boss, "publisherUpdate", MASTER, "/plain/words", [door.uri])
+    async def named(forwarded_port: ForwardedPort, said: str) -> None:
+        answer = await call(own, boss, "publisherUpdate", MASTER, "/plain/words", [forwarded_port.uri])
         assert isinstance(answer, list)
         assert answer[0] == 1
         await robot.read_until(said)
 
     boss, plain_api = credentials(site, MASTER), parse_uri(api)[1]
     async with site.node("/honest") as honest:
-        with door(plain_api, port) as plain, door(parse_uri(honest.uri)[1], port) as lying:
+        with (
+            forwarded_port(plain_api, port) as plain,
+            forwarded_port(parse_uri(honest.uri)[1], port) as lying,
+        ):
             await named(plain, f"cannot call {plain.uri}: the peer is a plain")
             await named(lying, "cannot subscribe /plain/words: the peer behind a relay is a plain")
 
@@ -176,7 +179,7 @@ async def test_named_entries_stay_plain_with_a_warning(tmp_path: Path) -> None:
                 assert answer == [-1, REFUSAL, 0]
                 assert await asyncio.to_thread(robot_api.getPid, "/x") == [-1, REFUSAL, 0]
             await exhaust(own, int(own_port))
-            await offer_doors(site, robot, own, api, int(port))
+            await offer_forwarded_ports(site, robot, own, api, int(port))
             said = robot.said
     assert said.count("HEARD in clear") == 1
     assert "HEARD closed" not in said

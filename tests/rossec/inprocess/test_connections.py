@@ -238,14 +238,14 @@ async def test_revocation_closes_connections(victim: Victim) -> None:
     await victim.goes_on()
 
 
-async def test_wishes_are_taken_by_a_publisher_with_a_queue(victim: Victim) -> None:
-    wishes = {"rossec_rate": "9000.000", "rossec_newest": "1", "rossec_deflate": "1"}
+async def test_delivery_options_are_taken_by_a_publisher_with_a_queue(victim: Victim) -> None:
+    options = {"rossec_rate": "9000.000", "rossec_newest": "1", "rossec_deflate": "1"}
     grants = list(victim.site.enroll(GUEST).grants())
     own = credentials(victim.site, GUEST)
-    for said in (wishes, {}):
+    for said in (options, {}):
         fields = fields_for(GUEST, STATE, grants, **said)
         reply = await send_header(victim.port, own, fields, at_most=3000)
-        assert {key: reply.fields[key].decode() for key in wishes if key in reply.fields} == said
+        assert {key: reply.fields[key].decode() for key in options if key in reply.fields} == said
         assert reply.after
     assert "'rossec_rate' is no rate" in await refusal(
         victim, topic=STATE, md5sum="*", type="*", rossec_rate="fast"

@@ -50,7 +50,7 @@ def test_a_socket_connects_sends_and_receives(local_identity: LocalIdentity, lis
         sock.abort()
 
 
-def test_a_socket_of_ipv6_reaches_a_door_at_127_0_0_1(
+def test_a_socket_of_ipv6_reaches_a_forwarded_port_at_127_0_0_1(
     local_identity: LocalIdentity, listening: RosSocket
 ) -> None:
     """As those of rospy are with ROS_IPV6=on."""

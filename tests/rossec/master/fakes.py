@@ -13,7 +13,7 @@ from rossec.master.api.methods import CallOutcome, MasterEvent, MasterTables, Tu
 from rossec.master.rights.caller import Caller, CertifiedPeer
 from rossec.master.rights.held_grants import Renewed, VerifiedGrants
 from rossec.master.rights.renewals import RenewalAnswer
-from rossec.master.rights.revocation_lists import HeldLists, ListStanding
+from rossec.master.rights.revocation_lists import HeldLists, ListStatus
 from rossec.master.rights.statements import TrustState
 from rossec.master.state.imports import Imports
 from rossec.master.state.registry import Registry
@@ -161,8 +161,8 @@ class FakeStatements(TrustState):
     def list_number(self) -> tuple[int, int]:
         return 1, len(self.lists)
 
-    def standing(self, connected: Iterable[CertifiedPeer], now: int) -> ListStanding:
-        return self.held_lists.standing(connected, self.lists[-1], now)
+    def trust_status(self, connected: Iterable[CertifiedPeer], now: int) -> ListStatus:
+        return self.held_lists.trust_status(connected, self.lists[-1], now)
 
     def revocations_for(self, peer: CertifiedPeer, now: int) -> tuple[bytes, bytes]:
         data, stamp = self.current(now)

@@ -63,7 +63,7 @@ SAMPLES: dict[str, tuple[Any, ...]] = {
     "rossec.trl": (b"0",),
     "rossec.watchGraph": ("", 0),
     "rossec.followSite": ("", 0, ["/**"]),
-    "rossec.relayDoors": ("", 0, [], {}),
+    "rossec.relayForwardedPorts": ("", 0, [], {}),
     "rossec.relayTarget": ("hospital", "node", "/t"),
     "rossec.depositGrants": ([b"forged"],),
     "rossec.deliveryStates": ([b"0"],),
@@ -214,7 +214,7 @@ async def result(client: RpcClient, method: str, *params: object) -> object:
         return fault.faultCode, comparable(fault.faultString)
 
 
-SLOW = {"rossec.watchGrants", "rossec.watchGraph", "rossec.followSite", "rossec.relayDoors"}
+SLOW = {"rossec.watchGrants", "rossec.watchGraph", "rossec.followSite", "rossec.relayForwardedPorts"}
 
 
 async def conversation(compact: bool, rights: dict[str, Right]) -> list[object]:

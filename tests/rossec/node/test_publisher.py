@@ -11,7 +11,7 @@ from grants.filters import layout
 from rossec.errors import ChannelClosed, ConfigurationError, NodeShutdown
 from rossec.node.publisher import Publisher
 from rossec.participant.authorized import memory_scope
-from rossec.participant.delivery import WishedQueue, Wishes
+from rossec.participant.delivery import DeliveryOptions, DeliveryQueue
 from rossec.participant.handshakes import TopicEndpoint
 from rossec.participant.message_types import message_type
 
@@ -230,7 +230,7 @@ async def test_a_subscriber_with_wishes_gets_them_after_its_guard() -> None:
     tasks = [await serve(topic, plain, guard)]
     tasks.append(
         asyncio.get_running_loop().create_task(
-            topic.serve(wishing, decision(), guard, b"", Wishes(0.001))  # type: ignore[arg-type]
+            topic.serve(wishing, decision(), guard, b"", DeliveryOptions(0.001))  # type: ignore[arg-type]
         )
     )
     await asyncio.sleep(0)
@@ -239,7 +239,7 @@ async def test_a_subscriber_with_wishes_gets_them_after_its_guard() -> None:
     await settle()
     assert b"".join(plain.sent[1:]) == framed("one", "two", "three")
     assert b"".join(wishing.sent[1:]) == framed("one", "two")
-    (queue,) = (queue for queue in topic.links.values() if isinstance(queue, WishedQueue))
+    (queue,) = (queue for queue in topic.links.values() if isinstance(queue, DeliveryQueue))
     assert (queue.withheld, queue.thinned) == (3, 1)
     for task in tasks:
         task.cancel()

@@ -7,11 +7,11 @@ KEYS = frozenset({"a", "b"})
 
 
 def _read(data: bytes) -> object:
-    return read_document(data, "rossec-seat", KEYS, limit=100, hint="make it anew")
+    return read_document(data, "rossec-account", KEYS, limit=100, hint="make it anew")
 
 
 def test_a_document_is_read_as_it_was_written() -> None:
-    assert _read(write_document("rossec-seat", {"a": 1, "b": ["x"]})) == {"a": 1, "b": ["x"]}
+    assert _read(write_document("rossec-account", {"a": 1, "b": ["x"]})) == {"a": 1, "b": ["x"]}
 
 
 @pytest.mark.parametrize(
@@ -21,15 +21,15 @@ def test_a_document_is_read_as_it_was_written() -> None:
         (b"{", "is not JSON"),
         (b"\xff", "is not JSON"),
         (b"[" * 90, "is not JSON"),
-        (b'{"rossec-seat":1,"a":1,"a":2,"b":3}', "is not JSON"),
-        (b'{"rossec-seat":1,"a":NaN,"b":3}', "is not JSON"),
-        (b"[]", "this is no rossec-seat file"),
-        (b'{"rossec-card":1,"a":1,"b":2}', "this is no rossec-seat file"),
-        (b'{"rossec-seat":2,"a":1,"b":2}', "of another version"),
-        (b'{"rossec-seat":true,"a":1,"b":2}', "of another version"),
-        (b'{"rossec-seat":1.0,"a":1,"b":2}', "of another version"),
-        (b'{"rossec-seat":1,"a":1}', "other entries"),
-        (b'{"rossec-seat":1,"a":1,"b":2,"c":3}', "other entries"),
+        (b'{"rossec-account":1,"a":1,"a":2,"b":3}', "is not JSON"),
+        (b'{"rossec-account":1,"a":NaN,"b":3}', "is not JSON"),
+        (b"[]", "this is no rossec-account file"),
+        (b'{"rossec-descriptor":1,"a":1,"b":2}', "this is no rossec-account file"),
+        (b'{"rossec-account":2,"a":1,"b":2}', "of another version"),
+        (b'{"rossec-account":true,"a":1,"b":2}', "of another version"),
+        (b'{"rossec-account":1.0,"a":1,"b":2}', "of another version"),
+        (b'{"rossec-account":1,"a":1}', "other entries"),
+        (b'{"rossec-account":1,"a":1,"b":2,"c":3}', "other entries"),
     ],
 )
 def test_anything_else_is_no_document(data: bytes, message: str) -> None:

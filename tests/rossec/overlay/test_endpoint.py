@@ -1,4 +1,4 @@
-"""Secure streams on links: dialled to a mailbox and accepted there, with strangers about."""
+"""Secure streams on links: dialled to an inbox and accepted there, with strangers about."""
 
 import asyncio
 import logging
@@ -19,7 +19,7 @@ from rossec.overlay.link_frames import (
     OPEN_SIZE,
     LinkFrameKind,
     head,
-    is_mailbox,
+    is_inbox,
     kind_of,
     return_address,
     split_return_address,
@@ -44,7 +44,7 @@ def opening(number: int, body: bytes = b"\x0c") -> bytes:
 
 @asynccontextmanager
 async def listening(**options: Any) -> AsyncIterator[tuple[MemoryCarrier, Listener]]:
-    """Bob's mailbox, which echoes."""
+    """Bob's inbox, which echoes."""
     memory = MemoryCarrier()
     async with LinkListener(memory, KEY, context(BOB, **options), echo) as listener:
         yield memory, listener
@@ -73,14 +73,14 @@ async def test_both_are_authenticated_and_bytes_pass() -> None:
         assert listener._links == {}
 
 
-async def test_answers_arrive_in_a_mailbox_of_the_own_seat() -> None:
+async def test_answers_arrive_in_a_inbox_of_the_own_account() -> None:
     async with listening() as (memory, _), await dial(memory):
         (answers,) = memory.readers.keys() - {KEY}
-        assert is_mailbox(answers)
+        assert is_inbox(answers)
         assert answers.startswith("rossec/1/ward/")
 
 
-async def test_frames_of_other_links_in_the_mailbox_for_answers_are_nothing() -> None:
+async def test_frames_of_other_links_in_the_inbox_for_answers_are_nothing() -> None:
     async with listening() as (memory, _), await dial(memory) as stream:
         (answers,) = memory.readers.keys() - {KEY}
         memory.put(answers, head(LinkFrameKind.RESET, bytes(16), 0, 0, 0))
@@ -173,7 +173,7 @@ async def test_so_many_frames_of_strangers_are_looked_at_a_second(monkeypatch: p
             assert await stream.receive() == b"x"
 
 
-async def test_unfinished_handshakes_of_a_mailbox_are_limited(caplog: pytest.LogCaptureFixture) -> None:
+async def test_unfinished_handshakes_of_a_inbox_are_limited(caplog: pytest.LogCaptureFixture) -> None:
     caps = HalfOpenCount(HalfOpen(per_address=3))
     async with listening(half_open=caps) as (memory, listener):
         good = await dial(memory)

@@ -1,4 +1,4 @@
-"""A link between two mailboxes: what arrives, what is sent again, and when a link is over."""
+"""A link between two inboxes: what arrives, what is sent again, and when a link is over."""
 
 import pytest
 

@@ -107,7 +107,7 @@ def test_every_part_of_an_address_is_refused() -> None:
 @pytest.mark.parametrize(
     "key", ["rossec/1/open/**", "rossec/1/*/" + 32 * "a", "", "rossec/1/öpen/" + 32 * "a"]
 )
-def test_only_one_mailbox_is_answered(key: str) -> None:
+def test_only_one_inbox_is_answered(key: str) -> None:
     raw = key.encode()
     body = bytes((len(raw),)) + raw + bytes(2)
     with pytest.raises(LinkEnded, match="where to answer"):

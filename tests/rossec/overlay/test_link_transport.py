@@ -1,4 +1,4 @@
-"""A link as a transport, by itself: between two recorders, over mailboxes in memory."""
+"""A link as a transport, by itself: between two recorders, over inboxes in memory."""
 
 import asyncio
 from functools import partial

@@ -13,7 +13,7 @@ from tests.support.linknet import REPLY, LinkNetwork, frame, opened
 
 
 def test_an_open_with_a_forged_reply_key_is_not_amplified() -> None:
-    """The called side answers as much as it likes; the mailbox it is sent to is silent."""
+    """The called side answers as much as it likes; the inbox it is sent to is silent."""
     first = frame(LinkFrameKind.OPEN, body=link_frames.return_address(REPLY, OPEN_SIZE - HEAD))
     link = Link.accept(first, 0.0)
     link.receive(first, 0.0)

@@ -1,4 +1,4 @@
-"""A relay and its master: doors are opened and told, and targets asked for, over real calls."""
+"""A relay and its master: forwarded ports are opened and told, and targets asked for, over real calls."""
 
 import asyncio
 from collections.abc import AsyncIterator, Mapping
@@ -10,7 +10,7 @@ import pytest
 from ca.certificates import Identity
 from rossec.errors import RelayRefused, StreamRefused
 from rossec.host.runner import TaskSet
-from rossec.master.state.forwarded_ports import Door, PeerWay, Target
+from rossec.master.state.forwarded_ports import ForwardedPort, PeerWay, Target
 from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc import calls as rpc_client
@@ -24,7 +24,7 @@ ROBOT, CLOCK = Target("office", "node", "/robot"), Target("office", "service", "
 
 
 class Table:
-    """Doors on ports that nobody listens at."""
+    """Forwarded ports on ports that nobody listens at."""
 
     def __init__(self) -> None:
         self.open_for: dict[Target, str] = {}
@@ -32,11 +32,11 @@ class Table:
         self.dropped: set[Target] = set()
         self.base = 7000
 
-    async def open(self, target: Target, master: str) -> Door:
+    async def open(self, target: Target, master: str) -> ForwardedPort:
         if target in self.refused:
             raise RelayRefused("no such peer", "rossec relay add")
         self.open_for[target] = master
-        return Door("127.0.0.1", self.base + len(target.name))
+        return ForwardedPort("127.0.0.1", self.base + len(target.name))
 
     def release(self, target: Target, master: str) -> None:
         assert self.open_for.pop(target) == master
@@ -94,18 +94,18 @@ async def relay(world: World) -> AsyncIterator[Relay]:
     await found.link.close()
 
 
-async def test_doors_are_opened_told_and_released(relay: Relay, tasks: TaskSet) -> None:
-    doors = relay.world.server.state.doors
-    doors.masters = lambda: {"/master/kitchen": "http://kitchen:11311/"}
+async def test_forwarded_ports_are_opened_told_and_released(relay: Relay, tasks: TaskSet) -> None:
+    forwarded_ports = relay.world.server.state.forwarded_ports
+    forwarded_ports.masters = lambda: {"/master/kitchen": "http://kitchen:11311/"}
     running = tasks.spawn(relay.link.run(), "link")
-    doors.want("office", [ROBOT])
-    await until(lambda: doors.door(ROBOT) == Door("127.0.0.1", 7006))
-    doors.want("office", [ROBOT, CLOCK])
-    await until(lambda: doors.door(CLOCK) is not None)
+    forwarded_ports.want("office", [ROBOT])
+    await until(lambda: forwarded_ports.forwarded_port(ROBOT) == ForwardedPort("127.0.0.1", 7006))
+    forwarded_ports.want("office", [ROBOT, CLOCK])
+    await until(lambda: forwarded_ports.forwarded_port(CLOCK) is not None)
     assert relay.table.open_for == {ROBOT: "/master", CLOCK: "/master"}
-    assert doors.way("office") == ("/relay", PeerWay("up", 12.5, 3, "tls/r:7447", 2))
+    assert forwarded_ports.way("office") == ("/relay", PeerWay("up", 12.5, 3, "tls/r:7447", 2))
     assert relay.masters == {"/master/kitchen": "http://kitchen:11311/"}
-    doors.want("office", [CLOCK])
+    forwarded_ports.want("office", [CLOCK])
     await until(lambda: relay.table.open_for == {CLOCK: "/master"})
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
@@ -116,37 +116,39 @@ async def test_doors_are_opened_told_and_released(relay: Relay, tasks: TaskSet) 
 async def test_what_cannot_be_opened_is_tried_again(
     relay: Relay, tasks: TaskSet, caplog: pytest.LogCaptureFixture
 ) -> None:
-    doors = relay.world.server.state.doors
+    forwarded_ports = relay.world.server.state.forwarded_ports
     relay.table.refused = {ROBOT}
     tasks.spawn(relay.link.run(), "link")
-    doors.want("office", [ROBOT])
-    await until(lambda: "no door for /robot of office: no such peer" in caplog.text)
+    forwarded_ports.want("office", [ROBOT])
+    await until(lambda: "no forwarded port for /robot of office: no such peer" in caplog.text)
     relay.table.refused = set()
-    doors.want("office", [ROBOT, CLOCK])
-    await until(lambda: doors.door(ROBOT) is not None)
+    forwarded_ports.want("office", [ROBOT, CLOCK])
+    await until(lambda: forwarded_ports.forwarded_port(ROBOT) is not None)
 
 
-async def test_a_door_of_a_peer_that_was_removed_and_is_back_is_opened_again(
+async def test_a_forwarded_port_of_a_peer_that_was_removed_and_is_back_is_opened_again(
     relay: Relay, tasks: TaskSet
 ) -> None:
-    doors = relay.world.server.state.doors
+    forwarded_ports = relay.world.server.state.forwarded_ports
     tasks.spawn(relay.link.run(), "link")
-    doors.want("office", [ROBOT])
-    await until(lambda: doors.door(ROBOT) is not None)
+    forwarded_ports.want("office", [ROBOT])
+    await until(lambda: forwarded_ports.forwarded_port(ROBOT) is not None)
     relay.table.base, relay.table.dropped = 8000, {ROBOT}
-    doors.want("office", [ROBOT, CLOCK])
-    await until(lambda: doors.door(ROBOT) == Door("127.0.0.1", 8006))
+    forwarded_ports.want("office", [ROBOT, CLOCK])
+    await until(lambda: forwarded_ports.forwarded_port(ROBOT) == ForwardedPort("127.0.0.1", 8006))
 
 
-async def test_the_connection_is_made_again_and_doors_are_told_anew(relay: Relay, tasks: TaskSet) -> None:
-    doors = relay.world.server.state.doors
+async def test_the_connection_is_made_again_and_forwarded_ports_are_told_anew(
+    relay: Relay, tasks: TaskSet
+) -> None:
+    forwarded_ports = relay.world.server.state.forwarded_ports
     tasks.spawn(relay.link.run(), "link")
-    doors.want("office", [ROBOT])
-    await until(lambda: doors.door(ROBOT) is not None)
-    doors.expire(relay.world.server.state.now() + 100)
-    assert doors.door(ROBOT) is None
+    forwarded_ports.want("office", [ROBOT])
+    await until(lambda: forwarded_ports.forwarded_port(ROBOT) is not None)
+    forwarded_ports.expire(relay.world.server.state.now() + 100)
+    assert forwarded_ports.forwarded_port(ROBOT) is None
     relay.streams[0].abort("the line is cut")
-    await until(lambda: doors.door(ROBOT) is not None)
+    await until(lambda: forwarded_ports.forwarded_port(ROBOT) is not None)
     assert relay.dialled == 2
 
 

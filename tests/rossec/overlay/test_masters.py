@@ -8,7 +8,7 @@ import pytest
 from ca.errors import HintedError
 from rossec.master.state.forwarded_ports import PeerWay, Target
 from rossec.overlay import forwarded_ports
-from rossec.overlay.forwarded_ports import DoorTable, OpenDoors
+from rossec.overlay.forwarded_ports import ForwardedPortTable, OpenPorts
 from rossec.overlay.masters import OwnMasters, RelayMember
 from tests.support.masters import Master, masters
 from tests.support.site import Site
@@ -19,7 +19,7 @@ WAYS = {"office": PeerWay("idle", 0, 0, "", 0)}
 
 
 async def carry(_: forwarded_ports.PeerTarget, sock: object) -> None:
-    raise AssertionError("no door is used here")
+    raise AssertionError("no forwarded port is used here")
 
 
 class Mesh:
@@ -31,7 +31,7 @@ class Mesh:
     def name(self, *named: Master) -> None:
         """What the hall's master says from now on."""
         uris = {each.name: each.server.uri for each in named}
-        self.hall.server.state.doors.masters = lambda: uris
+        self.hall.server.state.forwarded_ports.masters = lambda: uris
         self.hall.server.state.relay_polls.notify()
 
 
@@ -45,7 +45,7 @@ async def mesh(tmp_path: Path) -> AsyncIterator[Mesh]:
         )
         member.start()
         await until(lambda: member.is_connected)
-        table = DoorTable(OpenDoors("127.0.0.1"), carry, lambda: WAYS)
+        table = ForwardedPortTable(OpenPorts("127.0.0.1"), carry, lambda: WAYS)
         found = OwnMasters(member, "instance", table)
         made = Mesh(hall, kitchen, found, member)
         made.name(hall, kitchen)
@@ -62,10 +62,12 @@ async def test_every_master_that_is_named_is_polled(mesh: Mesh) -> None:
     await until(lambda: mesh.masters.status() == {"/master": "", KITCHEN: ""})
     target = Target("office", "node", "/robot")
     for each in (mesh.hall, mesh.kitchen):
-        each.server.state.doors.want("office", [target])
-    await until(lambda: mesh.kitchen.server.state.doors.door(target))
-    await until(lambda: mesh.hall.server.state.doors.door(target))
-    assert mesh.hall.server.state.doors.door(target) == mesh.kitchen.server.state.doors.door(target)
+        each.server.state.forwarded_ports.want("office", [target])
+    await until(lambda: mesh.kitchen.server.state.forwarded_ports.forwarded_port(target))
+    await until(lambda: mesh.hall.server.state.forwarded_ports.forwarded_port(target))
+    assert mesh.hall.server.state.forwarded_ports.forwarded_port(
+        target
+    ) == mesh.kitchen.server.state.forwarded_ports.forwarded_port(target)
     mesh.name(mesh.hall)
     await until(lambda: mesh.masters.status() == {"/master": ""})
     mesh.name(mesh.hall, mesh.kitchen)
@@ -101,7 +103,7 @@ async def test_a_revoked_master_is_not_asked(mesh: Mesh) -> None:
     await until(lambda: mesh.masters.status() == {"/master": "", KITCHEN: ""})
     site = mesh.hall.site
     mesh.hall.take_list(site.revoke(site.identity(KITCHEN).thumbprint))
-    await until(lambda: mesh.member.standing.own.entries)
+    await until(lambda: mesh.member.trust_status.own.entries)
     mesh.name(mesh.hall)
     await until(lambda: KITCHEN not in mesh.masters.status())
     mesh.name(mesh.hall, mesh.kitchen)
@@ -117,4 +119,4 @@ async def test_lists_are_asked_for_as_soon_as_the_master_has_them(
     monkeypatch.setattr("rossec.participant.membership.HEARTBEAT", 600.0)
     await until(lambda: mesh.masters.status().get("/master") == "")
     mesh.hall.take_list(mesh.hall.site.revoke(bytes(32)))
-    await until(lambda: bytes(32) in mesh.member.standing.own.entries, within=8)
+    await until(lambda: bytes(32) in mesh.member.trust_status.own.entries, within=8)

@@ -58,7 +58,7 @@ class World:
         """A link to the member, from the relay of one of the sites."""
         site = self.office if of == "office" else self.home
         home = site.site.enroll("/relay" if of == "office" else "/relay/attic")
-        anchors = self.member.standing.anchors
+        anchors = self.member.trust_status.anchors
         if of == "office":
             anchors = Anchors(site.site.anchor)
             anchors.update(site.master.domains)
@@ -87,10 +87,10 @@ async def test_it_has_the_lists_of_its_master(world: World) -> None:
     member = world.member
     assert member.master == "/master"
     assert member.identity.name == "/relay"
-    assert member.standing.anchors.data == world.home.master.domains
+    assert member.trust_status.anchors.data == world.home.master.domains
     world.home.master.take_domains(world.home.trust())
     await member.refresh()
-    assert member.standing.anchors.all_listed == ()
+    assert member.trust_status.anchors.all_listed == ()
     await world.home.master.stop()
     await member.refresh()  # is tried again later
     await world.home.master.start()

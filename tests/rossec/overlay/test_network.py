@@ -6,15 +6,15 @@ from pathlib import Path
 from ca.certificates import Identity
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.overlay.endpoint import LinkTransport, RouterNetwork
-from rossec.overlay.link_frames import mailbox
+from rossec.overlay.link_frames import inbox
 from rossec.overlay.relay import measured
 from tests.support.overlay import carrier, router
 from tests.support.site import Site
 
-BOX = mailbox("open", bytes(range(16)))
+BOX = inbox("open", bytes(range(16)))
 
 
-async def test_a_link_goes_from_a_mailbox_to_who_reads_it(tmp_path: Path) -> None:
+async def test_a_link_goes_from_a_inbox_to_who_reads_it(tmp_path: Path) -> None:
     site = Site(tmp_path)
     names = ("/relay", "/relay/attic")
     homes = [site.enroll(name) for name in names]
@@ -27,7 +27,7 @@ async def test_a_link_goes_from_a_mailbox_to_who_reads_it(tmp_path: Path) -> Non
                 RouterNetwork(each, each.routers, context)
                 for each, context in zip((one, two), contexts, strict=True)
             )
-            assert (calling.seat, calling.router) == ("open", locator)
+            assert (calling.account, calling.router) == ("open", locator)
 
             async def echo(stream: SecureStream[Identity]) -> None:
                 assert stream.peer.name == "/relay"

@@ -75,8 +75,8 @@ async def used(link: PeerLink, far: FarRelay) -> tuple[asyncio.StreamReader, asy
     """A connection that the link carries."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         program_end = socket.create_connection(listener.getsockname())
-        door_end, _ = listener.accept()
-    carrying = asyncio.ensure_future(link.carry(ROBOT, door_end))
+        forwarded_port_end, _ = listener.accept()
+    carrying = asyncio.ensure_future(link.carry(ROBOT, forwarded_port_end))
     reader, writer = await asyncio.open_connection(sock=program_end)
     far.writers.append(writer)
     return reader, writer, carrying
@@ -105,7 +105,7 @@ async def test_it_is_dialled_with_the_first_connection_and_carries_the_others() 
         (HandshakeTimeout("late", "a plain node?"), "office does not answer"),
         (PeerUnreachable("nobody", "hint"), "nobody"),
     ],
-    ids=["silent", "network", "mailbox", "refused"],
+    ids=["silent", "network", "inbox", "refused"],
 )
 async def test_a_failure_is_told_to_all_and_not_tried_again_at_once(failure: Exception, error: str) -> None:
     now = [0.0]

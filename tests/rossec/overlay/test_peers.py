@@ -39,11 +39,11 @@ def test_a_part_of_the_file_is_refused(length: int) -> None:
         {"domain": 7},
         {"domain": "a b"},
         {"relay": "/robot"},
-        {"mailbox": "rossec/1/office/**"},
+        {"inbox": "rossec/1/office/**"},
         {"more": 1},
         {"domain": None},
-        {"relay": "", "mailbox": KEY},
-        {"mailbox": ""},
+        {"relay": "", "inbox": KEY},
+        {"inbox": ""},
     ],
 )
 def test_a_peer_in_another_form_is_refused(changes: dict[str, Any]) -> None:
@@ -69,9 +69,9 @@ def test_another_file_is_refused(data: bytes) -> None:
     ("other", "error"),
     [
         (replace(ATTIC, label="office"), "two peers are called office"),
-        (replace(OFFICE, label="clinic", box="5" * 32, mailbox=ATTIC.mailbox), "are one relay"),
+        (replace(OFFICE, label="clinic", box="5" * 32, inbox=ATTIC.inbox), "are one relay"),
         (replace(ATTIC, box=OFFICE.box), "are one relay"),
-        (replace(ATTIC, mailbox=OFFICE.mailbox), "are one relay"),
+        (replace(ATTIC, inbox=OFFICE.inbox), "are one relay"),
     ],
 )
 def test_a_peer_is_there_once(other: Peer, error: str) -> None:
@@ -95,7 +95,7 @@ def test_the_name_of_a_peer_here() -> None:
     assert OFFICE.box not in repr(OFFICE)
 
 
-def test_only_the_peer_itself_is_admitted_to_its_mailbox() -> None:
+def test_only_the_peer_itself_is_admitted_to_its_inbox() -> None:
     pair = Pair(admitted=("/**",))
     relay = SomeNode(pair.hospital, "/relay")
     found: Identity = pair.peer(relay)
@@ -107,10 +107,10 @@ def test_only_the_peer_itself_is_admitted_to_its_mailbox() -> None:
         NEW,
         replace(hospital, relay="/relay/attic"),
     ):
-        with pytest.raises(RelayRefused, match="hospital:/relay is at the mailbox of"):
+        with pytest.raises(RelayRefused, match="hospital:/relay is at the inbox of"):
             wrong.check(found)
     own = SomeNode(pair.home, "/relay").identity
     replace(ATTIC, relay="/relay").check(own)
     for wrong in (hospital, ATTIC):
-        with pytest.raises(RelayRefused, match="/relay is at the mailbox"):
+        with pytest.raises(RelayRefused, match="/relay is at the inbox"):
             wrong.check(own)

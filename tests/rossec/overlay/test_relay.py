@@ -37,18 +37,18 @@ async def ended(stream: SecureStream[Identity]) -> None:
             await stream.receive()
 
 
-async def test_a_door_leads_to_the_master_of_the_peer(sites: Sites) -> None:
+async def test_a_forwarded_port_leads_to_the_master_of_the_peer(sites: Sites) -> None:
     home, office = sites
-    door = await home.door("office", "master", "/master")
+    forwarded_port = await home.forwarded_port("office", "master", "/master")
     assert peer_of(home)["state"] == "idle"
-    assert home.network.dialled == []  # nothing until a door is used
-    stream = await home.through(door)
+    assert home.network.dialled == []  # nothing until a forwarded port is used
+    stream = await home.through(forwarded_port)
     assert stream.peer.name == "/remote/office/master"
     client = RpcClient(stream)
     assert await client.ask("getUri", "/master") == office.master.server.uri
     assert peer_of(home) | {"state": "linked", "streams": 1, "error": ""} == peer_of(home)
     assert peer_of(office)["called"] == 1
-    again = await home.through(door)
+    again = await home.through(forwarded_port)
     assert len(home.network.dialled) == 1  # one link carries both
     await until(lambda: peer_of(home)["streams"] == 2)
     await again.close()
@@ -58,7 +58,7 @@ async def test_a_door_leads_to_the_master_of_the_peer(sites: Sites) -> None:
 
 async def test_who_comes_by_a_relay_is_not_near(sites: Sites) -> None:
     home, office = sites
-    stream = await home.through(await home.door("office", "master", "/master"))
+    stream = await home.through(await home.forwarded_port("office", "master", "/master"))
     streams = office.master.server.state.streams
     await until(lambda: any(each.peer.is_foreign for each in streams))
     (seen,) = [each for each in streams if each.peer.is_foreign]
@@ -66,14 +66,14 @@ async def test_who_comes_by_a_relay_is_not_near(sites: Sites) -> None:
     await stream.close()
 
 
-async def test_a_door_leads_to_a_node_and_its_topics(sites: Sites) -> None:
+async def test_a_forwarded_port_leads_to_a_node_and_its_topics(sites: Sites) -> None:
     home, office = sites
     office.site.publish("/robot", "/robot/pose")
     async with office.master.node("/robot") as robot:
         await robot.publisher("/robot/pose", "std_msgs/String")
-        door = await home.door("office", "node", "/robot")
+        forwarded_port = await home.forwarded_port("office", "node", "/robot")
         for protocol in (WireProtocol.HTTP, WireProtocol.TCPROS):
-            stream = await home.through(door, protocol=protocol)
+            stream = await home.through(forwarded_port, protocol=protocol)
             assert stream.peer.name == "/remote/office/robot"
             await stream.close()
 
@@ -91,30 +91,30 @@ async def test_only_what_the_master_shows_is_reached(sites: Sites) -> None:
             ("master", "/master/attic"),
         ):
             with pytest.raises(ChannelError):
-                await home.through(await home.door("office", kind, name))
+                await home.through(await home.forwarded_port("office", kind, name))
 
 
 async def test_the_removal_of_a_peer_cuts_its_links_on_both_sides(sites: Sites) -> None:
     home, office = sites
-    door = await home.door("office", "master", "/master")
-    stream = await home.through(door)
+    forwarded_port = await home.forwarded_port("office", "master", "/master")
+    stream = await home.through(forwarded_port)
     home.remove(office)
     await ended(stream)
     assert home.relay.status()["peers"] == []
     await until(lambda: peer_of(office)["called"] == 0)
     with pytest.raises(ChannelError):
-        await home.through(door)
-    home.add(office)  # again: a door is opened anew
+        await home.through(forwarded_port)
+    home.add(office)  # again: a forwarded port is opened anew
     await until(lambda: home.relay.status()["peers"] != [])
-    home.master.server.state.doors.want("office master /master", [])
-    stream = await home.through(await home.door("office", "master", "/master"))
+    home.master.server.state.forwarded_ports.want("office master /master", [])
+    stream = await home.through(await home.forwarded_port("office", "master", "/master"))
     await stream.close()
 
 
 async def test_the_called_side_removes_a_peer(sites: Sites) -> None:
     home, office = sites
-    door = await home.door("office", "master", "/master")
-    stream = await home.through(door)
+    forwarded_port = await home.forwarded_port("office", "master", "/master")
+    stream = await home.through(forwarded_port)
     office.remove(home)
     await ended(stream)
     await until(lambda: peer_of(home)["state"] == "failed")
@@ -123,7 +123,7 @@ async def test_the_called_side_removes_a_peer(sites: Sites) -> None:
 @pytest.mark.parametrize("called", [False, True])
 async def test_the_end_of_the_trust_in_a_domain_cuts_at_once(sites: Sites, called: bool) -> None:
     here, there = sites[::-1] if called else sites
-    stream = await sites[0].through(await sites[0].door("office", "master", "/master"))
+    stream = await sites[0].through(await sites[0].forwarded_port("office", "master", "/master"))
     here.master.take_domains(here.trust())
     await ended(stream)
     await until(lambda: peer_of(there)["streams"] == 0)
@@ -133,7 +133,7 @@ async def test_the_end_of_the_trust_in_a_domain_cuts_at_once(sites: Sites, calle
 async def test_the_revocation_of_a_relay_cuts_at_once(sites: Sites, own: bool) -> None:
     """By the authority of the relay, and by that of the other site."""
     home, office = sites
-    stream = await home.through(await home.door("office", "master", "/master"))
+    stream = await home.through(await home.forwarded_port("office", "master", "/master"))
     key = home.site.identity("/relay").thumbprint
     if own:
         home.master.take_list(home.site.revoke(key))
@@ -144,32 +144,32 @@ async def test_the_revocation_of_a_relay_cuts_at_once(sites: Sites, own: bool) -
     await until(lambda: peer_of(office)["called"] == 0)
 
 
-async def test_another_relay_of_that_domain_has_no_use_of_the_mailbox(
+async def test_another_relay_of_that_domain_has_no_use_of_the_inbox(
     sites: Sites, caplog: pytest.LogCaptureFixture
 ) -> None:
     home, office = sites
     office.files.change(
         lambda peers: peers.update(
             home=peers["home"].__class__(
-                "home", peers["home"].box, "home", "/relay/attic", peers["home"].mailbox
+                "home", peers["home"].box, "home", "/relay/attic", peers["home"].inbox
             )
         )
     )
     await asyncio.sleep(1.5)
     with pytest.raises(ChannelError):
-        await home.through(await home.door("office", "master", "/master"))
-    assert "home:/relay is at the mailbox of home, not home:/relay/attic" in caplog.text
+        await home.through(await home.forwarded_port("office", "master", "/master"))
+    assert "home:/relay is at the inbox of home, not home:/relay/attic" in caplog.text
     assert peer_of(office)["called"] == 0
 
 
 async def test_a_link_is_not_made_to_whom_does_not_answer_it(sites: Sites) -> None:
     home, office = sites
-    door = await home.door("office", "master", "/master")
+    forwarded_port = await home.forwarded_port("office", "master", "/master")
     await office.stop()
     home.wires.ports.clear()
     for _ in range(3):
         with pytest.raises(ChannelError):
-            await home.through(door)
+            await home.through(forwarded_port)
     assert len(home.network.dialled) < 3  # the second ones are told at once
     assert peer_of(home)["state"] == "failed"
     assert peer_of(home)["error"] == "nobody answers"
@@ -178,7 +178,7 @@ async def test_a_link_is_not_made_to_whom_does_not_answer_it(sites: Sites) -> No
     async def comes_back() -> None:
         while True:
             try:
-                await (await home.through(door)).close()
+                await (await home.through(forwarded_port)).close()
             except ChannelError:
                 await asyncio.sleep(0.1)
             else:
@@ -192,10 +192,10 @@ async def test_a_link_is_not_made_to_whom_does_not_answer_it(sites: Sites) -> No
 async def test_a_domain_that_was_accepted_before_there_were_relays(sites: Sites) -> None:
     home, office = sites
     home.master.take_domains(home.trust(office, admitted=("/master", "/rounds/*")))
-    door = await home.door("office", "master", "/master")
-    await until(lambda: home.member.standing.anchors.data == home.master.domains)
+    forwarded_port = await home.forwarded_port("office", "master", "/master")
+    await until(lambda: home.member.trust_status.anchors.data == home.master.domains)
     with pytest.raises(ChannelError):
-        await home.through(door)
+        await home.through(forwarded_port)
     assert "office:/relay is not admitted" in str(peer_of(home)["error"])
     hint = str(peer_of(home)["hint"])
     assert hint.endswith("rossec domain limit office --admit '/rounds/*'"), "and nobody else"
@@ -207,14 +207,14 @@ async def test_a_relay_may_come_before_its_domain_has_said_anything(tmp_path: Pa
         office.site.publish("/robot", "/robot/pose")
         async with office.master.node("/robot") as robot:
             await robot.publisher("/robot/pose", "std_msgs/String")
-            stream = await home.through(await home.door("office", "master", "/master"))
+            stream = await home.through(await home.forwarded_port("office", "master", "/master"))
             assert stream.peer.name == "/remote/office/master"
             with pytest.raises(ChannelError):
-                await home.through(await home.door("office", "node", "/robot"))
+                await home.through(await home.forwarded_port("office", "node", "/robot"))
             tell(office, home)
-            standing = office.member.standing
-            await until(lambda: getattr(standing.foreign(home.domain), "current", None))
-            await (await home.through(await home.door("office", "node", "/robot"))).close()
+            trust_status = office.member.trust_status
+            await until(lambda: getattr(trust_status.foreign(home.domain), "current", None))
+            await (await home.through(await home.forwarded_port("office", "node", "/robot"))).close()
             await stream.close()
 
 
@@ -235,13 +235,13 @@ async def test_the_file_of_peers_may_be_damaged_for_a_while(
 async def test_a_router_that_is_gone_is_told_once(sites: Sites, caplog: pytest.LogCaptureFixture) -> None:
     home, _ = sites
     home.network.router = ""
-    await until(lambda: f"no router takes the seat {home.network.seat}" in caplog.text)
+    await until(lambda: f"no router takes the account {home.network.account}" in caplog.text)
     home.network.router = "tls/203.0.113.11:7447"
     await until(lambda: "router tls/203.0.113.11:7447 is in use now" in caplog.text)
-    assert caplog.text.count("no router takes the seat") == 1
+    assert caplog.text.count("no router takes the account") == 1
 
 
-async def test_a_service_has_a_door_of_its_own(sites: Sites) -> None:
+async def test_a_service_has_a_forwarded_port_of_its_own(sites: Sites) -> None:
     home, office = sites
     office.site.grant("/robot", Right.PROVIDE, "/robot/stop")
 
@@ -250,15 +250,15 @@ async def test_a_service_has_a_door_of_its_own(sites: Sites) -> None:
 
     async with office.master.node("/robot") as robot:
         await robot.service("/robot/stop", "std_srvs/Empty", stop)
-        door = await home.door("office", "service", "/robot/stop")
-        stream = await home.through(door, protocol=WireProtocol.TCPROS)
+        forwarded_port = await home.forwarded_port("office", "service", "/robot/stop")
+        stream = await home.through(forwarded_port, protocol=WireProtocol.TCPROS)
         assert stream.peer.name == "/remote/office/robot"
         await stream.close()
 
 
 async def test_a_peer_that_makes_link_after_link_has_the_newest_two(sites: Sites) -> None:
     home, office = sites
-    key = office.relay_mailbox(home)
+    key = office.relay_inbox(home)
     made = []
     for _ in range(4):
         made.append(await home.network.dial(key))
@@ -272,7 +272,7 @@ async def test_a_peer_that_makes_link_after_link_has_the_newest_two(sites: Sites
 
 async def test_a_crash_of_a_part_ends_the_relay(sites: Sites) -> None:
     home, _ = sites
-    stream = await home.through(await home.door("office", "master", "/master"))
+    stream = await home.through(await home.forwarded_port("office", "master", "/master"))
     home.member.crashed(RuntimeError("a bug"))
     await ended(stream)
     assert home.running is not None

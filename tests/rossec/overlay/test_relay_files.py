@@ -8,7 +8,7 @@ from ca.errors import PathRefused
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.overlay.documents import Peer, Routers
-from rossec.overlay.homes import RELAY_PEERS, RELAY_SEAT, RelayFiles
+from rossec.overlay.homes import RELAY_ACCOUNT, RELAY_PEERS, RelayFiles
 
 OFFICE = Peer("office", "0" * 32)
 ROUTERS = Routers(("tcp/127.0.0.1:7447",), "home", "p" * 22)
@@ -39,23 +39,23 @@ def test_a_change_that_is_refused_changes_nothing(store: RelayFiles) -> None:
     assert store.peers() == {"office": OFFICE}
 
 
-def test_the_seat_is_kept_for_the_user_alone(store: RelayFiles) -> None:
-    assert not store.has_seat
-    with pytest.raises(ConfigurationError, match="has no seat at a router") as caught:
+def test_the_account_is_kept_for_the_user_alone(store: RelayFiles) -> None:
+    assert not store.has_account
+    with pytest.raises(ConfigurationError, match="has no account at a router") as caught:
         store.routers()
-    assert "rossec relay seat FILE" in caught.value.hint
-    assert store.keep_seat(ROUTERS.write()) == ROUTERS
+    assert "rossec relay account FILE" in caught.value.hint
+    assert store.keep_account(ROUTERS.write()) == ROUTERS
     assert store.routers() == ROUTERS
-    assert (store.home.path / RELAY_SEAT).stat().st_mode & 0o777 == 0o600
+    assert (store.home.path / RELAY_ACCOUNT).stat().st_mode & 0o777 == 0o600
     with pytest.raises(ConfigurationError):
-        store.keep_seat(b"{}")
+        store.keep_account(b"{}")
     assert store.routers() == ROUTERS
 
 
 def test_files_that_others_could_write_are_refused(store: RelayFiles) -> None:
     store.change(lambda peers: peers.update(office=OFFICE))
-    store.keep_seat(ROUTERS.write())
-    for name in (RELAY_PEERS, RELAY_SEAT):
+    store.keep_account(ROUTERS.write())
+    for name in (RELAY_PEERS, RELAY_ACCOUNT):
         (store.home.path / name).chmod(0o666)
     with pytest.raises(PathRefused):
         RelayFiles(store.home).peers()
@@ -65,7 +65,7 @@ def test_files_that_others_could_write_are_refused(store: RelayFiles) -> None:
 
 def test_a_relay_that_is_not_enrolled_has_no_files(tmp_path: Path) -> None:
     nobody = RelayFiles(NodeHome.of(tmp_path, "/relay"))
-    for act in (lambda: nobody.change(dict.clear), lambda: nobody.keep_seat(ROUTERS.write())):
+    for act in (lambda: nobody.change(dict.clear), lambda: nobody.keep_account(ROUTERS.write())):
         with pytest.raises(ConfigurationError, match="there is no /relay here") as caught:
             act()
         assert "rossec node request /relay" in caught.value.hint

@@ -1,4 +1,4 @@
-"""Routers with seats, in this process, and carriers that use them."""
+"""Routers with accounts, in this process, and carriers that use them."""
 
 import asyncio
 import logging
@@ -16,7 +16,7 @@ from rossec.overlay import router as router_module
 from rossec.overlay.documents import Routers
 from rossec.overlay.endpoint import LinkListener, dial_link
 from rossec.overlay.homes import RouterHome
-from rossec.overlay.router import Router, seats_of
+from rossec.overlay.router import Router, accounts_of
 from rossec.overlay.zenoh_carrier import Carrier
 from tests.support.contexts import context
 from tests.support.overlay import until
@@ -62,12 +62,12 @@ async def arrives(sender: Carrier, receiver: Carrier, key: str) -> None:
 
 
 @pytest.mark.parametrize("protocol", ["quic", "tcp", "tls"])
-async def test_seats_reach_each_other(tmp_path: Path, protocol: str) -> None:
+async def test_accounts_reach_each_other(tmp_path: Path, protocol: str) -> None:
     home = home_with(tmp_path / "a", "home", "clinic", protocol=protocol)
     async with (
         started(home),
-        seated(home.seat_file("home")) as alice,
-        seated(home.seat_file("clinic")) as bob,
+        seated(home.account_file("home")) as alice,
+        seated(home.account_file("clinic")) as bob,
     ):
         await arrives(alice, bob, CLINIC)
         await arrives(bob, alice, HOME)
@@ -81,7 +81,7 @@ async def test_routers_of_one_operator_forward_for_each_other(tmp_path: Path) ->
     async with started(two) as later, started(one):  # the one that is joined begins later
         await until(lambda: later.joined == 1)
         at_two = Routers(two.settings().listen, *_secrets(two))
-        async with seated(one.seat_file("clinic")) as bob, seated(at_two) as alice:
+        async with seated(one.account_file("clinic")) as bob, seated(at_two) as alice:
             await arrives(alice, bob, CLINIC)
             await arrives(bob, alice, HOME)
 
@@ -97,38 +97,38 @@ async def test_a_router_that_comes_back_is_joined_again(tmp_path: Path) -> None:
 
 
 def _secrets(home: RouterHome) -> tuple[str, str, str]:
-    found = home.seat_file("home")
-    return found.seat, found.password, found.root_certificate
+    found = home.account_file("home")
+    return found.account, found.password, found.root_certificate
 
 
-async def test_a_seat_is_taken_over_and_given_up_while_it_runs(tmp_path: Path) -> None:
+async def test_a_account_is_taken_over_and_given_up_while_it_runs(tmp_path: Path) -> None:
     home = home_with(tmp_path / "a", "home")
-    async with started(home), seated(home.seat_file("home")) as alice:
-        home.change_seats(lambda found: found.add("clinic", PASSWORD))
-        clinic = home.seat_file("clinic")
+    async with started(home), seated(home.account_file("home")) as alice:
+        home.change_accounts(lambda found: found.add("clinic", PASSWORD))
+        clinic = home.account_file("clinic")
         async with _seated_soon(clinic) as bob:
             await arrives(bob, alice, HOME)
             await arrives(alice, bob, CLINIC)
-            home.change_seats(lambda found: found.remove("clinic"))
+            home.change_accounts(lambda found: found.remove("clinic"))
             await until(lambda: not bob.router)
             await until(lambda: alice.router)
-            with pytest.raises(OverlayUnavailable, match="no router takes the seat clinic"):
+            with pytest.raises(OverlayUnavailable, match="no router takes the account clinic"):
                 await Carrier.open(clinic)
 
 
-async def test_a_link_goes_on_while_seats_change(tmp_path: Path) -> None:
+async def test_a_link_goes_on_while_accounts_change(tmp_path: Path) -> None:
     home = home_with(tmp_path / "a", "home", "clinic")
     async with (
         started(home),
-        seated(home.seat_file("home")) as alice,
-        seated(home.seat_file("clinic")) as bob,
+        seated(home.account_file("home")) as alice,
+        seated(home.account_file("clinic")) as bob,
         LinkListener(bob, CLINIC, context(BOB), echo),
         await dial_link(alice, CLINIC, "home", context(ALICE)) as stream,
     ):
-        before = home.seats_version()
-        home.change_seats(lambda found: found.add("third", PASSWORD))
-        assert home.seats_version() != before
-        third = asyncio.ensure_future(_is_seated(home.seat_file("third")))
+        before = home.accounts_version()
+        home.change_accounts(lambda found: found.add("third", PASSWORD))
+        assert home.accounts_version() != before
+        third = asyncio.ensure_future(_is_seated(home.account_file("third")))
         count = 0
         while not third.done() or not alice.router:
             await stream.send(count.to_bytes(4))
@@ -144,13 +144,13 @@ async def _is_seated(routers: Routers) -> None:
         pass
 
 
-async def test_the_last_seat_is_given_up_while_it_runs(tmp_path: Path) -> None:
+async def test_the_last_account_is_given_up_while_it_runs(tmp_path: Path) -> None:
     home = home_with(tmp_path / "a", "home")
-    routers = home.seat_file("home")
+    routers = home.account_file("home")
     async with started(home), seated(routers) as alice:
-        home.change_seats(lambda found: found.remove("home"))
+        home.change_accounts(lambda found: found.remove("home"))
         await until(lambda: not alice.router)
-        with pytest.raises(OverlayUnavailable, match="no router takes the seat home"):
+        with pytest.raises(OverlayUnavailable, match="no router takes the account home"):
             await Carrier.open(routers)
 
 
@@ -159,9 +159,9 @@ async def test_an_open_router_stays_open_until_it_is_told_otherwise(
 ) -> None:
     home = home_with(tmp_path / "a", protocol="tcp")
     async with started(home, is_open=True):
-        home.change_seats(lambda found: found.add("home", PASSWORD))
+        home.change_accounts(lambda found: found.add("home", PASSWORD))
         await until(lambda: "so it is not open" in caplog.text)
-        async with seated(home.seat_file("open")) as alice:
+        async with seated(home.account_file("open")) as alice:
             assert alice.router
 
 
@@ -195,13 +195,13 @@ async def _seated_soon(routers: Routers) -> AsyncIterator[Carrier]:
         await opened[0].close()
 
 
-async def test_a_damaged_list_of_seats_is_not_taken_over(
+async def test_a_damaged_list_of_accounts_is_not_taken_over(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     home = home_with(tmp_path / "a", "home", "clinic")
-    routers = home.seat_file("home"), home.seat_file("clinic")
+    routers = home.account_file("home"), home.account_file("clinic")
     async with started(home), seated(routers[0]) as alice, seated(routers[1]) as bob:
-        (home.path / "seats.json").write_bytes(b"damaged")
+        (home.path / "accounts.json").write_bytes(b"damaged")
         await until(lambda: "is not taken over" in caplog.text)
         await arrives(alice, bob, CLINIC)
 
@@ -238,13 +238,13 @@ async def test_a_router_that_was_not_started_is_closed(tmp_path: Path) -> None:
     await router.close()
 
 
-def test_a_router_is_open_or_has_seats(tmp_path: Path) -> None:
-    seats, none = home_with(tmp_path / "a", "home"), home_with(tmp_path / "b")
-    assert seats_of(seats, is_open=False) == seats.seats()
-    assert seats_of(none, is_open=True) is None
-    with pytest.raises(ConfigurationError, match=r"the router has seats \(home\)") as caught:
-        seats_of(seats, is_open=True)
+def test_a_router_is_open_or_has_accounts(tmp_path: Path) -> None:
+    accounts, none = home_with(tmp_path / "a", "home"), home_with(tmp_path / "b")
+    assert accounts_of(accounts, is_open=False) == accounts.accounts()
+    assert accounts_of(none, is_open=True) is None
+    with pytest.raises(ConfigurationError, match=r"the router has accounts \(home\)") as caught:
+        accounts_of(accounts, is_open=True)
     assert "--open" in caught.value.hint
-    with pytest.raises(ConfigurationError, match="nobody has a seat") as caught:
-        seats_of(none, is_open=False)
-    assert "rossec router seats add" in caught.value.hint
+    with pytest.raises(ConfigurationError, match="nobody has an account") as caught:
+        accounts_of(none, is_open=False)
+    assert "rossec router accounts add" in caught.value.hint

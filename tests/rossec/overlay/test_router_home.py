@@ -22,31 +22,31 @@ def _mode(path: Path) -> int:
 def test_a_first_start_makes_what_is_needed_once(tmp_path: Path) -> None:
     made = RouterHome(tmp_path / "router")
     made.prepare()
-    before = made.authority().pem, made.seats()
+    before = made.authority().pem, made.accounts()
     made.prepare()
-    assert (made.authority().pem, made.seats()) == before
-    assert made.seats().names == ()
+    assert (made.authority().pem, made.accounts()) == before
+    assert made.accounts().names == ()
     assert made.settings().listen == ("tls/[::]:7447",)
 
 
 def test_what_is_secret_is_the_owners_alone(home: RouterHome) -> None:
-    home.write_for_zenoh(home.settings(), home.seats())
+    home.write_for_zenoh(home.settings(), home.accounts())
     readable = {each.name for each in home.path.iterdir() if _mode(each) & 0o077}
     assert readable == {"authority.pem", "router.pem"}
     assert _mode(home.path) == 0o700
 
 
 def test_secrets_that_others_can_read_are_not_used(home: RouterHome) -> None:
-    for name, read in (("seats.json", home.seats), ("authority.key", home.authority)):
+    for name, read in (("accounts.json", home.accounts), ("authority.key", home.authority)):
         (home.path / name).chmod(0o640)
         with pytest.raises(HintedError):
             read()
 
 
 def test_without_a_first_start_there_is_nothing(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"there is no .*seats\.json") as caught:
-        RouterHome(tmp_path / "router").seats()
-    assert "rossec router seats add" in caught.value.hint
+    with pytest.raises(ConfigurationError, match=r"there is no .*accounts\.json") as caught:
+        RouterHome(tmp_path / "router").accounts()
+    assert "rossec router accounts add" in caught.value.hint
 
 
 def test_what_was_told_is_kept_until_it_is_told_otherwise(tmp_path: Path) -> None:
@@ -61,32 +61,32 @@ def test_what_was_told_is_kept_until_it_is_told_otherwise(tmp_path: Path) -> Non
     assert home.settings() == found
 
 
-def test_a_seat_file_has_what_a_relay_needs(home: RouterHome) -> None:
-    found = home.seat_file("home")
+def test_a_account_file_has_what_a_relay_needs(home: RouterHome) -> None:
+    found = home.account_file("home")
     assert found.locators == home.settings().listen
-    assert (found.seat, found.password) == ("home", PASSWORD + "home")
+    assert (found.account, found.password) == ("home", PASSWORD + "home")
     assert found.root_certificate.encode() == home.authority().pem
-    with pytest.raises(ConfigurationError, match="there is no seat"):
-        home.seat_file("hall")
+    with pytest.raises(ConfigurationError, match="there is no account"):
+        home.account_file("hall")
 
 
-def test_the_seat_of_everybody_has_no_password(tmp_path: Path) -> None:
-    plain = home_with(tmp_path / "router", protocol="tcp").seat_file("open")
-    assert (plain.seat, plain.password, plain.root_certificate) == ("open", "", "")
+def test_the_account_of_everybody_has_no_password(tmp_path: Path) -> None:
+    plain = home_with(tmp_path / "router", protocol="tcp").account_file("open")
+    assert (plain.account, plain.password, plain.root_certificate) == ("open", "", "")
 
 
 def test_a_change_that_fails_changes_nothing(home: RouterHome) -> None:
-    before = home.seats_version()
+    before = home.accounts_version()
     with pytest.raises(ConfigurationError):
-        home.change_seats(lambda found: found.add("home", PASSWORD))
-    assert home.seats_version() == before
-    home.change_seats(lambda found: found.remove("home"))
-    assert home.seats_version() != before
+        home.change_accounts(lambda found: found.add("home", PASSWORD))
+    assert home.accounts_version() == before
+    home.change_accounts(lambda found: found.remove("home"))
+    assert home.accounts_version() != before
 
 
 def test_a_certificate_is_made_anew_only_when_it_must(home: RouterHome) -> None:
     def written() -> bytes:
-        home.write_for_zenoh(home.settings(), home.seats())
+        home.write_for_zenoh(home.settings(), home.accounts())
         return home.files.certificate.read_bytes()
 
     first = written()
@@ -111,11 +111,11 @@ def test_a_second_router_takes_over_what_the_first_shares(home: RouterHome, tmp_
     second = RouterHome(tmp_path / "second")
     second.take(home.share())
     assert second.authority().pem == home.authority().pem
-    assert second.seats() == home.seats()
+    assert second.accounts() == home.accounts()
     assert second.settings().join == home.settings().locators
-    home.change_seats(lambda found: found.remove("clinic"))
+    home.change_accounts(lambda found: found.remove("clinic"))
     second.take(home.share())
-    assert second.seats().names == ("home",)
+    assert second.accounts().names == ("home",)
 
 
 def test_a_router_does_not_join_itself(home: RouterHome, tmp_path: Path) -> None:
@@ -129,11 +129,11 @@ def test_a_router_does_not_join_itself(home: RouterHome, tmp_path: Path) -> None
 
 def test_what_another_operator_shares_is_not_taken(home: RouterHome, tmp_path: Path) -> None:
     other = home_with(tmp_path / "other", "home")
-    before = home.seats()
+    before = home.accounts()
     with pytest.raises(ConfigurationError, match="of another authority") as caught:
         home.take(other.share())
     assert "--home" in caught.value.hint
-    assert home.seats() == before
+    assert home.accounts() == before
 
 
 def test_passwords_are_long_and_never_the_same() -> None:

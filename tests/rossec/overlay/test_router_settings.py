@@ -5,16 +5,16 @@ import pytest
 
 from rossec.errors import ConfigurationError
 from rossec.overlay.router_settings import (
+    Accounts,
     RouterFiles,
     RouterSettings,
-    Seats,
     is_wildcard,
     nested,
     zenoh_settings,
 )
 
 FILES = RouterFiles(Path("/r/users"), Path("/r/a.pem"), Path("/r/key"), Path("/r/cert"))
-SEATS = Seats("r" * 43).add("home", "h" * 43)
+ACCOUNTS = Accounts("r" * 43).add("home", "h" * 43)
 JOIN = ("tls/b.example.org:7447",)
 
 
@@ -66,15 +66,15 @@ def test_what_the_certificate_is_for() -> None:
 
 
 def test_a_router_is_found_by_nobody_and_answers_no_questions() -> None:
-    found = zenoh_settings(RouterSettings(), SEATS, FILES)
+    found = zenoh_settings(RouterSettings(), ACCOUNTS, FILES)
     assert found["mode"] == "router"
     for off in ("adminspace", "scouting/multicast", "scouting/gossip", "transport/shared_memory"):
         assert found[f"{off}/enabled"] is False
 
 
-def test_a_router_with_seats_knows_them_by_password() -> None:
-    found = zenoh_settings(RouterSettings(join=JOIN), SEATS, FILES)
-    assert found["access_control"] == SEATS.access_control()
+def test_a_router_with_accounts_knows_them_by_password() -> None:
+    found = zenoh_settings(RouterSettings(join=JOIN), ACCOUNTS, FILES)
+    assert found["access_control"] == ACCOUNTS.access_control()
     assert found["transport/auth/usrpwd/user"] == "_router"
     assert found["transport/auth/usrpwd/dictionary_file"] == "/r/users"
     assert found["transport/link/tls/verify_name_on_connect"] is True
@@ -82,15 +82,15 @@ def test_a_router_with_seats_knows_them_by_password() -> None:
 
 
 def test_customers_are_in_no_region_of_the_routers() -> None:
-    found = zenoh_settings(RouterSettings(), SEATS, FILES)
-    clients, others = ({"modes": ["client", "peer"]}, {"region_names": [SEATS.region], "negated": True})
-    assert found["region_name"] == SEATS.region == SEATS.add("clinic", "c" * 43).region
+    found = zenoh_settings(RouterSettings(), ACCOUNTS, FILES)
+    clients, others = ({"modes": ["client", "peer"]}, {"region_names": [ACCOUNTS.region], "negated": True})
+    assert found["region_name"] == ACCOUNTS.region == ACCOUNTS.add("clinic", "c" * 43).region
     assert found["gateway"] == {"south": [{"filters": [clients]}, {"filters": [others]}]}
-    assert Seats("s" * 43).region != SEATS.region
-    assert SEATS.router not in str(found["gateway"])
+    assert Accounts("s" * 43).region != ACCOUNTS.region
+    assert ACCOUNTS.router not in str(found["gateway"])
 
 
-def test_an_open_router_asks_for_no_password_and_still_allows_mailboxes_alone() -> None:
+def test_an_open_router_asks_for_no_password_and_still_allows_inboxes_alone() -> None:
     found = zenoh_settings(RouterSettings(listen=("tcp/[::]:7447",)), None, FILES)
     assert not [path for path in found if "usrpwd" in path or "tls" in path]
     control = found["access_control"]
@@ -98,10 +98,10 @@ def test_an_open_router_asks_for_no_password_and_still_allows_mailboxes_alone() 
     assert (control["enabled"], control["default_permission"]) == (True, "deny")
 
 
-def test_a_router_with_seats_joins_none_that_it_cannot_verify() -> None:
+def test_a_router_with_accounts_joins_none_that_it_cannot_verify() -> None:
     plain = RouterSettings(join=("tcp/192.0.2.1:7447",))
     with pytest.raises(ConfigurationError, match=r"does not join tcp/192\.0\.2\.1:7447") as caught:
-        zenoh_settings(plain, SEATS, FILES)
+        zenoh_settings(plain, ACCOUNTS, FILES)
     assert "tls/" in caught.value.hint
     assert zenoh_settings(plain, None, FILES)["connect/endpoints"] == ["tcp/192.0.2.1:7447"]
 

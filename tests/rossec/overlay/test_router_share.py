@@ -4,7 +4,7 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from rossec.errors import ConfigurationError
-from rossec.overlay.router_settings import Seats
+from rossec.overlay.router_settings import Accounts
 from rossec.overlay.router_tls import RouterAuthority, Share, key_pem
 from tests.support.pki import NOW
 
@@ -15,12 +15,12 @@ def _authority() -> RouterAuthority:
 
 @pytest.fixture
 def share() -> Share:
-    return Share(_authority(), Seats("r" * 43).add("home", "h" * 43), ("tls/a.example.org:7447",))
+    return Share(_authority(), Accounts("r" * 43).add("home", "h" * 43), ("tls/a.example.org:7447",))
 
 
 def test_what_is_shared_is_read_as_it_was_written(share: Share) -> None:
     read = Share.read(share.write())
-    assert (read.seats, read.join) == (share.seats, share.join)
+    assert (read.accounts, read.join) == (share.accounts, share.join)
     assert read.authority.pem == share.authority.pem
 
 
@@ -35,8 +35,8 @@ def test_no_secret_is_shown(share: Share) -> None:
         {"authority": ""},
         {"authority_key": 1},
         {"authority_key": "damaged"},
-        {"seats": {}},
-        {"seats": "{}"},
+        {"accounts": {}},
+        {"accounts": "{}"},
         {"join": []},
         {"join": "tls/a:1"},
         {"join": ["a"]},

@@ -21,7 +21,7 @@ OTHER = "rossec/1/open/ffeeddccbbaa99887766554433221100"
 
 
 async def put_until(sender: Carrier, key: str, data: bytes, condition: Callable[[], object]) -> None:
-    """Put the message again until it shows: nobody says when a mailbox is known everywhere."""
+    """Put the message again until it shows: nobody says when an inbox is known everywhere."""
 
     def put() -> object:
         sender.put(key, data)
@@ -30,7 +30,7 @@ async def put_until(sender: Carrier, key: str, data: bytes, condition: Callable[
     await until(put)
 
 
-async def test_a_message_arrives_in_the_mailbox_it_was_put_to() -> None:
+async def test_a_message_arrives_in_the_inbox_it_was_put_to() -> None:
     with router() as locator:
         async with carrier(locator) as alice, carrier(locator) as bob:
             got: list[bytes] = []
@@ -121,7 +121,7 @@ async def test_a_callback_that_crashes_does_not_stop_the_others(caplog: pytest.L
             assert "was not handled" in caplog.text
 
 
-async def test_what_waits_in_a_flooded_mailbox_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_what_waits_in_a_flooded_inbox_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(carrier_module, "_MOST_WAITING", 10_000)
     with router() as locator:
         async with carrier(locator) as alice, carrier(locator) as bob:
@@ -146,7 +146,7 @@ async def until_subscribed(alice: Carrier, bob: Carrier, take: Callable[[bytes],
     await put_until(alice, KEY, b"", lambda: seen)
 
 
-async def test_a_session_is_replaced_and_its_mailboxes_are_read_on() -> None:
+async def test_a_session_is_replaced_and_its_inboxes_are_read_on() -> None:
     with router() as locator:
         async with carrier(locator) as alice, carrier(locator) as bob:
             got: list[bytes] = []
@@ -204,9 +204,9 @@ async def test_a_failure_to_replace_the_session_is_logged(
 
 async def test_without_a_router() -> None:
     where = f"tcp/127.0.0.1:{free_port()}"
-    with pytest.raises(OverlayUnavailable, match=f"no router takes the seat open: {where}") as caught:
+    with pytest.raises(OverlayUnavailable, match=f"no router takes the account open: {where}") as caught:
         await Carrier.open(routers_at(where))
-    assert "seat file" in caught.value.hint
+    assert "account file" in caught.value.hint
 
 
 async def test_a_session_that_nobody_waits_for_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:

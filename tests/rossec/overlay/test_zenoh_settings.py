@@ -38,7 +38,7 @@ def test_a_relay_listens_nowhere_and_is_a_client() -> None:
     assert json.loads(config.get_json("transport/link/tls/root_ca_certificate_base64")) is None
 
 
-def test_the_seat_and_the_authority_of_the_routers_are_told() -> None:
+def test_the_account_and_the_authority_of_the_routers_are_told() -> None:
     key = ec.generate_private_key(ec.SECP256R1())
     root = RouterAuthority.create(key, now=NOW, serial=7).pem.decode()
     routers = Routers(("tls/192.0.2.1:7447",), "ward", PASSWORD, root)

@@ -6,7 +6,7 @@ from ca.domains.trust import Anchors
 from ca.encoding import Value, encode
 from ca.errors import NameRefused, NotAdmitted, RevocationsStale, Revoked
 from ca.keys.signing import thumbprint
-from ca.revocation.trust_status import Standing
+from ca.revocation.trust_status import TrustStatus
 from grants.decision import Decision
 from grants.errors import GrantError, GrantForged, GrantMissing, GrantNotHeld, GrantRevoked
 from grants.model import Right
@@ -29,7 +29,7 @@ def pair() -> Pair:
 
 @pytest.fixture
 def access(pair: Pair) -> Access:
-    return Access(pair.standing)
+    return Access(pair.trust_status)
 
 
 def shown(*tokens: bytes) -> bytes:
@@ -90,7 +90,7 @@ def test_what_is_shown_are_the_grants_of_the_domain_of_the_name(pair: Pair) -> N
     key = bytes(32)
     own = grant(pair.home, key, SUBSCRIBE, "/**")
     theirs = grant(pair.hospital, key, SUBSCRIBE, THERE)
-    access = Access(pair.standing, [own, theirs])
+    access = Access(pair.trust_status, [own, theirs])
     assert access.present(SUBSCRIBE, ALIAS, NOW) == shown(theirs)
     assert access.present(SUBSCRIBE, THERE, NOW) == shown(own)
     assert access.present(SUBSCRIBE, "/remote/hospital/other", NOW) == shown()
@@ -100,7 +100,7 @@ def test_what_is_shown_are_the_grants_of_the_domain_of_the_name(pair: Pair) -> N
 
 
 def test_an_alias_of_no_domain_is_no_name_for_messages(pair: Pair) -> None:
-    access = Access(pair.standing, [grant(pair.home, bytes(32), Right(255), "/**")])
+    access = Access(pair.trust_status, [grant(pair.home, bytes(32), Right(255), "/**")])
     name = "/remote/clinic/pose"
     with pytest.raises(NotAdmitted, match=r"clinic:/pose: no domain is called clinic here"):
         access.present(SUBSCRIBE, name, NOW)
@@ -115,7 +115,7 @@ def test_an_alias_of_no_domain_is_no_name_for_messages(pair: Pair) -> None:
 def test_grants_of_a_domain_that_is_not_listed_are_kept_and_not_shown(pair: Pair) -> None:
     own, theirs = (grant(site, bytes(32), SUBSCRIBE, "/x") for site in (pair.home, pair.hospital))
     anchors = Anchors(pair.home.anchor)
-    access = Access(Standing(anchors, pair.own), [own, theirs])
+    access = Access(TrustStatus(anchors, pair.own), [own, theirs])
     assert access.current(NOW) == [own]
     assert access.foreign_domains == frozenset()
     anchors.update(domains(pair.home, foreign(pair.hospital)))
@@ -128,7 +128,7 @@ def test_a_grant_ends_by_the_list_of_the_domain_it_is_of(pair: Pair, access: Acc
     pair.confirm_foreign(decision.grants[0].id, seq=2)
     with pytest.raises(GrantRevoked):
         decide(pair, access, token, PUBLISH, ALIAS)
-    ours = Access(pair.standing, [token])
+    ours = Access(pair.trust_status, [token])
     assert ours.held_grants() == []
 
 
@@ -158,7 +158,7 @@ def test_a_foreigner_is_refused_at_once_without_fresh_word_of_its_domain(pair: P
     stale.confirm_own()
     token = to_robot(stale, stale.home, SUBSCRIBE, HERE)
     with pytest.raises(RevocationsStale, match="of domain hospital"):
-        decide(stale, Access(stale.standing), token, SUBSCRIBE, HERE)
+        decide(stale, Access(stale.trust_status), token, SUBSCRIBE, HERE)
 
 
 def test_a_revoked_or_removed_foreigner_is_refused(pair: Pair, access: Access) -> None:
@@ -193,19 +193,19 @@ def test_the_label_decides_which_key_opens_a_grant(pair: Pair, access: Access) -
 def test_the_own_master_is_known_by_its_name_and_domain(pair: Pair) -> None:
     kitchen = SomeNode(pair.home, "/master/kitchen").identity
     theirs = pair.peer(pair.master)
-    assert Access(pair.standing).is_master(pair.own_master.identity)
-    assert not Access(pair.standing).is_master(kitchen)
-    assert not Access(pair.standing).is_master(theirs)
-    assert not Access(pair.standing, master="/master/kitchen").is_master(pair.own_master.identity)
-    assert Access(pair.standing, master="/master/kitchen").is_master(kitchen)
-    assert not Access(pair.standing, master=theirs.name).is_master(theirs)
+    assert Access(pair.trust_status).is_master(pair.own_master.identity)
+    assert not Access(pair.trust_status).is_master(kitchen)
+    assert not Access(pair.trust_status).is_master(theirs)
+    assert not Access(pair.trust_status, master="/master/kitchen").is_master(pair.own_master.identity)
+    assert Access(pair.trust_status, master="/master/kitchen").is_master(kitchen)
+    assert not Access(pair.trust_status, master=theirs.name).is_master(theirs)
 
 
 def test_a_clock_set_back_makes_foreign_words_stale_too(pair: Pair, access: Access) -> None:
     access.expire_confirmation(NOW - 1)
     with pytest.raises(RevocationsStale):
         access.check_peer(pair.peer(), NOW)
-    assert pair.standing.status_valid_until(DOMAIN, thumbprint(pair.robot.key)) == NOW - 1
+    assert pair.trust_status.status_valid_until(DOMAIN, thumbprint(pair.robot.key)) == NOW - 1
 
 
 def test_a_label_is_that_of_a_listed_domain(access: Access) -> None:

@@ -31,7 +31,7 @@ def publishes(
     """The name that `peer` publishes by a grant of one of the two authorities."""
     token = grant(by, peer.thumbprint, PUBLISH, pattern, domain=domain)
     presented = encode(list[Value]([token]))
-    return Access(pair.standing).authorize(peer, presented, PUBLISH, name, NOW).name
+    return Access(pair.trust_status).authorize(peer, presented, PUBLISH, name, NOW).name
 
 
 @pytest.mark.parametrize("name", ["/gateway", "/gateway/ward"])
@@ -62,7 +62,7 @@ def test_no_other_own_node_provides_a_service_below_gateway(pair: Pair) -> None:
     for name, is_one in (("/robot", False), ("/gateway", True)):
         peer = SomeNode(pair.home, name).identity
         token = encode(list[Value]([grant(pair.home, peer.thumbprint, Right.PROVIDE, "/**")]))
-        access = Access(pair.standing)
+        access = Access(pair.trust_status)
         if is_one:
             assert access.authorize(peer, token, Right.PROVIDE, SERVED, NOW).name == SERVED
         else:
@@ -90,7 +90,7 @@ def test_the_two_names_of_one_topic_have_grants_of_their_own(pair: Pair) -> None
     """What is held for one of them is shown for it alone, and proves nothing of the other."""
     key = bytes(32)
     own, theirs = (grant(site, key, SUBSCRIBE, "/**") for site in (pair.home, pair.hospital))
-    access = Access(pair.standing, [own, theirs])
+    access = Access(pair.trust_status, [own, theirs])
     assert access.present(SUBSCRIBE, SERVED, NOW) == encode([own])
     assert access.present(SUBSCRIBE, ALIAS, NOW) == encode([theirs])
     viewer = SomeNode(pair.home, "/viewer").identity
@@ -104,18 +104,18 @@ def test_the_two_names_of_one_topic_have_grants_of_their_own(pair: Pair) -> None
 
 def test_either_right_lets_subscribe_to_an_alias_and_no_other_right(pair: Pair) -> None:
     key, other = bytes(32), "/remote/hospital/other"
-    served = Access(pair.standing, [grant(pair.home, key, SUBSCRIBE, SERVED)])
+    served = Access(pair.trust_status, [grant(pair.home, key, SUBSCRIBE, SERVED)])
     assert served.holds(SUBSCRIBE, ALIAS, NOW)
     assert served.holds(SUBSCRIBE, SERVED, NOW)
     assert not served.holds(SUBSCRIBE, THERE, NOW)
     assert not served.holds(SUBSCRIBE, other, NOW)
     assert not served.holds(Right.CALL, ALIAS, NOW)
-    origins = Access(pair.standing, [grant(pair.hospital, key, SUBSCRIBE, THERE)])
+    origins = Access(pair.trust_status, [grant(pair.hospital, key, SUBSCRIBE, THERE)])
     assert origins.holds(SUBSCRIBE, ALIAS, NOW)
     assert not origins.holds(SUBSCRIBE, SERVED, NOW)
     assert origins.covers(SUBSCRIBE, ALIAS, NOW)
     assert not served.covers(SUBSCRIBE, ALIAS, NOW), "to a gateway it is the origin's alone"
-    publishing = Access(pair.standing, [grant(pair.home, key, PUBLISH, SERVED)])
+    publishing = Access(pair.trust_status, [grant(pair.home, key, PUBLISH, SERVED)])
     assert not publishing.holds(SUBSCRIBE, ALIAS, NOW)
     assert not publishing.holds(PUBLISH, ALIAS, NOW)
 
@@ -123,7 +123,7 @@ def test_either_right_lets_subscribe_to_an_alias_and_no_other_right(pair: Pair) 
 def test_what_is_served_ends_with_its_label(pair: Pair) -> None:
     gateway = SomeNode(pair.home, "/gateway").identity
     key = bytes(32)
-    access = Access(pair.standing, [grant(pair.home, key, SUBSCRIBE, "/**")])
+    access = Access(pair.trust_status, [grant(pair.home, key, SUBSCRIBE, "/**")])
     pair.anchors.update(domains(pair.home, foreign(pair.hospital, label="clinic"), seq=2))
     with pytest.raises(NotAdmitted, match="no domain is called hospital here"):
         publishes(pair, gateway, pair.home)
@@ -131,5 +131,5 @@ def test_what_is_served_ends_with_its_label(pair: Pair) -> None:
         access.present(SUBSCRIBE, SERVED, NOW)
     assert not access.holds(SUBSCRIBE, ALIAS, NOW)
     assert access.holds(SUBSCRIBE, "/remote/clinic/pose", NOW)
-    graph = Access(pair.standing, [grant(pair.home, key, Right.GRAPH, "/**")])
+    graph = Access(pair.trust_status, [grant(pair.home, key, Right.GRAPH, "/**")])
     assert graph.holds(Right.GRAPH, SERVED, NOW), "what tools list is no message"

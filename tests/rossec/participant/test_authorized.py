@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from ca.revocation.lists import Timestamp, digest
-from ca.revocation.trust_status import Revocations, Standing
+from ca.revocation.trust_status import Revocations, TrustStatus
 from rossec.clock import Clock
 from rossec.participant.authorized import STALE_GRACE, AuthorizedConnection
 from tests.support.domains import alone
@@ -28,7 +28,7 @@ def site(tmp_path: Path) -> Site:
     return Site(tmp_path / "site", clock=lambda: NOW)
 
 
-def standing(site: Site) -> Standing:
+def trust_status(site: Site) -> TrustStatus:
     held = Revocations(site.anchor.public_key)
     data = site.authority.store.newest_list()
     assert data is not None
@@ -82,11 +82,11 @@ def test_another_decision_takes_its_place(site: Site) -> None:
     made = connection(decision(GRANT, expires=NOW + 10))
     made.replace(decision(LATER, expires=NOW + 40), "second")
     assert (made.guard, made.ends) == ("second", NOW + 40)
-    assert made.termination_reason(standing(site), NOW + 10) is None
+    assert made.termination_reason(trust_status(site), NOW + 10) is None
     site.revoke(GRANT.ljust(32))
-    assert made.termination_reason(standing(site), NOW) is None
+    assert made.termination_reason(trust_status(site), NOW) is None
     site.authority.revoke(LATER, "", NOW)
-    assert made.termination_reason(standing(site), NOW) == f"{LATER.hex()} is revoked"
+    assert made.termination_reason(trust_status(site), NOW) == f"{LATER.hex()} is revoked"
 
 
 def test_another_certificate_moves_its_end() -> None:
@@ -104,7 +104,7 @@ def test_a_guard_that_is_in_force_elsewhere_is_swapped_there() -> None:
 
 
 def test_stale_lists_end_it_after_a_while_unless_the_grant_says_keep(site: Site) -> None:
-    held = standing(site)
+    held = trust_status(site)
     late = held.own.fresh_until + STALE_GRACE
     for keep, ends in ((False, True), (True, False)):
         made = connection(decision(GRANT, keep=keep, expires=late + 10))
@@ -118,6 +118,6 @@ def test_a_name_of_a_domain_that_is_listed_no_longer_ends_it(site: Site) -> None
     for name in ("/remote/hospital/pose", "/gateway/hospital/pose"):
         made = decision(GRANT, name=name)
         made.grants = (SimpleNamespace(domain="hospital"),)
-        reason = connection(made).termination_reason(standing(site), NOW)
+        reason = connection(made).termination_reason(trust_status(site), NOW)
         assert reason is not None
-    assert connection(decision(GRANT)).termination_reason(standing(site), NOW) is None
+    assert connection(decision(GRANT)).termination_reason(trust_status(site), NOW) is None

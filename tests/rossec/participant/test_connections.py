@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from ca.revocation.lists import Timestamp, digest
-from ca.revocation.trust_status import Revocations, Standing
+from ca.revocation.trust_status import Revocations, TrustStatus
 from rossec.clock import Clock
 from rossec.errors import ChannelClosed, LimitExceeded
 from rossec.participant.authorized import STALE_GRACE, AuthorizedConnection
@@ -71,29 +71,29 @@ def revocations(site: Site) -> Revocations:
     return held
 
 
-def standing(site: Site) -> Standing:
+def trust_status(site: Site) -> TrustStatus:
     return alone(site.anchor, revocations(site))
 
 
 def test_a_valid_connection_stays_open(site: Site) -> None:
-    assert make_connection().termination_reason(standing(site), NOW) is None
+    assert make_connection().termination_reason(trust_status(site), NOW) is None
 
 
 @pytest.mark.parametrize("late", [0, 1])
 def test_a_connection_is_closed_in_the_second_it_expires(site: Site, late: int) -> None:
-    assert make_connection(ends=NOW).termination_reason(standing(site), NOW - 1) is None
-    reason = make_connection(ends=NOW).termination_reason(standing(site), NOW + late)
+    assert make_connection(ends=NOW).termination_reason(trust_status(site), NOW - 1) is None
+    reason = make_connection(ends=NOW).termination_reason(trust_status(site), NOW + late)
     assert reason == "its grant or its certificate has expired"
 
 
 @pytest.mark.parametrize("entry", [GRANT, KEY, ABOVE])
 def test_a_revoked_grant_or_key_closes_the_connection(site: Site, entry: bytes) -> None:
     site.authority.revoke(entry, "", NOW)
-    assert make_connection().termination_reason(standing(site), NOW) == f"{entry.hex()} is revoked"
+    assert make_connection().termination_reason(trust_status(site), NOW) == f"{entry.hex()} is revoked"
 
 
 def test_a_connection_outlives_stale_revocations_for_the_grace_period(site: Site) -> None:
-    held = standing(site)
+    held = trust_status(site)
     last = held.own.fresh_until + STALE_GRACE
     assert make_connection().termination_reason(held, last - 1) is None
     assert "the last confirmation expired" in (make_connection().termination_reason(held, last) or "")
@@ -106,29 +106,29 @@ def test_a_connection_is_closed_without_a_revocation_list(site: Site) -> None:
 
 def test_a_connection_with_on_stale_keep_ends_by_revocation_or_expiry_only(site: Site) -> None:
     never = alone(site.anchor, Revocations(site.anchor.public_key))
-    held = standing(site)
+    held = trust_status(site)
     long_after = held.own.fresh_until + 10 * STALE_GRACE
     assert make_connection(keep=True).termination_reason(never, NOW) is None
     assert make_connection(ends=long_after + 1, keep=True).termination_reason(held, long_after) is None
     assert make_connection(keep=True).termination_reason(held, NOW + 1000) is not None
     site.authority.revoke(GRANT, "", NOW)
-    assert make_connection(ends=long_after + 1, keep=True).termination_reason(standing(site), long_after) == (
-        f"{GRANT.hex()} is revoked"
-    )
+    assert make_connection(ends=long_after + 1, keep=True).termination_reason(
+        trust_status(site), long_after
+    ) == (f"{GRANT.hex()} is revoked")
 
 
 def test_a_revoked_grant_closes_the_connection_during_the_grace_period(site: Site) -> None:
     site.authority.revoke(GRANT, "", NOW)
-    held = standing(site)
+    held = trust_status(site)
     assert make_connection().termination_reason(held, held.own.fresh_until + 1) == f"{GRANT.hex()} is revoked"
 
 
-def table(held: Standing, lock: Any = None, most: int = 2) -> ConnectionTable[FakeStream]:
+def table(held: TrustStatus, lock: Any = None, most: int = 2) -> ConnectionTable[FakeStream]:
     return ConnectionTable(held, lock or nullcontext(), most)
 
 
 def test_a_connection_is_in_the_table_while_the_block_runs(site: Site) -> None:
-    connections, connection = table(standing(site)), make_connection()
+    connections, connection = table(trust_status(site)), make_connection()
     with connections.track(connection):
         assert list(connections) == [connection]
         assert connections.next_expiry == connection.ends == NOW + 1000
@@ -138,11 +138,11 @@ def test_a_connection_is_in_the_table_while_the_block_runs(site: Site) -> None:
 
 
 def test_an_empty_table_has_no_expiry(site: Site) -> None:
-    assert table(standing(site)).next_expiry is None
+    assert table(trust_status(site)).next_expiry is None
 
 
 def test_a_connection_that_must_end_is_not_added(site: Site) -> None:
-    connections, connection = table(standing(site)), make_connection(ends=NOW - 1)
+    connections, connection = table(trust_status(site)), make_connection(ends=NOW - 1)
     with pytest.raises(ChannelClosed, match="has expired"), connections.track(connection):
         pytest.fail("it began")
     assert list(connections) == []
@@ -168,7 +168,7 @@ class ListChanges:
 @pytest.mark.parametrize("cut_first", [True, False])
 def test_a_revocation_during_the_admission_cuts_the_connection(site: Site, cut_first: bool) -> None:
     """The list changes when the connection is in the table, and not checked yet."""
-    held = standing(site)
+    held = trust_status(site)
     lock = ListChanges(site, held.own)
     connections, connection = table(held, lock), make_connection()
     if cut_first:
@@ -208,7 +208,7 @@ def test_no_connection_of_another_thread_outlives_a_revocation(site: Site) -> No
 
 
 def test_what_must_end_is_cut_once(site: Site, caplog: pytest.LogCaptureFixture) -> None:
-    held = standing(site)
+    held = trust_status(site)
     connections = table(held)
     expired, valid = make_connection(ends=NOW + 5), make_connection()
     connections.add(expired)
@@ -222,7 +222,7 @@ def test_what_must_end_is_cut_once(site: Site, caplog: pytest.LogCaptureFixture)
 
 
 def test_a_closed_table_admits_nothing(site: Site) -> None:
-    connections = table(standing(site))
+    connections = table(trust_status(site))
     before, after = make_connection(), make_connection()
     connections.add(before)
     connections.close("a task failed")
@@ -233,7 +233,7 @@ def test_a_closed_table_admits_nothing(site: Site) -> None:
 
 
 def test_the_connections_of_one_peer_are_limited(site: Site) -> None:
-    connections = table(standing(site))
+    connections = table(trust_status(site))
     eve, other = site.identity("/eve"), site.identity("/other")
     for peer in (eve, other, "10.0.0.1", "10.0.0.2"):
         for number in range(2):
@@ -248,7 +248,7 @@ def test_the_connections_of_one_peer_are_limited(site: Site) -> None:
 
 def test_every_connection_of_a_revoked_identity_is_cut(site: Site) -> None:
     """For whatever purpose it was accepted; plain peers have no identity."""
-    held = standing(site)
+    held = trust_status(site)
     connections = table(held, most=3)
     eve = replace(site.identity("/eve"), issuers=(ABOVE,))
     reasons: dict[str, list[str]] = {"eve": [], "other": [], "plain": []}
@@ -267,7 +267,7 @@ async def test_accepted_streams_are_served_within_the_limit(
     site: Site, name: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The master may have more; a connection counts until its socket is closed."""
-    connections = table(standing(site))
+    connections = table(trust_status(site))
     peer, served = site.identity(name), []
 
     async def handler(stream: Any) -> None:

@@ -25,10 +25,10 @@ def _clock(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def admitted(pair: Pair, peer: Identity, token: bytes, right: Right, name: str) -> Any:
     """A connection of `peer`, which showed `token`, and the table it is in."""
-    decision = Access(pair.standing).authorize(peer, encode([token]), right, name, NOW)
+    decision = Access(pair.trust_status).authorize(peer, encode([token]), right, name, NOW)
     stream: Any = FakeStream(ends=NOW + 1000)
     stream.peer = peer
-    connections = table(pair.standing)
+    connections = table(pair.trust_status)
     connection: Connection = AuthorizedConnection(stream, decision, None)
     connections.add(connection)
     return connections, stream
@@ -162,7 +162,7 @@ def test_an_expired_list_of_domains_cuts_nobody(pair: Pair) -> None:
 
 
 def test_a_foreigner_that_only_connected_is_cut_too(pair: Pair) -> None:
-    connections, reasons = table(pair.standing), list[str]()
+    connections, reasons = table(pair.trust_status), list[str]()
     connections.accept(1, pair.peer(), reasons.append)
     connections.cut_ended(NOW)
     assert reasons == []
@@ -175,7 +175,7 @@ def test_a_foreigner_that_only_connected_is_cut_too(pair: Pair) -> None:
 
 
 async def test_the_master_of_another_domain_has_no_more_connections_than_others(pair: Pair) -> None:
-    connections = table(pair.standing, most=0)
+    connections = table(pair.trust_status, most=0)
     served: list[Any] = []
 
     async def handler(stream: Any) -> None:
@@ -188,7 +188,7 @@ async def test_the_master_of_another_domain_has_no_more_connections_than_others(
 
 
 def test_a_foreign_domain_has_as_many_connections_as_one_peer(pair: Pair) -> None:
-    connections = ConnectionTable[Any](pair.standing, most=2)
+    connections = ConnectionTable[Any](pair.trust_status, most=2)
     first, second = pair.peer(), replace(pair.peer(), thumbprint=b"another key" + bytes(21))
     connections.accept(1, first, lambda _: None)
     connections.accept(2, second, lambda _: None)

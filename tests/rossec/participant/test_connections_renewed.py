@@ -8,7 +8,14 @@ import pytest
 
 from rossec.errors import ChannelClosed
 from tests.rossec.participant import test_connections
-from tests.rossec.participant.test_connections import KEY, NOW, Connection, make_connection, standing, table
+from tests.rossec.participant.test_connections import (
+    KEY,
+    NOW,
+    Connection,
+    make_connection,
+    table,
+    trust_status,
+)
 from tests.support.site import Site
 
 _clock, site = test_connections._clock, test_connections.site  # fixtures
@@ -17,7 +24,7 @@ _clock, site = test_connections._clock, test_connections.site  # fixtures
 @pytest.mark.parametrize("goes_on", [True, False])
 def test_what_the_peer_presented_since_may_carry_a_connection_on(site: Site, goes_on: bool) -> None:
     """In the check of a call and in that of the clock, before the connection is cut."""
-    connections = table(standing(site))
+    connections = table(trust_status(site))
 
     def continues(connection: Connection, _: int) -> bool:
         connection.ends = NOW + 5 if goes_on else NOW
@@ -36,7 +43,7 @@ def test_what_the_peer_presented_since_may_carry_a_connection_on(site: Site, goe
 
 
 def test_a_table_that_is_closed_carries_nothing_on(site: Site) -> None:
-    connections, made = table(standing(site)), make_connection()
+    connections, made = table(trust_status(site)), make_connection()
     connections.close("the end")
     connections.renewed = Any  # type: ignore[assignment]  # not asked
     with pytest.raises(ChannelClosed, match="the end"):
@@ -45,7 +52,7 @@ def test_a_table_that_is_closed_carries_nothing_on(site: Site) -> None:
 
 def test_a_renewed_identity_is_the_one_that_counts(site: Site) -> None:
     """Its issuer may be revoked here: the connection is cut at once."""
-    connections, made = table(standing(site)), make_connection()
+    connections, made = table(trust_status(site)), make_connection()
     told: list[Any] = []
     connections.renewed = SimpleNamespace(  # type: ignore[assignment]
         opened=lambda connection, on_renewed: told.append(on_renewed),

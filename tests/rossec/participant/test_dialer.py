@@ -15,7 +15,7 @@ from rossec.net.aio.server import Handler
 from rossec.net.rpc.calls import RpcClient, serve_calls
 from rossec.participant.connections import Dialer, OwnAddresses
 from rossec.ros.xmlrpc import Fault
-from tests.support.doors import door
+from tests.support.forwarded_ports import forwarded_port
 from tests.support.site import Site
 
 HOST, TOPIC = "127.0.0.1", "/scan"
@@ -177,11 +177,11 @@ async def test_a_node_is_not_sent_back_to_itself(site: Site, talker: Talker) -> 
         await Dialer("/viewer", viewer, lambda *_: None, misled).topic(talker.uri, TOPIC)
 
 
-async def test_behind_a_relays_door_the_topic_is_at_the_door(
+async def test_behind_a_relays_forwarded_port_the_topic_is_at_the_forwarded_port(
     talker: Talker, dialer: Dialer, checked: Checked
 ) -> None:
     talker.answer = [1, "", ["TCPROS", "192.0.2.1", 9]]  # an address of its own network
-    with door(talker.api.port, talker.topics.port) as found:
+    with forwarded_port(talker.api.port, talker.topics.port) as found:
         stream = await dialer.topic(found.uri, TOPIC)
         assert stream.peer.name == "/talker"
         await stream.close()
@@ -189,12 +189,12 @@ async def test_behind_a_relays_door_the_topic_is_at_the_door(
     assert checked.asked == ["/talker", "/talker"]
 
 
-async def test_a_node_behind_a_door_that_offers_no_connection_is_refused(
+async def test_a_node_behind_a_forwarded_port_that_offers_no_connection_is_refused(
     talker: Talker, dialer: Dialer
 ) -> None:
     talker.answer = [1, "", ["UDPROS", HOST, 1]]
     no_connection = pytest.raises(ConnectionHeaderRefused, match="offers no connection")
-    with door(talker.api.port, talker.topics.port) as found, no_connection:
+    with forwarded_port(talker.api.port, talker.topics.port) as found, no_connection:
         await dialer.topic(found.uri, TOPIC)
     assert found.opened == [WireProtocol.HTTP]
 

@@ -7,7 +7,7 @@ import pytest
 
 from ca.errors import DomainsRefused, NotAdmitted, RevocationsStale, Revoked, RollbackRefused
 from ca.revocation.lists import digest
-from ca.revocation.trust_status import Standing
+from ca.revocation.trust_status import TrustStatus
 from rossec.clock import Clock
 from rossec.errors import AnswerMalformed, AnswerRefused, RossecError
 from rossec.home import NodeHome
@@ -35,10 +35,10 @@ class Robot:
         self.home = NodeHome(root, "/robot")
         self.files = DomainFiles(self.home, pair.home.anchor)
         self.anchors = pair.anchors if listed else self.files.anchors()
-        self.standing = Standing(self.anchors, pair.own)
+        self.trust_status = TrustStatus(self.anchors, pair.own)
         self.news: list[bool] = []
         self.used: list[str] = []
-        self.updates = DomainUpdates(self.standing, self.files, self.news.append, lambda: self.used)
+        self.updates = DomainUpdates(self.trust_status, self.files, self.news.append, lambda: self.used)
         self.called: list[tuple[Any, ...]] = []
         self.answers: dict[str, Callable[..., object]] = {
             DOMAINS: self.listed,
@@ -79,7 +79,7 @@ async def test_a_session_begins_with_the_list_and_every_foreign_word(robot: Robo
         (DOMAINS, digest(b"")),
         (FOREIGN_REVOCATIONS, DOMAIN, digest(b"")),
     ]
-    robot.standing.check(DOMAIN, KEY, NOW)
+    robot.trust_status.check(DOMAIN, KEY, NOW)
     assert robot.news == [True]
     assert robot.files.load_foreign(DOMAIN) == robot.data
 
@@ -91,7 +91,7 @@ async def test_a_newer_list_is_saved_and_its_domains_fetched(tmp_path: Path) -> 
     await robot.updates.heartbeat(robot.call)
     assert robot.methods() == [DOMAINS, FOREIGN_REVOCATIONS]
     assert robot.files.load_domains() == listed
-    robot.standing.check(DOMAIN, KEY, NOW)
+    robot.trust_status.check(DOMAIN, KEY, NOW)
     robot.answers[DOMAINS] = lambda _: b""
     await robot.updates.heartbeat(robot.call)
     assert robot.methods() == [DOMAINS], "it is fresh, and nobody of it is here"
@@ -121,7 +121,7 @@ async def test_a_domain_without_a_list_is_asked_for_each_time(robot: Robot) -> N
     robot.answers[FOREIGN_REVOCATIONS] = robot.word
     await robot.updates.fetch_wanted(robot.call)
     assert robot.methods() == [FOREIGN_REVOCATIONS] * 2
-    robot.standing.check(DOMAIN, KEY, NOW)
+    robot.trust_status.check(DOMAIN, KEY, NOW)
     await robot.updates.fetch_wanted(robot.call)
     assert robot.methods() == []
 
@@ -148,7 +148,7 @@ async def test_a_call_that_fails_is_made_again_at_the_next_heartbeat(
     robot.answers[DOMAINS] = fail
     await robot.updates.session_opened(robot.call)
     assert robot.methods() == [DOMAINS, FOREIGN_REVOCATIONS], "of the domains that are known"
-    robot.standing.check(DOMAIN, KEY, NOW)
+    robot.trust_status.check(DOMAIN, KEY, NOW)
     robot.used = [DOMAIN]
     await robot.updates.heartbeat(robot.call)
     assert robot.methods() == [DOMAINS, FOREIGN_REVOCATIONS]
@@ -190,7 +190,7 @@ async def test_a_master_that_refuses_the_newer_list_is_used_all_the_same(
     robot.answers |= {DOMAINS: lambda _: b"", UPDATE_DOMAINS: refuse}
     await robot.updates.session_opened(robot.call)
     assert "not newer" in caplog.text
-    robot.standing.check(DOMAIN, KEY, NOW)
+    robot.trust_status.check(DOMAIN, KEY, NOW)
 
 
 @pytest.mark.parametrize("answer", [5, None, [b""]])
@@ -233,7 +233,7 @@ async def test_a_malformed_foreign_word_is_not_taken(
     robot.answers[FOREIGN_REVOCATIONS] = lambda *_: answer
     await robot.updates.session_opened(robot.call)
     with pytest.raises(RevocationsStale):
-        robot.standing.check(DOMAIN, KEY, NOW)
+        robot.trust_status.check(DOMAIN, KEY, NOW)
     assert f"{DOMAIN}: " in caplog.text
 
 
@@ -242,7 +242,7 @@ def test_a_pushed_revocation_takes_effect_and_tells(robot: Robot) -> None:
     stamp, chain = robot.pair.master.stamp(new, 2), [robot.pair.master.leaf]
     robot.updates.take_foreign(DOMAIN, new, stamp, chain)
     with pytest.raises(Revoked):
-        robot.standing.check(DOMAIN, KEY, NOW)
+        robot.trust_status.check(DOMAIN, KEY, NOW)
     robot.updates.take_foreign(DOMAIN, b"", stamp, chain)
     assert robot.news == [True, False], "the same again is no news"
     assert robot.files.load_foreign(DOMAIN) == new
@@ -253,7 +253,7 @@ def test_a_pushed_list_whose_word_is_refused_revokes_all_the_same(robot: Robot) 
     with pytest.raises(RevocationsStale):
         robot.updates.take_foreign(DOMAIN, new, b"", [])
     with pytest.raises(Revoked):
-        robot.standing.check(DOMAIN, KEY, NOW)
+        robot.trust_status.check(DOMAIN, KEY, NOW)
     assert robot.news == [True]
 
 
@@ -295,10 +295,10 @@ async def test_a_foreign_tree_is_proved_and_then_confirmed(robot: Robot) -> None
     await robot.updates.fetch_wanted(robot.call)
     assert tried == [1, 1], "the master did not have it the first time"
     with pytest.raises(RevocationsStale, match="no proof received yet"):
-        robot.standing.check(DOMAIN, KEY, NOW)
+        robot.trust_status.check(DOMAIN, KEY, NOW)
     await robot.updates.fetch_wanted(robot.call)
     with pytest.raises(Revoked):
-        robot.standing.check(DOMAIN, KEY, NOW)
+        robot.trust_status.check(DOMAIN, KEY, NOW)
 
 
 @pytest.mark.parametrize("answer", [5, [b"x", b"y", b"z"], [b"no proof"]])
@@ -307,7 +307,7 @@ async def test_invalid_proofs_prove_nothing(robot: Robot, answer: object) -> Non
     robot.answers[FOREIGN_PROOFS] = lambda *_: answer
     await robot.updates.session_opened(robot.call)
     with pytest.raises(RevocationsStale):
-        robot.standing.check(DOMAIN, b"a" * 16, NOW)
+        robot.trust_status.check(DOMAIN, b"a" * 16, NOW)
 
 
 async def test_the_word_of_another_node_than_a_master_counts_for_nothing(robot: Robot) -> None:
@@ -315,7 +315,7 @@ async def test_the_word_of_another_node_than_a_master_counts_for_nothing(robot: 
     robot.answers[FOREIGN_REVOCATIONS] = lambda *_: [robot.data, liar.stamp(robot.data), [liar.leaf]]
     await robot.updates.session_opened(robot.call)
     with pytest.raises(RevocationsStale):
-        robot.standing.check(DOMAIN, KEY, NOW)
+        robot.trust_status.check(DOMAIN, KEY, NOW)
 
 
 async def test_a_domain_whose_trust_has_ended_is_asked_no_more(robot: Robot) -> None:

@@ -41,10 +41,10 @@ class Robot:
         self.site = Site(root / "site")
         self.home = self.site.enroll("/robot")
         loaded = self.loaded = LoadedIdentity(self.home, "/robot")
-        self.access = Access(loaded.standing)
+        self.access = Access(loaded.trust_status)
         self.directory = GrantDirectory(self.home, self.access)
         self.delivery = GrantDelivery(
-            loaded.standing, loaded.identity.thumbprint, self.access, self.directory
+            loaded.trust_status, loaded.identity.thumbprint, self.access, self.directory
         )
         self.answers: list[Any] = []
         self.asked: list[tuple[str, bytes]] = []
@@ -327,7 +327,7 @@ async def test_a_grant_of_a_listed_domain_is_delivered_too(robot: Robot, tmp_pat
     assert robot.access.current(robot.site.now()) == [theirs]
     revoked = robot.grant(domain="hospital", signer=other.authority.signer)
     data = other.revoke(revoked)
-    robot.loaded.standing.restore("hospital", data, robot.site.now())
+    robot.loaded.trust_status.restore("hospital", data, robot.site.now())
     robot.answers = [{"grants": [revoked], "more": False}]
     await robot.delivery.fetch(robot.call)
     assert robot.delivery.take_new() == []

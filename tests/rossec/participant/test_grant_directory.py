@@ -18,7 +18,7 @@ class Robot:
         self.site = Site(root / "site")
         self.home = self.site.enroll("/robot")
         loaded = LoadedIdentity(self.home, "/robot")
-        self.access = Access(loaded.standing)
+        self.access = Access(loaded.trust_status)
         self.directory = GrantDirectory(self.home, self.access)
 
     def held(self) -> list[bytes]:

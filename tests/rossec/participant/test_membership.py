@@ -40,7 +40,7 @@ class Form:
     def __init__(self, site: Site, loaded: LoadedIdentity | None = None) -> None:
         self.site = site
         self.loaded = loaded or LoadedIdentity(site.enroll("/robot"), "/robot")
-        self.access = Access(self.loaded.standing)
+        self.access = Access(self.loaded.trust_status)
         context = SecureContext(self.loaded.live_credentials, self.loaded.anchor.verify)
         self.dialer = Dialer("/robot", context, self.access.check_peer)
         self.grace = PublisherGrace(clock.counter())

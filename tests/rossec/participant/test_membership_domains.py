@@ -49,13 +49,13 @@ async def test_lists_of_domains_and_of_what_they_revoke_are_taken_from_the_maste
         assert site.master is not None
         site.master.effects.take_foreign("hospital", *word_of(other))
         await until(lambda: visited in form.access.current(site.now()))
-        standing = form.loaded.standing
-        await until(lambda: standing.status_valid_until("hospital", bytes(16)) > site.now())
+        trust_status = form.loaded.trust_status
+        await until(lambda: trust_status.status_valid_until("hospital", bytes(16)) > site.now())
         assert form.membership.rights_version > before
         await until(lambda: "rights changed" in form.calls)
     again = LoadedIdentity(site.enroll("/robot"), "/robot")
     assert again.anchors.listed("hospital") is not None
-    held = again.standing.foreign("hospital")
+    held = again.trust_status.foreign("hospital")
     assert held is not None
     assert held.data == other.authority.store.newest_list()
 
@@ -69,7 +69,7 @@ async def test_the_master_pushes_what_is_signed(site: Site, tmp_path: Path) -> N
         take(names.FOREIGN_UPDATE, ("hospital", *word), master)
     take(names.DOMAINS_UPDATE, (listed,), master)
     take(names.FOREIGN_UPDATE, ("hospital", *word), master)
-    form.loaded.standing.check("hospital", bytes(16), site.now())
+    form.loaded.trust_status.check("hospital", bytes(16), site.now())
     assert form.calls == ["close"] * 3, "after each, also one that is refused"
     data = site.revoke(bytes(32))
     take(names.REVOCATION_UPDATE, (data, timestamp(site, data)), master)

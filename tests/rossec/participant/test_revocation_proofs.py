@@ -90,15 +90,15 @@ async def test_an_entry_without_a_valid_proof_stays_unknown(held: Revocations, s
 def test_a_connection_without_a_proof_has_the_same_grace_period_as_without_timestamps(
     held: Revocations, authority: Authority
 ) -> None:
-    standing = alone(authority.anchor, held)
+    trust_status = alone(authority.anchor, held)
     now = int(time.time())
     last = held.status_valid_until(b"g" * 16) + STALE_GRACE
     connection = make_connection(ends=last + 99)
-    assert connection.termination_reason(standing, now) is None
+    assert connection.termination_reason(trust_status, now) is None
     assert held.current is not None
     held.confirm(Timestamp(1, digest(held.data), last, 30), last)  # but no new proof
-    assert connection.termination_reason(standing, last - 1) is None
-    assert "no proof" in (connection.termination_reason(standing, last) or "")
+    assert connection.termination_reason(trust_status, last - 1) is None
+    assert "no proof" in (connection.termination_reason(trust_status, last) or "")
 
 
 @pytest.fixture

@@ -27,8 +27,11 @@ class Pair:
         site = Site(root, clock=lambda: NOW)
         site.grant("/door", Right.PROVIDE, SERVICE)
         site.grant("/hall", Right.CALL, SERVICE)
-        self.door, self.hall = site.identity("/door"), site.identity("/hall")
-        self.door_access, self.hall_access = (self._access(site, "/door"), self._access(site, "/hall"))
+        self.forwarded_port, self.hall = site.identity("/door"), site.identity("/hall")
+        self.forwarded_port_access, self.hall_access = (
+            self._access(site, "/door"),
+            self._access(site, "/hall"),
+        )
 
     def _access(self, site: Site, name: str) -> Access:
         held = Revocations(site.anchor.public_key)
@@ -43,13 +46,13 @@ class Pair:
         return {"callerid": b"/hall", "service": SERVICE.encode(), **proof}
 
     def answer(self) -> Fields:
-        return {"callerid": b"/door", **handshakes.provider_proof(SERVICE, self.door_access, NOW)}
+        return {"callerid": b"/door", **handshakes.provider_proof(SERVICE, self.forwarded_port_access, NOW)}
 
     def admit_hall(self, fields: Fields, peer: Identity | None = None) -> None:
-        handshakes.admit_caller(fields, peer or self.hall, self.door_access, NOW)
+        handshakes.admit_caller(fields, peer or self.hall, self.forwarded_port_access, NOW)
 
-    def admit_door(self, fields: Fields) -> None:
-        handshakes.admit_provider(fields, self.door, SERVICE, self.hall_access, NOW)
+    def admit_forwarded_port(self, fields: Fields) -> None:
+        handshakes.admit_provider(fields, self.forwarded_port, SERVICE, self.hall_access, NOW)
 
 
 @pytest.fixture
@@ -59,7 +62,7 @@ def pair(tmp_path: Path) -> Pair:
 
 def test_the_two_headers_admit_each_other(pair: Pair) -> None:
     pair.admit_hall(pair.request())
-    pair.admit_door(pair.answer())
+    pair.admit_forwarded_port(pair.answer())
     assert handshakes.requested_service(pair.request()) == SERVICE
 
 
@@ -68,26 +71,26 @@ def test_a_client_needs_the_right_to_call(pair: Pair) -> None:
     with pytest.raises(GrantMissing):
         pair.admit_hall(other)
     with pytest.raises(GrantMissing):
-        pair.admit_hall({**pair.answer(), "service": SERVICE.encode()}, pair.door)
+        pair.admit_hall({**pair.answer(), "service": SERVICE.encode()}, pair.forwarded_port)
 
 
 def test_a_server_needs_the_right_to_provide(pair: Pair) -> None:
     bare = pair.answer()
     del bare["rossec_grants"]
     with pytest.raises(GrantMissing):
-        pair.admit_door(bare)
+        pair.admit_forwarded_port(bare)
 
 
 def test_a_callerid_must_match_the_certificate(pair: Pair) -> None:
     with pytest.raises(ConnectionHeaderRefused, match="calls itself"):
         pair.admit_hall({**pair.request(), "callerid": b"/door"})
     with pytest.raises(ConnectionHeaderRefused, match="calls itself"):
-        pair.admit_door({**pair.answer(), "callerid": b"/hall"})
+        pair.admit_forwarded_port({**pair.answer(), "callerid": b"/hall"})
 
 
 def test_an_error_of_the_server_is_quoted(pair: Pair) -> None:
     with pytest.raises(ConnectionHeaderRefused, match=r"^/door refuses: closed$"):
-        pair.admit_door({"error": b"closed"})
+        pair.admit_forwarded_port({"error": b"closed"})
 
 
 def test_a_header_without_a_service_is_refused(pair: Pair) -> None:
@@ -103,8 +106,8 @@ def test_headers_of_client_and_server(pair: Pair) -> None:
     pair.admit_hall(asked)
     assert handshakes.is_set(asked, "persistent")
     assert not handshakes.is_set(asked, "probe")
-    answer = handshakes.server_header("/door", SERVICE, kind, pair.door_access, NOW)
-    handshakes.admit_provider(answer, pair.door, SERVICE, pair.hall_access, NOW)
+    answer = handshakes.server_header("/door", SERVICE, kind, pair.forwarded_port_access, NOW)
+    handshakes.admit_provider(answer, pair.forwarded_port, SERVICE, pair.hall_access, NOW)
     for fields in (asked, answer):
         handshakes.check_md5(fields, SERVICE, kind.md5sum)
         assert fields["type"] == b"std_srvs/SetBool"
@@ -142,7 +145,7 @@ def test_the_header_for_an_alias_has_the_origins_name_and_access_the_alias(pair:
     fields = handshakes.client_header("/hall", ALIAS, handshakes.ANY, access, NOW)
     assert fields["service"] == b"/door/open"
     assert access.presented == [("call", ALIAS)]
-    handshakes.admit_provider(pair.answer(), pair.door, ALIAS, access, NOW)
+    handshakes.admit_provider(pair.answer(), pair.forwarded_port, ALIAS, access, NOW)
     assert access.authorized == [("/door", "provide", ALIAS)]
 
 

@@ -45,7 +45,7 @@ def renewed(site: Site, master: SomeNode) -> bytes:
 
 
 def test_a_token_is_of_the_domain_that_is_asked_for(pair: Pair) -> None:
-    opener = TokenOpener(pair.standing)
+    opener = TokenOpener(pair.trust_status)
     ours, theirs = (grant(site, HOLDER, Right.SUBSCRIBE, "/x") for site in (pair.home, pair.hospital))
     assert opener.open(ours, "home", NOW).domain == "home"
     assert opener.open(theirs, DOMAIN, NOW).domain == DOMAIN
@@ -57,7 +57,7 @@ def test_a_token_is_of_the_domain_that_is_asked_for(pair: Pair) -> None:
 
 
 def test_what_is_refused_is_left_out(pair: Pair) -> None:
-    opener, good = TokenOpener(pair.standing), grant(pair.home, HOLDER, Right.CALL, "/x")
+    opener, good = TokenOpener(pair.trust_status), grant(pair.home, HOLDER, Right.CALL, "/x")
     peer = pair.own_master.identity
     found, refused = opener.open_all(encode([b"garbage", good]), "home", peer, NOW)
     assert [each.id for each in found] == [grant_id(good)]
@@ -67,7 +67,7 @@ def test_what_is_refused_is_left_out(pair: Pair) -> None:
 
 
 def test_tickets_of_the_own_domain_count_from_its_masters(pair: Pair) -> None:
-    opener, kitchen = TokenOpener(pair.standing), SomeNode(pair.home, "/master/kitchen")
+    opener, kitchen = TokenOpener(pair.trust_status), SomeNode(pair.home, "/master/kitchen")
     by_own, by_kitchen = renewed(pair.home, pair.own_master), renewed(pair.home, kitchen)
     for token in (by_own, by_kitchen):
         with pytest.raises(GrantForOther):
@@ -85,7 +85,7 @@ def test_tickets_of_the_own_domain_count_from_its_masters(pair: Pair) -> None:
 
 
 def test_tickets_of_a_foreign_domain_count_from_the_masters_that_were_seen(pair: Pair) -> None:
-    opener, other = TokenOpener(pair.standing), SomeNode(pair.hospital, "/master/ward")
+    opener, other = TokenOpener(pair.trust_status), SomeNode(pair.hospital, "/master/ward")
     opener.own_master = pair.own_master.key
     assert opener.open(renewed(pair.hospital, pair.master), DOMAIN, NOW).expires == NOW + 60
     for token in (renewed(pair.hospital, other), renewed(pair.hospital, pair.own_master)):
@@ -97,7 +97,7 @@ def test_tickets_of_a_foreign_domain_count_from_the_masters_that_were_seen(pair:
 
 
 def test_an_entry_is_checked_on_each_list_that_counts(pair: Pair) -> None:
-    opener, here, there = TokenOpener(pair.standing), b"h" * 16, b"t" * 16
+    opener, here, there = TokenOpener(pair.trust_status), b"h" * 16, b"t" * 16
     pair.confirm_own(here, seq=2)
     pair.confirm_foreign(there, seq=2)
     opener.check_of("home")(there, NOW)
@@ -110,7 +110,7 @@ def test_an_entry_is_checked_on_each_list_that_counts(pair: Pair) -> None:
 
 def test_a_token_is_verified_once_and_few_are_remembered(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(access, "CACHE_SIZE", 2)
-    opener, peer = TokenOpener(pair.standing), pair.own_master.identity
+    opener, peer = TokenOpener(pair.trust_status), pair.own_master.identity
     opened: list[bytes] = []
     verify = opener.open
 
@@ -127,7 +127,7 @@ def test_a_token_is_verified_once_and_few_are_remembered(pair: Pair, monkeypatch
 
 def test_a_tail_pattern_opens_for_the_tail_alone_also_when_it_was_opened_before(pair: Pair) -> None:
     """Of a foreigner the tail is not honoured, whatever its own authority signed."""
-    opener, peer = TokenOpener(pair.standing), SomeNode(pair.home, "/rviz").identity
+    opener, peer = TokenOpener(pair.trust_status), SomeNode(pair.home, "/rviz").identity
     tail = replace(peer, wildcard=True)
     token = grant(pair.home, peer.thumbprint, Right.PROVIDE, "/rviz~/a", subject="/rviz")
     for who, opens in ((tail, True), (peer, False), (replace(tail, name="/rviz_1"), False)):

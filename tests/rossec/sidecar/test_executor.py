@@ -142,13 +142,13 @@ async def test_the_egress_port_of_an_unreachable_peer_refuses_callers() -> None:
     assert await outcome(services, OpenEgress(PEER)) == PortOpened(PEER.port)
 
 
-async def test_the_egress_port_of_a_peer_behind_a_door_hangs_up_instead() -> None:
+async def test_the_egress_port_of_a_peer_behind_a_forwarded_port_hangs_up_instead() -> None:
     """A program that was refused never tries again."""
-    services, door = FakeServices(), replace(PEER, door=True)
-    event = await outcome(services, CallPeer(door, "getPid", ("/robot",), Right.GRAPH))
+    services, forwarded_port = FakeServices(), replace(PEER, forwarded_port=True)
+    event = await outcome(services, CallPeer(forwarded_port, "getPid", ("/robot",), Right.GRAPH))
     assert isinstance(event, NoAnswer)
     assert not event.dead
-    assert await outcome(services, OpenEgress(door, probe=True)) == PortOpened(PEER.port)
+    assert await outcome(services, OpenEgress(forwarded_port, probe=True)) == PortOpened(PEER.port)
     assert services.closed == []
 
 

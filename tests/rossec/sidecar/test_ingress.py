@@ -11,7 +11,7 @@ from rossec.errors import RossecError
 from rossec.net.aio.client import dial
 from rossec.net.rpc.calls import RpcClient
 from rossec.participant.access import FIELD
-from rossec.participant.delivery import Wishes, inflated
+from rossec.participant.delivery import DeliveryOptions, inflated
 from rossec.ros import tcpros
 from rossec.ros.names import parse_uri
 from rossec.sidecar.core.layers import ListeningAddress, local_endpoint
@@ -136,16 +136,16 @@ async def test_only_the_master_may_update_lists(pair: SidecarPair) -> None:
     await client.close()
 
 
-async def test_a_peer_with_wishes_gets_its_messages_as_it_wishes(pair: SidecarPair) -> None:
+async def test_a_peer_with_wishes_gets_its_messages_as_it_options(pair: SidecarPair) -> None:
     agent, endpoint = await ingress_endpoint(pair, WireProtocol.TCPROS)
     fields = {"callerid": b"/listener", "topic": b"/word", "type": b"*", "md5sum": b"*"}
-    wishes = Wishes(9000, newest=True, deflate=True)
+    options = DeliveryOptions(9000, newest=True, deflate=True)
     proof = {FIELD: agent.proof(Right.SUBSCRIBE, "/word")}
     before = len(pair.talker.connections)
     stream = await agent.dial(endpoint)
-    await stream.send(tcpros.encode(fields | proof | wishes.fields))
+    await stream.send(tcpros.encode(fields | proof | options.fields))
     answer, rest = await split_header(stream)
-    assert wishes.fields.items() <= answer.items()
+    assert options.fields.items() <= answer.items()
     await until(lambda: len(pair.talker.connections) > before)
     assert b"rossec_" not in str(pair.talker.headers).encode()
     message = string_message("again " * 1000)

@@ -57,7 +57,7 @@ async def test_what_is_read_comes_as_views(home: FakeHome, client: ConsoleClient
     assert (await client.denials())[0].name == "/robot/scan"
     assert len(await client.graph()) == 3
     assert (await client.policy()).gives[0].node == "/map"
-    assert (await client.standing(1, 4)).nodes_with_list == 3
+    assert (await client.trust_status(1, 4)).nodes_with_list == 3
 
 
 async def test_what_only_takes_away(home: FakeHome, client: ConsoleClient) -> None:

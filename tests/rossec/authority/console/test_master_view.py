@@ -10,7 +10,7 @@ import pytest
 
 from rossec.authority.console import queries as module
 from rossec.authority.console.messages import DenialView, FactView, ListProgress, from_value
-from rossec.authority.console.queries import DENIALS, FRESH, PERIOD, STANDING, MasterView
+from rossec.authority.console.queries import DENIALS, FRESH, PERIOD, TRUST_STATUS, MasterView
 from rossec.authority.session import StatementCall
 from rossec.errors import NotDelivered
 from rossec.participant.registrations import WATCH_GRAPH as WATCH
@@ -29,14 +29,14 @@ class Master:
         self.facts: list[list[Any]] = [POSE]
         self.parts: list[list[Any]] = []
         self.denials: Any = [[5, "/heating", 2, "/scan"]]
-        self.standing: Any = {"list": "1.1", "nodes": 3, "holding": 2, "lacking": ["/map"]}
+        self.trust_status: Any = {"list": "1.1", "nodes": 3, "holding": 2, "lacking": ["/map"]}
 
     def __call__(self, call: StatementCall) -> object:
         self.calls.append(call)
         if not self.reachable:
             raise NotDelivered("no master", call.hint)
-        if call.method == STANDING:
-            return self.standing
+        if call.method == TRUST_STATUS:
+            return self.trust_status
         if call.method == DENIALS:
             return self.denials
         parts = self.parts
@@ -186,9 +186,9 @@ def test_how_far_a_list_has_come(looking: Looking) -> None:
     epoch, seq = number(acts.removals.revoke_node("/lamp", "lost"))
     before = ask(looking, epoch, seq)
     assert before == ListProgress(epoch, seq, True, False, 3, 0)
-    looking.master.standing = {"list": f"{epoch}.{seq}", "nodes": 3, "holding": 2, "lacking": []}
+    looking.master.trust_status = {"list": f"{epoch}.{seq}", "nodes": 3, "holding": 2, "lacking": []}
     assert ask(looking, epoch, seq) == ListProgress(epoch, seq, True, True, 3, 2)
-    looking.master.standing["list"] = f"{epoch}.{seq + 7}"
+    looking.master.trust_status["list"] = f"{epoch}.{seq + 7}"
     assert ask(looking, epoch, seq).is_at_master, "a newer one has it all"
     assert ask(looking, epoch, seq + 8) == ListProgress(epoch, seq + 8, False, False, 0, 0)
 
@@ -220,7 +220,7 @@ def test_without_an_answer_what_was_published_is_known(looking: Looking, answer:
     acts = looking.acts
     acts.enroll("/lamp")
     epoch, seq = number(acts.removals.revoke_node("/lamp", "lost"))
-    looking.master.standing = answer
+    looking.master.trust_status = answer
     looking.master.reachable = answer is not None
     assert ask(looking, epoch, seq) == ListProgress(epoch, seq, True, False, 0, 0)
     acts.work.maintain()
@@ -232,7 +232,7 @@ def test_a_number_of_another_form_is_none(looking: Looking, text: str) -> None:
     acts = looking.acts
     acts.enroll("/lamp")
     epoch, seq = number(acts.removals.revoke_node("/lamp", "lost"))
-    looking.master.standing = {"list": text, "nodes": 1, "holding": 1}
+    looking.master.trust_status = {"list": text, "nodes": 1, "holding": 1}
     assert not ask(looking, epoch, seq).is_at_master
 
 
@@ -243,7 +243,7 @@ def test_a_page_with_ticks_is_not_kept_waiting_by_the_graph(looking: Looking) ->
     epoch, seq = number(acts.removals.revoke_node("/lamp", "lost"))
     ask(looking, epoch, seq)
     before, watched = looking.look(), looking.master.asked(WATCH)
-    looking.master.standing = {"list": f"{epoch}.{seq}", "nodes": 3, "holding": 3, "lacking": []}
+    looking.master.trust_status = {"list": f"{epoch}.{seq}", "nodes": 3, "holding": 3, "lacking": []}
     looking.wait()
     assert looking.look() != before
     assert looking.master.asked(WATCH) == watched
@@ -264,7 +264,7 @@ def test_questions_are_asked_in_a_thread_of_their_own(tmp_path: Path) -> None:
 
 
 def ask(looking: Looking, epoch: int, seq: int) -> ListProgress:
-    return from_value(ListProgress, looking.view.standing(epoch, seq))
+    return from_value(ListProgress, looking.view.trust_status(epoch, seq))
 
 
 def number(value: object) -> tuple[int, int]:

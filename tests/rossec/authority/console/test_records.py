@@ -93,7 +93,7 @@ def test_every_view_survives_its_encoding() -> None:
         *home.denials,
         *home.graph,
         home.policy,
-        home.standing,
+        home.trust_status,
     )
     for view in found:
         assert from_value(type(view), decode(encode(to_value(view)))) == view

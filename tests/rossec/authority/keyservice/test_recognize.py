@@ -8,7 +8,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from ca.authority import Authority, create_root
 from ca.certificates import PROFILE as RENEWAL
 from ca.certificates import build_intermediate_request
-from ca.domains.trust import Card, DomainList, sign_card, sign_domains
+from ca.domains.trust import DomainList, TrustBundle, sign_bundle, sign_domains
 from ca.encoding import encode
 from ca.keys.signing import Profile
 from ca.revocation.lists import (
@@ -100,9 +100,9 @@ def list_of_domains(recorder: Recorder) -> None:
     sign_domains(recorder, DomainList(1, 1, NOW, NOW + 60), "home")
 
 
-def card(recorder: Recorder) -> None:
+def bundle(recorder: Recorder) -> None:
     root = ROOT.anchor.certificate
-    sign_card(recorder, Card(root, ("/**",), ("http://h:11311",), NOW, NOW + 60))
+    sign_bundle(recorder, TrustBundle(root, ("/**",), ("http://h:11311",), NOW, NOW + 60))
 
 
 def thing(recorder: Recorder) -> None:
@@ -120,7 +120,7 @@ def thing(recorder: Recorder) -> None:
         (tree, "a revocation tree"),
         (head, "a head of the log"),
         (list_of_domains, "a list of domains"),
-        (card, "a card of its domain"),
+        (bundle, "a bundle of its domain"),
         (thing, "a statement about a thing"),
     ],
 )

@@ -57,7 +57,7 @@ class Working:
         self.work = AuthorityWork(root, self.operations, self.deliver, None, lambda: self.now)
 
     def deliver(self, call: StatementCall) -> object:
-        if not self.reachable or call.method == "rossec.revocationStanding":  # an older master
+        if not self.reachable or call.method == "rossec.revocationStatus":  # an older master
             raise NotDelivered("no master", call.hint)
         self.calls.append(call.method)
         (items,) = call.statement[:1]

@@ -15,7 +15,7 @@ class Telling(Working):
     has_list = True
 
     def deliver(self, call: StatementCall) -> object:
-        if call.method != "rossec.revocationStanding":
+        if call.method != "rossec.revocationStatus":
             return super().deliver(call)
         newest = open_statement(self.home.revocation_list(), self.home.own_key())
         epoch, seq = newest.number if self.has_list else (0, 0)

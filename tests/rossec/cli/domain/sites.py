@@ -14,26 +14,26 @@ NOBODY = ("--master", "http://127.0.0.1:1")
 
 
 class Neighbours:
-    """The home, in whose shell commands run, and a hospital that has made a card."""
+    """The home, in whose shell commands run, and a hospital that has made a bundle."""
 
     def __init__(self, shell: Shell, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         self.shell = shell
         self.hospital = Shell(tmp_path / "hospital", capsys)
         assert self.hospital.unlocked("ca", "init", "hospital.example").code == 0
-        self.card = tmp_path / "hospital.card"
-        said = self.make_card("--names", "/rounds/**", "--at", "http://10.0.0.7:11311")
+        self.bundle = tmp_path / "hospital.bundle"
+        said = self.make_bundle("--names", "/rounds/**", "--at", "http://10.0.0.7:11311")
         assert said.code == 0, said
         self.fingerprint, self.code = (
             next(line for line in said.out.splitlines() if line.startswith(word))[len(word) :]
             for word in ("fingerprint ", "code ")
         )
 
-    def make_card(self, *options: str) -> Said:
-        return self.hospital.unlocked("domain", "card", "--out", str(self.card), *options)
+    def make_bundle(self, *options: str) -> Said:
+        return self.hospital.unlocked("domain", "bundle", "--out", str(self.bundle), *options)
 
     def accept(self, *options: str) -> Said:
-        """Accept the card, without a master."""
-        return self.shell.unlocked("domain", "accept", str(self.card), "--yes", *NOBODY, *options)
+        """Accept the bundle, without a master."""
+        return self.shell.unlocked("domain", "accept", str(self.bundle), "--yes", *NOBODY, *options)
 
     def change(self, *arguments: str) -> Said:
         """`rossec domain ARGUMENTS` with the key, without a master."""

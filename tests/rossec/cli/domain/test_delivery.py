@@ -46,7 +46,7 @@ async def test_each_change_reaches_the_master(sites: Neighbours) -> None:
         async def run(*arguments: str) -> Said:
             return await asyncio.to_thread(sites.shell.unlocked, *arguments, *to)
 
-        said = await run("domain", "accept", str(sites.card), "--yes")
+        said = await run("domain", "accept", str(sites.bundle), "--yes")
         assert said.code == 0, said
         assert said.out.endswith("the master has the new list of domains\n")
         assert [each.label for each in (await list_at(master, sites)).domains] == ["hospital"]

@@ -4,7 +4,7 @@ import pytest
 from rossec.cli.gateway.words import split
 from rossec.errors import ConfigurationError
 from rossec.gateway.rules import TopicRule
-from rossec.participant.delivery import Wishes
+from rossec.participant.delivery import DeliveryOptions
 
 
 def test_options_are_about_the_patterns_of_their_from() -> None:
@@ -14,9 +14,9 @@ def test_options_are_about_the_patterns_of_their_from() -> None:
     )
     rules, rest = split(words.split())
     assert rules == (
-        TopicRule("ada", "/robot/pose", Wishes(rate=5, newest=True)),
-        TopicRule("ada", "/robot/tf", Wishes(rate=5, newest=True)),
-        TopicRule("ada", "/robot/camera", Wishes(rate=0.5, deflate=True)),
+        TopicRule("ada", "/robot/pose", DeliveryOptions(rate=5, newest=True)),
+        TopicRule("ada", "/robot/tf", DeliveryOptions(rate=5, newest=True)),
+        TopicRule("ada", "/robot/camera", DeliveryOptions(rate=0.5, deflate=True)),
         TopicRule("ben", "/**"),
     )
     assert rest == ["--name", "/gateway/attic"]

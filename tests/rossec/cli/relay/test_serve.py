@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.overlay.documents import OPEN_SEAT, Routers
+from rossec.overlay.documents import OPEN_ACCOUNT, Routers
 from tests.support.commands import Shell, refused
 from tests.support.overlay import router
 from tests.support.ports import free_port
@@ -90,7 +90,7 @@ async def test_two_relays_carry_a_connection_through_a_router(short_path: Path) 
             one.trust(other)
             await one.master.start()
             stack.push_async_callback(one.master.stop)
-            one.files.keep_seat(Routers((locator,), OPEN_SEAT).write())
+            one.files.keep_account(Routers((locator,), OPEN_ACCOUNT).write())
         at_home = await stack.enter_async_context(relay_of(home, "--json"))
         at_office = await stack.enter_async_context(relay_of(office))
         assert json.loads(at_home.said()) == {"ready": "/relay", "router": locator}
@@ -100,18 +100,18 @@ async def test_two_relays_carry_a_connection_through_a_router(short_path: Path) 
         lists = [each.files.home.path / "domains.cose" for each in (home, office)]
         await until(lambda: all(each.exists() for each in lists))
         for here, there in ((at_home, at_office), (at_office, at_home)):
-            card = short_path / "card"
-            card.write_text(await there.run("card", here.site.label))
-            await here.run("add", there.site.label, str(card))
-        door = await home.door("office", "master", "/master")
-        stream = await home.through(door)
+            descriptor = short_path / "descriptor"
+            descriptor.write_text(await there.run("descriptor", here.site.label))
+            await here.run("add", there.site.label, str(descriptor))
+        forwarded_port = await home.forwarded_port("office", "master", "/master")
+        stream = await home.through(forwarded_port)
         assert stream.peer.name == "/remote/office/master"
         (peer,) = json.loads(await at_home.run("status", "--json"))["peers"]
         assert (peer["label"], peer["state"], peer["streams"]) == ("office", "linked", 1)
         assert peer["rtt_ms"] > 0
         lines = (await at_office.run("status")).splitlines()
-        assert lines[0] == f"/relay of office, seat open at {locator}, 0 doors"
-        assert lines[1] == "/master: polled for doors"
+        assert lines[0] == f"/relay of office, account open at {locator}, 0 forwarded ports"
+        assert lines[1] == "/master: polled for forwarded ports"
         assert "1 connections, 1 links from it" in lines[2]
         await stream.close()
 
@@ -121,9 +121,9 @@ async def test_a_relay_waits_for_its_routers(short_path: Path) -> None:
     site.trust()
     await site.master.start()
     locator = f"tcp/127.0.0.1:{free_port()}"
-    site.files.keep_seat(Routers((locator,), OPEN_SEAT).write())
-    async with relay_of(site, "--doors", "127.0.0.1", says="trying again") as waiting:
-        assert f"no router takes the seat open: {locator}" in waiting.said()
+    site.files.keep_account(Routers((locator,), OPEN_ACCOUNT).write())
+    async with relay_of(site, "--bind", "127.0.0.1", says="trying again") as waiting:
+        assert f"no router takes the account open: {locator}" in waiting.said()
         with router(locator):
             await until(lambda: f"relay /relay of home at {locator}" in waiting.said())
     async with relay_of(site, says="trying again") as ended:
@@ -135,15 +135,19 @@ async def test_a_relay_waits_for_its_routers(short_path: Path) -> None:
 def test_a_relay_that_cannot_run(empty: Shell) -> None:
     refused(empty("relay"), "/relay has no ca.pem", "rossec node request /relay")
     Site(empty.root).enroll("/relay")
-    refused(empty("relay"), "/relay has no seat at a router", "rossec relay seat FILE")
-    refused(empty("relay", "--seat", str(empty.root / "x")), "there is no", "rossec router seats")
+    refused(empty("relay"), "/relay has no account at a router", "rossec relay account FILE")
+    refused(empty("relay", "--account", str(empty.root / "x")), "there is no", "rossec router accounts")
     refused(empty("relay", "status"), "the relay does not answer", "rossec relay")
 
 
-@pytest.mark.parametrize("doors", ["nowhere.invalid", "192.0.2.1"])
-def test_doors_are_at_an_address_of_this_host(empty: Shell, doors: str) -> None:
+@pytest.mark.parametrize("forwarded_ports", ["nowhere.invalid", "192.0.2.1"])
+def test_forwarded_ports_are_at_an_address_of_this_host(empty: Shell, forwarded_ports: str) -> None:
     home = Site(empty.root).enroll("/relay")
-    seat = home.path / "seat.json"
-    seat.touch(0o600)
-    seat.write_bytes(Routers(("tcp/127.0.0.1:9",), OPEN_SEAT).write())
-    refused(empty("relay", "--doors", doors), f"{doors} is not an address of this host", "--doors")
+    account = home.path / "account.json"
+    account.touch(0o600)
+    account.write_bytes(Routers(("tcp/127.0.0.1:9",), OPEN_ACCOUNT).write())
+    refused(
+        empty("relay", "--bind", forwarded_ports),
+        f"{forwarded_ports} is not an address of this host",
+        "--bind",
+    )

@@ -29,11 +29,11 @@ PEER = {
 BASE: dict[str, Any] = {
     "relay": "/relay",
     "domain": "home",
-    "seat": "home",
+    "account": "home",
     "router": "tls/r:7447",
     "masters": {"/master": ""},
     "peers": [PEER],
-    "doors": 4,
+    "forwarded_ports": 4,
     "problem": "",
 }
 
@@ -81,8 +81,8 @@ def relay(shell: Shell) -> Iterator[SpeakingRelay]:
 @pytest.mark.usefixtures("relay")
 def test_the_links_are_shown(shell: Shell) -> None:
     assert shell("relay", "status").out.splitlines() == [
-        "/relay of home, seat home at tls/r:7447, 4 doors",
-        "/master: polled for doors",
+        "/relay of home, account home at tls/r:7447, 4 forwarded ports",
+        "/master: polled for forwarded ports",
         (
             "office           linked     office:/relay  2 connections, 1 links from it"
             "  12.5 ms, 3 retransmissions"
@@ -107,7 +107,7 @@ def test_what_is_wrong_is_shown_with_its_hint(shell: Shell, relay: SpeakingRelay
         "problem": "overlay.json is not JSON",
     }
     assert shell("relay", "status").out.splitlines() == [
-        "/relay of home, seat home at no router is in reach, 4 doors",
+        "/relay of home, account home at no router is in reach, 4 forwarded ports",
         "/master: out of reach",
         "office           failed     office:/relay  0 connections  nobody answers",
         "                 hint: does its relay run?",
@@ -123,7 +123,7 @@ def test_a_relay_without_peers(shell: Shell, relay: SpeakingRelay) -> None:
 def test_watching_shows_what_changes(
     shell: Shell, relay: SpeakingRelay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    answers = iter([BASE, BASE | {"doors": 5}])
+    answers = iter([BASE, BASE | {"forwarded_ports": 5}])
 
     def pause(_: float) -> None:
         try:
@@ -135,4 +135,4 @@ def test_watching_shows_what_changes(
     said = shell("relay", "status", "--watch")
     assert said.code == 130
     assert said.out.count("office:/relay") == 2
-    assert "5 doors" in said.out
+    assert "5 forwarded ports" in said.out

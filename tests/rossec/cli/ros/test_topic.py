@@ -131,8 +131,8 @@ def test_a_missing_master_is_reported(site: Site, empty: Shell) -> None:
 
 
 def test_a_complaint_is_written_down(site: Site, tmp_path: Path) -> None:
-    log = tmp_path / "complaints"
-    process = start(site, {}, "master", "--port", "0", "--complaints", str(log))
+    log = tmp_path / "denial_log"
+    process = start(site, {}, "master", "--port", "0", "--denial-log", str(log))
     assert process.stdout is not None
     uri = process.stdout.readline().split()[-1]
     echo = ("topic", "echo", "/secret", STRING, "--as", "/listener")

@@ -7,7 +7,7 @@ from tests.support.commands import Shell, refused
 
 @pytest.mark.parametrize("word", ["--open", "--json", "--print-config", "--host=a", "--join=tls/a:1"])
 def test_only_the_directory_stands_before_a_verb(empty: Shell, word: str) -> None:
-    said = empty("router", word, "seats", "list")
+    said = empty("router", word, "accounts", "list")
     assert (said.code, "only --home stands before a verb" in said.err) == (2, True)
     assert not (empty.root / "router").exists()
 
@@ -23,4 +23,4 @@ def test_what_a_router_was_told_is_kept(empty: Shell) -> None:
 
 
 def test_a_router_that_nobody_may_use_does_not_begin(empty: Shell) -> None:
-    refused(empty("router"), "nobody has a seat", "rossec router seats add")
+    refused(empty("router"), "nobody has an account", "rossec router accounts add")

@@ -26,9 +26,9 @@ async def test_a_router_runs_until_it_is_told_to_end(short_path: Path) -> None:
     assert router.log.read_text() == ""
 
 
-def test_it_says_where_it_listens_and_who_has_a_seat(empty: Shell) -> None:
+def test_it_says_where_it_listens_and_who_has_a_account(empty: Shell) -> None:
     listen = f"tls/127.0.0.1:{free_port()}"
-    assert empty("router", "seats", "add", "home", "--host", "127.0.0.1").code == 0
+    assert empty("router", "accounts", "add", "home", "--host", "127.0.0.1").code == 0
     words = "router", "--listen", listen, "--join", f"tls/127.0.0.1:{free_port()}"
     command = [sys.executable, "-I", "-m", "rossec", *words]
     with subprocess.Popen(command, env=empty.environ, stdout=subprocess.PIPE, text=True) as router:
@@ -37,9 +37,9 @@ def test_it_says_where_it_listens_and_who_has_a_seat(empty: Shell) -> None:
         refused(empty("router"), "another router runs from", "--home")
         router.send_signal(signal.SIGTERM)
         assert router.wait(20) == 0
-    assert lines == [f"router at {listen}", "seats: home", f"joins {words[-1]}"]
-    seat = Routers.read(empty("router", "seats", "show", "home").out.encode())
-    assert seat.locators == (listen, words[-1])
+    assert lines == [f"router at {listen}", "accounts: home", f"joins {words[-1]}"]
+    account = Routers.read(empty("router", "accounts", "show", "home").out.encode())
+    assert account.locators == (listen, words[-1])
 
 
 def test_an_open_router_says_what_that_means(empty: Shell) -> None:
@@ -55,10 +55,10 @@ def test_an_open_router_says_what_that_means(empty: Shell) -> None:
 
 
 def test_what_a_router_does_not_begin_with(empty: Shell) -> None:
-    refused(empty("router"), "nobody has a seat", "--open")
+    refused(empty("router"), "nobody has an account", "--open")
     refused(empty("router", "--listen", "7447"), "'7447' is not the address", "tls/")
-    assert empty("router", "seats", "add", "home", "--host", "127.0.0.1").code == 0
-    refused(empty("router", "--open"), "the router has seats (home)", "leave out --open")
+    assert empty("router", "accounts", "add", "home", "--host", "127.0.0.1").code == 0
+    refused(empty("router", "--open"), "the router has accounts (home)", "leave out --open")
     join = empty("router", "--join", "tcp/127.0.0.1:9", "--print-config")
     refused(join, "does not join tcp/127.0.0.1:9", "tls/")
 
@@ -69,7 +69,7 @@ def test_without_the_library(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_the_settings_of_a_stock_router(empty: Shell) -> None:
-    assert empty("router", "seats", "add", "home", "--host", "127.0.0.1").code == 0
+    assert empty("router", "accounts", "add", "home", "--host", "127.0.0.1").code == 0
     said = empty("router", "--print-config")
     found = json.loads(said.out)
     assert found["mode"] == "router"
@@ -84,7 +84,7 @@ def test_the_settings_of_a_stock_router(empty: Shell) -> None:
 def test_zenohs_own_reader_takes_the_printed_settings(empty: Shell, tmp_path: Path) -> None:
     """The one of `zenohd --config`, then a router from it, which a relay uses."""
     listen = "--listen", f"tls/127.0.0.1:{free_port()}"
-    made = empty("router", "seats", "add", "home", *listen, "--host", "127.0.0.1")
+    made = empty("router", "accounts", "add", "home", *listen, "--host", "127.0.0.1")
     path = tmp_path / "zenohd.json5"
     path.write_text(empty("router", "--print-config").out)
     with zenoh.open(zenoh.Config.from_file(path)):

@@ -12,8 +12,8 @@ HOST = ("--host", "a.example.org")
 
 @pytest.fixture
 def shared(empty: Shell) -> Path:
-    """What a router with one seat shares."""
-    assert empty("router", "seats", "add", "home", *HOST).code == 0
+    """What a router with one account shares."""
+    assert empty("router", "accounts", "add", "home", *HOST).code == 0
     said = empty("router", "share")
     assert "keep it to yourself" in said.err
     path = empty.root / "share.json"
@@ -25,23 +25,23 @@ def shared(empty: Shell) -> Path:
 def test_a_second_router_takes_over_what_the_first_shares(empty: Shell, shared: Path) -> None:
     second = ("router", "--home", str(empty.root / "second"))
     said = empty(*second, "take", str(shared), "--host", "b.example.org")
-    assert said.out == "seats: home; joins tls/a.example.org:7447\n"
-    assert empty(*second, "seats", "list").out == "home\n"
-    seat = empty(*second, "seats", "show", "home").out
-    assert "tls/b.example.org:7447" in seat
-    assert "tls/a.example.org:7447" in seat
+    assert said.out == "accounts: home; joins tls/a.example.org:7447\n"
+    assert empty(*second, "accounts", "list").out == "home\n"
+    account = empty(*second, "accounts", "show", "home").out
+    assert "tls/b.example.org:7447" in account
+    assert "tls/a.example.org:7447" in account
 
 
 def test_it_comes_by_standard_input(empty: Shell, shared: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(shared.read_bytes())))
     said = empty("router", "--home", str(empty.root / "second"), "take", "-")
-    assert said.out.startswith("seats: home; joins")
+    assert said.out.startswith("accounts: home; joins")
 
 
 def test_what_cannot_be_taken(empty: Shell, shared: Path) -> None:
     refused(empty("router", "take", "nothing.json"), "there is no nothing.json", "router share")
     other = ("router", "--home", str(empty.root / "other"))
-    assert empty(*other, "seats", "add", "clinic", *HOST).code == 0
+    assert empty(*other, "accounts", "add", "clinic", *HOST).code == 0
     refused(empty(*other, "take", str(shared)), "routers of another authority", "--home")
     shared.write_text("{}")
     refused(empty("router", "take", str(shared)), "this is no rossec-routers file", "router share")
@@ -51,9 +51,9 @@ def test_a_router_that_was_never_told_its_name_shares_nothing(empty: Shell) -> N
     refused(empty("router", "share"), "there is no")
 
 
-@pytest.mark.parametrize("words", [("share",), ("seats", "show", "home")], ids=" ".join)
+@pytest.mark.parametrize("words", [("share",), ("accounts", "show", "home")], ids=" ".join)
 def test_what_a_shell_writes_of_it_is_read_by_this_user_alone(empty: Shell, words: tuple[str, ...]) -> None:
-    assert empty("router", "seats", "add", "home", *HOST).code == 0
+    assert empty("router", "accounts", "add", "home", *HOST).code == 0
     path = empty.root / "written"
     path.touch(mode=0o644)
     with path.open("w") as file:

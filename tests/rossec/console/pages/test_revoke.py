@@ -88,7 +88,7 @@ def test_another_form_ends_nothing(path: str, form: dict[str, str], status: int)
 
 
 @pytest.mark.parametrize(
-    ("standing", "ticks", "says"),
+    ("trust_status", "ticks", "says"),
     [
         (ListProgress(1, 4, False, False, 0, 0), 0, "may still"),
         (ListProgress(1, 4, True, False, 0, 0), 1, "may still"),
@@ -97,23 +97,23 @@ def test_another_form_ends_nothing(path: str, form: dict[str, str], status: int)
         (ListProgress(1, 4, True, True, 3, 3), 3, "may no longer"),
     ],
 )
-def test_the_ticks_come_as_they_are_true(standing: ListProgress, ticks: int, says: str) -> None:
+def test_the_ticks_come_as_they_are_true(trust_status: ListProgress, ticks: int, says: str) -> None:
     browser = Browser().log_in()
-    browser.home.standing = standing
+    browser.home.trust_status = trust_status
     answer = browser.get(f"/revoked/1/4?grant={grant_of(browser)}")
     assert answer.text.count("is-done") == ticks
     assert says in answer.text
     assert answer.headers.get("refresh") == (None if ticks == 3 else str(REFRESH))
     # The third tick is remembered, of all that was ended before.
-    assert browser.asked("standing") == [(1, 4)] + [(0, 0)] * (ticks == 3)
-    if standing.nodes:
-        assert f"{standing.nodes_with_list} of 3 nodes have it" in answer.text
+    assert browser.asked("trust_status") == [(1, 4)] + [(0, 0)] * (ticks == 3)
+    if trust_status.nodes:
+        assert f"{trust_status.nodes_with_list} of 3 nodes have it" in answer.text
 
 
 def test_while_the_key_is_locked_it_waits_to_be_signed() -> None:
     browser = Browser().log_in()
     browser.home.remaining = None
-    browser.home.standing = ListProgress(0, 0, False, False, 0, 0)
+    browser.home.trust_status = ListProgress(0, 0, False, False, 0, 0)
     answer = browser.post("/revoke/node/robot", data={"reason": "", "name": "/robot"})
     assert answer.headers["location"] == "/revoked/0/0?node=%2Frobot"
     text = browser.get(answer.headers["location"]).text
@@ -121,7 +121,7 @@ def test_while_the_key_is_locked_it_waits_to_be_signed() -> None:
     assert "rossec ca unlock" in text
     assert "is-done" not in text
     browser.home.remaining = 600
-    browser.home.standing = ListProgress(1, 5, True, True, 3, 3)
+    browser.home.trust_status = ListProgress(1, 5, True, True, 3, 3)
     assert "is no longer trusted" in browser.get("/revoked/0/0?node=/robot").text
 
 

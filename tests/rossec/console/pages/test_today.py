@@ -85,14 +85,14 @@ def test_a_policy_that_has_changed_waits_for_an_answer() -> None:
 def test_it_says_ending_until_every_node_has_heard() -> None:
     """Also while the master does not answer: then nobody knows who has."""
     made = page()
-    made.home.standing = made.home.standing._replace(nodes_with_list=2)
+    made.home.trust_status = made.home.trust_status._replace(nodes_with_list=2)
     text = made.get("/").text
     assert 'class="is-ending"' in text
     assert "ended 30 minutes ago" in text
     assert "Ending" in text
     assert "Nobody else can" not in text
     assert 'data-again="5"' in text
-    made.home.standing = made.home.standing._replace(nodes_with_list=3)
+    made.home.trust_status = made.home.trust_status._replace(nodes_with_list=3)
     text = made.get("/").text
     assert 'class="is-ended"' in text
     assert "Nobody else can" in text
@@ -100,7 +100,7 @@ def test_it_says_ending_until_every_node_has_heard() -> None:
     away = page()
     away.home.refusals["graph"] = KeyServiceRefused("no master answers")
     assert 'class="is-ending"' in away.get("/").text
-    assert away.asked("standing") == [], "the page does not wait twice for a master that is away"
+    assert away.asked("trust_status") == [], "the page does not wait twice for a master that is away"
     made.home.refusals["graph"] = KeyServiceRefused("no master answers")
     assert 'class="is-ended"' in made.get("/").text, "it was heard before"
     told = page()
@@ -112,7 +112,7 @@ def test_it_says_ending_until_every_node_has_heard() -> None:
 @pytest.mark.parametrize("path", ["/who", "/see/robot/camera", "/node/doctor", "/way", "/privacy"])
 def test_other_pages_say_ending_too(path: str) -> None:
     made = page()
-    made.home.standing = made.home.standing._replace(nodes_with_list=2)
+    made.home.trust_status = made.home.trust_status._replace(nodes_with_list=2)
     text = made.get(path).text
     assert "every node has heard" in text or '<b class="ending">ending</b>' in text
     assert 'data-again="5"' in text
@@ -122,12 +122,12 @@ def test_a_grant_and_a_node_that_are_ending_say_so() -> None:
     home = demo()
     home.nodes[2] = home.nodes[2]._replace(revoked_at=NOW - 60, reason="sold")
     made = page(home)
-    made.home.standing = made.home.standing._replace(is_at_master=False)
+    made.home.trust_status = made.home.trust_status._replace(is_at_master=False)
     grant = made.get(f"/grant/{to_base64url(home.grants[2].id)}").text
     assert "may do until every node has heard" in grant
     assert "might" not in grant
     assert "Being removed" in made.get("/node/heating").text
-    made.home.standing = made.home.standing._replace(is_at_master=True)
+    made.home.trust_status = made.home.trust_status._replace(is_at_master=True)
     made.now += 1
     assert "was allowed</h1>" in made.get(f"/grant/{to_base64url(home.grants[2].id)}").text
     assert "Being removed" not in made.get("/node/heating").text

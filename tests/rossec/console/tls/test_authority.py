@@ -83,7 +83,7 @@ FOREIGN: dict[str, x509.GeneralName] = {
     "a wildcard": x509.DNSName("*.local"),
     "another address": x509.IPAddress(ipaddress.IPv4Address("192.168.1.6")),
     "an address of the other version": x509.IPAddress(ipaddress.IPv6Address("fd00::1")),
-    "a mailbox": x509.RFC822Name("me@bank.example"),
+    "an inbox": x509.RFC822Name("me@bank.example"),
     "a URI": x509.UniformResourceIdentifier("https://bank.example/"),
     "a directory name": x509.DirectoryName(
         x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "bank.example")])

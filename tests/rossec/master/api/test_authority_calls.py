@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 
 from grants.model import Right
-from rossec.master.api.statement_calls import DENIALS, MAX_LACKING, STANDING
+from rossec.master.api.statement_calls import DENIALS, MAX_LACKING, TRUST_STATUS
 from rossec.master.rights.caller import RecentDenials
 from rossec.master.state.registry import NodeRef, Registry
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, everything, master_api
@@ -41,16 +41,16 @@ def office() -> Office:
     return Office()
 
 
-def test_the_standing_of_the_list_in_force(office: Office) -> None:
+def test_the_trust_status_of_the_list_in_force(office: Office) -> None:
     office.connected = [node("/doctor"), node("/heating"), node("/ca"), node("/remote/hospital/robot")]
     office.statements.held_lists.record(office.connected[0], LIST, NOW)
     answer = {"list": "1.1", "nodes": 2, "holding": 1, "lacking": ["/heating"]}
-    assert office.ask(STANDING) == [1, "standing of the revocation list", answer]
+    assert office.ask(TRUST_STATUS) == [1, "trust status of the revocation list", answer]
 
 
 def test_the_names_in_an_answer_are_bounded(office: Office) -> None:
     office.connected = [node(f"/n{number:04}") for number in range(MAX_LACKING + 9)]
-    match office.ask(STANDING):
+    match office.ask(TRUST_STATUS):
         case [1, _, {"nodes": nodes, "holding": 0, "lacking": [*lacking]}]:
             assert (nodes, len(lacking)) == (MAX_LACKING + 9, MAX_LACKING)
         case other:
@@ -67,7 +67,7 @@ def test_denials_are_told_by_their_age(office: Office) -> None:
     ]
 
 
-@pytest.mark.parametrize("method", [STANDING, DENIALS])
+@pytest.mark.parametrize("method", [TRUST_STATUS, DENIALS])
 def test_only_the_authoritys_own_node_is_told(office: Office, method: str) -> None:
     for other in (everything("/admin"), caller("/ca")):
         answer = call_api(office.api, method, (other.name,), other, NOW).answer
@@ -77,7 +77,7 @@ def test_only_the_authoritys_own_node_is_told(office: Office, method: str) -> No
         assert not answer[2]
 
 
-@pytest.mark.parametrize("method", [STANDING, DENIALS])
+@pytest.mark.parametrize("method", [TRUST_STATUS, DENIALS])
 def test_an_argument_too_many_is_refused(office: Office, method: str) -> None:
     answer = call_api(office.api, method, ("/ca", 1), CA, NOW).answer
-    assert answer == [-1, "Error: bad call arity", {} if method == STANDING else []]
+    assert answer == [-1, "Error: bad call arity", {} if method == TRUST_STATUS else []]

@@ -6,10 +6,10 @@ import pytest
 
 from rossec.master.api import arguments as arg
 from rossec.master.api.arguments import ArgumentRefused, Check
-from rossec.master.state.forwarded_ports import AT_ONCE, MAX_PEERS, Door, PeerWay, Target
+from rossec.master.state.forwarded_ports import AT_ONCE, MAX_PEERS, ForwardedPort, PeerWay, Target
 
 WAY = {"state": "up", "rtt_ms": 12.5, "retransmissions": 3, "router": "tls/r:7447", "streams": 2}
-DOOR = ["office", "node", "/robot", "127.0.0.1", 7001]
+FORWARDED_PORT = ["office", "node", "/robot", "127.0.0.1", 7001]
 
 
 def is_refused(check: Check, value: object) -> bool:
@@ -36,11 +36,13 @@ def test_a_name_is_absolute() -> None:
         assert is_refused(arg.name("it"), wrong)
 
 
-def test_doors_by_target() -> None:
-    found = arg.doors("it")([DOOR, ["office", "service", "/clock", "fd00::1", 9]], "/relay")
+def test_forwarded_ports_by_target() -> None:
+    found = arg.forwarded_ports("it")(
+        [FORWARDED_PORT, ["office", "service", "/clock", "fd00::1", 9]], "/relay"
+    )
     assert found == {
-        Target("office", "node", "/robot"): Door("127.0.0.1", 7001),
-        Target("office", "service", "/clock"): Door("fd00::1", 9),
+        Target("office", "node", "/robot"): ForwardedPort("127.0.0.1", 7001),
+        Target("office", "service", "/clock"): ForwardedPort("fd00::1", 9),
     }
 
 
@@ -59,18 +61,18 @@ def test_doors_by_target() -> None:
         ["office", "node", "/robot", "127.0.0.1", 65536],
         ["office", "node", "/robot", "127.0.0.1", -1],
         ["office", "node", "/robot", "127.0.0.1", True],
-        "door",
+        "forwarded_port",
     ],
     ids=str,
 )
-def test_a_door_that_is_not_one(wrong: object) -> None:
-    assert is_refused(arg.doors("it"), [DOOR, wrong])
+def test_a_forwarded_port_that_is_not_one(wrong: object) -> None:
+    assert is_refused(arg.forwarded_ports("it"), [FORWARDED_PORT, wrong])
 
 
-def test_doors_are_bounded() -> None:
-    assert not is_refused(arg.doors("it"), [DOOR] * AT_ONCE)
-    assert is_refused(arg.doors("it"), [DOOR] * (AT_ONCE + 1))
-    assert is_refused(arg.doors("it"), {})
+def test_forwarded_ports_are_bounded() -> None:
+    assert not is_refused(arg.forwarded_ports("it"), [FORWARDED_PORT] * AT_ONCE)
+    assert is_refused(arg.forwarded_ports("it"), [FORWARDED_PORT] * (AT_ONCE + 1))
+    assert is_refused(arg.forwarded_ports("it"), {})
 
 
 def test_ways_by_peer() -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from grants.model import Right
 from rossec.master.api.site_calls import is_idle
-from rossec.master.state.forwarded_ports import Door, ForwardedPorts, Target
+from rossec.master.state.forwarded_ports import ForwardedPort, ForwardedPorts, Target
 from rossec.master.state.registry import NodeRef, Registry
 from tests.rossec.master.fakes import call_api, master_api
 from tests.rossec.master.rights.test_statements_foreign import Home
@@ -22,9 +22,14 @@ class Calls(Home):
 
     def __init__(self, **changes: Any) -> None:
         super().__init__(**changes)
-        self.doors, self.registry = ForwardedPorts(), Registry()
+        self.forwarded_ports, self.registry = ForwardedPorts(), Registry()
         self.api = master_api(
-            self.registry, self.trust, name="/master", uri="http://m:11311/", pid=7, doors=self.doors
+            self.registry,
+            self.trust,
+            name="/master",
+            uri="http://m:11311/",
+            pid=7,
+            forwarded_ports=self.forwarded_ports,
         )
         self.relay = self.site.enroll("/relay")
         self.is_local = True
@@ -41,8 +46,10 @@ class Calls(Home):
         found = call_api(self.api, method, (member.name, *params), who, self.now, is_local=self.is_local)
         return found.answer
 
-    def poll(self, seen: int = 0, *doors: list[object], **ways: Any) -> Any:
-        return self.ask("rossec.relayDoors", "one", seen, [*doors], ways or {"office": WAY})
+    def poll(self, seen: int = 0, *forwarded_ports: list[object], **ways: Any) -> Any:
+        return self.ask(
+            "rossec.relayForwardedPorts", "one", seen, [*forwarded_ports], ways or {"office": WAY}
+        )
 
     def target(self, kind: str, name: str, domain: str = "") -> Any:
         return self.ask("rossec.relayTarget", domain, kind, name)
@@ -54,8 +61,8 @@ def calls() -> Calls:
 
 
 def test_a_relay_is_told_what_is_wanted_and_tells_where_it_is(calls: Calls) -> None:
-    calls.doors.want("office", [ROBOT, CLOCK])
-    calls.doors.masters = lambda: {"/master/kitchen": "http://k:11311/"}
+    calls.forwarded_ports.want("office", [ROBOT, CLOCK])
+    calls.forwarded_ports.masters = lambda: {"/master/kitchen": "http://k:11311/"}
     code, _, value = answer = calls.poll()
     assert (code, is_idle(answer)) == (1, False)
     assert value["wanted"] == [["office", "node", "/robot"], ["office", "service", "/clock"]]
@@ -63,22 +70,22 @@ def test_a_relay_is_told_what_is_wanted_and_tells_where_it_is(calls: Calls) -> N
     assert value["masters"] == {"/master/kitchen": "http://k:11311/"}
     again = calls.poll(value["version"], ["office", "node", "/robot", "127.0.0.1", 7001])
     assert is_idle(again)
-    assert calls.doors.door(ROBOT) == Door("127.0.0.1", 7001)
-    found = calls.doors.way("office")
+    assert calls.forwarded_ports.forwarded_port(ROBOT) == ForwardedPort("127.0.0.1", 7001)
+    found = calls.forwarded_ports.way("office")
     assert found is not None
     assert (found[0], found[1]._asdict()) == ("/relay", WAY)
-    calls.doors.want("office", [ROBOT])
+    calls.forwarded_ports.want("office", [ROBOT])
     assert calls.poll(value["version"])[2]["unwanted"] == [["office", "service", "/clock"]]
 
 
-def test_a_relay_of_another_host_has_no_doors_on_loopback(calls: Calls) -> None:
+def test_a_relay_of_another_host_has_no_forwarded_ports_on_loopback(calls: Calls) -> None:
     calls.is_local = False
-    calls.doors.want("office", [ROBOT])
+    calls.forwarded_ports.want("office", [ROBOT])
     code, status, value = answer = calls.poll(0, ["office", "node", "/robot", "127.0.0.1", 7001])
     assert (code, value, is_idle(answer)) == (-1, {}, False)
-    assert "rossec relay --doors ADDRESS" in status
+    assert "rossec relay --bind ADDRESS" in status
     calls.poll(0, ["office", "node", "/robot", "10.0.0.9", 7001])
-    assert calls.doors.door(ROBOT) == Door("10.0.0.9", 7001)
+    assert calls.forwarded_ports.forwarded_port(ROBOT) == ForwardedPort("10.0.0.9", 7001)
 
 
 @pytest.mark.parametrize("name", ["/relay", "/rounds/robot3", "/node", "/relay/a/b", "/master"])
@@ -90,7 +97,7 @@ def test_only_relays_of_the_own_domain_call(calls: Calls, name: str) -> None:
         calls.trust.domains.take("hospital.example", *calls.hospital.word(), calls.now)
     member = site.enroll(name)
     for method, *params in (
-        ("rossec.relayDoors", "one", 0, [], {}),
+        ("rossec.relayForwardedPorts", "one", 0, [], {}),
         ("rossec.relayTarget", "", "master", "/master"),
     ):
         code, status, _ = calls.ask(method, *params, by=member)
@@ -99,7 +106,7 @@ def test_only_relays_of_the_own_domain_call(calls: Calls, name: str) -> None:
 
 def test_a_second_relay_may_call(calls: Calls) -> None:
     other = calls.site.enroll("/relay/roof")
-    assert calls.ask("rossec.relayDoors", "x", 0, [], {}, by=other)[0] == 1
+    assert calls.ask("rossec.relayForwardedPorts", "x", 0, [], {}, by=other)[0] == 1
     assert calls.ask("rossec.relayTarget", "", "master", "/master", by=other)[0] == 1
 
 
@@ -171,13 +178,13 @@ def test_an_address_on_loopback_is_for_a_relay_on_this_host(calls: Calls) -> Non
 def test_there_are_at_most_so_many_relays(calls: Calls) -> None:
     for number in range(64):
         other = calls.site.enroll(f"/relay/r{number}")
-        assert calls.ask("rossec.relayDoors", "x", 0, [], {}, by=other)[0] == 1
+        assert calls.ask("rossec.relayForwardedPorts", "x", 0, [], {}, by=other)[0] == 1
     assert calls.poll()[1] == "rossec: this master has too many relays"
 
 
 def test_the_older_one_of_two_relays_with_one_name_is_refused(calls: Calls) -> None:
     def poll(instance: str) -> Any:
-        return calls.ask("rossec.relayDoors", instance, 0, [], {"office": WAY})
+        return calls.ask("rossec.relayForwardedPorts", instance, 0, [], {"office": WAY})
 
     assert [poll(each)[0] for each in ("one", "two", "two")] == [1, 1, 1]
     code, status, _ = poll("one")

@@ -14,7 +14,7 @@ audit: false
 admin: true
 announce: true
 metrics: 9311
-complaints: /tmp/complaints
+denial_log: /tmp/complaints
 limits:
   body: 65536
   idle_seconds: 60
@@ -29,7 +29,7 @@ def test_every_setting_is_read() -> None:
         admin=True,
         announce=True,
         metrics=9311,
-        complaints=Path("/tmp/complaints"),
+        denial_log=Path("/tmp/complaints"),
         limits=MasterLimits(body=65536, idle_seconds=60),
     )
 
@@ -49,7 +49,7 @@ def test_an_empty_file_is_the_default(text: str) -> None:
         ("admin: 1", "m.yaml:1: admin cannot"),
         ("admin: 'no'", "m.yaml:1: admin cannot"),
         ("\nlog: xml", "m.yaml:2: log cannot"),
-        ("complaints: ''", "m.yaml:1: complaints cannot"),
+        ("denial_log: ''", "m.yaml:1: complaints cannot"),
         ("metrics: -1", "m.yaml:1: metrics cannot"),
         ("1: 2", "m.yaml:1: there is no setting '1'"),
         ("limits: 5", "m.yaml:1: limits are a map"),
@@ -69,8 +69,8 @@ def test_an_empty_file_is_the_default(text: str) -> None:
         (f"limits: {{body: {'9' * 5000}}}", "m.yaml:1: body must be"),
         ("port: 2026-02-30", "m.yaml:1: port cannot"),
         ("? [a]\n: 1", "m.yaml:1: a key must be a scalar"),
-        ('complaints: "a\\0b"', "m.yaml:1: complaints cannot"),
-        ('complaints: "a\\u202eb"', "m.yaml:1: complaints cannot"),
+        ('denial_log: "a\\0b"', "m.yaml:1: complaints cannot"),
+        ('denial_log: "a\\u202eb"', "m.yaml:1: complaints cannot"),
         ("[" + "1," * 2000 + "]", "m.yaml:1: more than 1000 YAML events"),
         ("[" * 5000, "m.yaml:1: nested deeper than 6"),
     ],
@@ -87,7 +87,7 @@ def test_errors_name_their_line(text: str, message: str) -> None:
         ("port: '1'", "without quotes"),
         ("admin: yes", "true or false"),
         ("log: xml", "text or json"),
-        ("complaints: 5", "path of a file"),
+        ("denial_log: 5", "path of a file"),
         ("port: 1\nport: 2", "keep one of them"),
         ("limits: 5", "for example  body:"),
         ("prot: 1", "port, log, audit"),

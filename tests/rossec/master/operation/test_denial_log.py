@@ -12,7 +12,7 @@ from tests.support.site import Site
 
 
 def test_what_is_written_can_be_learnt_from(tmp_path: Path) -> None:
-    path = tmp_path / "complaints"
+    path = tmp_path / "denial_log"
     log = DenialLog(path)
     log(7, "/arm", Right.CALL, "/gripper/close")
     log(8, "/arm", Right.CALL, "/gripper/close")
@@ -31,22 +31,22 @@ def test_a_restart_appends_and_the_lines_are_limited(tmp_path: Path, monkeypatch
     monkeypatch.setattr(effects, "MAX_LINES", 1)
     monkeypatch.setattr(effects, "LINES_PER_NODE", 2)
     for _ in range(2):
-        log = DenialLog(tmp_path / "complaints")
+        log = DenialLog(tmp_path / "denial_log")
         for number in range(10):
             log(7, "/eve", Right.SUBSCRIBE, f"/flood{number}")
         log.close()
-    assert len((tmp_path / "complaints").read_text().splitlines()) == 6
+    assert len((tmp_path / "denial_log").read_text().splitlines()) == 6
 
 
 def test_no_node_uses_up_the_quota_of_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(effects, "MAX_LINES", 5)
     monkeypatch.setattr(effects, "LINES_PER_NODE", 3)
-    log = DenialLog(tmp_path / "complaints")
+    log = DenialLog(tmp_path / "denial_log")
     for node, lines in (("/eve", 99), ("/mallory", 99), ("/robot", 3)):
         for number in range(lines):
             log(7, node, Right.SUBSCRIBE, f"/t{number}")
     log.close()
-    seen = from_log((tmp_path / "complaints").read_text().splitlines())
+    seen = from_log((tmp_path / "denial_log").read_text().splitlines())
     nodes = [item.node for item in seen]
     assert [nodes.count(node) for node in ("/eve", "/mallory", "/robot")] == [8, 3, 3]
 
@@ -69,8 +69,8 @@ async def test_the_master_logs_denials(tmp_path: Path) -> None:
 
 
 def test_runs_of_an_anonymous_node_are_one_line(tmp_path: Path) -> None:
-    log = DenialLog(tmp_path / "complaints")
+    log = DenialLog(tmp_path / "denial_log")
     for run in ("/rviz_1795466501944712825", "/rviz_1795466501944712826"):
         log(7, "/rviz", Right.PROVIDE, f"{run}/load_config")
     log.close()
-    assert len((tmp_path / "complaints").read_text().splitlines()) == 1
+    assert len((tmp_path / "denial_log").read_text().splitlines()) == 1

@@ -12,11 +12,11 @@ from rossec.master.state.imports import Imports
 from rossec.master.state.registry import PublishersChanged, Registry
 from tests.rossec.master.fakes import FakeStatements, call_api, caller, refuse
 
-DOOR: Final = "/door"
+FORWARDED_PORT: Final = "/door"
 TYPE: Final = "std_msgs/Bool"
 SLOT: Final = 60
 URI: Final = "http://10.0.0.5:1/"
-IN_SLOTS: Final = Permission(DOOR, Right.SUBSCRIBE, Restriction(slot=SLOT))
+IN_SLOTS: Final = Permission(FORWARDED_PORT, Right.SUBSCRIBE, Restriction(slot=SLOT))
 WATCHES: Final = Permission("/master", Right.GRAPH)
 
 
@@ -35,8 +35,8 @@ class SlottedMaster:
         self.graph, self.aliases = tables.graph, tables.aliases
         self.api = MasterApi(tables, uri="http://m:1/", pid=7)
         self.watcher = with_permissions("/watcher", IN_SLOTS, WATCHES)
-        self.witness = caller("/witness", {DOOR: Right.SUBSCRIBE})
-        self.sensor = caller("/sensor", {DOOR: Right.PUBLISH})
+        self.witness = caller("/witness", {FORWARDED_PORT: Right.SUBSCRIBE})
+        self.sensor = caller("/sensor", {FORWARDED_PORT: Right.PUBLISH})
         for each in (self.watcher, self.witness, self.sensor):
             self.statements.callers[each.name] = each
         self.sent: dict[str, list[tuple[int, list[str]]]] = {}
@@ -60,16 +60,16 @@ class SlottedMaster:
 
     def publish(self, now: int, uri: str = URI) -> None:
         """The sensor registers."""
-        self.ask(self.sensor, "registerPublisher", DOOR, TYPE, uri, now=now)
+        self.ask(self.sensor, "registerPublisher", FORWARDED_PORT, TYPE, uri, now=now)
 
     def end(self, now: int, uri: str = URI) -> None:
         """The sensor ends."""
-        self.ask(self.sensor, "unregisterPublisher", DOOR, uri, now=now)
+        self.ask(self.sensor, "unregisterPublisher", FORWARDED_PORT, uri, now=now)
 
     def subscribe(self, who: Caller, now: int) -> list[str]:
         """Subscribe; returns the publishers."""
         found: list[str] = self.ask(
-            who, "registerSubscriber", DOOR, "*", f"http://{who.name[1:]}:1/", now=now
+            who, "registerSubscriber", FORWARDED_PORT, "*", f"http://{who.name[1:]}:1/", now=now
         )
         return found
 

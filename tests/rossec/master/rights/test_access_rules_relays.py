@@ -1,4 +1,4 @@
-"""What the policy table says of relays: who is one, and that nobody registers their doors."""
+"""What the policy table says of relays: who is one, and that nobody registers their forwarded ports."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ def empty_graph() -> Graph:
         ("registerService", ("/t", "rosrpc://evil:2", "http://127.0.0.1:7001/")),
     ],
 )
-def test_no_node_registers_the_address_of_a_door(method: str, params: tuple[str, ...]) -> None:
+def test_no_node_registers_the_address_of_a_forwarded_port(method: str, params: tuple[str, ...]) -> None:
     graph = empty_graph()
     access = AccessControl(graph, "/master", lambda place: place == ("127.0.0.1", 7001))
     with pytest.raises(Refused, match="a relay of this site listens at this address"):
@@ -51,7 +51,7 @@ def test_no_node_registers_the_address_of_a_door(method: str, params: tuple[str,
 def test_only_a_relay_of_the_own_domain_passes(name: str, *, allowed: bool) -> None:
     access = AccessControl(empty_graph(), "/master")
     who = everything(name)
-    for method in ("rossec.relayDoors", "rossec.relayTarget"):
+    for method in ("rossec.relayForwardedPorts", "rossec.relayTarget"):
         for each, passes in (
             (who, allowed),
             (replace(who, wildcard=True), False),

@@ -22,7 +22,14 @@ from tests.rossec.master.rights.serving import (
     T,
     node,
 )
-from tests.rossec.master.rights.slotted import DOOR, IN_SLOTS, SLOT, URI, SlottedMaster, with_permissions
+from tests.rossec.master.rights.slotted import (
+    FORWARDED_PORT,
+    IN_SLOTS,
+    SLOT,
+    URI,
+    SlottedMaster,
+    with_permissions,
+)
 
 BOTH = (SERVED_RIGHT, ORIGINS_RIGHT)
 
@@ -247,7 +254,7 @@ def test_a_further_grant_is_in_force_at_once() -> None:
     master = SlottedMaster()
     master.subscribe(master.watcher, 5)
     master.publish(65)
-    more = with_permissions("/watcher", IN_SLOTS, Permission(DOOR, Right.SUBSCRIBE))
+    more = with_permissions("/watcher", IN_SLOTS, Permission(FORWARDED_PORT, Right.SUBSCRIBE))
     master.statements.callers["/watcher"] = more
     assert [each.publisher_uris for each in master.aliases.changes_for("/watcher", 66)] == [(URI,)]
     master.end(70)

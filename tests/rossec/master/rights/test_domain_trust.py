@@ -17,7 +17,7 @@ from ca.errors import (
 )
 from ca.keys.signing import to_coordinates
 from ca.revocation.lists import digest
-from ca.revocation.trust_status import Revocations, Standing
+from ca.revocation.trust_status import Revocations, TrustStatus
 from grants.errors import GrantForged
 from grants.model import ALL_RIGHTS, Right
 from rossec.errors import NotWritten
@@ -35,8 +35,8 @@ class Master:
     def __init__(self) -> None:
         self.home, self.hospital = Site.create("home"), Site.create(DOMAIN)
         self.saved: list[Any] = []
-        self.standing = Standing(Anchors(self.home.anchor), Revocations(self.home.anchor.public_key))
-        self.trust = DomainTrust(self.standing, self.saved.append, lambda *both: self.saved.append(both))
+        self.trust_status = TrustStatus(Anchors(self.home.anchor), Revocations(self.home.anchor.public_key))
+        self.trust = DomainTrust(self.trust_status, self.saved.append, lambda *both: self.saved.append(both))
         self.list = domains(self.home, foreign(self.hospital))
         self.trust.update(self.list)
         self.speaker = SomeNode(self.hospital, "/master")
@@ -65,7 +65,7 @@ def test_a_list_that_cannot_be_saved_changes_nothing(master: Master) -> None:
     def full(*_: object) -> None:
         raise NotWritten("the disk is full")
 
-    trust = DomainTrust(master.standing, full, full)
+    trust = DomainTrust(master.trust_status, full, full)
     generation = trust.generation
     with pytest.raises(NotWritten):
         trust.update(domains(master.home, seq=2))
@@ -88,7 +88,7 @@ def test_a_newer_list_of_domains_counts_once(master: Master) -> None:
 
 
 def test_without_a_list_there_is_no_number_and_no_digest(master: Master) -> None:
-    empty = DomainTrust(Standing(Anchors(master.home.anchor), master.standing.own))
+    empty = DomainTrust(TrustStatus(Anchors(master.home.anchor), master.trust_status.own))
     assert (empty.number, empty.digest(), empty.next_end(NOW)) == (0, b"", None)
     assert empty.update(master.list) == frozenset()
 
@@ -98,7 +98,7 @@ def test_the_word_of_a_foreign_master_is_relayed(master: Master) -> None:
     assert word.revocations == master.data
     assert word.chain == (master.speaker.leaf,)
     assert word.digest() == digest(master.data)
-    other = Standing(Anchors(master.home.anchor), master.standing.own)
+    other = TrustStatus(Anchors(master.home.anchor), master.trust_status.own)
     other.anchors.update(master.list)
     other.take_foreign(DOMAIN, *word, NOW)
     other.check(DOMAIN, b"x" * 32, NOW)
@@ -133,8 +133,8 @@ def test_of_a_domain_that_is_gone_nothing_is_relayed(master: Master) -> None:
 
 def test_a_saved_list_is_restored_unconfirmed(master: Master) -> None:
     saved = {DOMAIN: revoked(master.hospital, master.robot.identity.thumbprint, seq=2)}
-    standing = Standing(Anchors(master.home.anchor), master.standing.own)
-    other = DomainTrust(standing, load_foreign=saved.get)
+    trust_status = TrustStatus(Anchors(master.home.anchor), master.trust_status.own)
+    other = DomainTrust(trust_status, load_foreign=saved.get)
     other.update(master.list)
     with pytest.raises(Revoked):
         other.check_connected(master.peer(), NOW)

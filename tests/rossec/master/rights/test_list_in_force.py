@@ -72,13 +72,13 @@ def test_a_node_that_holds_the_list_is_not_sent_it(world: World) -> None:
 def test_how_far_the_list_in_force_has_come(world: World) -> None:
     data, _ = world.trust.current(world.now)
     both = (world.node, world.master)
-    assert world.trust.standing(both, world.now)[:2] == (2, 0)
+    assert world.trust.trust_status(both, world.now)[:2] == (2, 0)
     world.trust.held_lists.record(world.node, digest(data), world.now)
-    assert world.trust.standing(both, world.now) == (2, 1, (world.master.identity.name,))
+    assert world.trust.trust_status(both, world.now) == (2, 1, (world.master.identity.name,))
     before = world.trust.list_number
     world.trust.update(world.site.revoke(world.master), world.now)
     assert world.trust.list_number == (before[0], before[1] + 1)
-    assert world.trust.standing(both, world.now).holding == 0
+    assert world.trust.trust_status(both, world.now).holding == 0
 
 
 def test_entries_are_not_read_before_the_tree_is_verified(world: World) -> None:

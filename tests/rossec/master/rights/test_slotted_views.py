@@ -7,7 +7,7 @@ from rossec.master.rights import publisher_views
 from rossec.master.state.graph import GraphNode
 from rossec.master.state.registry import ANY_TYPE, Kind
 from tests.rossec.master.rights.slotted import (
-    DOOR,
+    FORWARDED_PORT,
     IN_SLOTS,
     SLOT,
     TYPE,
@@ -31,20 +31,20 @@ def shown(master: SlottedMaster, now: int) -> list[tuple[str, tuple[str, ...]]]:
 def test_a_publisher_is_shown_from_the_next_slot_to_the_end_of_its_last(master: SlottedMaster) -> None:
     graph, who = master.graph, master.watcher
     master.publish(65)
-    assert shown(master, 119) == [(DOOR, ())]
-    assert not publisher_views.is_published(graph, who, DOOR)
-    assert not publisher_views.is_shown(graph, who, DOOR)
-    assert publisher_views.topic_type(graph, who, DOOR) == ANY_TYPE
+    assert shown(master, 119) == [(FORWARDED_PORT, ())]
+    assert not publisher_views.is_published(graph, who, FORWARDED_PORT)
+    assert not publisher_views.is_shown(graph, who, FORWARDED_PORT)
+    assert publisher_views.topic_type(graph, who, FORWARDED_PORT) == ANY_TYPE
     assert publisher_views.node_uri(graph, who, "/sensor") is None
     assert [*publisher_views.shown_nodes(graph, who)] == [None]
-    assert shown(master, 120) == [(DOOR, ("/sensor",))]
-    assert publisher_views.topic_type(graph, who, DOOR) == TYPE
+    assert shown(master, 120) == [(FORWARDED_PORT, ("/sensor",))]
+    assert publisher_views.topic_type(graph, who, FORWARDED_PORT) == TYPE
     master.end(130)
-    assert shown(master, 179) == [(DOOR, ("/sensor",))]
+    assert shown(master, 179) == [(FORWARDED_PORT, ("/sensor",))]
     assert publisher_views.node_uri(graph, who, "/sensor") == URI
-    assert [*publisher_views.topic_types(graph, who)] == [(DOOR, TYPE)]
+    assert [*publisher_views.topic_types(graph, who)] == [(FORWARDED_PORT, TYPE)]
     assert [*publisher_views.shown_nodes(graph, who)] == [GraphNode("/sensor", URI)]
-    assert shown(master, 180) == [(DOOR, ())]
+    assert shown(master, 180) == [(FORWARDED_PORT, ())]
     assert publisher_views.node_uri(graph, who, "/sensor") is None
 
 
@@ -61,27 +61,31 @@ def test_a_new_address_is_shown_from_the_next_slot(master: SlottedMaster) -> Non
 def test_a_topic_with_a_subscriber_is_shown_but_has_no_type(master: SlottedMaster) -> None:
     master.subscribe(master.witness, 0)
     master.publish(5)
-    assert publisher_views.is_shown(master.graph, master.watcher, DOOR)
+    assert publisher_views.is_shown(master.graph, master.watcher, FORWARDED_PORT)
     assert [*publisher_views.topic_types(master.graph, master.watcher)] == [None]
 
 
 @pytest.mark.parametrize(
     "more",
-    [Permission("/**", Right.GRAPH), Permission(DOOR, Right.SUBSCRIBE), Permission(DOOR, Right.PUBLISH)],
+    [
+        Permission("/**", Right.GRAPH),
+        Permission(FORWARDED_PORT, Right.SUBSCRIBE),
+        Permission(FORWARDED_PORT, Right.PUBLISH),
+    ],
     ids=str,
 )
 def test_any_other_right_shows_it_at_once(master: SlottedMaster, more: Permission) -> None:
     master.publish(65)
     master.graph.presence.now = 66
     who = with_permissions("/more", IN_SLOTS, more)
-    assert publisher_views.is_published(master.graph, who, DOOR)
-    assert publisher_views.topic_type(master.graph, who, DOOR) == TYPE
-    assert who.slot(DOOR) == 0
-    assert master.watcher.slot(DOOR) == SLOT
+    assert publisher_views.is_published(master.graph, who, FORWARDED_PORT)
+    assert publisher_views.topic_type(master.graph, who, FORWARDED_PORT) == TYPE
+    assert who.slot(FORWARDED_PORT) == 0
+    assert master.watcher.slot(FORWARDED_PORT) == SLOT
 
 
 def test_without_slots_nothing_is_looked_up(master: SlottedMaster) -> None:
     master.publish(65)
     assert [*publisher_views.shown_nodes(master.graph, master.witness)] == []
     assert publisher_views.node_uri(master.graph, master.witness, "/sensor") is None
-    assert [*publisher_views.topic_types(master.graph, master.witness)] == [(DOOR, TYPE)]
+    assert [*publisher_views.topic_types(master.graph, master.witness)] == [(FORWARDED_PORT, TYPE)]

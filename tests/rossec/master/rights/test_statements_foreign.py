@@ -9,7 +9,7 @@ import pytest
 from ca.certificates import Identity
 from ca.domains.trust import Anchors
 from ca.errors import CAError, Revoked
-from ca.revocation.trust_status import Standing
+from ca.revocation.trust_status import TrustStatus
 from grants.model import Right
 from rossec.master.rights.domain_trust import DomainTrust
 from rossec.master.rights.statements import TrustState
@@ -30,7 +30,7 @@ class Home:
         self.master, self.node = self.site.enroll("/master"), self.site.enroll("/node")
         self.robot = self.hospital.site.enroll("/rounds/robot3")
         own = self.site.revocations()
-        domains = DomainTrust(Standing(Anchors(self.site.anchor), own))
+        domains = DomainTrust(TrustStatus(Anchors(self.site.anchor), own))
         self.trust = TrustState(
             self.site.anchor, self.master.credentials.signer, own, lambda _: None, domains=domains
         )

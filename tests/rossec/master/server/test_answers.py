@@ -121,30 +121,30 @@ async def test_what_changes_before_a_watcher_has_begun_to_wait_is_told(slow: Wor
 
 
 async def test_a_relay_waits_until_something_is_wanted(slow: World) -> None:
-    relay, doors = await slow.node("/relay"), slow.server.state.doors
+    relay, forwarded_ports = await slow.node("/relay"), slow.server.state.forwarded_ports
     way = {"state": "up", "rtt_ms": 1.0, "retransmissions": 0, "router": "", "streams": 0}
     polls = slow.server.state.relay_polls
-    target, door = Target("office", "node", "/robot"), ["office", "node", "/robot", "127.0.0.1", 7]
+    target, forwarded_port = Target("office", "node", "/robot"), ["office", "node", "/robot", "127.0.0.1", 7]
 
     def poll(seen: int, *opened: object) -> "asyncio.Task[Any]":
-        asked = relay.ask("rossec.relayDoors", "one", seen, [*opened], {"office": way})
+        asked = relay.ask("rossec.relayForwardedPorts", "one", seen, [*opened], {"office": way})
         return asyncio.ensure_future(asked)
 
     assert (await poll(0))["wanted"] == [], "the first call of a relay is answered at once"
     first = poll(0)
     await until(lambda: len(polls) == 1)
     assert not first.done()
-    doors.want("office", [target])
+    forwarded_ports.want("office", [target])
     answer = await first
     assert answer["wanted"] == [["office", "node", "/robot"]]
-    second = poll(answer["version"], door)
-    await until(lambda: doors.door(target) is not None)
-    doors.want("office", [])
+    second = poll(answer["version"], forwarded_port)
+    await until(lambda: forwarded_ports.forwarded_port(target) is not None)
+    forwarded_ports.want("office", [])
     assert (await second)["unwanted"] == [["office", "node", "/robot"]]
-    assert doors.door(target) is None
+    assert forwarded_ports.forwarded_port(target) is None
 
 
 async def test_a_relay_that_is_refused_does_not_wait(slow: World) -> None:
     relay = await slow.node("/relay")
     with pytest.raises(AnswerRefused, match="bad call arity"):
-        await relay.ask("rossec.relayDoors", "one", 0, [])
+        await relay.ask("rossec.relayForwardedPorts", "one", 0, [])

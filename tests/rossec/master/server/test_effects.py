@@ -192,11 +192,11 @@ async def test_a_node_that_accepts_a_list_holds_it(world: World) -> None:
     gone = world.site.enroll("/gone")
     await camera.ask("rossec.updateRevocations", world.site.revoke(gone))
 
-    async def standing() -> Any:
-        return await office.ask("rossec.revocationStanding", "/ca")
+    async def trust_status() -> Any:
+        return await office.ask("rossec.revocationStatus", "/ca")
 
     async with asyncio.timeout(30):
-        while (found := await standing())["holding"] != 1:  # noqa: ASYNC110 - at the master
+        while (found := await trust_status())["holding"] != 1:  # noqa: ASYNC110 - at the master
             await asyncio.sleep(0.01)
     assert found == {"list": "1.2", "nodes": 2, "holding": 1, "lacking": ["/stubborn"]}
 

@@ -6,7 +6,7 @@ from grants.decision import Reach
 from grants.model import Permission, Right
 from rossec.master.state.imports import ImportFilter
 
-POSE, DOOR = "/remote/hospital/rounds/pose", "/remote/hospital/door"
+POSE, FORWARDED_PORT = "/remote/hospital/rounds/pose", "/remote/hospital/door"
 
 
 @pytest.fixture
@@ -21,13 +21,13 @@ def imported() -> ImportFilter:
 def test_a_right_counts_for_its_use(imported: ImportFilter) -> None:
     assert imported.gives(Right.SUBSCRIBE, POSE)
     assert not imported.gives(Right.CALL, POSE)
-    assert imported.gives(Right.CALL, DOOR)
-    assert not imported.gives(Right.SUBSCRIBE, DOOR)
+    assert imported.gives(Right.CALL, FORWARDED_PORT)
+    assert not imported.gives(Right.SUBSCRIBE, FORWARDED_PORT)
 
 
 def test_any_right_is_enough_to_be_seen(imported: ImportFilter) -> None:
     assert imported.shows(POSE)
-    assert imported.shows(DOOR)
+    assert imported.shows(FORWARDED_PORT)
     assert not imported.shows("/remote/hospital/secret")
     assert not imported.shows("/remote/clinic/pose"), "nothing is taken from it"
     assert imported.shows("/remote/other/pose"), "there is no rule for it"

@@ -19,7 +19,7 @@ PEER = ListeningAddress(WireProtocol.TCPROS, "10.0.0.7", 6000)
         (
             "http://10.0.0.7:6000/via",
             WireProtocol.HTTP,
-            ListeningAddress(WireProtocol.HTTP, "10.0.0.7", 6000, door=True),
+            ListeningAddress(WireProtocol.HTTP, "10.0.0.7", 6000, forwarded_port=True),
         ),
         (
             "rosrpc://10.0.0.7:6000/via",
@@ -43,7 +43,7 @@ def test_endpoints_are_written_as_in_ros() -> None:
 
 
 @pytest.mark.parametrize("uri", ["http://10.0.0.7:6000/via", "http://[fd99::2]:6000/via"])
-def test_a_door_stays_one(uri: str) -> None:
+def test_a_forwarded_port_stays_one(uri: str) -> None:
     """`rosnode cleanup` sends the master what `lookupNode` answered."""
     found = parse_endpoint(uri, WireProtocol.HTTP)
     assert found is not None
@@ -53,7 +53,7 @@ def test_a_door_stays_one(uri: str) -> None:
     assert local == local_endpoint(WireProtocol.HTTP, 8000)
     assert endpoints.peer_at(local) == found
     endpoints.add_ingress(SLAVE, found.port)
-    assert endpoints.program_at(found) is None  # a door is no program of this host
+    assert endpoints.program_at(found) is None  # a forwarded port is no program of this host
 
 
 def test_endpoints_are_mapped_both_ways() -> None:

@@ -92,7 +92,7 @@ def test_a_publisher_is_listed_however_its_uri_is_written(setup: AgentSetup) -> 
     assert not setup.agent.is_listed(topic, PEER)
     setup.agent.followed_publishers(topic, ["nonsense", "http://10.0.0.7:6000"])
     assert setup.agent.is_listed(topic, PEER)
-    assert not setup.agent.is_listed(topic, replace(PEER, door=True))
+    assert not setup.agent.is_listed(topic, replace(PEER, forwarded_port=True))
     assert not setup.agent.is_listed("/word", PEER)
     setup.agent.publisher_grace.session_opened()
     setup.agent.followed_publishers(topic, [])

@@ -9,7 +9,7 @@ from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ConnectionHeaderRefused, HangUp
 from rossec.participant.access import FIELD
 from rossec.participant.authorized import memory_scope
-from rossec.participant.delivery import Wishes
+from rossec.participant.delivery import DeliveryOptions
 from rossec.participant.handshakes import Fields
 from rossec.participant.message_types import message_type
 from rossec.sidecar.core.layers import (
@@ -252,22 +252,22 @@ def test_a_restricted_publisher_gets_a_guard(setup: AgentSetup, authorized: Fiel
         run_layer(layer, (connect, arrived(setup, undefined, "/robot")))
 
 
-WISHES = {"rossec_rate": b"5.000", "rossec_newest": b"1", "rossec_deflate": b"1"}
+OPTIONS = {"rossec_rate": b"5.000", "rossec_newest": b"1", "rossec_deflate": b"1"}
 
 
 def test_the_wishes_of_a_peer_are_taken_and_the_program_gets_none(
     setup: AgentSetup, authorized: Fields
 ) -> None:
-    """A program that answers a wish by itself is not believed: the peer would read other bytes."""
+    """A program that answers a delivery option by itself is not believed: the peer would read other bytes."""
     connect = ConnectProgram(TOPIC_ENDPOINT, REQUEST)
     asked = {"rossec_rate": b"5.000", "rossec_newest": b"1"}
-    steps = REQUEST_ANSWERED, (connect, arrived(setup, ANSWER | WISHES))
+    steps = REQUEST_ANSWERED, (connect, arrived(setup, ANSWER | OPTIONS))
     admitted = run_layer(admit(setup, authorized | asked), *steps)
-    assert admitted.wishes == Wishes(5, newest=True)
-    assert {key: admitted.answer.get(key) for key in WISHES} == asked | {"rossec_deflate": None}
+    assert admitted.options == DeliveryOptions(5, newest=True)
+    assert {key: admitted.answer.get(key) for key in OPTIONS} == asked | {"rossec_deflate": None}
     admitted = run_layer(admit(setup, authorized), *steps)
-    assert not admitted.wishes
-    assert WISHES.keys().isdisjoint(admitted.answer)
+    assert not admitted.options
+    assert OPTIONS.keys().isdisjoint(admitted.answer)
 
 
 def test_what_is_filtered_is_not_deflated(setup: AgentSetup) -> None:
@@ -275,10 +275,10 @@ def test_what_is_filtered_is_not_deflated(setup: AgentSetup) -> None:
     setup.site.subscribe("/viewer", "/word", Restriction("std_msgs/String", (), rules))
     setup.site.publish("/robot", "/word")
     setup.agent = dataclasses.replace(setup.agent, access=setup.access("/robot"))
-    asked = REQUEST | proof(setup, "/viewer", Right.SUBSCRIBE, "/word") | WISHES
+    asked = REQUEST | proof(setup, "/viewer", Right.SUBSCRIBE, "/word") | OPTIONS
     connect = ConnectProgram(TOPIC_ENDPOINT, REQUEST)
     admitted = run_layer(admit(setup, asked), REQUEST_ANSWERED, (connect, arrived(setup, ANSWER)))
-    assert admitted.wishes == Wishes(5, newest=True)
+    assert admitted.options == DeliveryOptions(5, newest=True)
     assert "rossec_deflate" not in admitted.answer
 
 
@@ -295,15 +295,15 @@ def test_a_programs_own_wishes_are_not_passed_on_and_none_may_be_answered(
     setup: AgentSetup, authorized: Fields
 ) -> None:
     viewer, now = AgentSetup(setup.site, "/viewer"), setup.site.now()
-    wished = REQUEST | WISHES
+    requested = REQUEST | OPTIONS
     connect = ConnectPeer(PEER, authorized)
     answer = ANSWER | {"topic": b"/word"} | proof(setup, "/robot", Right.PUBLISH, "/word")
 
     def subscribing() -> Layer[AdmittedConnection]:
-        return connect_to_peer(viewer.agent, PEER, wished, no_key, memory_scope("/viewer").child, now)
+        return connect_to_peer(viewer.agent, PEER, requested, no_key, memory_scope("/viewer").child, now)
 
     run_layer(subscribing(), (connect, arrived(setup, answer, "/robot")))
-    for key, value in WISHES.items():
+    for key, value in OPTIONS.items():
         forged = arrived(setup, answer | {key: value}, "/robot")
         with pytest.raises(ConnectionHeaderRefused, match="asked"):
             run_layer(subscribing(), (connect, forged))

@@ -1,4 +1,4 @@
-"""A door without a relay: connections led to the two ports of a node, told apart as relays do."""
+"""A forwarded port without a relay: connections led to the two ports of a node, told apart as relays do."""
 
 import contextlib
 import socket
@@ -8,14 +8,14 @@ from collections.abc import Iterator
 from typing import Final
 
 from rossec.channel.opening import WireProtocol, first_bytes
-from rossec.ros.names import build_door
+from rossec.ros.names import build_forwarded_port
 
 HOST: Final = "127.0.0.1"
 _RESET: Final = struct.pack("ii", 1, 0)  # linger: with nothing
 _OPENING: Final = first_bytes(WireProtocol.TCPROS)
 
 
-class Door:
+class ForwardedPort:
     """Listens on loopback for the node whose API and topics are at these ports.
 
     Attributes:
@@ -27,7 +27,7 @@ class Door:
         self._ports = {WireProtocol.HTTP: api, WireProtocol.TCPROS: topics}
         self._server = socket.create_server((HOST, 0))
         self.port: int = self._server.getsockname()[1]
-        self.uri = build_door(HOST, self.port)
+        self.uri = build_forwarded_port(HOST, self.port)
         self.opened: list[WireProtocol] = []
         self.away = False
         self._callers: set[socket.socket] = set()
@@ -68,9 +68,9 @@ class Door:
 
 
 @contextlib.contextmanager
-def door(api: int, topics: int) -> Iterator[Door]:
-    """A door while the block runs."""
-    made = Door(api, topics)
+def forwarded_port(api: int, topics: int) -> Iterator[ForwardedPort]:
+    """A forwarded port while the block runs."""
+    made = ForwardedPort(api, topics)
     try:
         yield made
     finally:

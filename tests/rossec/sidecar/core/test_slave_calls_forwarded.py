@@ -1,4 +1,4 @@
-"""Peers behind a relay's door, and the relay's question where the topics of a program are."""
+"""Peers behind a relay's forwarded port, and the relay's question where the topics of a program are."""
 
 from dataclasses import replace
 
@@ -29,28 +29,28 @@ from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
 from tests.support.openaccess import OpenAccess
 
 SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
-DOOR = ListeningAddress(WireProtocol.HTTP, "127.0.0.1", 6000, door=True)
+FORWARDED_PORT = ListeningAddress(WireProtocol.HTTP, "127.0.0.1", 6000, forwarded_port=True)
 PARAMS = ("/robot", "/scan", [["TCPROS"]])
-REQUEST = CallPeer(DOOR, "requestTopic", PARAMS, None)
+REQUEST = CallPeer(FORWARDED_PORT, "requestTopic", PARAMS, None)
 
 
 def asked(setup: AgentSetup, peer: Identity, *params: object) -> Layer[object]:
     return handle_peer_call(setup.agent, SLAVE, peer, PORTS, params, None, setup.site.now())
 
 
-def test_behind_a_door_the_topics_are_at_the_door(setup: AgentSetup) -> None:
+def test_behind_a_forwarded_port_the_topics_are_at_the_forwarded_port(setup: AgentSetup) -> None:
     there = Answered([1, "ready", ["TCPROS", "192.168.7.7", 41000]])
     answer = run_layer(
-        handle_program_call(setup.agent, DOOR, "requestTopic", PARAMS),
+        handle_program_call(setup.agent, FORWARDED_PORT, "requestTopic", PARAMS),
         (REQUEST, there),
         (OpenEgress(ListeningAddress(WireProtocol.TCPROS, "127.0.0.1", 6000)), PortOpened(8001)),
     )
     assert answer == [1, "ready", ["TCPROS", "127.0.0.1", 8001]]
 
 
-def test_a_peer_behind_a_door_that_offers_no_connection_has_none(setup: AgentSetup) -> None:
+def test_a_peer_behind_a_forwarded_port_that_offers_no_connection_has_none(setup: AgentSetup) -> None:
     for offer in ([], ["UDPROS", b"", "h", 1, 1500], ["TCPROS", "", 1], ["TCPROS", "h", 0]):
-        layer = handle_program_call(setup.agent, DOOR, "requestTopic", PARAMS)
+        layer = handle_program_call(setup.agent, FORWARDED_PORT, "requestTopic", PARAMS)
         said = run_layer(layer, (REQUEST, Answered([1, "", offer])))
         assert said == [-1, NO_TRANSPORT, []]
 

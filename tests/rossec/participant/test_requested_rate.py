@@ -2,13 +2,13 @@
 
 import pytest
 
-from rossec.participant.delivery import WishedRate
+from rossec.participant.delivery import RequestedRate
 
 
 def admitted(rate: float, every: float, seconds: float) -> int:
     """How many messages pass that come at this interval."""
-    wished = WishedRate(rate)
-    return sum(wished.admits(number * every) for number in range(round(seconds / every)))
+    requested = RequestedRate(rate)
+    return sum(requested.admits(number * every) for number in range(round(seconds / every)))
 
 
 @pytest.mark.parametrize(("rate", "every"), [(2, 0.1), (3, 0.1), (0.5, 0.033), (7, 0.001)])
@@ -22,17 +22,17 @@ def test_a_publisher_that_is_no_faster_is_not_thinned_out(every: float) -> None:
 
 
 def test_a_message_a_moment_early_costs_no_interval() -> None:
-    wished = WishedRate(10)
+    requested = RequestedRate(10)
     times = [number * 0.1 + (0.02 if number % 2 else 0) for number in range(100)]
-    assert all(map(wished.admits, times))
+    assert all(map(requested.admits, times))
 
 
 def test_after_a_pause_two_pass_at_once() -> None:
-    wished = WishedRate(1)
-    assert [wished.admits(0) for _ in range(4)] == [True, True, False, False]
-    assert [wished.admits(100) for _ in range(4)] == [True, True, False, False]
+    requested = RequestedRate(1)
+    assert [requested.admits(0) for _ in range(4)] == [True, True, False, False]
+    assert [requested.admits(100) for _ in range(4)] == [True, True, False, False]
 
 
 def test_a_clock_that_stands_admits_no_more() -> None:
-    wished = WishedRate(1000)
-    assert sum(wished.admits(5) for _ in range(100)) == 2
+    requested = RequestedRate(1000)
+    assert sum(requested.admits(5) for _ in range(100)) == 2

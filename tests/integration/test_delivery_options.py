@@ -1,7 +1,7 @@
-"""A subscriber behind a slow line and its wishes, with publishers of every form.
+"""A subscriber behind a slow line and its options, with publishers of every form.
 
-Each publisher has two subscribers, one with wishes and one without; both forms of rospy subscribe
-as well, and know of no wish. The line is so slow that more waits than has left.
+Each publisher has two subscribers, one with options and one without; both forms of rospy subscribe
+as well, and know of no option. The line is so slow that more waits than has left.
 """
 
 import contextlib
@@ -93,14 +93,14 @@ _WISHING: Final = """
 import asyncio, sys, time
 from rossec.channel.connection import Connection
 from rossec.node import Node, subscriber
-from rossec.participant.delivery import taken_wishes
-followed = subscriber.wished_messages
+from rossec.participant.delivery import accepted_options
+followed = subscriber.requested_messages
 def tell(asked, answer, limit):
-    said = asked and taken_wishes(answer, asked)
+    said = asked and accepted_options(answer, asked)
     if asked:
         print("TAKEN", answer["topic"].decode(), asked == said, flush=True)
     return followed(asked, answer, limit)
-subscriber.wished_messages = tell
+subscriber.requested_messages = tell
 take_padded = Connection._on_padded_end
 def padded(self, head, body):
     print("PADDED", self._peer.name, len(body), flush=True)
@@ -115,8 +115,8 @@ async def main(kinds, rate):
         Node("/wishing") as wishing, Node("/plain") as plain, Node("/padded") as unseen,
         asyncio.TaskGroup() as group,
     ):
-        async def follow(node, topic, about, **wishes):
-            found = await node.subscriber(topic, "std_msgs/String", queue_size=1000, **wishes)
+        async def follow(node, topic, about, **options):
+            found = await node.subscriber(topic, "std_msgs/String", queue_size=1000, **options)
             group.create_task(hear(found, about))
         for kind in kinds:
             await follow(wishing, f"/{kind}/burst", f"{kind} newest", newest=True)
@@ -230,7 +230,7 @@ def test_deflated_messages_are_whole(cast: Cast, kind: str) -> None:
 
 @each_kind
 def test_every_form_pads_what_the_grant_says(cast: Cast, kind: str) -> None:
-    """And does not deflate it: `False` says that this wish was not taken."""
+    """And does not deflate it: `False` says that this option was not taken."""
     wait(lambda: len({length for _, length, _ in cast.heard(kind, "padded")}) >= 10)
     assert f"TAKEN /{kind}/words False" in cast.wishing.said
     sizes = re.findall(rf"PADDED /{kind}_speaker (\d+)\n", cast.wishing.said)

@@ -1,4 +1,4 @@
-"""Doors: one port for each target, who may use it, and how a door is closed."""
+"""Forwarded ports: one port for each target, who may use it, and how a forwarded port is closed."""
 
 import asyncio
 import contextlib
@@ -12,7 +12,7 @@ from rossec.errors import ConfigurationError, LinkCrowded, StreamRefused
 from rossec.host.callers import Callers
 from rossec.net.aio.client import dial
 from rossec.overlay import forwarded_ports as module
-from rossec.overlay.forwarded_ports import OpenDoors, PeerTarget, RelayPorts
+from rossec.overlay.forwarded_ports import OpenPorts, PeerTarget, RelayPorts
 from rossec.overlay.mux import NODE, SERVICE, StreamTarget
 
 ROBOT = PeerTarget("hospital", StreamTarget(NODE, "/robot"))
@@ -24,11 +24,11 @@ class Carrier:
     """Holds connections until the program ends them."""
 
     def __init__(self) -> None:
-        self.doors: list[PeerTarget] = []
+        self.forwarded_ports: list[PeerTarget] = []
         self.error: StreamRefused | None = None
 
-    async def carry(self, door: PeerTarget, sock: socket.socket) -> None:
-        self.doors.append(door)
+    async def carry(self, forwarded_port: PeerTarget, sock: socket.socket) -> None:
+        self.forwarded_ports.append(forwarded_port)
         sock.setblocking(False)
         with sock:
             if self.error is not None:
@@ -39,8 +39,8 @@ class Carrier:
 
 
 @contextlib.asynccontextmanager
-async def doors(
-    carrier: Carrier, callers: Callers | OpenDoors | None = None, limit: int = 8
+async def forwarded_ports(
+    carrier: Carrier, callers: Callers | OpenPorts | None = None, limit: int = 8
 ) -> AsyncIterator[tuple[RelayPorts, list[PeerTarget]]]:
     given_up: list[PeerTarget] = []
     found = RelayPorts(callers or Callers({os.getuid()}), carrier.carry, given_up.append, limit)
@@ -57,49 +57,49 @@ async def turned_away(where: tuple[str, int]) -> None:
 
 
 async def enter(where: tuple[str, int]) -> socket.socket:
-    """Connect to a door; it was admitted."""
+    """Connect to a forwarded port; it was admitted."""
     sock = await dial(*where, 10)
     async with asyncio.timeout(10):
         assert await asyncio.get_running_loop().sock_recv(sock, 1) == b"!"
     return sock
 
 
-async def test_each_target_has_a_door_of_its_own() -> None:
+async def test_each_target_has_a_forwarded_port_of_its_own() -> None:
     carrier = Carrier()
-    async with doors(carrier) as (found, _):
-        places = {door: found.open(door) for door in (ROBOT, CLOCK, OTHER)}
+    async with forwarded_ports(carrier) as (found, _):
+        places = {forwarded_port: found.open(forwarded_port) for forwarded_port in (ROBOT, CLOCK, OTHER)}
         assert len(set(places.values())) == 3
         assert {host for host, _ in places.values()} == {"127.0.0.1"}
         assert found.open(ROBOT) == places[ROBOT]
         assert set(found) == set(places)
-        for door, where in places.items():
+        for forwarded_port, where in places.items():
             (await enter(where)).close()
-            assert carrier.doors[-1] == door
+            assert carrier.forwarded_ports[-1] == forwarded_port
 
 
 async def test_programs_of_other_users_are_not_let_in() -> None:
     carrier = Carrier()
-    async with doors(carrier, Callers({os.getuid() + 1})) as (found, _):
+    async with forwarded_ports(carrier, Callers({os.getuid() + 1})) as (found, _):
         sock = await dial(*found.open(ROBOT), 10)
         with sock, contextlib.suppress(ConnectionResetError):
             assert await asyncio.get_running_loop().sock_recv(sock, 1) == b""
-    assert carrier.doors == []
+    assert carrier.forwarded_ports == []
 
 
-async def test_doors_at_an_address_let_everybody_in() -> None:
+async def test_forwarded_ports_at_an_address_let_everybody_in() -> None:
     carrier = Carrier()
-    async with doors(carrier, OpenDoors("127.0.0.5", "relay.example")) as (found, _):
+    async with forwarded_ports(carrier, OpenPorts("127.0.0.5", "relay.example")) as (found, _):
         host, port = found.open(ROBOT)
         assert host == "relay.example"
         (await enter(("127.0.0.5", port))).close()
         with pytest.raises(ConnectionRefusedError):
             await dial("127.0.0.1", port, 10)
-    assert OpenDoors("192.0.2.7").loopback.host == "192.0.2.7"
+    assert OpenPorts("192.0.2.7").loopback.host == "192.0.2.7"
 
 
-async def test_a_closed_door_lets_nobody_in_and_keeps_who_is_inside() -> None:
+async def test_a_closed_forwarded_port_lets_nobody_in_and_keeps_who_is_inside() -> None:
     carrier = Carrier()
-    async with doors(carrier) as (found, given_up):
+    async with forwarded_ports(carrier) as (found, given_up):
         where = found.open(ROBOT)
         inside = await enter(where)
         found.close(ROBOT)
@@ -114,8 +114,8 @@ async def test_a_closed_door_lets_nobody_in_and_keeps_who_is_inside() -> None:
         assert given_up == []
 
 
-async def test_a_removed_peer_loses_its_doors_and_connections() -> None:
-    async with doors(Carrier()) as (found, _):
+async def test_a_removed_peer_loses_its_forwarded_ports_and_connections() -> None:
+    async with forwarded_ports(Carrier()) as (found, _):
         inside = await enter(found.open(ROBOT))
         found.open(CLOCK)
         stays = await enter(found.open(OTHER))
@@ -125,8 +125,8 @@ async def test_a_removed_peer_loses_its_doors_and_connections() -> None:
             assert await asyncio.get_running_loop().sock_recv(inside, 1) == b""
 
 
-async def test_the_idle_door_asked_for_least_recently_makes_room() -> None:
-    async with doors(Carrier(), limit=2) as (found, given_up):
+async def test_the_idle_forwarded_port_asked_for_least_recently_makes_room() -> None:
+    async with forwarded_ports(Carrier(), limit=2) as (found, given_up):
         first = await enter(found.open(ROBOT))
         where = found.open(CLOCK)
         found.open(OTHER)
@@ -145,9 +145,9 @@ async def test_the_idle_door_asked_for_least_recently_makes_room() -> None:
 async def test_a_connection_that_cannot_be_carried_is_logged(caplog: pytest.LogCaptureFixture) -> None:
     carrier = Carrier()
     carrier.error = StreamRefused("no link to it", "rossec relay status")
-    async with doors(carrier) as (found, _):
-        for door in (ROBOT, CLOCK):
-            await turned_away(found.open(door))
+    async with forwarded_ports(carrier) as (found, _):
+        for forwarded_port in (ROBOT, CLOCK):
+            await turned_away(found.open(forwarded_port))
     assert caplog.messages == [
         "node /robot: not connected to hospital: no link to it (rossec relay status)",
         "service /clock: not connected to hospital: no link to it (rossec relay status)",
@@ -156,16 +156,16 @@ async def test_a_connection_that_cannot_be_carried_is_logged(caplog: pytest.LogC
 
 async def test_all_that_find_no_room_are_one_line_of_the_log(caplog: pytest.LogCaptureFixture) -> None:
     carrier = Carrier()
-    async with doors(carrier) as (found, _):
-        for door in (ROBOT, CLOCK, ROBOT):
-            carrier.error = LinkCrowded(f"no room for {door.target}", "have fewer")
-            await turned_away(found.open(door))
+    async with forwarded_ports(carrier) as (found, _):
+        for forwarded_port in (ROBOT, CLOCK, ROBOT):
+            carrier.error = LinkCrowded(f"no room for {forwarded_port.target}", "have fewer")
+            await turned_away(found.open(forwarded_port))
     assert caplog.messages == [
         "a connection: not connected to hospital: no room for node /robot (have fewer)"
     ]
 
 
 def test_the_pool_is_as_large_as_the_master_allows() -> None:
-    from rossec.master.state.forwarded_ports import MAX_DOORS
+    from rossec.master.state.forwarded_ports import MAX_FORWARDED_PORTS
 
-    assert module.LIMIT == MAX_DOORS
+    assert module.LIMIT == MAX_FORWARDED_PORTS

@@ -1,4 +1,4 @@
-"""A subscriber with wishes: thinned out, the newest only, deflated once for all."""
+"""A subscriber with options: thinned out, the newest only, deflated once for all."""
 
 import asyncio
 import contextlib
@@ -11,7 +11,7 @@ import pytest
 
 from rossec.node.publisher import Pieces
 from rossec.participant import delivery
-from rossec.participant.delivery import LARGE, WishedQueue, Wishes, deflated
+from rossec.participant.delivery import LARGE, DeliveryOptions, DeliveryQueue, deflated
 from tests.support.witness import until
 
 
@@ -36,8 +36,8 @@ class Stream:
 
 
 @contextlib.asynccontextmanager
-async def running(stream: Any, wishes: Wishes, size: int = 10) -> AsyncIterator[WishedQueue]:
-    queue = WishedQueue(stream, wishes, size)
+async def running(stream: Any, options: DeliveryOptions, size: int = 10) -> AsyncIterator[DeliveryQueue]:
+    queue = DeliveryQueue(stream, options, size)
     task = asyncio.ensure_future(queue.run())
     try:
         yield queue
@@ -53,7 +53,7 @@ async def test_the_rate_takes_messages_away(monkeypatch: pytest.MonkeyPatch) -> 
     now = 0.0
     monkeypatch.setattr(delivery, "monotonic", lambda: now)
     stream = Stream()
-    async with running(stream, Wishes(1.0), size=100) as queue:
+    async with running(stream, DeliveryOptions(1.0), size=100) as queue:
         for number in range(100):
             now = number * 0.1
             queue.enqueue([b"%d" % number])
@@ -65,7 +65,7 @@ async def test_the_rate_takes_messages_away(monkeypatch: pytest.MonkeyPatch) -> 
 async def test_of_what_waits_only_the_newest_is_sent() -> None:
     stream = Stream()
     stream.line.clear()
-    async with running(stream, Wishes(newest=True), size=100) as queue:
+    async with running(stream, DeliveryOptions(newest=True), size=100) as queue:
         for number in range(5):
             queue.enqueue([b"%d" % number])
             await asyncio.sleep(0)
@@ -79,7 +79,7 @@ async def test_of_what_waits_only_the_newest_is_sent() -> None:
 
 async def test_without_it_the_oldest_comes_first_and_a_full_queue_drops_it() -> None:
     stream = Stream()
-    async with running(stream, Wishes(deflate=True), size=2) as queue:
+    async with running(stream, DeliveryOptions(deflate=True), size=2) as queue:
         queue.enqueue([b"a", b"b"])
         queue.enqueue([b"c"])
         await until(lambda: len(stream.sent) == 2)
@@ -90,7 +90,7 @@ async def test_without_it_the_oldest_comes_first_and_a_full_queue_drops_it() -> 
 async def test_messages_are_deflated(size: int) -> None:
     stream = Stream()
     pieces: Pieces = [bytes(size // 2), memoryview(bytes(size - size // 2))]
-    async with running(stream, Wishes(deflate=True)) as queue:
+    async with running(stream, DeliveryOptions(deflate=True)) as queue:
         queue.enqueue(pieces)
         await until(lambda: stream.sent)
     assert stream.sent == [framed(deflated([bytes(size)]))]
@@ -106,7 +106,7 @@ async def test_a_message_that_is_replaced_is_never_deflated(monkeypatch: pytest.
     monkeypatch.setattr(delivery, "deflated", count)
     stream = Stream()
     stream.line.clear()
-    async with running(stream, Wishes(newest=True, deflate=True)) as queue:
+    async with running(stream, DeliveryOptions(newest=True, deflate=True)) as queue:
         for number in range(50):
             queue.enqueue([b"%d" % number])
         stream.line.set()

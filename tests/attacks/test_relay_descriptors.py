@@ -1,4 +1,4 @@
-"""Who has the card of a relay, or forges one, is still not that relay."""
+"""Who has the descriptor of a relay, or forges one, is still not that relay."""
 
 import asyncio
 import contextlib
@@ -34,7 +34,7 @@ async def eve(sites: Sites, tmp_path: Path) -> RelayedSite:
     found.trust(*sites)
     for one, other in (sites, sites[::-1]):
         one.master.take_domains(one.trust(other, found))
-        await until(partial(one.member.standing.anchors.listed, "eve"))
+        await until(partial(one.member.trust_status.anchors.listed, "eve"))
     return found
 
 
@@ -45,8 +45,8 @@ def context_of(site: RelayedSite, name: str) -> SecureContext[Identity]:
 
 
 async def is_let_in(home: RelayedSite, office: RelayedSite, own: SecureContext[Identity]) -> bool:
-    """Whether somebody gets further than the handshake at the mailbox that home told the office."""
-    port = home.wires.ports[home.relay_mailbox(office)]
+    """Whether somebody gets further than the handshake at the inbox that home told the office."""
+    port = home.wires.ports[home.relay_inbox(office)]
     with contextlib.suppress(ChannelError):
         stream = await connect("127.0.0.1", port, own, WireProtocol.HTTP)
         with contextlib.suppress(ChannelError, TimeoutError):
@@ -58,7 +58,7 @@ async def is_let_in(home: RelayedSite, office: RelayedSite, own: SecureContext[I
     return False
 
 
-async def test_a_stolen_card_lets_in_nobody_else(sites: Sites, eve: RelayedSite) -> None:
+async def test_a_stolen_descriptor_lets_in_nobody_else(sites: Sites, eve: RelayedSite) -> None:
     home, office = sites
     thieves = {
         "a node of that site": context_of(office, "/robot"),
@@ -73,17 +73,17 @@ async def test_a_stolen_card_lets_in_nobody_else(sites: Sites, eve: RelayedSite)
     assert await is_let_in(home, office, context_of(office, "/relay"))  # the control
 
 
-async def test_a_site_that_is_not_trusted_has_no_use_of_a_card(sites: Sites, tmp_path: Path) -> None:
+async def test_a_site_that_is_not_trusted_has_no_use_of_a_descriptor(sites: Sites, tmp_path: Path) -> None:
     home, office = sites
     stranger = RelayedSite(tmp_path / "stranger", "stranger.example", home.wires)
     stranger.trust(home)
     assert not await is_let_in(home, office, context_of(stranger, "/relay"))
 
 
-async def test_what_comes_in_at_a_door_is_not_carried_to_who_forged_the_card(
+async def test_what_comes_in_at_a_forwarded_port_is_not_carried_to_who_forged_the_descriptor(
     sites: Sites, eve: RelayedSite
 ) -> None:
-    """Home is given a card of the office with a mailbox that Eve reads."""
+    """Home is given a descriptor of the office with an inbox that Eve reads."""
     home, _ = sites
     heard: list[bytes] = []
 
@@ -95,17 +95,17 @@ async def test_what_comes_in_at_a_door_is_not_carried_to_who_forged_the_card(
     home.wires.ports[key] = trap.port
 
     def forge(peers: dict[str, Peer]) -> None:
-        peers["office"] = replace(peers["office"], mailbox=key)
+        peers["office"] = replace(peers["office"], inbox=key)
 
     home.files.change(forge)
     await asyncio.sleep(1.5)  # the file is read within a second
-    door = await home.door("office", "master", "/master")
+    forwarded_port = await home.forwarded_port("office", "master", "/master")
     for _ in range(3):
         with pytest.raises((ChannelError, OSError)):
-            await home.through(door)
+            await home.through(forwarded_port)
         await asyncio.sleep(0.6)
     await trap.close()
     assert heard == []
     assert key in home.network.dialled
     (peer,) = home.relay.status()["peers"]
-    assert "eve:/relay is at the mailbox of office, not office:/relay" in peer["error"]
+    assert "eve:/relay is at the inbox of office, not office:/relay" in peer["error"]

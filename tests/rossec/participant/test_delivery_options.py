@@ -1,4 +1,4 @@
-"""Wishes in connection headers: read strictly, and answered with no more than was asked."""
+"""DeliveryOptions in connection headers: read strictly, and answered with no more than was asked."""
 
 import math
 from types import SimpleNamespace
@@ -9,43 +9,48 @@ import pytest
 from grants.model import Restriction, filter_rules
 from rossec.errors import ConfigurationError, ConnectionHeaderRefused
 from rossec.participant.delivery import (
-    NO_WISHES,
-    Wishes,
+    NO_OPTIONS,
+    DeliveryOptions,
+    accepted_options,
     carried_out,
-    requested_wishes,
-    taken_wishes,
-    without_wishes,
+    requested_options,
+    without_options,
 )
 from rossec.ros import tcpros
 
-ALL = Wishes(2.5, newest=True, deflate=True)
+ALL = DeliveryOptions(2.5, newest=True, deflate=True)
 FIELDS = {"rossec_rate": b"2.500", "rossec_newest": b"1", "rossec_deflate": b"1"}
 
 
 def test_a_header_says_them_and_is_read_back() -> None:
     assert ALL.fields == FIELDS
-    assert requested_wishes(tcpros.decode(tcpros.encode(ALL.fields)[4:])) == ALL
-    for wishes in (Wishes(0.001), Wishes(10_000), Wishes(newest=True), Wishes(deflate=True)):
-        assert requested_wishes({"topic": b"/t", **wishes.fields}) == wishes
-        assert bool(wishes)
+    assert requested_options(tcpros.decode(tcpros.encode(ALL.fields)[4:])) == ALL
+    for options in (
+        DeliveryOptions(0.001),
+        DeliveryOptions(10_000),
+        DeliveryOptions(newest=True),
+        DeliveryOptions(deflate=True),
+    ):
+        assert requested_options({"topic": b"/t", **options.fields}) == options
+        assert bool(options)
 
 
-def test_without_wishes_nothing_is_said() -> None:
-    assert NO_WISHES.fields == {}
-    assert not NO_WISHES
-    assert requested_wishes({"topic": b"/t"}) is NO_WISHES
-    assert without_wishes({"topic": b"/t", **FIELDS}) == {"topic": b"/t"}
+def test_without_options_nothing_is_said() -> None:
+    assert NO_OPTIONS.fields == {}
+    assert not NO_OPTIONS
+    assert requested_options({"topic": b"/t"}) is NO_OPTIONS
+    assert without_options({"topic": b"/t", **FIELDS}) == {"topic": b"/t"}
 
 
 def test_a_rate_has_three_decimals() -> None:
-    assert Wishes(1 / 3).rate == 0.333
-    assert Wishes(30).fields == {"rossec_rate": b"30.000"}
+    assert DeliveryOptions(1 / 3).rate == 0.333
+    assert DeliveryOptions(30).fields == {"rossec_rate": b"30.000"}
 
 
 @pytest.mark.parametrize("rate", [0, -1, 0.0009, 10_001, math.nan, math.inf, -math.inf])
 def test_an_absurd_rate_cannot_be_wished(rate: float) -> None:
     with pytest.raises(ConfigurationError, match="a rate of") as caught:
-        Wishes(rate)
+        DeliveryOptions(rate)
     assert "from 0.001 to 10000" in caught.value.hint
 
 
@@ -80,21 +85,21 @@ def test_an_absurd_rate_cannot_be_wished(rate: float) -> None:
 )
 def test_a_rate_that_is_none_is_refused(value: bytes) -> None:
     with pytest.raises(ConnectionHeaderRefused, match="'rossec_rate' is no rate"):
-        requested_wishes({"rossec_rate": value})
+        requested_options({"rossec_rate": value})
 
 
 @pytest.mark.parametrize("key", ["rossec_newest", "rossec_deflate"])
 @pytest.mark.parametrize("value", [b"", b"0", b"true", b"01", b"1\n", b"2"])
 def test_another_value_than_1_is_refused(key: str, value: bytes) -> None:
     with pytest.raises(ConnectionHeaderRefused, match=f"{key!r} is not 1"):
-        requested_wishes({key: value})
+        requested_options({key: value})
 
 
 def test_a_publisher_may_take_some_of_them() -> None:
-    assert taken_wishes({}, ALL) == NO_WISHES
-    assert taken_wishes(FIELDS, ALL) == ALL
-    assert taken_wishes({"rossec_newest": b"1"}, ALL) == Wishes(newest=True)
-    assert taken_wishes({"rossec_rate": b"2.5"}, ALL) == Wishes(2.5)
+    assert accepted_options({}, ALL) == NO_OPTIONS
+    assert accepted_options(FIELDS, ALL) == ALL
+    assert accepted_options({"rossec_newest": b"1"}, ALL) == DeliveryOptions(newest=True)
+    assert accepted_options({"rossec_rate": b"2.5"}, ALL) == DeliveryOptions(2.5)
 
 
 @pytest.mark.parametrize(
@@ -109,12 +114,12 @@ def test_a_publisher_may_take_some_of_them() -> None:
 )
 def test_what_is_filtered_or_withheld_is_not_deflated(restriction: Restriction, deflates: bool) -> None:
     decision: Any = SimpleNamespace(restrictions=(Restriction(rate=2.0), restriction))
-    assert carried_out(ALL, decision) == Wishes(2.5, newest=True, deflate=deflates)
+    assert carried_out(ALL, decision) == DeliveryOptions(2.5, newest=True, deflate=deflates)
     assert carried_out(ALL, SimpleNamespace(restrictions=())) == ALL  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("asked", [NO_WISHES, Wishes(7)])
+@pytest.mark.parametrize("asked", [NO_OPTIONS, DeliveryOptions(7)])
 @pytest.mark.parametrize("key", FIELDS)
-def test_a_publisher_may_take_none_that_was_not_asked(asked: Wishes, key: str) -> None:
+def test_a_publisher_may_take_none_that_was_not_asked(asked: DeliveryOptions, key: str) -> None:
     with pytest.raises(ConnectionHeaderRefused, match="asked"):
-        taken_wishes({key: FIELDS[key]}, asked)
+        accepted_options({key: FIELDS[key]}, asked)

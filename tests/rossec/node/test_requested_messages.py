@@ -1,4 +1,4 @@
-"""What a subscriber does for its wishes by itself, and what it takes from a publisher."""
+"""What a subscriber does for its options by itself, and what it takes from a publisher."""
 
 import asyncio
 import struct
@@ -8,25 +8,25 @@ import pytest
 
 from rossec.errors import ConnectionHeaderRefused, WireError
 from rossec.node import subscriber as module
-from rossec.node.subscriber import WishedMessages, wished_messages
-from rossec.participant.delivery import LARGE, NO_WISHES, Wishes, deflated
+from rossec.node.subscriber import RequestedMessages, requested_messages
+from rossec.participant.delivery import LARGE, NO_OPTIONS, DeliveryOptions, deflated
 
 LIMIT = 1 << 20
-ALL = Wishes(5, newest=True, deflate=True)
+ALL = DeliveryOptions(5, newest=True, deflate=True)
 
 
-def of(asked: Wishes, taken: Wishes) -> WishedMessages:
-    found = wished_messages(asked, taken.fields, LIMIT)
+def of(asked: DeliveryOptions, taken: DeliveryOptions) -> RequestedMessages:
+    found = requested_messages(asked, taken.fields, LIMIT)
     assert found is not None
     return found
 
 
 def test_nothing_is_done_where_nothing_is_left_to_do() -> None:
-    assert wished_messages(NO_WISHES, {}, LIMIT) is None
-    assert wished_messages(Wishes(5, newest=True), Wishes(5).fields, LIMIT) is None
-    assert wished_messages(Wishes(newest=True), {}, LIMIT) is None
+    assert requested_messages(NO_OPTIONS, {}, LIMIT) is None
+    assert requested_messages(DeliveryOptions(5, newest=True), DeliveryOptions(5).fields, LIMIT) is None
+    assert requested_messages(DeliveryOptions(newest=True), {}, LIMIT) is None
     with pytest.raises(ConnectionHeaderRefused, match="not asked to"):
-        wished_messages(Wishes(5), Wishes(5, deflate=True).fields, LIMIT)
+        requested_messages(DeliveryOptions(5), DeliveryOptions(5, deflate=True).fields, LIMIT)
 
 
 async def test_an_older_publishers_messages_come_as_they_are_and_are_thinned_out(
@@ -34,7 +34,7 @@ async def test_an_older_publishers_messages_come_as_they_are_and_are_thinned_out
 ) -> None:
     now = 0.0
     monkeypatch.setattr(module, "monotonic", lambda: now)
-    messages = of(ALL, NO_WISHES)
+    messages = of(ALL, NO_OPTIONS)
     assert await messages.inflated(b"\1as it is") == b"\1as it is"
     passed = 0
     for number in range(100):

@@ -1,4 +1,4 @@
-"""Wishes of a subscriber as an attack: on the grant, on the header, on the receiver, on secrets."""
+"""Delivery options of a subscriber as an attack: on the grant, on the header, on the receiver, on secrets."""
 
 import asyncio
 import contextlib
@@ -26,8 +26,8 @@ from tests.support.site import Site
 from tests.support.wire import joined
 from tests.support.witness import TOPIC, Witness, until
 
-WISHES: Final = {"rossec_rate": "9999.000", "rossec_newest": "1", "rossec_deflate": "1"}
-TAKEN: Final = {key: value for key, value in WISHES.items() if key != "rossec_deflate"}
+OPTIONS: Final = {"rossec_rate": "9999.000", "rossec_newest": "1", "rossec_deflate": "1"}
+TAKEN: Final = {key: value for key, value in OPTIONS.items() if key != "rossec_deflate"}
 BOMB: Final = "/eve/bomb"
 STRING: Final = "std_msgs/String"
 TYPE: Final = "geometry_msgs/PoseStamped"
@@ -35,11 +35,11 @@ TYPE: Final = "geometry_msgs/PoseStamped"
 
 @contextlib.asynccontextmanager
 async def subscribed(
-    site: Site, witness: Witness, taken: dict[str, str], **wishes: str
+    site: Site, witness: Witness, taken: dict[str, str], **options: str
 ) -> AsyncIterator[tuple[SecureStream[Any], FrameReader]]:
-    """A connection of Eve's to the robot's topic with wishes, of which only `taken` are taken."""
+    """A connection of Eve's to the robot's topic with options, of which only `taken` are taken."""
     grants = [path.read_bytes() for path in site.enroll(EVE).path.glob("grants/*")]
-    fields = fields_for(EVE, TOPIC, grants, **wishes)
+    fields = fields_for(EVE, TOPIC, grants, **options)
     own = credentials(site)
     stream = await connect(HOST, witness.topic_port, unlimited(own, accept_any))
     try:
@@ -49,7 +49,7 @@ async def subscribed(
             pass
         answer = tcpros.decode(found[0])
         assert "error" not in answer, answer
-        assert {key: answer[key].decode() for key in wishes if key in answer} == taken
+        assert {key: answer[key].decode() for key in options if key in answer} == taken
         yield stream, frames
     finally:
         stream.abort("heard enough")
@@ -65,32 +65,32 @@ async def heard(stream: SecureStream[Any], frames: FrameReader, seconds: float) 
     return found
 
 
-@pytest.mark.attack("wish-beyond-grant")
+@pytest.mark.attack("option-beyond-grant")
 async def test_no_wish_gives_more_than_the_grant(site: Site, witness: Witness) -> None:
     """Not a higher rate, not the messages that the rate left out, not what a filter took away."""
     rules = filter_rules({"header.frame_id": {"clear": True}})
     site.subscribe(EVE, TOPIC, Restriction(TYPE, (), rules, rate=SELDOM))
-    async with subscribed(site, witness, TAKEN, **WISHES) as (stream, frames):
+    async with subscribed(site, witness, TAKEN, **OPTIONS) as (stream, frames):
         before = witness.sent
         contents = await heard(stream, frames, 1)
         await witness.goes_on()
     assert len(contents) <= 1 < witness.sent - before
     for content in contents:
         assert b"living_room_map" not in content
-    async with subscribed(site, witness, TAKEN, **WISHES) as (stream, frames):
+    async with subscribed(site, witness, TAKEN, **OPTIONS) as (stream, frames):
         assert len(await heard(stream, frames, 1)) + len(contents) == 1, "the key's, as ever"
     await witness.goes_on()
 
 
-@pytest.mark.attack("wish-beyond-grant")
-async def test_wishes_without_a_right_get_nothing(site: Site, witness: Witness) -> None:
-    reply = await send_header(witness.topic_port, credentials(site), fields_for(EVE, TOPIC, [], **WISHES))
+@pytest.mark.attack("option-beyond-grant")
+async def test_delivery_options_without_a_right_get_nothing(site: Site, witness: Witness) -> None:
+    reply = await send_header(witness.topic_port, credentials(site), fields_for(EVE, TOPIC, [], **OPTIONS))
     assert set(reply.fields) == {"error"}
     assert reply.after == b""
     await witness.goes_on()
 
 
-@pytest.mark.attack("wish-malformed")
+@pytest.mark.attack("option-malformed")
 @pytest.mark.parametrize(
     ("key", "value"),
     [
@@ -122,8 +122,8 @@ async def test_the_length_of_a_filtered_message_tells_nothing_on_the_network(
     """Encryption leaves lengths visible, and deflated a coarse cell would be read from them."""
     rules = filter_rules({"header.frame_id": {"clear": True}})
     site.subscribe(EVE, TOPIC, Restriction(TYPE, (), rules))
-    wished = {"rossec_deflate": "1", "rossec_newest": "1"}
-    async with subscribed(site, witness, {"rossec_newest": "1"}, **wished) as (stream, frames):
+    requested = {"rossec_deflate": "1", "rossec_newest": "1"}
+    async with subscribed(site, witness, {"rossec_newest": "1"}, **requested) as (stream, frames):
         contents = await heard(stream, frames, 1)
     assert contents
     assert {len(content) for content in contents} == {struct.calcsize("<IIII7d")}
@@ -198,14 +198,14 @@ BOMBS: Final[dict[str, Callable[[], bytes]]] = {
 
 @contextlib.asynccontextmanager
 async def bombed(
-    site: Site, content: bytes, **wishes: Any
+    site: Site, content: bytes, **options: Any
 ) -> AsyncIterator[tuple[Subscriber, SecureStream[Any]]]:
     """A node subscribes to Eve's topic and is sent `content`; with Eve's end of it."""
     site.publish(EVE, BOMB)
     site.subscribe("/hall", BOMB)
     async with site.node(EVE) as eve, site.node("/hall") as hall:
         publisher = await eve.publisher(BOMB, STRING)
-        subscriber = await hall.subscriber(BOMB, STRING, **wishes)
+        subscriber = await hall.subscriber(BOMB, STRING, **options)
         await publisher.wait_for_subscribers()
         (link,) = publisher.links
         link.stream.write_nowait(struct.pack("<I", len(content)) + content)

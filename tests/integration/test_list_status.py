@@ -32,10 +32,10 @@ async def test_the_authority_learns_when_every_node_has_its_list(tmp_path: Path)
             assert code == 1
             return value
 
-        async def standing(nodes: int, holding: int) -> Any:
+        async def trust_status(nodes: int, holding: int) -> Any:
             async with asyncio.timeout(60):
                 while True:
-                    found = await ask("rossec.revocationStanding")
+                    found = await ask("rossec.revocationStatus")
                     if (found["nodes"], found["holding"]) == (nodes, holding):
                         return found
                     await asyncio.sleep(0.05)
@@ -48,14 +48,14 @@ async def test_the_authority_learns_when_every_node_has_its_list(tmp_path: Path)
             await doctor.subscriber("/pose", POSE)
             with pytest.raises(AnswerRefused):
                 await eve.subscriber("/pose", POSE)
-            before = await standing(3, 3)
+            before = await trust_status(3, 3)
             newest = site.revoke(gone)
             assert (await office("rossec.updateRevocations", newest))[2] == 1
-            after = await standing(3, 3)
+            after = await trust_status(3, 3)
             assert after["list"] != before["list"]
             assert after["lacking"] == []
         ((ago, *denied),) = await ask("rossec.recentDenials")
         assert 0 <= ago < 200
         assert denied == ["/eve", int(Right.SUBSCRIBE), "/pose"]
-        await standing(0, 0)  # nodes that ended are not waited for
+        await trust_status(0, 0)  # nodes that ended are not waited for
         await office.client.close()

@@ -1,8 +1,8 @@
-"""What a subscriber's wishes cost, with publishers of every form, and what deflating saves.
+"""What a subscriber's options cost, with publishers of every form, and what deflating saves.
 
 Real processes on loopback. A publisher sends a message as soon as the last one has arrived, to one
-subscriber at a time: built-in, without wishes or with one of them. A round has every wish in turn,
-so that other load hits all alike; `added_us` is the median of the differences to no wish in the
+subscriber at a time: built-in, without options or with one of them. A round has every option in turn,
+so that other load hits all alike; `added_us` is the median of the differences to no option in the
 same round. No message is thinned out or replaced: the rate is 10,000, and nothing waits.
 `added_cpu_us` is processor time of publisher and subscriber for a message; of a publisher behind a
 sidecar that of the sidecar alone. `bytes` is what a deflated message has left.
@@ -32,7 +32,7 @@ from tests.support.kinds import KINDS, command
 from tests.support.site import Site
 from tests.support.witness import until
 
-WISHES: Final[dict[str, dict[str, Any]]] = {
+OPTIONS: Final[dict[str, dict[str, Any]]] = {
     "none": {},
     "rate": {"rate": 10_000},
     "newest": {"newest": True},
@@ -40,7 +40,7 @@ WISHES: Final[dict[str, dict[str, Any]]] = {
 }
 SIZES: Final = {"100 B": 100, "10 kB": 10_000, "1 MB": 1_000_000}
 MESSAGES: Final = {"100 B": 200, "10 kB": 200, "1 MB": 20}  # of a turn
-_PAUSE: Final = 0.0005  # seconds between messages: below the rate that is wished
+_PAUSE: Final = 0.0005  # seconds between messages: below the rate that is requested
 TYPE: Final = "std_msgs/String"
 _WORDS: Final = "battery 0.87 at x 1.25 y 3.75 in living_room; "  # deflates as state and logs do
 
@@ -103,9 +103,9 @@ async def _end(process: asyncio.subprocess.Process) -> None:
     await process.communicate()
 
 
-async def _turn(node: Node, kind: str, program: Program, size: str, wish: str) -> tuple[float, float]:
+async def _turn(node: Node, kind: str, program: Program, size: str, option: str) -> tuple[float, float]:
     """Seconds for each message until it has arrived, and of processors for it."""
-    subscriber = await node.subscriber(f"/{kind}/bench", TYPE, **WISHES[wish])
+    subscriber = await node.subscriber(f"/{kind}/bench", TYPE, **OPTIONS[option])
     arrived = subscriber.raw()
 
     async def one() -> float:
@@ -137,18 +137,18 @@ async def _sample(folder: Path, seconds: float) -> dict[str, Any]:
         async with site.node("/listener") as node:
             end, rounds = time.monotonic() + seconds, 0
             while rounds < 3 or time.monotonic() < end:
-                wishes = list(WISHES) if rounds % 2 else list(reversed(WISHES))
+                options = list(OPTIONS) if rounds % 2 else list(reversed(OPTIONS))
                 for kind, program in publishers.items():
                     for size in SIZES:
-                        for wish in wishes:
-                            took, used = await _turn(node, kind, program, size, wish)
-                            times[kind, size, wish].append(took)
-                            work[kind, size, wish].append(used)
+                        for option in options:
+                            took, used = await _turn(node, kind, program, size, option)
+                            times[kind, size, option].append(took)
+                            work[kind, size, option].append(used)
                 rounds += 1
     return {
-        "us_without_wishes": _table(times, "none"),
-        "added_us": {wish: _added(times, wish) for wish in WISHES if wish != "none"},
-        "added_cpu_us": {wish: _added(work, wish) for wish in WISHES if wish != "none"},
+        "us_without_options": _table(times, "none"),
+        "added_us": {option: _added(times, option) for option in OPTIONS if option != "none"},
+        "added_cpu_us": {option: _added(work, option) for option in OPTIONS if option != "none"},
         "bytes": {size: _left(count) for size, count in SIZES.items()},
         "rounds": rounds,
     }
@@ -157,15 +157,15 @@ async def _sample(folder: Path, seconds: float) -> dict[str, Any]:
 Samples = dict[tuple[str, str, str], list[float]]
 
 
-def _table(samples: Samples, wish: str) -> dict[str, dict[str, float]]:
+def _table(samples: Samples, option: str) -> dict[str, dict[str, float]]:
     return {
-        kind: {size: round(median(samples[kind, size, wish]) * 1e6, 1) for size in SIZES} for kind in KINDS
+        kind: {size: round(median(samples[kind, size, option]) * 1e6, 1) for size in SIZES} for kind in KINDS
     }
 
 
-def _added(samples: Samples, wish: str) -> dict[str, dict[str, float]]:
+def _added(samples: Samples, option: str) -> dict[str, dict[str, float]]:
     def added(kind: str, size: str) -> float:
-        pairs = zip(samples[kind, size, wish], samples[kind, size, "none"], strict=True)
+        pairs = zip(samples[kind, size, option], samples[kind, size, "none"], strict=True)
         return round(median(one - other for one, other in pairs) * 1e6, 1)
 
     return {kind: {size: added(kind, size) for size in SIZES} for kind in KINDS}

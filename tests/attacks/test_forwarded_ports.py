@@ -1,6 +1,6 @@
-"""A relay that leads connections elsewhere: a door is an address, and no address is trusted.
+"""A relay that leads connections elsewhere: a forwarded port is an address, and no address is trusted.
 
-The slave API that a door leads to is the right one, so that the node goes on to ask for the topic.
+The slave API that a forwarded port leads to is the right one, so that the node goes on to ask for the topic.
 """
 
 import asyncio
@@ -23,12 +23,12 @@ from rossec.ros.names import MASTER, parse_uri
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import EVE, HOST, call, credentials
 from tests.support.contexts import unlimited
-from tests.support.doors import Door, door
+from tests.support.forwarded_ports import ForwardedPort, forwarded_port
 from tests.support.site import Site
 from tests.support.victim import COMMAND, TYPE, attacked
 from tests.support.witness import POSE, TOPIC, Witness, until
 
-pytestmark = pytest.mark.attack("lying-door")
+pytestmark = pytest.mark.attack("lying-forwarded port")
 
 
 @contextlib.asynccontextmanager
@@ -68,8 +68,8 @@ async def plain_port() -> AsyncIterator[int]:
         yield int(server.sockets[0].getsockname()[1])
 
 
-async def led(site: Site, witness: Witness, found: Door) -> type[Exception]:
-    """Let the master name a door besides the true publisher; how the viewer refuses it."""
+async def led(site: Site, witness: Witness, found: ForwardedPort) -> type[Exception]:
+    """Let the master name a forwarded port besides the true publisher; how the viewer refuses it."""
     both = [witness.robot.uri, found.uri]
     own = credentials(site, MASTER)
     told = await call(witness.viewer.uri, own, "publisherUpdate", MASTER, TOPIC, both)
@@ -80,27 +80,29 @@ async def led(site: Site, witness: Witness, found: Door) -> type[Exception]:
     return type(refusals[0])
 
 
-async def test_a_node_without_the_right_is_refused_behind_a_door(site: Site, witness: Witness) -> None:
+async def test_a_node_without_the_right_is_refused_behind_a_forwarded_port(
+    site: Site, witness: Witness
+) -> None:
     api = parse_uri(witness.robot.uri)[1]
     async with false_topic(site, EVE, TOPIC, POSE) as port:
-        with door(api, port) as found:
+        with forwarded_port(api, port) as found:
             assert await led(site, witness, found) is GrantMissing
 
 
-async def test_a_door_does_not_lead_a_node_back_to_itself(site: Site, witness: Witness) -> None:
+async def test_a_forwarded_port_does_not_lead_a_node_back_to_itself(site: Site, witness: Witness) -> None:
     own = parse_uri(witness.viewer.uri)[1]
-    with door(own, own) as found:
+    with forwarded_port(own, own) as found:
         assert await led(site, witness, found) is IdentityRefused
 
 
-async def test_a_plain_program_is_refused_behind_a_door(site: Site, witness: Witness) -> None:
+async def test_a_plain_program_is_refused_behind_a_forwarded_port(site: Site, witness: Witness) -> None:
     async with plain_port() as port:
-        with door(parse_uri(witness.robot.uri)[1], port) as found:
+        with forwarded_port(parse_uri(witness.robot.uri)[1], port) as found:
             assert await led(site, witness, found) is PlainPeer
 
 
 @pytest.mark.ros
-async def test_rospy_refuses_what_a_door_leads_to(tmp_path: Path) -> None:
+async def test_rospy_refuses_what_a_forwarded_port_leads_to(tmp_path: Path) -> None:
     async with attacked(tmp_path) as victim:
         own, site = credentials(victim.site, MASTER), victim.site
         async with (
@@ -113,7 +115,7 @@ async def test_rospy_refuses_what_a_door_leads_to(tmp_path: Path) -> None:
                 (plain, "the peer is a plain ROS node"),
                 (victim.port, "this node's own certificate"),
             ):
-                with door(parse_uri(honest.uri)[1], port) as found:
+                with forwarded_port(parse_uri(honest.uri)[1], port) as found:
                     update = "publisherUpdate", MASTER, COMMAND, [found.uri]
                     assert await call(victim.uri, own, *update) == [1, "", 0]
                     await until(lambda said=said: said in victim.said, within=20)  # type: ignore[misc]
@@ -121,7 +123,7 @@ async def test_rospy_refuses_what_a_door_leads_to(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["without the right", "plain"])
-async def test_a_sidecar_refuses_what_a_door_leads_to(site: Site, kind: str) -> None:
+async def test_a_sidecar_refuses_what_a_forwarded_port_leads_to(site: Site, kind: str) -> None:
     for name, right in (("/talker", Right.PUBLISH), ("/listener", Right.SUBSCRIBE)):
         site.grant(name, right, "/word")
     assert site.master is not None
@@ -133,7 +135,7 @@ async def test_a_sidecar_refuses_what_a_door_leads_to(site: Site, kind: str) -> 
         plain_port() as plain,
     ):
         port = false if kind == "without the right" else plain
-        with door(parse_uri(honest.uri)[1], port) as found:
+        with forwarded_port(parse_uri(honest.uri)[1], port) as found:
             own, grants = credentials(site, "/talker"), site.enroll("/talker").grants()
             for method, *params in (
                 ("rossec.presentGrants", grants),

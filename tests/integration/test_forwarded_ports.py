@@ -1,4 +1,4 @@
-"""Publishers that only a door reaches, as behind a relay: of every form, followed by every form.
+"""Publishers that only a forwarded port reaches, as behind a relay: of every form, followed by every form.
 
 The publishers register and answer an address of their own network, where nothing of theirs is.
 """
@@ -20,8 +20,8 @@ from rossec.channel.opening import WireProtocol
 from rossec.ros.names import MASTER, PORTS, build_uri, parse_uri
 from tests.integration.sidecarworld import ROSSEC, Running
 from tests.support.attacker import call, credentials
-from tests.support.doors import Door, door
 from tests.support.fleet import SECURE, environment
+from tests.support.forwarded_ports import ForwardedPort, forwarded_port
 from tests.support.kinds import KINDS, SPEAKERS, command
 from tests.support.site import Site
 from tests.support.witness import until
@@ -59,10 +59,10 @@ LISTENERS: Final[Mapping[str, str]] = {"inprocess": SECURE + _ROSPY, "builtin": 
 
 @dataclass(frozen=True)
 class Cast:
-    """The doors of the publishers, the ports each told a relay, and who listens."""
+    """The forwarded ports of the publishers, the ports each told a relay, and who listens."""
 
     site: Site
-    doors: Mapping[str, Door]
+    forwarded_ports: Mapping[str, ForwardedPort]
     listeners: Mapping[str, Running]
 
 
@@ -94,7 +94,7 @@ async def named(site: Site, kind: str, uri: str) -> None:
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def cast(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Cast]:
-    directory: Path = tmp_path_factory.mktemp("doors")
+    directory: Path = tmp_path_factory.mktemp("forwarded_ports")
     site = Site(directory / "site")
     for kind in KINDS:
         site.publish(f"/{kind}_speaker", f"/{kind}/*")
@@ -113,29 +113,29 @@ async def cast(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Cast]:
         for kind in KINDS:
             start(kind, SPEAKERS[kind], ROS_IP=ELSEWHERE)
         listeners = {kind: start(kind, LISTENERS[kind], *topics) for kind in KINDS}
-        doors = {}
+        forwarded_ports = {}
         for kind in KINDS:
             uri = await registered(site, f"/{kind}_speaker")
             assert parse_uri(uri)[0] == ELSEWHERE
             answer = await call(uri, relay, PORTS, "/relay")
             assert isinstance(answer, list)
             assert answer[0] == 1, answer
-            doors[kind] = stack.enter_context(door(parse_uri(uri)[1], *answer[2]))
+            forwarded_ports[kind] = stack.enter_context(forwarded_port(parse_uri(uri)[1], *answer[2]))
         for kind, listener in listeners.items():
             await asyncio.to_thread(listener.wait_for, "READY")
-            await named(site, kind, doors[kind].uri)
-        yield Cast(site, doors, listeners)
+            await named(site, kind, forwarded_ports[kind].uri)
+        yield Cast(site, forwarded_ports, listeners)
 
 
 @pytest.mark.parametrize(("source", "sink"), PAIRS, ids=[f"{source}-to-{sink}" for source, sink in PAIRS])
-async def test_a_topic_is_followed_at_the_door(cast: Cast, source: str, sink: str) -> None:
+async def test_a_topic_is_followed_at_the_forwarded_port(cast: Cast, source: str, sink: str) -> None:
     listener = cast.listeners[sink]
     await until(lambda: f"HEARD {source} kept\n" in listener.said, within=30)
-    opened = cast.doors[source].opened
+    opened = cast.forwarded_ports[source].opened
     assert {WireProtocol.HTTP, WireProtocol.TCPROS} == set(opened)
 
 
-async def test_every_form_comes_back_to_the_same_door(cast: Cast) -> None:
+async def test_every_form_comes_back_to_the_same_forwarded_port(cast: Cast) -> None:
     """The other site was out of reach, and the master had nothing new to tell."""
     every = [(each, f"HEARD {kind} kept\n") for each in cast.listeners.values() for kind in KINDS]
 
@@ -143,18 +143,18 @@ async def test_every_form_comes_back_to_the_same_door(cast: Cast) -> None:
         return min(listener.said.count(words) for listener, words in every)
 
     await until(lambda: count() == 1, within=30)
-    for found in cast.doors.values():
+    for found in cast.forwarded_ports.values():
         found.cut()
     await asyncio.sleep(3)  # the first attempts fail
     assert count() == 1
-    for found in cast.doors.values():
+    for found in cast.forwarded_ports.values():
         found.away = False
     await until(lambda: count() == 2, within=60)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 async def test_only_a_relay_is_told_the_ports(cast: Cast, kind: str) -> None:
-    uri = build_uri(*parse_uri(cast.doors[kind].uri))
+    uri = build_uri(*parse_uri(cast.forwarded_ports[kind].uri))
     for name in ("/eve", MASTER):
         answer = await call(uri, credentials(cast.site, name), PORTS, name)
         assert isinstance(answer, list)

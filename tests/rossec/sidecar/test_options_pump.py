@@ -1,4 +1,4 @@
-"""A program's messages for a peer with wishes: after the guard, thinned out, newest, deflated."""
+"""A program's messages for a peer with options: after the guard, thinned out, newest, deflated."""
 
 import asyncio
 import contextlib
@@ -14,12 +14,12 @@ from grants.errors import GrantExpired
 from grants.guard import Guard, Memory
 from grants.model import Restriction, Right
 from rossec.errors import ChannelClosed, WireError
-from rossec.participant.delivery import LARGE, WishedQueue, Wishes, inflated
+from rossec.participant.delivery import LARGE, DeliveryOptions, DeliveryQueue, inflated
 from rossec.ros import tcpros
 from rossec.sidecar import pump
 from rossec.sidecar.core.guards import CopyTracker, MessageGuard
 from rossec.sidecar.loopback_port import PlainStream
-from rossec.sidecar.pump import forward_as_wished, log_end, publish_as_wished
+from rossec.sidecar.pump import forward_by_options, log_end, publish_by_options
 from tests.rossec.sidecar.test_plain_stream import pair
 from tests.rossec.sidecar.test_pump import FakeGuard
 from tests.support.witness import until
@@ -59,7 +59,9 @@ class Peer:
         self.line.set()
 
 
-async def everything(peer: Any, wishes: Wishes, *messages: bytes, guard: MessageGuard | None = None) -> None:
+async def everything(
+    peer: Any, options: DeliveryOptions, *messages: bytes, guard: MessageGuard | None = None
+) -> None:
     """Forward what a program sends that then closes."""
     left, right = pair()
 
@@ -68,9 +70,9 @@ async def everything(peer: Any, wishes: Wishes, *messages: bytes, guard: Message
         await left.close()
 
     closing = asyncio.ensure_future(speak())
-    sender = WishedQueue(peer, wishes)
+    sender = DeliveryQueue(peer, options)
     try:
-        await publish_as_wished(right, peer, guard, tcpros.frame(messages[0]), sender)
+        await publish_by_options(right, peer, guard, tcpros.frame(messages[0]), sender)
     finally:
         right.abort()
         with contextlib.suppress(ChannelClosed):
@@ -82,14 +84,14 @@ async def test_the_rate_counts_what_the_guard_lets_pass() -> None:
     peer = Peer()
     guard: Any = FakeGuard()
     messages = b"x-rated", b"-silent", b"one", b"-silent", b"two", b"three"
-    await everything(peer, Wishes(0.001), *messages, guard=guard)
+    await everything(peer, DeliveryOptions(0.001), *messages, guard=guard)
     assert (peer.received, peer.closed, peer.limited) == ([b"one", b"two"], 1, 0)
 
 
 @pytest.mark.parametrize("size", [0, 70, LARGE - 1, LARGE, 5 * LARGE])
 async def test_messages_are_deflated(size: int) -> None:
     peer = Peer()
-    await everything(peer, Wishes(deflate=True), bytes(size), b"two")
+    await everything(peer, DeliveryOptions(deflate=True), bytes(size), b"two")
     assert [inflated(content, 1 << 20) for content in peer.received] == [bytes(size), b"two"]
 
 
@@ -97,7 +99,7 @@ async def test_a_program_waits_for_a_slow_peer_and_nothing_is_missed() -> None:
     peer = Peer()
     peer.line.clear()
     messages = [bytes([number]) * 500_000 for number in range(20)]
-    running = asyncio.ensure_future(everything(peer, Wishes(deflate=True), *messages))
+    running = asyncio.ensure_future(everything(peer, DeliveryOptions(deflate=True), *messages))
     for _ in range(1000):
         await asyncio.sleep(0)
     assert peer.received == []
@@ -113,8 +115,8 @@ async def test_of_what_waits_only_the_newest_is_sent() -> None:
     messages = [b"%d" % number + bytes(300_000) for number in range(50)]
     left, right = pair()
     stream: Any = peer
-    sender = WishedQueue(stream, Wishes(newest=True))
-    running = asyncio.ensure_future(publish_as_wished(right, stream, None, b"", sender))
+    sender = DeliveryQueue(stream, DeliveryOptions(newest=True))
+    running = asyncio.ensure_future(publish_by_options(right, stream, None, b"", sender))
     for message in messages:
         await left.send(tcpros.frame(message))
     closing = asyncio.ensure_future(left.close())
@@ -133,11 +135,11 @@ def limited(rate: float) -> Guard:
 
 @contextlib.asynccontextmanager
 async def forwarding(
-    peer: Any, wishes: Wishes, guard: MessageGuard | None
-) -> AsyncIterator[tuple[PlainStream, WishedQueue]]:
+    peer: Any, options: DeliveryOptions, guard: MessageGuard | None
+) -> AsyncIterator[tuple[PlainStream, DeliveryQueue]]:
     left, right = pair()
-    sender = WishedQueue(peer, wishes)
-    work = asyncio.gather(sender.run(), forward_as_wished(right, "/viewer", guard, b"", sender))
+    sender = DeliveryQueue(peer, options)
+    work = asyncio.gather(sender.run(), forward_by_options(right, "/viewer", guard, b"", sender))
     try:
         yield left, sender
     finally:
@@ -152,7 +154,7 @@ async def test_a_peer_that_lags_misses_what_a_guard_with_state_would_check() -> 
     """And costs no token: what is missed was not checked."""
     peer: Any = Peer()
     with CopyTracker().share(limited(2.0), 0, latching=False) as (shared, _):
-        async with forwarding(peer, Wishes(deflate=True), shared) as (left, sender):
+        async with forwarding(peer, DeliveryOptions(deflate=True), shared) as (left, sender):
             await left.send(tcpros.frame(b"one"))
             await until(lambda: peer.received)
             peer.lags = True
@@ -171,7 +173,7 @@ async def test_the_newest_only_is_no_way_around_a_rate_of_the_grant() -> None:
     peer: Any = Peer()
     peer.line.clear()
     with CopyTracker().share(limited(2.0), 0, latching=False) as (shared, _):
-        async with forwarding(peer, Wishes(newest=True), shared) as (left, sender):
+        async with forwarding(peer, DeliveryOptions(newest=True), shared) as (left, sender):
             for number in range(40):
                 await left.send(tcpros.frame(b"%d" % number))
             await until(lambda: sender._queue)
@@ -185,7 +187,7 @@ async def test_the_newest_only_is_no_way_around_a_rate_of_the_grant() -> None:
 
 async def test_what_is_withheld_is_not_sent() -> None:
     peer: Any = Peer()
-    sender = WishedQueue(peer, Wishes(newest=True))
+    sender = DeliveryQueue(peer, DeliveryOptions(newest=True))
     await sender.idle()
     assert not sender.lags
     sender.enqueue([b""])
@@ -197,7 +199,7 @@ async def test_the_end_of_a_grant_ends_it(caplog: pytest.LogCaptureFixture) -> N
     peer = Peer()
     guard: Any = FakeGuard(expired=True)
     with log_end("/viewer"):
-        await everything(peer, Wishes(newest=True), b"one", guard=guard)
+        await everything(peer, DeliveryOptions(newest=True), b"one", guard=guard)
     assert f"the connection with /viewer ended: {GrantExpired('the grant has expired')}" in (caplog.messages)
     assert peer.received == []
 
@@ -208,5 +210,5 @@ async def test_a_message_above_the_limit_ends_both_connections(
     monkeypatch.setattr(pump, "FrameReader", lambda: tcpros.FrameReader(10))
     caplog.set_level(logging.INFO)
     with log_end("/viewer"):
-        await everything(Peer(), Wishes(deflate=True), bytes(11))
+        await everything(Peer(), DeliveryOptions(deflate=True), bytes(11))
     assert str(WireError("a frame of 11 bytes, at most 10 allowed")) in caplog.text

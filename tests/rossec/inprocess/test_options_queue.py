@@ -1,4 +1,4 @@
-"""A subscriber of rospy with wishes: thinned out, the newest only, deflated once for all."""
+"""A subscriber of rospy with options: thinned out, the newest only, deflated once for all."""
 
 import socket
 import struct
@@ -8,7 +8,7 @@ import pytest
 
 from rossec.channel.tuning import UNSENT
 from rossec.participant import delivery
-from rossec.participant.delivery import LARGE, NO_WISHES, Wishes, deflated
+from rossec.participant.delivery import LARGE, NO_OPTIONS, DeliveryOptions, deflated
 from tests.support.rosconnection import transport
 from tests.support.witness import until
 
@@ -18,9 +18,9 @@ send_queue = pytest.importorskip("rossec.inprocess.publishing")
 wish_queue = pytest.importorskip("rossec.inprocess.publishing")
 
 
-def connection(wishes: Wishes) -> Any:
+def connection(options: DeliveryOptions) -> Any:
     made = transport()
-    made.socket.wishes = wishes
+    made.socket.options = options
     made.socket.options = []
     made.socket.setsockopt = lambda *option: made.socket.options.append(option)
     return made
@@ -35,8 +35,8 @@ def sent(made: Any) -> bytes:
 
 
 def test_only_a_subscriber_with_wishes_has_such_a_queue() -> None:
-    for wishes, kind in ((NO_WISHES, send_queue.SendQueue), (Wishes(5), wish_queue.WishQueue)):
-        made = connection(wishes)
+    for options, kind in ((NO_OPTIONS, send_queue.SendQueue), (DeliveryOptions(5), wish_queue.OptionsQueue)):
+        made = connection(options)
         queue = wish_queue.queue_for(made, 3)
         made.close()
         queue._thread.join(30)
@@ -45,7 +45,7 @@ def test_only_a_subscriber_with_wishes_has_such_a_queue() -> None:
 
 
 async def test_the_rate_takes_messages_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = connection(Wishes(1.0))
+    made = connection(DeliveryOptions(1.0))
     queue = wish_queue.queue_for(made, 0)
     now = 0.0
     monkeypatch.setattr(wish_queue.time, "monotonic", lambda: now)
@@ -61,7 +61,7 @@ async def test_the_rate_takes_messages_away(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.mark.parametrize("newest", [True, False])
 async def test_of_what_waits_only_the_newest_is_sent(newest: bool) -> None:
-    made = connection(Wishes(newest=newest, deflate=not newest))
+    made = connection(DeliveryOptions(newest=newest, deflate=not newest))
     queue = wish_queue.queue_for(made, 100)
     made.socket.gate.clear()
     queue.write_data(framed(b"first"))
@@ -87,7 +87,7 @@ async def test_a_message_is_deflated_once_for_all(size: int, monkeypatch: pytest
         return deflated(pieces)
 
     monkeypatch.setattr(delivery, "deflated", count)
-    many = [connection(Wishes(deflate=True)) for _ in range(3)]
+    many = [connection(DeliveryOptions(deflate=True)) for _ in range(3)]
     queues = [wish_queue.queue_for(made, 10) for made in many]
     for made in many:
         made.socket.gate.clear()
@@ -107,7 +107,7 @@ async def test_a_message_is_deflated_once_for_all(size: int, monkeypatch: pytest
 
 async def test_an_error_is_raised_by_the_next_call() -> None:
     exceptions = pytest.importorskip("rospy.exceptions")
-    made = connection(Wishes(newest=True))
+    made = connection(DeliveryOptions(newest=True))
     queue = wish_queue.queue_for(made, 1)
     made.socket.error = OSError("gone")
     queue.write_data(framed(b"one"))

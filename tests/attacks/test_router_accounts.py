@@ -1,4 +1,4 @@
-"""Somebody with a seat at a real router wants more: to read others' mailboxes, or to find them.
+"""Somebody with an account at a real router wants more: to read others' inboxes, or to find them.
 
 The attacker uses Zenoh itself, as any customer can, in every mode that it has.
 """
@@ -24,7 +24,7 @@ from tests.support.overlay import until
 from tests.support.ports import free_port
 from tests.support.routerprocess import RouterProcess, home_with, running
 
-pytestmark = pytest.mark.attack("router-seats")
+pytestmark = pytest.mark.attack("router-accounts")
 
 BOX = "0123456789abcdef" * 2
 HOME = f"rossec/1/home/{BOX}"
@@ -35,7 +35,7 @@ MODES = ("client", "peer", "router")
 
 @pytest.fixture
 def home(tmp_path: Path) -> Iterator[RouterHome]:
-    """A router where home, a clinic and an attacker have seats."""
+    """A router where home, a clinic and an attacker have accounts."""
     made = home_with(tmp_path / "router", "home", "clinic", "evil", protocol="tcp")
     with running(made):
         yield made
@@ -44,7 +44,7 @@ def home(tmp_path: Path) -> Iterator[RouterHome]:
 @pytest.fixture
 async def pair(home: RouterHome) -> AsyncIterator[tuple[Carrier, Carrier]]:
     """The relays of home and of the clinic."""
-    opened = [await Carrier.open(home.seat_file(seat)) for seat in ("home", "clinic")]
+    opened = [await Carrier.open(home.account_file(account)) for account in ("home", "clinic")]
     yield opened[0], opened[1]
     for each in opened:
         await each.close()
@@ -52,8 +52,8 @@ async def pair(home: RouterHome) -> AsyncIterator[tuple[Carrier, Carrier]]:
 
 @contextmanager
 def attacker(home: RouterHome, mode: str) -> Iterator[Any]:
-    """A session of the seat `evil`."""
-    session = open_session({**client_settings(home.seat_file("evil")), "mode": mode})
+    """A session of the account `evil`."""
+    session = open_session({**client_settings(home.account_file("evil")), "mode": mode})
     try:
         yield session
     finally:
@@ -77,9 +77,7 @@ async def exchange(pair: tuple[Carrier, Carrier]) -> None:
 
 
 @pytest.mark.parametrize("mode", MODES)
-async def test_it_reads_mailboxes_of_others(
-    home: RouterHome, pair: tuple[Carrier, Carrier], mode: str
-) -> None:
+async def test_it_reads_inboxes_of_others(home: RouterHome, pair: tuple[Carrier, Carrier], mode: str) -> None:
     got: list[str] = []
     with attacker(home, mode) as session:
         for key in (HOME, CLINIC, *PATTERNS):
@@ -91,7 +89,7 @@ async def test_it_reads_mailboxes_of_others(
 
 
 @pytest.mark.parametrize("mode", MODES)
-async def test_it_asks_which_mailboxes_there_are(
+async def test_it_asks_which_inboxes_there_are(
     home: RouterHome, pair: tuple[Carrier, Carrier], mode: str
 ) -> None:
     """Zenoh tells a publisher whether anybody reads what it publishes, also for a pattern."""
@@ -116,7 +114,7 @@ async def test_it_asks_which_mailboxes_there_are(
 
 
 @pytest.mark.parametrize("mode", MODES)
-async def test_it_sends_to_mailboxes_that_it_does_not_know(
+async def test_it_sends_to_inboxes_that_it_does_not_know(
     home: RouterHome, pair: tuple[Carrier, Carrier], mode: str
 ) -> None:
     alice, bob = pair
@@ -157,8 +155,8 @@ async def test_it_takes_the_identifier_of_another_session(
 ) -> None:
     """While the other is connected, and when it is gone."""
     got: list[str] = []
-    taken = {**client_settings(home.seat_file("evil")), "id": "abad1dea"}
-    with open_session({**client_settings(home.seat_file("home")), "id": "abad1dea"}):
+    taken = {**client_settings(home.account_file("evil")), "id": "abad1dea"}
+    with open_session({**client_settings(home.account_file("home")), "id": "abad1dea"}):
         with pytest.raises(OverlayUnavailable):
             await asyncio.to_thread(open_session, taken)
         await exchange(pair)
@@ -178,10 +176,10 @@ async def test_it_claims_to_be_the_shortest_way_between_two_routers(tmp_path: Pa
     two.tell(listen=(f"tls/127.0.0.1:{free_port()}",))
     ways = [each.settings().listen[0] for each in (one, two)]
     with running(one), running(two):
-        seats = one.seat_file("home"), replace(one.seat_file("clinic"), locators=(ways[1],))
-        alice, bob = opened = [await Carrier.open(each) for each in seats]
+        accounts = one.account_file("home"), replace(one.account_file("clinic"), locators=(ways[1],))
+        alice, bob = opened = [await Carrier.open(each) for each in accounts]
         await exchange((alice, bob))
-        evil = client_settings(replace(one.seat_file("evil"), locators=tuple(ways)))
+        evil = client_settings(replace(one.account_file("evil"), locators=tuple(ways)))
         evil |= {"mode": "router", "connect/timeout_ms": -1, "connect/exit_on_failure": False}
         zids: list[str] = []
 
@@ -201,10 +199,10 @@ async def test_it_claims_to_be_the_shortest_way_between_two_routers(tmp_path: Pa
             await each.close()
 
 
-@pytest.mark.parametrize("seat", ["clinic", "nobody", "_router"])
-async def test_it_guesses_a_password(home: RouterHome, seat: str) -> None:
-    known = home.seat_file("evil")
-    guess = {**client_settings(known), "transport/auth/usrpwd/user": seat}
+@pytest.mark.parametrize("account", ["clinic", "nobody", "_router"])
+async def test_it_guesses_a_password(home: RouterHome, account: str) -> None:
+    known = home.account_file("evil")
+    guess = {**client_settings(known), "transport/auth/usrpwd/user": account}
     with pytest.raises(OverlayUnavailable):
         await asyncio.to_thread(open_session, guess)
     nothing = {path: each for path, each in guess.items() if "usrpwd" not in path}
@@ -213,19 +211,19 @@ async def test_it_guesses_a_password(home: RouterHome, seat: str) -> None:
 
 
 async def test_it_takes_the_place_of_a_router(tmp_path: Path) -> None:
-    """A relay gives its seat to nobody that the operator's authority did not certify."""
+    """A relay gives its account to nobody that the operator's authority did not certify."""
     real, fake = home_with(tmp_path / "real", "home"), home_with(tmp_path / "fake", "home")
     with running(fake):
-        found = real.seat_file("home")
-        there = Routers(fake.settings().listen, found.seat, found.password, found.root_certificate)
-        with pytest.raises(OverlayUnavailable, match="no router takes the seat"):
+        found = real.account_file("home")
+        there = Routers(fake.settings().listen, found.account, found.password, found.root_certificate)
+        with pytest.raises(OverlayUnavailable, match="no router takes the account"):
             await Carrier.open(there)
 
 
-async def test_the_routers_log_and_administration_name_no_mailbox(tmp_path: Path) -> None:
+async def test_the_routers_log_and_administration_name_no_inbox(tmp_path: Path) -> None:
     router = RouterProcess(home_with(tmp_path / "router", "home", "clinic", "evil"))
     await router.start(RUST_LOG="trace", PYTHONDEVMODE="1")
-    opened = [await Carrier.open(router.routers(seat)) for seat in ("home", "clinic")]
+    opened = [await Carrier.open(router.routers(account)) for account in ("home", "clinic")]
     alice, bob = opened
     await exchange((alice, bob))
     with attacker(router.home, "client") as session:

@@ -1,4 +1,4 @@
-"""Wishes between nodes over real sockets: taken, refused, and unknown to an older peer."""
+"""DeliveryOptions between nodes over real sockets: taken, refused, and unknown to an older peer."""
 
 import asyncio
 from typing import Any, Final
@@ -10,7 +10,7 @@ from rossec.errors import ConfigurationError, ConnectionHeaderRefused
 from rossec.node import Node, Publisher, node
 from rossec.node import subscriber as subscribing
 from rossec.participant import handshakes
-from rossec.participant.delivery import NO_WISHES, WishedQueue, Wishes
+from rossec.participant.delivery import NO_OPTIONS, DeliveryOptions, DeliveryQueue
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -53,11 +53,11 @@ async def test_deflated_messages_arrive_as_they_were_sent(site: Site) -> None:
         say(publisher, *WORDS)
         assert await heard(subscriber, 5) == WORDS
         (queue,) = publisher.links.values()
-        assert isinstance(queue, WishedQueue)
+        assert isinstance(queue, DeliveryQueue)
 
 
 async def test_what_is_filtered_is_not_deflated(site: Site) -> None:
-    """Its length would tell what the filter left; the wish is not taken, and messages come."""
+    """Its length would tell what the filter left; the option is not taken, and messages come."""
     rules = filter_rules({"data": {"truncate": {"length": 1}}})
     robot, viewer = prepare(site, Restriction(TYPE, (), rules))
     async with robot, viewer:
@@ -65,7 +65,7 @@ async def test_what_is_filtered_is_not_deflated(site: Site) -> None:
         subscriber = await viewer.subscriber(TOPIC, TYPE, deflate=True, newest=True)
         await publisher.wait_for_subscribers()
         (queue,) = publisher.links.values()
-        assert isinstance(queue, WishedQueue)
+        assert isinstance(queue, DeliveryQueue)
         assert (queue.newest, queue._deflate, queue._rate) == (True, False, None)
         say(publisher, WORDS[3])
         assert await heard(subscriber, 1) == ["3"]
@@ -80,12 +80,12 @@ async def test_a_rate_is_kept_by_the_publisher(site: Site) -> None:
         say(publisher, "one", "two", *WORDS)
         assert await heard(subscriber, 2) == ["one", "two"]
         (queue,) = publisher.links.values()
-        assert isinstance(queue, WishedQueue)
+        assert isinstance(queue, DeliveryQueue)
         assert queue.thinned == 5
 
 
 async def test_an_older_publisher_ignores_them(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(node, "requested_wishes", lambda _: NO_WISHES)
+    monkeypatch.setattr(node, "requested_options", lambda _: NO_OPTIONS)
     robot, viewer = prepare(site)
     async with robot, viewer:
         publisher = await publishing(robot)
@@ -94,13 +94,13 @@ async def test_an_older_publisher_ignores_them(site: Site, monkeypatch: pytest.M
         say(publisher, "one", "two", *WORDS)
         assert await heard(subscriber, 2) == ["one", "two"]
         (queue,) = publisher.links.values()
-        assert not isinstance(queue, WishedQueue)
+        assert not isinstance(queue, DeliveryQueue)
 
 
 async def test_a_publisher_that_does_what_was_not_asked_is_refused(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(node, "requested_wishes", lambda _: Wishes(deflate=True))
+    monkeypatch.setattr(node, "requested_options", lambda _: DeliveryOptions(deflate=True))
     robot, viewer = prepare(site)
     async with robot, viewer:
         await publishing(robot)
