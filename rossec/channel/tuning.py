@@ -36,5 +36,5 @@ gained."""
 HIGH_WATER: Final = 64 * 1024
 """Above so many bytes that the kernel did not take a writer waits."""
 UNSENT: Final = 16 * 1024
-"""Above so many bytes that the kernel has not sent yet it takes no more for a receiver that asked for the newest
-message only: its own buffer would hold seconds of a slow line."""
+"""Above so many bytes that the kernel has not sent yet it takes no more for a receiver that asked for the
+newest message only: its own buffer would hold seconds of a slow line."""

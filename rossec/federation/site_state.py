@@ -1,9 +1,9 @@
 """What following another master goes through, and what its answers mean. Pure.
 
-Facts of a site that fell silent stay for a minute, marked: a master that restarts, or a link that
-comes back, disturbs nobody. What the site refuses, and what was removed here, goes at once. Nothing
-here cuts a connection between nodes: they judge each other without any master. An answer may come
-in parts, which are taken over together; an empty one says that nothing has changed.
+Facts of a site that fell silent stay for a minute, marked: a master that restarts, or a link that comes back,
+disturbs nobody. What the site refuses, and what was removed here, goes at once. Nothing here cuts a
+connection between nodes: they judge each other without any master. An answer may come in parts, which are
+taken over together; an empty one says that nothing has changed.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -238,9 +238,9 @@ FindForwardedPort = Callable[[Target], ForwardedPort | None]
 class ForwardedPortFacts:
     """What one site says, as far as it concerns addresses; `peer`: the relay's label of the site."""
 
-    # A node or service has no address here until its forwarded port is open, and another one when the relay was started
-    # again; a forwarded port that is gone counts until there is another, or each restart of the relay would take all
-    # publishers from their subscribers for a moment.
+    # A node or service has no address here until its forwarded port is open, and another one when the relay
+    # was started again; a forwarded port that is gone counts until there is another, or each restart of the
+    # relay would take all publishers from their subscribers for a moment.
     def __init__(self, peer: str, find: FindForwardedPort) -> None:
         self._peer = peer
         self._find = find

@@ -2,8 +2,8 @@
 
     kind(1) link(16) offset(8) received(8) limit(8) body
 
-Every frame says how far the sender of it has received, and how far it may be sent to. Nothing in it
-is authenticated: the bytes that it carries are, inside. An inbox is `rossec/1/<account>/<box>`: its key has no
+Every frame says how far the sender of it has received, and how far it may be sent to. Nothing in it is
+authenticated: the bytes that it carries are, inside. An inbox is `rossec/1/<account>/<box>`: its key has no
 name, label, domain or topic in it.
 """
 

@@ -73,8 +73,9 @@ class Router:
         return 0 if self._session is None else len(self._session.info.routers_zid())
 
     async def _take_over(self) -> None:
-        # Begin anew if accounts changed, if the certificate may be old, or if it is not listening: Zenoh reads
-        # its users, rules and certificate once. It takes less than a second, which links of relays survive.
+        # Begin anew if accounts changed, if the certificate may be old, or if it is not listening: Zenoh
+        # reads its users, rules and certificate once. It takes less than a second, which links of relays
+        # survive.
         due = asyncio.get_running_loop().time() >= self._certificate_due
         if self._session is not None and not due:
             version = self._home.accounts_version()

@@ -1,10 +1,10 @@
 """How a subscriber is sent messages: its options, the latched message, and what is said of withheld ones.
 
-Fields of the connection header (docs/spec/transport.md section 2.1): the subscriber's say what it asks for, the
-answer's what this publisher carries out; one that knows none ignores them all. A delivery option never gives more than
-the grant: guards come first, and what they let through is thinned out, kept back or made smaller; what is
-filtered or withheld is never deflated. What programs write into these fields is not passed on: an agent that
-forwards bytes could not read what came of it.
+Fields of the connection header (docs/spec/transport.md section 2.1): the subscriber's say what it asks for,
+the answer's what this publisher carries out; one that knows none ignores them all. A delivery option never
+gives more than the grant: guards come first, and what they let through is thinned out, kept back or made
+smaller; what is filtered or withheld is never deflated. What programs write into these fields is not passed
+on: an agent that forwards bytes could not read what came of it.
 """
 
 import asyncio
@@ -110,8 +110,8 @@ def requested_options(fields: Mapping[str, bytes]) -> DeliveryOptions:
 def carried_out(options: DeliveryOptions, decision: Decision) -> DeliveryOptions:
     """What a publisher carries out for a right: nothing filtered, withheld or padded is deflated.
 
-    Encryption leaves the length of a message visible. That of a filtered one has few values, and
-    deflated it depends on them: whoever sees the network, without any grant, would read the cell.
+    Encryption leaves the length of a message visible. That of a filtered one has few values, and deflated it
+    depends on them: whoever sees the network, without any grant, would read the cell.
     """
     restrictions = decision.restrictions
     if any(each.filters or each.conditions or each.slot or each.pad for each in restrictions):
@@ -235,8 +235,8 @@ class Deflatable:
 class SharedDeflation:
     """Gives the receivers of one filtered message the same `Deflatable`.
 
-    It keeps a small one until the next message: it may be sent before it is queued for the next
-    receiver. A large one takes longer than that, and its memory is freed with the last receiver.
+    It keeps a small one until the next message: it may be sent before it is queued for the next receiver. A
+    large one takes longer than that, and its memory is freed with the last receiver.
     """
 
     def __init__(self) -> None:

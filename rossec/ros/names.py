@@ -1,9 +1,9 @@
 """ROS names as programs write them, and a program's settings from command line and environment. Pure.
 
-Names are relative, private or global, resolved against a node's name. The syntax of a complete name
-is `ca.names`'s; here is only the resolution, equal to `rosgraph.names` so that stock callers get the
-names they expect. Common mistakes in settings are refused here with their remedy, before they
-surface as "connection refused".
+Names are relative, private or global, resolved against a node's name. The syntax of a complete name is
+`ca.names`'s; here is only the resolution, equal to `rosgraph.names` so that stock callers get the names they
+expect. Common mistakes in settings are refused here with their remedy, before they surface as "connection
+refused".
 """
 
 import ipaddress
@@ -183,9 +183,9 @@ def build_uri(host: str, port: int, *, scheme: str = "http") -> str:
 
 
 def is_forwarded_port(uri: str) -> bool:
-    # Whether a slave API's URI is a relay's forwarded port: `http://host:port/via`. At a forwarded port the node's TCPROS
-    # connections are accepted too, so the address in its answer to `requestTopic` is not used: it is one of
-    # the node's own network.
+    # Whether a slave API's URI is a relay's forwarded port: `http://host:port/via`. At a forwarded port the
+    # node's TCPROS connections are accepted too, so the address in its answer to `requestTopic` is not used:
+    # it is one of the node's own network.
     try:
         return urlsplit(uri).path == FORWARDED_PORT_PATH
     except ValueError:

@@ -200,9 +200,9 @@ class CommandExecutor:
         return self._services.open_egress(remote)
 
     def _no_answer(self, remote: layers.ListeningAddress) -> int:
-        # The port of a peer that does not answer: it refuses callers, as that of a dead node.
-        # One behind a forwarded port may be out of reach for a while, and programs that were refused never try again:
-        # they are admitted and hung up on.
+        # The port of a peer that does not answer: it refuses callers, as that of a dead node. One behind a
+        # forwarded port may be out of reach for a while, and programs that were refused never try again: they
+        # are admitted and hung up on.
         services = self._services
         return services.open_egress(remote) if remote.forwarded_port else services.refuse_egress(remote)
 

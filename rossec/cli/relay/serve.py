@@ -35,8 +35,8 @@ _log = logging.getLogger("rossec.overlay")
 def run(environment: Environment, forwarded_ports: str, account_file: Path | None, *, as_json: bool) -> None:
     """Run the relay of this host.
 
-    Without an address of `forwarded_ports` they are on loopback, for this user. `account_file` is used instead of
-    the account that is kept.
+    Without an address of `forwarded_ports` they are on loopback, for this user. `account_file` is used
+    instead of the account that is kept.
     """
     store = relay_files(environment)
     store.home.anchor()  # before anything is written there

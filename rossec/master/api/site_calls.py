@@ -1,11 +1,11 @@
 """The calls of other masters and of the own relays. Pure (docs/spec/multimaster.md).
 
 `rossec.followSite` is answered with what is registered at this master itself, never with what is
-imported: a fact travels one hop, so no loop can arise. A master of the own domain is shown every
-fact, as it is trusted for addresses; anybody else what it has `graph` on, a foreigner only what is
-exported to its domain. A relay connects for another site to what `rossec.relayTarget` answers and
-to nothing else: what is registered here and shown to that site's domain. A name that is unknown and
-one that is not shown are refused alike, as the other relay may ask for any.
+imported: a fact travels one hop, so no loop can arise. A master of the own domain is shown every fact, as it
+is trusted for addresses; anybody else what it has `graph` on, a foreigner only what is exported to its
+domain. A relay connects for another site to what `rossec.relayTarget` answers and to nothing else: what is
+registered here and shown to that site's domain. A name that is unknown and one that is not shown are refused
+alike, as the other relay may ask for any.
 """
 
 import hashlib
@@ -27,7 +27,10 @@ MAX_PATTERNS: Final = 64  # wanted, with a wildcard before their end: each costs
 # The answer after a wait without a change; short, as there are many in a silent mesh
 UNCHANGED: Final[tuple[int, str, dict[str, object]]] = (1, "", {})
 _KINDS: Final = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
-_UNREACHABLE: Final = "a relay on another host than the master needs forwarded ports that others reach: rossec relay --bind ADDRESS"
+_UNREACHABLE: Final = (
+    "a relay on another host than the master needs forwarded ports that others reach:"
+    " rossec relay --bind ADDRESS"
+)
 _ANOTHER: Final = (
     "another relay with this name has come since: end one of them, "
     "or give it a name of its own (rossec relay --name /relay/attic)"

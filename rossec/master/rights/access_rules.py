@@ -1,9 +1,9 @@
 """Which right each master call needs, and what a caller may see. Pure, default deny.
 
-The table is the whole policy of the master: a method that is not in it is refused. Rights come from
-grants; which of them are valid now is decided before (`held_grants`). A refusal names the missing
-right and does not reveal whether the name exists: for a caller that may not see a name, the answer
-is the same as if it did not exist.
+The table is the whole policy of the master: a method that is not in it is refused. Rights come from grants;
+which of them are valid now is decided before (`held_grants`). A refusal names the missing right and does not
+reveal whether the name exists: for a caller that may not see a name, the answer is the same as if it did not
+exist.
 """
 
 from collections.abc import Callable, Mapping
@@ -140,7 +140,9 @@ class AccessControl:
         self._graph = graph
         self._registry = graph.registry
         self._master = master  # the master's own certified name; ADMIN is a right on this name
-        self._is_forwarded_port = is_forwarded_port  # whether a relay of this site has a forwarded port at a place: no node is there
+        self._is_forwarded_port = (
+            is_forwarded_port  # whether a relay of this site has one here: no node is there
+        )
 
     def acting_caller(self, method: str, caller: Caller, caller_id: str) -> Caller:
         """The caller as the node `caller_id`: itself, or a node whose registrations it cleans up."""
@@ -260,9 +262,9 @@ def _require_free(registry: Registry, caller: Caller, uri: str) -> None:
 
 
 def _require_foreign_address(registry: Registry, caller: Caller, uri: str, *, is_local: bool) -> None:
-    # Raise `Refused` for an address that a foreigner, slave API or service, cannot have.
-    # One that is registered here as either, and one that a node of another network cannot have: a link-local
-    # one names another machine in each network.
+    # Raise `Refused` for an address that a foreigner, slave API or service, cannot have. One that is
+    # registered here as either, and one that a node of another network cannot have: a link-local one names
+    # another machine in each network.
     _require_free(registry, caller, uri)
     for node in registry.providers_at(endpoint(uri)):
         if node.name != caller.name:
@@ -281,12 +283,11 @@ def require_capacity(registry: Registry, kind: Kind, key: str, node: NodeRef) ->
         raise Refused(f"the identity of {node.name} has {registry.nodes_limit} nodes, the limit of one key")
 
 
-# Rights on aliases by what a gateway serves: by the served name, from own grants alone.
-# Who holds `subscribe` on `/gateway/LABEL/t` may subscribe `/remote/LABEL/t`, and is told the gateway
-# and nothing of the origin: neither its publishers nor its nodes. A right at the origin is another
-# one, and neither stands for the other (docs/spec/gateway.md). It ends with the trust in the domain
-# that the label stands for. A gateway itself is the origin's receiver: to it an alias is the origin's
-# alone, or it could forward to itself.
+# Rights on aliases by what a gateway serves: by the served name, from own grants alone. Who holds `subscribe`
+# on `/gateway/LABEL/t` may subscribe `/remote/LABEL/t`, and is told the gateway and nothing of the origin:
+# neither its publishers nor its nodes. A right at the origin is another one, and neither stands for the other
+# (docs/spec/gateway.md). It ends with the trust in the domain that the label stands for. A gateway itself is
+# the origin's receiver: to it an alias is the origin's alone, or it could forward to itself.
 
 
 def is_own_gateway(caller: Caller) -> bool:

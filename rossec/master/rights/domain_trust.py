@@ -1,9 +1,9 @@
 """Foreign domains as the master knows them: the list of domains, and their revocations. Pure.
 
-The master relays what other authorities say, and judges its own callers by it. A foreigner connects
-only while its domain's revocations are fresh; a connection that stands ends `GRACE` seconds after
-they are stale. What is known to be revoked ends at once. For grants staleness does not count here:
-nodes judge each other at every connection, and the master gives no more than addresses.
+The master relays what other authorities say, and judges its own callers by it. A foreigner connects only
+while its domain's revocations are fresh; a connection that stands ends `GRACE` seconds after they are stale.
+What is known to be revoked ends at once. For grants staleness does not count here: nodes judge each other at
+every connection, and the master gives no more than addresses.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -87,8 +87,8 @@ class DomainTrust:
     def take(
         self, domain: str, revocations: bytes, timestamp: bytes, chain: Sequence[bytes], now: int
     ) -> None:
-        # Arguments and errors as `TrustStatus.take_foreign`.
-        # A valid list is in force even if the timestamp is refused: `generation` has grown then.
+        # Arguments and errors as `TrustStatus.take_foreign`. A valid list is in force even if the timestamp
+        # is refused: `generation` has grown then.
         before = self._data(domain)
         persist = partial(self._persist_foreign, domain)
         try:
@@ -140,10 +140,10 @@ class DomainTrust:
         self.generation += len(held.entries) != before
 
     def admit(self, peer: Identity, now: int) -> None:
-        # Return if a foreigner may open a connection; raises as `TrustStatus.check_peer`. The own master is the
-        # source of the own list's freshness: that it is held is enough. A foreign master may come while its
-        # domain's revocations are stale, or two masters that know nothing of each other yet would wait for
-        # each other; it has no right until they are not.
+        # Return if a foreigner may open a connection; raises as `TrustStatus.check_peer`. The own master is
+        # the source of the own list's freshness: that it is held is enough. A foreign master may come while
+        # its domain's revocations are stale, or two masters that know nothing of each other yet would wait
+        # for each other; it has no right until they are not.
         self.check_connected(peer, now)
         if is_master_name(peer.certified_name):
             return

@@ -1,9 +1,9 @@
 """Forwarded ports: local ports of relays that stand for masters, nodes and services of other sites. Pure.
 
-Followers say what they want, relays poll for it, open forwarded ports and tell where they are. A forwarded port is one
-of the own relay's, so nothing that another site says decides where it is. A relay that was started
-again has no forwarded ports: it is told anew of all that is wanted. Of two relays that know a peer, one
-serves it, and the other when that one falls silent. Of two with one name the newer one counts.
+Followers say what they want, relays poll for it, open forwarded ports and tell where they are. A forwarded
+port is one of the own relay's, so nothing that another site says decides where it is. A relay that was
+started again has no forwarded ports: it is told anew of all that is wanted. Of two relays that know a peer,
+one serves it, and the other when that one falls silent. Of two with one name the newer one counts.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -115,9 +115,9 @@ class ForwardedPorts:
 
     def want(self, label: str, targets: Iterable[Target]) -> int:
         # All that the follower of a site wants from now on; returns how many are too many. Those are wanted
-        # when it asks again and others are wanted no longer. The master of a site always has a forwarded port; of
-        # others a site has at most as many as are left for all: none takes them from the next one, whatever
-        # it says that it has.
+        # when it asks again and others are wanted no longer. The master of a site always has a forwarded
+        # port; of others a site has at most as many as are left for all: none takes them from the next one,
+        # whatever it says that it has.
         wanted, held, before = set(targets), self._wants.setdefault(label, set()), self._version
         for target in held - wanted:
             held.discard(target)

@@ -3,8 +3,8 @@
 Both directions are default deny and drop UDPROS, which would bypass the channel (attack N10). A peer is
 authorized before the program is called.
 
-A header is read once, authorized and sent to the other end, and its answer is authorized in turn; grants
-are added towards the network and removed towards the program, names of other origins are mapped.
+A header is read once, authorized and sent to the other end, and its answer is authorized in turn; grants are
+added towards the network and removed towards the program, names of other origins are mapped.
 """
 
 from collections.abc import Callable, Mapping
@@ -254,7 +254,8 @@ def _answer_for_program(
 
 
 def _topics_of(remote: ListeningAddress, host: str, port: int) -> ListeningAddress:
-    # From a peer behind a relay's forwarded port only that it offers TCPROS counts: the topic is at the forwarded port, too.
+    # From a peer behind a relay's forwarded port only that it offers TCPROS counts: the topic is at the
+    # forwarded port, too.
     if remote.forwarded_port:
         host, port = remote.host, remote.port
     return ListeningAddress(WireProtocol.TCPROS, host, port)
