@@ -9,7 +9,7 @@ from bench._lines import Call
 from bench._masters import EnrolledNode, Master
 from ca.certificates import TrustAnchor
 from rossec.net.aio import SecureContext, WireProtocol, connect
-from rossec.net.rpc.calls import RpcClient
+from rossec.net.rpc import RpcClient
 
 _BLOCKS, _EACH = 9, 60
 

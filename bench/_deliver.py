@@ -25,7 +25,7 @@ from grants import document
 from grants.model import Draft, Permission, Right
 from rossec.errors import AnswerRefused
 from rossec.net.aio import SecureContext, WireProtocol, connect
-from rossec.net.rpc.calls import RpcClient
+from rossec.net.rpc import RpcClient
 from rossec.node import Node
 from rossec.ros.names import AUTHORITY
 from tests.support.site import DAY, Site

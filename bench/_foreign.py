@@ -11,7 +11,7 @@ from functools import partial
 
 from bench.grants import shortest_us
 from ca.authority import Authority, create_root
-from ca.domains.trust import Anchors, DomainList, ForeignDomain, sign_domains
+from ca.domains import Anchors, DomainList, ForeignDomain, sign_domains
 from ca.keys import private_keys
 from ca.keys.signing import KeySigner, thumbprint
 from ca.svid import build_request

@@ -19,7 +19,7 @@ from grants.document import grant_id
 from grants.model import Right
 from rossec.errors import ChannelError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
-from rossec.net.rpc.calls import RpcClient, serve_calls
+from rossec.net.rpc import RpcClient, serve_calls
 from rossec.node import Node
 from rossec.participant.access import FIELD
 from rossec.participant.handshakes import TopicEndpoint

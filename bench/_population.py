@@ -14,7 +14,7 @@ from bench._masters import EnrolledNode
 from ca.certificates import Identity, TrustAnchor
 from rossec.errors import RossecError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
-from rossec.net.rpc.calls import RpcClient, serve_calls
+from rossec.net.rpc import RpcClient, serve_calls
 
 TYPE = "std_msgs/String"
 _ATTEMPTS = 10

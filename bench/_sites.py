@@ -8,10 +8,10 @@ from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 
 from bench._masters import OWN, SHARED, EnrolledNode, Master, enroll, free_port, running
 from ca.certificates import Identity
-from ca.domains.trust import DomainList, sign_domains
+from ca.domains import DomainList, sign_domains
 from ca.keys.signing import to_coordinates
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect, serve
-from rossec.net.rpc.calls import RpcClient, serve_calls
+from rossec.net.rpc import RpcClient, serve_calls
 from rossec.ros.names import MASTER
 from tests.support.site import DAY, Site
 

@@ -24,8 +24,8 @@ from typing import Any, Final
 from aiocoap.numbers import codes
 
 from ca.encoding import encode
-from rossec.border.handshakes import StaticKey
-from rossec.master.operation.admin import raise_descriptor_limit
+from rossec.border import StaticKey
+from rossec.master.operation import raise_descriptor_limit
 from rossec.saved_statements import ThingFiles
 from tests.support.border import LAMP, BorderSite
 from tests.support.rawthing import RawThing
@@ -52,7 +52,7 @@ def _body(value: float) -> bytes:
 def _run_master(root: Path, ready: Any, stop: Any) -> None:
     """The master of the site at `root`; the authority is in the parent's process."""
     from rossec.home import NodeHome  # noqa: PLC0415 - in the process that uses it
-    from rossec.master.server.server import master_of  # noqa: PLC0415 - as above
+    from rossec.master.server import master_of  # noqa: PLC0415 - as above
 
     async def serve() -> None:
         raise_descriptor_limit()

@@ -22,7 +22,7 @@ from ca.certificates import TrustAnchor
 from grants.model import Right
 from rossec.errors import ChannelError, RossecError
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
-from rossec.net.rpc.calls import RpcClient
+from rossec.net.rpc import RpcClient
 from rossec.ros.calls import CallClient
 from tests.support.site import Site
 

@@ -19,7 +19,7 @@ from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
 from bench import policy
 from ca.keys.signing import KeySigner
-from grants.conditions.compile import compile_condition
+from grants.conditions import compile_condition
 from grants.document import open_grant, sign
 from grants.filters.compile import compile_filter
 from grants.filters.layout import Layout, parse

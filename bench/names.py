@@ -9,9 +9,7 @@ import statistics
 import time
 from typing import Any, Final
 
-from rossec.naming import rule_runner
-from rossec.naming.requests import NameKind
-from rossec.naming.rule_runner import RuleRunner
+from rossec.naming import NameKind, RuleRunner, rule_runner
 
 GOAL: Final = 10.0  # milliseconds, the median of a warm name
 _WAYS: Final = 5

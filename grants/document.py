@@ -264,7 +264,7 @@ def _typed(value: Any, kind: type[Any], what: str) -> Any:
 
 
 def sign(signer: Signer, draft: Draft) -> bytes:
-    from grants.conditions.compile import check_syntax  # noqa: PLC0415 - not loaded to read grants
+    from grants.conditions import check_syntax  # noqa: PLC0415 - not loaded to read grants
 
     issuer = thumbprint(signer.public_key)
     for permission in draft.permissions:

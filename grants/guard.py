@@ -12,7 +12,7 @@ from itertools import groupby
 from typing import Any, Final, NamedTuple, TypeAlias
 from weakref import WeakValueDictionary
 
-from grants.conditions.compile import Condition, compile_condition
+from grants.conditions import Condition, compile_condition
 from grants.decision import Decision
 from grants.errors import GrantError, GrantExpired, MessageRefused
 from grants.filters.coarsening import (

@@ -40,7 +40,7 @@ _PARENT, _KEY, _MAY_NARROW = -70032, -70033, -70034
 
 def sign_narrowing(signer: Signer, draft: Draft, parent: Grant) -> bytes:
     """Sign `draft` as the holder of `parent`, a grant or a chain; `draft.cap` is its end."""
-    from grants.conditions.compile import check_syntax  # noqa: PLC0415 - not loaded to read grants
+    from grants.conditions import check_syntax  # noqa: PLC0415 - not loaded to read grants
 
     for permission in draft.permissions:
         for text in permission.restriction.conditions if permission.restriction else ():

@@ -15,7 +15,7 @@ from pathlib import Path as _Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rossec.inprocess.request import ask as ask
+    from rossec.inprocess import ask as ask
     from rossec.inprocess.secure import secure as secure
 
 

@@ -12,15 +12,15 @@ from typing import Final, NamedTuple
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.certificates import TrustAnchor
-from ca.domains.trust import MAX_LIST as MAX_DOMAINS
-from ca.domains.trust import Anchors, open_domains
+from ca.domains import MAX_LIST as MAX_DOMAINS
+from ca.domains import Anchors, open_domains
 from ca.errors import HintedError, ThingRefused
 from ca.keys import private_keys
 from ca.keys.signing import thumbprint
 from ca.names import check_domain
 from ca.revocation.lists import MAX_LIST
 from ca.revocation.trust_status import NO_FLOOR, Revocations, TrustStatus, open_statement
-from ca.things.constrained_nodes import (
+from ca.things import (
     MAX_STATEMENT,
     SECRET_SIZE,
     ThingSecret,

@@ -15,7 +15,7 @@ from typing import Final
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.certificates import Identity
-from ca.domains.trust import ADMIT_HINT, Anchors, ListedDomain
+from ca.domains import ADMIT_HINT, Anchors, ListedDomain
 from ca.errors import (
     ClocksDisagree,
     NotAdmitted,

@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.approvals.passkeys import Approval, ApprovalVerifier, Passkey, counter_of, to_approve
 from ca.approvals.statement import Statement, StatementKind
-from ca.domains.trust import verify_domains
+from ca.domains import verify_domains
 from ca.errors import ApprovalOver, ApprovalRefused, CAError, LogDamaged, StoreError
 from ca.revocation.merkle import Tree, root_of
 from ca.store import database
@@ -33,7 +33,7 @@ from ca.store.values import (
     open_head,
     split_peaks,
 )
-from ca.things.constrained_nodes import ThingStatement, peek_statement, verify_statement
+from ca.things import ThingStatement, peek_statement, verify_statement
 
 RESTORED: Final = "restored"
 Row = tuple[Any, ...]

@@ -8,11 +8,11 @@ credential is one thing; at one border router, so is one kid.
 from typing import NamedTuple
 
 from ca.certificates import Identity
-from ca.domains.trust import ForeignDomain
+from ca.domains import ForeignDomain
 from ca.errors import DomainUnknown, StoreError
 from ca.store.database import Database, append_entry
 from ca.store.values import digest_of
-from ca.things.constrained_nodes import ThingStatement, peek_statement
+from ca.things import ThingStatement, peek_statement
 
 _NEWEST = "number IN (SELECT max(number) FROM foreign_domain GROUP BY domain)"
 _NOT_ENDED = "number NOT IN (SELECT number FROM foreign_domain_end)"

@@ -18,8 +18,7 @@ from typing import Final, NamedTuple
 
 from ca.names import covers as names_cover
 from ca.names import is_alias, pattern_covers, shown
-from grants.conditions.compile import compile_condition
-from grants.conditions.syntax import reads
+from grants.conditions import compile_condition, reads
 from grants.decision import Decision
 from grants.errors import FilterRefused, GrantError, MessageRefused, PolicyRefused
 from grants.filters.coarsening import read_plan

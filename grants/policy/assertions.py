@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final, TypeAlias
 
-from grants.conditions.compile import parse_timestamp
+from grants.conditions import parse_timestamp
 from grants.errors import ConditionRefused, MessageRefused
 from grants.filters.layout import Array, Layout, Struct, Text, Type
 from grants.model import Right

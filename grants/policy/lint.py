@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from typing import Final
 
 from ca.names import is_alias
-from grants.conditions.syntax import fields_read
+from grants.conditions import fields_read
 from grants.model import FilterRule, Right, Scalar
 from grants.policy import lint_topics
 from grants.policy.lint_findings import (

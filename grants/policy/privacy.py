@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Final
 
-from grants.conditions.compile import compile_condition
+from grants.conditions import compile_condition
 from grants.decision import Decision
 from grants.errors import GrantError
 from grants.filters.hashing import FILTER_KEY_SIZE

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple, TypeVar
 from ca.encoding import MAX_SIZE
 from ca.errors import HintedError
 from grants import document
-from grants.conditions.compile import check_syntax, compile_condition
+from grants.conditions import check_syntax, compile_condition
 from grants.errors import ConditionRefused, FilterRefused, GrantError
 from grants.filters.compile import compile_filter, preset
 from grants.filters.layout import Array, Layout, Struct, Type

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
-from grants.conditions.syntax import reads
+from grants.conditions import reads
 from grants.filters.hashing import RECEIVER
 from grants.model import FilterRule, Restriction
 from grants.vocabulary import levels

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from ca import svid
 from ca.certificates import Identity, from_pem
-from ca.domains.trust import (
+from ca.domains import (
     TRUST_BUNDLE_LIFETIME,
     DomainList,
     ForeignDomain,

@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.authority import LIFETIME, Authority, create_root
 from ca.certificates import TrustAnchor, from_pem, to_pem
-from ca.domains.trust import DomainList, open_domains
+from ca.domains import DomainList, open_domains
 from ca.errors import RevocationRefused, TokenRefused
 from ca.keys import private_keys
 from ca.keys.private_keys import KeyUri, TokenSigner

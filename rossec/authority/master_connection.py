@@ -9,7 +9,7 @@ from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.records import ChannelLimits
 from rossec.errors import ChannelError, ConfigurationError
 from rossec.net.aio import SecureContext, WireProtocol, as_master, connect
-from rossec.net.rpc.calls import CALL_DEADLINE, RpcClient
+from rossec.net.rpc import CALL_DEADLINE, RpcClient
 from rossec.ros import names
 
 

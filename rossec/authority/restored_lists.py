@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from ca.certificates import TrustAnchor
-from ca.domains.trust import ForeignDomain, open_domains
+from ca.domains import ForeignDomain, open_domains
 from ca.errors import BackupRefused, DomainsRefused, HintedError
 from ca.revocation.lists import (
     MAX_LIST,

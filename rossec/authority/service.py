@@ -17,7 +17,7 @@ from ca.revocation.lists import RevocationList
 from ca.store.signed_statements import ThingRow
 from ca.store.values import INTERMEDIATE, RequestRow, RequestState
 from ca.svid import IdentityRequest, check_request
-from ca.things.constrained_nodes import Credential, ThingStatement, peek_statement, sign_statement
+from ca.things import Credential, ThingStatement, peek_statement, sign_statement
 from rossec.authority import renewals, signing
 from rossec.authority.domain_operations import Domains
 from rossec.authority.grant_operations import Grants, PolicyWork

@@ -17,7 +17,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from ca import svid
 from ca.authority import LIFETIME, Authority
 from ca.certificates import Identity, TrustAnchor, to_pem
-from ca.domains.trust import DomainList, ForeignDomain, open_domains, sign_domains
+from ca.domains import DomainList, ForeignDomain, open_domains, sign_domains
 from ca.errors import (
     ForeignCertificate,
     PassphraseRefused,

@@ -16,7 +16,7 @@ from aiocoap.numbers import codes
 from ca.certificates import Identity
 from ca.errors import CAError, HintedError
 from ca.revocation.trust_status import Revocations
-from ca.things.constrained_nodes import ThingKey, ThingStatement
+from ca.things import ThingKey, ThingStatement
 from grants.filters.layout import Layout
 from rossec.border.constrained_node import ThingNode
 from rossec.border.conversations import MESSAGE_RATE

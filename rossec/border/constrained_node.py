@@ -27,7 +27,7 @@ from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.net.limits import HalfOpen, HalfOpenCount
-from rossec.net.rpc.calls import RpcClient
+from rossec.net.rpc import RpcClient
 from rossec.node.context import NodeContext
 from rossec.node.node import Listener
 from rossec.node.publisher import Publisher

@@ -13,7 +13,7 @@ from aiocoap.numbers import codes
 from aiocoap.numbers.codes import Code
 from aiocoap.optiontypes import BlockOption
 
-from ca.things.constrained_nodes import ThingKey
+from ca.things import ThingKey
 from rossec.border import messages
 from rossec.border.conversations import MAX_BLOCK, MAX_BODY, Conversation, Conversations, Unauthenticated
 from rossec.border.handshakes import ID_SIZE, MAX_MESSAGE_3, HandshakeCompleted, Handshakes, StaticKey

@@ -16,7 +16,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from ca.encoding import decode
 from ca.errors import EncodingError
 from ca.keys.signing import thumbprint
-from ca.things.constrained_nodes import ThingKey
+from ca.things import ThingKey
 from rossec.border.messages import KEY_SIZE, SALT_SIZE, OscoreContext
 from rossec.errors import DatagramRefused, ThingError
 

@@ -14,7 +14,7 @@ from rossec.cli.shared.options import flag, json_result
 from rossec.environment import missing_node, own_gateway, own_master
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.master.operation.admin import send_command
+from rossec.master.operation import send_command
 from rossec.terminal import note, printable, say, say_json
 
 PERIOD: Final = 1.0  # seconds between two questions

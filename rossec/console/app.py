@@ -23,7 +23,7 @@ from rossec.console import rendering
 from rossec.console.context import ConsoleContext
 from rossec.console.pages import adding, decisions, passkeys, today, visibility
 from rossec.console.rendering import PREFIX, Match, Page, PageAccess, PageTable, Visit, for_looking
-from rossec.console.server.serving import PLACE, check_peer
+from rossec.console.server import PLACE, check_peer
 from rossec.console.sessions import COOKIE, LoginSession, owner_of
 from rossec.console.words import Names
 from rossec.errors import HttpRefused, KeyServiceFailed, PeerUserRefused

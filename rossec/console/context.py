@@ -17,7 +17,7 @@ from rossec.console.approvals import ProposedAct
 from rossec.console.enrollments import Enrollments
 from rossec.console.matrix import Endings
 from rossec.console.samples import Preview
-from rossec.console.server.control import WebSettings
+from rossec.console.server import WebSettings
 from rossec.console.sessions import FailureLimit, KnownPhones, LoginTurns, Sessions, SessionTable
 from rossec.errors import HttpRefused
 from rossec.host.runner import TaskSet

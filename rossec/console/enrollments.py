@@ -19,7 +19,7 @@ from ca.enrollment.sides import AuthorityEnrollment, AuthorityState
 from ca.errors import CodeRefused, EnrollmentExpired, EnrollmentOver, HintedError, RequestSwapped
 from rossec.authority.console import messages
 from rossec.authority.console.messages import ApprovalOutcome, IdentityRequestView, NodeView
-from rossec.enrollment.enroll import deliver, fetch
+from rossec.enrollment import deliver, fetch
 from rossec.errors import KeyServiceFailed, RossecError
 from rossec.host import addresses
 from rossec.host.runner import TaskSet

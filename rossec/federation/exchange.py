@@ -15,7 +15,7 @@ from typing import Any, Final, TypeVar
 
 from ca.bounded import Newest
 from ca.certificates import Identity
-from ca.domains.trust import ListedDomain
+from ca.domains import ListedDomain
 from ca.errors import DomainsRefused, RevocationRefused, RevocationsStale
 from ca.names import pattern_covers
 from ca.revocation.lists import digest, is_tree
@@ -27,10 +27,10 @@ from rossec.errors import AnswerMalformed, AnswerRefused, SiteRefused
 from rossec.federation.settings import SiteSettings
 from rossec.federation.site_state import SiteChange
 from rossec.master.api.methods import DomainsChanged, RevocationsChanged
-from rossec.master.server.effects import Effects, MasterState
+from rossec.master.server import Effects, MasterState
 from rossec.master.state.imported_facts import Site
 from rossec.net.aio import SecureContext
-from rossec.net.rpc.calls import RpcClient
+from rossec.net.rpc import RpcClient
 from rossec.ros.names import DOMAINS, PRESENT_GRANTS, UPDATE_DOMAINS
 from rossec.ros.xmlrpc import Fault
 

@@ -49,7 +49,7 @@ from rossec.federation.site_state import (
 )
 from rossec.master.state.forwarded_ports import MASTER, MAX_FORWARDED_PORTS, ForwardedPorts, Target
 from rossec.net.aio import SecureStream, WireProtocol, connect
-from rossec.net.rpc.calls import RpcClient
+from rossec.net.rpc import RpcClient
 from rossec.peer_limits import printable
 from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.xmlrpc import Fault

@@ -17,8 +17,7 @@ from typing import Any, Final, NamedTuple
 from ca.errors import HintedError
 from ca.names import MASTER
 from rossec import clock
-from rossec.discovery.announcement import Candidate, Candidates
-from rossec.discovery.local_links import listening, uri_of
+from rossec.discovery import Candidate, Candidates, listening, uri_of
 from rossec.errors import ConfigurationError
 from rossec.federation.exchange import Chains, OwnMaster
 from rossec.federation.follower import FollowedSite
@@ -26,7 +25,7 @@ from rossec.federation.settings import FederationConfig, SiteFile, SiteSettings,
 from rossec.federation.site_state import LOST_FOR
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
-from rossec.master.server.server import MasterServer
+from rossec.master.server import MasterServer
 from rossec.master.state.registry import is_connectable
 from rossec.peer_limits import printable
 from rossec.saved_statements import saved_revocations

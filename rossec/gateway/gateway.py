@@ -35,7 +35,7 @@ from rossec.gateway.rules import (
     observing,
 )
 from rossec.host.runner import TaskSet
-from rossec.net.rpc.calls import RpcClient
+from rossec.net.rpc import RpcClient
 from rossec.node import Node
 from rossec.node.publisher import Publisher, RawPublisher
 from rossec.node.subscriber import RawReceiver, RawSource

@@ -37,8 +37,7 @@ from rossec.inprocess.identity import CONNECT_TIMEOUT, PlainSocketStream, Stream
 from rossec.inprocess.process import REGISTRATIONS, SecuredProcess
 from rossec.inprocess.sockets import bracketed
 from rossec.net.limits import UNSHOWN_BODY
-from rossec.net.rpc.calls import CALL_DEADLINE, REQUEST_DEADLINE
-from rossec.net.rpc.time_slices import AT_ONCE
+from rossec.net.rpc import AT_ONCE, CALL_DEADLINE, REQUEST_DEADLINE
 from rossec.participant import slave_api
 from rossec.participant.access import wire_name
 from rossec.participant.handshakes import answer_for, answer_here, offer_refusal

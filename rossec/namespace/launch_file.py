@@ -11,7 +11,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import escape, quoteattr
 
 from rossec.errors import MetadataRefused, RossecError
-from rossec.naming.requests import NameKind, check_document
+from rossec.naming import NameKind, check_document
 
 NAMESPACE: Final = "urn:schemas-tum-de:vmi:ns"
 WHAT: Final = "a launch file"

@@ -15,8 +15,7 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec import files
 from rossec.errors import ConfigurationError, NameUndefined, RossecError, ServiceFailed
-from rossec.naming.requests import NameKind
-from rossec.naming.rule_runner import RuleRunner
+from rossec.naming import NameKind, RuleRunner
 from rossec.participant.service_types import ServiceType, register_service_type
 from rossec.peer_limits import printable
 

@@ -32,7 +32,7 @@ from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
 from rossec.master.state.registry import is_connectable
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
-from rossec.net.rpc.calls import CallFailed, RpcClient
+from rossec.net.rpc import CallFailed, RpcClient
 from rossec.overlay.forwarded_ports import ForwardedPortTable
 from rossec.overlay.mux import MASTER
 from rossec.overlay.wanted_ports import Orders, WantedPorts

@@ -22,7 +22,7 @@ from rossec.host.addresses import is_near, source_for
 from rossec.host.local_ports import is_here
 from rossec.net.aio import SecureContext, WireProtocol, connect
 from rossec.net.aio.client import dial
-from rossec.net.rpc.calls import RpcClient
+from rossec.net.rpc import RpcClient
 from rossec.overlay.mux import MASTER, NODE, SERVICE, StreamTarget
 from rossec.overlay.streams import Pump
 from rossec.ros.names import PORTS, is_loopback

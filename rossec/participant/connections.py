@@ -23,7 +23,7 @@ from rossec.errors import ChannelClosed, ConnectionHeaderRefused, LimitExceeded
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, connect
 from rossec.net.aio.server import Handler
 from rossec.net.limits import UNSHOWN_BODY
-from rossec.net.rpc.calls import Dispatch, RpcClient, serve_calls
+from rossec.net.rpc import Dispatch, RpcClient, serve_calls
 from rossec.participant import slave_api
 from rossec.participant.access import Access, wire_name
 from rossec.participant.authorized import AuthorizedConnection, PeerStream, RenewedGrants, StreamT

@@ -29,7 +29,7 @@ from rossec import clock
 from rossec.errors import AnswerMalformed, AnswerRefused, ConfigurationError
 from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
-from rossec.net.rpc.calls import RpcClient
+from rossec.net.rpc import RpcClient
 from rossec.participant.access import HeldGrants
 from rossec.participant.registrations import Retry
 from rossec.participant.renewals import MAX_PROOFS_PER_CALL, MasterCall, take

@@ -27,7 +27,7 @@ from rossec.errors import AnswerRefused, ChannelError, ConfigurationError, Rosse
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream, as_master
-from rossec.net.rpc.calls import RpcClient
+from rossec.net.rpc import RpcClient
 from rossec.participant.access import MAX_CALL, NO_LIST, HandshakeAccess, HeldGrants, batches
 from rossec.participant.authorized import RenewedGrants
 from rossec.participant.connections import ConnectionTable, ConnectionWatchdog

@@ -14,7 +14,7 @@ from typing import Any
 
 from ca.errors import HintedError
 from rossec.channel.opening import post_quantum
-from rossec.discovery.local_links import discover_master
+from rossec.discovery import discover_master
 from rossec.environment import own_home, own_master
 from rossec.host import local_ports
 from rossec.host.addresses import warn_of_own_address

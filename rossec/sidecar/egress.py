@@ -22,7 +22,7 @@ from rossec.host.local_ports import PortPool
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream
 from rossec.net.limits import message_limit, unit_limit
-from rossec.net.rpc.calls import serve_calls
+from rossec.net.rpc import serve_calls
 from rossec.participant.authorized import AuthorizedConnection, memory_scope
 from rossec.participant.connections import ConnectionTable, FollowedPublishers
 from rossec.participant.definitions import FilterKey

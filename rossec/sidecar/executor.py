@@ -18,7 +18,7 @@ from rossec.host.callers import Callers
 from rossec.host.local_sockets import Holder
 from rossec.net.aio.client import dial
 from rossec.net.aio.stream import SecureStream
-from rossec.net.rpc.calls import RpcClient
+from rossec.net.rpc import RpcClient
 from rossec.ros import tcpros
 from rossec.ros.names import PRESENT_GRANTS
 from rossec.ros.xmlrpc import FAULT_CODE, Fault

@@ -25,7 +25,7 @@ from rossec.host.callers import Callers
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureContext, SecureStream
 from rossec.net.limits import HalfOpen, HalfOpenCount
-from rossec.net.rpc.calls import serve_calls
+from rossec.net.rpc import serve_calls
 from rossec.participant.access import Access
 from rossec.participant.connections import ConnectionTable
 from rossec.participant.host_types import known_type

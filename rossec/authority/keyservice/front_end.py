@@ -34,14 +34,14 @@ from rossec.authority.keyservice.inner_channel import InnerChannel
 from rossec.authority.master_connection import master_connection
 from rossec.authority.signing import OWN_NODE
 from rossec.channel import opening
-from rossec.enrollment.join import DECISION, JoinServer
+from rossec.enrollment import DECISION, JoinServer
 from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered
 from rossec.home import NodeHome
 from rossec.host import addresses
 from rossec.host.runner import log_as_json, until_first_ends
 from rossec.host.sandbox import protect_memory
 from rossec.host.workers import run_confined
-from rossec.net.rpc.calls import CALL_DEADLINE
+from rossec.net.rpc import CALL_DEADLINE
 from rossec.peer_limits import printable
 from rossec.ros.xmlrpc import Fault
 

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, TypeAlias
 from cryptography import x509
 
 from ca.authority import read_unsigned
-from ca.domains.trust import DOMAINS, TRUST_BUNDLE
+from ca.domains import DOMAINS, TRUST_BUNDLE
 from ca.encoding import Value, decode, encode
 from ca.enrollment.invitation import MAX_CLAIM_SIZE as MAX_CLAIM
 from ca.enrollment.invitation import MAX_REQUEST_SIZE as MAX_JOIN
@@ -32,7 +32,7 @@ from ca.errors import (
 from ca.keys.signing import Profile
 from ca.revocation.lists import LIST_PROFILE, MAX_LIST, MAX_TREE_ENTRIES_SIZE, TREE
 from ca.store.values import HEAD_PROFILE
-from ca.things.constrained_nodes import THING
+from ca.things import THING
 from grants.document import GRANT
 from grants.renewal import DELEGATION
 from rossec.errors import (

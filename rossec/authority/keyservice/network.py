@@ -23,7 +23,7 @@ from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.session import StatementCall
 from rossec.errors import ConfigurationError, NotDelivered, RossecError
 from rossec.host.runner import TaskSet
-from rossec.naming.rule_runner import RuleRunner
+from rossec.naming import RuleRunner
 from rossec.peer_limits import printable
 from rossec.ros.names import SETTLE_RENEWALS, WATCH_RENEWALS
 

@@ -9,7 +9,7 @@ from ca.enrollment import qr
 from ca.enrollment.qr import Label, sheet
 from ca.errors import ThingRefused
 from ca.svid import check_request
-from ca.things.constrained_nodes import (
+from ca.things import (
     MAX_STATEMENT,
     Credential,
     ThingKey,
@@ -131,7 +131,7 @@ def credential(environment: Environment, file: Path, router: str) -> None:
     another router.
     """
     try:
-        from rossec.border.handshakes import StaticKey  # noqa: PLC0415 - an extra
+        from rossec.border import StaticKey  # noqa: PLC0415 - an extra
     except ImportError:
         raise ConfigurationError(
             "EDHOC for things is not installed", "pip install 'rossec[constrained]'"

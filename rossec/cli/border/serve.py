@@ -3,16 +3,14 @@
 import asyncio
 
 from rossec import clock
-from rossec.border import border_router
-from rossec.border.border_router import BorderRouter
-from rossec.border.handshakes import StaticKey
+from rossec.border import BorderRouter, StaticKey, border_router
 from rossec.cli.shared.context import Environment, now
 from rossec.cli.shared.master import with_master
 from rossec.errors import ConfigurationError, NotWritten
 from rossec.home import NodeHome
 from rossec.host.local_sockets import process_lock
 from rossec.host.runner import stop_on_signals, until_stopped
-from rossec.master.operation.admin import raise_descriptor_limit
+from rossec.master.operation import raise_descriptor_limit
 from rossec.saved_statements import ThingFiles
 from rossec.terminal import note, say, say_json
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from ca.domains.trust import MAX_LIST as MAX_DOMAINS
+from ca.domains import MAX_LIST as MAX_DOMAINS
 from ca.keys.passphrases import MAX_BACKUP
 from rossec import files
 from rossec.authority import backup as backups

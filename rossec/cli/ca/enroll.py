@@ -36,7 +36,7 @@ from rossec.cli.shared.service import (
     service_of,
 )
 from rossec.clock import format_time
-from rossec.enrollment.enroll import code_in_file, deliver, fetch
+from rossec.enrollment import code_in_file, deliver, fetch
 from rossec.errors import ConfigurationError
 from rossec.host import addresses
 from rossec.terminal import printable, record, say

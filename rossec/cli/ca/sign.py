@@ -13,7 +13,7 @@ from ca.enrollment import qr
 from ca.keys.signing import thumbprint
 from ca.names import check_wildcard, spiffe_id
 from ca.svid import check_request
-from ca.things.constrained_nodes import PSK, Credential, ThingKey, ThingStatement, read_ccs, read_description
+from ca.things import PSK, Credential, ThingKey, ThingStatement, read_ccs, read_description
 from rossec import files
 from rossec.authority import renewals
 from rossec.authority.home import AuthorityHome, format_fingerprint

@@ -14,15 +14,14 @@ from rossec.cli.console.phones import login_address, running_service, show_code
 from rossec.cli.shared.context import Environment, now
 from rossec.console.listening import only_console, write_address
 from rossec.console.options import HAND_OUT_PORT, ConsoleEndpoint, ConsoleOptions, check_origin, read_options
-from rossec.console.tls.certificates import DIRECTORY, TlsSetup, prepare_tls, renewed_from
-from rossec.console.tls.own_authority import TlsAuthority, describe
-from rossec.console.tls.own_authority import as_json as described
+from rossec.console.tls import DIRECTORY, TlsAuthority, TlsSetup, describe, prepare_tls, renewed_from
+from rossec.console.tls import as_json as described
 from rossec.errors import ConfigurationError
 from rossec.host.runner import READY, STOPPING, log_as_json, notify
 from rossec.terminal import say, say_block, say_json
 
 if TYPE_CHECKING:
-    from rossec.console.server.supervisor import PreviewProcess
+    from rossec.console.server import PreviewProcess
 
 
 def check_libraries() -> None:
@@ -39,7 +38,7 @@ def serve(
 ) -> None:
     """Run the console until it is interrupted; `log` is the form of its log."""
     check_libraries()
-    from rossec.console.server.supervisor import WebOptions, settings_for, supervise  # noqa: PLC0415 - extra
+    from rossec.console.server import WebOptions, settings_for, supervise  # noqa: PLC0415 - extra
 
     if log == "json":
         log_as_json()
@@ -78,7 +77,7 @@ def origins_of_phones(home: AuthorityHome) -> set[str]:
 
 
 def _preview(environment: Environment) -> "PreviewProcess":
-    from rossec.console.server.supervisor import PreviewProcess, check_enrolled  # noqa: PLC0415 - heavy
+    from rossec.console.server import PreviewProcess, check_enrolled  # noqa: PLC0415 - heavy
 
     check_enrolled(environment.home)
     return PreviewProcess({**environment.variables, "ROSSEC_HOME": str(environment.home)})
@@ -100,7 +99,7 @@ def _handing_out(
     if not endpoint.hand_out or setup is None or setup.authority is None:
         yield
         return
-    from rossec.console.tls.hand_out import handing_out  # noqa: PLC0415 - the extra
+    from rossec.console.tls import handing_out  # noqa: PLC0415 - the extra
 
     certificate, addresses = setup.authority.data, endpoint.addresses
     with handing_out(certificate, endpoint.origin, addresses, environment.variables):

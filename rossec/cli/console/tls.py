@@ -9,9 +9,8 @@ from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.options import flag, option, say_result
 from rossec.console.options import ConsoleOptions, check_name, read_options
-from rossec.console.tls import certificates
-from rossec.console.tls.own_authority import as_json as described
-from rossec.console.tls.own_authority import describe
+from rossec.console.tls import as_json as described
+from rossec.console.tls import certificates, describe
 from rossec.errors import ConfigurationError
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import click
 
-from ca.domains.trust import (
+from ca.domains import (
     LEAST_FRESH,
     MAX_TRUST_BUNDLE,
     MAX_TRUST_BUNDLE_LIFETIME,
@@ -33,7 +33,7 @@ from rossec.cli.shared.context import confirm, now
 from rossec.cli.shared.options import FILE, NEW_FILE, flag, json_result, option
 from rossec.cli.shared.service import pass_service, publish_list
 from rossec.clock import format_time
-from rossec.enrollment.enroll import code_in_file
+from rossec.enrollment import code_in_file
 from rossec.errors import ConfigurationError
 from rossec.terminal import note, note_picture, printable, record, say
 

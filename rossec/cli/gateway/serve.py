@@ -12,12 +12,11 @@ from rossec.cli.shared.master import node_as
 from rossec.cli.status import ADMIN_SOCKET
 from rossec.environment import own_gateway
 from rossec.errors import ConfigurationError, MasterNotFound, PeerUnreachable
-from rossec.gateway.gateway import Gateway, status
-from rossec.gateway.rules import TopicRule
+from rossec.gateway import Gateway, TopicRule, status
 from rossec.home import NodeHome
 from rossec.host.local_sockets import process_lock
 from rossec.host.runner import stop_on_signals, until_reached, until_stopped
-from rossec.master.operation.admin import AdminPort, raise_descriptor_limit
+from rossec.master.operation import AdminPort, raise_descriptor_limit
 from rossec.node import Node
 from rossec.terminal import note, printable, say, say_json
 

@@ -10,7 +10,7 @@ from typing import Final
 
 import click
 
-from rossec.gateway.rules import MAX_RULES, TopicRule, rule
+from rossec.gateway import MAX_RULES, TopicRule, rule
 from rossec.participant.delivery import DeliveryOptions
 
 FROM: Final = "--from"

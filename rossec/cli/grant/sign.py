@@ -18,7 +18,7 @@ from ca.certificates import Identity, from_pem
 from ca.errors import PatternRefused
 from ca.names import check_name, is_alias, local_name
 from grants import document
-from grants.conditions.compile import compile_condition
+from grants.conditions import compile_condition
 from grants.errors import ConditionRefused, FilterRefused, GrantMalformed, GrantNotHeld, GrantTooWide
 from grants.filters.compile import PRESETS, compile_filter, preset
 from grants.filters.layout import parse

@@ -17,19 +17,22 @@ from rossec.cli.shared.context import Environment, now
 from rossec.cli.shared.master import own_variables
 from rossec.cli.status import ADMIN_SOCKET
 from rossec.errors import ConfigurationError
-from rossec.federation.mesh import Mesh, mesh_of
-from rossec.federation.settings import read_config
+from rossec.federation import Mesh, mesh_of, read_config
 from rossec.home import NodeHome
 from rossec.host.audit import audit_written
 from rossec.host.local_sockets import process_lock
 from rossec.host.runner import log_as_json, stop_on_signals, until_stopped
+from rossec.master.operation import (
+    AdminPort,
+    Config,
+    MetricsExporter,
+    denials_limited,
+    on_loop,
+    raise_descriptor_limit,
+)
 from rossec.master.operation import config as configs
-from rossec.master.operation.admin import AdminPort, denials_limited, raise_descriptor_limit
-from rossec.master.operation.config import Config
-from rossec.master.operation.metrics import MetricsExporter, on_loop
 from rossec.master.rights.renewals import Renewer
-from rossec.master.server.effects import DenialLog, ignore_denial
-from rossec.master.server.server import MasterServer, master_of
+from rossec.master.server import DenialLog, MasterServer, ignore_denial, master_of
 from rossec.ros import names
 from rossec.terminal import say, say_json
 
@@ -133,7 +136,7 @@ async def _start(server: MasterServer) -> None:
 
 
 async def _announce(server: MasterServer, home: NodeHome) -> None:
-    from rossec.discovery.local_links import announce  # noqa: PLC0415 - carried when it is used
+    from rossec.discovery import announce  # noqa: PLC0415 - carried when it is used
 
     await announce(home.credentials(), server.uri, version=lambda: server.state.registry.version)
 

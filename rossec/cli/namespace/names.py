@@ -23,9 +23,7 @@ from rossec.cli.shared import options, rules
 from rossec.cli.shared.options import FILE, NEW_FILE, OLD_FOLDER, flag, json_result, option
 from rossec.errors import ConfigurationError, MetadataRefused, RossecError
 from rossec.namespace import launch_file, topic_names
-from rossec.naming import rule_runner
-from rossec.naming.requests import MAX_INPUT, NameKind
-from rossec.naming.rule_runner import RuleRunner
+from rossec.naming import MAX_INPUT, NameKind, RuleRunner, rule_runner
 from rossec.terminal import note, printable, record, say, say_block, say_json
 
 MAX_FILES: Final = 32

@@ -25,9 +25,8 @@ from rossec.errors import ConfigurationError, ProposedNameRefused
 from rossec.host.runner import stop_on_signals, until_stopped
 from rossec.namespace import topic_names
 from rossec.namespace.topic_names import CALLS, CHILDREN, DEADLINE, SECONDS, SERVICE, TopicNames
-from rossec.naming.examine import MetadataReport, examine
-from rossec.naming.requests import MAX_INPUT, NameKind
-from rossec.naming.rule_runner import RuleRunner
+from rossec.naming import MAX_INPUT, MetadataReport, NameKind, RuleRunner
+from rossec.naming.examine import examine
 from rossec.terminal import note, printable, say, say_json
 
 RIGHTS: Final = {

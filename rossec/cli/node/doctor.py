@@ -46,9 +46,9 @@ from rossec.environment import OWN_MASTER, missing_nodes, nodes_in, own_master
 from rossec.errors import ChannelError, ConfigurationError
 from rossec.home import NodeHome
 from rossec.host import addresses
-from rossec.inprocess.options import file_of, read
+from rossec.inprocess import file_of, read
 from rossec.net.aio import SecureContext, SecureStream, WireProtocol, as_master, connect
-from rossec.net.rpc.calls import RpcClient
+from rossec.net.rpc import RpcClient
 from rossec.participant.renewals import MAX_PROOFS_PER_CALL, MasterCall, prove
 from rossec.peer_limits import printable
 from rossec.ros import names

@@ -32,9 +32,9 @@ from rossec.cli.shared.master import own_address
 from rossec.cli.shared.options import FILE, PATH, flag, json_result, option
 from rossec.cli.shared.passphrase import read_lines
 from rossec.clock import format_time
+from rossec.enrollment import WaitingNode, ask_name
 from rossec.enrollment import enroll as enrollment_control
-from rossec.enrollment.enroll import WaitingNode
-from rossec.enrollment.join import ask_name, join
+from rossec.enrollment.join import join
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.host import addresses

@@ -20,7 +20,7 @@ from rossec.host.callers import Callers
 from rossec.host.local_ports import PortAdmission, find_loopback
 from rossec.host.local_sockets import process_lock
 from rossec.host.runner import stop_on_signals, until_reached, until_stopped
-from rossec.master.operation.admin import AdminPort, raise_descriptor_limit
+from rossec.master.operation import AdminPort, raise_descriptor_limit
 from rossec.overlay.documents import MAX_ACCOUNT_FILE, Routers
 from rossec.overlay.endpoint import RouterNetwork
 from rossec.overlay.forwarded_ports import OpenPorts

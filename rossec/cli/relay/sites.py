@@ -12,7 +12,7 @@ from typing import Any, Final, TypeVar
 
 import click
 
-from ca.domains.trust import Anchors
+from ca.domains import Anchors
 from ca.errors import CAError, DomainsRefused
 from ca.names import MASTER, check_label, display_name
 from rossec import files
@@ -21,7 +21,7 @@ from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.options import FILE, Batch, flag, json_result, option, say_result, unique
 from rossec.environment import own_master, own_relay
 from rossec.errors import ConfigurationError
-from rossec.federation.settings import SiteFile, SiteSettings, checked_sites
+from rossec.federation import SiteFile, SiteSettings, checked_sites
 from rossec.home import NodeHome
 from rossec.overlay.documents import MAX_ACCOUNT_FILE, MAX_DESCRIPTOR, Peer, RelayDescriptor, check_account
 from rossec.overlay.homes import DIRECTORY, RelayFiles, RouterHome, new_password

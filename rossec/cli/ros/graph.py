@@ -19,7 +19,7 @@ from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import calls_as, find_master, master_at
 from rossec.cli.shared.options import flag, json_result, option, say_result, working
-from rossec.discovery.local_links import PATIENCE, masters, uri_of
+from rossec.discovery import PATIENCE, masters, uri_of
 from rossec.errors import AnswerMalformed, AnswerRefused, ConfigurationError
 from rossec.home import NodeHome
 from rossec.participant.registrations import WATCH_GRAPH, Fact, GraphView, ObservedChange

@@ -26,7 +26,7 @@ from rossec.errors import ChannelClosed, ConfigurationError, MasterNotFound
 from rossec.home import NodeHome
 from rossec.host import addresses
 from rossec.host.addresses import warn_of_own_address
-from rossec.net.rpc.calls import RpcClient
+from rossec.net.rpc import RpcClient
 from rossec.participant.renewals import MasterCall
 from rossec.ros import names
 from rossec.ros.names import PRESENT_GRANTS
@@ -69,7 +69,7 @@ async def find_master(
     if uri != DISCOVER:
         return uri
     # Imported where it is asked for.
-    from rossec.discovery.local_links import discover_master, trusted  # noqa: PLC0415
+    from rossec.discovery import discover_master, trusted  # noqa: PLC0415
 
     who = f"/{node.lstrip('/')}" if isinstance(node, str) else node
     # Kept for this command and no longer: a robot that moves would ask the wrong master (decision 0044).

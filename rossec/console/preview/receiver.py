@@ -18,7 +18,7 @@ from grants.model import Right
 from rossec import clock
 from rossec.console import samples
 from rossec.console.samples import MAX_TOPICS, PreviewMessage
-from rossec.discovery.local_links import discover_master
+from rossec.discovery import discover_master
 from rossec.errors import AnswerRefused, MessageError
 from rossec.host.runner import TaskSet, until_first_ends
 from rossec.host.sandbox import protect_memory

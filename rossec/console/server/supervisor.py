@@ -24,7 +24,7 @@ from rossec.console.scanning import frames
 from rossec.console.scanning.frames import Found, Unreadable
 from rossec.console.server import control
 from rossec.console.server.control import IDLE, LIFETIME, ON_THE_WALL, WebSettings, write_settings
-from rossec.enrollment.scanner import CLOSER
+from rossec.enrollment import CLOSER
 from rossec.errors import ConfigurationError, KeyMessageRefused
 from rossec.home import NodeHome
 from rossec.host.runner import reap, stop_on_signals, until_first_ends

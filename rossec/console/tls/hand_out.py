@@ -25,7 +25,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rossec.console.listening import listen_tcp
 from rossec.console.options import HAND_OUT_PORT
-from rossec.console.server.serving import ConsoleServer
+from rossec.console.server import ConsoleServer
 from rossec.errors import ConfigurationError
 from rossec.host.workers import run_confined, start_worker, worker_command
 

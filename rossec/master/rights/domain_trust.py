@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.certificates import Identity
-from ca.domains.trust import NameRights
+from ca.domains import NameRights
 from ca.errors import NotAdmitted, RevocationRefused, RevocationsStale
 from ca.keys.signing import THUMBPRINT_SIZE, thumbprint
 from ca.names import is_master_name

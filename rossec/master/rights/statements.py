@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 from ca.certificates import Identity, TrustAnchor
-from ca.domains.trust import Anchors
+from ca.domains import Anchors
 from ca.errors import CAError, HintedError, RenewalRefused, Revoked
 from ca.keys.signing import Signer
 from ca.names import MASTER, REMOTE, is_alias, shown

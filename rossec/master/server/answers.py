@@ -21,8 +21,7 @@ from rossec.master.rights.caller import Caller
 from rossec.master.server.effects import Effects, MasterState
 from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureStream
-from rossec.net.rpc.calls import Dispatch
-from rossec.net.rpc.time_slices import of_loop, source_of
+from rossec.net.rpc import Dispatch, of_loop, source_of
 from rossec.ros.names import PRESENT_GRANTS, RELAY_FORWARDED_PORTS, WATCH_RENEWALS
 from rossec.ros.xmlrpc import Fault
 

@@ -40,8 +40,7 @@ from rossec.master.api.methods import (
     RevocationsChanged,
     StopMaster,
 )
-from rossec.master.operation.admin import DENIALS
-from rossec.master.operation.config import MasterLimits
+from rossec.master.operation import DENIALS, MasterLimits
 from rossec.master.rights.caller import CertifiedPeer
 from rossec.master.rights.statements import enforce, enforcement_steps
 from rossec.master.server.saved_state import DepositFile, ParameterFile

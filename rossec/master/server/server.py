@@ -31,8 +31,7 @@ from rossec.home import NodeHome
 from rossec.host.addresses import is_near
 from rossec.master.api.dispatch import CONNECTION_SECONDS, MasterApi, RevokedCalls, RevokedConnections
 from rossec.master.api.methods import StopMaster, TurnClock
-from rossec.master.operation.admin import DENIALS
-from rossec.master.operation.config import MasterLimits
+from rossec.master.operation import DENIALS, MasterLimits
 from rossec.master.rights.domain_trust import DomainTrust
 from rossec.master.rights.held_grants import verifier
 from rossec.master.rights.renewals import Renewer, TicketSigner
@@ -56,7 +55,7 @@ from rossec.master.state.parameters import MirrorChange
 from rossec.master.state.registry import Kind, Registry
 from rossec.net.aio import SecureContext, SecureServer, SecureStream, WireProtocol, serve
 from rossec.net.limits import UNSHOWN_UNIT, HalfOpen, HalfOpenCount
-from rossec.net.rpc.calls import serve_calls
+from rossec.net.rpc import serve_calls
 from rossec.peer_limits import printable
 from rossec.ros.http import HEADERS_LIMIT
 from rossec.ros.names import is_loopback

@@ -20,7 +20,7 @@ from rossec.host.runner import TaskSet
 from rossec.master.state.parameters import encoded_size
 from rossec.master.state.registry import NodeRef
 from rossec.net.aio import SecureContext, WireProtocol, connect
-from rossec.net.rpc.calls import RpcClient
+from rossec.net.rpc import RpcClient
 from rossec.peer_limits import printable
 from rossec.ros.names import parse_uri
 from rossec.ros.xmlrpc import Fault
