@@ -231,7 +231,7 @@ class LinkCrowded(StreamRefused):
 
 
 class RelayRefused(RossecError):
-    """Another relay, a bundle or a door is refused."""
+    """Another relay, its descriptor or a forwarded port is refused."""
 
 
 class RulesRefused(RossecError):
