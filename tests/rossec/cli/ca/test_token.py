@@ -49,12 +49,11 @@ def test_an_invalid_key_uri_is_refused(token: Shell) -> None:
     assert not (token.root / "ca").exists()
 
 
-def test_a_home_of_an_older_version_goes_on(token: Shell) -> None:
-    """It recorded no module: it was made here, and not restored."""
+def test_a_home_that_records_no_module_trusts_none(token: Shell) -> None:
     assert token.unlocked("ca", "init", "old", "--key", f"{URI}-old").code == 0
     (token.root / FILE).unlink()
-    assert token.unlocked("ca", "refresh", *NOBODY).code == 3
-    assert (token.root / FILE).read_text() == f"{MODULE}\n"
+    refused(token.unlocked("ca", "refresh", *NOBODY), "a module that is not trusted here", "if you know it")
+    assert not (token.root / FILE).exists()
 
 
 def test_a_module_is_named_from_the_root(token: Shell) -> None:
