@@ -66,7 +66,7 @@ async def test_f11_a_node_without_grants_has_no_rights(site: Site, witness: Witn
         "rossec.foreignRevocations": ("other", b"x"),
         "rossec.foreignRevocationProofs": ("other", []),
         "rossec.followSite": ("", 0, []),
-        "rossec.relayDoors": ("x", 0, [], {}),
+        "rossec.relayForwardedPorts": ("x", 0, [], {}),
         "rossec.relayTarget": ("", "master", "/master"),
         **{f"register{kind}": (TOPIC, POSE, "http://h:1/") for kind in ("Publisher", "Subscriber")},
         **{f"unregister{kind}": (TOPIC, "http://h:1/") for kind in ("Publisher", "Subscriber")},

@@ -99,7 +99,7 @@ def _handing_out(
     if not endpoint.hand_out or setup is None or setup.authority is None:
         yield
         return
-    from rossec.console.tls import handing_out  # noqa: PLC0415 - the extra
+    from rossec.console.tls.hand_out import handing_out  # noqa: PLC0415 - the extra
 
     certificate, addresses = setup.authority.data, endpoint.addresses
     with handing_out(certificate, endpoint.origin, addresses, environment.variables):

@@ -1,16 +1,9 @@
-"""The console's TLS: its own authority, its certificate and its renewal, files of the operator."""
+"""The console's TLS: its own authority, its certificate and its renewal, files of the operator.
+
+`hand_out`, which needs a web server, is imported when it is used.
+"""
 
 from rossec.console.tls.certificates import DIRECTORY, TlsSetup, prepare_tls, renewed_from
-from rossec.console.tls.hand_out import handing_out
 from rossec.console.tls.own_authority import TlsAuthority, as_json, describe
 
-__all__ = [
-    "DIRECTORY",
-    "TlsAuthority",
-    "TlsSetup",
-    "as_json",
-    "describe",
-    "handing_out",
-    "prepare_tls",
-    "renewed_from",
-]
+__all__ = ["DIRECTORY", "TlsAuthority", "TlsSetup", "as_json", "describe", "prepare_tls", "renewed_from"]
