@@ -9,17 +9,8 @@ from typing import Final, NamedTuple
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca import svid
+from ca import certificates, svid
 from ca.builder import begin, common_name
-from ca.certificates import (
-    BACKDATE,
-    Identity,
-    Intermediate,
-    Renewal,
-    TrustAnchor,
-    check_intermediate_request,
-    policy,
-)
 from ca.errors import CAError, CertificateRefused, NameRefused
 from ca.keys.passphrases import SEQUENCE, der
 from ca.keys.signing import Signer, require_p256, thumbprint
@@ -45,8 +36,8 @@ class Authority:
     """
 
     def __init__(self, signer: Signer, certificate: bytes, intermediate: bytes | None = None) -> None:
-        self.anchor = TrustAnchor.load(certificate)
-        self.issuer: TrustAnchor | Intermediate = self.anchor
+        self.anchor = certificates.TrustAnchor.load(certificate)
+        self.issuer: certificates.TrustAnchor | certificates.Intermediate = self.anchor
         self.chain: tuple[bytes, ...] = ()
         self.may_enroll = True
         if intermediate is not None:
@@ -82,14 +73,16 @@ class Authority:
         request = check_request(csr, self.anchor.domain, wildcard=wildcard)
         return self._issue(request.name, request.public_key, now, serial, lifetime, wildcard=wildcard)
 
-    def renew(self, renewal: Renewal, *, now: int, serial: int, lifetime: int = LIFETIME) -> bytes:
+    def renew(
+        self, renewal: certificates.Renewal, *, now: int, serial: int, lifetime: int = LIFETIME
+    ) -> bytes:
         # Never longer than before: who once got a day does not make a year of it by renewals.
         key, longest = renewal.request.public_key, min(lifetime, renewal.max_lifetime)
         return self.reissue(renewal.identity, key, now=now, serial=serial, lifetime=longest)
 
     def reissue(
         self,
-        identity: Identity,
+        identity: certificates.Identity,
         key: ec.EllipticCurvePublicKey,
         *,
         now: int,
@@ -101,7 +94,7 @@ class Authority:
     def issue_intermediate(
         self, csr: bytes, *, now: int, serial: int, may_enroll: bool, lifetime: int
     ) -> bytes:
-        key = check_intermediate_request(csr, self.anchor.domain)
+        key = certificates.check_intermediate_request(csr, self.anchor.domain)
         # An intermediate has path length 0: what it signed as an authority, no node would take.
         if not self.is_root or self.anchor.path_length == 0:
             raise CAError(
@@ -112,7 +105,7 @@ class Authority:
         period, issuer = self._period(now, lifetime), self.anchor
         builder = _authority(key, issuer.subject, serial, period, issuer.domain, below=0)
         return svid.sign(
-            builder.add_extension(policy(may_enroll=may_enroll), critical=False).add_extension(
+            builder.add_extension(certificates.policy(may_enroll=may_enroll), critical=False).add_extension(
                 _issuer_key(issuer.public_key), critical=False
             ),
             self.signer,
@@ -157,14 +150,14 @@ class Authority:
                 "the authority's own certificate is not valid now",
                 "check this computer's clock; an expired authority must be replaced by a new one",
             )
-        return max(now - BACKDATE, first), min(now + lifetime, last)
+        return max(now - certificates.BACKDATE, first), min(now + lifetime, last)
 
 
 def create_root(signer: Signer, domain: str, *, now: int, serial: int) -> bytes:
     check_domain(domain)
     _check_serial(serial)
     key = require_p256(signer.public_key)
-    period = now - BACKDATE, now + ROOT_LIFETIME
+    period = now - certificates.BACKDATE, now + ROOT_LIFETIME
     return svid.sign(_authority(key, _subject_name(key), serial, period, domain, below=1), signer)
 
 

@@ -13,15 +13,9 @@ from functools import cached_property
 from typing import Final, NoReturn, Protocol, TypeAlias
 
 from cryptography.exceptions import InvalidSignature
-from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature, encode_dss_signature
-from cryptography.hazmat.primitives.serialization import (
-    Encoding,
-    KeySerializationEncryption,
-    PrivateFormat,
-    PublicFormat,
-)
 
 from ca.encoding import MAX_SIZE, Value, decode, encode, head
 from ca.errors import EncodingError, KeyRefused, SignatureError
@@ -65,7 +59,9 @@ def thumbprint_of(coordinates: bytes) -> bytes:
 
 
 def to_coordinates(key: ec.EllipticCurvePublicKey) -> bytes:
-    return require_p256(key).public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)[1:]
+    return require_p256(key).public_bytes(
+        serialization.Encoding.X962, serialization.PublicFormat.UncompressedPoint
+    )[1:]
 
 
 def from_coordinates(data: bytes) -> ec.EllipticCurvePublicKey:
@@ -139,9 +135,9 @@ class X509Signer(ec.EllipticCurvePrivateKey):
 
     def private_bytes(
         self,
-        encoding: Encoding,
-        format: PrivateFormat,  # noqa: A002  (the name the library gave it)
-        encryption_algorithm: KeySerializationEncryption,
+        encoding: serialization.Encoding,
+        format: serialization.PrivateFormat,  # noqa: A002  (the name the library gave it)
+        encryption_algorithm: serialization.KeySerializationEncryption,
     ) -> NoReturn:
         raise NotImplementedError("a Signer does not expose its key")
 

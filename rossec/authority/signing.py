@@ -14,19 +14,10 @@ from typing import Final, NamedTuple
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca import svid
+from ca import errors, svid
 from ca.authority import LIFETIME, Authority
 from ca.certificates import Identity, TrustAnchor, to_pem
 from ca.domains import DomainList, ForeignDomain, open_domains, sign_domains
-from ca.errors import (
-    ForeignCertificate,
-    PassphraseRefused,
-    RecordUnusable,
-    RequestClosed,
-    RevocationRefused,
-    StoreError,
-    TokenRefused,
-)
 from ca.keys.signing import Signer, to_coordinates
 from ca.names import check_name, is_alias, shown
 from ca.revocation.lists import MAX_ENTRIES, RevocationList, RevocationTree, TreeEntries, sign_list, sign_tree
@@ -52,10 +43,10 @@ OF_ALL: Final = (
     AuthorityLocked,
     KeyServiceFailed,
     KeyServiceRefused,
-    PassphraseRefused,
-    RecordUnusable,
+    errors.PassphraseRefused,
+    errors.RecordUnusable,
     SigningRefused,
-    TokenRefused,
+    errors.TokenRefused,
 )
 """Refusals that are about the key or the record, and so of every grant."""
 
@@ -103,7 +94,7 @@ def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> f
             case RevocationList(entries=entries):
                 listed = entries
             case RevocationTree() as tree:  # it does not contain them: they are those of the record, or not
-                with contextlib.suppress(RevocationRefused):
+                with contextlib.suppress(errors.RevocationRefused):
                     listed = tree_entries(store, tree).entries
             case None:
                 pass
@@ -226,7 +217,7 @@ def replaced_by(
     for former in sorted(replaced):
         ids = store.things.ids(former, now)
         if not ids:
-            raise StoreError(f"no statement about {former} is in force", "leave --replace out")
+            raise errors.StoreError(f"no statement about {former} is in force", "leave --replace out")
         entries |= ids
         if former != name or store.things.get(former, now).read().border != border:
             entries |= store.unrevoked_keys(former, now)
@@ -296,7 +287,7 @@ class SigningAuthority:
     def verify(self, der: bytes, now: int) -> Identity:
         try:
             return self.authority.anchor.verify([der, *self.authority.chain], now)
-        except ForeignCertificate:
+        except errors.ForeignCertificate:
             return self.authority.anchor.verify([der], now)
 
     def bundle(self, der: bytes) -> bytes:
@@ -307,7 +298,7 @@ class SigningAuthority:
         if not is_valid and row.wildcard is wildcard and now > row.not_after:
             self.store.valid_certificate(row.name, now)  # says how an identity that is over comes back
         if not is_valid or row.wildcard is not wildcard:
-            raise RequestClosed(
+            raise errors.RequestClosed(
                 f"this request of {row.name} was answered, but that identity is invalid or differs",
                 "make a new request on the node",
             )

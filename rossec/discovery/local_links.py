@@ -25,14 +25,7 @@ from ca.errors import CAError
 from ca.names import check_name
 from rossec import clock
 from rossec.channel.edhoc.credentials import Credentials
-from rossec.discovery.announcement import (
-    INSTANCE_SIZE,
-    Announcement,
-    Candidate,
-    Candidates,
-    DatagramSource,
-    sign,
-)
+from rossec.discovery import announcement
 from rossec.environment import OWN_MASTER, own_home, own_master
 from rossec.errors import AnnouncementRefused, ConfigurationError, MasterNotFound
 from rossec.home import NodeHome
@@ -98,14 +91,14 @@ class MulticastSocket:
                 sent += 1
         return sent
 
-    def receive(self) -> Iterator[tuple[bytes, DatagramSource]]:
+    def receive(self) -> Iterator[tuple[bytes, announcement.DatagramSource]]:
         while True:
             try:
                 data, ancillary, flags, where = self._socket.recvmsg(_MAX_DATAGRAM, _ANCILLARY)
             except OSError:  # nothing more, or a link that went down: retrying might never end
                 return
             if not flags & socket.MSG_TRUNC and _is_local(where[0], ancillary):
-                yield data, DatagramSource(where[0], where[3])
+                yield data, announcement.DatagramSource(where[0], where[3])
 
     def close(self) -> None:
         self._socket.close()
@@ -132,14 +125,14 @@ async def announce(
             "set ROS_IP or ROS_HOSTNAME to an address of the network",
         )
     # New at every start: the sequence numbers begin again with it.
-    instance = secrets.token_bytes(INSTANCE_SIZE)
+    instance = secrets.token_bytes(announcement.INSTANCE_SIZE)
     group = MulticastSocket(listen=False)
     was_sent = True
     try:
         for seq in count():
             now, hint = clock.now(), version() % (1 << 31)
-            said = Announcement(host, port, instance, seq, now, version=hint)
-            sent = group.send(sign(credentials.signer, credentials.chain, said)) > 0
+            said = announcement.Announcement(host, port, instance, seq, now, version=hint)
+            sent = group.send(announcement.sign(credentials.signer, credentials.chain, said)) > 0
             if sent is not was_sent:
                 _log.warning("announcing on %s", "the links again" if sent else "no link: all down")
             was_sent = sent
@@ -154,8 +147,8 @@ async def find(
     *,
     patience: float = PATIENCE,
     settle: float = SETTLE,
-) -> list[Candidate]:
-    candidates = Candidates(anchor, revoked)
+) -> list[announcement.Candidate]:
+    candidates = announcement.Candidates(anchor, revoked)
     async with listening(candidates):
         end, found = time.monotonic() + patience, False
         while time.monotonic() < end:
@@ -184,7 +177,7 @@ async def find(
 
 
 @contextlib.asynccontextmanager
-async def listening(candidates: Candidates) -> AsyncIterator[None]:
+async def listening(candidates: announcement.Candidates) -> AsyncIterator[None]:
     """Feed `candidates` with datagrams from all links, and probe each master."""
     group = MulticastSocket(listen=True)
     probes = TaskSet()
@@ -212,7 +205,7 @@ async def listening(candidates: Candidates) -> AsyncIterator[None]:
         group.close()
 
 
-async def _probe(candidates: Candidates, candidate: Candidate) -> None:
+async def _probe(candidates: announcement.Candidates, candidate: announcement.Candidate) -> None:
     for host, port in candidate.endpoints:
         begun = time.monotonic()
         try:
@@ -249,13 +242,13 @@ async def discover_master(
 
 async def masters(
     home: Path, identity: str | NodeHome | None, patience: float = PATIENCE, settle: float = SETTLE
-) -> list[Candidate]:
+) -> list[announcement.Candidate]:
     """The masters that a node of this home would trust, the best link first."""
     anchor, revoked = trusted(home, identity)
     return await find(anchor, revoked, patience=patience, settle=settle)
 
 
-def uri_of(candidate: Candidate) -> str:
+def uri_of(candidate: announcement.Candidate) -> str:
     """Where a candidate was reached, as ROS_MASTER_URI has it."""
     host, port = candidate.endpoint or candidate.endpoints[0]
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"

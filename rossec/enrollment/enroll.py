@@ -18,17 +18,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, Final, Self, TypeAlias
 
+from ca import errors
 from ca.enrollment.messages import Abort, Delivery, Reason, read, write
 from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeEnrollment, NodeState, Pending
-from ca.errors import (
-    ConflictingOffer,
-    EnrollmentExpired,
-    EnrollmentLocked,
-    EnrollmentMessageRefused,
-    EnrollmentOver,
-    EnrollmentRefused,
-    HintedError,
-)
 from rossec.enrollment import sessions
 from rossec.enrollment.scanner import CLOSER, MAX_FILE, SECONDS
 from rossec.enrollment.sessions import SessionServer, wait_closed
@@ -47,11 +39,11 @@ _NAME: Final = "enrolling.sock"
 _LIMIT: Final = 4096
 _PATIENCE: Final = 30.0
 _CAPS: Final = HalfOpen(per_address=4, total=16)
-_REASONS: Final[dict[type[EnrollmentRefused], Reason]] = {
-    ConflictingOffer: Reason.CONFLICT,
-    EnrollmentOver: Reason.OVER,
-    EnrollmentExpired: Reason.OVER,
-    EnrollmentLocked: Reason.OVER,
+_REASONS: Final[dict[type[errors.EnrollmentRefused], Reason]] = {
+    errors.ConflictingOffer: Reason.CONFLICT,
+    errors.EnrollmentOver: Reason.OVER,
+    errors.EnrollmentExpired: Reason.OVER,
+    errors.EnrollmentLocked: Reason.OVER,
 }
 
 Answer: TypeAlias = dict[str, str]
@@ -100,13 +92,13 @@ class WaitingNode:
         except BaseException as error:
             # Confirmed and not on the disk: the node has no identity, and must not say that it is enrolled.
             if self.core.state is NodeState.CONFIRMED:
-                self.core.stop(EnrollmentOver(f"the identity could not be written: {error}"))
+                self.core.stop(errors.EnrollmentOver(f"the identity could not be written: {error}"))
             self._state_changed()
             raise
         self._send_all(self.core.activated())
         self._changed.set()
 
-    def stop(self, why: EnrollmentRefused) -> None:
+    def stop(self, why: errors.EnrollmentRefused) -> None:
         self.core.stop(why)
         self._state_changed()
 
@@ -136,7 +128,7 @@ class WaitingNode:
                 self._answer(writer, data)
                 async with asyncio.timeout(self._patience):  # a caller that does not read is not written to
                     await writer.drain()
-        except EnrollmentRefused as error:
+        except errors.EnrollmentRefused as error:
             self._on_refusal(printable(f"{address}: {error}"))
             sessions.send(writer, _abort(error))
         except TimeoutError:
@@ -170,7 +162,7 @@ class WaitingNode:
                 sessions.send(writer, message)
 
 
-def _abort(error: EnrollmentRefused) -> bytes:
+def _abort(error: errors.EnrollmentRefused) -> bytes:
     return write(Abort(_REASONS.get(type(error), Reason.REFUSED)))
 
 
@@ -186,7 +178,7 @@ async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.
                     raise ValueError("not a request")
                 try:
                     found = answer(request)
-                except HintedError as error:
+                except errors.HintedError as error:
                     found = {"error": str(error), "hint": error.hint}
                 writer.write(json.dumps(found).encode() + b"\n")
         except (OSError, ValueError, TimeoutError):
@@ -285,7 +277,7 @@ async def deliver(
                         shown = core.digits
                         show(shown)
                 return
-        except (OSError, EOFError, TimeoutError, EnrollmentMessageRefused):
+        except (OSError, EOFError, TimeoutError, errors.EnrollmentMessageRefused):
             core.tick(clock())
             # What got on counts anew: a person may take minutes while the line breaks now and then.
             failures, state = (failures + 1 if core.state is state else 0), core.state

@@ -14,17 +14,8 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
+from ca.approvals import statement
 from ca.approvals.passkeys import to_approve
-from ca.approvals.statement import (
-    DelegateStatement,
-    Enroll,
-    IntermediateStatement,
-    Invitation,
-    NewPasskey,
-    PolicyChange,
-    RevokeMaster,
-    StatementKind,
-)
 from ca.authority import MAX_LIFETIME
 from ca.bounded import ExpiringTable
 from ca.certificates import check_intermediate_request, to_pem
@@ -63,7 +54,7 @@ class EnrollAct(ApprovedAct):
     `policy`: the file by which the node gets its first grants.
     """
 
-    kind = StatementKind.ENROLL
+    kind = statement.StatementKind.ENROLL
 
     def __init__(self, policy: Path) -> None:
         self._policy = policy
@@ -84,7 +75,7 @@ class EnrollAct(ApprovedAct):
                 f"{OWN_NODE} is the authority's own node", "choose another name for the node"
             )
         _check_lifetime(lifetime)
-        what = Enroll(asked.digest, asked.name, asked.thumbprint, wildcard, lifetime, replaces)
+        what = statement.Enroll(asked.digest, asked.name, asked.thumbprint, wildcard, lifetime, replaces)
         with closing(service.home.store()) as store:
             if store.identities.issued_for(asked.digest) is None:
                 store.requests.add(asked, csr, printable(source)[:MAX_SOURCE], now)
@@ -93,11 +84,11 @@ class EnrollAct(ApprovedAct):
         return what, csr
 
     def admit(self, store: Store, approved: Approved) -> str | None:
-        _approve(store, approved.what(Enroll), approved.at, approved.reason)
+        _approve(store, approved.what(statement.Enroll), approved.at, approved.reason)
         return None
 
     def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
-        what, authority = approved.what(Enroll), service.unlock()
+        what, authority = approved.what(statement.Enroll), service.unlock()
         store, key = authority.store, what.name if what.replaces else None
         with store.transaction():
             # 1. The request is still as it was approved: meanwhile it may have been denied, or have expired.
@@ -122,12 +113,12 @@ class EnrollAct(ApprovedAct):
 
     def made(self, service: AuthorityService, approved: Approved) -> bytes:
         with closing(service.home.store()) as store:
-            found = store.identities.issued_for(approved.what(Enroll).csr)
+            found = store.identities.issued_for(approved.what(statement.Enroll).csr)
         return b"" if found is None else _bundle(service.home, found)
 
 
 class IntermediateAct(ApprovedAct):
-    kind = StatementKind.INTERMEDIATE
+    kind = statement.StatementKind.INTERMEDIATE
 
     def prepare(
         self, service: AuthorityService, _now: int, csr: bytes, enrolls: bool, lifetime: int
@@ -139,10 +130,10 @@ class IntermediateAct(ApprovedAct):
         key = thumbprint(check_intermediate_request(csr, home.domain))
         with closing(home.store()) as store:
             store.identities.check_not_revoked("the intermediate", key)
-        return IntermediateStatement(sha256(csr).digest(), enrolls, lifetime), csr
+        return statement.IntermediateStatement(sha256(csr).digest(), enrolls, lifetime), csr
 
     def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
-        what, authority = approved.what(IntermediateStatement), service.unlock()
+        what, authority = approved.what(statement.IntermediateStatement), service.unlock()
         csr = approved.payload
         with authority.store.transaction():
             name, _ = renewals.sign_intermediate(
@@ -158,7 +149,7 @@ class IntermediateAct(ApprovedAct):
         return _bundle(home, found[-1]) if found else b""
 
 
-def _approve(store: Store, what: Enroll, at: int, reason: str) -> None:
+def _approve(store: Store, what: statement.Enroll, at: int, reason: str) -> None:
     if store.identities.issued_for(what.csr) is not None:
         store.identities.check_not_revoked(what.name, what.key)
         return
@@ -185,7 +176,7 @@ CODES_KEPT: Final = 600.0  # seconds
 
 
 class PasskeyAct(ApprovedAct):
-    kind = StatementKind.PASSKEY
+    kind = statement.StatementKind.PASSKEY
 
     def __init__(self, proposals: Proposals) -> None:
         self._proposals = proposals
@@ -197,7 +188,7 @@ class PasskeyAct(ApprovedAct):
         return to_approve(passkey), b""
 
     def admit(self, store: Store, approved: Approved) -> str | None:
-        what = approved.what(NewPasskey)
+        what = approved.what(statement.NewPasskey)
         for shown in self._proposals.all():
             passkey = self._proposals.get(shown.id)
             if to_approve(passkey) == what:
@@ -217,7 +208,7 @@ class InvitationAct(ApprovedAct):
     `address`: where nodes reach the join port, `host:port`.
     """
 
-    kind = StatementKind.INVITATION
+    kind = statement.StatementKind.INVITATION
 
     def __init__(
         self, home: AuthorityHome, address: Callable[[], str], elapsed: clock.Seconds | None = None
@@ -236,10 +227,10 @@ class InvitationAct(ApprovedAct):
         if not (1 <= uses <= MAX_USES and MIN_INVITATION <= seconds <= MAX_INVITATION):
             raise KeyServiceRefused(f"a join code is for 1 to {MAX_USES} nodes, and for at most 30 days", "")
         self._address()
-        return Invitation(pattern, uses, now + seconds, wildcard), b""
+        return statement.Invitation(pattern, uses, now + seconds, wildcard), b""
 
     def admit(self, store: Store, approved: Approved) -> str | None:
-        what = approved.what(Invitation)
+        what = approved.what(statement.Invitation)
         given, address = (what.pattern, what.uses, what.until), self._address()
         code, row = make_invitation(self._home, *given, address, approved.at, wildcard=what.wildcard)
         store.invitations.add(row)
@@ -253,7 +244,7 @@ class InvitationAct(ApprovedAct):
 
 
 class RevokeMasterAct(ApprovedAct):
-    kind = StatementKind.REVOKE_MASTER
+    kind = statement.StatementKind.REVOKE_MASTER
 
     def prepare(self, service: AuthorityService, now: int, reason: str, master: str) -> Wanted:
         if not is_master_name(master):
@@ -262,10 +253,10 @@ class RevokeMasterAct(ApprovedAct):
             raise ConfigurationError("an intermediate cannot revoke", "do it at the root")
         with closing(service.home.store()) as store:
             keys_of(master)(store, now)
-        return RevokeMaster(checked_reason(reason), master), b""
+        return statement.RevokeMaster(checked_reason(reason), master), b""
 
     def admit(self, store: Store, approved: Approved) -> str | None:
-        what, at = approved.what(RevokeMaster), approved.at
+        what, at = approved.what(statement.RevokeMaster), approved.at
         for entry in sorted(keys_of(what.master)(store, at)):
             store.revoke(entry, what.reason or approved.reason, at)
         return f"{what.master} is revoked"
@@ -277,7 +268,7 @@ _LATER: Final = "it is tried again"
 
 
 class PolicyAct(ApprovedAct):
-    kind = StatementKind.POLICY
+    kind = statement.StatementKind.POLICY
 
     def __init__(self, policy: Path) -> None:
         self._policy = policy
@@ -291,19 +282,19 @@ class PolicyAct(ApprovedAct):
             raise ConfigurationError("this policy is in force already", "there is nothing to do")
         with closing(service.home.store()) as store:
             old = _last_approved(store)
-        what = PolicyChange(old, digest, plan.effect(service.home.domain))
+        what = statement.PolicyChange(old, digest, plan.effect(service.home.domain))
         return what, file.text.encode()
 
     def admit(self, store: Store, approved: Approved) -> str | None:
         # Return if no other policy was approved since it was shown.
-        what = approved.what(PolicyChange)
+        what = approved.what(statement.PolicyChange)
         self._read(what.new)
         if _last_approved(store) != what.old:
             raise StoreError("another policy was approved meanwhile", _AGAIN)
         return None
 
     def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
-        what, authority = approved.what(PolicyChange), service.unlock()
+        what, authority = approved.what(statement.PolicyChange), service.unlock()
         # 1. The file and what it would change are still those that were approved.
         plan = service.policy.plan(self._read(what.new))
         if plan.effect(authority.domain) != what.effect:
@@ -333,7 +324,7 @@ class DelegateAct(ApprovedAct):
     Its serial is the id of the approval: signed again after a crash, it is the same.
     """
 
-    kind = StatementKind.DELEGATE
+    kind = statement.StatementKind.DELEGATE
 
     def prepare(self, service: AuthorityService, now: int, lifetime: int, max_ttl: int) -> Wanted:
         if service.home.is_intermediate:
@@ -344,14 +335,14 @@ class DelegateAct(ApprovedAct):
             )
         with closing(service.home.store()) as store:
             holder = store.valid_certificate(MASTER, now).thumbprint
-        return DelegateStatement(holder, lifetime, max_ttl), b""
+        return statement.DelegateStatement(holder, lifetime, max_ttl), b""
 
     def admit(self, store: Store, approved: Approved) -> str | None:
         _check_holder(store, approved, approved.at)
         return None
 
     def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
-        what, authority = approved.what(DelegateStatement), service.unlock()
+        what, authority = approved.what(statement.DelegateStatement), service.unlock()
         _check_holder(authority.store, approved, now)
         data = authority.issue_delegation(
             what.holder, what.lifetime, what.max_ttl, approved.at, serial=approved.id
@@ -369,7 +360,7 @@ def _last_approved(store: Store) -> bytes:
     found = [
         approval.subject
         for approval in store.approvals.all()
-        if approval.kind == StatementKind.POLICY
+        if approval.kind == statement.StatementKind.POLICY
         and approval.id in ends
         and ends[approval.id].state == ApprovalState.DONE
     ]
@@ -413,6 +404,6 @@ def _done(signed: int, revoked: int, plan: PolicyPlan) -> str:
 
 
 def _check_holder(store: Store, approved: Approved, now: int) -> None:
-    what = approved.what(DelegateStatement)
+    what = approved.what(statement.DelegateStatement)
     if store.valid_certificate(MASTER, now).thumbprint != what.holder:
         raise StoreError(f"{MASTER} has another key now", "look at it again")

@@ -21,17 +21,8 @@ from ca.approvals.statement import StatementKind
 from ca.encoding import Value
 from ca.errors import HintedError
 from rossec import clock
-from rossec.authority.console import messages
+from rossec.authority.console import approved_acts, messages
 from rossec.authority.console.access import ConsoleAccess
-from rossec.authority.console.approved_acts import (
-    DelegateAct,
-    EnrollAct,
-    IntermediateAct,
-    InvitationAct,
-    PasskeyAct,
-    PolicyAct,
-    RevokeMasterAct,
-)
 from rossec.authority.console.approving import ApprovedAct, Approving, Of
 from rossec.authority.console.grant_requests import GrantAct, Questions, Removals
 from rossec.authority.console.messages import OPERATIONS, Status, checked, to_value
@@ -322,14 +313,14 @@ def acts_of(
     """What a phone can approve; `elapsed` counts seconds and cannot be set."""
     policy = work.policy_path()
     acts: tuple[ApprovedAct, ...] = (
-        EnrollAct(policy),
+        approved_acts.EnrollAct(policy),
         GrantAct(policy),
-        PolicyAct(policy),
-        DelegateAct(),
-        IntermediateAct(),
-        PasskeyAct(access.proposed),
-        InvitationAct(work.home(), join_address, elapsed),
-        RevokeMasterAct(),
+        approved_acts.PolicyAct(policy),
+        approved_acts.DelegateAct(),
+        approved_acts.IntermediateAct(),
+        approved_acts.PasskeyAct(access.proposed),
+        approved_acts.InvitationAct(work.home(), join_address, elapsed),
+        approved_acts.RevokeMasterAct(),
     )
     return {act.kind: act for act in acts}
 

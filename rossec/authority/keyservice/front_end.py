@@ -16,18 +16,8 @@ from pathlib import Path
 from typing import Final, cast
 
 from ca.encoding import Value
+from ca.enrollment import join
 from ca.enrollment.invitation import JoinClaim, JoinRequest
-from ca.enrollment.join import (
-    Issued,
-    JoinAnswer,
-    JoinMessage,
-    LiveIdentity,
-    NameAnswer,
-    Named,
-    RefusedMessage,
-    WaitingMessage,
-    read,
-)
 from ca.errors import EnrollmentMessageRefused, HintedError
 from rossec.authority.keyservice import messages
 from rossec.authority.keyservice.inner_channel import InnerChannel
@@ -59,7 +49,7 @@ class FrontEnd:
         self._join_address = join_address
         self._master_uri = master_uri
         self._suites = suites
-        self._identity: LiveIdentity | None = None
+        self._identity: join.LiveIdentity | None = None
         self._read_at = 0.0
         report = partial(_log.warning, "refused at the join port: %s")
         self._server = JoinServer(self._live, self._admit, report, name=self._name)
@@ -92,30 +82,30 @@ class FrontEnd:
         await channel.call(messages.READY, self._server.port, within=DECISION)
         await asyncio.Event().wait()
 
-    def _live(self) -> LiveIdentity:
+    def _live(self) -> join.LiveIdentity:
         now = asyncio.get_running_loop().time()
         if self._identity is None or now - self._read_at > _FRESH:
             own, root = self._node.credentials(), self._node.anchor().certificate
-            self._identity, self._read_at = LiveIdentity(own.signer, own.chain, root), now
+            self._identity, self._read_at = join.LiveIdentity(own.signer, own.chain, root), now
         return self._identity
 
-    async def _admit(self, request: JoinRequest) -> JoinAnswer:
+    async def _admit(self, request: JoinRequest) -> join.JoinAnswer:
         found = await self._ask(messages.JOIN, request.to_bytes())
-        if not isinstance(found, Issued | WaitingMessage | RefusedMessage):
+        if not isinstance(found, join.Issued | join.WaitingMessage | join.RefusedMessage):
             raise EnrollmentMessageRefused(_ODD)
         return found
 
-    async def _name(self, claim: JoinClaim) -> NameAnswer:
+    async def _name(self, claim: JoinClaim) -> join.NameAnswer:
         found = await self._ask(messages.NAME, claim.to_bytes())
-        if not isinstance(found, Named | RefusedMessage):
+        if not isinstance(found, join.Named | join.RefusedMessage):
             raise EnrollmentMessageRefused(_ODD)
         return found
 
-    async def _ask(self, operation: str, data: bytes) -> JoinMessage | None:
+    async def _ask(self, operation: str, data: bytes) -> join.JoinMessage | None:
         if self._channel is None:
             raise ConfigurationError("the service is not there yet")
         answer = await self._channel.call(operation, data, within=DECISION)
-        return read(answer) if isinstance(answer, bytes) else None
+        return join.read(answer) if isinstance(answer, bytes) else None
 
     async def _call(self, method: str, arguments: list[Value], seconds: int) -> Value:
         try:

@@ -18,7 +18,7 @@ from ca.enrollment.invitation import JoinClaim, JoinRequest
 from ca.enrollment.join import Issued, RefusedMessage, RefuseReason, write
 from ca.errors import HintedError, RecordUnusable, StoreError
 from grants.errors import PolicyRefused
-from rossec import clock
+from rossec import clock, errors
 from rossec.authority import invitations, policyfile, renewals
 from rossec.authority.grant_operations import RefusedDeposit
 from rossec.authority.home import AuthorityHome
@@ -26,13 +26,6 @@ from rossec.authority.keyservice.operations import KeyOperations, OwnSigner
 from rossec.authority.policyfile import PolicyPlan
 from rossec.authority.service import AuthorityService
 from rossec.authority.session import StatementCall
-from rossec.errors import (
-    AuthorityLocked,
-    ConfigurationError,
-    KeyServiceRefused,
-    NotDelivered,
-    PolicyIncomplete,
-)
 from rossec.peer_limits import printable
 
 PERIOD: Final = 600  # seconds after which grants may have become due
@@ -80,7 +73,7 @@ class AuthorityWork:
         with self.service(JOIN_PURPOSE) as service:
             try:
                 answer = invitations.join(service.unlock(), request, self.now())
-            except AuthorityLocked:
+            except errors.AuthorityLocked:
                 with contextlib.closing(service.home.store()) as store:
                     answer = invitations.join_locked(store, request, self.now())
         return write(answer), request.name if isinstance(answer, Issued) else None
@@ -95,7 +88,7 @@ class AuthorityWork:
                 bundle, reason = b"", ""
                 try:
                     bundle = renewals.renew_recorded(service.unlock(), request, self.now())
-                except (AuthorityLocked, RecordUnusable, KeyServiceRefused):
+                except (errors.AuthorityLocked, RecordUnusable, errors.KeyServiceRefused):
                     break
                 except HintedError as error:
                     reason = printable(f"{error} ({error.hint})" if error.hint else str(error))
@@ -130,9 +123,9 @@ class AuthorityWork:
                     _log.error("the policy is not applied: %s", printable(reason))
                 if plan.signs or plan.revoke:
                     _apply(service, plan)
-        except NotDelivered as error:
+        except errors.NotDelivered as error:
             _log.warning("the policy is applied, but not delivered yet: %s", printable(error))
-        except PolicyIncomplete as error:
+        except errors.PolicyIncomplete as error:
             _log.error("the policy is applied, %s", printable(error))
         except HintedError as error:
             alone = _to_try_alone(error, names)
@@ -202,7 +195,7 @@ class AuthorityWork:
 
     def _level(self, error: Exception) -> int:
         # A master that is not there yet is no warning: the key is usually unlocked before.
-        if not isinstance(error, NotDelivered):
+        if not isinstance(error, errors.NotDelivered):
             return logging.WARNING
         if self._undelivered_since is None:
             self._undelivered_since = self.now()
@@ -215,7 +208,7 @@ class AuthorityWork:
         found = service.home.domain_list()
         newest, domains = service.home.revocation_list(), b"" if found is None else found[0]
         known = (newest, domains) == (self.published, self._published_domains)
-        with contextlib.suppress(NotDelivered):  # it is away, and asked again
+        with contextlib.suppress(errors.NotDelivered):  # it is away, and asked again
             known = known and service.master_has_list()
         if not known:
             service.publish()
@@ -240,7 +233,7 @@ def _apply(service: AuthorityService, plan: PolicyPlan) -> None:
     try:
         service.policy.apply(plan, lambda text: _log.info("policy: %s", text))
     except OSError as error:
-        raise NotDelivered(str(error), "the next round tries again") from error
+        raise errors.NotDelivered(str(error), "the next round tries again") from error
 
 
 def _log_refused(refused: Iterable[RefusedDeposit]) -> None:
@@ -255,4 +248,4 @@ def _to_try_alone(error: HintedError, names: Collection[str] | None) -> Collecti
 
 
 def _no_passphrase() -> str:
-    raise ConfigurationError("the service asks nobody for a passphrase")
+    raise errors.ConfigurationError("the service asks nobody for a passphrase")
