@@ -7,13 +7,12 @@ randomness are arguments. What a signer is given is read before the key signs it
 from typing import Final, NamedTuple
 
 from cryptography import x509
-from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca import certificates, svid
 from ca.builder import begin, common_name
 from ca.errors import CAError, CertificateRefused, NameRefused
 from ca.keys.passphrases import SEQUENCE, der
-from ca.keys.signing import Signer, require_p256, thumbprint
+from ca.keys.signing import PublicKey, Signer, require_p256, thumbprint
 from ca.names import SCHEME, check_domain, check_wildcard, parse_spiffe_id, spiffe_id
 from ca.svid import WILDCARD, WILDCARD_VALUE, check_request
 
@@ -58,12 +57,10 @@ class Authority:
     def issue(
         self, csr: bytes, *, now: int, serial: int, lifetime: int = LIFETIME, wildcard: bool = False
     ) -> bytes:
-        """Return the certificate (DER) that `csr` requests, valid for `lifetime` seconds.
-
-        It is backdated by an hour and ends with the authority's own certificate at the latest.
-        `serial` is 128 random bits. With `wildcard` the identity also covers the names of
-        anonymous nodes (`ca.names.covers`), whether the request asks for that or not.
-        """
+        """Return the certificate (DER) that `csr` requests, valid for `lifetime` seconds."""
+        # It is backdated by an hour and ends with the authority's own certificate at the latest. `serial` is
+        # 128 random bits. With `wildcard` the identity also covers the names of anonymous nodes
+        # (`ca.names.covers`), whether the request asks for that or not.
         if not self.may_enroll:
             raise CAError(
                 "this intermediate may renew identities, not enroll nodes",
@@ -83,7 +80,7 @@ class Authority:
     def reissue(
         self,
         identity: certificates.Identity,
-        key: ec.EllipticCurvePublicKey,
+        key: PublicKey,
         *,
         now: int,
         serial: int,
@@ -112,14 +109,7 @@ class Authority:
         )
 
     def _issue(
-        self,
-        name: str,
-        key: ec.EllipticCurvePublicKey,
-        now: int,
-        serial: int,
-        lifetime: int,
-        *,
-        wildcard: bool,
+        self, name: str, key: PublicKey, now: int, serial: int, lifetime: int, *, wildcard: bool
     ) -> bytes:
         _check_serial(serial)
         uri = svid.alternative_name(spiffe_id(self.anchor.domain, name))
@@ -162,13 +152,7 @@ def create_root(signer: Signer, domain: str, *, now: int, serial: int) -> bytes:
 
 
 def _authority(
-    key: ec.EllipticCurvePublicKey,
-    issuer: x509.Name,
-    serial: int,
-    period: tuple[int, int],
-    domain: str,
-    *,
-    below: int,
+    key: PublicKey, issuer: x509.Name, serial: int, period: tuple[int, int], domain: str, *, below: int
 ) -> x509.CertificateBuilder:
     return (
         begin(key, _subject_name(key), issuer, serial, period, below=below)
@@ -177,17 +161,17 @@ def _authority(
     )
 
 
-def _subject_name(key: ec.EllipticCurvePublicKey) -> x509.Name:
+def _subject_name(key: PublicKey) -> x509.Name:
     # A name that differs for every key, so that a foreign issuer is recognized by its name.
     return common_name(f"rossec {thumbprint(key)[:8].hex()}")
 
 
-def _key_identifier(key: ec.EllipticCurvePublicKey) -> bytes:
+def _key_identifier(key: PublicKey) -> bytes:
     # RFC 7093 allows any short digest of the key; ours is the start of its thumbprint.
     return thumbprint(key)[:20]
 
 
-def _issuer_key(key: ec.EllipticCurvePublicKey) -> x509.AuthorityKeyIdentifier:
+def _issuer_key(key: PublicKey) -> x509.AuthorityKeyIdentifier:
     return x509.AuthorityKeyIdentifier(_key_identifier(key), None, None)
 
 

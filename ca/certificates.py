@@ -7,16 +7,15 @@ by one intermediate. A valid identity requests its successor without operator ac
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Final, NamedTuple, Self
+from typing import Final, Self
 
 from cryptography import x509
-from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 
 from ca import errors, svid
 from ca.bounded import Newest
 from ca.encoding import Value
-from ca.keys.signing import Profile, Signer, thumbprint
+from ca.keys.signing import Profile, PublicKey, Signer, thumbprint
 from ca.names import SCHEME, check_domain, check_wildcard, covers, parse_spiffe_id, refuse_alias
 
 SET_CLOCK: Final = "set this host's clock, or synchronize it (NTP)"
@@ -85,11 +84,9 @@ def check_time(what: str, start: int, end: int, now: int, back: str) -> None:
 
 
 def own_end(name: str, end: int, now: int, seen: int) -> errors.CertificateExpired:
-    """The refusal of this host's own identity `name`, which was valid until `end`.
-
-    `seen` is the latest time that is known by anything else than the clock, such as the time of
-    the newest signature here. If it is after the end, or not long ago, the clock is not in doubt.
-    """
+    """The refusal of this host's own identity `name`, which was valid until `end`."""
+    # `seen` is the latest time that is known by anything else than the clock, such as the time of the newest
+    # signature here. If it is after the end, or not long ago, the clock is not in doubt.
     back = f"where the authority is: {way_back(name)}"
     if seen >= end or now - seen <= _PLAUSIBLE:
         return errors.CertificateExpired(f"the identity of {name} ended on {utc(end)}", back)
@@ -112,7 +109,7 @@ def everything_ended(domain: str, end: int, now: int) -> errors.CertificateExpir
 class Intermediate:
     """A verified intermediate. Times are inclusive, in seconds."""
 
-    public_key: ec.EllipticCurvePublicKey
+    public_key: PublicKey
     thumbprint: bytes
     not_before: int
     not_after: int
@@ -150,7 +147,7 @@ def build_intermediate_request(signer: Signer, domain: str) -> bytes:
     return svid.sign(builder, signer)
 
 
-def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePublicKey:
+def check_intermediate_request(csr: bytes, domain: str) -> PublicKey:
     """Return the key of a request for an intermediate of `domain`; possession is proven."""
     key, *asked = svid.read_request(csr, _HINT)
     if asked != [f"{SCHEME}{domain}", False]:
@@ -168,7 +165,7 @@ class Identity:
 
     domain: str
     name: str  # which grants and rules are for
-    public_key: ec.EllipticCurvePublicKey
+    public_key: PublicKey
     thumbprint: bytes  # of the key (RFC 9679)
     not_before: int
     not_after: int  # the earliest one of the chain below the anchor
@@ -207,7 +204,7 @@ class TrustAnchor:
     """The root certificate a node trusts. Create it with `load`; its key is parsed only once."""
 
     domain: str
-    public_key: ec.EllipticCurvePublicKey
+    public_key: PublicKey
     thumbprint: bytes
     not_before: int
     not_after: int
@@ -307,26 +304,21 @@ class TrustAnchor:
 
     def _identity(self, der: bytes, issuer: "TrustAnchor | Intermediate") -> Identity:
         known = _cache.get((issuer.certificate, der))
-        if known is not None and known.signed.verifies(issuer.public_key):
-            return known.identity
+        if known is not None and known[0].verifies(issuer.public_key):
+            return known[1]
         certificate = svid.parse(der)
         signed = svid.certificate_signature(certificate, issuer.subject)
         if signed is None or not signed.verifies(issuer.public_key):
             raise self._foreign("certificate", certificate)
         identity = _read(self.domain, certificate, der)
-        _cache[issuer.certificate, der] = _CachedLeaf(signed, identity)
+        _cache[issuer.certificate, der] = signed, identity
         return identity
-
-
-class _CachedLeaf(NamedTuple):
-    signed: svid.CertificateSignature
-    identity: Identity
 
 
 # By the DER of the issuer and of the leaf. Peers connect again for every topic, and parsing a
 # certificate is a pure function of its bytes, so the result is cached once it has verified.
 # The decision is never cached: signature and validity times are checked each time.
-_cache: Final[Newest[tuple[bytes, bytes], _CachedLeaf]] = Newest(CACHE_SIZE)
+_cache: Final[Newest[tuple[bytes, bytes], tuple[svid.CertificateSignature, Identity]]] = Newest(CACHE_SIZE)
 
 
 def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:
@@ -380,10 +372,8 @@ class Renewal:
 
 
 def signed_at(not_before: int, not_after: int) -> int:
-    """When an identity was signed: the backdated hour is not part of its lifetime.
-
-    Otherwise each successor would live an hour longer, and a short one would be due at once.
-    """
+    """When an identity was signed: the backdated hour is not part of its lifetime."""
+    # Otherwise each successor would live an hour longer, and a short one would be due at once.
     began = not_before + BACKDATE
     return began if began < not_after else not_before
 
@@ -401,21 +391,17 @@ def retry_delay(not_before: int, not_after: int, longest: int) -> int:
 
 
 def sign_renewal(old: Signer, chain: Sequence[bytes], csr: bytes, now: int) -> bytes:
-    """Sign, with the old key, the request that `csr` succeed `chain` (DER, leaf first).
-
-    A node writes its new key to the disk *before* it sends this, and repeats the same bytes until it
-    has the answer: the authority answers one request always with the same certificate.
-    """
+    """Sign, with the old key, the request that `csr` succeed `chain` (DER, leaf first)."""
+    # A node writes its new key to the disk *before* it sends this, and repeats the same bytes until it has
+    # the answer: the authority answers one request always with the same certificate.
     certificates: list[Value] = [*chain]
     return PROFILE.sign(old, {_IAT: now, _CSR: csr, _CHAIN: certificates})
 
 
 def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[bytes, int], None]) -> Renewal:
-    """Return the renewal in `data`, if it is valid.
-
-    `check(entry, now)` raises when a key's thumbprint is revoked, or its status is unknown
-    (`Revocations.check`).
-    """
+    """Return the renewal in `data`, if it is valid."""
+    # `check(entry, now)` raises when a key's thumbprint is revoked, or its status is unknown
+    # (`Revocations.check`).
     # 1. The chain in it says whose signature to verify; nothing else of it is used before that.
     try:
         _, _, chain = _read_renewal(PROFILE.peek(data, limit=MAX_RENEWAL))

@@ -12,12 +12,10 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
 from ca import errors, svid
 from ca.certificates import Identity, TrustAnchor
 from ca.encoding import Value, decode, encode, is_number
-from ca.keys.signing import Profile, Signer, from_coordinates, thumbprint, to_coordinates
+from ca.keys.signing import Profile, PublicKey, Signer, from_coordinates, thumbprint, to_coordinates
 from ca.names import alias_of, check_domain, check_label, check_pattern, pattern_covers
 from ca.svid import MAX_CERTIFICATE
 
@@ -78,6 +76,7 @@ class TrustBundle:
 
 
 def sign_bundle(signer: Signer, bundle: TrustBundle) -> bytes:
+    """The COSE_Sign1 of a bundle, by its own root key alone (docs/spec/domains.md)."""
     if thumbprint(signer.public_key) != bundle.anchor.thumbprint:
         raise errors.BundleRefused(
             "the bundle is not about this authority", "an intermediate signs no bundles"
@@ -95,8 +94,9 @@ def sign_bundle(signer: Signer, bundle: TrustBundle) -> bytes:
 
 
 def open_bundle(data: bytes, now: int) -> TrustBundle:
-    # Signed by the root key in it: that proves that its maker has the key, and nothing about who that is. A
-    # person compares the fingerprint over another way.
+    """The bundle in `data`, if it is signed by the root in it and valid at `now`, seconds."""
+    # That proves that its maker has the key, and nothing about who that is: a person compares the
+    # fingerprint over another way.
     try:
         bundle = _read_bundle(
             TRUST_BUNDLE.peek(data, limit=MAX_TRUST_BUNDLE)
@@ -137,6 +137,8 @@ def _texts(items: list[Value]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ForeignDomain:
+    """A domain as this side trusts it; terms that make no sense are `DomainsRefused`."""
+
     domain: str
     label: str  # what it is called here
     root: bytes  # its root certificate, DER
@@ -214,6 +216,7 @@ class DomainList:
 
 
 def sign_domains(signer: Signer, domains: DomainList, own_domain: str) -> bytes:
+    """The COSE_Sign1 of the list; `DomainsRefused` where it names `own_domain` or has over 64 KiB."""
     _check_own(domains, own_domain, to_coordinates(signer.public_key))
     data = DOMAINS.sign(
         signer,
@@ -238,7 +241,7 @@ def open_domains(data: bytes, own: TrustAnchor) -> DomainList:
     return domains
 
 
-def verify_domains(data: bytes, key: ec.EllipticCurvePublicKey) -> DomainList:
+def verify_domains(data: bytes, key: PublicKey) -> DomainList:
     """As `open_domains`, for a list that may name the domain whose root key `key` is."""
     try:
         return _read_list(DOMAINS.open(data, key, limit=MAX_LIST))
@@ -335,6 +338,8 @@ def _check_sorted(items: list[Any]) -> None:
 
 @dataclass(frozen=True)
 class ListedDomain:
+    """A domain of the list in force, with its root, parsed."""
+
     entry: ForeignDomain
     anchor: TrustAnchor
 
@@ -367,7 +372,7 @@ class _Snapshot(NamedTuple):
     current: DomainList | None
     by_domain: dict[str, ListedDomain]
     by_label: dict[str, ListedDomain]
-    masters: tuple[ec.EllipticCurvePublicKey, ...]
+    masters: tuple[PublicKey, ...]
 
 
 _NOTHING: Final = _Snapshot(b"", None, {}, {}, ())
@@ -390,7 +395,7 @@ class Anchors:
         return self._snapshot.current
 
     @property
-    def masters(self) -> tuple[ec.EllipticCurvePublicKey, ...]:
+    def masters(self) -> tuple[PublicKey, ...]:
         return self._snapshot.masters
 
     def update(self, data: bytes, persist: Callable[[bytes], None] | None = None) -> frozenset[str]:

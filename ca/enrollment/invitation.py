@@ -22,7 +22,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from ca.encoding import Value, encode
 from ca.errors import CodeRefused, EnrollmentMessageRefused, EnrollmentRefused, JoinRefused, SignatureError
-from ca.keys.signing import KeySigner, Profile, Signer, require_p256
+from ca.keys.signing import KeySigner, Profile, PublicKey, Signer, require_p256
 from ca.names import MAX_NAME
 from ca.svid import MAX_REQUEST
 
@@ -161,9 +161,9 @@ def parse_body(body: bytes) -> InvitationCode:
     )
 
 
-def public_key(point: bytes) -> ec.EllipticCurvePublicKey:
+def public_key(point: bytes) -> PublicKey:
     try:
-        return require_p256(ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), point))
+        return require_p256(PublicKey.from_encoded_point(ec.SECP256R1(), point))
     except ValueError as error:
         raise CodeRefused("the key of the invitation is not a point of P-256") from error
 
@@ -213,7 +213,7 @@ def sign_live(signer: Signer, transcript_hash: bytes) -> bytes:
     return _LIVE.sign(signer, [transcript_hash])
 
 
-def check_live(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> None:
+def check_live(data: bytes, key: PublicKey, transcript_hash: bytes) -> None:
     try:
         _LIVE.check(data, key, [transcript_hash])
     except SignatureError as error:
@@ -228,12 +228,7 @@ def sign_proof(signer: Signer, transcript_hash: bytes, csr: bytes, name: str, me
 
 
 def check_proof(
-    data: bytes,
-    key: ec.EllipticCurvePublicKey,
-    transcript_hash: bytes,
-    csr: bytes,
-    name: str,
-    metadata: bytes = b"",
+    data: bytes, key: PublicKey, transcript_hash: bytes, csr: bytes, name: str, metadata: bytes = b""
 ) -> None:
     """Return if the holder of the secret asks for `csr` in this join. It is only hashed."""
     _check(_PROOF, data, key, _asked(transcript_hash, csr, name, metadata))
@@ -243,7 +238,7 @@ def sign_claim(signer: Signer, transcript_hash: bytes, metadata: bytes) -> bytes
     return _CLAIM.sign(signer, [transcript_hash, _digest(metadata)])
 
 
-def check_claim(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes, metadata: bytes) -> None:
+def check_claim(data: bytes, key: PublicKey, transcript_hash: bytes, metadata: bytes) -> None:
     """Return if the holder of the secret sends `metadata`, which are only hashed."""
     _check(_CLAIM, data, key, [transcript_hash, _digest(metadata)])
 
@@ -254,7 +249,7 @@ def _asked(transcript_hash: bytes, csr: bytes, name: str, metadata: bytes) -> li
     return [*asked, _digest(metadata)] if metadata else asked
 
 
-def _check(profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey, content: list[Value]) -> None:
+def _check(profile: Profile, data: bytes, key: PublicKey, content: list[Value]) -> None:
     try:
         profile.check(data, key, content)
     except SignatureError as error:

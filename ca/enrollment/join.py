@@ -266,11 +266,9 @@ class NodeJoin(Machine[NodeJoinState]):
         return write(ClaimMessage(metadata, proof))
 
     def join(self, csr: bytes, metadata: bytes = b"") -> bytes:
-        """The request with its proof; `csr` is for a name within the invitation, or `name`.
-
-        With `metadata`, those of the claim if there was one, the name must be the one that the
-        authority's rules give for them.
-        """
+        """The request with its proof; `csr` is for a name within the invitation, or `name`."""
+        # With `metadata`, those of the claim if there was one, the name must be the one that the authority's
+        # rules give for them.
         self._require(_S.WELCOMED, _S.NAMED)
         if metadata and not self._metadata:
             self._metadata = _checked(metadata)

@@ -13,8 +13,6 @@ from enum import Enum
 from hashlib import sha256
 from typing import Final
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
 from ca import errors
 from ca.certificates import TrustAnchor
 from ca.encoding import encode
@@ -36,7 +34,7 @@ from ca.enrollment.messages import (
     write,
 )
 from ca.enrollment.qr import Code
-from ca.keys.signing import Profile, Signer
+from ca.keys.signing import Profile, PublicKey, Signer
 from ca.svid import IdentityRequest, check_request
 
 _CONTEXT: Final = "rossec-enroll-v1"
@@ -95,7 +93,7 @@ def sign_acknowledgement(signer: Signer, transcript_hash: bytes, contribution: b
     return _ACKNOWLEDGEMENT.sign(signer, [transcript_hash, contribution])
 
 
-def open_acknowledgement(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> bytes:
+def open_acknowledgement(data: bytes, key: PublicKey, transcript_hash: bytes) -> bytes:
     match _open(_ACKNOWLEDGEMENT, data, key):
         case [bytes() as acknowledged, bytes() as contribution] if (
             acknowledged == transcript_hash and len(contribution) == NONCE_SIZE
@@ -109,12 +107,12 @@ def sign_done(signer: Signer, transcript_hash: bytes) -> bytes:
     return _DONE.sign(signer, [transcript_hash])
 
 
-def check_done(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> None:
+def check_done(data: bytes, key: PublicKey, transcript_hash: bytes) -> None:
     if _open(_DONE, data, key) != [transcript_hash]:
         raise _replayed()
 
 
-def _open(profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey) -> object:
+def _open(profile: Profile, data: bytes, key: PublicKey) -> object:
     try:
         return profile.open(data, key, limit=_MAX_STATEMENT)
     except (errors.SignatureError, errors.EncodingError) as error:
@@ -376,11 +374,9 @@ class AuthorityEnrollment(Machine[AuthorityState]):
         self.state = _A.OVER
 
     def offer(self, chain: Sequence[bytes], root: bytes, nonce: bytes, now: int) -> bytes:
-        """Return the offer to send, and to send again unchanged when the connection breaks.
-
-        `chain` is the certificate issued for `csr`, and an intermediate if there is one; `nonce`
-        are 16 fresh random octets.
-        """
+        """Return the offer to send, and to send again unchanged when the connection breaks."""
+        # `chain` is the certificate issued for `csr`, and an intermediate if there is one; `nonce` are 16
+        # fresh random octets.
         self.tick(now)
         # The authority checks its own work: what a person approved is what is sent.
         identity, request = TrustAnchor.load(root).verify(chain, now), self.request

@@ -12,12 +12,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Final
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
 from ca import errors
 from ca.certificates import Identity
 from ca.domains import ADMIT_HINT, Anchors, ListedDomain
-from ca.keys.signing import thumbprint
+from ca.keys.signing import PublicKey, thumbprint
 from ca.names import is_master_name, pattern_covers
 from ca.revocation import lists
 
@@ -35,10 +33,7 @@ class Revocations:
     """The newest list of one authority, and the last confirmation that it is the newest."""
 
     def __init__(
-        self,
-        anchor_key: ec.EllipticCurvePublicKey,
-        floor: tuple[int, int] = NO_FLOOR,
-        fresh: int | None = None,
+        self, anchor_key: PublicKey, floor: tuple[int, int] = NO_FLOOR, fresh: int | None = None
     ) -> None:
         self._key = anchor_key
         self.floor = floor
@@ -96,13 +91,11 @@ class Revocations:
     def update(
         self, data: bytes, now: int, persist: Callable[[bytes], None] | None = None
     ) -> frozenset[bytes]:
-        """Apply a signed list or tree; return the entries it adds, to close their connections.
-
-        Its age is not checked: a slow clock must not block revocations. `persist(data)` is called
-        after all checks and before the list takes effect; if it raises, nothing changes. An expired
-        list is applied too: what it revokes stays revoked, and `check` refuses everything else. A
-        new list needs a new confirmation. With a tree, what was known to be revoked stays so.
-        """
+        """Apply a signed list or tree; return the entries it adds, to close their connections."""
+        # Its age is not checked: a slow clock must not block revocations. `persist(data)` is called after all
+        # checks and before the list takes effect; if it raises, nothing changes. An expired list is applied
+        # too: what it revokes stays revoked, and `check` refuses everything else. A new list needs a new
+        # confirmation. With a tree, what was known to be revoked stays so.
         # 1. Verified, and not older than what was seen before: also over a restart, by the saved `floor`.
         revocations = open_statement(data, self._key)
         self.check_number(revocations)
@@ -193,9 +186,7 @@ class Revocations:
             )
 
 
-def open_statement(
-    data: bytes, ca_key: ec.EllipticCurvePublicKey
-) -> lists.RevocationList | lists.RevocationTree:
+def open_statement(data: bytes, ca_key: PublicKey) -> lists.RevocationList | lists.RevocationTree:
     return lists.open_tree(data, ca_key) if lists.is_tree(data) else lists.open_list(data, ca_key)
 
 
@@ -207,7 +198,7 @@ def _text(number: tuple[int, int]) -> str:
 class _Foreign:
     root: bytes
     revocations: Revocations
-    masters: dict[bytes, ec.EllipticCurvePublicKey] = field(default_factory=dict)
+    masters: dict[bytes, PublicKey] = field(default_factory=dict)
 
 
 class TrustStatus:
@@ -243,12 +234,10 @@ class TrustStatus:
         now: int,
         persist: Callable[[bytes], None] | None = None,
     ) -> frozenset[bytes]:
-        """Take a foreign list (empty: the one held) and its timestamp; returns what it adds.
-
-        A valid list is kept even when the timestamp is not accepted. `persist(list)` is called
-        after all checks of the list and before it takes effect. `chain` are the certificates of the
-        master that signed the timestamp, DER, the leaf first.
-        """
+        """Take a foreign list (empty: the one held) and its timestamp; returns what it adds."""
+        # A valid list is kept even when the timestamp is not accepted. `persist(list)` is called after all
+        # checks of the list and before it takes effect. `chain` are the certificates of the master that
+        # signed the timestamp, DER, the leaf first.
         listed, held = self._listed(domain), self._held(domain)
         if held is None:
             raise _not_listed(domain)
@@ -292,11 +281,9 @@ class TrustStatus:
             raise errors.RevocationsStale(f"of domain {label}: {error}", _SILENT) from None
 
     def check_peer(self, peer: Identity, now: int) -> None:
-        """Return if a new connection with `peer` is right, as far as its identity goes.
-
-        All its keys are checked: stale data on the first must not hide that its intermediate is
-        revoked. Those of a foreigner on the own list too, so that this side can refuse one at once.
-        """
+        """Return if a new connection with `peer` is right, as far as its identity goes."""
+        # All its keys are checked: stale data on the first must not hide that its intermediate is revoked.
+        # Those of a foreigner on the own list too, so that this side can refuse one at once.
         checks: list[Callable[[bytes, int], None]] = [self.own.check]
         if peer.is_foreign:
             self.check_trust(peer, now)
@@ -315,10 +302,8 @@ class TrustStatus:
             raise stale
 
     def check_trust(self, peer: Identity, now: int) -> None:
-        """Return if the newest list of domains lets a connection with `peer` stand.
-
-        A list that has expired cuts nobody.
-        """
+        """Return if the newest list of domains lets a connection with `peer` stand."""
+        # A list that has expired cuts nobody.
         if not peer.is_foreign:
             return
         listed = self._listed(peer.domain)
@@ -343,11 +328,9 @@ class TrustStatus:
         held = self._held(domain)
         return frozenset() if held is None else held.revocations.entries
 
-    def delegates(self, domain: str) -> tuple[ec.EllipticCurvePublicKey, ...]:
-        """The keys whose tickets renew grants of `domain`: its masters, unless revoked.
-
-        Of the own domain those that the list of domains names; the caller adds its own master.
-        """
+    def delegates(self, domain: str) -> tuple[PublicKey, ...]:
+        """The keys whose tickets renew grants of `domain`: its masters, unless revoked."""
+        # Of the own domain those that the list of domains names; the caller adds its own master.
         if domain == self.anchors.own.domain:
             keys = self.anchors.masters
         else:

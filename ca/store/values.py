@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, NamedTuple, NoReturn
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
 from ca import names, svid
 from ca.encoding import encode, is_number
 from ca.errors import EncodingError, LogDamaged, RequestClosed, SignatureError, StoreError
-from ca.keys.signing import Profile, Signer
+from ca.keys.signing import Profile, PublicKey, Signer
 from ca.revocation import merkle
 from ca.revocation.merkle import HASH_SIZE
 
@@ -204,7 +202,7 @@ def sign_head(signer: Signer, head: Head) -> bytes:
     return HEAD_PROFILE.sign(signer, {_IAT: head.issued, _SIZE: head.size, _ROOT: head.root})
 
 
-def open_head(data: bytes, key: ec.EllipticCurvePublicKey) -> Head:
+def open_head(data: bytes, key: PublicKey) -> Head:
     try:
         value = HEAD_PROFILE.open(data, key, limit=MAX_HEAD)
     except (SignatureError, EncodingError) as error:

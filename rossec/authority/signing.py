@@ -12,13 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
 from ca import errors, svid
 from ca.authority import LIFETIME, Authority
 from ca.certificates import Identity, TrustAnchor, to_pem
 from ca.domains import DomainList, ForeignDomain, open_domains, sign_domains
-from ca.keys.signing import Signer, to_coordinates
+from ca.keys.signing import PublicKey, Signer, to_coordinates
 from ca.names import check_name, is_alias, shown
 from ca.revocation.lists import MAX_ENTRIES, RevocationList, RevocationTree, TreeEntries, sign_list, sign_tree
 from ca.revocation.trust_status import open_statement
@@ -85,7 +83,7 @@ def required_entries(store: Store, now: int) -> frozenset[bytes]:
     return store.revoked_entries() - frozenset(ended) - frozenset(expired)
 
 
-def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> frozenset[bytes]:
+def missing_entries(store: Store, key: PublicKey, now: int) -> frozenset[bytes]:
     """The entries that the newest list, signed with `key`, lacks; all, where that is unknown."""
     with store.database.read_transaction():
         data = store.newest_list()
@@ -442,7 +440,7 @@ class SigningAuthority:
         return head
 
 
-def delegations(authority: Path, key: ec.EllipticCurvePublicKey) -> list[OpenDelegation]:
+def delegations(authority: Path, key: PublicKey) -> list[OpenDelegation]:
     missing = ConfigurationError("no delegation")
     found = sorted((authority / DELEGATIONS).glob("*.cose"))
     return [open_delegation(files.read_own(path, _SIZE_LIMIT, missing), key) for path in found]

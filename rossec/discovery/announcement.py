@@ -223,11 +223,9 @@ class Candidate:
         return max(0.0, clock - self.heard[-1][1])
 
     def sent(self, clock: float) -> int:
-        """How many announcements it has sent since the first one in `heard`.
-
-        By sequence number up to the last one received; after it by time, so that the loss of a
-        master that has died grows. Half an interval late does not count as lost.
-        """
+        """How many announcements it has sent since the first one in `heard`."""
+        # By sequence number up to the last one received; after it by time, so that the loss of a master that
+        # has died grows. Half an interval late does not count as lost.
         (first, began), (last, ended) = self.heard[0], self.heard[-1]
         interval = (ended - began) / (last - first) if last > first else _SLOWEST
         missed = int(self.age(clock) / max(interval, 0.1) - 0.5)
@@ -258,10 +256,8 @@ class Candidates:
         self.refused: Counter[str] = Counter()
 
     def heard(self, data: bytes, source: DatagramSource, now: int, clock: float) -> Candidate | None:
-        """Process a datagram; returns the master it is from, None for a duplicate.
-
-        `now` is since the epoch, `clock` of a monotonic clock.
-        """
+        """Process a datagram; returns the master it is from, None for a duplicate."""
+        # `now` is since the epoch, `clock` of a monotonic clock.
         try:
             # 1. Cheap checks first: size, form, age, duplicates.
             claim = read_claim(data, now)

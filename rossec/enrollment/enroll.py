@@ -50,6 +50,8 @@ Answer: TypeAlias = dict[str, str]
 
 
 class WaitingNode:
+    """A node that waits for its enrollment; `on_refusal` gets a line for each caller that is refused."""
+
     def __init__(
         self,
         core: NodeEnrollment,
@@ -239,6 +241,7 @@ def _socket_path(directory: Path) -> Iterator[str]:
 
 
 async def fetch(core: AuthorityEnrollment, host: str, port: int, clock: Callable[[], int]) -> None:
+    """Fetch the request of the node at `host` into `core`, or raise `PeerUnreachable`."""
     try:
         async with (
             sessions.connected(host, port, _AUTHORITY_PATIENCE) as (reader, writer),
@@ -293,6 +296,7 @@ async def deliver(
 
 
 def code_in_file(path: Path, stdin: BinaryIO) -> str:
+    """The one code in a picture (`-`: in `stdin`), or `ConfigurationError`."""
     if str(path) == "-":
         return code_in(stdin.read(MAX_FILE + 1))
     with path.open("rb") as file:

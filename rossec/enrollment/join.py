@@ -60,6 +60,8 @@ async def no_names(_: JoinClaim) -> NameAnswer:
 
 
 class JoinServer:
+    """The join port: one session for each node, from hello to answer."""
+
     def __init__(
         self,
         identity: Callable[[], LiveIdentity],  # of `/ca` as of now; it is renewed while this runs
@@ -162,11 +164,9 @@ async def ask_name(code: InvitationCode, metadata: bytes, clock: Callable[[], in
 async def join(
     code: InvitationCode, request: Callable[[str], bytes], clock: Callable[[], int], metadata: bytes = b""
 ) -> JoinedIdentity:
-    """Join by `code`, and return the verified identity, which is not on the disk yet.
-
-    `request` returns this node's CSR (DER) for a trust domain: the same one each time. With
-    `metadata` the authority issues only the name that its rules give for them (`ask_name`).
-    """
+    """Join by `code`, and return the verified identity, which is not on the disk yet."""
+    # `request` returns this node's CSR (DER) for a trust domain: the same one each time. With `metadata` the
+    # authority issues only the name that its rules give for them (`ask_name`).
 
     async def session() -> JoinedIdentity:
         core = NodeJoin(code, secrets.token_bytes(NONCE_SIZE))

@@ -43,7 +43,6 @@ LOOKER: Final = "look"
 """Everybody who may only look, where they share one place."""
 
 _PHONE: Final = "phone "
-MAX_OWNER: Final = 200  # characters
 
 
 def of_phone(name: str) -> str:

@@ -13,12 +13,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
 from ca.encoding import Value
 from ca.errors import HintedError, KeyRefused
 from ca.keys.private_keys import TokenSigner
-from ca.keys.signing import Signer
+from ca.keys.signing import PublicKey, Signer
 from rossec import clock
 from rossec.authority.keyservice import messages
 from rossec.errors import AuthorityLocked, KeyServiceRefused, SigningRefused
@@ -181,7 +179,7 @@ class KeyOperations:
 @dataclass(eq=False, repr=False)
 class OwnSigner:
     operations: KeyOperations
-    public_key: ec.EllipticCurvePublicKey
+    public_key: PublicKey
     purpose: str = ITSELF
 
     def sign(self, message: bytes) -> bytes:
