@@ -10,7 +10,7 @@ from enum import StrEnum
 from itertools import zip_longest
 from typing import Any, Final, NamedTuple
 
-from ca.approvals.passkeys import Approval, ApprovalVerifier, Passkey, counter_of, to_approve
+from ca.approvals.passkeys import Approval, ApprovalVerifier, AuthenticatorData, Passkey, to_approve
 from ca.approvals.statement import Statement, StatementKind
 from ca.domains import verify_domains
 from ca.errors import ApprovalOver, ApprovalRefused, CAError, LogDamaged, StoreError
@@ -395,7 +395,7 @@ class ApprovalTable:
         rows = self._database.rows(
             "SELECT authenticator_data FROM approval WHERE passkey = ? ORDER BY rowid DESC LIMIT 1", passkey
         )
-        return counter_of(rows[0][0]) if rows else 0
+        return AuthenticatorData.read(rows[0][0]).counter if rows else 0
 
     def _rows(self, clause: str, *values: object) -> list[Approval]:
         return [Approval(*row) for row in self._database.logged("approval", clause, *values)]

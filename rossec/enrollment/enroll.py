@@ -49,7 +49,7 @@ _REASONS: Final[dict[type[errors.EnrollmentRefused], Reason]] = {
 Answer: TypeAlias = dict[str, str]
 
 
-class WaitingNode:
+class WaitingNode(SessionServer):
     """A node that waits for its enrollment; `on_refusal` gets a line for each caller that is refused."""
 
     def __init__(
@@ -63,16 +63,9 @@ class WaitingNode:
         self._clock = clock
         self._on_refusal = on_refusal
         self._patience = patience
-        self.server = SessionServer(self._serve, _CAPS)
+        super().__init__(self._run, _CAPS)
         self._waiting: set[asyncio.StreamWriter] = set()
         self._changed = asyncio.Event()
-
-    @property
-    def port(self) -> int:
-        return self.server.port
-
-    async def listen(self, host: str | None, port: int) -> None:
-        await self.server.listen(host, port)
 
     async def until(self, *states: NodeState, every: Callable[[int], None]) -> None:
         """Wait for one of `states`; `every` is called each second with the seconds left."""
@@ -106,13 +99,13 @@ class WaitingNode:
 
     async def close(self) -> None:
         """Stop listening; callers that wait for the result get it."""
-        self.server.stop_listening()
+        self.stop_listening()
         leaving = [*self._waiting]
         for writer in leaving:
             writer.close()
         for writer in leaving:
             await wait_closed(writer)
-        await self.server.close()
+        await super().close()
 
     async def __aenter__(self) -> Self:
         return self
@@ -120,7 +113,9 @@ class WaitingNode:
     async def __aexit__(self, *_: object) -> None:
         await self.close()
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
+    async def _run(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
+    ) -> None:
         try:
             while True:
                 waits = writer in self._waiting  # for the result

@@ -59,7 +59,7 @@ async def no_names(_: JoinClaim) -> NameAnswer:
     return RefusedMessage(RefuseReason.REFUSED)
 
 
-class JoinServer:
+class JoinServer(SessionServer):
     """The join port: one session for each node, from hello to answer."""
 
     def __init__(
@@ -76,20 +76,12 @@ class JoinServer:
         self._name = name
         self._on_refusal = on_refusal
         self._patience = patience
-        self._server = SessionServer(self._serve, caps)
+        super().__init__(self._run, caps)
         self._turns = _Turns(MAX_OF_INVITATION)
 
-    @property
-    def port(self) -> int:
-        return self._server.port
-
-    async def listen(self, host: str | None, port: int) -> None:
-        await self._server.listen(host, port)
-
-    async def close(self) -> None:
-        await self._server.close()
-
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
+    async def _run(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
+    ) -> None:
         core = AuthorityJoin(self._identity(), secrets.token_bytes(NONCE_SIZE))
         try:
             await self._receive(core, reader, writer)

@@ -78,7 +78,7 @@ class Questions:
         return to_value(tuple(_right(file, change(approve(each.verdict))) for each in found))
 
     def question_answers(self, question: bytes) -> Value:
-        with contextlib.closing(self._work.home().store()) as store:
+        with self._work.record() as store:
             found = GrantRequestStore(store.database).answers()
         views = []
         for stored, answer, reason, at in found:
@@ -284,7 +284,7 @@ class Removals:
     def deny_request(self, digest: bytes, reason: str) -> Value:
         # Deny a request for an identity, also one that was approved and is not issued yet.
         why, at = checked_reason(reason), self._work.now()
-        with contextlib.closing(self._work.home().store()) as store, store.transaction():
+        with self._work.record() as store, store.transaction():
             if store.requests.find(digest) is None:
                 raise RequestClosed("there is no such request", "it may have expired")
             store.requests.deny(digest, at, why)
@@ -294,7 +294,7 @@ class Removals:
     def deny_question(self, request: bytes, reason: str) -> Value:
         # Deny a right, or a whole request, also if it was approved and is not signed yet.
         why, at = checked_reason(reason), self._work.now()
-        with contextlib.closing(self._work.home().store()) as store, store.transaction():
+        with self._work.record() as store, store.transaction():
             table = GrantRequestStore(store.database)
             found = [each for each in table.unanswered() if is_about(each, request)]
             for each in found:
@@ -328,7 +328,7 @@ class Removals:
     def end_invitation(self, invitation: bytes, reason: str) -> Value:
         # End a join code; what waits because of it is denied.
         why, at = checked_reason(reason), self._work.now()
-        with contextlib.closing(self._work.home().store()) as store, store.transaction():
+        with self._work.record() as store, store.transaction():
             table = store.invitations
             status = InvitationStatus(table.get(invitation), table.uses(invitation), table.ended(invitation))
             before = {row.digest for row in store.requests.open(at)}
@@ -339,7 +339,7 @@ class Removals:
 
     def remove_phone(self, passkey: bytes, reason: str) -> Value:
         # End a passkey, and what it approved and is not carried out yet.
-        with contextlib.closing(self._work.home().store()) as store:
+        with self._work.record() as store:
             store.remove_passkey(passkey, checked_reason(reason), self._work.now())
         return None
 

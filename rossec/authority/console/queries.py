@@ -21,7 +21,7 @@ from ca.encoding import Value, encode
 from ca.errors import HintedError, RevocationRefused
 from ca.revocation.trust_status import open_statement
 from ca.store.log import ApprovalState
-from ca.store.record import CertificateRow, Store
+from ca.store.record import CertificateRow
 from ca.store.values import RevocationRow
 from grants import document
 from grants.errors import PolicyRefused
@@ -59,7 +59,7 @@ class RecordQueries:
 
     def nodes(self) -> Value:
         at = self.work.now()
-        with self._store() as store, store.database.read_transaction():
+        with self.work.record() as store, store.database.read_transaction():
             ended = {row.entry: row for row in store.revocations()}
             rows = store.identities.all()
         found: dict[tuple[str, bytes], CertificateRow] = {}
@@ -76,7 +76,7 @@ class RecordQueries:
 
     def grants(self) -> Value:
         oldest = self.work.now() - KEPT
-        with self._store() as store, store.database.read_transaction():
+        with self.work.record() as store, store.database.read_transaction():
             ended = {row.entry: row for row in store.revocations()}
             rules, signed = store.policy_grants(), store.signed_at()
             rows = store.grants()
@@ -93,7 +93,7 @@ class RecordQueries:
 
     def identity_requests(self) -> Value:
         at = self.work.now()
-        with self._store() as store:
+        with self.work.record() as store:
             store.requests.collect(at)
             views = []
             for row in store.requests.open(at):
@@ -107,7 +107,7 @@ class RecordQueries:
 
     def invitations(self) -> Value:
         at = self.work.now()
-        with self._store() as store, store.database.read_transaction():
+        with self.work.record() as store, store.database.read_transaction():
             found = [(each, each.row, each.state(at)) for each in invitations.invitations(store)]
         views = []
         for each, row, state in found:
@@ -117,7 +117,7 @@ class RecordQueries:
         return bounded("join codes", reversed(views))
 
     def phones(self) -> Value:
-        with self._store() as store, store.database.read_transaction():
+        with self.work.record() as store, store.database.read_transaction():
             known, ended = store.passkeys.all(), store.passkeys.ended()
             used, by = store.approvals.last_used(), store.approvals.approvers(StatementKind.PASSKEY)
         names = {each.id: each.name for each in known}
@@ -130,7 +130,7 @@ class RecordQueries:
         return bounded("phones", views)
 
     def approvals(self, count: int) -> Value:
-        with self._store() as store, store.database.read_transaction():
+        with self.work.record() as store, store.database.read_transaction():
             found = store.approvals.newest(max(0, min(count, MAX_APPROVALS)))
             ends = store.approvals.ends()
             names = {each.id: each.name for each in store.passkeys.all()}
@@ -147,13 +147,10 @@ class RecordQueries:
         return bounded("approvals", views)
 
     def events(self, before: int, count: int) -> Value:
-        with self._store() as store:
+        with self.work.record() as store:
             last = min(before, _MAX_NUMBER) if before > 0 else None
             found = store.log.newest(max(0, min(count, MAX_EVENTS)), last)
         return bounded("entries", [messages.EventView(*each[:5]) for each in found])
-
-    def _store(self) -> contextlib.closing[Store]:
-        return contextlib.closing(self.work.home().store())
 
 
 V = TypeVar("V", bound=tuple[Any, ...])

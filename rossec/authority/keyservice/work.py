@@ -17,6 +17,7 @@ from typing import Final
 from ca.enrollment.invitation import JoinClaim, JoinRequest
 from ca.enrollment.join import Issued, RefusedMessage, RefuseReason, write
 from ca.errors import HintedError, RecordUnusable, StoreError
+from ca.store.record import Store
 from grants.errors import PolicyRefused
 from rossec import clock, errors
 from rossec.authority import invitations, policyfile, renewals
@@ -65,9 +66,12 @@ class AuthorityWork:
     def home(self) -> AuthorityHome:
         return AuthorityHome.at(self.rossec_home)
 
+    def record(self) -> contextlib.closing[Store]:
+        return contextlib.closing(self.home().store())
+
     def join(self, data: bytes) -> tuple[bytes, str | None]:
         request = JoinRequest.from_bytes(data)
-        with contextlib.closing(self.home().store()) as store:
+        with self.record() as store:
             if not invitations.is_proved(store, request):  # before the authority is opened
                 return write(RefusedMessage(RefuseReason.REFUSED)), None
         with self.service(JOIN_PURPOSE) as service:
@@ -103,11 +107,11 @@ class AuthorityWork:
         return answers
 
     def allowed_pattern(self, asked: JoinClaim | JoinRequest) -> str | RefusedMessage:
-        with contextlib.closing(self.home().store()) as store:
+        with self.record() as store:
             return invitations.allowed_pattern(store, asked, self.now())
 
     def was_issued(self, request: JoinRequest) -> bool:
-        with contextlib.closing(self.home().store()) as store:
+        with self.record() as store:
             return store.identities.issued_for(request.digest) is not None
 
     def apply(self, names: Collection[str] | None = None) -> None:
@@ -153,7 +157,7 @@ class AuthorityWork:
         """As `apply` for all, if the policy or the record changed, or `PERIOD` is over."""
         try:
             status = self.policy_path().stat()
-            with contextlib.closing(self.home().store()) as store:
+            with self.record() as store:
                 state = status.st_mtime_ns, status.st_size, store.log.head(self.now()).size
         except (HintedError, OSError) as error:
             _log.error("the policy is not applied: %s", printable(error))
