@@ -14,7 +14,6 @@ from ca.errors import CAError, CertificateRefused, NameRefused
 from ca.keys.passphrases import SEQUENCE, der
 from ca.keys.signing import PublicKey, Signer, require_p256, thumbprint
 from ca.names import SCHEME, check_domain, check_wildcard, parse_spiffe_id, spiffe_id
-from ca.svid import WILDCARD, WILDCARD_VALUE, check_request
 
 DAY: Final = 86_400
 LIFETIME: Final = 30 * DAY
@@ -67,7 +66,7 @@ class Authority:
                 "enroll at the root, or make an intermediate that may enroll",
             )
         # A wildcard tail is the approver's word: one that only the request asks for is refused.
-        request = check_request(csr, self.anchor.domain, wildcard=wildcard)
+        request = svid.check_request(csr, self.anchor.domain, wildcard=wildcard)
         return self._issue(request.name, request.public_key, now, serial, lifetime, wildcard=wildcard)
 
     def renew(
@@ -123,7 +122,7 @@ class Authority:
         if wildcard:
             check_wildcard(name)
             builder = builder.add_extension(
-                x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE), critical=False
+                x509.UnrecognizedExtension(svid.WILDCARD, svid.WILDCARD_VALUE), critical=False
             )
         return svid.sign(builder, self.signer)
 

@@ -17,14 +17,13 @@ from ca.certificates import Identity, TrustAnchor
 from ca.encoding import Value, decode, encode, is_number
 from ca.keys.signing import Profile, PublicKey, Signer, from_coordinates, thumbprint, to_coordinates
 from ca.names import alias_of, check_domain, check_label, check_pattern, pattern_covers
-from ca.svid import MAX_CERTIFICATE
 
 TRUST_BUNDLE: Final = Profile("rossec-card+cwt")
 TRUST_BUNDLE_LIFETIME: Final = 7 * 86400
 MAX_TRUST_BUNDLE_LIFETIME: Final = 30 * 86400
 MAX_TRUST_BUNDLE_NAMES: Final = 16
 MAX_TRUST_BUNDLE_MASTERS: Final = 8
-MAX_TRUST_BUNDLE: Final = MAX_CERTIFICATE + 8 * 1024
+MAX_TRUST_BUNDLE: Final = svid.MAX_CERTIFICATE + 8 * 1024
 SKEW: Final = 300  # seconds that another site's clock may be behind
 _EXP, _IAT, _ROOT, _NAMES, _MASTERS = 4, 6, -70037, -70038, -70039
 _URI: Final = re.compile(r"http://[A-Za-z0-9.:\[\]-]{1,255}/?", re.ASCII)

@@ -20,11 +20,10 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
+from ca import names, svid
 from ca.encoding import Value, encode
 from ca.errors import CodeRefused, EnrollmentMessageRefused, EnrollmentRefused, JoinRefused, SignatureError
 from ca.keys.signing import KeySigner, Profile, PublicKey, Signer, require_p256
-from ca.names import MAX_NAME
-from ca.svid import MAX_REQUEST
 
 # The text is base32 (RFC 4648): base45 has a space, `$` and `*`, which a shell changes; base64url
 # leaves the alphanumeric mode of QR codes and is longer there. Its last octets are a checksum, since
@@ -66,7 +65,7 @@ _CLAIM: Final = Profile("rossec-join-claim+cbor")
 
 _SIZES: Final = ID_SIZE + _DIGEST_SIZE  # where those of proof, name and metadata are
 _HEAD: Final = _SIZES + 5
-MAX_REQUEST_SIZE: Final = _HEAD + MAX_STATEMENT + MAX_NAME + MAX_METADATA + MAX_REQUEST
+MAX_REQUEST_SIZE: Final = _HEAD + MAX_STATEMENT + names.MAX_NAME + MAX_METADATA + svid.MAX_REQUEST
 
 _CLAIM_HEAD: Final = ID_SIZE + _DIGEST_SIZE + 2  # and the size of the proof
 MAX_CLAIM_SIZE: Final = _CLAIM_HEAD + MAX_STATEMENT + MAX_METADATA
@@ -275,8 +274,8 @@ class JoinRequest:
         exact = len(self.invitation) == ID_SIZE and len(self.transcript) == _DIGEST_SIZE
         fits = (
             self.name.isascii()
-            and len(self.name) <= MAX_NAME
-            and len(self.csr) <= MAX_REQUEST
+            and len(self.name) <= names.MAX_NAME
+            and len(self.csr) <= svid.MAX_REQUEST
             and len(self.proof) <= MAX_STATEMENT
             and len(self.metadata) <= MAX_METADATA
         )

@@ -13,9 +13,8 @@ from enum import Enum
 from hashlib import sha256
 from typing import Final
 
-from ca import errors
+from ca import encoding, errors
 from ca.certificates import TrustAnchor
-from ca.encoding import encode
 from ca.enrollment import NONCE_SIZE, WINDOW, qr
 from ca.enrollment.messages import (
     Abort,
@@ -67,11 +66,11 @@ def transcript(csr: bytes, chain: Sequence[bytes], root: bytes, nonce: bytes) ->
     # Request, certificates, anchor and a fresh nonce: nothing signed over it can be replayed or taken for
     # another statement, and no peer chooses the octets that a node signs.
     certificates = [_digest(certificate) for certificate in chain]
-    return _digest(encode([_CONTEXT, _digest(csr), [*certificates], _digest(root), nonce]))
+    return _digest(encoding.encode([_CONTEXT, _digest(csr), [*certificates], _digest(root), nonce]))
 
 
 def tag(secret: bytes, transcript_hash: bytes) -> bytes:
-    return hmac.digest(secret, encode([_OFFER, transcript_hash]), "sha256")
+    return hmac.digest(secret, encoding.encode([_OFFER, transcript_hash]), "sha256")
 
 
 def verify_tag(secret: bytes, transcript_hash: bytes, given: bytes) -> bool:
@@ -81,7 +80,7 @@ def verify_tag(secret: bytes, transcript_hash: bytes, given: bytes) -> bool:
 def digits(transcript_hash: bytes, contribution: bytes) -> str:
     # `contribution` is revealed only *after* the offer is fixed: otherwise an attacker posing as the
     # authority could try a million nonces until the digits match.
-    number = int.from_bytes(_digest(encode([_DIGITS, transcript_hash, contribution]))[:8])
+    number = int.from_bytes(_digest(encoding.encode([_DIGITS, transcript_hash, contribution]))[:8])
     return f"{number % 1_000_000:06}"
 
 

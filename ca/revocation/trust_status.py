@@ -12,11 +12,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Final
 
-from ca import errors
-from ca.certificates import Identity
+from ca import certificates, errors, names
 from ca.domains import ADMIT_HINT, Anchors, ListedDomain
 from ca.keys.signing import PublicKey, thumbprint
-from ca.names import is_master_name, pattern_covers
 from ca.revocation import lists
 
 NO_FLOOR: Final = (0, 0)
@@ -249,7 +247,7 @@ class TrustStatus:
             raise errors.RevocationsStale(f"no word of {listed.entry.label}'s master", _SILENT)
         # 2. The master that signed the timestamp need not be admitted as a peer, but is that domain's.
         master = listed.anchor.verify(chain, now)
-        if not is_master_name(master.name) or master.wildcard:
+        if not names.is_master_name(master.name) or master.wildcard:
             raise errors.NotAdmitted(
                 f"{listed.entry.label}:{master.name} is no master, and confirms no revocations"
             )
@@ -280,7 +278,7 @@ class TrustStatus:
             label = self._listed(domain).entry.label
             raise errors.RevocationsStale(f"of domain {label}: {error}", _SILENT) from None
 
-    def check_peer(self, peer: Identity, now: int) -> None:
+    def check_peer(self, peer: certificates.Identity, now: int) -> None:
         """Return if a new connection with `peer` is right, as far as its identity goes."""
         # All its keys are checked: stale data on the first must not hide that its intermediate is revoked.
         # Those of a foreigner on the own list too, so that this side can refuse one at once.
@@ -301,7 +299,7 @@ class TrustStatus:
         if stale is not None:
             raise stale
 
-    def check_trust(self, peer: Identity, now: int) -> None:
+    def check_trust(self, peer: certificates.Identity, now: int) -> None:
         """Return if the newest list of domains lets a connection with `peer` stand."""
         # A list that has expired cuts nobody.
         if not peer.is_foreign:
@@ -311,7 +309,7 @@ class TrustStatus:
         if now >= entry.until or listed.anchor.thumbprint != peer.root:
             raise errors.NotAdmitted(f"the trust in domain {entry.label} has ended", ADMIT_HINT)
         name, label = peer.certified_name, peer.name.split("/")[2]
-        if label != entry.label or not any(pattern_covers(each, name) for each in entry.admitted):
+        if label != entry.label or not any(names.pattern_covers(each, name) for each in entry.admitted):
             raise errors.NotAdmitted(f"{entry.label}:{name} is not admitted here any more", ADMIT_HINT)
 
     def status_valid_until(self, domain: str, entry: bytes) -> int:

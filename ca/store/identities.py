@@ -11,7 +11,7 @@ import sqlite3
 from collections.abc import Callable
 from typing import NamedTuple
 
-from ca import errors
+from ca import errors, svid
 from ca.names import MASTER, covers, is_master_name
 from ca.store.database import Database, append_entry
 from ca.store.log import COLLECTED
@@ -30,7 +30,6 @@ from ca.store.values import (
     advance,
     digest_of,
 )
-from ca.svid import IdentityRequest
 
 _BEGINS = "(name >= ? AND name < ?)"  # by the index on names, where substr() reads every row
 
@@ -203,7 +202,7 @@ class RequestTable:
         self._database = database
         self._identities = identities
 
-    def add(self, request: IdentityRequest, der: bytes, source: str, now: int) -> RequestRow:
+    def add(self, request: svid.IdentityRequest, der: bytes, source: str, now: int) -> RequestRow:
         # `source` is where it came from, for the approver.
         self.collect(now)
         with self._database.transaction() as db:

@@ -9,8 +9,7 @@ from contextlib import closing
 from hashlib import sha256
 from typing import Final, NamedTuple
 
-from ca import errors
-from ca.certificates import from_pem
+from ca import certificates, errors
 from ca.enrollment.invitation import SECRET_SIZE, InvitationCode, JoinClaim, JoinRequest
 from ca.enrollment.join import Issued, JoinAnswer, RefusedMessage, RefuseReason, WaitingMessage, WaitReason
 from ca.names import check_name, check_pattern, check_wildcard, is_reserved, pattern_covers
@@ -123,7 +122,7 @@ def _decide(
             use = InvitationUse(invitation.id, asked.digest, asked.name, asked.thumbprint, now)
             store.invitations.take(use)
     bundle = authority.issue(csr, now, wildcard=asked.wildcard, source=origin)
-    *chain, _ = from_pem(bundle)
+    *chain, _ = certificates.from_pem(bundle)
     return Issued(tuple(chain))
 
 

@@ -12,14 +12,13 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Final
 
-from ca import certificates
+from ca import certificates, svid
 from ca.authority import DAY, LIFETIME, MAX_LIFETIME, Authority
 from ca.errors import RenewalRefused, Revoked, StoreError
 from ca.keys import private_keys
 from ca.keys.signing import KeySigner
 from ca.store.record import CertificateRow, Store
 from ca.store.values import INTERMEDIATE
-from ca.svid import build_request
 from rossec import files
 from rossec.authority import signing
 from rossec.authority.home import OWN_LIFETIME, AuthorityHome
@@ -112,7 +111,7 @@ def renew_by_name(
 def renew_own_node(authority: SigningAuthority, now: int) -> int:
     own = NodeHome(authority.path / "node", OWN_NODE)
     key = KeySigner(private_keys.load_private(own.path / "node.key"))
-    request = build_request(key, authority.domain, OWN_NODE)
+    request = svid.build_request(key, authority.domain, OWN_NODE)
     return own.install(authority.issue(request, now, OWN_LIFETIME), now).not_after
 
 

@@ -15,8 +15,7 @@ from typing import Final
 from ca.certificates import TrustAnchor
 from ca.domains import ForeignDomain, open_domains
 from ca.errors import BackupRefused, DomainsRefused, HintedError
-from ca.revocation import lists
-from ca.revocation.trust_status import open_statement
+from ca.revocation import lists, trust_status
 from rossec import files
 from rossec.authority.home import ENTRIES
 from rossec.authority.signing import SigningAuthority
@@ -57,8 +56,8 @@ def read_newer(
     revoked, epoch = read_revoked(newest_list, entries, anchor)
     held = authority.store.newest_list()
     if newest_list is not None and held is not None:
-        found = open_statement(newest_list, anchor.public_key)
-        if found.number < open_statement(held, anchor.public_key).number:
+        found = trust_status.open_statement(newest_list, anchor.public_key)
+        if found.number < trust_status.open_statement(held, anchor.public_key).number:
             raise BackupRefused(
                 "the list is older than the backup: it says nothing of what was revoked since",
                 "give a newer one: the master has the newest",
@@ -93,7 +92,7 @@ def newest_here(home: Path, anchor: TrustAnchor) -> Path | None:
     for path in sorted(home.glob(f"nodes/*/{REVOCATIONS}")):
         with contextlib.suppress(HintedError, OSError):  # another authority's, or damaged
             data = files.read(path, lists.MAX_LIST)
-            statement = open_statement(data, anchor.public_key)
+            statement = trust_status.open_statement(data, anchor.public_key)
             if not lists.is_tree(data) or path.with_name(ENTRIES).exists():
                 found.append((statement.number, path))
     return max(found)[1] if found else None

@@ -12,18 +12,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from ca import errors, svid
+from ca import errors, names, svid
 from ca.authority import LIFETIME, Authority
 from ca.certificates import Identity, TrustAnchor, to_pem
 from ca.domains import DomainList, ForeignDomain, open_domains, sign_domains
 from ca.keys.signing import PublicKey, Signer, to_coordinates
-from ca.names import check_name, is_alias, shown
 from ca.revocation.lists import MAX_ENTRIES, RevocationList, RevocationTree, TreeEntries, sign_list, sign_tree
 from ca.revocation.trust_status import open_statement
 from ca.store.record import GrantRow, Store
 from ca.store.signed_statements import ThingRow
 from ca.store.values import INTERMEDIATE, CertificateRow, RequestState, sign_head
-from ca.svid import check_request
 from grants import document
 from grants.model import Draft, Permission, Right
 from grants.renewal import Delegation, OpenDelegation, open_delegation, sign_delegation
@@ -51,9 +49,9 @@ OF_ALL: Final = (
 
 def check_own_names(permissions: Iterable[Permission]) -> None:
     for permission in permissions:
-        if is_alias(permission.pattern) and permission.rights & ~Right.GRAPH:
+        if names.is_alias(permission.pattern) and permission.rights & ~Right.GRAPH:
             raise ConfigurationError(
-                f"{shown(permission.pattern)} is a name of another domain or site",
+                f"{names.shown(permission.pattern)} is a name of another domain or site",
                 "its own authority grants rights on it, by its name there; here only --graph",
             )
 
@@ -258,7 +256,7 @@ class SigningAuthority:
         """Approve a request, sign and record its identity; returns the node's bundle (PEM)."""
         # With `wildcard` the identity is for anonymous nodes as well. `replace_key` is the request's name
         # again, if its key may replace another one; that key is revoked, and the list must be delivered.
-        asked = check_request(request, self.domain, wildcard=wildcard)
+        asked = svid.check_request(request, self.domain, wildcard=wildcard)
         if replace_key is not None:
             self._check_root()
         self.refresh_list(now)
@@ -367,7 +365,7 @@ class SigningAuthority:
                 f"{name} is the authority's own node, which delivers lists to the master",
                 "if the authority was stolen, create a new one in another ROSSEC_HOME",
             )
-        sought = name if name.startswith(INTERMEDIATE) else check_name(name)
+        sought = name if name.startswith(INTERMEDIATE) else names.check_name(name)
         with self.store.transaction():
             found = self.store.unrevoked_keys(sought, now)
             if found:

@@ -10,12 +10,11 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Final
 
+from ca import encoding, names
 from ca.bounded import ExpiringTable, Newest
 from ca.certificates import Identity, TrustAnchor
-from ca.encoding import Value
 from ca.errors import CAError
 from ca.keys.signing import Profile, Signer
-from ca.names import is_master_name
 from grants.limits import TokenBucket
 from rossec.errors import AnnouncementRefused
 from rossec.peer_limits import printable
@@ -57,7 +56,7 @@ class Announcement:
 
 def sign(signer: Signer, chain: tuple[bytes, ...], announcement: Announcement) -> bytes:
     _check(announcement)
-    certificates: list[Value] = [*chain]
+    certificates: list[encoding.Value] = [*chain]
     data = PROFILE.sign(
         signer,
         {
@@ -90,7 +89,7 @@ class MasterClaim:
             identity = anchor.verify(self.chain, now)
         except CAError as error:
             raise _foreign(error) from error
-        if identity.is_foreign or not is_master_name(identity.name):
+        if identity.is_foreign or not names.is_master_name(identity.name):
             raise AnnouncementRefused(f"{identity.name} announces itself as a master")
         if not revoked.isdisjoint(identity.keys):
             raise AnnouncementRefused("the master that announces itself is revoked")
@@ -118,7 +117,7 @@ def _foreign(error: CAError) -> AnnouncementRefused:
     return AnnouncementRefused(f"no announcement of this domain's master: {error}")
 
 
-def _read(payload: Value) -> tuple[Announcement, list[bytes]]:
+def _read(payload: encoding.Value) -> tuple[Announcement, list[bytes]]:
     match payload:
         case {
             6: int() as issued,

@@ -23,16 +23,13 @@ from typing import Final
 from ca.certificates import TrustAnchor
 from ca.errors import CAError
 from ca.names import check_name
-from rossec import clock
+from rossec import clock, environment, peer_limits, saved_statements
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.discovery import announcement
-from rossec.environment import OWN_MASTER, own_home, own_master
 from rossec.errors import AnnouncementRefused, ConfigurationError, MasterNotFound
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
-from rossec.peer_limits import printable
 from rossec.ros.names import is_loopback, parse_uri
-from rossec.saved_statements import saved_revocations
 
 GROUP: Final = "ff12::726f:7373:6563"  # transient, link-local scope (RFC 4291 section 2.7)
 PORT: Final = 11311
@@ -161,13 +158,13 @@ async def find(
     if ranked:
         where = ", ".join(f"{host} port {port}" for host, port in ranked[0].endpoints)
         raise MasterNotFound(
-            f"a master announces itself, but nothing answers at {printable(where)}",
+            f"a master announces itself, but nothing answers at {peer_limits.printable(where)}",
             "is a firewall between? its TCP port must be open",
         )
     if candidates.refused:
         why, times = candidates.refused.most_common(1)[0]
         raise MasterNotFound(
-            f"no master of this trust domain was found, but {times} times: {printable(why)}",
+            f"no master of this trust domain was found, but {times} times: {peer_limits.printable(why)}",
             "set ROS_MASTER_URI to the master of this domain",
         )
     raise MasterNotFound(
@@ -228,14 +225,14 @@ async def discover_master(
     """
     if environ.get(VARIABLE) != DISCOVER:
         return dict(environ)
-    wanted = own_master(environ)
-    found = await masters(own_home(environ), identity, settle=settle)
+    wanted = environment.own_master(environ)
+    found = await masters(environment.own_home(environ), identity, settle=settle)
     best = next((one for one in found if one.name == wanted), None)
     if best is None:
         others = ", ".join(sorted({one.name for one in found}))
         raise MasterNotFound(
             f"{wanted} does not announce itself, but {others}",
-            f"to work with another master set {OWN_MASTER} to its name",
+            f"to work with another master set {environment.OWN_MASTER} to its name",
         )
     return {**environ, VARIABLE: uri_of(best)}
 
@@ -277,7 +274,7 @@ def trusted(home: Path, identity: str | NodeHome | None) -> tuple[TrustAnchor, f
             "name the one to find a master for, with --as NAME",
         )
     (anchor,) = anchors.values()
-    saved = (saved_revocations(node, anchor, clock.now()).entries for node in nodes)
+    saved = (saved_statements.saved_revocations(node, anchor, clock.now()).entries for node in nodes)
     return anchor, frozenset().union(*saved)
 
 

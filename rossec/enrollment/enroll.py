@@ -25,8 +25,7 @@ from rossec.enrollment import sessions
 from rossec.enrollment.scanner import CLOSER, MAX_FILE, SECONDS
 from rossec.enrollment.sessions import SessionServer, wait_closed
 from rossec.errors import ConfigurationError, NotDelivered, PeerUnreachable
-from rossec.host import addresses
-from rossec.host.local_sockets import unix_peer
+from rossec.host import addresses, local_sockets
 from rossec.net.limits import HalfOpen
 from rossec.peer_limits import printable
 
@@ -113,9 +112,7 @@ class WaitingNode(SessionServer):
     async def __aexit__(self, *_: object) -> None:
         await self.close()
 
-    async def _run(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
-    ) -> None:
+    async def _run(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
         try:
             while True:
                 waits = writer in self._waiting  # for the result
@@ -168,7 +165,7 @@ async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.
         try:
             # The same user, or root. The digits are not secret, but confirming them activates a trust anchor:
             # so this never goes over the network.
-            if unix_peer(writer.get_extra_info("socket")).user in {0, os.getuid()}:
+            if local_sockets.unix_peer(writer.get_extra_info("socket")).user in {0, os.getuid()}:
                 async with asyncio.timeout(_PATIENCE):
                     request = json.loads(await reader.readline())
                 if not isinstance(request, dict):

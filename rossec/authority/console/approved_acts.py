@@ -14,26 +14,20 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
+from ca import bounded, certificates, names, svid
 from ca.approvals import statement
 from ca.approvals.passkeys import to_approve
 from ca.authority import MAX_LIFETIME
-from ca.bounded import ExpiringTable
-from ca.certificates import check_intermediate_request, to_pem
 from ca.errors import ApprovalRefused, HintedError, RequestClosed, StoreError
 from ca.keys.signing import thumbprint
-from ca.names import is_master_name
-from ca.store.log import ApprovalState
+from ca.store import log, values
 from ca.store.record import CertificateRow, Store
-from ca.store.values import INTERMEDIATE, RequestState
-from ca.svid import check_request
 from grants.model import ID_SIZE
 from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET, open_delegation
-from rossec import clock
+from rossec import clock, peer_limits
 from rossec.authority import renewals
-from rossec.authority.console.access import check_bound
+from rossec.authority.console import access, grant_requests, phone_codes
 from rossec.authority.console.approving import Approved, ApprovedAct, Wanted, tried
-from rossec.authority.console.grant_requests import checked_reason, keys_of
-from rossec.authority.console.phone_codes import Proposals
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import MAX_USES, check_invitation, make_invitation
 from rossec.authority.policyfile import PolicyFile, PolicyPlan, check_record, sign_each
@@ -41,7 +35,6 @@ from rossec.authority.service import AuthorityService
 from rossec.authority.session import StatementCall
 from rossec.authority.signing import OF_ALL, OWN_NODE, SigningAuthority
 from rossec.errors import ConfigurationError, KeyServiceRefused
-from rossec.peer_limits import printable
 from rossec.ros.names import MASTER
 
 MAX_SOURCE: Final = 256  # characters
@@ -69,7 +62,7 @@ class EnrollAct(ApprovedAct):
         lifetime: int,
         replaces: bool,
     ) -> Wanted:
-        asked = check_request(csr, service.home.domain, wildcard=wildcard)
+        asked = svid.check_request(csr, service.home.domain, wildcard=wildcard)
         if asked.name == OWN_NODE:
             raise KeyServiceRefused(
                 f"{OWN_NODE} is the authority's own node", "choose another name for the node"
@@ -78,7 +71,7 @@ class EnrollAct(ApprovedAct):
         what = statement.Enroll(asked.digest, asked.name, asked.thumbprint, wildcard, lifetime, replaces)
         with closing(service.home.store()) as store:
             if store.identities.issued_for(asked.digest) is None:
-                store.requests.add(asked, csr, printable(source)[:MAX_SOURCE], now)
+                store.requests.add(asked, csr, peer_limits.printable(source)[:MAX_SOURCE], now)
             with tried(store):
                 _approve(store, what, now, "")
         return what, csr
@@ -95,7 +88,7 @@ class EnrollAct(ApprovedAct):
             if store.identities.issued_for(what.csr) is None:
                 row = store.requests.find(what.csr)
                 expired = row is None or now > row.expires
-                if row is None or expired or row.state is not RequestState.APPROVED:
+                if row is None or expired or row.state is not values.RequestState.APPROVED:
                     state = "has expired" if row is None or expired else f"was {row.state}"
                     because = "" if row is None or expired or not row.reason else f": {row.reason}"
                     raise RequestClosed(f"the request of {what.name} {state}{because}", "ask the node again")
@@ -109,7 +102,7 @@ class EnrollAct(ApprovedAct):
             for _, data in service.policy.grant_outright(what.name, place=self._policy):
                 service.grants.store(data)
         except HintedError as error:
-            _log.error("%s has no grants yet: %s", what.name, printable(str(error)))
+            _log.error("%s has no grants yet: %s", what.name, peer_limits.printable(str(error)))
 
     def made(self, service: AuthorityService, approved: Approved) -> bytes:
         with closing(service.home.store()) as store:
@@ -127,7 +120,7 @@ class IntermediateAct(ApprovedAct):
         if home.is_intermediate:
             raise KeyServiceRefused("an intermediate makes no other", "do it at the root")
         _check_lifetime(lifetime)
-        key = thumbprint(check_intermediate_request(csr, home.domain))
+        key = thumbprint(certificates.check_intermediate_request(csr, home.domain))
         with closing(home.store()) as store:
             store.identities.check_not_revoked("the intermediate", key)
         return statement.IntermediateStatement(sha256(csr).digest(), enrolls, lifetime), csr
@@ -143,9 +136,9 @@ class IntermediateAct(ApprovedAct):
 
     def made(self, service: AuthorityService, approved: Approved) -> bytes:
         home = service.home
-        key = thumbprint(check_intermediate_request(approved.payload, home.domain))
+        key = thumbprint(certificates.check_intermediate_request(approved.payload, home.domain))
         with closing(home.store()) as store:
-            found = store.identities.by_name(f"{INTERMEDIATE}{key.hex()[:16]}")
+            found = store.identities.by_name(f"{values.INTERMEDIATE}{key.hex()[:16]}")
         return _bundle(home, found[-1]) if found else b""
 
 
@@ -166,7 +159,7 @@ def _check_lifetime(lifetime: int) -> None:
 
 def _bundle(home: AuthorityHome, row: CertificateRow) -> bytes:
     own = home.intermediate()
-    return to_pem(row.der, *([] if own is None else [own]), home.anchor().certificate)
+    return certificates.to_pem(row.der, *([] if own is None else [own]), home.anchor().certificate)
 
 
 MAX_INVITATION: Final = 30 * 86400  # seconds
@@ -178,7 +171,7 @@ CODES_KEPT: Final = 600.0  # seconds
 class PasskeyAct(ApprovedAct):
     kind = statement.StatementKind.PASSKEY
 
-    def __init__(self, proposals: Proposals) -> None:
+    def __init__(self, proposals: phone_codes.Proposals) -> None:
         self._proposals = proposals
 
     def prepare(self, service: AuthorityService, now: int, number: bytes) -> Wanted:
@@ -196,7 +189,7 @@ class PasskeyAct(ApprovedAct):
         else:
             raise ApprovalRefused("this phone does not wait any more", "propose it again")
         # Also here: of two proposals of different pages that are approved, the second is refused.
-        check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
+        access.check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
         store.passkeys.add(passkey._replace(approval=approved.id, at=approved.at))
         self._proposals.drop(shown.id)
         return f"{passkey.name} can approve"
@@ -217,7 +210,7 @@ class InvitationAct(ApprovedAct):
         self._address = address
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._lock = threading.Lock()
-        self._codes: ExpiringTable[bytes, bytes] = ExpiringTable(MAX_CODES, CODES_KEPT)
+        self._codes: bounded.ExpiringTable[bytes, bytes] = bounded.ExpiringTable(MAX_CODES, CODES_KEPT)
 
     def prepare(
         self, _service: AuthorityService, now: int, pattern: str, uses: int, seconds: int, wildcard: bool
@@ -247,17 +240,17 @@ class RevokeMasterAct(ApprovedAct):
     kind = statement.StatementKind.REVOKE_MASTER
 
     def prepare(self, service: AuthorityService, now: int, reason: str, master: str) -> Wanted:
-        if not is_master_name(master):
+        if not names.is_master_name(master):
             raise KeyServiceRefused("these are not the arguments of a revocation", "")
         if service.home.is_intermediate:
             raise ConfigurationError("an intermediate cannot revoke", "do it at the root")
         with closing(service.home.store()) as store:
-            keys_of(master)(store, now)
-        return statement.RevokeMaster(checked_reason(reason), master), b""
+            grant_requests.keys_of(master)(store, now)
+        return statement.RevokeMaster(grant_requests.checked_reason(reason), master), b""
 
     def admit(self, store: Store, approved: Approved) -> str | None:
         what, at = approved.what(statement.RevokeMaster), approved.at
-        for entry in sorted(keys_of(what.master)(store, at)):
+        for entry in sorted(grant_requests.keys_of(what.master)(store, at)):
             store.revoke(entry, what.reason or approved.reason, at)
         return f"{what.master} is revoked"
 
@@ -362,7 +355,7 @@ def _last_approved(store: Store) -> bytes:
         for approval in store.approvals.all()
         if approval.kind == statement.StatementKind.POLICY
         and approval.id in ends
-        and ends[approval.id].state == ApprovalState.DONE
+        and ends[approval.id].state == log.ApprovalState.DONE
     ]
     return found[-1] if found else NONE_BEFORE
 

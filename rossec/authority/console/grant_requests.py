@@ -18,11 +18,9 @@ from ca.encoding import Value, decode, encode
 from ca.errors import HintedError, RequestClosed, StoreError
 from ca.keys.signing import thumbprint
 from ca.names import check_name, is_master_name
-from ca.store.log import ApprovalState
+from ca.store import log, values
 from ca.store.record import Store
-from ca.store.values import INTERMEDIATE
 from grants import document
-from grants.document import scope_of
 from grants.filters.compile import PRESETS
 from grants.model import ID_SIZE, Draft, Right
 from grants.policy.decision import Verdict
@@ -144,7 +142,7 @@ def _right(file: PolicyFile, verdict: Verdict) -> AskedRight:
         file.policy.type_of(verdict.name) or "",
         rule_ids(verdict.rules),
         next((rule.why for rule in verdict.rules if rule.why), ""),
-        scope_of(permissions(verdict)),
+        document.scope_of(permissions(verdict)),
     )
 
 
@@ -373,7 +371,7 @@ def keys_of(name: str) -> Find:
     """Finds the keys of `name`, and the things that end with them; none is a refusal."""
 
     def find(store: Store, at: int) -> frozenset[bytes]:
-        sought = name if name.startswith(INTERMEDIATE) else check_name(name)
+        sought = name if name.startswith(values.INTERMEDIATE) else check_name(name)
         found = store.unrevoked_keys(sought, at)
         if not found:
             raise ConfigurationError(
@@ -388,9 +386,9 @@ def _end_about(store: Store, kind: StatementKind, subject: bytes, reason: str, a
     waiting = [
         approval
         for approval in store.approvals.about(kind, subject)
-        if store.approvals.state(approval.id) is ApprovalState.WAITING
+        if store.approvals.state(approval.id) is log.ApprovalState.WAITING
     ]
     for approval in waiting:
         result = f"denied: {reason}" if reason else "denied"
-        store.approvals.end(approval.id, ApprovalState.FAILED, result, at)
+        store.approvals.end(approval.id, log.ApprovalState.FAILED, result, at)
     return bool(waiting)

@@ -20,8 +20,7 @@ from ca.approvals.statement import StatementKind
 from ca.encoding import Value, encode
 from ca.errors import HintedError, RevocationRefused
 from ca.revocation.trust_status import open_statement
-from ca.store.log import ApprovalState
-from ca.store.record import CertificateRow
+from ca.store import log, record
 from ca.store.values import RevocationRow
 from grants import document
 from grants.errors import PolicyRefused
@@ -62,7 +61,7 @@ class RecordQueries:
         with self.work.record() as store, store.database.read_transaction():
             ended = {row.entry: row for row in store.revocations()}
             rows = store.identities.all()
-        found: dict[tuple[str, bytes], CertificateRow] = {}
+        found: dict[tuple[str, bytes], record.CertificateRow] = {}
         newest = {row.name: row for row in rows}
         for row in rows:
             is_valid = at <= row.not_after and row.thumbprint not in ended
@@ -142,7 +141,7 @@ class RecordQueries:
             except HintedError as error:
                 said = f"an approval that cannot be read: {error}"
             phone = names.get(each.passkey, "")
-            state, result = (end.state, end.result) if end else (str(ApprovalState.WAITING), "")
+            state, result = (end.state, end.result) if end else (str(log.ApprovalState.WAITING), "")
             views.append(messages.ApprovalView(each.id, each.kind, said, phone, each.at, state, result))
         return bounded("approvals", views)
 

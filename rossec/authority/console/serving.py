@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 from ca.approvals.statement import StatementKind
 from ca.encoding import Value
 from ca.errors import HintedError
-from rossec import clock
+from rossec import clock, peer_limits
 from rossec.authority.console import approved_acts, messages
 from rossec.authority.console.access import ConsoleAccess
 from rossec.authority.console.approving import ApprovedAct, Approving, Of
@@ -36,7 +36,6 @@ from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.session import StatementCall
 from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered, PeerUserRefused
 from rossec.host.local_sockets import UnixPeer
-from rossec.peer_limits import printable
 
 INBOX = "inbox"  # in the authority's directory (`rossec.authority.requests`)
 
@@ -160,7 +159,7 @@ class ConsoleService:
             )
         if OPERATIONS[request.operation].changes:  # before it is done: without a line nothing is
             about = request.arguments[0]
-            shown = about.hex() if isinstance(about, bytes) else printable(str(about))
+            shown = about.hex() if isinstance(about, bytes) else peer_limits.printable(str(about))
             self._audit(f"{request.operation} {shown}, asked by the console of {caller}")
         thread, handler = self._handlers[request.operation]
         call = lambda: checked(handler(*request.arguments))  # noqa: E731 - in the thread, as a whole

@@ -27,10 +27,7 @@ from rossec.channel import opening
 from rossec.enrollment import DECISION, JoinServer
 from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered
 from rossec.home import NodeHome
-from rossec.host import addresses
-from rossec.host.runner import log_as_json, until_first_ends
-from rossec.host.sandbox import protect_memory
-from rossec.host.workers import run_confined
+from rossec.host import addresses, runner, sandbox, workers
 from rossec.net.rpc import CALL_DEADLINE
 from rossec.peer_limits import printable
 from rossec.ros.xmlrpc import Fault
@@ -59,7 +56,7 @@ class FrontEnd:
         handlers = {messages.CALL: self._call}
         channel = self._channel = InnerChannel(sock, handlers, messages.MAX_FROM_SERVICE)
         try:
-            await until_first_ends(channel.run(), self._serve(channel))
+            await runner.until_first_ends(channel.run(), self._serve(channel))
         finally:
             await self._server.close()
 
@@ -125,10 +122,10 @@ class FrontEnd:
 def main(arguments: list[str]) -> None:
     descriptor, directory, join_address, master_uri, log = arguments
     if log == "json":
-        log_as_json()
+        runner.log_as_json()
     else:  # as the service itself writes, whose terminal or journal this is
         logging.basicConfig(level=logging.WARNING, format="rossec: %(levelname)s: %(message)s")
-    protect_memory()
+    sandbox.protect_memory()
     suites = opening.post_quantum(os.environ)
 
     async def run() -> None:
@@ -138,7 +135,7 @@ def main(arguments: list[str]) -> None:
 
     # `face-takeover` (docs/threat-model.md): of the authority it reads its own node only, so neither the
     # encrypted key nor the record or a passphrase beside them.
-    run_confined(run, [Path(directory)])
+    workers.run_confined(run, [Path(directory)])
 
 
 if __name__ == "__main__":

@@ -26,8 +26,7 @@ from ca.keys.signing import Profile
 from ca.revocation.lists import LIST_PROFILE, MAX_LIST, MAX_TREE_ENTRIES_SIZE, TREE
 from ca.store.values import HEAD_PROFILE
 from ca.things import THING
-from grants.document import GRANT
-from grants.renewal import DELEGATION
+from grants import document, renewal
 from rossec.errors import (
     AuthorityLocked,
     KeyMessageRefused,
@@ -40,8 +39,8 @@ MAX_MESSAGE: Final = MAX_LIST + 512  # the largest statement is a revocation lis
 # All that the authority's key signs, besides certificates: the service signs for every program of its user,
 # and must not become an oracle. What nodes or the master sign is not here.
 _STATEMENTS: Final[Mapping[str, Profile]] = {
-    "a grant": GRANT,
-    "a delegation": DELEGATION,
+    "a grant": document.GRANT,
+    "a delegation": renewal.DELEGATION,
     "a revocation list": LIST_PROFILE,
     "a revocation tree": TREE,
     "a head of the log": HEAD_PROFILE,

@@ -20,13 +20,10 @@ from ca.errors import HintedError, RecordUnusable, StoreError
 from ca.store.record import Store
 from grants.errors import PolicyRefused
 from rossec import clock, errors
-from rossec.authority import invitations, policyfile, renewals
-from rossec.authority.grant_operations import RefusedDeposit
+from rossec.authority import grant_operations, invitations, policyfile, renewals, session
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations, OwnSigner
-from rossec.authority.policyfile import PolicyPlan
 from rossec.authority.service import AuthorityService
-from rossec.authority.session import StatementCall
 from rossec.peer_limits import printable
 
 PERIOD: Final = 600  # seconds after which grants may have become due
@@ -46,7 +43,7 @@ class AuthorityWork:
 
     rossec_home: Path
     operations: KeyOperations
-    deliver: Callable[[StatementCall], object]
+    deliver: Callable[[session.StatementCall], object]
     policy: Path | None = None
     now: Callable[[], int] = clock.now
 
@@ -233,14 +230,14 @@ class AuthorityWork:
             yield service
 
 
-def _apply(service: AuthorityService, plan: PolicyPlan) -> None:
+def _apply(service: AuthorityService, plan: policyfile.PolicyPlan) -> None:
     try:
         service.policy.apply(plan, lambda text: _log.info("policy: %s", text))
     except OSError as error:
         raise errors.NotDelivered(str(error), "the next round tries again") from error
 
 
-def _log_refused(refused: Iterable[RefusedDeposit]) -> None:
+def _log_refused(refused: Iterable[grant_operations.RefusedDeposit]) -> None:
     for each in refused:
         _log.warning("%s", each.say(f"the grant {each.grant_id.hex()[:8]}"))
 
