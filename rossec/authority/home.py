@@ -144,6 +144,7 @@ class AuthorityHome:
             else:
                 files.create(staging / KEY_URI, f"{uri}\n".encode())
                 trust(home, uri.module)
+            # In one step, last: what is at `path` is whole, with its key and its first list.
             files.commit_directory(staging, path)
         except BaseException:
             shutil.rmtree(staging, ignore_errors=True)

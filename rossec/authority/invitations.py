@@ -208,6 +208,7 @@ def check_invitation(pattern: str, *, wildcard: bool) -> None:
 def make_invitation(
     home: AuthorityHome, pattern: str, uses: int, expires: int, address: str, now: int, *, wildcard: bool
 ) -> tuple[InvitationCode, InvitationRow]:
+    # The root is in the code: the node knows the authority before it trusts anything.
     root = sha256(home.anchor().certificate).digest()
     secret = secrets.token_bytes(SECRET_SIZE)
     code = InvitationCode(root, secret, expires, address, pattern, wildcard=wildcard)

@@ -99,6 +99,7 @@ def put_in_inbox(authority: Path, request: GrantRequest, data: bytes) -> Path:
 
 
 def inbox_files(authority: Path) -> list[Path]:
+    # So many at once: whoever fills the inbox does not keep the record locked for long.
     return sorted((authority / "inbox").glob("*.request"))[:MAX_INBOX]
 
 

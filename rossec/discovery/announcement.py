@@ -91,6 +91,7 @@ class MasterClaim:
             raise _foreign(error) from error
         if identity.is_foreign or not names.is_master_name(identity.name):
             raise AnnouncementRefused(f"{identity.name} announces itself as a master")
+        # Also its intermediate: what that signed is revoked with it.
         if not revoked.isdisjoint(identity.keys):
             raise AnnouncementRefused("the master that announces itself is revoked")
         return identity
@@ -108,6 +109,7 @@ def read_claim(data: bytes, now: int) -> MasterClaim:
         announcement, chain = _read(PROFILE.peek(data, limit=MAX_SIZE))
     except CAError as error:
         raise _foreign(error) from error
+    # A recorded one serves a forger for 15 s (`forged-announcement`), and longer where the clock is wrong.
     if announcement.issued > now + SKEW or announcement.issued + announcement.max_age < now:
         raise AnnouncementRefused("an announcement of another time", "check both clocks")
     return MasterClaim(data, announcement, tuple(chain))
@@ -152,6 +154,7 @@ def _check(announcement: Announcement) -> None:
     if len(announcement.instance) != INSTANCE_SIZE:
         raise AnnouncementRefused(f"the announcement's instance has not {INSTANCE_SIZE} bytes")
     host = announcement.host
+    # It is shown to people and logged: a line break in it would forge lines.
     if not 0 < len(host) <= _MAX_HOST or printable(host) != host or any(c in host for c in " /@"):
         raise AnnouncementRefused("the announcement's host is not a name or address")
 
@@ -258,7 +261,7 @@ class Candidates:
         """Process a datagram; returns the master it is from, None for a duplicate."""
         # `now` is since the epoch, `clock` of a monotonic clock.
         try:
-            # 1. Cheap checks first: size, form, age, duplicates.
+            # 1. Cheap checks first (`discovery-flood`): size, form, age, duplicates.
             claim = read_claim(data, now)
             if (claim.announcement.instance, claim.announcement.seq, source.link) in self._seen:
                 return None

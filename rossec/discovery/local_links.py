@@ -107,6 +107,7 @@ def _is_local(address: str, ancillary: list[tuple[int, int, bytes]]) -> bool:
         for level, kind, value in ancillary
         if (level, kind) == (socket.IPPROTO_IPV6, socket.IPV6_HOPLIMIT) and len(value) == 4
     ]
+    # Only this link can have sent it: every router lowers the limit (RFC 5082).
     source = ipaddress.IPv6Address(address)
     return hops == [_HOPS] and (source.is_link_local or source.is_loopback)
 
@@ -161,6 +162,7 @@ async def find(
             f"a master announces itself, but nothing answers at {peer_limits.printable(where)}",
             "is a firewall between? its TCP port must be open",
         )
+    # The most frequent reason says what is wrong: often the master of another domain, heard again and again.
     if candidates.refused:
         why, times = candidates.refused.most_common(1)[0]
         raise MasterNotFound(

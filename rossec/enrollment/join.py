@@ -79,9 +79,7 @@ class JoinServer(SessionServer):
         super().__init__(self._run, caps)
         self._turns = _Turns(MAX_OF_INVITATION)
 
-    async def _run(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
-    ) -> None:
+    async def _run(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
         core = AuthorityJoin(self._identity(), secrets.token_bytes(NONCE_SIZE))
         try:
             await self._receive(core, reader, writer)

@@ -138,6 +138,7 @@ def _connect(path: Path) -> socket.socket:
     try:
         sock.settimeout(TIMEOUT)
         sock.connect(str(path))
+        # Before anything is sent: what is sent may be the passphrase.
         require_user(sock, {os.geteuid()})
     except PeerUserRefused as error:
         sock.close()
