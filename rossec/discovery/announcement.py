@@ -109,7 +109,7 @@ def read_claim(data: bytes, now: int) -> MasterClaim:
         announcement, chain = _read(PROFILE.peek(data, limit=MAX_SIZE))
     except CAError as error:
         raise _foreign(error) from error
-    # A recorded one serves a forger for 15 s (`forged-announcement`), and longer where the clock is wrong.
+    # What was recorded counts for 15 s at most (`forged-announcement`).
     if announcement.issued > now + SKEW or announcement.issued + announcement.max_age < now:
         raise AnnouncementRefused("an announcement of another time", "check both clocks")
     return MasterClaim(data, announcement, tuple(chain))

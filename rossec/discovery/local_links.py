@@ -162,7 +162,7 @@ async def find(
             f"a master announces itself, but nothing answers at {peer_limits.printable(where)}",
             "is a firewall between? its TCP port must be open",
         )
-    # The most frequent reason says what is wrong: often the master of another domain, heard again and again.
+    # The most frequent reason: what a stranger sends now and then does not hide it.
     if candidates.refused:
         why, times = candidates.refused.most_common(1)[0]
         raise MasterNotFound(
