@@ -7,24 +7,13 @@ randomness are arguments. What a signer is given is read before the key signs it
 from typing import Final, NamedTuple
 
 from cryptography import x509
-from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca import svid
+from ca import certificates, svid
 from ca.builder import begin, common_name
-from ca.certificates import (
-    BACKDATE,
-    Identity,
-    Intermediate,
-    Renewal,
-    TrustAnchor,
-    check_intermediate_request,
-    policy,
-)
 from ca.errors import CAError, CertificateRefused, NameRefused
 from ca.keys.passphrases import SEQUENCE, der
-from ca.keys.signing import Signer, require_p256, thumbprint
+from ca.keys.signing import PublicKey, Signer, require_p256, thumbprint
 from ca.names import SCHEME, check_domain, check_wildcard, parse_spiffe_id, spiffe_id
-from ca.svid import WILDCARD, WILDCARD_VALUE, check_request
 
 DAY: Final = 86_400
 LIFETIME: Final = 30 * DAY
@@ -45,8 +34,8 @@ class Authority:
     """
 
     def __init__(self, signer: Signer, certificate: bytes, intermediate: bytes | None = None) -> None:
-        self.anchor = TrustAnchor.load(certificate)
-        self.issuer: TrustAnchor | Intermediate = self.anchor
+        self.anchor = certificates.TrustAnchor.load(certificate)
+        self.issuer: certificates.TrustAnchor | certificates.Intermediate = self.anchor
         self.chain: tuple[bytes, ...] = ()
         self.may_enroll = True
         if intermediate is not None:
@@ -67,30 +56,30 @@ class Authority:
     def issue(
         self, csr: bytes, *, now: int, serial: int, lifetime: int = LIFETIME, wildcard: bool = False
     ) -> bytes:
-        """Return the certificate (DER) that `csr` requests, valid for `lifetime` seconds.
-
-        It is backdated by an hour and ends with the authority's own certificate at the latest.
-        `serial` is 128 random bits. With `wildcard` the identity also covers the names of
-        anonymous nodes (`ca.names.covers`), whether the request asks for that or not.
-        """
+        """Return the certificate (DER) that `csr` requests, valid for `lifetime` seconds."""
+        # It is backdated by an hour and ends with the authority's own certificate at the latest. `serial` is
+        # 128 random bits. With `wildcard` the identity also covers the names of anonymous nodes
+        # (`ca.names.covers`), whether the request asks for that or not.
         if not self.may_enroll:
             raise CAError(
                 "this intermediate may renew identities, not enroll nodes",
                 "enroll at the root, or make an intermediate that may enroll",
             )
         # A wildcard tail is the approver's word: one that only the request asks for is refused.
-        request = check_request(csr, self.anchor.domain, wildcard=wildcard)
+        request = svid.check_request(csr, self.anchor.domain, wildcard=wildcard)
         return self._issue(request.name, request.public_key, now, serial, lifetime, wildcard=wildcard)
 
-    def renew(self, renewal: Renewal, *, now: int, serial: int, lifetime: int = LIFETIME) -> bytes:
+    def renew(
+        self, renewal: certificates.Renewal, *, now: int, serial: int, lifetime: int = LIFETIME
+    ) -> bytes:
         # Never longer than before: who once got a day does not make a year of it by renewals.
         key, longest = renewal.request.public_key, min(lifetime, renewal.max_lifetime)
         return self.reissue(renewal.identity, key, now=now, serial=serial, lifetime=longest)
 
     def reissue(
         self,
-        identity: Identity,
-        key: ec.EllipticCurvePublicKey,
+        identity: certificates.Identity,
+        key: PublicKey,
         *,
         now: int,
         serial: int,
@@ -101,7 +90,7 @@ class Authority:
     def issue_intermediate(
         self, csr: bytes, *, now: int, serial: int, may_enroll: bool, lifetime: int
     ) -> bytes:
-        key = check_intermediate_request(csr, self.anchor.domain)
+        key = certificates.check_intermediate_request(csr, self.anchor.domain)
         # An intermediate has path length 0: what it signed as an authority, no node would take.
         if not self.is_root or self.anchor.path_length == 0:
             raise CAError(
@@ -112,21 +101,14 @@ class Authority:
         period, issuer = self._period(now, lifetime), self.anchor
         builder = _authority(key, issuer.subject, serial, period, issuer.domain, below=0)
         return svid.sign(
-            builder.add_extension(policy(may_enroll=may_enroll), critical=False).add_extension(
+            builder.add_extension(certificates.policy(may_enroll=may_enroll), critical=False).add_extension(
                 _issuer_key(issuer.public_key), critical=False
             ),
             self.signer,
         )
 
     def _issue(
-        self,
-        name: str,
-        key: ec.EllipticCurvePublicKey,
-        now: int,
-        serial: int,
-        lifetime: int,
-        *,
-        wildcard: bool,
+        self, name: str, key: PublicKey, now: int, serial: int, lifetime: int, *, wildcard: bool
     ) -> bytes:
         _check_serial(serial)
         uri = svid.alternative_name(spiffe_id(self.anchor.domain, name))
@@ -140,7 +122,7 @@ class Authority:
         if wildcard:
             check_wildcard(name)
             builder = builder.add_extension(
-                x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE), critical=False
+                x509.UnrecognizedExtension(svid.WILDCARD, svid.WILDCARD_VALUE), critical=False
             )
         return svid.sign(builder, self.signer)
 
@@ -157,25 +139,19 @@ class Authority:
                 "the authority's own certificate is not valid now",
                 "check this computer's clock; an expired authority must be replaced by a new one",
             )
-        return max(now - BACKDATE, first), min(now + lifetime, last)
+        return max(now - certificates.BACKDATE, first), min(now + lifetime, last)
 
 
 def create_root(signer: Signer, domain: str, *, now: int, serial: int) -> bytes:
     check_domain(domain)
     _check_serial(serial)
     key = require_p256(signer.public_key)
-    period = now - BACKDATE, now + ROOT_LIFETIME
+    period = now - certificates.BACKDATE, now + ROOT_LIFETIME
     return svid.sign(_authority(key, _subject_name(key), serial, period, domain, below=1), signer)
 
 
 def _authority(
-    key: ec.EllipticCurvePublicKey,
-    issuer: x509.Name,
-    serial: int,
-    period: tuple[int, int],
-    domain: str,
-    *,
-    below: int,
+    key: PublicKey, issuer: x509.Name, serial: int, period: tuple[int, int], domain: str, *, below: int
 ) -> x509.CertificateBuilder:
     return (
         begin(key, _subject_name(key), issuer, serial, period, below=below)
@@ -184,17 +160,17 @@ def _authority(
     )
 
 
-def _subject_name(key: ec.EllipticCurvePublicKey) -> x509.Name:
+def _subject_name(key: PublicKey) -> x509.Name:
     # A name that differs for every key, so that a foreign issuer is recognized by its name.
     return common_name(f"rossec {thumbprint(key)[:8].hex()}")
 
 
-def _key_identifier(key: ec.EllipticCurvePublicKey) -> bytes:
+def _key_identifier(key: PublicKey) -> bytes:
     # RFC 7093 allows any short digest of the key; ours is the start of its thumbprint.
     return thumbprint(key)[:20]
 
 
-def _issuer_key(key: ec.EllipticCurvePublicKey) -> x509.AuthorityKeyIdentifier:
+def _issuer_key(key: PublicKey) -> x509.AuthorityKeyIdentifier:
     return x509.AuthorityKeyIdentifier(_key_identifier(key), None, None)
 
 

@@ -7,36 +7,16 @@ by one intermediate. A valid identity requests its successor without operator ac
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Final, NamedTuple, Self
+from typing import Final, Self
 
 from cryptography import x509
-from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 
-from ca import svid
+from ca import errors, svid
 from ca.bounded import Newest
 from ca.encoding import Value
-from ca.errors import (
-    CertificateExpired,
-    CertificateNotYetValid,
-    CertificateRefused,
-    EncodingError,
-    ForeignCertificate,
-    NameRefused,
-    RenewalRefused,
-    RequestRefused,
-    SignatureError,
-)
-from ca.keys.signing import Profile, Signer, thumbprint
+from ca.keys.signing import Profile, PublicKey, Signer, thumbprint
 from ca.names import SCHEME, check_domain, check_wildcard, covers, parse_spiffe_id, refuse_alias
-from ca.svid import (
-    MAX_CERTIFICATE,
-    MAX_REQUEST,
-    IdentityRequest,
-    check_request,
-    read_request,
-    request_builder,
-)
 
 SET_CLOCK: Final = "set this host's clock, or synchronize it (NTP)"
 _SECONDS: Final = 180  # up to which a span is given in seconds
@@ -56,7 +36,7 @@ CACHE_SIZE: Final = 256
 
 PROFILE: Final = Profile("rossec-renewal+cwt")
 MAX_CHAIN: Final = 2
-MAX_RENEWAL: Final = MAX_REQUEST + MAX_CHAIN * MAX_CERTIFICATE + 512
+MAX_RENEWAL: Final = svid.MAX_REQUEST + MAX_CHAIN * svid.MAX_CERTIFICATE + 512
 MAX_AGE: Final = 300  # seconds: two clocks and a slow network
 # Certificates are backdated by this much: the clock of robots without a battery-backed one may be
 # behind after a start.
@@ -92,35 +72,33 @@ def check_time(what: str, start: int, end: int, now: int, back: str) -> None:
     # The moment is that of the host's clock, which may be wrong: so the hint has both cases. What is not
     # valid yet is always a matter of clocks, as all certificates begin an hour early.
     if now < start:
-        raise CertificateNotYetValid(
+        raise errors.CertificateNotYetValid(
             f"the {what} becomes valid in {span(start - now)}",
             f"check this computer's clock: it says {utc(now)}",
         )
     if now > end:
-        raise CertificateExpired(
+        raise errors.CertificateExpired(
             f"the {what} expired {span(now - end)} ago, on {utc(end)}",
             f"this host's clock says {utc(now)}: if that is wrong, {SET_CLOCK}; else {back}",
         )
 
 
-def own_end(name: str, end: int, now: int, seen: int) -> CertificateExpired:
-    """The refusal of this host's own identity `name`, which was valid until `end`.
-
-    `seen` is the latest time that is known by anything else than the clock, such as the time of
-    the newest signature here. If it is after the end, or not long ago, the clock is not in doubt.
-    """
+def own_end(name: str, end: int, now: int, seen: int) -> errors.CertificateExpired:
+    """The refusal of this host's own identity `name`, which was valid until `end`."""
+    # `seen` is the latest time that is known by anything else than the clock, such as the time of the newest
+    # signature here. If it is after the end, or not long ago, the clock is not in doubt.
     back = f"where the authority is: {way_back(name)}"
     if seen >= end or now - seen <= _PLAUSIBLE:
-        return CertificateExpired(f"the identity of {name} ended on {utc(end)}", back)
-    return CertificateExpired(
+        return errors.CertificateExpired(f"the identity of {name} ended on {utc(end)}", back)
+    return errors.CertificateExpired(
         f"by this host's clock, which says {utc(now)}, the identity of {name} ended on {utc(end)};"
         f" nothing here is newer than {utc(seen)}",
         f"is the clock right? if not, {SET_CLOCK}; if it is, {back}",
     )
 
 
-def everything_ended(domain: str, end: int, now: int) -> CertificateExpired:
-    return CertificateExpired(
+def everything_ended(domain: str, end: int, now: int) -> errors.CertificateExpired:
+    return errors.CertificateExpired(
         f"by this host's clock, which says {utc(now)}, everything of {domain!r} is over, the"
         f" authority's own certificate too, since {utc(end)}",
         f"the clock is wrong, or the authority is ten years old: {SET_CLOCK}",
@@ -131,7 +109,7 @@ def everything_ended(domain: str, end: int, now: int) -> CertificateExpired:
 class Intermediate:
     """A verified intermediate. Times are inclusive, in seconds."""
 
-    public_key: ec.EllipticCurvePublicKey
+    public_key: PublicKey
     thumbprint: bytes
     not_before: int
     not_after: int
@@ -149,12 +127,12 @@ def read_intermediate(certificate: x509.Certificate, der: bytes, domain: str) ->
     svid.check_intermediate(extensions)
     found = svid.trust_domain(extensions)
     if found != domain:
-        raise CertificateRefused(f"the intermediate is for trust domain {found!r}, not {domain!r}")
+        raise errors.CertificateRefused(f"the intermediate is for trust domain {found!r}, not {domain!r}")
     key = svid.key_of(certificate)
     times = svid.validity(certificate)
     policies = svid.policies(extensions)
     if policies not in ({MAY_RENEW}, {MAY_ENROLL}):
-        raise CertificateRefused("the intermediate has no policy to renew or enroll", "make a new one")
+        raise errors.CertificateRefused("the intermediate has no policy to renew or enroll", "make a new one")
     subject, serial = svid.subject(certificate), certificate.serial_number
     return Intermediate(key, thumbprint(key), *times, der, subject, serial, MAY_ENROLL in policies)
 
@@ -165,15 +143,15 @@ def policy(*, may_enroll: bool) -> x509.CertificatePolicies:
 
 
 def build_intermediate_request(signer: Signer, domain: str) -> bytes:
-    builder = request_builder(f"{SCHEME}{check_domain(domain)}")
+    builder = svid.request_builder(f"{SCHEME}{check_domain(domain)}")
     return svid.sign(builder, signer)
 
 
-def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePublicKey:
+def check_intermediate_request(csr: bytes, domain: str) -> PublicKey:
     """Return the key of a request for an intermediate of `domain`; possession is proven."""
-    key, *asked = read_request(csr, _HINT)
+    key, *asked = svid.read_request(csr, _HINT)
     if asked != [f"{SCHEME}{domain}", False]:
-        raise RequestRefused(f"this is not a request for an intermediate of {domain!r}", _HINT)
+        raise errors.RequestRefused(f"this is not a request for an intermediate of {domain!r}", _HINT)
     return key
 
 
@@ -187,7 +165,7 @@ class Identity:
 
     domain: str
     name: str  # which grants and rules are for
-    public_key: ec.EllipticCurvePublicKey
+    public_key: PublicKey
     thumbprint: bytes  # of the key (RFC 9679)
     not_before: int
     not_after: int  # the earliest one of the chain below the anchor
@@ -226,7 +204,7 @@ class TrustAnchor:
     """The root certificate a node trusts. Create it with `load`; its key is parsed only once."""
 
     domain: str
-    public_key: ec.EllipticCurvePublicKey
+    public_key: PublicKey
     thumbprint: bytes
     not_before: int
     not_after: int
@@ -240,7 +218,7 @@ class TrustAnchor:
         certificate = svid.parse(der)
         key, subject = svid.key_of(certificate), svid.subject(certificate)
         if not svid.is_signed_by(certificate, subject, key):
-            raise CertificateRefused(
+            raise errors.CertificateRefused(
                 "the authority's certificate is not signed by itself",
                 "take the ca.pem that `rossec ca init` wrote",
             )
@@ -258,7 +236,7 @@ class TrustAnchor:
             case [leaf, second]:
                 issuer = self.check_intermediate(second, now)
             case _:
-                raise CertificateRefused(
+                raise errors.CertificateRefused(
                     f"a chain of {len(chain)} certificates where one or two are expected",
                     "send the node's certificate and its intermediate's, if it has one",
                 )
@@ -282,7 +260,7 @@ class TrustAnchor:
     def read_intermediate(self, der: bytes) -> Intermediate:
         """Return the intermediate in `der`. Its validity is not checked here."""
         if self.path_length == 0:
-            raise CertificateRefused(
+            raise errors.CertificateRefused(
                 "this authority may have no intermediates", "its root is of an older form"
             )
         certificate = svid.parse(der)
@@ -310,42 +288,37 @@ class TrustAnchor:
             "the authority is ten years old, and must be replaced by a new one",
         )
 
-    def _foreign(self, what: str, certificate: x509.Certificate) -> ForeignCertificate:
+    def _foreign(self, what: str, certificate: x509.Certificate) -> errors.ForeignCertificate:
         # What it claims to be is only said to a person: two sites of one name are a common mistake.
         text = f"the {what} is not signed by the authority of trust domain {self.domain!r}"
         hint = "enroll the node with this authority, or use the ca.pem that fits"
         try:
             claimed = svid.claimed_domain(certificate)
-        except CertificateRefused:
+        except errors.CertificateRefused:
             claimed = ""
         if claimed == self.domain:
-            return ForeignCertificate(
+            return errors.ForeignCertificate(
                 f"{text}, but has its name", f"is there another authority of that name? {hint}"
             )
-        return ForeignCertificate(f"{text}, but names {claimed!r}" if claimed else text, hint)
+        return errors.ForeignCertificate(f"{text}, but names {claimed!r}" if claimed else text, hint)
 
     def _identity(self, der: bytes, issuer: "TrustAnchor | Intermediate") -> Identity:
         known = _cache.get((issuer.certificate, der))
-        if known is not None and known.signed.verifies(issuer.public_key):
-            return known.identity
+        if known is not None and known[0].verifies(issuer.public_key):
+            return known[1]
         certificate = svid.parse(der)
         signed = svid.certificate_signature(certificate, issuer.subject)
         if signed is None or not signed.verifies(issuer.public_key):
             raise self._foreign("certificate", certificate)
         identity = _read(self.domain, certificate, der)
-        _cache[issuer.certificate, der] = _CachedLeaf(signed, identity)
+        _cache[issuer.certificate, der] = signed, identity
         return identity
-
-
-class _CachedLeaf(NamedTuple):
-    signed: svid.CertificateSignature
-    identity: Identity
 
 
 # By the DER of the issuer and of the leaf. Peers connect again for every topic, and parsing a
 # certificate is a pure function of its bytes, so the result is cached once it has verified.
 # The decision is never cached: signature and validity times are checked each time.
-_cache: Final[Newest[tuple[bytes, bytes], _CachedLeaf]] = Newest(CACHE_SIZE)
+_cache: Final[Newest[tuple[bytes, bytes], tuple[svid.CertificateSignature, Identity]]] = Newest(CACHE_SIZE)
 
 
 def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:
@@ -357,10 +330,10 @@ def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:
         refuse_alias(name)
         if wildcard:
             check_wildcard(name)
-    except NameRefused as error:
-        raise CertificateRefused(f"the certificate's name is invalid: {error}") from error
+    except errors.NameRefused as error:
+        raise errors.CertificateRefused(f"the certificate's name is invalid: {error}") from error
     if found != domain:
-        raise CertificateRefused(f"the certificate is for trust domain {found!r}, not {domain!r}")
+        raise errors.CertificateRefused(f"the certificate is for trust domain {found!r}, not {domain!r}")
     key = svid.key_of(certificate)
     start, end = svid.validity(certificate)
     serial = certificate.serial_number
@@ -373,14 +346,14 @@ def to_pem(*certificates: bytes) -> bytes:
 
 def from_pem(data: bytes) -> tuple[bytes, ...]:
     if len(data) > _MAX_PEM:
-        raise CertificateRefused(
+        raise errors.CertificateRefused(
             f"{len(data)} bytes of PEM where at most {_MAX_PEM} are allowed",
             "name the file with the node's certificate",
         )
     try:
         certificates = x509.load_pem_x509_certificates(data)
     except svid.PARSE_ERRORS as error:
-        raise CertificateRefused(
+        raise errors.CertificateRefused(
             "this is not a PEM certificate", "name the file that `rossec ca sign` wrote"
         ) from error
     return tuple(certificate.public_bytes(Encoding.DER) for certificate in certificates)
@@ -389,7 +362,7 @@ def from_pem(data: bytes) -> tuple[bytes, ...]:
 @dataclass(frozen=True)
 class Renewal:
     identity: Identity
-    request: IdentityRequest
+    request: svid.IdentityRequest
     csr: bytes
 
     @property
@@ -399,10 +372,8 @@ class Renewal:
 
 
 def signed_at(not_before: int, not_after: int) -> int:
-    """When an identity was signed: the backdated hour is not part of its lifetime.
-
-    Otherwise each successor would live an hour longer, and a short one would be due at once.
-    """
+    """When an identity was signed: the backdated hour is not part of its lifetime."""
+    # Otherwise each successor would live an hour longer, and a short one would be due at once.
     began = not_before + BACKDATE
     return began if began < not_after else not_before
 
@@ -420,31 +391,27 @@ def retry_delay(not_before: int, not_after: int, longest: int) -> int:
 
 
 def sign_renewal(old: Signer, chain: Sequence[bytes], csr: bytes, now: int) -> bytes:
-    """Sign, with the old key, the request that `csr` succeed `chain` (DER, leaf first).
-
-    A node writes its new key to the disk *before* it sends this, and repeats the same bytes until it
-    has the answer: the authority answers one request always with the same certificate.
-    """
+    """Sign, with the old key, the request that `csr` succeed `chain` (DER, leaf first)."""
+    # A node writes its new key to the disk *before* it sends this, and repeats the same bytes until it has
+    # the answer: the authority answers one request always with the same certificate.
     certificates: list[Value] = [*chain]
     return PROFILE.sign(old, {_IAT: now, _CSR: csr, _CHAIN: certificates})
 
 
 def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[bytes, int], None]) -> Renewal:
-    """Return the renewal in `data`, if it is valid.
-
-    `check(entry, now)` raises when a key's thumbprint is revoked, or its status is unknown
-    (`Revocations.check`).
-    """
+    """Return the renewal in `data`, if it is valid."""
+    # `check(entry, now)` raises when a key's thumbprint is revoked, or its status is unknown
+    # (`Revocations.check`).
     # 1. The chain in it says whose signature to verify; nothing else of it is used before that.
     try:
         _, _, chain = _read_renewal(PROFILE.peek(data, limit=MAX_RENEWAL))
-    except (SignatureError, EncodingError) as error:
-        raise RenewalRefused(f"this is not a renewal: {error}") from error
+    except (errors.SignatureError, errors.EncodingError) as error:
+        raise errors.RenewalRefused(f"this is not a renewal: {error}") from error
     identity = anchor.verify(chain, now)
     try:
         issued, csr, _ = _read_renewal(PROFILE.open(data, identity.public_key, limit=MAX_RENEWAL))
-    except (SignatureError, EncodingError) as error:
-        raise RenewalRefused(
+    except (errors.SignatureError, errors.EncodingError) as error:
+        raise errors.RenewalRefused(
             f"the renewal is not signed by {identity.name}: {error}", "renew on the node that has the key"
         ) from error
     # 2. The old identity counts, now, and asks for its own name. The CSR proves possession of the new key,
@@ -452,10 +419,10 @@ def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[by
     for key in identity.keys:
         check(key, now)
     if not now - MAX_AGE <= issued <= now + MAX_AGE:
-        raise RenewalRefused("the renewal is too old, or from the future", "check both clocks")
-    request = check_request(csr, anchor.domain, wildcard=identity.wildcard)
+        raise errors.RenewalRefused("the renewal is too old, or from the future", "check both clocks")
+    request = svid.check_request(csr, anchor.domain, wildcard=identity.wildcard)
     if request.name != identity.name:
-        raise RenewalRefused(
+        raise errors.RenewalRefused(
             f"{identity.name} requests the identity of {request.name}",
             "a node renews its own name; for another one it must be enrolled",
         )
@@ -463,7 +430,7 @@ def open_renewal(data: bytes, anchor: TrustAnchor, now: int, check: Callable[[by
     began = signed_at(identity.not_before, identity.not_after)
     half = began + (identity.not_after - began) // 2
     if now < half:
-        raise RenewalRefused(
+        raise errors.RenewalRefused(
             f"the identity of {identity.name} is not due for renewal for {half - now} s",
             "possible after half its lifetime; before that, where the authority is:"
             f" rossec ca renew {identity.name}",
@@ -478,7 +445,7 @@ def _read_renewal(value: Value) -> tuple[int, bytes, tuple[bytes, ...]]:
         ):
             chain = tuple(item for item in items if isinstance(item, bytes))
         case _:
-            raise RenewalRefused("the renewal has missing or unknown fields")
+            raise errors.RenewalRefused("the renewal has missing or unknown fields")
     if len(chain) != len(items):
-        raise RenewalRefused("the renewal's chain is not a list of certificates")
+        raise errors.RenewalRefused("the renewal's chain is not a list of certificates")
     return issued, csr, chain

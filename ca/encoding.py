@@ -30,26 +30,7 @@ _HEADS: Final = ((24, 1), (24, 1), (25, 2), *2 * ((26, 4),), *4 * ((27, 8),))
 
 # Tags are refused before `cbor2` interprets them: its decoder of tag 35 would compile an attacker's regular
 # expression. The tags cbor2 6 decodes by itself; every other one reaches `tag_hook`.
-_BUILT_IN_TAGS: Final = (
-    *range(6),
-    25,
-    28,
-    29,
-    30,
-    35,
-    36,
-    37,
-    52,
-    54,
-    100,
-    256,
-    258,
-    260,
-    261,
-    1004,
-    43000,
-    55799,
-)
+_TAGS: Final = (*range(6), 25, 28, 29, 30, 35, 36, 37, 52, 54, 100, 256, 258, 260, 261, 1004, 43000, 55799)
 
 
 def is_number(value: object) -> TypeGuard[int]:
@@ -71,11 +52,9 @@ def decode(data: bytes, *, limit: int = MAX_SIZE) -> Value:
 
 
 def parse(data: bytes) -> Value:
-    """Decode one value *without* checking that its form is deterministic.
-
-    Only for callers that encode the value again and compare it with all of `data`; tags, duplicate
-    keys and indefinite lengths are refused here too, and the caller has limited the size of `data`.
-    """
+    """Decode one value *without* checking that its form is deterministic."""
+    # Only for callers that encode the value again and compare it with all of `data`; tags, duplicate keys and
+    # indefinite lengths are refused here too, and the caller has limited the size of `data`.
     return _decode_item(BytesIO(data))
 
 
@@ -123,7 +102,7 @@ def _refuse_tag(*_: object) -> NoReturn:
     raise ValueError("tags are outside the subset")
 
 
-_REFUSED_TAGS: Final = dict.fromkeys(_BUILT_IN_TAGS, _refuse_tag)
+_REFUSED_TAGS: Final = dict.fromkeys(_TAGS, _refuse_tag)
 
 
 def _check(value: Any, depth: int) -> None:

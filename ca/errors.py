@@ -9,22 +9,15 @@ from typing import Self
 
 
 class HintedError(Exception):
-    """A refusal with a remedy.
-
-    Args:
-        message: one line, lower case, no full stop: what happened.
-        hint: one line: what the reader can do about it. May be empty.
-    """
+    """A refusal: one line of what happened, and one, perhaps empty, of what the reader can do about it."""
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
         self.hint = hint
 
     def bare(self) -> Self:
-        """The same error without traceback, cause and context, for whoever keeps one.
-
-        Those refer to frames, and so to everything that was received when it was raised.
-        """
+        """The same error without traceback, cause and context, for whoever keeps one."""
+        # Those refer to frames, and so to everything that was received when it was raised.
         return copy(self)
 
 

@@ -58,10 +58,8 @@ def closest(value: str, known: Iterable[str]) -> str | None:
 
 
 def proposed_name(text: str) -> str | None:
-    """The absolute ROS name most like `text`, which is none: `talker-1` -> `/talker_1`.
-
-    None: there is nothing to keep, or it is private (`~pose`) and has its place elsewhere.
-    """
+    """The absolute ROS name most like `text`, which is none: `talker-1` -> `/talker_1`."""
+    # None: there is nothing to keep, or it is private (`~pose`) and has its place elsewhere.
     if len(text) > MAX_NAME or text.startswith("~"):
         return None
     name = ""
@@ -118,11 +116,9 @@ def check_domain(text: str) -> str:
 
 
 def covers(name: str, asked: str, *, wildcard: bool) -> bool:
-    """Whether an identity for `name`, with or without a wildcard tail, may use the name `asked`.
-
-    A tail is `_` and at least one more character of the same segment: `/rviz` covers `/rviz_1_2`,
-    never `/rviz_`, `/rvizx`, `/rviz_a/b` or `/robot1/rviz_1`.
-    """
+    """Whether an identity for `name`, with or without a wildcard tail, may use the name `asked`."""
+    # A tail is `_` and at least one more character of the same segment: `/rviz` covers `/rviz_1_2`, never
+    # `/rviz_`, `/rvizx`, `/rviz_a/b` or `/robot1/rviz_1`.
     if asked == name:
         return True
     if not wildcard or len(asked) > MAX_NAME or is_reserved(asked) or not asked.startswith(name):
@@ -208,10 +204,8 @@ def tail_base(pattern: str) -> str | None:
 
 
 def fits(segment: str, found: str) -> bool:
-    """Whether one segment of a pattern, other than `**`, stands for the segment `found`.
-
-    `found` may be one of a tail pattern: then whether it stands for all of its names.
-    """
+    """Whether one segment of a pattern, other than `**`, stands for the segment `found`."""
+    # `found` may be one of a tail pattern: then whether it stands for all of its names.
     if segment in ("*", found):
         return True
     if not segment.endswith(TAIL):
@@ -232,11 +226,9 @@ def pattern_covers(pattern: str, name: str) -> bool:
 
 
 def covers_tree(pattern: str, name: str) -> bool:
-    """Whether `pattern` covers `name` or a parent of it.
-
-    For parameters: setting `/a` also sets every `/a/...`, because the value may be a tree. So a
-    right to a key is always a right to all of its descendants, and never to a parent.
-    """
+    """Whether `pattern` covers `name` or a parent of it."""
+    # For parameters: setting `/a` also sets every `/a/...`, because the value may be a tree. So a right to a
+    # key is always a right to all of its descendants, and never to a parent.
     pattern_segments = _pattern_segments(pattern)
     check_name(name)
     return bool(_match_ends(pattern_segments, _segments(name)))
@@ -351,10 +343,8 @@ def shown(name: str) -> str:
 
 
 def local_name(text: str) -> str:
-    """The local name of what a person wrote: `hospital:/robot/pose` is an alias.
-
-    Text without a colon is returned as it is: it may be a relative name.
-    """
+    """The local name of what a person wrote: `hospital:/robot/pose` is an alias."""
+    # Text without a colon is returned as it is: it may be a relative name.
     label, colon, name = text.partition(":")
     return alias_of(label, name) if colon else text
 
@@ -369,10 +359,8 @@ def local_pattern(text: str) -> str:
 
 
 def served_name(alias: str) -> str:
-    """The served name of an alias: `/gateway/hospital/pose` for `/remote/hospital/pose`.
-
-    A name of the own domain: its authority grants rights on it, and never on the alias.
-    """
+    """The served name of an alias: `/gateway/hospital/pose` for `/remote/hospital/pose`."""
+    # A name of the own domain: its authority grants rights on it, and never on the alias.
     found = split_alias(alias)
     if found is None:
         raise NameRefused(f"{alias} is a name of this domain: no gateway serves it")

@@ -77,11 +77,9 @@ def parse(der: bytes) -> x509.Certificate:
 
 
 def ends_with_whole_octets(der: bytes, signature: bytes) -> bool:
-    """Whether the BIT STRING that ends `der` claims no unused bits.
-
-    That octet is not signed, and the library ignores it: without this check, one certificate
-    would have two encodings.
-    """
+    """Whether the BIT STRING that ends `der` claims no unused bits."""
+    # That octet is not signed, and the library ignores it: without this check, one certificate would have two
+    # encodings.
     return der.endswith(b"\0" + signature)
 
 
@@ -299,10 +297,8 @@ def sign(builder: x509.CertificateBuilder | x509.CertificateSigningRequestBuilde
 
 
 def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> IdentityRequest:
-    """The request in the CSR, if it is for one name in `domain` and a proven P-256 key.
-
-    `wildcard`: the approver allows a wildcard tail.
-    """
+    """The request in the CSR, if it is for one name in `domain` and a proven P-256 key."""
+    # `wildcard`: the approver allows a wildcard tail.
     key, uri, asks = read_request(csr, _HINT)
     try:
         asked_domain, name = parse_spiffe_id(uri)

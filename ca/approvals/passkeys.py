@@ -191,10 +191,6 @@ def verify(assertion: Assertion, passkey: Passkey, challenge: bytes, counter: in
     return data.counter
 
 
-def counter_of(authenticator_data: bytes) -> int:
-    return AuthenticatorData.read(authenticator_data).counter
-
-
 class Purpose(StrEnum):
     """What a challenge is for: not the first field of any statement, so none is taken for another."""
 

@@ -12,31 +12,18 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
-from ca import svid
+from ca import errors, svid
 from ca.certificates import Identity, TrustAnchor
 from ca.encoding import Value, decode, encode, is_number
-from ca.errors import (
-    BundleRefused,
-    CAError,
-    CertificateRefused,
-    DomainsRefused,
-    EncodingError,
-    NameRefused,
-    NotAdmitted,
-    SignatureError,
-)
-from ca.keys.signing import Profile, Signer, from_coordinates, thumbprint, to_coordinates
+from ca.keys.signing import Profile, PublicKey, Signer, from_coordinates, thumbprint, to_coordinates
 from ca.names import alias_of, check_domain, check_label, check_pattern, pattern_covers
-from ca.svid import MAX_CERTIFICATE
 
 TRUST_BUNDLE: Final = Profile("rossec-card+cwt")
 TRUST_BUNDLE_LIFETIME: Final = 7 * 86400
 MAX_TRUST_BUNDLE_LIFETIME: Final = 30 * 86400
 MAX_TRUST_BUNDLE_NAMES: Final = 16
 MAX_TRUST_BUNDLE_MASTERS: Final = 8
-MAX_TRUST_BUNDLE: Final = MAX_CERTIFICATE + 8 * 1024
+MAX_TRUST_BUNDLE: Final = svid.MAX_CERTIFICATE + 8 * 1024
 SKEW: Final = 300  # seconds that another site's clock may be behind
 _EXP, _IAT, _ROOT, _NAMES, _MASTERS = 4, 6, -70037, -70038, -70039
 _URI: Final = re.compile(r"http://[A-Za-z0-9.:\[\]-]{1,255}/?", re.ASCII)
@@ -71,16 +58,16 @@ class TrustBundle:
 
     def __post_init__(self) -> None:
         if not (is_number(self.issued) and is_number(self.expires) and self.issued < self.expires):
-            raise BundleRefused("a bundle that is never valid", _HINT)
+            raise errors.BundleRefused("a bundle that is never valid", _HINT)
         if self.expires - self.issued > MAX_TRUST_BUNDLE_LIFETIME:
-            raise BundleRefused("a bundle that is valid for more than 30 days", _HINT)
+            raise errors.BundleRefused("a bundle that is valid for more than 30 days", _HINT)
         if not 1 <= len(self.names) <= MAX_TRUST_BUNDLE_NAMES or len(self.masters) > MAX_TRUST_BUNDLE_MASTERS:
-            raise BundleRefused("a bundle with no names, or with too many names or masters", _HINT)
+            raise errors.BundleRefused("a bundle with no names, or with too many names or masters", _HINT)
         for pattern in self.names:
             check_pattern(pattern)
         for uri in self.masters:
             if _URI.fullmatch(uri) is None:
-                raise BundleRefused(f"{uri[:300]!a} is not a master's address", "http://HOST:PORT")
+                raise errors.BundleRefused(f"{uri[:300]!a} is not a master's address", "http://HOST:PORT")
 
     @cached_property
     def anchor(self) -> TrustAnchor:
@@ -88,8 +75,11 @@ class TrustBundle:
 
 
 def sign_bundle(signer: Signer, bundle: TrustBundle) -> bytes:
+    """The COSE_Sign1 of a bundle, by its own root key alone (docs/spec/domains.md)."""
     if thumbprint(signer.public_key) != bundle.anchor.thumbprint:
-        raise BundleRefused("the bundle is not about this authority", "an intermediate signs no bundles")
+        raise errors.BundleRefused(
+            "the bundle is not about this authority", "an intermediate signs no bundles"
+        )
     names: list[Value] = [*bundle.names]
     claims: dict[int | str, Value] = {
         _EXP: bundle.expires,
@@ -103,23 +93,24 @@ def sign_bundle(signer: Signer, bundle: TrustBundle) -> bytes:
 
 
 def open_bundle(data: bytes, now: int) -> TrustBundle:
-    # Signed by the root key in it: that proves that its maker has the key, and nothing about who that is. A
-    # person compares the fingerprint over another way.
+    """The bundle in `data`, if it is signed by the root in it and valid at `now`, seconds."""
+    # That proves that its maker has the key, and nothing about who that is: a person compares the
+    # fingerprint over another way.
     try:
         bundle = _read_bundle(
             TRUST_BUNDLE.peek(data, limit=MAX_TRUST_BUNDLE)
         )  # the key to verify with is in it
         TRUST_BUNDLE.open(data, bundle.anchor.public_key, limit=MAX_TRUST_BUNDLE)
-    except BundleRefused:
+    except errors.BundleRefused:
         raise
-    except (SignatureError, EncodingError) as error:
-        raise BundleRefused(f"this is not a domain's bundle: {error}", _HINT) from None
-    except CAError as error:
-        raise BundleRefused(f"in the bundle: {error}", _HINT) from error
+    except (errors.SignatureError, errors.EncodingError) as error:
+        raise errors.BundleRefused(f"this is not a domain's bundle: {error}", _HINT) from None
+    except errors.CAError as error:
+        raise errors.BundleRefused(f"in the bundle: {error}", _HINT) from error
     if now >= bundle.expires:
-        raise BundleRefused(f"the bundle expired {now - bundle.expires} s ago", "ask for a new one")
+        raise errors.BundleRefused(f"the bundle expired {now - bundle.expires} s ago", "ask for a new one")
     if now < bundle.issued - SKEW:
-        raise BundleRefused("the bundle is from the future", "check the clocks of both computers")
+        raise errors.BundleRefused("the bundle is from the future", "check the clocks of both computers")
     return bundle
 
 
@@ -130,21 +121,23 @@ def _read_bundle(payload: Value) -> TrustBundle:
         ):
             masters = rest.get(_MASTERS, [])
         case _:
-            raise BundleRefused("the bundle has missing or unknown fields", _HINT)
+            raise errors.BundleRefused("the bundle has missing or unknown fields", _HINT)
     if not isinstance(masters, list) or (_MASTERS in rest and not masters):
-        raise BundleRefused("the masters of the bundle are not a list of addresses", _HINT)
+        raise errors.BundleRefused("the masters of the bundle are not a list of addresses", _HINT)
     return TrustBundle(root, _texts(names), _texts(masters), iat, exp)
 
 
 def _texts(items: list[Value]) -> tuple[str, ...]:
     texts = tuple(each for each in items if isinstance(each, str))
     if len(texts) != len(items) or len(items) > MAX_TRUST_BUNDLE_NAMES:
-        raise BundleRefused("the bundle has a name or an address that is not one", _HINT)
+        raise errors.BundleRefused("the bundle has a name or an address that is not one", _HINT)
     return texts
 
 
 @dataclass(frozen=True)
 class ForeignDomain:
+    """A domain as this side trusts it; terms that make no sense are `DomainsRefused`."""
+
     domain: str
     label: str  # what it is called here
     root: bytes  # its root certificate, DER
@@ -158,23 +151,23 @@ class ForeignDomain:
         check_domain(self.domain)
         check_label(self.label)
         if not 1 <= len(self.admitted) <= MAX_RULES:
-            raise DomainsRefused(f"domain {self.domain} admits no name, or too many patterns")
+            raise errors.DomainsRefused(f"domain {self.domain} admits no name, or too many patterns")
         for pattern in self.admitted:
             check_pattern(pattern)
         for rules in (self.exported or (), self.imported or ()):
             if len(rules) > MAX_RULES:
-                raise DomainsRefused(f"more than {MAX_RULES} exports or imports of one domain")
+                raise errors.DomainsRefused(f"more than {MAX_RULES} exports or imports of one domain")
             for pattern, rights in rules:
                 check_pattern(pattern)
                 if type(rights) is not int or not 0 < rights <= ALL_RIGHTS:
-                    raise DomainsRefused(f"unknown or no right on {pattern}")
+                    raise errors.DomainsRefused(f"unknown or no right on {pattern}")
         whole = is_number(self.fresh) and is_number(self.until)
         if not (whole and LEAST_FRESH <= self.fresh <= MOST_FRESH and self.until > 0):
-            raise DomainsRefused(
+            raise errors.DomainsRefused(
                 f"the times of domain {self.domain} are out of range", "30 seconds to 7 days"
             )
         if self.anchor.domain != self.domain:
-            raise DomainsRefused(f"the root of domain {self.domain} is that of {self.anchor.domain}")
+            raise errors.DomainsRefused(f"the root of domain {self.domain} is that of {self.anchor.domain}")
 
     @cached_property
     def anchor(self) -> TrustAnchor:
@@ -202,17 +195,17 @@ class DomainList:
 
     def __post_init__(self) -> None:
         if not all(map(is_number, (self.epoch, self.seq, self.issued, self.expires))):
-            raise DomainsRefused("a number of the list of domains is out of range")
+            raise errors.DomainsRefused("a number of the list of domains is out of range")
         if self.expires <= self.issued:
-            raise DomainsRefused("a list of domains that is never valid")
+            raise errors.DomainsRefused("a list of domains that is never valid")
         if len(self.domains) > MAX_DOMAINS or len(self.masters) > MAX_MASTERS:
-            raise DomainsRefused("a list of too many domains or masters")
+            raise errors.DomainsRefused("a list of too many domains or masters")
         _check_sorted([each.domain for each in self.domains])
         _check_sorted(list(self.masters))
         roots = [each.anchor.thumbprint for each in self.domains]
         for distinct in ([each.label for each in self.domains], roots):
             if len(set(distinct)) != len(distinct):
-                raise DomainsRefused("two domains of the list share a label or a root key")
+                raise errors.DomainsRefused("two domains of the list share a label or a root key")
         for key in self.masters:
             from_coordinates(key)
 
@@ -222,6 +215,7 @@ class DomainList:
 
 
 def sign_domains(signer: Signer, domains: DomainList, own_domain: str) -> bytes:
+    """The COSE_Sign1 of the list; `DomainsRefused` where it names `own_domain` or has over 64 KiB."""
     _check_own(domains, own_domain, to_coordinates(signer.public_key))
     data = DOMAINS.sign(
         signer,
@@ -235,7 +229,7 @@ def sign_domains(signer: Signer, domains: DomainList, own_domain: str) -> bytes:
         },
     )
     if len(data) > MAX_LIST:
-        raise DomainsRefused(f"a list of domains of {len(data)} bytes, at most {MAX_LIST}")
+        raise errors.DomainsRefused(f"a list of domains of {len(data)} bytes, at most {MAX_LIST}")
     return data
 
 
@@ -246,25 +240,25 @@ def open_domains(data: bytes, own: TrustAnchor) -> DomainList:
     return domains
 
 
-def verify_domains(data: bytes, key: ec.EllipticCurvePublicKey) -> DomainList:
+def verify_domains(data: bytes, key: PublicKey) -> DomainList:
     """As `open_domains`, for a list that may name the domain whose root key `key` is."""
     try:
         return _read_list(DOMAINS.open(data, key, limit=MAX_LIST))
-    except (SignatureError, EncodingError) as error:
-        raise DomainsRefused(f"not a list of domains of this authority: {error}") from None
-    except DomainsRefused:
+    except (errors.SignatureError, errors.EncodingError) as error:
+        raise errors.DomainsRefused(f"not a list of domains of this authority: {error}") from None
+    except errors.DomainsRefused:
         raise
-    except CAError as error:
-        raise DomainsRefused(f"in the list of domains: {error}", error.hint) from error
+    except errors.CAError as error:
+        raise errors.DomainsRefused(f"in the list of domains: {error}", error.hint) from error
 
 
 def _check_own(domains: DomainList, own_domain: str, own_key: bytes) -> None:
     for each in domains.domains:
         if each.domain == own_domain:
-            raise DomainsRefused("the list of foreign domains names the own one", "rossec domain list")
+            raise errors.DomainsRefused("the list of foreign domains names the own one", "rossec domain list")
         # Its nodes would be strangers by one name and own nodes by the other.
         if to_coordinates(each.anchor.public_key) == own_key:
-            raise DomainsRefused(f"the root of {each.domain} is this authority's own key")
+            raise errors.DomainsRefused(f"the root of {each.domain} is this authority's own key")
 
 
 def _claims(domain: ForeignDomain) -> Value:
@@ -294,14 +288,14 @@ def _read_list(payload: Value) -> DomainList:
         } if rest.keys() <= {_OWN_MASTERS}:
             masters = rest.get(_OWN_MASTERS, [])
         case _:
-            raise DomainsRefused("the list of domains has missing or unknown fields")
+            raise errors.DomainsRefused("the list of domains has missing or unknown fields")
     if not isinstance(masters, list) or (_OWN_MASTERS in rest and not masters):
-        raise DomainsRefused("the masters of the list of domains are not a list of keys")
+        raise errors.DomainsRefused("the masters of the list of domains are not a list of keys")
     if len(items) > MAX_DOMAINS or len(masters) > MAX_MASTERS:
-        raise DomainsRefused("a list of too many domains or masters")
+        raise errors.DomainsRefused("a list of too many domains or masters")
     keys = tuple(key for key in masters if isinstance(key, bytes))
     if len(keys) != len(masters):
-        raise DomainsRefused("the masters of the list of domains are not a list of keys")
+        raise errors.DomainsRefused("the masters of the list of domains are not a list of keys")
     return DomainList(epoch, seq, iat, exp, tuple(map(_domain, items)), keys)
 
 
@@ -318,11 +312,11 @@ def _domain(item: Value) -> ForeignDomain:
         } if rest.keys() <= {8, 9}:
             patterns = tuple(each for each in admitted if isinstance(each, str))
             if len(patterns) != len(admitted):
-                raise DomainsRefused("an admitted name of a domain is not text")
+                raise errors.DomainsRefused("an admitted name of a domain is not text")
             exported, imported = (_rules(rest[key]) if key in rest else None for key in (8, 9))
             return ForeignDomain(domain, label, root, patterns, fresh, until, exported, imported)
         case _:
-            raise DomainsRefused("a domain of the list has missing or unknown fields")
+            raise errors.DomainsRefused("a domain of the list has missing or unknown fields")
 
 
 def _rules(value: Any) -> tuple[NameRights, ...]:
@@ -332,17 +326,19 @@ def _rules(value: Any) -> tuple[NameRights, ...]:
             case [str() as pattern, int() as rights]:
                 rules.append((pattern, rights))
             case _:
-                raise DomainsRefused("an export or import of a domain is not [pattern, rights]")
+                raise errors.DomainsRefused("an export or import of a domain is not [pattern, rights]")
     return tuple(rules)
 
 
 def _check_sorted(items: list[Any]) -> None:
     if any(first >= second for first, second in pairwise(items)):
-        raise DomainsRefused("the list of domains is not sorted, or has an entry twice")
+        raise errors.DomainsRefused("the list of domains is not sorted, or has an entry twice")
 
 
 @dataclass(frozen=True)
 class ListedDomain:
+    """A domain of the list in force, with its root, parsed."""
+
     entry: ForeignDomain
     anchor: TrustAnchor
 
@@ -350,14 +346,14 @@ class ListedDomain:
         entry = self.entry
         # 1. This side still trusts the domain; 2. the chain is of its root; 3. this side admits the name.
         if now >= entry.until:
-            raise NotAdmitted(f"the trust in domain {entry.label} has ended", ADMIT_HINT)
+            raise errors.NotAdmitted(f"the trust in domain {entry.label} has ended", ADMIT_HINT)
         identity = self.anchor.verify(chain, now)
         if not any(pattern_covers(pattern, identity.name) for pattern in entry.admitted):
-            raise NotAdmitted(f"{entry.label}:{identity.name} is not admitted here", ADMIT_HINT)
+            raise errors.NotAdmitted(f"{entry.label}:{identity.name} is not admitted here", ADMIT_HINT)
         try:
             alias = alias_of(entry.label, identity.name)
-        except NameRefused as error:
-            raise NotAdmitted(f"a foreign node has no alias here: {error}") from error
+        except errors.NameRefused as error:
+            raise errors.NotAdmitted(f"a foreign node has no alias here: {error}") from error
         # A tail of theirs is not honoured: it would admit names that nobody here has listed.
         return replace(
             identity,
@@ -375,7 +371,7 @@ class _Snapshot(NamedTuple):
     current: DomainList | None
     by_domain: dict[str, ListedDomain]
     by_label: dict[str, ListedDomain]
-    masters: tuple[ec.EllipticCurvePublicKey, ...]
+    masters: tuple[PublicKey, ...]
 
 
 _NOTHING: Final = _Snapshot(b"", None, {}, {}, ())
@@ -398,7 +394,7 @@ class Anchors:
         return self._snapshot.current
 
     @property
-    def masters(self) -> tuple[ec.EllipticCurvePublicKey, ...]:
+    def masters(self) -> tuple[PublicKey, ...]:
         return self._snapshot.masters
 
     def update(self, data: bytes, persist: Callable[[bytes], None] | None = None) -> frozenset[str]:
@@ -408,10 +404,10 @@ class Anchors:
         """
         new, held = open_domains(data, self.own), self._snapshot
         if new.number < self._floor:
-            raise DomainsRefused("an older list of domains than one seen before", "find the sender")
+            raise errors.DomainsRefused("an older list of domains than one seen before", "find the sender")
         # The same number twice: two authorities have one key, or its record went back.
         if held.current is not None and new.number == held.current.number and data != held.data:
-            raise DomainsRefused(
+            raise errors.DomainsRefused(
                 "there are two different lists of domains with one number",
                 "the authority's record was restored or copied: begin a new epoch",
             )
@@ -436,12 +432,12 @@ class Anchors:
         try:
             # Not trusted: it selects the one root that is tried, so no root can speak for another's domain.
             domain = svid.claimed_domain(svid.parse(chain[0]))
-        except CertificateRefused:
+        except errors.CertificateRefused:
             domain = ""
         if domain == self.own.domain or domain not in held.by_domain:
             return self.own.verify(chain, now)
         if held.current is None or now >= held.current.expires:
-            raise NotAdmitted("the list of domains has expired", "rossec ca refresh")
+            raise errors.NotAdmitted("the list of domains has expired", "rossec ca refresh")
         return held.by_domain[domain].verify(chain, now)
 
     def listed(self, label: str) -> ListedDomain | None:

@@ -20,11 +20,10 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
+from ca import names, svid
 from ca.encoding import Value, encode
 from ca.errors import CodeRefused, EnrollmentMessageRefused, EnrollmentRefused, JoinRefused, SignatureError
-from ca.keys.signing import KeySigner, Profile, Signer, require_p256
-from ca.names import MAX_NAME
-from ca.svid import MAX_REQUEST
+from ca.keys.signing import KeySigner, Profile, PublicKey, Signer, require_p256
 
 # The text is base32 (RFC 4648): base45 has a space, `$` and `*`, which a shell changes; base64url
 # leaves the alphanumeric mode of QR codes and is longer there. Its last octets are a checksum, since
@@ -66,7 +65,7 @@ _CLAIM: Final = Profile("rossec-join-claim+cbor")
 
 _SIZES: Final = ID_SIZE + _DIGEST_SIZE  # where those of proof, name and metadata are
 _HEAD: Final = _SIZES + 5
-MAX_REQUEST_SIZE: Final = _HEAD + MAX_STATEMENT + MAX_NAME + MAX_METADATA + MAX_REQUEST
+MAX_REQUEST_SIZE: Final = _HEAD + MAX_STATEMENT + names.MAX_NAME + MAX_METADATA + svid.MAX_REQUEST
 
 _CLAIM_HEAD: Final = ID_SIZE + _DIGEST_SIZE + 2  # and the size of the proof
 MAX_CLAIM_SIZE: Final = _CLAIM_HEAD + MAX_STATEMENT + MAX_METADATA
@@ -161,9 +160,9 @@ def parse_body(body: bytes) -> InvitationCode:
     )
 
 
-def public_key(point: bytes) -> ec.EllipticCurvePublicKey:
+def public_key(point: bytes) -> PublicKey:
     try:
-        return require_p256(ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), point))
+        return require_p256(PublicKey.from_encoded_point(ec.SECP256R1(), point))
     except ValueError as error:
         raise CodeRefused("the key of the invitation is not a point of P-256") from error
 
@@ -213,7 +212,7 @@ def sign_live(signer: Signer, transcript_hash: bytes) -> bytes:
     return _LIVE.sign(signer, [transcript_hash])
 
 
-def check_live(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> None:
+def check_live(data: bytes, key: PublicKey, transcript_hash: bytes) -> None:
     try:
         _LIVE.check(data, key, [transcript_hash])
     except SignatureError as error:
@@ -228,12 +227,7 @@ def sign_proof(signer: Signer, transcript_hash: bytes, csr: bytes, name: str, me
 
 
 def check_proof(
-    data: bytes,
-    key: ec.EllipticCurvePublicKey,
-    transcript_hash: bytes,
-    csr: bytes,
-    name: str,
-    metadata: bytes = b"",
+    data: bytes, key: PublicKey, transcript_hash: bytes, csr: bytes, name: str, metadata: bytes = b""
 ) -> None:
     """Return if the holder of the secret asks for `csr` in this join. It is only hashed."""
     _check(_PROOF, data, key, _asked(transcript_hash, csr, name, metadata))
@@ -243,7 +237,7 @@ def sign_claim(signer: Signer, transcript_hash: bytes, metadata: bytes) -> bytes
     return _CLAIM.sign(signer, [transcript_hash, _digest(metadata)])
 
 
-def check_claim(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes, metadata: bytes) -> None:
+def check_claim(data: bytes, key: PublicKey, transcript_hash: bytes, metadata: bytes) -> None:
     """Return if the holder of the secret sends `metadata`, which are only hashed."""
     _check(_CLAIM, data, key, [transcript_hash, _digest(metadata)])
 
@@ -254,7 +248,7 @@ def _asked(transcript_hash: bytes, csr: bytes, name: str, metadata: bytes) -> li
     return [*asked, _digest(metadata)] if metadata else asked
 
 
-def _check(profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey, content: list[Value]) -> None:
+def _check(profile: Profile, data: bytes, key: PublicKey, content: list[Value]) -> None:
     try:
         profile.check(data, key, content)
     except SignatureError as error:
@@ -280,8 +274,8 @@ class JoinRequest:
         exact = len(self.invitation) == ID_SIZE and len(self.transcript) == _DIGEST_SIZE
         fits = (
             self.name.isascii()
-            and len(self.name) <= MAX_NAME
-            and len(self.csr) <= MAX_REQUEST
+            and len(self.name) <= names.MAX_NAME
+            and len(self.csr) <= svid.MAX_REQUEST
             and len(self.proof) <= MAX_STATEMENT
             and len(self.metadata) <= MAX_METADATA
         )

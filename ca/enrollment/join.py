@@ -12,6 +12,7 @@ from hashlib import sha256
 from hmac import compare_digest
 from typing import Final, TypeAlias
 
+from ca import errors
 from ca.certificates import TrustAnchor
 from ca.enrollment import invitation
 from ca.enrollment.invitation import (
@@ -32,17 +33,6 @@ from ca.enrollment.messages import (
     given,
     octets,
     text,
-)
-from ca.errors import (
-    CAError,
-    CertificateExpired,
-    CertificateNotYetValid,
-    EnrollmentMessageRefused,
-    EnrollmentRefused,
-    JoinBusy,
-    JoinRefused,
-    JoinWaiting,
-    RequestRefused,
 )
 from ca.keys.signing import Signer
 from ca.names import AUTHORITY, MAX_NAME, check_name, is_reserved, pattern_covers
@@ -262,7 +252,7 @@ class NodeJoin(Machine[NodeJoinState]):
     def receive(self, data: bytes, now: int) -> None:
         try:
             self._take(read(data), now)
-        except CAError:
+        except errors.CAError:
             if self.state is not _S.WAITING:
                 self.state = _S.OVER
             raise
@@ -276,18 +266,16 @@ class NodeJoin(Machine[NodeJoinState]):
         return write(ClaimMessage(metadata, proof))
 
     def join(self, csr: bytes, metadata: bytes = b"") -> bytes:
-        """The request with its proof; `csr` is for a name within the invitation, or `name`.
-
-        With `metadata`, those of the claim if there was one, the name must be the one that the
-        authority's rules give for them.
-        """
+        """The request with its proof; `csr` is for a name within the invitation, or `name`."""
+        # With `metadata`, those of the claim if there was one, the name must be the one that the authority's
+        # rules give for them.
         self._require(_S.WELCOMED, _S.NAMED)
         if metadata and not self._metadata:
             self._metadata = _checked(metadata)
         self._request = check_request(csr, self.anchor.domain, wildcard=self._code.wildcard)
         name, signer, metadata = self._request.name, self._code.signer, self._metadata
         if self._name and name != self._name:
-            raise RequestRefused(f"the request is not for {self._name}")
+            raise errors.RequestRefused(f"the request is not for {self._name}")
         proof = invitation.sign_proof(signer, self._transcript, csr, name, metadata)
         self.state = _S.PROVED
         return write(Join(name, csr, proof, metadata))
@@ -295,7 +283,7 @@ class NodeJoin(Machine[NodeJoinState]):
     def _verify(self, message: Welcome, now: int) -> None:
         # 1. The hash first: a root that is not the code's is not parsed.
         if not compare_digest(sha256(message.root).digest(), self._code.root):
-            raise EnrollmentRefused(
+            raise errors.EnrollmentRefused(
                 "another authority answers at the address of the invitation",
                 "is the invitation of this site? find out who answers there",
             )
@@ -303,14 +291,16 @@ class NodeJoin(Machine[NodeJoinState]):
         # 2. A chain to that root, for `/ca`: every node has one, none but the authority's is taken.
         try:
             live = anchor.verify(message.chain, now)
-        except (CertificateExpired, CertificateNotYetValid) as error:
-            raise EnrollmentRefused(f"the authority's node cannot be verified: {error}", _CLOCK) from error
-        except CAError as error:
-            raise EnrollmentRefused(
+        except (errors.CertificateExpired, errors.CertificateNotYetValid) as error:
+            raise errors.EnrollmentRefused(
+                f"the authority's node cannot be verified: {error}", _CLOCK
+            ) from error
+        except errors.CAError as error:
+            raise errors.EnrollmentRefused(
                 f"the peer is not the authority: {error}", "find out who answers at that address"
             ) from error
         if live.name != AUTHORITY or live.wildcard:
-            raise EnrollmentRefused(
+            raise errors.EnrollmentRefused(
                 f"the peer is {live.name}, a node of this site, and not its authority",
                 "it may be an attack: find out who answers at that address",
             )
@@ -326,7 +316,7 @@ class NodeJoin(Machine[NodeJoinState]):
         # The code is what a person gave this node: the rules of a server may narrow it, not widen it.
         name = check_name(message.name)
         if is_reserved(name) or not pattern_covers(self._code.pattern, name):
-            raise EnrollmentRefused(
+            raise errors.EnrollmentRefused(
                 f"the peer gives the name {name}, which the invitation does not allow",
                 "the authority gives none outside of it: find out who answers at that address",
             )
@@ -341,17 +331,17 @@ class NodeJoin(Machine[NodeJoinState]):
 
     def _waiting(self, message: WaitingMessage, _: int) -> None:
         self.state = _S.WAITING
-        raise JoinWaiting(*WAITING[message.reason])
+        raise errors.JoinWaiting(*WAITING[message.reason])
 
     def _refused(self, message: RefusedMessage, _: int) -> None:
-        kind = JoinBusy if message.reason is RefuseReason.BUSY else JoinRefused
+        kind = errors.JoinBusy if message.reason is RefuseReason.BUSY else errors.JoinRefused
         texts = CLAIM_REFUSED if self._metadata else REFUSED
         raise kind(*texts[message.reason])
 
 
 def _checked(metadata: bytes) -> bytes:
     if not 0 < len(metadata) <= MAX_METADATA:
-        raise EnrollmentMessageRefused(
+        raise errors.EnrollmentMessageRefused(
             f"{len(metadata)} bytes of metadata where 1 to {MAX_METADATA} are allowed",
             "a join takes what a name needs: leave the rest out",
         )
@@ -410,7 +400,7 @@ class AuthorityJoin(Machine[AuthorityJoinState]):
         """Process one message of a node; returns what to send, or None: see `claim`, `request`."""
         try:
             sent: bytes | None = self._take(read(data))
-        except EnrollmentRefused:
+        except errors.EnrollmentRefused:
             self.state = _A.OVER
             raise
         return sent

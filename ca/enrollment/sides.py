@@ -13,10 +13,8 @@ from enum import Enum
 from hashlib import sha256
 from typing import Final
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
+from ca import encoding, errors
 from ca.certificates import TrustAnchor
-from ca.encoding import encode
 from ca.enrollment import NONCE_SIZE, WINDOW, qr
 from ca.enrollment.messages import (
     Abort,
@@ -35,17 +33,7 @@ from ca.enrollment.messages import (
     write,
 )
 from ca.enrollment.qr import Code
-from ca.errors import (
-    ConflictingOffer,
-    EncodingError,
-    EnrollmentExpired,
-    EnrollmentLocked,
-    EnrollmentOver,
-    EnrollmentRefused,
-    RequestSwapped,
-    SignatureError,
-)
-from ca.keys.signing import Profile, Signer
+from ca.keys.signing import Profile, PublicKey, Signer
 from ca.svid import IdentityRequest, check_request
 
 _CONTEXT: Final = "rossec-enroll-v1"
@@ -59,15 +47,15 @@ MAX_BAD_TAGS: Final = 5
 MAX_BAD_DIGITS: Final = 3
 _RESTART_HINT: Final = "start again: rossec node enroll NAME"
 
-_ABORTS: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
+_ABORTS: Final[dict[Reason, tuple[type[errors.EnrollmentRefused], str, str]]] = {
     Reason.REFUSED: (
-        EnrollmentOver,
+        errors.EnrollmentOver,
         "the node refused the offer",
         "does it show a new code, or is its clock wrong? `rossec node enroll` says why",
     ),
-    Reason.OVER: (EnrollmentOver, "the node has ended the enrollment", "show a new code on the node"),
+    Reason.OVER: (errors.EnrollmentOver, "the node has ended the enrollment", "show a new code on the node"),
     Reason.CONFLICT: (
-        ConflictingOffer,
+        errors.ConflictingOffer,
         "the node received two different offers: another party has its code",
         "the node accepted none; find the other party, then show a new code",
     ),
@@ -78,11 +66,11 @@ def transcript(csr: bytes, chain: Sequence[bytes], root: bytes, nonce: bytes) ->
     # Request, certificates, anchor and a fresh nonce: nothing signed over it can be replayed or taken for
     # another statement, and no peer chooses the octets that a node signs.
     certificates = [_digest(certificate) for certificate in chain]
-    return _digest(encode([_CONTEXT, _digest(csr), [*certificates], _digest(root), nonce]))
+    return _digest(encoding.encode([_CONTEXT, _digest(csr), [*certificates], _digest(root), nonce]))
 
 
 def tag(secret: bytes, transcript_hash: bytes) -> bytes:
-    return hmac.digest(secret, encode([_OFFER, transcript_hash]), "sha256")
+    return hmac.digest(secret, encoding.encode([_OFFER, transcript_hash]), "sha256")
 
 
 def verify_tag(secret: bytes, transcript_hash: bytes, given: bytes) -> bool:
@@ -92,7 +80,7 @@ def verify_tag(secret: bytes, transcript_hash: bytes, given: bytes) -> bool:
 def digits(transcript_hash: bytes, contribution: bytes) -> str:
     # `contribution` is revealed only *after* the offer is fixed: otherwise an attacker posing as the
     # authority could try a million nonces until the digits match.
-    number = int.from_bytes(_digest(encode([_DIGITS, transcript_hash, contribution]))[:8])
+    number = int.from_bytes(_digest(encoding.encode([_DIGITS, transcript_hash, contribution]))[:8])
     return f"{number % 1_000_000:06}"
 
 
@@ -104,7 +92,7 @@ def sign_acknowledgement(signer: Signer, transcript_hash: bytes, contribution: b
     return _ACKNOWLEDGEMENT.sign(signer, [transcript_hash, contribution])
 
 
-def open_acknowledgement(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> bytes:
+def open_acknowledgement(data: bytes, key: PublicKey, transcript_hash: bytes) -> bytes:
     match _open(_ACKNOWLEDGEMENT, data, key):
         case [bytes() as acknowledged, bytes() as contribution] if (
             acknowledged == transcript_hash and len(contribution) == NONCE_SIZE
@@ -118,22 +106,22 @@ def sign_done(signer: Signer, transcript_hash: bytes) -> bytes:
     return _DONE.sign(signer, [transcript_hash])
 
 
-def check_done(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> None:
+def check_done(data: bytes, key: PublicKey, transcript_hash: bytes) -> None:
     if _open(_DONE, data, key) != [transcript_hash]:
         raise _replayed()
 
 
-def _open(profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey) -> object:
+def _open(profile: Profile, data: bytes, key: PublicKey) -> object:
     try:
         return profile.open(data, key, limit=_MAX_STATEMENT)
-    except (SignatureError, EncodingError) as error:
-        raise EnrollmentRefused(
+    except (errors.SignatureError, errors.EncodingError) as error:
+        raise errors.EnrollmentRefused(
             f"the answer is not signed by the node: {error}", "possible attacker in between: start again"
         ) from error
 
 
-def _replayed() -> EnrollmentRefused:
-    return EnrollmentRefused(
+def _replayed() -> errors.EnrollmentRefused:
+    return errors.EnrollmentRefused(
         "the node's answer is for another offer",
         "it was replayed, or there was a second offer: do not confirm at the node, start again",
     )
@@ -191,10 +179,10 @@ class NodeEnrollment(Machine[NodeState]):
         is the last second for an offer; `wildcard`: the request is for anonymous nodes too.
         """
         if len(secret) not in {0, qr.SECRET_SIZE} or len(contribution) != NONCE_SIZE:
-            raise EnrollmentRefused("an enrollment needs 16 octets of each random value")
+            raise errors.EnrollmentRefused("an enrollment needs 16 octets of each random value")
         super().__init__(_S.SHOWING, NODE_TABLE)
         self.request = check_request(csr, domain, wildcard=wildcard)
-        self.end_reason: EnrollmentRefused | None = None
+        self.end_reason: errors.EnrollmentRefused | None = None
         self.expires = expires
         self._signer = signer
         self._csr = csr
@@ -227,10 +215,10 @@ class NodeEnrollment(Machine[NodeState]):
         self._check_not_over()
         pending = self.pending
         if self.state is not _S.PENDING:
-            raise EnrollmentOver("this was confirmed already")
+            raise errors.EnrollmentOver("this was confirmed already")
         if digits != pending.digits:  # not secret: they can be computed from the messages
             self._bad_digits += 1
-            error = EnrollmentRefused(
+            error = errors.EnrollmentRefused(
                 "these are not the digits of the offer of this node",
                 "possible attacker in between: if the authority shows these digits, do not continue",
             )
@@ -243,21 +231,21 @@ class NodeEnrollment(Machine[NodeState]):
     def activated(self) -> list[bytes]:
         """The confirmed identity is on the disk; returns the message for the authority."""
         if self.state is not _S.CONFIRMED:
-            raise EnrollmentOver("nothing was confirmed")
+            raise errors.EnrollmentOver("nothing was confirmed")
         self.state = _S.ENROLLED
         return [self._done()]
 
-    def stop(self, why: EnrollmentRefused) -> None:
+    def stop(self, why: errors.EnrollmentRefused) -> None:
         if self.state not in {_S.ENROLLED, _S.OVER}:
             self.state, self.end_reason, self._pending = _S.OVER, why, None
 
     def tick(self, now: int) -> None:
         if self.state in {_S.SHOWING, _S.PENDING} and now > self.expires:
-            self.stop(EnrollmentExpired("the enrollment was not finished in time", _RESTART_HINT))
+            self.stop(errors.EnrollmentExpired("the enrollment was not finished in time", _RESTART_HINT))
 
     def _check_not_over(self) -> None:
         if self.state is _S.OVER:
-            raise EnrollmentOver(f"the enrollment is over: {self.end_reason}", _RESTART_HINT)
+            raise errors.EnrollmentOver(f"the enrollment is over: {self.end_reason}", _RESTART_HINT)
 
     def _deliver(self, _: Fetch, __: int) -> list[bytes]:
         return [write(Delivery(self._csr))]
@@ -284,7 +272,7 @@ class NodeEnrollment(Machine[NodeState]):
         # A second valid offer: another party has the code, and nobody knows which. Both are dropped.
         self._check_tag(offer)
         check_issued(offer.root, offer.chain, self.request, now)
-        error = ConflictingOffer(
+        error = errors.ConflictingOffer(
             "this node received two different offers: another party has its code",
             f"nothing was accepted; find the other party, then {_RESTART_HINT}",
         )
@@ -293,7 +281,7 @@ class NodeEnrollment(Machine[NodeState]):
 
     def _repeat_answers(self, offer: EnrollmentOffer, _: int) -> list[bytes]:
         if not self._is_pending_offer(offer):
-            raise EnrollmentOver("the node is enrolled already", _RESTART_HINT)
+            raise errors.EnrollmentOver("the node is enrolled already", _RESTART_HINT)
         return [self._acknowledged(), self._done()]
 
     def _is_pending_offer(self, offer: EnrollmentOffer) -> bool:
@@ -312,15 +300,17 @@ class NodeEnrollment(Machine[NodeState]):
         transcript_hash = self._transcript(offer)
         if not self._secret:
             if offer.tag:
-                raise EnrollmentRefused("an offer with a tag, but the code is a label")
+                raise errors.EnrollmentRefused("an offer with a tag, but the code is a label")
         elif not verify_tag(self._secret, transcript_hash, offer.tag):
             # A wrong tag must not disturb an offer that waits for confirmation.
             self._bad_tags += self.state is _S.SHOWING
             if self._bad_tags >= MAX_BAD_TAGS:
-                error = EnrollmentLocked(f"{MAX_BAD_TAGS} offers without the code's secret", _RESTART_HINT)
+                error = errors.EnrollmentLocked(
+                    f"{MAX_BAD_TAGS} offers without the code's secret", _RESTART_HINT
+                )
                 self.stop(error)
                 raise error
-            raise EnrollmentRefused("the sender of the offer has not read the code")
+            raise errors.EnrollmentRefused("the sender of the offer has not read the code")
         return transcript_hash
 
 
@@ -383,18 +373,16 @@ class AuthorityEnrollment(Machine[AuthorityState]):
         self.state = _A.OVER
 
     def offer(self, chain: Sequence[bytes], root: bytes, nonce: bytes, now: int) -> bytes:
-        """Return the offer to send, and to send again unchanged when the connection breaks.
-
-        `chain` is the certificate issued for `csr`, and an intermediate if there is one; `nonce`
-        are 16 fresh random octets.
-        """
+        """Return the offer to send, and to send again unchanged when the connection breaks."""
+        # `chain` is the certificate issued for `csr`, and an intermediate if there is one; `nonce` are 16
+        # fresh random octets.
         self.tick(now)
         # The authority checks its own work: what a person approved is what is sent.
         identity, request = TrustAnchor.load(root).verify(chain, now), self.request
         ours = (request.domain, request.name, request.wildcard, request.thumbprint)
         offered = (identity.domain, identity.name, identity.wildcard, identity.thumbprint)
         if offered != ours:
-            raise EnrollmentRefused("the certificate is not the one that was asked for")
+            raise errors.EnrollmentRefused("the certificate is not the one that was asked for")
         check_nonce(nonce)
         self._require(_A.APPROVED)
         self.state = _A.OFFERED
@@ -409,13 +397,15 @@ class AuthorityEnrollment(Machine[AuthorityState]):
             return
         if self.deadline and now > self.deadline:
             self.state = _A.OVER
-            raise EnrollmentExpired("the enrollment was not finished in time", "show a new code on the node")
+            raise errors.EnrollmentExpired(
+                "the enrollment was not finished in time", "show a new code on the node"
+            )
 
     def _compare(self, message: Delivery, _: int) -> None:
         # Check the hash first: a request that does not match the code is not parsed.
         self.state = _A.OVER  # whatever is raised below
         if not self._code.matches(message.csr):
-            raise RequestSwapped(
+            raise errors.RequestSwapped(
                 "the request is not the one the code was made for",
                 "it was replaced on the network, or this is another node: scan the code again",
             )
@@ -433,7 +423,7 @@ class AuthorityEnrollment(Machine[AuthorityState]):
 
     def _acknowledged_again(self, message: Acknowledgement, _: int) -> None:
         if message.statement != self._statement:
-            raise EnrollmentRefused("a second, different answer of the node", "start again")
+            raise errors.EnrollmentRefused("a second, different answer of the node", "start again")
 
     def _done(self, message: Done, _: int) -> None:
         if self.state is _A.ACKNOWLEDGED:  # in ENROLLED, an invalid one changes nothing

@@ -23,10 +23,8 @@ _READ: Final = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK
 
 
 def check_directory(path: Path) -> None:
-    """Return if no other user can write to the directory `path`, or replace it.
-
-    Components that do not exist yet are not checked.
-    """
+    """Return if no other user can write to the directory `path`, or replace it."""
+    # Components that do not exist yet are not checked.
     for part, status, is_last in _walk(path):
         _check_owner(part, status)
         # One above may be writable by others if it is sticky, as /tmp is (stat(2) S_ISVTX): nobody else can
@@ -44,11 +42,9 @@ def check_file(path: Path, status: os.stat_result) -> None:
 
 
 def check_trusted(path: Path) -> None:
-    """Check a trusted file without opening it, for files that a library opens.
-
-    Closing a file drops every lock its process has on it (fcntl(2)), those of SQLite too. The
-    path will be the same file when opened: no other user can change names in its directory.
-    """
+    """Check a trusted file without opening it, for files that a library opens."""
+    # Closing a file drops every lock its process has on it (fcntl(2)), those of SQLite too. The path will be
+    # the same file when opened: no other user can change names in its directory.
     check_directory(path.parent)
     status = os.lstat(path)
     if stat.S_ISLNK(status.st_mode):

@@ -43,10 +43,8 @@ _NAME: Final = re.compile(rf"(?:{_SEGMENT}/){{0,3}}{_SEGMENT}")
 
 
 def encrypt(private_key_info: bytes, passphrase: bytes, *, salt: bytes, iv: bytes) -> bytes:
-    """Return the DER `EncryptedPrivateKeyInfo` of a DER `PrivateKeyInfo`.
-
-    `salt` and `iv` are 16 random bytes each, never used before.
-    """
+    """Return the DER `EncryptedPrivateKeyInfo` of a DER `PrivateKeyInfo`."""
+    # `salt` and `iv` are 16 random bytes each, never used before.
     # `cryptography` reads this form but cannot write it: its `BestAvailableEncryption` is PBKDF2 with 2048
     # iterations, 4 ms a guess; here a guess takes half a second.
     key = Scrypt(salt=salt, length=_KEY_SIZE, n=_N, r=_R, p=_P).derive(passphrase)

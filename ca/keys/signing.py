@@ -13,15 +13,9 @@ from functools import cached_property
 from typing import Final, NoReturn, Protocol, TypeAlias
 
 from cryptography.exceptions import InvalidSignature
-from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature, encode_dss_signature
-from cryptography.hazmat.primitives.serialization import (
-    Encoding,
-    KeySerializationEncryption,
-    PrivateFormat,
-    PublicFormat,
-)
 
 from ca.encoding import MAX_SIZE, Value, decode, encode, head
 from ca.errors import EncodingError, KeyRefused, SignatureError
@@ -36,6 +30,7 @@ _BETWEEN: Final = bytes.fromhex("225820")
 _ECDSA: Final = ec.ECDSA(hashes.SHA256())
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
+PublicKey: TypeAlias = ec.EllipticCurvePublicKey
 
 _SIGN1_TAG: Final = b"\xd2"  # tag 18, RFC 9052 section 2
 _ALG, _CRIT, _TYP = 1, 2, 16  # RFC 9052 section 3.1; typ: RFC 9596
@@ -45,13 +40,13 @@ _SIGNATURE_HEAD: Final = b"\x58\x40"  # a byte string of 64 bytes
 _HEAD_SIZES: Final = {0x58: 2, 0x59: 3, 0x5A: 5}  # bytes; shorter strings have a head of one byte
 
 
-def require_p256(key: object) -> ec.EllipticCurvePublicKey:
-    if not isinstance(key, ec.EllipticCurvePublicKey) or not isinstance(key.curve, ec.SECP256R1):
+def require_p256(key: object) -> PublicKey:
+    if not isinstance(key, PublicKey) or not isinstance(key.curve, ec.SECP256R1):
         raise KeyRefused("the key is not a P-256 key", "create the key with `rossec node request`")
     return key
 
 
-def thumbprint(key: ec.EllipticCurvePublicKey) -> bytes:
+def thumbprint(key: PublicKey) -> bytes:
     """Return the 32-byte COSE key thumbprint of a P-256 key (RFC 9679, SHA-256)."""
     return thumbprint_of(to_coordinates(key))
 
@@ -64,15 +59,17 @@ def thumbprint_of(coordinates: bytes) -> bytes:
     return hashlib.sha256(_HEAD + x + _BETWEEN + y).digest()
 
 
-def to_coordinates(key: ec.EllipticCurvePublicKey) -> bytes:
-    return require_p256(key).public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)[1:]
+def to_coordinates(key: PublicKey) -> bytes:
+    return require_p256(key).public_bytes(
+        serialization.Encoding.X962, serialization.PublicFormat.UncompressedPoint
+    )[1:]
 
 
-def from_coordinates(data: bytes) -> ec.EllipticCurvePublicKey:
+def from_coordinates(data: bytes) -> PublicKey:
     if len(data) != 2 * _COORDINATE:
         raise KeyRefused("a key of a wrong length where x and y are expected")
     try:
-        return ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), b"\x04" + data)
+        return PublicKey.from_encoded_point(ec.SECP256R1(), b"\x04" + data)
     except ValueError:
         raise KeyRefused("the key is not a point of P-256") from None
 
@@ -81,7 +78,7 @@ class Signer(Protocol):
     """A P-256 private key, in memory or in a token."""
 
     @property
-    def public_key(self) -> ec.EllipticCurvePublicKey: ...
+    def public_key(self) -> PublicKey: ...
 
     def sign(self, message: bytes) -> bytes:
         """ES256 over `message`: 64 bytes, r || s (RFC 9053 section 2.1)."""
@@ -95,7 +92,7 @@ class KeySigner:
         self._key = key
 
     @property
-    def public_key(self) -> ec.EllipticCurvePublicKey:
+    def public_key(self) -> PublicKey:
         return self._key.public_key()
 
     def sign(self, message: bytes) -> bytes:
@@ -120,7 +117,7 @@ class X509Signer(ec.EllipticCurvePrivateKey):
         raw = self._signer.sign(bytes(data))
         return encode_dss_signature(int.from_bytes(raw[:32]), int.from_bytes(raw[32:]))
 
-    def public_key(self) -> ec.EllipticCurvePublicKey:
+    def public_key(self) -> PublicKey:
         return self._signer.public_key
 
     @property
@@ -131,7 +128,7 @@ class X509Signer(ec.EllipticCurvePrivateKey):
     def key_size(self) -> int:
         return 256
 
-    def exchange(self, algorithm: ec.ECDH, peer_public_key: ec.EllipticCurvePublicKey) -> NoReturn:
+    def exchange(self, algorithm: ec.ECDH, peer_public_key: PublicKey) -> NoReturn:
         raise NotImplementedError("a Signer only signs")
 
     def private_numbers(self) -> NoReturn:
@@ -139,9 +136,9 @@ class X509Signer(ec.EllipticCurvePrivateKey):
 
     def private_bytes(
         self,
-        encoding: Encoding,
-        format: PrivateFormat,  # noqa: A002  (the name the library gave it)
-        encryption_algorithm: KeySerializationEncryption,
+        encoding: serialization.Encoding,
+        format: serialization.PrivateFormat,  # noqa: A002  (the name the library gave it)
+        encryption_algorithm: serialization.KeySerializationEncryption,
     ) -> NoReturn:
         raise NotImplementedError("a Signer does not expose its key")
 
@@ -190,17 +187,17 @@ class Profile:
             raise SignatureError(f"not a statement of kind {self.typ}")
         return decode(body, limit=limit)
 
-    def open(self, data: bytes, key: ec.EllipticCurvePublicKey, *, limit: int = MAX_SIZE) -> Value:
+    def open(self, data: bytes, key: PublicKey, *, limit: int = MAX_SIZE) -> Value:
         """Verify `data` against `key` and return its payload."""
         return decode(self.open_body(data, key, limit=limit), limit=limit)
 
-    def open_body(self, data: bytes, key: ec.EllipticCurvePublicKey, *, limit: int = MAX_SIZE) -> bytes:
+    def open_body(self, data: bytes, key: PublicKey, *, limit: int = MAX_SIZE) -> bytes:
         """Verify `data` against `key` and return its payload as signed, *not* decoded."""
         body, signature = self._split(data, limit)
         _verify(key, signature, self._signed_frame + head(_BYTES, len(body)) + body)
         return body
 
-    def check(self, data: bytes, key: ec.EllipticCurvePublicKey, payload: Value) -> None:
+    def check(self, data: bytes, key: PublicKey, payload: Value) -> None:
         """Return if `data` states exactly `payload`, signed by `key`; nothing of it is decoded."""
         # The expected statement is made and compared: the payload of a stranger is never parsed.
         body = encode(payload)
@@ -243,7 +240,7 @@ class Profile:
                 raise SignatureError("not a COSE_Sign1 statement")
 
 
-def _verify(key: ec.EllipticCurvePublicKey, signature: bytes, message: bytes) -> None:
+def _verify(key: PublicKey, signature: bytes, message: bytes) -> None:
     if len(signature) != 2 * _COORDINATE:
         raise SignatureError("signature of a wrong length")
     r = int.from_bytes(signature[:_COORDINATE])

@@ -13,11 +13,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final, TypeVar
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
 from ca.encoding import Value, decode, encode, head, is_number
 from ca.errors import EncodingError, ProofRefused, RevocationRefused, SignatureError
-from ca.keys.signing import THUMBPRINT_SIZE, Profile, Signer
+from ca.keys.signing import THUMBPRINT_SIZE, Profile, PublicKey, Signer
 from ca.revocation.merkle import HASH_SIZE, Tree, verify_inclusion
 
 GRANT_ID_SIZE: Final = 16
@@ -102,7 +100,7 @@ def sign_list(signer: Signer, revocations: RevocationList) -> bytes:
     )
 
 
-def open_list(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList:
+def open_list(data: bytes, ca_key: PublicKey) -> RevocationList:
     """Verify and read a list; its age is not checked here."""
     match _open(LIST_PROFILE, data, ca_key, MAX_LIST):
         case {4: exp, 6: iat, -70001: epoch, -70002: seq, -70003: list() as items, **rest} if not rest:
@@ -126,7 +124,7 @@ def sign_timestamp(signer: Signer, timestamp: Timestamp) -> bytes:
     )
 
 
-def open_timestamp(data: bytes, key: ec.EllipticCurvePublicKey) -> Timestamp:
+def open_timestamp(data: bytes, key: PublicKey) -> Timestamp:
     """Verify and read a timestamp; its age is not checked here. `key` is the master's."""
     match _open(TIMESTAMP_PROFILE, data, key, MAX_TIMESTAMP):
         case {6: iat, -70002: seq, -70004: bytes() as list_digest, -70005: max_age, **rest} if not rest:
@@ -137,7 +135,7 @@ def open_timestamp(data: bytes, key: ec.EllipticCurvePublicKey) -> Timestamp:
     return timestamp
 
 
-def _open(profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey, limit: int) -> Value:
+def _open(profile: Profile, data: bytes, key: PublicKey, limit: int) -> Value:
     try:
         return profile.open(data, key, limit=limit)
     except (SignatureError, EncodingError) as error:
@@ -228,7 +226,7 @@ def sign_tree(signer: Signer, tree: RevocationTree) -> bytes:
     )
 
 
-def open_tree(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationTree:
+def open_tree(data: bytes, ca_key: PublicKey) -> RevocationTree:
     try:
         value = TREE.open(data, ca_key, limit=MAX_TREE)
     except (SignatureError, EncodingError) as error:
@@ -292,10 +290,8 @@ class TreeEntries:
 
     @classmethod
     def reading(cls, data: bytes, tree: RevocationTree | None = None) -> Generator[None, None, "TreeEntries"]:
-        """As `read` and `check` with `tree`, in steps that each cost little: anybody may send it.
-
-        The number of entries, and what room they take, is compared before any of them is read.
-        """
+        """As `read` and `check` with `tree`, in steps that each cost little: anybody may send it."""
+        # The number of entries, and what room they take, is compared before any of them is read.
         size, position = _count(data)
         if tree is not None and tree.size != size:
             raise RevocationRefused(*_NOT_THOSE)

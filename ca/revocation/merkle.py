@@ -104,11 +104,9 @@ def _split(width: int) -> int:
 
 
 def extend(peaks: Sequence[bytes], size: int, data: bytes) -> tuple[bytes, ...]:
-    """The peaks after one more leaf.
-
-    The *peaks* of a tree of `size` leaves are the roots of its complete subtrees, the largest
-    first: enough to append to it.
-    """
+    """The peaks after one more leaf."""
+    # The *peaks* of a tree of `size` leaves are the roots of its complete subtrees, the largest first: enough
+    # to append to it.
     if len(peaks) != size.bit_count():
         raise ProofRefused(f"a tree of {size} leaves does not have {len(peaks)} peaks")
     grown, digest = list(peaks), leaf_hash(data)

@@ -12,34 +12,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Final
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
-from ca.certificates import Identity
+from ca import certificates, errors, names
 from ca.domains import ADMIT_HINT, Anchors, ListedDomain
-from ca.errors import (
-    ClocksDisagree,
-    NotAdmitted,
-    RevocationRefused,
-    RevocationsStale,
-    Revoked,
-    RollbackRefused,
-)
-from ca.keys.signing import thumbprint
-from ca.names import is_master_name, pattern_covers
-from ca.revocation.lists import (
-    MAX_AGE,
-    RevocationList,
-    RevocationTree,
-    Timestamp,
-    TreeEntries,
-    check_entry,
-    digest,
-    is_revoked,
-    is_tree,
-    open_list,
-    open_timestamp,
-    open_tree,
-)
+from ca.keys.signing import PublicKey, thumbprint
+from ca.revocation import lists
 
 NO_FLOOR: Final = (0, 0)
 SKEW: Final = 5  # seconds two synchronised clocks may differ
@@ -55,24 +31,21 @@ class Revocations:
     """The newest list of one authority, and the last confirmation that it is the newest."""
 
     def __init__(
-        self,
-        anchor_key: ec.EllipticCurvePublicKey,
-        floor: tuple[int, int] = NO_FLOOR,
-        fresh: int | None = None,
+        self, anchor_key: PublicKey, floor: tuple[int, int] = NO_FLOOR, fresh: int | None = None
     ) -> None:
         self._key = anchor_key
         self.floor = floor
         # How old a confirmation may be, seconds; None: what each one says (`max_age`). Another value is for
         # foreign domains: 30 s would end visits with every outage of the line.
         self.fresh = fresh
-        self.current: RevocationList | RevocationTree | None = None
+        self.current: lists.RevocationList | lists.RevocationTree | None = None
         self.data = b""  # as signed
         self.entries: frozenset[bytes] = frozenset()
         self._received = 0
         self._complete = True  # False: `_entries` are the known ones of a tree
         self._absent: set[bytes] = set()
         self._unproved: dict[bytes, None] = {}
-        self._confirmed: Timestamp | None = None
+        self._confirmed: lists.Timestamp | None = None
         self._relied_until = 0  # the end of a confirmation that was expired early
 
     @property
@@ -86,7 +59,7 @@ class Revocations:
         """As `fresh_until`, for one entry: a proof may take as long as a confirmation."""
         if self._complete or entry in self._absent:
             return self.fresh_until
-        return min(self.fresh_until, self._received + MAX_AGE)
+        return min(self.fresh_until, self._received + lists.MAX_AGE)
 
     def is_proved(self, entry: bytes) -> bool:
         return self._complete or entry in self._absent or entry in self.entries
@@ -96,9 +69,9 @@ class Revocations:
         return list(self._unproved)
 
     def add_proof(self, entry: bytes, proof: bytes) -> None:
-        if not isinstance(self.current, RevocationTree):
+        if not isinstance(self.current, lists.RevocationTree):
             return  # replaced by a list meanwhile, which needs no proofs
-        revoked = is_revoked(self.current, check_entry(entry), proof)
+        revoked = lists.is_revoked(self.current, lists.check_entry(entry), proof)
         self._unproved.pop(entry, None)
         if revoked:
             self.entries |= {entry}
@@ -107,22 +80,20 @@ class Revocations:
             self._absent.clear()
         self._absent.add(entry)
 
-    def set_entries(self, tree_entries: TreeEntries) -> None:
-        if not isinstance(self.current, RevocationTree):
-            raise RevocationRefused("entries of a tree, but there is no tree")
+    def set_entries(self, tree_entries: lists.TreeEntries) -> None:
+        if not isinstance(self.current, lists.RevocationTree):
+            raise errors.RevocationRefused("entries of a tree, but there is no tree")
         tree_entries.check(self.current)
         self.entries, self._complete = tree_entries.entries, True
 
     def update(
         self, data: bytes, now: int, persist: Callable[[bytes], None] | None = None
     ) -> frozenset[bytes]:
-        """Apply a signed list or tree; return the entries it adds, to close their connections.
-
-        Its age is not checked: a slow clock must not block revocations. `persist(data)` is called
-        after all checks and before the list takes effect; if it raises, nothing changes. An expired
-        list is applied too: what it revokes stays revoked, and `check` refuses everything else. A
-        new list needs a new confirmation. With a tree, what was known to be revoked stays so.
-        """
+        """Apply a signed list or tree; return the entries it adds, to close their connections."""
+        # Its age is not checked: a slow clock must not block revocations. `persist(data)` is called after all
+        # checks and before the list takes effect; if it raises, nothing changes. An expired list is applied
+        # too: what it revokes stays revoked, and `check` refuses everything else. A new list needs a new
+        # confirmation. With a tree, what was known to be revoked stays so.
         # 1. Verified, and not older than what was seen before: also over a restart, by the saved `floor`.
         revocations = open_statement(data, self._key)
         self.check_number(revocations)
@@ -132,8 +103,8 @@ class Revocations:
         if persist is not None:
             persist(data)
         # 3. In force. What is known to be revoked stays so: a tree says nothing of single entries.
-        self._complete = isinstance(revocations, RevocationList)
-        entries = revocations.entries if isinstance(revocations, RevocationList) else self.entries
+        self._complete = isinstance(revocations, lists.RevocationList)
+        entries = revocations.entries if isinstance(revocations, lists.RevocationList) else self.entries
         added = entries - self.entries
         self.current, self.data, self.floor = revocations, data, revocations.number
         self.entries, self._received = entries, now
@@ -141,22 +112,22 @@ class Revocations:
         self._absent, self._unproved = set(), {}
         return added
 
-    def confirm(self, timestamp: Timestamp, now: int) -> None:
+    def confirm(self, timestamp: lists.Timestamp, now: int) -> None:
         """Apply a timestamp, opened with `open_timestamp`: the current list is the newest."""
         if self.current is None:
-            raise RevocationRefused("a timestamp came before any revocation list", _STALE)
-        if timestamp.seq != self.current.seq or timestamp.digest != digest(self.data):
-            raise RevocationRefused(
+            raise errors.RevocationRefused("a timestamp came before any revocation list", _STALE)
+        if timestamp.seq != self.current.seq or timestamp.digest != lists.digest(self.data):
+            raise errors.RevocationRefused(
                 f"the timestamp is for another list than the current number {self.current.seq}",
                 "fetch the newest list from the master",
             )
-        if timestamp.max_age > MAX_AGE:
-            raise RevocationRefused("the timestamp claims to be valid for too long")
+        if timestamp.max_age > lists.MAX_AGE:
+            raise errors.RevocationRefused("the timestamp claims to be valid for too long")
         # From the future it would count for longer than its maximum age.
         if timestamp.issued > now + SKEW:
-            raise ClocksDisagree("the timestamp is from the future", "check both clocks")
+            raise errors.ClocksDisagree("the timestamp is from the future", "check both clocks")
         if self._end(timestamp) < now:
-            raise ClocksDisagree("the timestamp is too old", "check both clocks")
+            raise errors.ClocksDisagree("the timestamp is too old", "check both clocks")
         # The newer one counts, unless it is from a future that a clock set back has made of it.
         if self._confirmed is None or not (timestamp.issued <= self._confirmed.issued <= now + SKEW):
             self._confirmed = timestamp
@@ -168,51 +139,53 @@ class Revocations:
     def check(self, entry: bytes, now: int) -> None:
         """Return if `entry` (a grant id or key thumbprint) is known not to be revoked."""
         # 1. Revoked is revoked, however old the list is.
-        if check_entry(entry) in self.entries:
-            raise Revoked(f"{entry.hex()} is revoked", "ask the authority's operator for the reason")
+        if lists.check_entry(entry) in self.entries:
+            raise errors.Revoked(f"{entry.hex()} is revoked", "ask the authority's operator for the reason")
         # 2. With a tree, absence needs a proof: it is noted, so that the caller can ask the master for one.
         unproved = not self._complete and entry not in self._absent
         if unproved and len(self._unproved) < MAX_PROOFS:
             self._unproved[entry] = None
         self.check_fresh(now)
         if unproved:
-            raise RevocationsStale(f"no proof received yet that {entry.hex()} is not revoked", _STALE)
+            raise errors.RevocationsStale(f"no proof received yet that {entry.hex()} is not revoked", _STALE)
 
     def check_fresh(self, now: int) -> None:
         if self.current is None:
-            raise RevocationsStale(NO_LIST_YET, _STALE)
+            raise errors.RevocationsStale(NO_LIST_YET, _STALE)
         if now >= self.current.expires:
-            raise RevocationsStale(
+            raise errors.RevocationsStale(
                 f"the revocation list expired {now - self.current.expires} s ago",
                 "have the authority sign a new one: `rossec ca refresh`",
             )
         if self._confirmed is None:
-            raise RevocationsStale("the revocation list is not confirmed by the master", _STALE)
+            raise errors.RevocationsStale("the revocation list is not confirmed by the master", _STALE)
         if now > self.fresh_until:
-            raise RevocationsStale(f"the last confirmation expired {now - self.fresh_until} s ago", _STALE)
+            raise errors.RevocationsStale(
+                f"the last confirmation expired {now - self.fresh_until} s ago", _STALE
+            )
         if now < max(self.current.issued, self._confirmed.issued) - SKEW:
-            raise RevocationsStale("the clock is behind the revocation list", "set the clock")
+            raise errors.RevocationsStale("the clock is behind the revocation list", "set the clock")
 
-    def _end(self, timestamp: Timestamp) -> int:
+    def _end(self, timestamp: lists.Timestamp) -> int:
         return timestamp.issued + (timestamp.max_age if self.fresh is None else self.fresh)
 
-    def check_number(self, new: RevocationList | RevocationTree) -> None:
+    def check_number(self, new: lists.RevocationList | lists.RevocationTree) -> None:
         """Return if a list or tree may follow the current one, or is the same."""
         if new.number < self.floor:
-            raise RollbackRefused(
+            raise errors.RollbackRefused(
                 f"revocation list {_text(new.number)} is older than {_text(self.floor)}",
                 "an old list was replayed: find out which peer sent it",
             )
         # Two lists of one number: a copy of the authority's key or record signs, and no order is right.
         if self.current is not None and new.number == self.current.number and new != self.current:
-            raise RollbackRefused(
+            raise errors.RollbackRefused(
                 f"there are two different revocation lists {_text(new.number)}",
                 "the authority's database was restored or copied: begin a new epoch",
             )
 
 
-def open_statement(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationList | RevocationTree:
-    return open_tree(data, ca_key) if is_tree(data) else open_list(data, ca_key)
+def open_statement(data: bytes, ca_key: PublicKey) -> lists.RevocationList | lists.RevocationTree:
+    return lists.open_tree(data, ca_key) if lists.is_tree(data) else lists.open_list(data, ca_key)
 
 
 def _text(number: tuple[int, int]) -> str:
@@ -223,7 +196,7 @@ def _text(number: tuple[int, int]) -> str:
 class _Foreign:
     root: bytes
     revocations: Revocations
-    masters: dict[bytes, ec.EllipticCurvePublicKey] = field(default_factory=dict)
+    masters: dict[bytes, PublicKey] = field(default_factory=dict)
 
 
 class TrustStatus:
@@ -246,7 +219,7 @@ class TrustStatus:
             return False
         try:
             held.revocations.update(revocations, now)
-        except RevocationRefused:  # saved under an earlier root: nothing follows from it
+        except errors.RevocationRefused:  # saved under an earlier root: nothing follows from it
             return False
         return True
 
@@ -259,12 +232,10 @@ class TrustStatus:
         now: int,
         persist: Callable[[bytes], None] | None = None,
     ) -> frozenset[bytes]:
-        """Take a foreign list (empty: the one held) and its timestamp; returns what it adds.
-
-        A valid list is kept even when the timestamp is not accepted. `persist(list)` is called
-        after all checks of the list and before it takes effect. `chain` are the certificates of the
-        master that signed the timestamp, DER, the leaf first.
-        """
+        """Take a foreign list (empty: the one held) and its timestamp; returns what it adds."""
+        # A valid list is kept even when the timestamp is not accepted. `persist(list)` is called after all
+        # checks of the list and before it takes effect. `chain` are the certificates of the master that
+        # signed the timestamp, DER, the leaf first.
         listed, held = self._listed(domain), self._held(domain)
         if held is None:
             raise _not_listed(domain)
@@ -273,19 +244,21 @@ class TrustStatus:
         if revocations:
             added = held.revocations.update(revocations, now, persist)
         if not timestamp:
-            raise RevocationsStale(f"no word of {listed.entry.label}'s master", _SILENT)
+            raise errors.RevocationsStale(f"no word of {listed.entry.label}'s master", _SILENT)
         # 2. The master that signed the timestamp need not be admitted as a peer, but is that domain's.
         master = listed.anchor.verify(chain, now)
-        if not is_master_name(master.name) or master.wildcard:
-            raise NotAdmitted(f"{listed.entry.label}:{master.name} is no master, and confirms no revocations")
+        if not names.is_master_name(master.name) or master.wildcard:
+            raise errors.NotAdmitted(
+                f"{listed.entry.label}:{master.name} is no master, and confirms no revocations"
+            )
         # 3. Neither side has revoked it: a stolen master key must not confirm the list before its own end.
         for key in master.keys:
             for each in (self.own, held.revocations):
-                with suppress(RevocationsStale):  # the timestamp may end it
+                with suppress(errors.RevocationsStale):  # the timestamp may end it
                     each.check(key, now)
                 if not each.is_proved(key):
-                    raise RevocationsStale("no proof yet for a foreign master's key", _SILENT)
-        held.revocations.confirm(open_timestamp(timestamp, master.public_key), now)
+                    raise errors.RevocationsStale("no proof yet for a foreign master's key", _SILENT)
+        held.revocations.confirm(lists.open_timestamp(timestamp, master.public_key), now)
         held.masters.pop(master.thumbprint, None)
         held.masters[master.thumbprint] = master.public_key
         if len(held.masters) > MAX_DELEGATES:
@@ -301,47 +274,43 @@ class TrustStatus:
             raise _not_listed(domain)
         try:
             held.revocations.check(entry, now)
-        except RevocationsStale as error:
+        except errors.RevocationsStale as error:
             label = self._listed(domain).entry.label
-            raise RevocationsStale(f"of domain {label}: {error}", _SILENT) from None
+            raise errors.RevocationsStale(f"of domain {label}: {error}", _SILENT) from None
 
-    def check_peer(self, peer: Identity, now: int) -> None:
-        """Return if a new connection with `peer` is right, as far as its identity goes.
-
-        All its keys are checked: stale data on the first must not hide that its intermediate is
-        revoked. Those of a foreigner on the own list too, so that this side can refuse one at once.
-        """
+    def check_peer(self, peer: certificates.Identity, now: int) -> None:
+        """Return if a new connection with `peer` is right, as far as its identity goes."""
+        # All its keys are checked: stale data on the first must not hide that its intermediate is revoked.
+        # Those of a foreigner on the own list too, so that this side can refuse one at once.
         checks: list[Callable[[bytes, int], None]] = [self.own.check]
         if peer.is_foreign:
             self.check_trust(peer, now)
             current = self.anchors.current
             if current is None or now >= current.expires:
-                raise NotAdmitted("the list of domains has expired", "rossec ca refresh")
+                raise errors.NotAdmitted("the list of domains has expired", "rossec ca refresh")
             checks.append(partial(self.check, peer.domain))
-        stale: RevocationsStale | None = None
+        stale: errors.RevocationsStale | None = None
         for check in checks:
             for key in peer.keys:
                 try:
                     check(key, now)
-                except RevocationsStale as error:
+                except errors.RevocationsStale as error:
                     stale = stale or error
         if stale is not None:
             raise stale
 
-    def check_trust(self, peer: Identity, now: int) -> None:
-        """Return if the newest list of domains lets a connection with `peer` stand.
-
-        A list that has expired cuts nobody.
-        """
+    def check_trust(self, peer: certificates.Identity, now: int) -> None:
+        """Return if the newest list of domains lets a connection with `peer` stand."""
+        # A list that has expired cuts nobody.
         if not peer.is_foreign:
             return
         listed = self._listed(peer.domain)
         entry = listed.entry
         if now >= entry.until or listed.anchor.thumbprint != peer.root:
-            raise NotAdmitted(f"the trust in domain {entry.label} has ended", ADMIT_HINT)
+            raise errors.NotAdmitted(f"the trust in domain {entry.label} has ended", ADMIT_HINT)
         name, label = peer.certified_name, peer.name.split("/")[2]
-        if label != entry.label or not any(pattern_covers(each, name) for each in entry.admitted):
-            raise NotAdmitted(f"{entry.label}:{name} is not admitted here any more", ADMIT_HINT)
+        if label != entry.label or not any(names.pattern_covers(each, name) for each in entry.admitted):
+            raise errors.NotAdmitted(f"{entry.label}:{name} is not admitted here any more", ADMIT_HINT)
 
     def status_valid_until(self, domain: str, entry: bytes) -> int:
         """The last second at which `check` may succeed, now or before; 0: it never could."""
@@ -357,11 +326,9 @@ class TrustStatus:
         held = self._held(domain)
         return frozenset() if held is None else held.revocations.entries
 
-    def delegates(self, domain: str) -> tuple[ec.EllipticCurvePublicKey, ...]:
-        """The keys whose tickets renew grants of `domain`: its masters, unless revoked.
-
-        Of the own domain those that the list of domains names; the caller adds its own master.
-        """
+    def delegates(self, domain: str) -> tuple[PublicKey, ...]:
+        """The keys whose tickets renew grants of `domain`: its masters, unless revoked."""
+        # Of the own domain those that the list of domains names; the caller adds its own master.
         if domain == self.anchors.own.domain:
             keys = self.anchors.masters
         else:
@@ -394,5 +361,5 @@ class TrustStatus:
         return held
 
 
-def _not_listed(domain: str) -> NotAdmitted:
-    return NotAdmitted(f"domain {domain!a} is not listed here", ADMIT_HINT)
+def _not_listed(domain: str) -> errors.NotAdmitted:
+    return errors.NotAdmitted(f"domain {domain!a} is not listed here", ADMIT_HINT)

@@ -226,10 +226,8 @@ def create(db: sqlite3.Connection) -> None:
 
 
 def check_no_foreign_objects(db: sqlite3.Connection) -> None:
-    """Return if this file has no other tables, triggers and views than those created here.
-
-    A trigger could drop an inserted row, a view or a virtual table could replace a table.
-    """
+    """Return if this file has no other tables, triggers and views than those created here."""
+    # A trigger could drop an inserted row, a view or a virtual table could replace a table.
     expected_db = sqlite3.connect(":memory:")
     create(expected_db)
     expected, found = _objects(expected_db), _objects(db)
@@ -352,10 +350,8 @@ class Database:
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """An exclusive transaction: all of it, durably, or nothing.
-
-        A nested one is rolled back alone if it fails, and committed with the outer one.
-        """
+        """An exclusive transaction: all of it, durably, or nothing."""
+        # A nested one is rolled back alone if it fails, and committed with the outer one.
         with _faults(self._path):
             begin, commit, rollback = _SAVEPOINT if self.connection.in_transaction else _TRANSACTION
             self.connection.execute(begin)

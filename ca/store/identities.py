@@ -11,14 +11,7 @@ import sqlite3
 from collections.abc import Callable
 from typing import NamedTuple
 
-from ca.errors import (
-    InvitationRefused,
-    NameCovered,
-    RenewalRefused,
-    RequestClosed,
-    StoreError,
-    TooManyRequests,
-)
+from ca import errors, svid
 from ca.names import MASTER, covers, is_master_name
 from ca.store.database import Database, append_entry
 from ca.store.log import COLLECTED
@@ -37,7 +30,6 @@ from ca.store.values import (
     advance,
     digest_of,
 )
-from ca.svid import IdentityRequest
 
 _BEGINS = "(name >= ? AND name < ?)"  # by the index on names, where substr() reads every row
 
@@ -114,7 +106,7 @@ class IdentityTable:
         for known in self._related(name, now):
             overlap = known.covers(name) or covers(known.name)
             if known.thumbprint != thumbprint and known.name != name and overlap:
-                raise NameCovered(
+                raise errors.NameCovered(
                     f"{name} and {known.name}: one is for anonymous nodes and covers the other",
                     f"choose another name, or revoke {known.name} first",
                 )
@@ -153,7 +145,7 @@ class IdentityTable:
     ) -> None:
         self.check_not_revoked(name, thumbprint)
         if replace_key is not None and replace_key != name:
-            raise StoreError(
+            raise errors.StoreError(
                 f"the key of {replace_key} was to be replaced, but the request is of {name}",
                 "give the name exactly, once for each request",
             )
@@ -163,19 +155,19 @@ class IdentityTable:
             # An older key is that of a copy or a restored disk. An authority without a record of the name (an
             # intermediate) cannot tell.
             if known and known[-1] != renews:
-                raise RenewalRefused(
+                raise errors.RenewalRefused(
                     f"{name} was renewed already, by another key",
                     "there is a copy of the node: revoke the name, and enroll the node again",
                 )
         elif replace_key is None and set(known) - {thumbprint}:
-            raise StoreError(
+            raise errors.StoreError(
                 f"{name} has an identity with another key until it expires",
                 f"if the node was set up again: --replace-key {name}; otherwise deny the request",
             )
 
     def check_not_revoked(self, name: str, thumbprint: bytes) -> None:
         if self._database.rows("SELECT 1 FROM revocation WHERE entry = ?", thumbprint):
-            raise StoreError(f"the key of {name} is revoked", "make a new key and request on the node")
+            raise errors.StoreError(f"the key of {name} is revoked", "make a new key and request on the node")
 
     def _related(self, name: str, now: int) -> list[CertificateRow]:
         alive = " AND not_after >= ? AND thumbprint NOT IN (SELECT entry FROM revocation)"
@@ -210,7 +202,7 @@ class RequestTable:
         self._database = database
         self._identities = identities
 
-    def add(self, request: IdentityRequest, der: bytes, source: str, now: int) -> RequestRow:
+    def add(self, request: svid.IdentityRequest, der: bytes, source: str, now: int) -> RequestRow:
         # `source` is where it came from, for the approver.
         self.collect(now)
         with self._database.transaction() as db:
@@ -218,7 +210,7 @@ class RequestTable:
             if stored is not None and now <= stored.expires:
                 return stored
             if self._identities.issued_for(request.digest) is not None:
-                raise RequestClosed(
+                raise errors.RequestClosed(
                     f"this request of {request.name} has its certificate already",
                     f"see: rossec ca show {request.name}; for another: rossec ca renew {request.name}",
                 )
@@ -227,7 +219,7 @@ class RequestTable:
             joining = sum(row.source.startswith(JOINING) for row in waiting)
             full = source.startswith(JOINING) and joining >= MAX_JOINING
             if full or len(waiting) >= MAX_OPEN:
-                raise TooManyRequests(
+                raise errors.TooManyRequests(
                     f"{MAX_OPEN} requests are pending, the maximum",
                     "list them with: rossec ca requests, and deny unknown ones",
                 )
@@ -257,7 +249,9 @@ class RequestTable:
         begins = "WHERE substr(lower(hex(digest)), 1, ?) = ?"
         found = self._rows(begins, len(beginning), beginning.lower())
         if len(found) != 1 or not beginning:
-            raise StoreError(f"{len(found)} requests begin with {beginning!a}", "see: rossec ca requests")
+            raise errors.StoreError(
+                f"{len(found)} requests begin with {beginning!a}", "see: rossec ca requests"
+            )
         return found[0]
 
     def approve(
@@ -275,7 +269,7 @@ class RequestTable:
             # One of two requests for a name may be an attacker's: a person denies that one first.
             for other in self.open(now):
                 if other.name == row.name and other.thumbprint != row.thumbprint:
-                    raise StoreError(
+                    raise errors.StoreError(
                         f"two different keys request the name {row.name}",
                         f"compare fingerprints, then deny the other: rossec ca deny {other.digest.hex()[:8]}",
                     )
@@ -304,7 +298,7 @@ class RequestTable:
     def mark_issued(self, db: sqlite3.Connection, digest: bytes, now: int) -> None:
         stored = self.find(digest)
         if stored is None:
-            raise RequestClosed("the request is not recorded", "first: rossec ca approve REQUEST_ID")
+            raise errors.RequestClosed("the request is not recorded", "first: rossec ca approve REQUEST_ID")
         _update(db, advance(stored, RequestState.ISSUED, now))
 
     def _collectable(self, now: int) -> list[RequestRow]:
@@ -382,7 +376,7 @@ class InvitationTable:
     def get(self, id: bytes) -> InvitationRow:  # noqa: A002 - as in the row
         found = self._rows("WHERE id = ?", id)
         if not found:
-            raise InvitationRefused("there is no such invitation", "see: rossec ca invitations")
+            raise errors.InvitationRefused("there is no such invitation", "see: rossec ca invitations")
         return found[0]
 
     def uses(self, id: bytes) -> list[InvitationUse]:  # noqa: A002 - as in the row
@@ -426,11 +420,11 @@ class InvitationTable:
     def _check(self, row: InvitationRow, used: int, now: int) -> None:
         reason = self.ended(row.id)
         if reason is not None:
-            raise InvitationRefused(f"the invitation was ended: {reason}", _AGAIN)
+            raise errors.InvitationRefused(f"the invitation was ended: {reason}", _AGAIN)
         if now > row.expires:
-            raise InvitationRefused("the invitation has expired", _AGAIN)
+            raise errors.InvitationRefused("the invitation has expired", _AGAIN)
         if used >= row.uses:
-            raise InvitationRefused(f"the invitation has had its {row.uses} uses", _AGAIN)
+            raise errors.InvitationRefused(f"the invitation has had its {row.uses} uses", _AGAIN)
 
     def _rows(self, clause: str, *values: object) -> list[InvitationRow]:
         rows = self._database.logged("invitation", clause, *values)

@@ -10,12 +10,11 @@ from enum import StrEnum
 from itertools import zip_longest
 from typing import Any, Final, NamedTuple
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
-from ca.approvals.passkeys import Approval, ApprovalVerifier, Passkey, counter_of, to_approve
+from ca.approvals.passkeys import Approval, ApprovalVerifier, AuthenticatorData, Passkey, to_approve
 from ca.approvals.statement import Statement, StatementKind
 from ca.domains import verify_domains
 from ca.errors import ApprovalOver, ApprovalRefused, CAError, LogDamaged, StoreError
+from ca.keys.signing import PublicKey
 from ca.revocation.merkle import Tree, root_of
 from ca.store import database
 from ca.store.database import Database, append_entry
@@ -53,7 +52,7 @@ class Replay:
     `rows` are those beside the entries, by kind: a row of each entry, as the audit has compared before.
     """
 
-    def __init__(self, rows: Mapping[str, Iterable[Row]], tree: Tree, key: ec.EllipticCurvePublicKey) -> None:
+    def __init__(self, rows: Mapping[str, Iterable[Row]], tree: Tree, key: PublicKey) -> None:
         self.states: dict[bytes, RequestState] = {}  # of the requests that were not collected
         self._rows = {what: iter(found) for what, found in rows.items()}
         self._tree = tree
@@ -218,7 +217,7 @@ class AuthorityLog:
     def tree(self) -> Tree:
         return Tree(map(leaf, self.entries()))
 
-    def audit(self, key: ec.EllipticCurvePublicKey, *more: bytes) -> Head:
+    def audit(self, key: PublicKey, *more: bytes) -> Head:
         # `key` is the authority's; `more` are heads stored elsewhere.
         with self._database.read_transaction():  # another command may be writing
             # 1. No stored hash is trusted: the tree is computed, and no entry differs from it.
@@ -396,7 +395,7 @@ class ApprovalTable:
         rows = self._database.rows(
             "SELECT authenticator_data FROM approval WHERE passkey = ? ORDER BY rowid DESC LIMIT 1", passkey
         )
-        return counter_of(rows[0][0]) if rows else 0
+        return AuthenticatorData.read(rows[0][0]).counter if rows else 0
 
     def _rows(self, clause: str, *values: object) -> list[Approval]:
         return [Approval(*row) for row in self._database.logged("approval", clause, *values)]

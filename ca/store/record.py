@@ -56,11 +56,9 @@ class Store:
         replace_key: str | None = None,
         renews: bytes | None = None,
     ) -> None:
-        """Record an identity before it is delivered.
-
-        `request` is the digest of the approved request it answers, or of the renewal; `replace_key`
-        and `renews` allow another key (`ca.store.identities`).
-        """
+        """Record an identity before it is delivered."""
+        # `request` is the digest of the approved request it answers, or of the renewal; `replace_key` and
+        # `renews` allow another key (`ca.store.identities`).
         with self.transaction() as db:
             self.identities.check_names(row.name, row.thumbprint, now, row.covers)
             self.identities.check_key(row.name, row.thumbprint, now, replace_key=replace_key, renews=renews)
@@ -78,10 +76,8 @@ class Store:
                     _revoke(db, key, f"{row.name} has a new key", now)
 
     def unrevoked_keys(self, name: str, now: int) -> frozenset[bytes]:
-        """Thumbprints of the keys of `name` that are not revoked, and so can be.
-
-        Also those certified only by a revoked intermediate: they may be certified again.
-        """
+        """Thumbprints of the keys of `name` that are not revoked, and so can be."""
+        # Also those certified only by a revoked intermediate: they may be certified again.
         return frozenset(row.thumbprint for row in self.identities.unrevoked(name, now))
 
     def valid_certificate(self, name: str, now: int) -> CertificateRow:
@@ -150,10 +146,8 @@ class Store:
                 append_entry(db, now, "policy grant", row.name, rules, digest_of(origin))
 
     def policy_grants(self, names: Collection[str] | None = None) -> dict[bytes, str]:
-        """The grants that came from the policy, by id: its rules. All others were made by hand.
-
-        With `names`, only those of these nodes.
-        """
+        """The grants that came from the policy, by id: its rules. All others were made by hand."""
+        # With `names`, only those of these nodes.
         query = "SELECT id, rules FROM policy_grant"
         if names is None:
             return dict(self.database.rows(query))

@@ -12,14 +12,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, NamedTuple, NoReturn
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
 from ca import names, svid
 from ca.encoding import encode, is_number
 from ca.errors import EncodingError, LogDamaged, RequestClosed, SignatureError, StoreError
-from ca.keys.signing import Profile, Signer
+from ca.keys.signing import Profile, PublicKey, Signer
 from ca.revocation import merkle
-from ca.revocation.merkle import HASH_SIZE
 
 INTERMEDIATE: Final = "intermediate/"  # prefix of the key; not a prefix of any node name
 
@@ -175,7 +172,7 @@ def extend_peaks(peaks: bytes, entry: LogEntry) -> bytes:
 
 
 def split_peaks(peaks: bytes) -> tuple[bytes, ...]:
-    return tuple(peaks[start : start + HASH_SIZE] for start in range(0, len(peaks), HASH_SIZE))
+    return tuple(peaks[start : start + merkle.HASH_SIZE] for start in range(0, len(peaks), merkle.HASH_SIZE))
 
 
 def check_entries(rows: Iterable[tuple[LogEntry, bytes]]) -> merkle.Tree:
@@ -204,14 +201,14 @@ def sign_head(signer: Signer, head: Head) -> bytes:
     return HEAD_PROFILE.sign(signer, {_IAT: head.issued, _SIZE: head.size, _ROOT: head.root})
 
 
-def open_head(data: bytes, key: ec.EllipticCurvePublicKey) -> Head:
+def open_head(data: bytes, key: PublicKey) -> Head:
     try:
         value = HEAD_PROFILE.open(data, key, limit=MAX_HEAD)
     except (SignatureError, EncodingError) as error:
         raise LogDamaged(f"this is not a signed head of the authority's log: {error}", _HINT) from error
     match value:
         case {6: int() as issued, -70011: int() as size, -70012: bytes() as root, **rest} if (
-            not rest and len(root) == HASH_SIZE and is_number(issued) and is_number(size)
+            not rest and len(root) == merkle.HASH_SIZE and is_number(issued) and is_number(size)
         ):
             return Head(size, root, issued)
         case _:

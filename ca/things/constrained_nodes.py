@@ -126,6 +126,7 @@ def secret_thumbprint(secret: bytes) -> bytes:
 
 
 def read_ccs(data: bytes) -> ThingKey:
+    """The key in a CCS of at most 192 octets, which holds nothing else (RFC 9528 section 3.5.2)."""
     if len(data) > MAX_CCS:
         raise ThingRefused(f"a credential of {len(data)} octets, at most {MAX_CCS}", _HINT)
     try:
@@ -144,6 +145,7 @@ def read_ccs(data: bytes) -> ThingKey:
 
 
 def read_description(data: bytes) -> ThingSecret:
+    """What `ThingSecret.description` wrote, or `ThingRefused`."""
     hint = "give the file that `rossec border add NAME --psk` wrote, not the secret"
     try:
         match decode(data, limit=MAX_CCS):
@@ -188,6 +190,7 @@ def write_confirmation(credential: Credential) -> dict[int | str, Value]:
 
 
 def secret_text(kid: bytes, secret: bytes) -> str:
+    """`OSCORE:KID:SECRET` in hexadecimal digits, for the QR code from which a thing reads its secret."""
     text = f"OSCORE:{kid.hex()}:{secret.hex()}".upper()
     parse_secret(text)
     return text
@@ -245,6 +248,7 @@ class ThingStatement:
 
 
 def check_thing_name(name: str) -> str:
+    """Return `name` if a thing may have it."""
     check_name(name)
     # Nodes trust the holders of reserved names, and a border router holds those of its things.
     if is_reserved(name) or is_alias(name):
@@ -253,16 +257,15 @@ def check_thing_name(name: str) -> str:
 
 
 def sign_statement(signer: Signer, statement: ThingStatement) -> bytes:
+    """The COSE_Sign1 that the border router is given (docs/spec/things.md)."""
     return THING.sign(signer, _claims(statement))
 
 
 def open_statement(
     data: bytes, ca_key: ec.EllipticCurvePublicKey, now: int, *, domain: str
 ) -> ThingStatement:
-    """Verify a statement and read it: of the authority with `ca_key`, for `domain`, valid at `now`.
-
-    Whether it is revoked, and for whose border router it is, is for the caller to check.
-    """
+    """Verify a statement and read it: of the authority with `ca_key`, for `domain`, valid at `now`."""
+    # Whether it is revoked, and for whose border router it is, is for the caller to check.
     statement = verify_statement(data, ca_key, domain=domain)
     statement.check_time(now)
     return statement

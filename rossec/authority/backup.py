@@ -18,20 +18,15 @@ from typing import Final
 
 from ca.certificates import TrustAnchor
 from ca.errors import BackupRefused, HintedError, LogDamaged, PassphraseRefused
-from ca.keys import passphrases
-from ca.keys.passphrases import MAX_BACKUP
-from ca.keys.private_keys import KeyUri
+from ca.keys import passphrases, private_keys
 from ca.revocation.lists import is_tree, open_list, open_tree
-from ca.store.log import RESTORED
-from ca.store.values import LogEntry, RequestState
+from ca.store import log, values
 from rossec import files, home, saved_statements
 from rossec.authority import grant_operations, policyfile, renewals, requests, restored_lists, signing
 from rossec.authority import home as authority_home
 from rossec.authority.console import messages as console
 from rossec.authority.home import KEY_URI, RECORD, AuthorityHome
 from rossec.authority.keyservice import client
-from rossec.authority.keyservice.client import service_lock
-from rossec.authority.restored_lists import NewerLists
 from rossec.authority.signing import SigningAuthority
 from rossec.errors import ConfigurationError
 from rossec.files import Owned, read_own
@@ -79,7 +74,7 @@ def staying(directory: Path) -> list[str]:
 
 def read(directory: Path, name: str) -> bytes:
     gone = ConfigurationError(f"{directory / name} was removed meanwhile", "do it again")
-    return read_own(directory / name, MAX_BACKUP, gone, link=name == policyfile.NAME)
+    return read_own(directory / name, passphrases.MAX_BACKUP, gone, link=name == policyfile.NAME)
 
 
 def restorable(content: Mapping[str, bytes]) -> tuple[dict[str, bytes], list[str]]:
@@ -189,7 +184,7 @@ def _staging_beside(target: Path) -> Iterator[Path]:
 
 
 def _put_in_place(
-    authority: SigningAuthority, target: Path, newer: NewerLists, said: _Said, now: int
+    authority: SigningAuthority, target: Path, newer: restored_lists.NewerLists, said: _Said, now: int
 ) -> Restored:
     staging, size = AuthorityHome(authority.path), authority.store.log.head(now).size
     # Neither a service nor a command may change what is compared, until it was replaced.
@@ -222,7 +217,7 @@ def _put_in_place(
     return Restored(AuthorityHome(target), size, revived, phones, ended, policy=policy)
 
 
-def _open_verified(staging: AuthorityHome, secret: str, uri: KeyUri | None) -> SigningAuthority:
+def _open_verified(staging: AuthorityHome, secret: str, uri: private_keys.KeyUri | None) -> SigningAuthority:
     try:
         # Of modules only the one that the operator named is run (`backup-runs-code`).
         key = staging.load_key(secret, () if uri is None else (uri.module,))
@@ -248,7 +243,7 @@ def _open_verified(staging: AuthorityHome, secret: str, uri: KeyUri | None) -> S
 def _locked(target: Path) -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         if target.is_dir() and not target.is_symlink():  # nothing is written behind a link
-            stack.enter_context(service_lock(target))
+            stack.enter_context(client.service_lock(target))
         with contextlib.suppress(HintedError):  # an incomplete authority: `_read` reports it
             store = stack.enter_context(contextlib.closing(AuthorityHome(target).store()))
             stack.enter_context(store.transaction())
@@ -291,7 +286,7 @@ def _check_replacement(there: AuthorityHome, found: SigningAuthority, said: _Sai
     shared = sum(1 for ours, theirs in zip(held, backed, strict=False) if ours == theirs)
     lost = held[shared:]
     if len(lost) != said.forget:
-        again = any(entry.what == RESTORED for entry in lost)
+        again = any(entry.what == log.RESTORED for entry in lost)
         reason = "it was restored here before" if again else "it is older"
         raise BackupRefused(
             f"the backup lacks {len(lost)} entries of the log in {there.path}",
@@ -299,7 +294,7 @@ def _check_replacement(there: AuthorityHome, found: SigningAuthority, said: _Sai
         )
 
 
-def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[LogEntry]]:
+def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[values.LogEntry]]:
     try:
         with contextlib.closing(there.store()) as store:
             return there.anchor(), store.log.entries()
@@ -311,7 +306,7 @@ def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[LogEntry]]:
 
 
 def _begin_anew(
-    authority: SigningAuthority, entries: int, newer: NewerLists, now: int
+    authority: SigningAuthority, entries: int, newer: restored_lists.NewerLists, now: int
 ) -> tuple[int, int, int]:
     # Returns how many passkeys and domains ended, and how many revocations came back.
     with authority.store.transaction():
@@ -319,11 +314,11 @@ def _begin_anew(
         # may have been taken since, a passkey may have been removed, an approval
         # been carried out, and a request that was approved been denied.
         store = authority.store
-        store.log_event(RESTORED, "record", f"from {entries} entries", now)
+        store.log_event(log.RESTORED, "record", f"from {entries} entries", now)
         store.invitations.end_all(restored_lists.RESTORED, now)
         store.approvals.end_waiting(restored_lists.RESTORED, now)
         for row in store.requests.open():
-            if row.state is RequestState.APPROVED:
+            if row.state is values.RequestState.APPROVED:
                 at = min(now, row.expires)  # one that has expired may be open again: the clock is set
                 store.requests.deny(row.digest, at, restored_lists.RESTORED)
         phones = store.passkeys.end_all(restored_lists.RESTORED, now)

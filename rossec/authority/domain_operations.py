@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from ca import svid
-from ca.certificates import Identity, from_pem
+from ca import certificates, svid
 from ca.domains import (
     TRUST_BUNDLE_LIFETIME,
     DomainList,
@@ -118,11 +117,11 @@ def split(alias: str) -> tuple[str, str]:
     return found
 
 
-def verify(store: Store, alias: str, pem: bytes, now: int) -> tuple[Identity, bytes]:
+def verify(store: Store, alias: str, pem: bytes, now: int) -> tuple[certificates.Identity, bytes]:
     label, _ = split(alias)
     row = store.domains.get(label)
     entry = row.read()
-    chain = [each for each in from_pem(pem) if each != entry.root]
+    chain = [each for each in certificates.from_pem(pem) if each != entry.root]
     identity = ListedDomain(entry, entry.anchor).verify(chain, now)
     if identity.name != alias:
         raise ConfigurationError(

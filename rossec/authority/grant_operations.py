@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from ca.errors import HintedError
 from ca.names import is_alias
 from ca.revocation.lists import RevocationList
-from grants import document
+from grants import document, request
 from grants.model import Draft, Grant, Permission
 from grants.renewal import OpenDelegation, open_delegation
-from grants.request import lasting_name
 from rossec import files
 from rossec.authority import domain_operations
 from rossec.authority.session import DEPOSIT_SECONDS, AuthoritySession, StatementCall
@@ -310,7 +309,7 @@ class PolicyWork:
         with self._session.record() as store:
             known = name in {row.name for row in store.identities.all()}
             certified = store.identities.certified_name(name, self._session.now())
-        if certified != name and (is_node or lasting_name(name) != name):
+        if certified != name and (is_node or request.lasting_name(name) != name):
             name, is_node = certified, True
         self._session.unlock()
         return add_denial(policy, name, self._session.now(), is_node=is_node or known)

@@ -14,15 +14,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, Self
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
 from ca.authority import LIFETIME, Authority, create_root
 from ca.certificates import TrustAnchor, from_pem, to_pem
 from ca.domains import DomainList, open_domains
 from ca.errors import RevocationRefused, TokenRefused
 from ca.keys import private_keys
 from ca.keys.private_keys import KeyUri, TokenSigner
-from ca.keys.signing import KeySigner, Signer
+from ca.keys.signing import KeySigner, PublicKey, Signer
 from ca.names import check_domain
 from ca.revocation.lists import is_tree, open_tree
 from ca.store.record import Store
@@ -146,6 +144,7 @@ class AuthorityHome:
             else:
                 files.create(staging / KEY_URI, f"{uri}\n".encode())
                 trust(home, uri.module)
+            # In one step, last: what is at `path` is whole, with its key and its first list.
             files.commit_directory(staging, path)
         except BaseException:
             shutil.rmtree(staging, ignore_errors=True)
@@ -199,7 +198,7 @@ class AuthorityHome:
     def is_intermediate(self) -> bool:
         return self.intermediate() is not None
 
-    def own_key(self) -> ec.EllipticCurvePublicKey:
+    def own_key(self) -> PublicKey:
         anchor, der = self.anchor(), self.intermediate()
         return anchor.public_key if der is None else anchor.read_intermediate(der).public_key
 

@@ -9,20 +9,9 @@ from contextlib import closing
 from hashlib import sha256
 from typing import Final, NamedTuple
 
-from ca.certificates import from_pem
+from ca import certificates, errors
 from ca.enrollment.invitation import SECRET_SIZE, InvitationCode, JoinClaim, JoinRequest
 from ca.enrollment.join import Issued, JoinAnswer, RefusedMessage, RefuseReason, WaitingMessage, WaitReason
-from ca.errors import (
-    CAError,
-    InvitationRefused,
-    JoinRefused,
-    NameCovered,
-    NameRefused,
-    RecordUnusable,
-    RequestRefused,
-    StoreError,
-    TooManyRequests,
-)
 from ca.names import check_name, check_pattern, check_wildcard, is_reserved, pattern_covers
 from ca.names import covers as names_cover
 from ca.revocation.lists import RevocationList
@@ -36,12 +25,12 @@ from rossec.authority.signing import SigningAuthority
 from rossec.errors import ConfigurationError
 
 MAX_WAITING: Final = 16  # requests of one invitation that wait for a person
-_REASONS: Final[tuple[tuple[type[CAError], RefuseReason], ...]] = (
-    (InvitationRefused, RefuseReason.ENDED),
-    (RequestRefused, RefuseReason.REQUEST),
-    (NameRefused, RefuseReason.NAME),
-    (NameCovered, RefuseReason.NAME),
-    (TooManyRequests, RefuseReason.BUSY),
+_REASONS: Final[tuple[tuple[type[errors.CAError], RefuseReason], ...]] = (
+    (errors.InvitationRefused, RefuseReason.ENDED),
+    (errors.RequestRefused, RefuseReason.REQUEST),
+    (errors.NameRefused, RefuseReason.NAME),
+    (errors.NameCovered, RefuseReason.NAME),
+    (errors.TooManyRequests, RefuseReason.BUSY),
 )
 
 
@@ -54,15 +43,15 @@ def join(authority: SigningAuthority, request: JoinRequest, now: int) -> JoinAns
         # 2. What is asked is what was proved, and within the invitation.
         found = check_request(request.csr, authority.domain, wildcard=invitation.wildcard)
         if found.name != request.name or found.wildcard != invitation.wildcard:
-            raise RequestRefused("the request is not the one that was proved")
+            raise errors.RequestRefused("the request is not the one that was proved")
         if is_reserved(found.name) or not pattern_covers(invitation.pattern, found.name):
-            raise NameRefused(f"the invitation is not for {found.name}")
+            raise errors.NameRefused(f"the invitation is not for {found.name}")
         # 3. One transaction decides by the record and changes it, or nothing is done.
         with authority.store.transaction():
             return _decide(authority, invitation, found, request.csr, now)
-    except RecordUnusable:
+    except errors.RecordUnusable:
         raise
-    except (StoreError, InvitationRefused, RequestRefused, NameRefused) as error:
+    except (errors.StoreError, errors.InvitationRefused, errors.RequestRefused, errors.NameRefused) as error:
         # What has no reason of its own: a revoked key, an identity that is not valid any more.
         reasons = (reason for kind, reason in _REASONS if isinstance(error, kind))
         return RefusedMessage(next(reasons, RefuseReason.DENIED))
@@ -76,7 +65,7 @@ def join_locked(store: Store, request: JoinRequest, now: int) -> JoinAnswer:
     try:
         if not used:  # a request that was answered gets its answer again, however late
             store.invitations.check_open(invitation.id, now)
-    except InvitationRefused:
+    except errors.InvitationRefused:
         return RefusedMessage(RefuseReason.ENDED)
     return WaitingMessage(WaitReason.LOCKED)
 
@@ -91,7 +80,7 @@ def allowed_pattern(store: Store, asked: JoinClaim | JoinRequest, now: int) -> s
     try:
         if not store.invitations.uses(invitation.id):
             store.invitations.check_open(invitation.id, now)
-    except InvitationRefused:
+    except errors.InvitationRefused:
         return RefusedMessage(RefuseReason.ENDED)
     return invitation.pattern
 
@@ -110,7 +99,7 @@ def _proved(store: Store, request: JoinClaim | JoinRequest) -> InvitationRow | N
     try:
         found = store.invitations.get(request.invitation)
         request.verify(found.key)
-    except (InvitationRefused, JoinRefused):
+    except (errors.InvitationRefused, errors.JoinRefused):
         return None
     return found
 
@@ -133,7 +122,7 @@ def _decide(
             use = InvitationUse(invitation.id, asked.digest, asked.name, asked.thumbprint, now)
             store.invitations.take(use)
     bundle = authority.issue(csr, now, wildcard=asked.wildcard, source=origin)
-    *chain, _ = from_pem(bundle)
+    *chain, _ = certificates.from_pem(bundle)
     return Issued(tuple(chain))
 
 
@@ -219,6 +208,7 @@ def check_invitation(pattern: str, *, wildcard: bool) -> None:
 def make_invitation(
     home: AuthorityHome, pattern: str, uses: int, expires: int, address: str, now: int, *, wildcard: bool
 ) -> tuple[InvitationCode, InvitationRow]:
+    # The root is in the code: the node knows the authority before it trusts anything.
     root = sha256(home.anchor().certificate).digest()
     secret = secrets.token_bytes(SECRET_SIZE)
     code = InvitationCode(root, secret, expires, address, pattern, wildcard=wildcard)

@@ -23,13 +23,12 @@ from ca.store.record import Store
 from grants import document
 from grants.errors import PolicyRefused
 from grants.model import ID_SIZE, KEY_SIZE, Draft, Grant, Permission, Right
-from grants.policy.decision import Decider
+from grants.policy import decision, source
 from grants.policy.difference import Contradiction, Moment, NodeDifference, RecordedGrant, atoms, difference
 from grants.policy.learn import NewRule, add_rules, free_id
 from grants.policy.model import Policy, Subject
 from grants.policy.names import intersects
 from grants.policy.read import load
-from grants.policy.source import MAX_SIZE
 from grants.policy.wanted import WantedRight, WantedState, rule_ids
 from rossec import files
 from rossec.authority import domain_operations, signing
@@ -57,9 +56,9 @@ class PolicyFile:
         missing = ConfigurationError(f"there is no policy in {path}", "next: rossec policy init")
         try:
             text = (
-                files.read_own(path, MAX_SIZE, missing, link=True)
+                files.read_own(path, source.MAX_SIZE, missing, link=True)
                 if own
-                else files.read(path, MAX_SIZE, missing)
+                else files.read(path, source.MAX_SIZE, missing)
             ).decode()
         except UnicodeDecodeError:
             raise ConfigurationError(f"{path} is not UTF-8", "is it the right file?") from None
@@ -76,7 +75,7 @@ class PolicyFile:
 
     def check_unchanged(self) -> None:
         gone = ConfigurationError(f"{self.path} is gone, nothing was done", "write a policy first")
-        if files.read(self.path, MAX_SIZE, gone) != self.text.encode():
+        if files.read(self.path, source.MAX_SIZE, gone) != self.text.encode():
             raise ConfigurationError(
                 f"{self.path} was changed while this command was running, nothing was done",
                 "run the command again: it then uses the new policy",
@@ -89,8 +88,8 @@ class PolicyFile:
             require_tests(self.policy, layout_of)
 
     @property
-    def decider(self) -> Decider:
-        return Decider(self.policy)
+    def decider(self) -> decision.Decider:
+        return decision.Decider(self.policy)
 
 
 def place(home: Path, given: Path | None) -> Path:

@@ -12,23 +12,13 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Final
 
+from ca import certificates, svid
 from ca.authority import DAY, LIFETIME, MAX_LIFETIME, Authority
-from ca.certificates import (
-    Identity,
-    Intermediate,
-    TrustAnchor,
-    build_intermediate_request,
-    from_pem,
-    open_renewal,
-    renew_at,
-    to_pem,
-)
 from ca.errors import RenewalRefused, Revoked, StoreError
 from ca.keys import private_keys
 from ca.keys.signing import KeySigner
 from ca.store.record import CertificateRow, Store
 from ca.store.values import INTERMEDIATE
-from ca.svid import build_request
 from rossec import files
 from rossec.authority import signing
 from rossec.authority.home import OWN_LIFETIME, AuthorityHome
@@ -56,7 +46,7 @@ def renew(
 def renew_recorded(authority: SigningAuthority, data: bytes, now: int) -> bytes:
     with authority.store.transaction():
         check = _check_in_record(authority)
-        renewal = open_renewal(data, authority.authority.anchor, now, check)
+        renewal = certificates.open_renewal(data, authority.authority.anchor, now, check)
         identity = renewal.identity
         rows = authority.store.identities.by_name(identity.name)
         if not rows:
@@ -76,7 +66,7 @@ def renew_recorded(authority: SigningAuthority, data: bytes, now: int) -> bytes:
 def _renew(
     authority: SigningAuthority, data: bytes, now: int, check: Callable[[bytes, int], None], lifetime: int
 ) -> bytes:
-    renewal = open_renewal(data, authority.authority.anchor, now, check)
+    renewal = certificates.open_renewal(data, authority.authority.anchor, now, check)
     answered = authority.store.identities.issued_for(renewal.request.digest)
     if answered is not None:
         return authority.issued_bundle(answered, now, wildcard=renewal.identity.wildcard)
@@ -84,7 +74,7 @@ def _renew(
     # node could have any number signed and recorded, as long as its old one is valid.
     for row in reversed(authority.store.identities.valid(renewal.identity.name, now)):
         is_newer = row.thumbprint == renewal.request.thumbprint and row.not_after > renewal.identity.not_after
-        is_due = now >= renew_at(row.not_before, row.not_after)
+        is_due = now >= certificates.renew_at(row.not_before, row.not_after)
         is_own = authority.store.identities.issuer(row) is None
         if is_newer and not is_due and is_own and row.wildcard is renewal.identity.wildcard:
             return authority.bundle(row.der)
@@ -121,13 +111,13 @@ def renew_by_name(
 def renew_own_node(authority: SigningAuthority, now: int) -> int:
     own = NodeHome(authority.path / "node", OWN_NODE)
     key = KeySigner(private_keys.load_private(own.path / "node.key"))
-    request = build_request(key, authority.domain, OWN_NODE)
+    request = svid.build_request(key, authority.domain, OWN_NODE)
     return own.install(authority.issue(request, now, OWN_LIFETIME), now).not_after
 
 
 def own_node_is_due(authority: SigningAuthority, now: int) -> bool:
     rows = authority.store.identities.by_name(OWN_NODE)
-    return bool(rows) and now >= renew_at(rows[-1].not_before, rows[-1].not_after)
+    return bool(rows) and now >= certificates.renew_at(rows[-1].not_before, rows[-1].not_after)
 
 
 def sign_intermediate(
@@ -150,10 +140,10 @@ def sign_intermediate(
 
 def import_identity(
     authority: SigningAuthority, bundle: bytes, now: int, replaced: Collection[str] = ()
-) -> tuple[Identity, bool]:
+) -> tuple[certificates.Identity, bool]:
     """Record an identity signed by an intermediate of this root; the boolean says if it is new."""
     # `replaced` are names whose current key may be replaced; that key is revoked.
-    identity = authority.authority.anchor.verify(from_pem(bundle)[:-1], now)
+    identity = authority.authority.anchor.verify(certificates.from_pem(bundle)[:-1], now)
     if identity.name == OWN_NODE or not authority.authority.is_root:
         raise ConfigurationError(
             f"{identity.name} cannot be imported here", "only a root imports, and never its own node"
@@ -211,22 +201,22 @@ def begin(home: Path, domain: str, passphrase: str) -> Path:
         )
     files.make_private_directory(path)
     key = private_keys.generate()
-    request = build_intermediate_request(KeySigner(key), domain)
+    request = certificates.build_intermediate_request(KeySigner(key), domain)
     private_keys.write_private(path / "ca.key", key, passphrase)
     files.create(path / REQUEST, request, 0o644)
     return path / REQUEST
 
 
-def install(home: Path, bundle: bytes, passphrase: str, now: int) -> Intermediate:
+def install(home: Path, bundle: bytes, passphrase: str, now: int) -> certificates.Intermediate:
     path = home / "ca"
-    found = from_pem(bundle)
+    found = certificates.from_pem(bundle)
     if len(found) != 2:
         raise ConfigurationError(
             f"a bundle of {len(found)} certificates where two are expected",
             "take the file `rossec ca intermediate sign` wrote",
         )
     der, root = found
-    anchor = TrustAnchor.load(root)
+    anchor = certificates.TrustAnchor.load(root)
     made = anchor.check_intermediate(der, now)
     signer = KeySigner(private_keys.load_private(path / "ca.key", passphrase))
     Authority(signer, root, der)
@@ -236,8 +226,8 @@ def install(home: Path, bundle: bytes, passphrase: str, now: int) -> Intermediat
         )
     if not (path / "ca.db").exists():
         Store.create(path / "ca.db").close()
-    files.replace(path / "intermediate.pem", to_pem(der), 0o644)
-    files.replace(path / "ca.pem", to_pem(root), 0o644)
+    files.replace(path / "intermediate.pem", certificates.to_pem(der), 0o644)
+    files.replace(path / "ca.pem", certificates.to_pem(root), 0o644)
     with contextlib.closing(Store.open(path / "ca.db")) as store:
         store.log_event("installed", "intermediate", made.thumbprint.hex(), now)
     return made

@@ -32,13 +32,6 @@ class StoredRequest(NamedTuple):
         return self.request.id.hex()[:8]
 
 
-class StoredAnswer(NamedTuple):
-    stored: StoredRequest
-    answer: str
-    reason: str
-    at: int
-
-
 class GrantRequestStore:
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -70,14 +63,15 @@ class GrantRequestStore:
             if (each.request.id, int(each.requested.right), each.requested.pattern) not in answered
         ]
 
-    def answers(self) -> list[StoredAnswer]:
+    def answers(self) -> list[tuple[StoredRequest, str, str, int]]:
+        """Each right that was answered, oldest first, with the answer, its reason and when."""
         requests = {each.request.id: each for each in self._all()}
         sql = "SELECT request, right, pattern, answer, reason, at FROM decision ORDER BY rowid"
         found = []
         for number, right, pattern, *answer in self._database.rows(sql):
             if number in requests:
                 requested = RequestedRight(Right(right), pattern)
-                found.append(StoredAnswer(requests[number]._replace(requested=requested), *answer))
+                found.append((requests[number]._replace(requested=requested), *answer))
         return found
 
     def find(self, number: bytes) -> list[StoredRequest]:
@@ -105,6 +99,7 @@ def put_in_inbox(authority: Path, request: GrantRequest, data: bytes) -> Path:
 
 
 def inbox_files(authority: Path) -> list[Path]:
+    # So many at once: whoever fills the inbox does not keep the record locked for long.
     return sorted((authority / "inbox").glob("*.request"))[:MAX_INBOX]
 
 

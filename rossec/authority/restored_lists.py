@@ -15,16 +15,7 @@ from typing import Final
 from ca.certificates import TrustAnchor
 from ca.domains import ForeignDomain, open_domains
 from ca.errors import BackupRefused, DomainsRefused, HintedError
-from ca.revocation.lists import (
-    MAX_LIST,
-    MAX_TREE_ENTRIES_SIZE,
-    RevocationList,
-    TreeEntries,
-    is_tree,
-    open_list,
-    open_tree,
-)
-from ca.revocation.trust_status import open_statement
+from ca.revocation import lists, trust_status
 from rossec import files
 from rossec.authority.home import ENTRIES
 from rossec.authority.signing import SigningAuthority
@@ -51,8 +42,8 @@ def read_files(path: Path, entries: Path | None) -> tuple[bytes, bytes | None]:
     beside = path.with_name(ENTRIES)
     if entries is None and beside.exists():
         entries = beside
-    listed = files.read(path, MAX_LIST)
-    return listed, None if entries is None else files.read(entries, MAX_TREE_ENTRIES_SIZE)
+    listed = files.read(path, lists.MAX_LIST)
+    return listed, None if entries is None else files.read(entries, lists.MAX_TREE_ENTRIES_SIZE)
 
 
 def read_newer(
@@ -65,8 +56,8 @@ def read_newer(
     revoked, epoch = read_revoked(newest_list, entries, anchor)
     held = authority.store.newest_list()
     if newest_list is not None and held is not None:
-        found = open_statement(newest_list, anchor.public_key)
-        if found.number < open_statement(held, anchor.public_key).number:
+        found = trust_status.open_statement(newest_list, anchor.public_key)
+        if found.number < trust_status.open_statement(held, anchor.public_key).number:
             raise BackupRefused(
                 "the list is older than the backup: it says nothing of what was revoked since",
                 "give a newer one: the master has the newest",
@@ -100,9 +91,9 @@ def newest_here(home: Path, anchor: TrustAnchor) -> Path | None:
     found = []
     for path in sorted(home.glob(f"nodes/*/{REVOCATIONS}")):
         with contextlib.suppress(HintedError, OSError):  # another authority's, or damaged
-            data = files.read(path, MAX_LIST)
-            statement = open_statement(data, anchor.public_key)
-            if not is_tree(data) or path.with_name(ENTRIES).exists():
+            data = files.read(path, lists.MAX_LIST)
+            statement = trust_status.open_statement(data, anchor.public_key)
+            if not lists.is_tree(data) or path.with_name(ENTRIES).exists():
                 found.append((statement.number, path))
     return max(found)[1] if found else None
 
@@ -112,16 +103,16 @@ def read_revoked(
 ) -> tuple[frozenset[bytes], int]:
     if data is None:
         return frozenset(), 0
-    if not is_tree(data):
-        listed = open_list(data, anchor.public_key)
+    if not lists.is_tree(data):
+        listed = lists.open_list(data, anchor.public_key)
         return listed.entries, listed.epoch
-    tree = open_tree(data, anchor.public_key)
+    tree = lists.open_tree(data, anchor.public_key)
     if entries is None:
         raise BackupRefused(
             "the newest revocations are a tree, which does not contain its entries",
             "give its entries with --entries: the master has them in revocations.entries",
         )
-    listing = TreeEntries.read(entries)
+    listing = lists.TreeEntries.read(entries)
     listing.check(tree)
     return listing.entries, tree.epoch
 
@@ -167,7 +158,7 @@ def start_new_epoch(authority: SigningAuthority, newer: NewerLists, now: int) ->
 
 def take_over(
     authority: SigningAuthority, data: bytes, entries: bytes | None, now: int
-) -> tuple[RevocationList, int]:
+) -> tuple[lists.RevocationList, int]:
     """Revoke what a list from before a restore revokes; returns the new list, and how many."""
     # It is for a record that lacks revocations, and can be done at any time: it only takes away. If the
     # list has a later epoch than the record, the new list has one after that.

@@ -18,11 +18,8 @@ from ca.store.signed_statements import ThingRow
 from ca.store.values import INTERMEDIATE, RequestRow, RequestState
 from ca.svid import IdentityRequest, check_request
 from ca.things import Credential, ThingStatement, peek_statement, sign_statement
-from rossec.authority import renewals, signing
-from rossec.authority.domain_operations import Domains
-from rossec.authority.grant_operations import Grants, PolicyWork
+from rossec.authority import domain_operations, grant_operations, renewals, signing
 from rossec.authority.session import AuthoritySession
-from rossec.authority.signing import SKEW
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.saved_statements import ThingFiles
@@ -34,9 +31,9 @@ SERIAL: Final = 16
 class AuthorityService(AuthoritySession):
     def __post_init__(self) -> None:
         self.identities = Identities(self)
-        self.grants = Grants(self)
-        self.policy = PolicyWork(self, self.grants)
-        self.domains = Domains(self)
+        self.grants = grant_operations.Grants(self)
+        self.policy = grant_operations.PolicyWork(self, self.grants)
+        self.domains = domain_operations.Domains(self)
         self.things = Things(self)
 
 
@@ -149,7 +146,7 @@ class Things:
             store.identities.check_not_revoked(order.name, order.credential.thumbprint)
             about = authority.domain, order.name, order.credential, router.thumbprint
             serial = secrets.token_bytes(SERIAL)
-            statement = ThingStatement(*about, at - SKEW, at + order.lifetime, serial)
+            statement = ThingStatement(*about, at - signing.SKEW, at + order.lifetime, serial)
             # 1. what it replaces ends: its statements, and the keys of its node
             ended = signing.replaced_by(store, order.name, router.thumbprint, order.replaced, at)
             # 2. the identity of the node, which is not ended by its own statement

@@ -13,14 +13,12 @@ from typing import Final, NamedTuple
 
 from ca.errors import CertificateExpired
 from ca.keys.signing import Signer
-from ca.revocation.lists import RevocationList
-from ca.revocation.trust_status import open_statement
+from ca.revocation import lists, trust_status
 from ca.store.record import Store
 from rossec import clock
-from rossec.authority import renewals, restored_lists
+from rossec.authority import renewals, restored_lists, signing
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.client import RemoteSigner, running_signer
-from rossec.authority.signing import SigningAuthority
 from rossec.clock import format_time
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -72,7 +70,7 @@ class AuthoritySession:
     call_master: Callable[[StatementCall], object]
     now: Callable[[], int] = clock.now
     find_signer: Callable[[AuthorityHome], Signer | None] = running_signer
-    _unlocked: SigningAuthority | None = field(default=None, init=False)
+    _unlocked: signing.SigningAuthority | None = field(default=None, init=False)
     _before: _Signed = field(default=_Signed(0, (0, 0), (0, 0)), init=False)
 
     @property
@@ -82,7 +80,7 @@ class AuthoritySession:
     def record(self) -> closing[Store]:
         return closing(self.home.store())
 
-    def unlock(self) -> SigningAuthority:
+    def unlock(self) -> signing.SigningAuthority:
         """The authority with its key: that of its service where one runs (`rossec ca serve`)."""
         # Otherwise it asks for the passphrase, unless this was done before.
         if self._unlocked is None:
@@ -100,7 +98,7 @@ class AuthoritySession:
             self._unlocked.store.close()
             self._unlocked = None
 
-    def refresh(self) -> tuple[RevocationList, int | None]:
+    def refresh(self) -> tuple[lists.RevocationList, int | None]:
         """Sign the list anew; returns it, and the end of the own node's identity if renewed."""
         # The list of domains, if there is one, is signed anew as well.
         authority, at = self.unlock(), self.now()
@@ -143,7 +141,7 @@ class AuthoritySession:
     def publish(self) -> None:
         home, at = self.home, self.now()
         data, entries = home.newest_statement()
-        expires = open_statement(data, home.anchor().public_key).expires
+        expires = trust_status.open_statement(data, home.anchor().public_key).expires
         if at >= expires:
             raise ConfigurationError(
                 f"the revocation list expired {format_time(expires)}", "sign it anew with: rossec ca refresh"
@@ -175,7 +173,7 @@ class AuthoritySession:
         node, what = self.home.node(), "the question for its list"
         method, hint = "rossec.revocationStatus", "rossec ca publish"
         answer = self.deliver(StatementCall(node, method, (), what, hint, within=DEPOSIT_SECONDS))
-        newest = open_statement(self.home.revocation_list(), self.home.anchor().public_key)
+        newest = trust_status.open_statement(self.home.revocation_list(), self.home.anchor().public_key)
         if self.now() >= newest.expires:
             raise ConfigurationError("the revocation list has expired", "rossec ca refresh")
         epoch, seq = newest.number

@@ -12,29 +12,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
-from ca import svid
+from ca import errors, names, svid
 from ca.authority import LIFETIME, Authority
 from ca.certificates import Identity, TrustAnchor, to_pem
 from ca.domains import DomainList, ForeignDomain, open_domains, sign_domains
-from ca.errors import (
-    ForeignCertificate,
-    PassphraseRefused,
-    RecordUnusable,
-    RequestClosed,
-    RevocationRefused,
-    StoreError,
-    TokenRefused,
-)
-from ca.keys.signing import Signer, to_coordinates
-from ca.names import check_name, is_alias, shown
+from ca.keys.signing import PublicKey, Signer, to_coordinates
 from ca.revocation.lists import MAX_ENTRIES, RevocationList, RevocationTree, TreeEntries, sign_list, sign_tree
 from ca.revocation.trust_status import open_statement
 from ca.store.record import GrantRow, Store
 from ca.store.signed_statements import ThingRow
 from ca.store.values import INTERMEDIATE, CertificateRow, RequestState, sign_head
-from ca.svid import check_request
 from grants import document
 from grants.model import Draft, Permission, Right
 from grants.renewal import Delegation, OpenDelegation, open_delegation, sign_delegation
@@ -52,19 +39,19 @@ OF_ALL: Final = (
     AuthorityLocked,
     KeyServiceFailed,
     KeyServiceRefused,
-    PassphraseRefused,
-    RecordUnusable,
+    errors.PassphraseRefused,
+    errors.RecordUnusable,
     SigningRefused,
-    TokenRefused,
+    errors.TokenRefused,
 )
 """Refusals that are about the key or the record, and so of every grant."""
 
 
 def check_own_names(permissions: Iterable[Permission]) -> None:
     for permission in permissions:
-        if is_alias(permission.pattern) and permission.rights & ~Right.GRAPH:
+        if names.is_alias(permission.pattern) and permission.rights & ~Right.GRAPH:
             raise ConfigurationError(
-                f"{shown(permission.pattern)} is a name of another domain or site",
+                f"{names.shown(permission.pattern)} is a name of another domain or site",
                 "its own authority grants rights on it, by its name there; here only --graph",
             )
 
@@ -94,7 +81,7 @@ def required_entries(store: Store, now: int) -> frozenset[bytes]:
     return store.revoked_entries() - frozenset(ended) - frozenset(expired)
 
 
-def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> frozenset[bytes]:
+def missing_entries(store: Store, key: PublicKey, now: int) -> frozenset[bytes]:
     """The entries that the newest list, signed with `key`, lacks; all, where that is unknown."""
     with store.database.read_transaction():
         data = store.newest_list()
@@ -103,7 +90,7 @@ def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> f
             case RevocationList(entries=entries):
                 listed = entries
             case RevocationTree() as tree:  # it does not contain them: they are those of the record, or not
-                with contextlib.suppress(RevocationRefused):
+                with contextlib.suppress(errors.RevocationRefused):
                     listed = tree_entries(store, tree).entries
             case None:
                 pass
@@ -226,7 +213,7 @@ def replaced_by(
     for former in sorted(replaced):
         ids = store.things.ids(former, now)
         if not ids:
-            raise StoreError(f"no statement about {former} is in force", "leave --replace out")
+            raise errors.StoreError(f"no statement about {former} is in force", "leave --replace out")
         entries |= ids
         if former != name or store.things.get(former, now).read().border != border:
             entries |= store.unrevoked_keys(former, now)
@@ -269,7 +256,7 @@ class SigningAuthority:
         """Approve a request, sign and record its identity; returns the node's bundle (PEM)."""
         # With `wildcard` the identity is for anonymous nodes as well. `replace_key` is the request's name
         # again, if its key may replace another one; that key is revoked, and the list must be delivered.
-        asked = check_request(request, self.domain, wildcard=wildcard)
+        asked = svid.check_request(request, self.domain, wildcard=wildcard)
         if replace_key is not None:
             self._check_root()
         self.refresh_list(now)
@@ -296,7 +283,7 @@ class SigningAuthority:
     def verify(self, der: bytes, now: int) -> Identity:
         try:
             return self.authority.anchor.verify([der, *self.authority.chain], now)
-        except ForeignCertificate:
+        except errors.ForeignCertificate:
             return self.authority.anchor.verify([der], now)
 
     def bundle(self, der: bytes) -> bytes:
@@ -307,7 +294,7 @@ class SigningAuthority:
         if not is_valid and row.wildcard is wildcard and now > row.not_after:
             self.store.valid_certificate(row.name, now)  # says how an identity that is over comes back
         if not is_valid or row.wildcard is not wildcard:
-            raise RequestClosed(
+            raise errors.RequestClosed(
                 f"this request of {row.name} was answered, but that identity is invalid or differs",
                 "make a new request on the node",
             )
@@ -378,7 +365,7 @@ class SigningAuthority:
                 f"{name} is the authority's own node, which delivers lists to the master",
                 "if the authority was stolen, create a new one in another ROSSEC_HOME",
             )
-        sought = name if name.startswith(INTERMEDIATE) else check_name(name)
+        sought = name if name.startswith(INTERMEDIATE) else names.check_name(name)
         with self.store.transaction():
             found = self.store.unrevoked_keys(sought, now)
             if found:
@@ -451,7 +438,7 @@ class SigningAuthority:
         return head
 
 
-def delegations(authority: Path, key: ec.EllipticCurvePublicKey) -> list[OpenDelegation]:
+def delegations(authority: Path, key: PublicKey) -> list[OpenDelegation]:
     missing = ConfigurationError("no delegation")
     found = sorted((authority / DELEGATIONS).glob("*.cose"))
     return [open_delegation(files.read_own(path, _SIZE_LIMIT, missing), key) for path in found]

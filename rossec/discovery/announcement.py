@@ -10,12 +10,11 @@ from collections.abc import Hashable
 from dataclasses import dataclass, field
 from typing import Final
 
+from ca import encoding, names
 from ca.bounded import ExpiringTable, Newest
 from ca.certificates import Identity, TrustAnchor
-from ca.encoding import Value
 from ca.errors import CAError
 from ca.keys.signing import Profile, Signer
-from ca.names import is_master_name
 from grants.limits import TokenBucket
 from rossec.errors import AnnouncementRefused
 from rossec.peer_limits import printable
@@ -57,7 +56,7 @@ class Announcement:
 
 def sign(signer: Signer, chain: tuple[bytes, ...], announcement: Announcement) -> bytes:
     _check(announcement)
-    certificates: list[Value] = [*chain]
+    certificates: list[encoding.Value] = [*chain]
     data = PROFILE.sign(
         signer,
         {
@@ -90,8 +89,9 @@ class MasterClaim:
             identity = anchor.verify(self.chain, now)
         except CAError as error:
             raise _foreign(error) from error
-        if identity.is_foreign or not is_master_name(identity.name):
+        if identity.is_foreign or not names.is_master_name(identity.name):
             raise AnnouncementRefused(f"{identity.name} announces itself as a master")
+        # Also its intermediate: what that signed is revoked with it.
         if not revoked.isdisjoint(identity.keys):
             raise AnnouncementRefused("the master that announces itself is revoked")
         return identity
@@ -109,6 +109,7 @@ def read_claim(data: bytes, now: int) -> MasterClaim:
         announcement, chain = _read(PROFILE.peek(data, limit=MAX_SIZE))
     except CAError as error:
         raise _foreign(error) from error
+    # What was recorded counts for 15 s at most (`forged-announcement`).
     if announcement.issued > now + SKEW or announcement.issued + announcement.max_age < now:
         raise AnnouncementRefused("an announcement of another time", "check both clocks")
     return MasterClaim(data, announcement, tuple(chain))
@@ -118,7 +119,7 @@ def _foreign(error: CAError) -> AnnouncementRefused:
     return AnnouncementRefused(f"no announcement of this domain's master: {error}")
 
 
-def _read(payload: Value) -> tuple[Announcement, list[bytes]]:
+def _read(payload: encoding.Value) -> tuple[Announcement, list[bytes]]:
     match payload:
         case {
             6: int() as issued,
@@ -153,6 +154,7 @@ def _check(announcement: Announcement) -> None:
     if len(announcement.instance) != INSTANCE_SIZE:
         raise AnnouncementRefused(f"the announcement's instance has not {INSTANCE_SIZE} bytes")
     host = announcement.host
+    # It is shown to people and logged: a line break in it would forge lines.
     if not 0 < len(host) <= _MAX_HOST or printable(host) != host or any(c in host for c in " /@"):
         raise AnnouncementRefused("the announcement's host is not a name or address")
 
@@ -223,11 +225,9 @@ class Candidate:
         return max(0.0, clock - self.heard[-1][1])
 
     def sent(self, clock: float) -> int:
-        """How many announcements it has sent since the first one in `heard`.
-
-        By sequence number up to the last one received; after it by time, so that the loss of a
-        master that has died grows. Half an interval late does not count as lost.
-        """
+        """How many announcements it has sent since the first one in `heard`."""
+        # By sequence number up to the last one received; after it by time, so that the loss of a master that
+        # has died grows. Half an interval late does not count as lost.
         (first, began), (last, ended) = self.heard[0], self.heard[-1]
         interval = (ended - began) / (last - first) if last > first else _SLOWEST
         missed = int(self.age(clock) / max(interval, 0.1) - 0.5)
@@ -258,12 +258,10 @@ class Candidates:
         self.refused: Counter[str] = Counter()
 
     def heard(self, data: bytes, source: DatagramSource, now: int, clock: float) -> Candidate | None:
-        """Process a datagram; returns the master it is from, None for a duplicate.
-
-        `now` is since the epoch, `clock` of a monotonic clock.
-        """
+        """Process a datagram; returns the master it is from, None for a duplicate."""
+        # `now` is since the epoch, `clock` of a monotonic clock.
         try:
-            # 1. Cheap checks first: size, form, age, duplicates.
+            # 1. Cheap checks first (`discovery-flood`): size, form, age, duplicates.
             claim = read_claim(data, now)
             if (claim.announcement.instance, claim.announcement.seq, source.link) in self._seen:
                 return None

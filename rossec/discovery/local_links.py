@@ -23,23 +23,13 @@ from typing import Final
 from ca.certificates import TrustAnchor
 from ca.errors import CAError
 from ca.names import check_name
-from rossec import clock
+from rossec import clock, environment, peer_limits, saved_statements
 from rossec.channel.edhoc.credentials import Credentials
-from rossec.discovery.announcement import (
-    INSTANCE_SIZE,
-    Announcement,
-    Candidate,
-    Candidates,
-    DatagramSource,
-    sign,
-)
-from rossec.environment import OWN_MASTER, own_home, own_master
+from rossec.discovery import announcement
 from rossec.errors import AnnouncementRefused, ConfigurationError, MasterNotFound
 from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
-from rossec.peer_limits import printable
 from rossec.ros.names import is_loopback, parse_uri
-from rossec.saved_statements import saved_revocations
 
 GROUP: Final = "ff12::726f:7373:6563"  # transient, link-local scope (RFC 4291 section 2.7)
 PORT: Final = 11311
@@ -98,14 +88,14 @@ class MulticastSocket:
                 sent += 1
         return sent
 
-    def receive(self) -> Iterator[tuple[bytes, DatagramSource]]:
+    def receive(self) -> Iterator[tuple[bytes, announcement.DatagramSource]]:
         while True:
             try:
                 data, ancillary, flags, where = self._socket.recvmsg(_MAX_DATAGRAM, _ANCILLARY)
             except OSError:  # nothing more, or a link that went down: retrying might never end
                 return
             if not flags & socket.MSG_TRUNC and _is_local(where[0], ancillary):
-                yield data, DatagramSource(where[0], where[3])
+                yield data, announcement.DatagramSource(where[0], where[3])
 
     def close(self) -> None:
         self._socket.close()
@@ -117,6 +107,7 @@ def _is_local(address: str, ancillary: list[tuple[int, int, bytes]]) -> bool:
         for level, kind, value in ancillary
         if (level, kind) == (socket.IPPROTO_IPV6, socket.IPV6_HOPLIMIT) and len(value) == 4
     ]
+    # Only this link can have sent it: every router lowers the limit (RFC 5082).
     source = ipaddress.IPv6Address(address)
     return hops == [_HOPS] and (source.is_link_local or source.is_loopback)
 
@@ -132,14 +123,14 @@ async def announce(
             "set ROS_IP or ROS_HOSTNAME to an address of the network",
         )
     # New at every start: the sequence numbers begin again with it.
-    instance = secrets.token_bytes(INSTANCE_SIZE)
+    instance = secrets.token_bytes(announcement.INSTANCE_SIZE)
     group = MulticastSocket(listen=False)
     was_sent = True
     try:
         for seq in count():
             now, hint = clock.now(), version() % (1 << 31)
-            said = Announcement(host, port, instance, seq, now, version=hint)
-            sent = group.send(sign(credentials.signer, credentials.chain, said)) > 0
+            said = announcement.Announcement(host, port, instance, seq, now, version=hint)
+            sent = group.send(announcement.sign(credentials.signer, credentials.chain, said)) > 0
             if sent is not was_sent:
                 _log.warning("announcing on %s", "the links again" if sent else "no link: all down")
             was_sent = sent
@@ -154,8 +145,8 @@ async def find(
     *,
     patience: float = PATIENCE,
     settle: float = SETTLE,
-) -> list[Candidate]:
-    candidates = Candidates(anchor, revoked)
+) -> list[announcement.Candidate]:
+    candidates = announcement.Candidates(anchor, revoked)
     async with listening(candidates):
         end, found = time.monotonic() + patience, False
         while time.monotonic() < end:
@@ -168,13 +159,14 @@ async def find(
     if ranked:
         where = ", ".join(f"{host} port {port}" for host, port in ranked[0].endpoints)
         raise MasterNotFound(
-            f"a master announces itself, but nothing answers at {printable(where)}",
+            f"a master announces itself, but nothing answers at {peer_limits.printable(where)}",
             "is a firewall between? its TCP port must be open",
         )
+    # The most frequent reason: what a stranger sends now and then does not hide it.
     if candidates.refused:
         why, times = candidates.refused.most_common(1)[0]
         raise MasterNotFound(
-            f"no master of this trust domain was found, but {times} times: {printable(why)}",
+            f"no master of this trust domain was found, but {times} times: {peer_limits.printable(why)}",
             "set ROS_MASTER_URI to the master of this domain",
         )
     raise MasterNotFound(
@@ -184,7 +176,7 @@ async def find(
 
 
 @contextlib.asynccontextmanager
-async def listening(candidates: Candidates) -> AsyncIterator[None]:
+async def listening(candidates: announcement.Candidates) -> AsyncIterator[None]:
     """Feed `candidates` with datagrams from all links, and probe each master."""
     group = MulticastSocket(listen=True)
     probes = TaskSet()
@@ -212,7 +204,7 @@ async def listening(candidates: Candidates) -> AsyncIterator[None]:
         group.close()
 
 
-async def _probe(candidates: Candidates, candidate: Candidate) -> None:
+async def _probe(candidates: announcement.Candidates, candidate: announcement.Candidate) -> None:
     for host, port in candidate.endpoints:
         begun = time.monotonic()
         try:
@@ -235,27 +227,27 @@ async def discover_master(
     """
     if environ.get(VARIABLE) != DISCOVER:
         return dict(environ)
-    wanted = own_master(environ)
-    found = await masters(own_home(environ), identity, settle=settle)
+    wanted = environment.own_master(environ)
+    found = await masters(environment.own_home(environ), identity, settle=settle)
     best = next((one for one in found if one.name == wanted), None)
     if best is None:
         others = ", ".join(sorted({one.name for one in found}))
         raise MasterNotFound(
             f"{wanted} does not announce itself, but {others}",
-            f"to work with another master set {OWN_MASTER} to its name",
+            f"to work with another master set {environment.OWN_MASTER} to its name",
         )
     return {**environ, VARIABLE: uri_of(best)}
 
 
 async def masters(
     home: Path, identity: str | NodeHome | None, patience: float = PATIENCE, settle: float = SETTLE
-) -> list[Candidate]:
+) -> list[announcement.Candidate]:
     """The masters that a node of this home would trust, the best link first."""
     anchor, revoked = trusted(home, identity)
     return await find(anchor, revoked, patience=patience, settle=settle)
 
 
-def uri_of(candidate: Candidate) -> str:
+def uri_of(candidate: announcement.Candidate) -> str:
     """Where a candidate was reached, as ROS_MASTER_URI has it."""
     host, port = candidate.endpoint or candidate.endpoints[0]
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
@@ -284,7 +276,7 @@ def trusted(home: Path, identity: str | NodeHome | None) -> tuple[TrustAnchor, f
             "name the one to find a master for, with --as NAME",
         )
     (anchor,) = anchors.values()
-    saved = (saved_revocations(node, anchor, clock.now()).entries for node in nodes)
+    saved = (saved_statements.saved_revocations(node, anchor, clock.now()).entries for node in nodes)
     return anchor, frozenset().union(*saved)
 
 

@@ -18,23 +18,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO, Final, Self, TypeAlias
 
+from ca import errors
 from ca.enrollment.messages import Abort, Delivery, Reason, read, write
 from ca.enrollment.sides import AuthorityEnrollment, AuthorityState, NodeEnrollment, NodeState, Pending
-from ca.errors import (
-    ConflictingOffer,
-    EnrollmentExpired,
-    EnrollmentLocked,
-    EnrollmentMessageRefused,
-    EnrollmentOver,
-    EnrollmentRefused,
-    HintedError,
-)
 from rossec.enrollment import sessions
 from rossec.enrollment.scanner import CLOSER, MAX_FILE, SECONDS
 from rossec.enrollment.sessions import SessionServer, wait_closed
 from rossec.errors import ConfigurationError, NotDelivered, PeerUnreachable
-from rossec.host import addresses
-from rossec.host.local_sockets import unix_peer
+from rossec.host import addresses, local_sockets
 from rossec.net.limits import HalfOpen
 from rossec.peer_limits import printable
 
@@ -47,17 +38,19 @@ _NAME: Final = "enrolling.sock"
 _LIMIT: Final = 4096
 _PATIENCE: Final = 30.0
 _CAPS: Final = HalfOpen(per_address=4, total=16)
-_REASONS: Final[dict[type[EnrollmentRefused], Reason]] = {
-    ConflictingOffer: Reason.CONFLICT,
-    EnrollmentOver: Reason.OVER,
-    EnrollmentExpired: Reason.OVER,
-    EnrollmentLocked: Reason.OVER,
+_REASONS: Final[dict[type[errors.EnrollmentRefused], Reason]] = {
+    errors.ConflictingOffer: Reason.CONFLICT,
+    errors.EnrollmentOver: Reason.OVER,
+    errors.EnrollmentExpired: Reason.OVER,
+    errors.EnrollmentLocked: Reason.OVER,
 }
 
 Answer: TypeAlias = dict[str, str]
 
 
-class WaitingNode:
+class WaitingNode(SessionServer):
+    """A node that waits for its enrollment; `on_refusal` gets a line for each caller that is refused."""
+
     def __init__(
         self,
         core: NodeEnrollment,
@@ -69,16 +62,9 @@ class WaitingNode:
         self._clock = clock
         self._on_refusal = on_refusal
         self._patience = patience
-        self.server = SessionServer(self._serve, _CAPS)
+        super().__init__(self._run, _CAPS)
         self._waiting: set[asyncio.StreamWriter] = set()
         self._changed = asyncio.Event()
-
-    @property
-    def port(self) -> int:
-        return self.server.port
-
-    async def listen(self, host: str | None, port: int) -> None:
-        await self.server.listen(host, port)
 
     async def until(self, *states: NodeState, every: Callable[[int], None]) -> None:
         """Wait for one of `states`; `every` is called each second with the seconds left."""
@@ -100,25 +86,25 @@ class WaitingNode:
         except BaseException as error:
             # Confirmed and not on the disk: the node has no identity, and must not say that it is enrolled.
             if self.core.state is NodeState.CONFIRMED:
-                self.core.stop(EnrollmentOver(f"the identity could not be written: {error}"))
+                self.core.stop(errors.EnrollmentOver(f"the identity could not be written: {error}"))
             self._state_changed()
             raise
         self._send_all(self.core.activated())
         self._changed.set()
 
-    def stop(self, why: EnrollmentRefused) -> None:
+    def stop(self, why: errors.EnrollmentRefused) -> None:
         self.core.stop(why)
         self._state_changed()
 
     async def close(self) -> None:
         """Stop listening; callers that wait for the result get it."""
-        self.server.stop_listening()
+        self.stop_listening()
         leaving = [*self._waiting]
         for writer in leaving:
             writer.close()
         for writer in leaving:
             await wait_closed(writer)
-        await self.server.close()
+        await super().close()
 
     async def __aenter__(self) -> Self:
         return self
@@ -126,7 +112,7 @@ class WaitingNode:
     async def __aexit__(self, *_: object) -> None:
         await self.close()
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
+    async def _run(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
         try:
             while True:
                 waits = writer in self._waiting  # for the result
@@ -136,7 +122,7 @@ class WaitingNode:
                 self._answer(writer, data)
                 async with asyncio.timeout(self._patience):  # a caller that does not read is not written to
                     await writer.drain()
-        except EnrollmentRefused as error:
+        except errors.EnrollmentRefused as error:
             self._on_refusal(printable(f"{address}: {error}"))
             sessions.send(writer, _abort(error))
         except TimeoutError:
@@ -170,7 +156,7 @@ class WaitingNode:
                 sessions.send(writer, message)
 
 
-def _abort(error: EnrollmentRefused) -> bytes:
+def _abort(error: errors.EnrollmentRefused) -> bytes:
     return write(Abort(_REASONS.get(type(error), Reason.REFUSED)))
 
 
@@ -179,14 +165,14 @@ async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.
         try:
             # The same user, or root. The digits are not secret, but confirming them activates a trust anchor:
             # so this never goes over the network.
-            if unix_peer(writer.get_extra_info("socket")).user in {0, os.getuid()}:
+            if local_sockets.unix_peer(writer.get_extra_info("socket")).user in {0, os.getuid()}:
                 async with asyncio.timeout(_PATIENCE):
                     request = json.loads(await reader.readline())
                 if not isinstance(request, dict):
                     raise ValueError("not a request")
                 try:
                     found = answer(request)
-                except HintedError as error:
+                except errors.HintedError as error:
                     found = {"error": str(error), "hint": error.hint}
                 writer.write(json.dumps(found).encode() + b"\n")
         except (OSError, ValueError, TimeoutError):
@@ -247,6 +233,7 @@ def _socket_path(directory: Path) -> Iterator[str]:
 
 
 async def fetch(core: AuthorityEnrollment, host: str, port: int, clock: Callable[[], int]) -> None:
+    """Fetch the request of the node at `host` into `core`, or raise `PeerUnreachable`."""
     try:
         async with (
             sessions.connected(host, port, _AUTHORITY_PATIENCE) as (reader, writer),
@@ -285,7 +272,7 @@ async def deliver(
                         shown = core.digits
                         show(shown)
                 return
-        except (OSError, EOFError, TimeoutError, EnrollmentMessageRefused):
+        except (OSError, EOFError, TimeoutError, errors.EnrollmentMessageRefused):
             core.tick(clock())
             # What got on counts anew: a person may take minutes while the line breaks now and then.
             failures, state = (failures + 1 if core.state is state else 0), core.state
@@ -301,6 +288,7 @@ async def deliver(
 
 
 def code_in_file(path: Path, stdin: BinaryIO) -> str:
+    """The one code in a picture (`-`: in `stdin`), or `ConfigurationError`."""
     if str(path) == "-":
         return code_in(stdin.read(MAX_FILE + 1))
     with path.open("rb") as file:

@@ -59,7 +59,9 @@ async def no_names(_: JoinClaim) -> NameAnswer:
     return RefusedMessage(RefuseReason.REFUSED)
 
 
-class JoinServer:
+class JoinServer(SessionServer):
+    """The join port: one session for each node, from hello to answer."""
+
     def __init__(
         self,
         identity: Callable[[], LiveIdentity],  # of `/ca` as of now; it is renewed while this runs
@@ -74,20 +76,10 @@ class JoinServer:
         self._name = name
         self._on_refusal = on_refusal
         self._patience = patience
-        self._server = SessionServer(self._serve, caps)
+        super().__init__(self._run, caps)
         self._turns = _Turns(MAX_OF_INVITATION)
 
-    @property
-    def port(self) -> int:
-        return self._server.port
-
-    async def listen(self, host: str | None, port: int) -> None:
-        await self._server.listen(host, port)
-
-    async def close(self) -> None:
-        await self._server.close()
-
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
+    async def _run(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str) -> None:
         core = AuthorityJoin(self._identity(), secrets.token_bytes(NONCE_SIZE))
         try:
             await self._receive(core, reader, writer)
@@ -162,11 +154,9 @@ async def ask_name(code: InvitationCode, metadata: bytes, clock: Callable[[], in
 async def join(
     code: InvitationCode, request: Callable[[str], bytes], clock: Callable[[], int], metadata: bytes = b""
 ) -> JoinedIdentity:
-    """Join by `code`, and return the verified identity, which is not on the disk yet.
-
-    `request` returns this node's CSR (DER) for a trust domain: the same one each time. With
-    `metadata` the authority issues only the name that its rules give for them (`ask_name`).
-    """
+    """Join by `code`, and return the verified identity, which is not on the disk yet."""
+    # `request` returns this node's CSR (DER) for a trust domain: the same one each time. With `metadata` the
+    # authority issues only the name that its rules give for them (`ask_name`).
 
     async def session() -> JoinedIdentity:
         core = NodeJoin(code, secrets.token_bytes(NONCE_SIZE))

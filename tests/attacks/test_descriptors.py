@@ -199,5 +199,5 @@ async def test_a_node_that_waits_to_be_enrolled() -> None:
         await waiting.listen(HOST, 0)
         async with flood(waiting.port, b"\xff\xff\xff\xff"):
             await until(lambda: refused)
-            await until(lambda: len(waiting.server) == 0)
+            await until(lambda: len(waiting) == 0)
         assert most[0] <= 2 * 128 + OTHERS  # asyncio accepts all that the kernel has queued

@@ -190,7 +190,7 @@ class FakeHome:
             self.asked.append((name, arguments))
             if name in self.refusals:
                 raise self.refusals[name]
-            found = made(*arguments) if made else getattr(self, lists.get(name, name))
+            found = made(*arguments) if made else getattr(self, lists.get(name, name.replace("-", "_")))
             return to_value(tuple(found) if isinstance(found, list) else found)
 
         return handle

@@ -100,7 +100,7 @@ class JoinSite:
     @contextlib.asynccontextmanager
     async def serving(self, server: JoinServer | None = None) -> AsyncIterator[JoinServer]:
         """With its port, on loopback; invitations made in here name it."""
-        serving = server or JoinServer(self.identity, self.admit)
+        serving = JoinServer(self.identity, self.admit) if server is None else server
         await serving.listen("127.0.0.1", 0)
         self.address = f"127.0.0.1:{serving.port}"
         try:

@@ -3,13 +3,11 @@
 A passkey that a new phone proposes is added when a phone that is there already approves it (`approving`).
 """
 
-import contextlib
 from collections.abc import Callable
 
 from ca.approvals.passkeys import Assertion, Challenge, Passkey, Purpose, Registration, register, verify
 from ca.encoding import Value
 from ca.errors import ApprovalRefused
-from ca.store.record import Store
 from rossec import clock
 from rossec.authority.console.messages import LoginChallenge, PhoneView, check_page, to_value
 from rossec.authority.console.phone_codes import Codes, CodeUse, LoginChallenges, Proposals
@@ -50,7 +48,7 @@ class ConsoleAccess:
         return None
 
     def login_challenge(self, origin: str) -> Value:
-        with self._store() as store:
+        with self._work.record() as store:
             found = [each for each in store.passkeys.active() if each.origin == origin]
         if not found:
             raise ApprovalRefused(
@@ -62,7 +60,7 @@ class ConsoleAccess:
     def login(self, number: bytes, *assertion: bytes) -> Value:
         challenge = self._challenges.open(Purpose.LOGIN, number)
         signed = Assertion(*assertion)
-        with self._store() as store:
+        with self._work.record() as store:
             passkey = store.passkeys.get(signed.credential)
             last = max(self.counter(passkey.id), store.approvals.counter(passkey.id))
         counter = verify(signed, passkey, challenge.digest, last)
@@ -74,7 +72,7 @@ class ConsoleAccess:
 
     def new_passkey(self, origin: str, rp_id: str) -> Value:
         check_page(origin, rp_id)
-        with self._store() as store:
+        with self._work.record() as store:
             found = store.passkeys.active()
         check_bound(found, origin, rp_id)
         challenge = self._make(Purpose.PASSKEY, origin, rp_id)
@@ -84,7 +82,7 @@ class ConsoleAccess:
         # The code is sent together with the passkey, and used up by either `redeem` or this: so what a
         # session that may only look knows adds no passkey.
         passkey = self._register(number, code, CodeUse.TERMINAL, name, registration)
-        with self._store() as store, store.transaction():
+        with self._work.record() as store, store.transaction():
             check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
             store.passkeys.add(passkey)
             self._audit(f"adds the phone {name!a}, by a code from the terminal")
@@ -123,9 +121,6 @@ class ConsoleAccess:
     def _make(self, purpose: Purpose, origin: str, rp_id: str) -> Challenge:
         domain = self._work.home().domain
         return self._challenges.make(purpose, domain, origin, rp_id, self._work.now())
-
-    def _store(self) -> contextlib.closing[Store]:
-        return contextlib.closing(self._work.home().store())
 
 
 def check_bound(known: list[Passkey], origin: str, rp_id: str) -> None:

@@ -14,35 +14,20 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
+from ca import bounded, certificates, names, svid
+from ca.approvals import statement
 from ca.approvals.passkeys import to_approve
-from ca.approvals.statement import (
-    DelegateStatement,
-    Enroll,
-    IntermediateStatement,
-    Invitation,
-    NewPasskey,
-    PolicyChange,
-    RevokeMaster,
-    StatementKind,
-)
 from ca.authority import MAX_LIFETIME
-from ca.bounded import ExpiringTable
-from ca.certificates import check_intermediate_request, to_pem
 from ca.errors import ApprovalRefused, HintedError, RequestClosed, StoreError
 from ca.keys.signing import thumbprint
-from ca.names import is_master_name
-from ca.store.log import ApprovalState
+from ca.store import log, values
 from ca.store.record import CertificateRow, Store
-from ca.store.values import INTERMEDIATE, RequestState
-from ca.svid import check_request
 from grants.model import ID_SIZE
 from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET, open_delegation
-from rossec import clock
+from rossec import clock, peer_limits
 from rossec.authority import renewals
-from rossec.authority.console.access import check_bound
+from rossec.authority.console import access, grant_requests, phone_codes
 from rossec.authority.console.approving import Approved, ApprovedAct, Wanted, tried
-from rossec.authority.console.grant_requests import checked_reason, keys_of
-from rossec.authority.console.phone_codes import Proposals
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import MAX_USES, check_invitation, make_invitation
 from rossec.authority.policyfile import PolicyFile, PolicyPlan, check_record, sign_each
@@ -50,7 +35,6 @@ from rossec.authority.service import AuthorityService
 from rossec.authority.session import StatementCall
 from rossec.authority.signing import OF_ALL, OWN_NODE, SigningAuthority
 from rossec.errors import ConfigurationError, KeyServiceRefused
-from rossec.peer_limits import printable
 from rossec.ros.names import MASTER
 
 MAX_SOURCE: Final = 256  # characters
@@ -63,7 +47,7 @@ class EnrollAct(ApprovedAct):
     `policy`: the file by which the node gets its first grants.
     """
 
-    kind = StatementKind.ENROLL
+    kind = statement.StatementKind.ENROLL
 
     def __init__(self, policy: Path) -> None:
         self._policy = policy
@@ -78,33 +62,33 @@ class EnrollAct(ApprovedAct):
         lifetime: int,
         replaces: bool,
     ) -> Wanted:
-        asked = check_request(csr, service.home.domain, wildcard=wildcard)
+        asked = svid.check_request(csr, service.home.domain, wildcard=wildcard)
         if asked.name == OWN_NODE:
             raise KeyServiceRefused(
                 f"{OWN_NODE} is the authority's own node", "choose another name for the node"
             )
         _check_lifetime(lifetime)
-        what = Enroll(asked.digest, asked.name, asked.thumbprint, wildcard, lifetime, replaces)
+        what = statement.Enroll(asked.digest, asked.name, asked.thumbprint, wildcard, lifetime, replaces)
         with closing(service.home.store()) as store:
             if store.identities.issued_for(asked.digest) is None:
-                store.requests.add(asked, csr, printable(source)[:MAX_SOURCE], now)
+                store.requests.add(asked, csr, peer_limits.printable(source)[:MAX_SOURCE], now)
             with tried(store):
                 _approve(store, what, now, "")
         return what, csr
 
     def admit(self, store: Store, approved: Approved) -> str | None:
-        _approve(store, approved.what(Enroll), approved.at, approved.reason)
+        _approve(store, approved.what(statement.Enroll), approved.at, approved.reason)
         return None
 
     def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
-        what, authority = approved.what(Enroll), service.unlock()
+        what, authority = approved.what(statement.Enroll), service.unlock()
         store, key = authority.store, what.name if what.replaces else None
         with store.transaction():
             # 1. The request is still as it was approved: meanwhile it may have been denied, or have expired.
             if store.identities.issued_for(what.csr) is None:
                 row = store.requests.find(what.csr)
                 expired = row is None or now > row.expires
-                if row is None or expired or row.state is not RequestState.APPROVED:
+                if row is None or expired or row.state is not values.RequestState.APPROVED:
                     state = "has expired" if row is None or expired else f"was {row.state}"
                     because = "" if row is None or expired or not row.reason else f": {row.reason}"
                     raise RequestClosed(f"the request of {what.name} {state}{because}", "ask the node again")
@@ -118,16 +102,16 @@ class EnrollAct(ApprovedAct):
             for _, data in service.policy.grant_outright(what.name, place=self._policy):
                 service.grants.store(data)
         except HintedError as error:
-            _log.error("%s has no grants yet: %s", what.name, printable(str(error)))
+            _log.error("%s has no grants yet: %s", what.name, peer_limits.printable(str(error)))
 
     def made(self, service: AuthorityService, approved: Approved) -> bytes:
         with closing(service.home.store()) as store:
-            found = store.identities.issued_for(approved.what(Enroll).csr)
+            found = store.identities.issued_for(approved.what(statement.Enroll).csr)
         return b"" if found is None else _bundle(service.home, found)
 
 
 class IntermediateAct(ApprovedAct):
-    kind = StatementKind.INTERMEDIATE
+    kind = statement.StatementKind.INTERMEDIATE
 
     def prepare(
         self, service: AuthorityService, _now: int, csr: bytes, enrolls: bool, lifetime: int
@@ -136,13 +120,13 @@ class IntermediateAct(ApprovedAct):
         if home.is_intermediate:
             raise KeyServiceRefused("an intermediate makes no other", "do it at the root")
         _check_lifetime(lifetime)
-        key = thumbprint(check_intermediate_request(csr, home.domain))
+        key = thumbprint(certificates.check_intermediate_request(csr, home.domain))
         with closing(home.store()) as store:
             store.identities.check_not_revoked("the intermediate", key)
-        return IntermediateStatement(sha256(csr).digest(), enrolls, lifetime), csr
+        return statement.IntermediateStatement(sha256(csr).digest(), enrolls, lifetime), csr
 
     def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
-        what, authority = approved.what(IntermediateStatement), service.unlock()
+        what, authority = approved.what(statement.IntermediateStatement), service.unlock()
         csr = approved.payload
         with authority.store.transaction():
             name, _ = renewals.sign_intermediate(
@@ -152,13 +136,13 @@ class IntermediateAct(ApprovedAct):
 
     def made(self, service: AuthorityService, approved: Approved) -> bytes:
         home = service.home
-        key = thumbprint(check_intermediate_request(approved.payload, home.domain))
+        key = thumbprint(certificates.check_intermediate_request(approved.payload, home.domain))
         with closing(home.store()) as store:
-            found = store.identities.by_name(f"{INTERMEDIATE}{key.hex()[:16]}")
+            found = store.identities.by_name(f"{values.INTERMEDIATE}{key.hex()[:16]}")
         return _bundle(home, found[-1]) if found else b""
 
 
-def _approve(store: Store, what: Enroll, at: int, reason: str) -> None:
+def _approve(store: Store, what: statement.Enroll, at: int, reason: str) -> None:
     if store.identities.issued_for(what.csr) is not None:
         store.identities.check_not_revoked(what.name, what.key)
         return
@@ -175,7 +159,7 @@ def _check_lifetime(lifetime: int) -> None:
 
 def _bundle(home: AuthorityHome, row: CertificateRow) -> bytes:
     own = home.intermediate()
-    return to_pem(row.der, *([] if own is None else [own]), home.anchor().certificate)
+    return certificates.to_pem(row.der, *([] if own is None else [own]), home.anchor().certificate)
 
 
 MAX_INVITATION: Final = 30 * 86400  # seconds
@@ -185,9 +169,9 @@ CODES_KEPT: Final = 600.0  # seconds
 
 
 class PasskeyAct(ApprovedAct):
-    kind = StatementKind.PASSKEY
+    kind = statement.StatementKind.PASSKEY
 
-    def __init__(self, proposals: Proposals) -> None:
+    def __init__(self, proposals: phone_codes.Proposals) -> None:
         self._proposals = proposals
 
     def prepare(self, service: AuthorityService, now: int, number: bytes) -> Wanted:
@@ -197,7 +181,7 @@ class PasskeyAct(ApprovedAct):
         return to_approve(passkey), b""
 
     def admit(self, store: Store, approved: Approved) -> str | None:
-        what = approved.what(NewPasskey)
+        what = approved.what(statement.NewPasskey)
         for shown in self._proposals.all():
             passkey = self._proposals.get(shown.id)
             if to_approve(passkey) == what:
@@ -205,7 +189,7 @@ class PasskeyAct(ApprovedAct):
         else:
             raise ApprovalRefused("this phone does not wait any more", "propose it again")
         # Also here: of two proposals of different pages that are approved, the second is refused.
-        check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
+        access.check_bound(store.passkeys.active(), passkey.origin, passkey.rp_id)
         store.passkeys.add(passkey._replace(approval=approved.id, at=approved.at))
         self._proposals.drop(shown.id)
         return f"{passkey.name} can approve"
@@ -217,7 +201,7 @@ class InvitationAct(ApprovedAct):
     `address`: where nodes reach the join port, `host:port`.
     """
 
-    kind = StatementKind.INVITATION
+    kind = statement.StatementKind.INVITATION
 
     def __init__(
         self, home: AuthorityHome, address: Callable[[], str], elapsed: clock.Seconds | None = None
@@ -226,7 +210,7 @@ class InvitationAct(ApprovedAct):
         self._address = address
         self._elapsed = clock.counter() if elapsed is None else elapsed
         self._lock = threading.Lock()
-        self._codes: ExpiringTable[bytes, bytes] = ExpiringTable(MAX_CODES, CODES_KEPT)
+        self._codes: bounded.ExpiringTable[bytes, bytes] = bounded.ExpiringTable(MAX_CODES, CODES_KEPT)
 
     def prepare(
         self, _service: AuthorityService, now: int, pattern: str, uses: int, seconds: int, wildcard: bool
@@ -236,10 +220,10 @@ class InvitationAct(ApprovedAct):
         if not (1 <= uses <= MAX_USES and MIN_INVITATION <= seconds <= MAX_INVITATION):
             raise KeyServiceRefused(f"a join code is for 1 to {MAX_USES} nodes, and for at most 30 days", "")
         self._address()
-        return Invitation(pattern, uses, now + seconds, wildcard), b""
+        return statement.Invitation(pattern, uses, now + seconds, wildcard), b""
 
     def admit(self, store: Store, approved: Approved) -> str | None:
-        what = approved.what(Invitation)
+        what = approved.what(statement.Invitation)
         given, address = (what.pattern, what.uses, what.until), self._address()
         code, row = make_invitation(self._home, *given, address, approved.at, wildcard=what.wildcard)
         store.invitations.add(row)
@@ -253,20 +237,20 @@ class InvitationAct(ApprovedAct):
 
 
 class RevokeMasterAct(ApprovedAct):
-    kind = StatementKind.REVOKE_MASTER
+    kind = statement.StatementKind.REVOKE_MASTER
 
     def prepare(self, service: AuthorityService, now: int, reason: str, master: str) -> Wanted:
-        if not is_master_name(master):
+        if not names.is_master_name(master):
             raise KeyServiceRefused("these are not the arguments of a revocation", "")
         if service.home.is_intermediate:
             raise ConfigurationError("an intermediate cannot revoke", "do it at the root")
         with closing(service.home.store()) as store:
-            keys_of(master)(store, now)
-        return RevokeMaster(checked_reason(reason), master), b""
+            grant_requests.keys_of(master)(store, now)
+        return statement.RevokeMaster(grant_requests.checked_reason(reason), master), b""
 
     def admit(self, store: Store, approved: Approved) -> str | None:
-        what, at = approved.what(RevokeMaster), approved.at
-        for entry in sorted(keys_of(what.master)(store, at)):
+        what, at = approved.what(statement.RevokeMaster), approved.at
+        for entry in sorted(grant_requests.keys_of(what.master)(store, at)):
             store.revoke(entry, what.reason or approved.reason, at)
         return f"{what.master} is revoked"
 
@@ -277,7 +261,7 @@ _LATER: Final = "it is tried again"
 
 
 class PolicyAct(ApprovedAct):
-    kind = StatementKind.POLICY
+    kind = statement.StatementKind.POLICY
 
     def __init__(self, policy: Path) -> None:
         self._policy = policy
@@ -291,19 +275,19 @@ class PolicyAct(ApprovedAct):
             raise ConfigurationError("this policy is in force already", "there is nothing to do")
         with closing(service.home.store()) as store:
             old = _last_approved(store)
-        what = PolicyChange(old, digest, plan.effect(service.home.domain))
+        what = statement.PolicyChange(old, digest, plan.effect(service.home.domain))
         return what, file.text.encode()
 
     def admit(self, store: Store, approved: Approved) -> str | None:
         # Return if no other policy was approved since it was shown.
-        what = approved.what(PolicyChange)
+        what = approved.what(statement.PolicyChange)
         self._read(what.new)
         if _last_approved(store) != what.old:
             raise StoreError("another policy was approved meanwhile", _AGAIN)
         return None
 
     def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
-        what, authority = approved.what(PolicyChange), service.unlock()
+        what, authority = approved.what(statement.PolicyChange), service.unlock()
         # 1. The file and what it would change are still those that were approved.
         plan = service.policy.plan(self._read(what.new))
         if plan.effect(authority.domain) != what.effect:
@@ -333,7 +317,7 @@ class DelegateAct(ApprovedAct):
     Its serial is the id of the approval: signed again after a crash, it is the same.
     """
 
-    kind = StatementKind.DELEGATE
+    kind = statement.StatementKind.DELEGATE
 
     def prepare(self, service: AuthorityService, now: int, lifetime: int, max_ttl: int) -> Wanted:
         if service.home.is_intermediate:
@@ -344,14 +328,14 @@ class DelegateAct(ApprovedAct):
             )
         with closing(service.home.store()) as store:
             holder = store.valid_certificate(MASTER, now).thumbprint
-        return DelegateStatement(holder, lifetime, max_ttl), b""
+        return statement.DelegateStatement(holder, lifetime, max_ttl), b""
 
     def admit(self, store: Store, approved: Approved) -> str | None:
         _check_holder(store, approved, approved.at)
         return None
 
     def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
-        what, authority = approved.what(DelegateStatement), service.unlock()
+        what, authority = approved.what(statement.DelegateStatement), service.unlock()
         _check_holder(authority.store, approved, now)
         data = authority.issue_delegation(
             what.holder, what.lifetime, what.max_ttl, approved.at, serial=approved.id
@@ -369,9 +353,9 @@ def _last_approved(store: Store) -> bytes:
     found = [
         approval.subject
         for approval in store.approvals.all()
-        if approval.kind == StatementKind.POLICY
+        if approval.kind == statement.StatementKind.POLICY
         and approval.id in ends
-        and ends[approval.id].state == ApprovalState.DONE
+        and ends[approval.id].state == log.ApprovalState.DONE
     ]
     return found[-1] if found else NONE_BEFORE
 
@@ -413,6 +397,6 @@ def _done(signed: int, revoked: int, plan: PolicyPlan) -> str:
 
 
 def _check_holder(store: Store, approved: Approved, now: int) -> None:
-    what = approved.what(DelegateStatement)
+    what = approved.what(statement.DelegateStatement)
     if store.valid_certificate(MASTER, now).thumbprint != what.holder:
         raise StoreError(f"{MASTER} has another key now", "look at it again")

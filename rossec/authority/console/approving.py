@@ -236,7 +236,7 @@ class Approving:
         approved = Approved(approval)
         self._ends[approval.id] = self._elapsed() + LIFETIME + WAITS
         # 2. The touch is verified and recorded, the act admitted and audited, together or not at all.
-        with closing(self._work.home().store()) as store, store.transaction():
+        with self._work.record() as store, store.transaction():
             store.approvals.add(approval, self._of.counter(approval.passkey))
             result = self._acts[shown.statement.kind].admit(store, approved)
             if result is not None:
@@ -261,7 +261,7 @@ class Approving:
         return to_value(ApprovalOutcome(number, str(state), "" if end is None else end.result, data))
 
     def carry_out_waiting(self) -> None:
-        with closing(self._work.home().store()) as store:
+        with self._work.record() as store:
             waiting = store.approvals.waiting()
         for approval in waiting:
             approved = Approved(approval)
@@ -280,7 +280,7 @@ class Approving:
         if act is None or at < approved.at:  # a clock that was set back: nothing recorded as of later
             return
         # One at a time: a round of the service and a touch may both find it waiting.
-        with self._carrying_out, closing(self._work.home().store()) as store:
+        with self._carrying_out, self._work.record() as store:
             if store.approvals.state(approved.id) is not ApprovalState.WAITING:
                 return
             purpose = self._named(store, approved)
@@ -298,7 +298,7 @@ class Approving:
 
     def _end(self, approved: Approved, state: ApprovalState, result: str) -> None:
         try:
-            with closing(self._work.home().store()) as store:
+            with self._work.record() as store:
                 at = max(self._work.now(), approved.at)
                 store.approvals.end(approved.id, state, result[:MAX_RESULT], at)
         except ApprovalOver:

@@ -13,12 +13,10 @@ from typing import Final, NamedTuple
 
 from ca.encoding import Value
 from rossec.authority.console import messages
-from rossec.authority.console.messages import OPERATIONS, Operations
 from rossec.authority.keyservice import messages as frames
 from rossec.authority.keyservice.messages import ServiceRequest
 from rossec.errors import KeyServiceFailed, PeerUserRefused
-from rossec.host.local_sockets import raw_socket, require_user
-from rossec.host.workers import read_frame
+from rossec.host import local_sockets, workers
 
 CONNECTIONS: Final = 4
 STRANGERS: Final = 1  # of them are used at a time for what anybody on the network may ask
@@ -31,7 +29,7 @@ class _Connection(NamedTuple):
     writer: asyncio.StreamWriter
 
 
-class ConsoleClient(Operations):
+class ConsoleClient(messages.Operations):
     """The service whose console's socket is at `path`; connected when it is needed.
 
     Every method raises the service's refusal (`HintedError`), or `KeyServiceFailed` if it does not
@@ -53,7 +51,7 @@ class ConsoleClient(Operations):
     async def ask(self, operation: str, *arguments: Value) -> Value:
         data = frames.write_request(ServiceRequest(operation, arguments))
         # Strangers have one of the places (`login-flood`): the others remain for who is logged in.
-        lane = self._strangers if OPERATIONS[operation].of_strangers else nullcontext()
+        lane = self._strangers if messages.OPERATIONS[operation].of_strangers else nullcontext()
         async with lane, self._places:
             try:
                 async with asyncio.timeout(self._timeout):
@@ -74,7 +72,7 @@ class ConsoleClient(Operations):
         async with self._connection() as (reader, writer):
             writer.write(data)
             await writer.drain()
-            body = await read_frame(reader, partial(frames.frame_size, limit=messages.MAX_ANSWER))
+            body = await workers.read_frame(reader, partial(frames.frame_size, limit=messages.MAX_ANSWER))
         return frames.read_answer(body, messages.MAX_ANSWER)
 
     @asynccontextmanager
@@ -96,7 +94,7 @@ async def _connect(path: Path) -> _Connection:
         allowed.add(directory.st_uid)
     reader, writer = await asyncio.open_unix_connection(path)
     try:
-        require_user(raw_socket(writer.get_extra_info("socket")), allowed)
+        local_sockets.require_user(local_sockets.raw_socket(writer.get_extra_info("socket")), allowed)
     except PeerUserRefused as error:
         writer.transport.abort()
         raise KeyServiceFailed(f"another user listens at {path}", "find out who did that") from error

@@ -18,24 +18,14 @@ from ca.encoding import Value, decode, encode
 from ca.errors import HintedError, RequestClosed, StoreError
 from ca.keys.signing import thumbprint
 from ca.names import check_name, is_master_name
-from ca.store.log import ApprovalState
+from ca.store import log, values
 from ca.store.record import Store
-from ca.store.values import INTERMEDIATE
 from grants import document
-from grants.document import scope_of
 from grants.filters.compile import PRESETS
 from grants.model import ID_SIZE, Draft, Right
 from grants.policy.decision import Verdict
 from grants.policy.wanted import approve, limit, permissions, rule_ids
-from rossec.authority import invitations, signing
-from rossec.authority.approvals import (
-    DENIED,
-    GRANTED,
-    ApprovalQueue,
-    PendingApproval,
-    VerdictChange,
-    verdict_change,
-)
+from rossec.authority import approvals, invitations, signing
 from rossec.authority.console.approving import Approved, ApprovedAct, Wanted
 from rossec.authority.console.messages import AskedRight, GrantQuestion, QuestionAnswer, given, to_value
 from rossec.authority.console.queries import bounded
@@ -86,7 +76,7 @@ class Questions:
         return to_value(tuple(_right(file, change(approve(each.verdict))) for each in found))
 
     def question_answers(self, question: bytes) -> Value:
-        with contextlib.closing(self._work.home().store()) as store:
+        with self._work.record() as store:
             found = GrantRequestStore(store.database).answers()
         views = []
         for stored, answer, reason, at in found:
@@ -95,8 +85,8 @@ class Questions:
                 views.append(QuestionAnswer(node, int(asked.right), asked.pattern, answer, reason, at))
         return to_value(tuple(views))
 
-    def _queue(self, file: PolicyFile) -> ApprovalQueue:
-        return ApprovalQueue(self._work.home(), file, self._work.now())
+    def _queue(self, file: PolicyFile) -> approvals.ApprovalQueue:
+        return approvals.ApprovalQueue(self._work.home(), file, self._work.now())
 
 
 def question_id(stored: StoredRequest) -> bytes:
@@ -112,16 +102,16 @@ def is_about(stored: StoredRequest, question: bytes) -> bool:
     return question in (stored.request.id, question_id(stored))
 
 
-def pending_of(queue: ApprovalQueue, question: bytes) -> list[PendingApproval]:
+def pending_of(queue: approvals.ApprovalQueue, question: bytes) -> list[approvals.PendingApproval]:
     found = [each for each in queue.pending() if is_about(each.stored, question) and not each.is_allowed]
     if not found:
         raise StoreError(*_ANSWERED)
     return found
 
 
-def changed_by(file: PolicyFile, coarse: str, seconds: int, now: int) -> VerdictChange:
+def changed_by(file: PolicyFile, coarse: str, seconds: int, now: int) -> approvals.VerdictChange:
     """As `verdict_change`, for at most `seconds` with all renewals; 0: as asked."""
-    change = verdict_change(file, coarse or None, now, only_today=False)
+    change = approvals.verdict_change(file, coarse or None, now, only_today=False)
 
     def restrict(verdict: Verdict) -> Verdict:
         changed = change(verdict)
@@ -140,7 +130,7 @@ def _filters(file: PolicyFile, verdict: Verdict) -> list[str]:
     found = []
     for name in dict.fromkeys((*file.policy.filters, *PRESETS)):
         with contextlib.suppress(HintedError):  # it does not fit messages of this type
-            permissions(verdict_change(file, name, 0, only_today=False)(verdict))
+            permissions(approvals.verdict_change(file, name, 0, only_today=False)(verdict))
             found.append(name)
     return found
 
@@ -152,7 +142,7 @@ def _right(file: PolicyFile, verdict: Verdict) -> AskedRight:
         file.policy.type_of(verdict.name) or "",
         rule_ids(verdict.rules),
         next((rule.why for rule in verdict.rules if rule.why), ""),
-        scope_of(permissions(verdict)),
+        document.scope_of(permissions(verdict)),
     )
 
 
@@ -201,7 +191,7 @@ class GrantAct(ApprovedAct):
             raise KeyServiceRefused("an intermediate signs no grants", "do it at the root")
         file = PolicyFile.read(self._policy, own=True)
         change = changed_by(file, coarse, seconds, now)
-        with closing(ApprovalQueue(service.home, file, now)) as queue:
+        with closing(approvals.ApprovalQueue(service.home, file, now)) as queue:
             found = pending_of(queue, question)
             most = min(longest(each.verdict) for each in found)
             if seconds > most:  # what was approved is what is signed: it is not made shorter without a word
@@ -230,7 +220,7 @@ class GrantAct(ApprovedAct):
         for right in answer.rights:
             if right not in found:
                 raise StoreError(*_ANSWERED)
-            table.answer(found[right], GRANTED, approved.reason, approved.at)
+            table.answer(found[right], approvals.GRANTED, approved.reason, approved.at)
         return None
 
     def carry_out(self, service: AuthorityService, approved: Approved, now: int) -> None:
@@ -292,7 +282,7 @@ class Removals:
     def deny_request(self, digest: bytes, reason: str) -> Value:
         # Deny a request for an identity, also one that was approved and is not issued yet.
         why, at = checked_reason(reason), self._work.now()
-        with contextlib.closing(self._work.home().store()) as store, store.transaction():
+        with self._work.record() as store, store.transaction():
             if store.requests.find(digest) is None:
                 raise RequestClosed("there is no such request", "it may have expired")
             store.requests.deny(digest, at, why)
@@ -302,11 +292,11 @@ class Removals:
     def deny_question(self, request: bytes, reason: str) -> Value:
         # Deny a right, or a whole request, also if it was approved and is not signed yet.
         why, at = checked_reason(reason), self._work.now()
-        with contextlib.closing(self._work.home().store()) as store, store.transaction():
+        with self._work.record() as store, store.transaction():
             table = GrantRequestStore(store.database)
             found = [each for each in table.unanswered() if is_about(each, request)]
             for each in found:
-                table.answer(each, DENIED, why or "a person", at)
+                table.answer(each, approvals.DENIED, why or "a person", at)
             parts = {request, *map(question_id, table.find(request))}
             ended = [_end_about(store, StatementKind.GRANT, part, why, at) for part in sorted(parts)]
             if not found and not any(ended):
@@ -336,7 +326,7 @@ class Removals:
     def end_invitation(self, invitation: bytes, reason: str) -> Value:
         # End a join code; what waits because of it is denied.
         why, at = checked_reason(reason), self._work.now()
-        with contextlib.closing(self._work.home().store()) as store, store.transaction():
+        with self._work.record() as store, store.transaction():
             table = store.invitations
             status = InvitationStatus(table.get(invitation), table.uses(invitation), table.ended(invitation))
             before = {row.digest for row in store.requests.open(at)}
@@ -347,7 +337,7 @@ class Removals:
 
     def remove_phone(self, passkey: bytes, reason: str) -> Value:
         # End a passkey, and what it approved and is not carried out yet.
-        with contextlib.closing(self._work.home().store()) as store:
+        with self._work.record() as store:
             store.remove_passkey(passkey, checked_reason(reason), self._work.now())
         return None
 
@@ -381,7 +371,7 @@ def keys_of(name: str) -> Find:
     """Finds the keys of `name`, and the things that end with them; none is a refusal."""
 
     def find(store: Store, at: int) -> frozenset[bytes]:
-        sought = name if name.startswith(INTERMEDIATE) else check_name(name)
+        sought = name if name.startswith(values.INTERMEDIATE) else check_name(name)
         found = store.unrevoked_keys(sought, at)
         if not found:
             raise ConfigurationError(
@@ -396,9 +386,9 @@ def _end_about(store: Store, kind: StatementKind, subject: bytes, reason: str, a
     waiting = [
         approval
         for approval in store.approvals.about(kind, subject)
-        if store.approvals.state(approval.id) is ApprovalState.WAITING
+        if store.approvals.state(approval.id) is log.ApprovalState.WAITING
     ]
     for approval in waiting:
         result = f"denied: {reason}" if reason else "denied"
-        store.approvals.end(approval.id, ApprovalState.FAILED, result, at)
+        store.approvals.end(approval.id, log.ApprovalState.FAILED, result, at)
     return bool(waiting)

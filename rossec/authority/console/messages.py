@@ -26,15 +26,11 @@ from ca.approvals.statement import Statement
 from ca.encoding import Value, decode
 from ca.errors import ApprovalRefused, EncodingError
 from ca.names import MASTER
-from grants import document
+from grants import document, model
 from grants.errors import GrantError
-from grants.model import ID_SIZE
+from rossec import clock, files, peer_limits
 from rossec.authority.keyservice import messages
-from rossec.authority.keyservice.messages import ServiceRequest
-from rossec.clock import format_duration, format_time
 from rossec.errors import KeyMessageRefused, KeyServiceRefused
-from rossec.files import Owned
-from rossec.peer_limits import printable
 
 # mypy: disable-error-code="empty-body"
 
@@ -43,7 +39,6 @@ LOOKER: Final = "look"
 """Everybody who may only look, where they share one place."""
 
 _PHONE: Final = "phone "
-MAX_OWNER: Final = 200  # characters
 
 
 def of_phone(name: str) -> str:
@@ -105,8 +100,8 @@ LOCK: Final = f"{DIRECTORY}/lock"
 TLS_KEY: Final = "tls.key"
 TLS_CERTIFICATE: Final = "tls.pem"
 OWNED: Final = (
-    Owned(rf"{DIRECTORY}/(?:address|lock)", kept=False),
-    Owned(rf"{DIRECTORY}/tls\.(?:key|key\.[0-9a-f]{{16}}|pem)", kept=False),
+    files.Owned(rf"{DIRECTORY}/(?:address|lock)", kept=False),
+    files.Owned(rf"{DIRECTORY}/tls\.(?:key|key\.[0-9a-f]{{16}}|pem)", kept=False),
 )
 MAX_REQUEST: Final = 64 * 1024
 MAX_ANSWER: Final = 4 * 1024 * 1024
@@ -516,10 +511,10 @@ class Operations(_Looking, _Changing, _Entering):
 _ARGUMENTS: Final = {name: operation.arguments for name, operation in OPERATIONS.items()}
 
 
-def read_request(body: bytes) -> ServiceRequest:
+def read_request(body: bytes) -> messages.ServiceRequest:
     request = messages.read_request(body, _ARGUMENTS, MAX_REQUEST)
     match request:
-        case ServiceRequest("prepare", (str() as kind, list() as arguments, str())) if tuple(
+        case messages.ServiceRequest("prepare", (str() as kind, list() as arguments, str())) if tuple(
             map(type, arguments)
         ) != PREPARED.get(kind):
             raise KeyMessageRefused(f"{kind[:40]!a} is not prepared with such arguments", _HINT)
@@ -546,7 +541,7 @@ def sentence(statement: Statement, payload: bytes) -> str:
         case kinds.PolicyChange():
             text = "the changed policy is in force"
         case kinds.DelegateStatement(lifetime=lifetime):
-            text = f"the master may renew grants for {format_duration(lifetime)}"
+            text = f"the master may renew grants for {clock.format_duration(lifetime)}"
         case kinds.IntermediateStatement(enrolls=enrolls):
             new = "and enroll nodes" if enrolls else "for nodes known here"
             text = f"an intermediate authority may renew identities {new}"
@@ -559,13 +554,13 @@ def sentence(statement: Statement, payload: bytes) -> str:
             text = f"revocation of {which}" + f": {reason}" * bool(reason)
         case _:
             text = "another domain"
-    return printable(text)
+    return peer_limits.printable(text)
 
 
 def given(bodies: Iterable[bytes]) -> str:
     """What grants with these claims give, and until when: what was approved, not what was asked."""
     try:
-        found = [document.read_claims(body, bytes(ID_SIZE)) for body in bodies]
+        found = [document.read_claims(body, bytes(model.ID_SIZE)) for body in bodies]
     except (EncodingError, GrantError):
         found = []
     if not found:
@@ -573,7 +568,7 @@ def given(bodies: Iterable[bytes]) -> str:
     every = (each for grant in found for each in grant.permissions)
     rights = dict.fromkeys(f"{each}{' (not all of it)' * each.is_narrowed}" for each in every)
     more = f" and {len(rights) - _MOST} more" if len(rights) > _MOST else ""
-    until = format_time(min(max(each.expires, each.cap) for each in found))
+    until = clock.format_time(min(max(each.expires, each.cap) for each in found))
     return f"{found[0].subject} may {', '.join([*rights][:_MOST])}{more}, until {until}"
 
 

@@ -7,7 +7,6 @@ nobody can look for a passkey whose digits are those of another. Time is that of
 be set.
 """
 
-import base64
 import hashlib
 import hmac
 import secrets
@@ -17,7 +16,7 @@ from collections.abc import Callable
 from enum import StrEnum
 from typing import Final, NamedTuple
 
-from ca.approvals.passkeys import Challenge, Passkey, Purpose
+from ca.approvals.passkeys import Challenge, Passkey, Purpose, base64url
 from ca.encoding import decode, encode
 from ca.errors import ApprovalRefused
 from rossec import clock
@@ -119,7 +118,7 @@ class Codes:
         self._locked_until = float("-inf")
 
     def make(self, use: CodeUse, owner: str = "") -> str:
-        text = base64.urlsafe_b64encode(self._random(_SIZE)).rstrip(b"=").decode()
+        text = base64url(self._random(_SIZE))
         code = _Code(_digest(text), self._elapsed() + CODE_LIFETIME, owner)
         with self._lock:
             now = self._elapsed()

@@ -20,8 +20,7 @@ from ca.approvals.statement import StatementKind
 from ca.encoding import Value, encode
 from ca.errors import HintedError, RevocationRefused
 from ca.revocation.trust_status import open_statement
-from ca.store.log import ApprovalState
-from ca.store.record import CertificateRow, Store
+from ca.store import log, record
 from ca.store.values import RevocationRow
 from grants import document
 from grants.errors import PolicyRefused
@@ -29,24 +28,7 @@ from grants.policy.difference import Change, ChangeKind
 from grants.policy.source import MAX_SIZE
 from rossec import clock, files
 from rossec.authority import invitations
-from rossec.authority.console.messages import (
-    MAX_ANSWER,
-    ApprovalView,
-    DenialView,
-    EventView,
-    FactView,
-    GrantView,
-    IdentityRequestView,
-    InvitationView,
-    ListProgress,
-    NodeView,
-    PhoneView,
-    PolicyName,
-    PolicyRight,
-    PolicyView,
-    sentence,
-    to_value,
-)
+from rossec.authority.console import messages
 from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.policyfile import PolicyFile
 from rossec.authority.session import StatementCall
@@ -58,7 +40,7 @@ MAX_EVENTS: Final = 500  # of one answer
 MAX_APPROVALS: Final = 100
 _MAX_NUMBER: Final = (1 << 63) - 1  # of SQLite
 _MAX_ROWS: Final = 20_000  # grants that are looked at
-ROOM: Final = MAX_ANSWER - 64 * 1024
+ROOM: Final = messages.MAX_ANSWER - 64 * 1024
 _log = logging.getLogger("rossec.authority.service")
 
 Deliveries = Callable[[], Mapping[bytes, str]]
@@ -76,10 +58,10 @@ class RecordQueries:
 
     def nodes(self) -> Value:
         at = self.work.now()
-        with self._store() as store, store.database.read_transaction():
+        with self.work.record() as store, store.database.read_transaction():
             ended = {row.entry: row for row in store.revocations()}
             rows = store.identities.all()
-        found: dict[tuple[str, bytes], CertificateRow] = {}
+        found: dict[tuple[str, bytes], record.CertificateRow] = {}
         newest = {row.name: row for row in rows}
         for row in rows:
             is_valid = at <= row.not_after and row.thumbprint not in ended
@@ -88,12 +70,12 @@ class RecordQueries:
         views = []
         for row in found.values():
             key, span, gone = row.thumbprint, (row.not_before, row.not_after), _end(ended.get(row.thumbprint))
-            views.append(NodeView(row.name, key, *span, row.wildcard, *gone))
+            views.append(messages.NodeView(row.name, key, *span, row.wildcard, *gone))
         return bounded("identities", reversed(views), lambda view: view.name)
 
     def grants(self) -> Value:
         oldest = self.work.now() - KEPT
-        with self._store() as store, store.database.read_transaction():
+        with self.work.record() as store, store.database.read_transaction():
             ended = {row.entry: row for row in store.revocations()}
             rules, signed = store.policy_grants(), store.signed_at()
             rows = store.grants()
@@ -105,34 +87,36 @@ class RecordQueries:
                 continue
             at, rule, state = signed[row.id], rules.get(row.id, ""), states.get(row.id, "")
             times = at, grant.expires, grant.cap
-            views.append(GrantView(row.id, row.name, row.data, *times, *_end(revoked), rule, state))
+            views.append(messages.GrantView(row.id, row.name, row.data, *times, *_end(revoked), rule, state))
         return bounded("grants", views, lambda view: view.node)
 
     def identity_requests(self) -> Value:
         at = self.work.now()
-        with self._store() as store:
+        with self.work.record() as store:
             store.requests.collect(at)
             views = []
             for row in store.requests.open(at):
                 known = store.identities.by_name(row.name)
                 about = row.digest, row.name, row.thumbprint, row.source, row.arrived, row.expires
                 is_other_key = any(each.thumbprint != row.thumbprint for each in known)
-                views.append(IdentityRequestView(*about, str(row.state), row.wildcard, is_other_key, row.der))
+                views.append(
+                    messages.IdentityRequestView(*about, str(row.state), row.wildcard, is_other_key, row.der)
+                )
         return bounded("requests", reversed(views))
 
     def invitations(self) -> Value:
         at = self.work.now()
-        with self._store() as store, store.database.read_transaction():
+        with self.work.record() as store, store.database.read_transaction():
             found = [(each, each.row, each.state(at)) for each in invitations.invitations(store)]
         views = []
         for each, row, state in found:
             names = tuple(use.name for use in each.uses)
             about = row.id, row.pattern, row.uses, names, row.wildcard, row.expires, row.at
-            views.append(InvitationView(*about, state))
+            views.append(messages.InvitationView(*about, state))
         return bounded("join codes", reversed(views))
 
     def phones(self) -> Value:
-        with self._store() as store, store.database.read_transaction():
+        with self.work.record() as store, store.database.read_transaction():
             known, ended = store.passkeys.all(), store.passkeys.ended()
             used, by = store.approvals.last_used(), store.approvals.approvers(StatementKind.PASSKEY)
         names = {each.id: each.name for each in known}
@@ -141,11 +125,11 @@ class RecordQueries:
             last = max(used.get(each.id, 0), self.last_used(each.id))
             by_whom, why = names.get(by.get(each.approval, b""), ""), ended.get(each.id)
             end = "" if why is None else why or "removed"
-            views.append(PhoneView(each.id, each.name, each.at, last, by_whom, end))
+            views.append(messages.PhoneView(each.id, each.name, each.at, last, by_whom, end))
         return bounded("phones", views)
 
     def approvals(self, count: int) -> Value:
-        with self._store() as store, store.database.read_transaction():
+        with self.work.record() as store, store.database.read_transaction():
             found = store.approvals.newest(max(0, min(count, MAX_APPROVALS)))
             ends = store.approvals.ends()
             names = {each.id: each.name for each in store.passkeys.all()}
@@ -153,22 +137,19 @@ class RecordQueries:
         for each in found:
             end = ends.get(each.id)
             try:
-                said = sentence(each.read(), each.payload)
+                said = messages.sentence(each.read(), each.payload)
             except HintedError as error:
                 said = f"an approval that cannot be read: {error}"
             phone = names.get(each.passkey, "")
-            state, result = (end.state, end.result) if end else (str(ApprovalState.WAITING), "")
-            views.append(ApprovalView(each.id, each.kind, said, phone, each.at, state, result))
+            state, result = (end.state, end.result) if end else (str(log.ApprovalState.WAITING), "")
+            views.append(messages.ApprovalView(each.id, each.kind, said, phone, each.at, state, result))
         return bounded("approvals", views)
 
     def events(self, before: int, count: int) -> Value:
-        with self._store() as store:
+        with self.work.record() as store:
             last = min(before, _MAX_NUMBER) if before > 0 else None
             found = store.log.newest(max(0, min(count, MAX_EVENTS)), last)
-        return bounded("entries", [EventView(*each[:5]) for each in found])
-
-    def _store(self) -> contextlib.closing[Store]:
-        return contextlib.closing(self.work.home().store())
+        return bounded("entries", [messages.EventView(*each[:5]) for each in found])
 
 
 V = TypeVar("V", bound=tuple[Any, ...])
@@ -180,7 +161,7 @@ def bounded(what: str, views: Iterable[V], owner: Callable[[V], str] = lambda _:
     room = ROOM
     values: dict[int, Value] = {}
     for place in _in_turns([owner(view) for view in given]):
-        value = to_value(given[place])
+        value = messages.to_value(given[place])
         room -= len(encode(value))
         if room < 0:
             _log.warning("the console is shown the newest %d %s only", len(values), what)
@@ -225,18 +206,18 @@ class PolicyNames:
     def __init__(self, work: AuthorityWork) -> None:
         self._work = work
         self._read: tuple[int, ...] = ()
-        self._names: tuple[PolicyName, ...] = ()
+        self._names: tuple[messages.PolicyName, ...] = ()
 
     def policy_names(self) -> Value:
         path = self._work.policy_path()
         found = stamp(path)  # before reading: a later change is then seen
         if found != self._read:
-            names: tuple[PolicyName, ...] = ()
+            names: tuple[messages.PolicyName, ...] = ()
             if found:
                 with contextlib.suppress(HintedError):  # told on the page of the policy
                     policy = PolicyFile.read(path, own=True).policy
                     names = tuple(
-                        PolicyName(name, policy.titles.get(name, ""), policy.types.get(name, ""))
+                        messages.PolicyName(name, policy.titles.get(name, ""), policy.types.get(name, ""))
                         for name in sorted(policy.titles.keys() | policy.types.keys())
                     )
             self._read, self._names = found, names
@@ -253,9 +234,9 @@ class PolicyQuery:
 
     def policy(self) -> Value:
         path = self._work.policy_path()
-        empty = PolicyView(str(path), b"", (), (), 0, ())
+        empty = messages.PolicyView(str(path), b"", (), (), 0, ())
         if not path.exists():
-            return to_value(empty)
+            return messages.to_value(empty)
         read = b""
         try:
             read = files.read(path, MAX_SIZE, ConfigurationError(f"there is no policy in {path}"))
@@ -267,10 +248,10 @@ class PolicyQuery:
             digest = hashlib.sha256(read).digest() if read else b""
             found = error.mistakes if isinstance(error, PolicyRefused) else ()
             mistakes = tuple(map(str, found)) or (str(error),)
-            return to_value(empty._replace(digest=digest, mistakes=mistakes))
+            return messages.to_value(empty._replace(digest=digest, mistakes=mistakes))
         changes = [change for node in plan.nodes for change in node.changes]
         kept, gone = ChangeKind.KEPT, ChangeKind.GONE
-        return to_value(
+        return messages.to_value(
             empty._replace(
                 digest=hashlib.sha256(read).digest(),
                 gives=tuple(_right(each) for each in changes if each.kind not in (kept, gone)),
@@ -281,13 +262,13 @@ class PolicyQuery:
         )
 
 
-def _right(change: Change) -> PolicyRight:
+def _right(change: Change) -> messages.PolicyRight:
     lines: Sequence[str] = change.restrictions
     until = ""
     if change.kind is not ChangeKind.GONE:
         *lines, until = change.restrictions
     words, span = "; ".join(lines), until.removeprefix("valid ")
-    return PolicyRight(change.subject.name, int(change.right), change.pattern, words, span)
+    return messages.PolicyRight(change.subject.name, int(change.right), change.pattern, words, span)
 
 
 TRUST_STATUS: Final = "rossec.revocationStatus"
@@ -323,8 +304,8 @@ class MasterView:
         self._asking = threading.Lock()  # held by the thread that asks
         self._begun = self._heard = self._trust_status_asked = float("-inf")
         self._view = GraphView()
-        self._denials: tuple[DenialView, ...] = ()
-        self._trust_status: ListProgress | None = None
+        self._denials: tuple[messages.DenialView, ...] = ()
+        self._trust_status: messages.ListProgress | None = None
         self._changes = 0
 
     def look(self) -> int:
@@ -338,16 +319,16 @@ class MasterView:
         if self._elapsed() - self._heard > FRESH:
             view = GraphView()
             self._watch(view, SHORT)
-        return to_value(tuple(FactView(*fact) for fact in sorted(view.facts)))
+        return messages.to_value(tuple(messages.FactView(*fact) for fact in sorted(view.facts)))
 
     def denials(self) -> Value:
         is_old = self._elapsed() - self._heard > FRESH
-        return to_value(self._recent_denials() if is_old else self._denials)
+        return messages.to_value(self._recent_denials() if is_old else self._denials)
 
     def trust_status(self, epoch: int, seq: int) -> Value:
         self._trust_status_asked = self._elapsed()
         self._trust_status = self._list_trust_status(epoch, seq)
-        return to_value(self._trust_status)
+        return messages.to_value(self._trust_status)
 
     def _ask_and_release(self) -> None:
         try:
@@ -388,7 +369,7 @@ class MasterView:
             if len(view.facts) > MAX_FACTS:
                 raise NotDelivered(f"the graph has more than {MAX_FACTS} facts", _HINT)
 
-    def _recent_denials(self) -> tuple[DenialView, ...]:
+    def _recent_denials(self) -> tuple[messages.DenialView, ...]:
         answer = self._call(DENIALS, (), "a question about denials", SHORT)
         if not isinstance(answer, list):
             raise NotDelivered("the master's answer about denials is malformed", _HINT)
@@ -396,12 +377,12 @@ class MasterView:
         for row in answer:
             match row:
                 case [int(ago), str(node), int(right), str(name)]:
-                    found.append(DenialView(self._work.now() - ago, node, right, name))
+                    found.append(messages.DenialView(self._work.now() - ago, node, right, name))
                 case _:
                     raise NotDelivered("the master's answer about denials is malformed", _HINT)
         return tuple(found)
 
-    def _list_trust_status(self, epoch: int, seq: int) -> ListProgress:
+    def _list_trust_status(self, epoch: int, seq: int) -> messages.ListProgress:
         home, now = self._work.home(), self._work.now()
         with closing(home.store()) as store:
             data = store.newest_list()
@@ -414,7 +395,7 @@ class MasterView:
         if wanted == (0, 0) and home.count_unlisted(now) == 0:
             wanted = newest
         if wanted == (0, 0) or newest < wanted:
-            return ListProgress(epoch, seq, False, False, 0, 0)
+            return messages.ListProgress(epoch, seq, False, False, 0, 0)
         # If the master does not answer, what it took before is said. Nodes that hold a newer list than was
         # asked for hold this one too.
         answer: object = None
@@ -423,9 +404,9 @@ class MasterView:
         match answer:
             case {"list": str(number), "nodes": int(nodes), "holding": int(holding)} if 0 <= holding <= nodes:
                 is_there = _number(number) >= wanted
-                return ListProgress(*wanted, True, is_there, nodes, holding if is_there else 0)
+                return messages.ListProgress(*wanted, True, is_there, nodes, holding if is_there else 0)
             case _:
-                return ListProgress(*wanted, True, data == self._work.published, 0, 0)
+                return messages.ListProgress(*wanted, True, data == self._work.published, 0, 0)
 
     def _call(self, method: str, arguments: tuple[object, ...], what: str, within: float) -> object:
         node = self._work.home().node()

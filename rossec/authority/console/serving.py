@@ -20,18 +20,9 @@ from typing import Final, NamedTuple
 from ca.approvals.statement import StatementKind
 from ca.encoding import Value
 from ca.errors import HintedError
-from rossec import clock
-from rossec.authority.console import messages
+from rossec import clock, peer_limits
+from rossec.authority.console import approved_acts, messages
 from rossec.authority.console.access import ConsoleAccess
-from rossec.authority.console.approved_acts import (
-    DelegateAct,
-    EnrollAct,
-    IntermediateAct,
-    InvitationAct,
-    PasskeyAct,
-    PolicyAct,
-    RevokeMasterAct,
-)
 from rossec.authority.console.approving import ApprovedAct, Approving, Of
 from rossec.authority.console.grant_requests import GrantAct, Questions, Removals
 from rossec.authority.console.messages import OPERATIONS, Status, checked, to_value
@@ -45,7 +36,6 @@ from rossec.authority.keyservice.work import AuthorityWork
 from rossec.authority.session import StatementCall
 from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered, PeerUserRefused
 from rossec.host.local_sockets import UnixPeer
-from rossec.peer_limits import printable
 
 INBOX = "inbox"  # in the authority's directory (`rossec.authority.requests`)
 
@@ -169,7 +159,7 @@ class ConsoleService:
             )
         if OPERATIONS[request.operation].changes:  # before it is done: without a line nothing is
             about = request.arguments[0]
-            shown = about.hex() if isinstance(about, bytes) else printable(str(about))
+            shown = about.hex() if isinstance(about, bytes) else peer_limits.printable(str(about))
             self._audit(f"{request.operation} {shown}, asked by the console of {caller}")
         thread, handler = self._handlers[request.operation]
         call = lambda: checked(handler(*request.arguments))  # noqa: E731 - in the thread, as a whole
@@ -322,14 +312,14 @@ def acts_of(
     """What a phone can approve; `elapsed` counts seconds and cannot be set."""
     policy = work.policy_path()
     acts: tuple[ApprovedAct, ...] = (
-        EnrollAct(policy),
+        approved_acts.EnrollAct(policy),
         GrantAct(policy),
-        PolicyAct(policy),
-        DelegateAct(),
-        IntermediateAct(),
-        PasskeyAct(access.proposed),
-        InvitationAct(work.home(), join_address, elapsed),
-        RevokeMasterAct(),
+        approved_acts.PolicyAct(policy),
+        approved_acts.DelegateAct(),
+        approved_acts.IntermediateAct(),
+        approved_acts.PasskeyAct(access.proposed),
+        approved_acts.InvitationAct(work.home(), join_address, elapsed),
+        approved_acts.RevokeMasterAct(),
     )
     return {act.kind: act for act in acts}
 

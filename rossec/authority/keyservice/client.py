@@ -19,9 +19,8 @@ from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 from ca.encoding import Value
 from rossec import files
 from rossec.authority.home import AuthorityHome
-from rossec.authority.keyservice import messages
+from rossec.authority.keyservice import messages, operations
 from rossec.authority.keyservice.messages import SOCKET, ServiceRequest
-from rossec.authority.keyservice.operations import UNLOCK_HINT
 from rossec.errors import AuthorityLocked, ConfigurationError, KeyServiceFailed, PeerUserRefused
 from rossec.host.local_sockets import MAX_PATH, process_lock, require_user
 
@@ -130,7 +129,7 @@ def running_signer(home: AuthorityHome) -> RemoteSigner | None:
         return None
     if client.status()["locked"] is not False:
         client.close()
-        raise AuthorityLocked("the authority's service is locked", UNLOCK_HINT)
+        raise AuthorityLocked("the authority's service is locked", operations.UNLOCK_HINT)
     return RemoteSigner(client, home.own_key())
 
 
@@ -139,6 +138,7 @@ def _connect(path: Path) -> socket.socket:
     try:
         sock.settimeout(TIMEOUT)
         sock.connect(str(path))
+        # Before anything is sent: what is sent may be the passphrase.
         require_user(sock, {os.geteuid()})
     except PeerUserRefused as error:
         sock.close()

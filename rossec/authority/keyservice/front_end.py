@@ -16,18 +16,8 @@ from pathlib import Path
 from typing import Final, cast
 
 from ca.encoding import Value
+from ca.enrollment import join
 from ca.enrollment.invitation import JoinClaim, JoinRequest
-from ca.enrollment.join import (
-    Issued,
-    JoinAnswer,
-    JoinMessage,
-    LiveIdentity,
-    NameAnswer,
-    Named,
-    RefusedMessage,
-    WaitingMessage,
-    read,
-)
 from ca.errors import EnrollmentMessageRefused, HintedError
 from rossec.authority.keyservice import messages
 from rossec.authority.keyservice.inner_channel import InnerChannel
@@ -37,10 +27,7 @@ from rossec.channel import opening
 from rossec.enrollment import DECISION, JoinServer
 from rossec.errors import ConfigurationError, KeyServiceRefused, NotDelivered
 from rossec.home import NodeHome
-from rossec.host import addresses
-from rossec.host.runner import log_as_json, until_first_ends
-from rossec.host.sandbox import protect_memory
-from rossec.host.workers import run_confined
+from rossec.host import addresses, runner, sandbox, workers
 from rossec.net.rpc import CALL_DEADLINE
 from rossec.peer_limits import printable
 from rossec.ros.xmlrpc import Fault
@@ -59,7 +46,7 @@ class FrontEnd:
         self._join_address = join_address
         self._master_uri = master_uri
         self._suites = suites
-        self._identity: LiveIdentity | None = None
+        self._identity: join.LiveIdentity | None = None
         self._read_at = 0.0
         report = partial(_log.warning, "refused at the join port: %s")
         self._server = JoinServer(self._live, self._admit, report, name=self._name)
@@ -69,7 +56,7 @@ class FrontEnd:
         handlers = {messages.CALL: self._call}
         channel = self._channel = InnerChannel(sock, handlers, messages.MAX_FROM_SERVICE)
         try:
-            await until_first_ends(channel.run(), self._serve(channel))
+            await runner.until_first_ends(channel.run(), self._serve(channel))
         finally:
             await self._server.close()
 
@@ -92,30 +79,30 @@ class FrontEnd:
         await channel.call(messages.READY, self._server.port, within=DECISION)
         await asyncio.Event().wait()
 
-    def _live(self) -> LiveIdentity:
+    def _live(self) -> join.LiveIdentity:
         now = asyncio.get_running_loop().time()
         if self._identity is None or now - self._read_at > _FRESH:
             own, root = self._node.credentials(), self._node.anchor().certificate
-            self._identity, self._read_at = LiveIdentity(own.signer, own.chain, root), now
+            self._identity, self._read_at = join.LiveIdentity(own.signer, own.chain, root), now
         return self._identity
 
-    async def _admit(self, request: JoinRequest) -> JoinAnswer:
+    async def _admit(self, request: JoinRequest) -> join.JoinAnswer:
         found = await self._ask(messages.JOIN, request.to_bytes())
-        if not isinstance(found, Issued | WaitingMessage | RefusedMessage):
+        if not isinstance(found, join.Issued | join.WaitingMessage | join.RefusedMessage):
             raise EnrollmentMessageRefused(_ODD)
         return found
 
-    async def _name(self, claim: JoinClaim) -> NameAnswer:
+    async def _name(self, claim: JoinClaim) -> join.NameAnswer:
         found = await self._ask(messages.NAME, claim.to_bytes())
-        if not isinstance(found, Named | RefusedMessage):
+        if not isinstance(found, join.Named | join.RefusedMessage):
             raise EnrollmentMessageRefused(_ODD)
         return found
 
-    async def _ask(self, operation: str, data: bytes) -> JoinMessage | None:
+    async def _ask(self, operation: str, data: bytes) -> join.JoinMessage | None:
         if self._channel is None:
             raise ConfigurationError("the service is not there yet")
         answer = await self._channel.call(operation, data, within=DECISION)
-        return read(answer) if isinstance(answer, bytes) else None
+        return join.read(answer) if isinstance(answer, bytes) else None
 
     async def _call(self, method: str, arguments: list[Value], seconds: int) -> Value:
         try:
@@ -135,10 +122,10 @@ class FrontEnd:
 def main(arguments: list[str]) -> None:
     descriptor, directory, join_address, master_uri, log = arguments
     if log == "json":
-        log_as_json()
+        runner.log_as_json()
     else:  # as the service itself writes, whose terminal or journal this is
         logging.basicConfig(level=logging.WARNING, format="rossec: %(levelname)s: %(message)s")
-    protect_memory()
+    sandbox.protect_memory()
     suites = opening.post_quantum(os.environ)
 
     async def run() -> None:
@@ -148,7 +135,7 @@ def main(arguments: list[str]) -> None:
 
     # `face-takeover` (docs/threat-model.md): of the authority it reads its own node only, so neither the
     # encrypted key nor the record or a passphrase beside them.
-    run_confined(run, [Path(directory)])
+    workers.run_confined(run, [Path(directory)])
 
 
 if __name__ == "__main__":

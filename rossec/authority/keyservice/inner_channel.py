@@ -16,8 +16,7 @@ from ca.errors import HintedError
 from rossec.authority.keyservice import messages
 from rossec.authority.keyservice.messages import InnerAnswer, InnerRefusal, InnerRequest
 from rossec.errors import KeyMessageRefused, KeyServiceRefused
-from rossec.host.runner import TaskSet
-from rossec.host.workers import read_frame
+from rossec.host import runner, workers
 
 MAX_REQUESTS: Final = 512  # of the other side at a time; a join port has 256 sessions
 _FAILED: Final = "the other process could not do it", "its log says why"
@@ -38,7 +37,7 @@ class InnerChannel:
         self._limit = limit
         self._numbers = itertools.count()
         self._waiting: dict[int, asyncio.Future[Value]] = {}
-        self._tasks = TaskSet()
+        self._tasks = runner.TaskSet()
         self._writer: asyncio.StreamWriter | None = None
         self._connected = asyncio.Event()
 
@@ -47,7 +46,7 @@ class InnerChannel:
         self._connected.set()
         try:
             while True:
-                body = await read_frame(reader, partial(messages.frame_size, limit=self._limit))
+                body = await workers.read_frame(reader, partial(messages.frame_size, limit=self._limit))
                 self._take(messages.read(body, self._limit))
         except (asyncio.IncompleteReadError, ConnectionError):
             return

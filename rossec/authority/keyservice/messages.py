@@ -16,25 +16,17 @@ from typing import Final, NamedTuple, TypeAlias
 
 from cryptography import x509
 
+from ca import errors
 from ca.authority import read_unsigned
 from ca.domains import DOMAINS, TRUST_BUNDLE
 from ca.encoding import Value, decode, encode
 from ca.enrollment.invitation import MAX_CLAIM_SIZE as MAX_CLAIM
 from ca.enrollment.invitation import MAX_REQUEST_SIZE as MAX_JOIN
-from ca.errors import (
-    CertificateRefused,
-    EncodingError,
-    HintedError,
-    PassphraseRefused,
-    SignatureError,
-    TokenRefused,
-)
 from ca.keys.signing import Profile
 from ca.revocation.lists import LIST_PROFILE, MAX_LIST, MAX_TREE_ENTRIES_SIZE, TREE
 from ca.store.values import HEAD_PROFILE
 from ca.things import THING
-from grants.document import GRANT
-from grants.renewal import DELEGATION
+from grants import document, renewal
 from rossec.errors import (
     AuthorityLocked,
     KeyMessageRefused,
@@ -47,8 +39,8 @@ MAX_MESSAGE: Final = MAX_LIST + 512  # the largest statement is a revocation lis
 # All that the authority's key signs, besides certificates: the service signs for every program of its user,
 # and must not become an oracle. What nodes or the master sign is not here.
 _STATEMENTS: Final[Mapping[str, Profile]] = {
-    "a grant": GRANT,
-    "a delegation": DELEGATION,
+    "a grant": document.GRANT,
+    "a delegation": renewal.DELEGATION,
     "a revocation list": LIST_PROFILE,
     "a revocation tree": TREE,
     "a head of the log": HEAD_PROFILE,
@@ -70,12 +62,12 @@ def kind_of(message: bytes, authority: ServedAuthority) -> str:
     for kind, profile in _STATEMENTS.items():
         try:
             profile.payload_to_sign(message, limit=MAX_MESSAGE)
-        except (SignatureError, EncodingError):
+        except (errors.SignatureError, errors.EncodingError):
             continue
         return kind
     try:
         found = read_unsigned(message, authority.subject, authority.domain)
-    except CertificateRefused as error:
+    except errors.CertificateRefused as error:
         raise SigningRefused("these bytes are nothing that an authority signs", _HINT) from error
     return f"a certificate of {'the intermediate of ' * found.is_intermediate}{found.name}"
 
@@ -96,11 +88,11 @@ OPERATIONS: Final[Mapping[str, tuple[type, ...]]] = {
     SIGN: (bytes,),  # what `Signer.sign` gets
     PHONE_CODE: (),  # a one-time code, text: to look at the console, or to add a phone
 }
-REFUSALS: Final[Mapping[str, type[HintedError]]] = {
+REFUSALS: Final[Mapping[str, type[errors.HintedError]]] = {
     "locked": AuthorityLocked,
     "unknown": SigningRefused,
-    "passphrase": PassphraseRefused,
-    "token": TokenRefused,
+    "passphrase": errors.PassphraseRefused,
+    "token": errors.TokenRefused,
     "code": PhoneCodeRefused,
     "refused": KeyServiceRefused,
     "malformed": KeyMessageRefused,
@@ -145,7 +137,7 @@ def write_answer(value: Value) -> bytes:
     return frame([0, value])
 
 
-def write_refusal(error: HintedError) -> bytes:
+def write_refusal(error: errors.HintedError) -> bytes:
     kinds = {refusal: kind for kind, refusal in REFUSALS.items()}
     return frame([1, kinds.get(type(error), "refused"), str(error), error.hint])
 
@@ -162,7 +154,7 @@ def read_answer(body: bytes, limit: int = MAX_FRAME) -> Value:
 def _decode(body: bytes, limit: int) -> Value:
     try:
         return decode(body, limit=limit)
-    except EncodingError as error:
+    except errors.EncodingError as error:
         raise KeyMessageRefused(f"a message that is malformed: {error}", _MESSAGES_HINT) from error
 
 

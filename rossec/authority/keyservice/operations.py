@@ -13,21 +13,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
 from ca.encoding import Value
 from ca.errors import HintedError, KeyRefused
 from ca.keys.private_keys import TokenSigner
-from ca.keys.signing import Signer
+from ca.keys.signing import PublicKey, Signer
 from rossec import clock
 from rossec.authority.keyservice import messages
-from rossec.authority.keyservice.messages import (
-    MAX_PASSPHRASE,
-    MAX_UNLOCKED,
-    ServedAuthority,
-    ServiceRequest,
-    kind_of,
-)
 from rossec.errors import AuthorityLocked, KeyServiceRefused, SigningRefused
 
 UNLOCK_HINT: Final = "unlock it with: rossec ca unlock --for 15m"
@@ -124,18 +115,18 @@ class KeyOperations:
     """
 
     held: HeldKey
-    authority: ServedAuthority
+    authority: messages.ServedAuthority
     audit: Callable[[str], None]
     describe: Callable[[], dict[int | str, Value]] = dict
     on_unlock: Callable[[], None] = lambda: None  # there may be work that waited for the key
 
-    def carry_out(self, request: ServiceRequest, caller: object) -> Value:
+    def carry_out(self, request: messages.ServiceRequest, caller: object) -> Value:
         match request:
-            case ServiceRequest(messages.STATUS):
+            case messages.ServiceRequest(messages.STATUS):
                 return self.status()
-            case ServiceRequest(messages.SIGN, (bytes() as message,)):
+            case messages.ServiceRequest(messages.SIGN, (bytes() as message,)):
                 return self.sign(message, caller)
-            case ServiceRequest(messages.UNLOCK, (int() as seconds, str() as passphrase)):
+            case messages.ServiceRequest(messages.UNLOCK, (int() as seconds, str() as passphrase)):
                 return self.unlock(passphrase, seconds, caller)
             case _:
                 return self.lock(caller)
@@ -146,7 +137,7 @@ class KeyOperations:
 
     def sign(self, message: bytes, caller: object = ITSELF) -> bytes:
         try:
-            kind = kind_of(message, self.authority)
+            kind = messages.kind_of(message, self.authority)
         except SigningRefused:
             self.audit(f"refused to sign {len(message)} unknown bytes for {caller}")
             raise
@@ -156,9 +147,9 @@ class KeyOperations:
         return self.held.sign(message)
 
     def unlock(self, passphrase: str, seconds: int, caller: object) -> Value:
-        if not 0 <= seconds <= MAX_UNLOCKED or len(passphrase) > MAX_PASSPHRASE:
+        if not 0 <= seconds <= messages.MAX_UNLOCKED or len(passphrase) > messages.MAX_PASSPHRASE:
             raise KeyServiceRefused(
-                f"unlocking for {seconds} s where 0 to {MAX_UNLOCKED} are allowed",
+                f"unlocking for {seconds} s where 0 to {messages.MAX_UNLOCKED} are allowed",
                 "0 unlocks for as long as the service runs",
             )
         try:
@@ -188,7 +179,7 @@ class KeyOperations:
 @dataclass(eq=False, repr=False)
 class OwnSigner:
     operations: KeyOperations
-    public_key: ec.EllipticCurvePublicKey
+    public_key: PublicKey
     purpose: str = ITSELF
 
     def sign(self, message: bytes) -> bytes:

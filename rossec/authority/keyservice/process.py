@@ -26,10 +26,9 @@ from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
 from rossec.authority.keyservice.messages import SOCKET, ServiceRequest
 from rossec.authority.keyservice.operations import HeldKey, KeyOperations
 from rossec.errors import ConfigurationError, KeyMessageRefused, KeyServiceRefused, PeerUserRefused
+from rossec.host import runner, workers
 from rossec.host.audit import AUDIT, AuditFile
 from rossec.host.local_sockets import UnixPeer, listen_at, raw_socket, require_user, unix_peer
-from rossec.host.runner import reap
-from rossec.host.workers import keep_running, start_worker, worker_command
 from rossec.peer_limits import printable
 
 _MAX_READ: Final = 4096  # bytes
@@ -272,7 +271,7 @@ class FrontEndProcess:
         self, home: AuthorityHome, options: FrontEndOptions, environ: Mapping[str, str], module: str = MODULE
     ) -> None:
         self.port = 0
-        self._command = worker_command(module)
+        self._command = workers.worker_command(module)
         self._arguments = [str(home.node().path), *options]
         self._environ = {name: text for name, text in environ.items() if name != CREDENTIALS}
         self._handlers: dict[str, Handler] = {}
@@ -286,7 +285,7 @@ class FrontEndProcess:
         self._socket, theirs = socket.socketpair()
         with theirs:
             command = [*self._command, str(theirs.fileno()), *self._arguments]
-            self._process = start_worker(command, self._environ, [theirs.fileno()])
+            self._process = workers.start_worker(command, self._environ, [theirs.fileno()])
 
     def admit(self, peer: UnixPeer) -> None:
         """Raise for the face itself, which may start no other process: it may not ask for keys."""
@@ -298,7 +297,7 @@ class FrontEndProcess:
         self._handlers = {messages.READY: self._ready, messages.FAILED: self._failed, messages.JOIN: join}
         if name is not None:
             self._handlers[messages.NAME] = name
-        await keep_running("network process", _log, self._run_once, self._end)
+        await workers.keep_running("network process", _log, self._run_once, self._end)
 
     async def _run_once(self) -> None:
         if self._socket is None:
@@ -315,7 +314,7 @@ class FrontEndProcess:
         # Until it is reaped its number is refused at the socket: it may linger without its connection.
         try:
             if self._process is not None:
-                await reap(self._process, _END)
+                await runner.reap(self._process, _END)
         finally:
             self._process = None
 

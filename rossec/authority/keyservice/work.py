@@ -17,22 +17,13 @@ from typing import Final
 from ca.enrollment.invitation import JoinClaim, JoinRequest
 from ca.enrollment.join import Issued, RefusedMessage, RefuseReason, write
 from ca.errors import HintedError, RecordUnusable, StoreError
+from ca.store.record import Store
 from grants.errors import PolicyRefused
-from rossec import clock
-from rossec.authority import invitations, policyfile, renewals
-from rossec.authority.grant_operations import RefusedDeposit
+from rossec import clock, errors
+from rossec.authority import grant_operations, invitations, policyfile, renewals, session
 from rossec.authority.home import AuthorityHome
 from rossec.authority.keyservice.operations import KeyOperations, OwnSigner
-from rossec.authority.policyfile import PolicyPlan
 from rossec.authority.service import AuthorityService
-from rossec.authority.session import StatementCall
-from rossec.errors import (
-    AuthorityLocked,
-    ConfigurationError,
-    KeyServiceRefused,
-    NotDelivered,
-    PolicyIncomplete,
-)
 from rossec.peer_limits import printable
 
 PERIOD: Final = 600  # seconds after which grants may have become due
@@ -52,7 +43,7 @@ class AuthorityWork:
 
     rossec_home: Path
     operations: KeyOperations
-    deliver: Callable[[StatementCall], object]
+    deliver: Callable[[session.StatementCall], object]
     policy: Path | None = None
     now: Callable[[], int] = clock.now
 
@@ -72,15 +63,18 @@ class AuthorityWork:
     def home(self) -> AuthorityHome:
         return AuthorityHome.at(self.rossec_home)
 
+    def record(self) -> contextlib.closing[Store]:
+        return contextlib.closing(self.home().store())
+
     def join(self, data: bytes) -> tuple[bytes, str | None]:
         request = JoinRequest.from_bytes(data)
-        with contextlib.closing(self.home().store()) as store:
+        with self.record() as store:
             if not invitations.is_proved(store, request):  # before the authority is opened
                 return write(RefusedMessage(RefuseReason.REFUSED)), None
         with self.service(JOIN_PURPOSE) as service:
             try:
                 answer = invitations.join(service.unlock(), request, self.now())
-            except AuthorityLocked:
+            except errors.AuthorityLocked:
                 with contextlib.closing(service.home.store()) as store:
                     answer = invitations.join_locked(store, request, self.now())
         return write(answer), request.name if isinstance(answer, Issued) else None
@@ -95,7 +89,7 @@ class AuthorityWork:
                 bundle, reason = b"", ""
                 try:
                     bundle = renewals.renew_recorded(service.unlock(), request, self.now())
-                except (AuthorityLocked, RecordUnusable, KeyServiceRefused):
+                except (errors.AuthorityLocked, RecordUnusable, errors.KeyServiceRefused):
                     break
                 except HintedError as error:
                     reason = printable(f"{error} ({error.hint})" if error.hint else str(error))
@@ -110,11 +104,11 @@ class AuthorityWork:
         return answers
 
     def allowed_pattern(self, asked: JoinClaim | JoinRequest) -> str | RefusedMessage:
-        with contextlib.closing(self.home().store()) as store:
+        with self.record() as store:
             return invitations.allowed_pattern(store, asked, self.now())
 
     def was_issued(self, request: JoinRequest) -> bool:
-        with contextlib.closing(self.home().store()) as store:
+        with self.record() as store:
             return store.identities.issued_for(request.digest) is not None
 
     def apply(self, names: Collection[str] | None = None) -> None:
@@ -130,9 +124,9 @@ class AuthorityWork:
                     _log.error("the policy is not applied: %s", printable(reason))
                 if plan.signs or plan.revoke:
                     _apply(service, plan)
-        except NotDelivered as error:
+        except errors.NotDelivered as error:
             _log.warning("the policy is applied, but not delivered yet: %s", printable(error))
-        except PolicyIncomplete as error:
+        except errors.PolicyIncomplete as error:
             _log.error("the policy is applied, %s", printable(error))
         except HintedError as error:
             alone = _to_try_alone(error, names)
@@ -160,7 +154,7 @@ class AuthorityWork:
         """As `apply` for all, if the policy or the record changed, or `PERIOD` is over."""
         try:
             status = self.policy_path().stat()
-            with contextlib.closing(self.home().store()) as store:
+            with self.record() as store:
                 state = status.st_mtime_ns, status.st_size, store.log.head(self.now()).size
         except (HintedError, OSError) as error:
             _log.error("the policy is not applied: %s", printable(error))
@@ -202,7 +196,7 @@ class AuthorityWork:
 
     def _level(self, error: Exception) -> int:
         # A master that is not there yet is no warning: the key is usually unlocked before.
-        if not isinstance(error, NotDelivered):
+        if not isinstance(error, errors.NotDelivered):
             return logging.WARNING
         if self._undelivered_since is None:
             self._undelivered_since = self.now()
@@ -215,7 +209,7 @@ class AuthorityWork:
         found = service.home.domain_list()
         newest, domains = service.home.revocation_list(), b"" if found is None else found[0]
         known = (newest, domains) == (self.published, self._published_domains)
-        with contextlib.suppress(NotDelivered):  # it is away, and asked again
+        with contextlib.suppress(errors.NotDelivered):  # it is away, and asked again
             known = known and service.master_has_list()
         if not known:
             service.publish()
@@ -236,14 +230,14 @@ class AuthorityWork:
             yield service
 
 
-def _apply(service: AuthorityService, plan: PolicyPlan) -> None:
+def _apply(service: AuthorityService, plan: policyfile.PolicyPlan) -> None:
     try:
         service.policy.apply(plan, lambda text: _log.info("policy: %s", text))
     except OSError as error:
-        raise NotDelivered(str(error), "the next round tries again") from error
+        raise errors.NotDelivered(str(error), "the next round tries again") from error
 
 
-def _log_refused(refused: Iterable[RefusedDeposit]) -> None:
+def _log_refused(refused: Iterable[grant_operations.RefusedDeposit]) -> None:
     for each in refused:
         _log.warning("%s", each.say(f"the grant {each.grant_id.hex()[:8]}"))
 
@@ -255,4 +249,4 @@ def _to_try_alone(error: HintedError, names: Collection[str] | None) -> Collecti
 
 
 def _no_passphrase() -> str:
-    raise ConfigurationError("the service asks nobody for a passphrase")
+    raise errors.ConfigurationError("the service asks nobody for a passphrase")

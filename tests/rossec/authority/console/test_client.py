@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from grants.document import peek, read_scope
-from rossec.authority.console import client as module
 from rossec.authority.console import messages as views
 from rossec.authority.console.client import ConsoleClient
 from rossec.authority.console.messages import PasskeyAssertion, PasskeyRegistration
@@ -164,7 +163,7 @@ async def test_another_user_at_the_socket_is_refused(
         allowed.append(users)
         raise PeerUserRefused("user 7 may not use this connection")
 
-    monkeypatch.setattr(module, "require_user", refuse)
+    monkeypatch.setattr("rossec.host.local_sockets.require_user", refuse)
     monkeypatch.setattr(os, "geteuid", lambda: 4711)
     for mode in (0o755, 0o777):
         path.parent.chmod(mode)

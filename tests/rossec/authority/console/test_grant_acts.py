@@ -105,8 +105,8 @@ def test_each_right_of_a_request_is_approved_by_itself(acts: Acts) -> None:
     assert [each.pattern for each in document.peek(data).permissions] == ["/pose"]
     with acts.store() as store:
         told = {
-            (each.stored.requested.pattern, each.answer)
-            for each in GrantRequestStore(store.database).answers()
+            (stored.requested.pattern, answer)
+            for stored, answer, *_ in GrantRequestStore(store.database).answers()
         }
     assert told == {("/pose", "granted"), ("/odom", "denied")}
 

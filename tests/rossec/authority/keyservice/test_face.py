@@ -15,7 +15,6 @@ from ca.enrollment.join import Named, RefusedMessage, RefuseReason, WaitingMessa
 from ca.errors import JoinBusy, JoinRefused
 from rossec.authority.home import AuthorityHome
 from rossec.authority.invitations import invite
-from rossec.authority.keyservice import front_end as module
 from rossec.authority.keyservice.front_end import FrontEnd, main
 from rossec.authority.keyservice.inner_channel import Handler, InnerChannel
 from rossec.channel.edhoc.suites import PRODUCTION
@@ -167,7 +166,7 @@ async def test_the_process_is_confined_before_it_serves(
         done.append("processes")
         return ThreadPoolExecutor(1)
 
-    monkeypatch.setattr(module, "protect_memory", lambda: done.append("memory"))
+    monkeypatch.setattr(sandbox, "protect_memory", lambda: done.append("memory"))
     monkeypatch.setattr(sandbox, "read_only", lambda paths: done.append(paths[0]))
     monkeypatch.setattr(workers, "confine_processes", confine)
     node = home.node()
