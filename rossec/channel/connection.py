@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import Final, Generic, Protocol, Self
 
 from ca.errors import HintedError
+from rossec import errors
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.edhoc.handshake import EdhocConfig, Initiator, Responder
 from rossec.channel.edhoc.messages import MAX_MESSAGE_1, UNKNOWN_CREDENTIAL, UNSPECIFIED, encode_error
@@ -49,16 +50,6 @@ from rossec.channel.records import (
 )
 from rossec.channel.session import FIRST, SMALL, ReceiveBuffer, Session
 from rossec.channel.tuning import ONE_RECORD
-from rossec.errors import (
-    ChannelClosed,
-    ChannelError,
-    ConnectionTruncated,
-    HandshakeFailed,
-    HandshakeTimeout,
-    LimitExceeded,
-    PeerCredentialUnknown,
-    ProtocolViolation,
-)
 
 HINT_SILENT: Final = "it may be a plain ROS node, which has no identity, or overloaded"
 _OPEN_BUFFER: Final = 64 * 1024
@@ -169,7 +160,7 @@ class Connection(Generic[PeerT]):
 
     def _open_session(self) -> Session:
         if self._session is None:
-            raise ChannelClosed("the connection is closed")
+            raise errors.ChannelClosed("the connection is closed")
         return self._session
 
     # -- sending
@@ -193,7 +184,7 @@ class Connection(Generic[PeerT]):
 
     def _sealed(self, pieces: Sequence[Bytes], *, reuse: bool) -> Iterator[Bytes]:
         if self._sealing:
-            raise ProtocolViolation("a second unit in the middle of the first")
+            raise errors.ProtocolViolation("a second unit in the middle of the first")
         self._sealing = True
         try:
             for record in self._sendable().seal_unit(pieces, reuse=reuse):
@@ -201,13 +192,13 @@ class Connection(Generic[PeerT]):
                 yield b"".join((self.data_to_send(), record)) if self._out else record
                 self._sendable()
             self._sealing = False  # it stays set when a unit is abandoned
-        except LimitExceeded:
+        except errors.LimitExceeded:
             self._terminate()
             raise
 
     def _sendable(self) -> Session:
         if self.state not in SENDING:
-            raise ChannelClosed("the connection is closed")
+            raise errors.ChannelClosed("the connection is closed")
         return self._open_session()
 
     def send_unit(self, *pieces: Bytes) -> None:
@@ -234,7 +225,7 @@ class Connection(Generic[PeerT]):
         if not (self.takes_renewals and self.protocol is WireProtocol.TCPROS):
             return False
         if not 0 < len(data) <= MAX_GRANTS:
-            raise LimitExceeded(f"{len(data)} bytes of grants, where 1 to {MAX_GRANTS} are allowed")
+            raise errors.LimitExceeded(f"{len(data)} bytes of grants, where 1 to {MAX_GRANTS} are allowed")
         self._out.append(self._open_session().seal_renewal(Frame.GRANTS, data))
         return True
 
@@ -288,12 +279,12 @@ class Connection(Generic[PeerT]):
             return
         try:
             if self.state is not ConnectionState.OPEN or self._session is None or self._peer is None:
-                raise HandshakeTimeout("the peer did not finish the handshake in time", HINT_SILENT)
+                raise errors.HandshakeTimeout("the peer did not finish the handshake in time", HINT_SILENT)
             if now >= self._peer.not_after:
-                raise LimitExceeded("the peer's certificate has expired", "renew it")
+                raise errors.LimitExceeded("the peer's certificate has expired", "renew it")
             self._session.check_progress(now, reading=reading)
             self._out.append(self._session.renew(now))
-        except ChannelError:
+        except errors.ChannelError:
             self._terminate()
             raise
 
@@ -330,8 +321,8 @@ class Connection(Generic[PeerT]):
         events = self._events = []
         try:
             self._process_frames()
-        except ChannelError as error:
-            refusal = _UNKNOWN if isinstance(error, PeerCredentialUnknown) else _REFUSED
+        except errors.ChannelError as error:
+            refusal = _UNKNOWN if isinstance(error, errors.PeerCredentialUnknown) else _REFUSED
             # End; send an error to a peer not authenticated yet, unless it sent one first.
             answer = self.state in UNAUTHENTICATED and not self._negotiation.peer_sent_error
             out = self._out if self.state in UNAUTHENTICATED | PREAMBLE else []
@@ -350,11 +341,11 @@ class Connection(Generic[PeerT]):
         opened = self.state is ConnectionState.OPEN
         self._terminate()
         if opened:
-            raise ConnectionTruncated(
+            raise errors.ConnectionTruncated(
                 "the connection ended without the peer's close",
                 "data may be missing: the peer crashed, or something reset the connection",
             )
-        raise HandshakeFailed("the peer ended the connection during the handshake", HINT_SILENT)
+        raise errors.HandshakeFailed("the peer ended the connection during the handshake", HINT_SILENT)
 
     def _process_frames(self) -> None:
         if self.state in PREAMBLE:
@@ -387,11 +378,11 @@ class Connection(Generic[PeerT]):
     def _parse_header(self, head: bytes) -> tuple[Row, int]:
         row = _ROWS[self.state].get(head[0] >> 4)
         if row is None or (head[0] >> 4 in _RENEWING and self._renewals is None):
-            raise ProtocolViolation(f"frame of type {head[0] >> 4} in state: {self.state.value}")
+            raise errors.ProtocolViolation(f"frame of type {head[0] >> 4} in state: {self.state.value}")
         epoch = 0 if self._session is None else self._session.receive_epoch
         length = check_header(head, epoch)
         if self.state is ConnectionState.WAIT_1 and length > MAX_MESSAGE_1:
-            raise ProtocolViolation("a frame of a forbidden length")
+            raise errors.ProtocolViolation("a frame of a forbidden length")
         return row, length
 
     def _handle_frame(self, row: Row, head: bytes, body: memoryview) -> None:
@@ -450,14 +441,14 @@ class Connection(Generic[PeerT]):
     def _on_grants(self, head: bytes, body: memoryview) -> ConnectionState:
         _, data = self._renewal(head, body)
         if self.protocol is not WireProtocol.TCPROS:
-            raise ProtocolViolation("grants on a connection for calls")
+            raise errors.ProtocolViolation("grants on a connection for calls")
         self._events.append(GrantsPresented(data))
         return ConnectionState.OPEN
 
     def _renewal(self, head: bytes, body: memoryview) -> tuple[ConnectionRenewals[PeerT], bytes]:
         data = self._open_session().open_renewal(head, body)
         if self._renewals is None:
-            raise ProtocolViolation("a renewal where none is taken")
+            raise errors.ProtocolViolation("a renewal where none is taken")
         self._renewals.charge(self._now)
         return self._renewals, data
 

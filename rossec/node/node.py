@@ -32,17 +32,11 @@ from rossec.node.service import CONCURRENCY, HANDLER_DEADLINE, Handler, Service,
 from rossec.node.service_client import CALL_DEADLINE, ServiceClient
 from rossec.node.subscriber import Subscriber
 from rossec.node.topics import Topics
+from rossec.participant import handshakes
 from rossec.participant.access import Access
 from rossec.participant.authorized import memory_scope
 from rossec.participant.connections import ConnectionTable, Dialer, OwnAddresses, serve_peer
 from rossec.participant.delivery import DeliveryOptions, carried_out, requested_options
-from rossec.participant.handshakes import (
-    TopicEndpoint,
-    admit_subscriber,
-    check_type,
-    publisher_header,
-    requested_topic,
-)
 from rossec.participant.membership import LoadedIdentity, Membership
 from rossec.participant.message_types import message_type
 from rossec.participant.registrations import PublisherGrace
@@ -151,16 +145,19 @@ class Listener:
         if "service" not in fields:
             now = clock.now()
             # The right before the look-up: without it a peer does not learn what is published here (N5).
-            decision = admit_subscriber(fields, stream.peer, self._access, now)
-            publisher = self._publishers.get(requested_topic(fields))
+            decision = handshakes.admit_subscriber(fields, stream.peer, self._access, now)
+            topic = handshakes.requested_topic(fields)
+            publisher = self._publishers.get(topic)
             if publisher is None:
-                raise ConnectionHeaderRefused(f"{self._node.name} does not publish {requested_topic(fields)}")
+                raise ConnectionHeaderRefused(f"{self._node.name} does not publish {topic}")
             options = carried_out(requested_options(fields), decision)
             await publisher.ready()
-            check_type(fields, publisher.endpoint.expected)
+            handshakes.check_type(fields, publisher.endpoint.expected)
             guard = publisher.guard(decision)
             name = self._node.name_for(stream.peer)
-            answer = publisher_header(name, publisher.endpoint, self._access, now, latching=publisher.latch)
+            answer = handshakes.publisher_header(
+                name, publisher.endpoint, self._access, now, latching=publisher.latch
+            )
             head = tcpros.encode(answer | options.fields)
             return partial(publisher.serve, stream, decision, guard, head, options)
         if "topic" in fields:
@@ -271,7 +268,7 @@ class Node:
             MessageError, RossecError: unknown type, a second publisher of the topic, or the
                 master refuses.
         """
-        endpoint = TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
+        endpoint = handshakes.TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
         return await self.topics.publish(endpoint, latch=latch, queue_size=queue_size)
 
     async def topic_types(self) -> dict[str, str]:
@@ -309,7 +306,7 @@ class Node:
             MessageError, RossecError: unknown type, a wrong rate, or the master refuses.
         """
         options = DeliveryOptions(rate, newest, deflate)
-        endpoint = TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
+        endpoint = handshakes.TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
         return await self.topics.subscribe(endpoint, queue_size=queue_size, options=options)
 
     async def service(

@@ -19,16 +19,9 @@ from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream
 from rossec.net.limits import unit_limit
 from rossec.node.context import NodeConnection, NodeContext
+from rossec.participant import handshakes
 from rossec.participant.access import Access
 from rossec.participant.authorized import AuthorizedConnection
-from rossec.participant.handshakes import (
-    ANY,
-    ExpectedService,
-    Fields,
-    admit_provider,
-    check_md5,
-    client_header,
-)
 from rossec.participant.message_types import Message
 from rossec.participant.service_types import Pieces, ServiceGuard, ServiceType
 from rossec.ros import tcpros
@@ -55,29 +48,33 @@ async def exchange_headers(
     stream: SecureStream[Identity],
     caller: str,
     service: str,
-    kind: ExpectedService,
+    kind: handshakes.ExpectedService,
     access: Access,
     *,
     persistent: bool = False,
     probe: bool = False,
-) -> tuple[Fields, Decision]:
+) -> tuple[handshakes.Fields, Decision]:
     """Exchange headers with a provider; returns its header, and the decision on its grants."""
-    fields = client_header(caller, service, kind, access, clock.now(), persistent=persistent, probe=probe)
+    fields = handshakes.client_header(
+        caller, service, kind, access, clock.now(), persistent=persistent, probe=probe
+    )
     await stream.send(tcpros.encode(fields))
     frames = tcpros.FrameReader(tcpros.HEADER_LIMIT)
     while (arrived := frames.feed_one(await stream.receive())) is None:
         pass
     answer = tcpros.decode(arrived)
-    return answer, admit_provider(answer, stream.peer, service, access, clock.now())
+    return answer, handshakes.admit_provider(answer, stream.peer, service, access, clock.now())
 
 
-async def probe(dial: Dial, caller_for: CallerFor, service: str, access: Access) -> tuple[Fields, Identity]:
+async def probe(
+    dial: Dial, caller_for: CallerFor, service: str, access: Access
+) -> tuple[handshakes.Fields, Identity]:
     """Request the header of the provider of `service`; returns it and the provider's identity."""
     async with asyncio.timeout(HANDSHAKE_DEADLINE):
         stream = await dial(service)
         try:
             caller = caller_for(stream.peer)
-            answer, _ = await exchange_headers(stream, caller, service, ANY, access, probe=True)
+            answer, _ = await exchange_headers(stream, caller, service, handshakes.ANY, access, probe=True)
         finally:
             stream.abort("only a probe")
     return answer, stream.peer
@@ -177,13 +174,13 @@ class ServiceClient:
     async def _connect(self) -> ProviderConnection:
         stream = await self._dial(self.service)
         try:
-            kind = ExpectedService(self.kind.name, self.kind.md5sum)
+            kind = handshakes.ExpectedService(self.kind.name, self.kind.md5sum)
             caller, access = self._context.name_for(stream.peer), self._context.access
             async with asyncio.timeout(HANDSHAKE_DEADLINE):
                 answer, decision = await exchange_headers(
                     stream, caller, self.service, kind, access, persistent=self._persistent
                 )
-            check_md5(answer, self.service, kind.md5sum)
+            handshakes.check_md5(answer, self.service, kind.md5sum)
             stream.raise_unit_limit(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
             connection = AuthorizedConnection(stream, decision, self._guard(decision), self._guard)
             # In the table before the first request: from here on a revocation cuts it.

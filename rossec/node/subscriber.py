@@ -32,16 +32,6 @@ from rossec.participant import delivery
 from rossec.participant.access import FIELD, granted_name
 from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.definitions import Definition, from_header, guard_for, receiver_definition, size_of
-from rossec.participant.delivery import (
-    LARGE,
-    NO_OPTIONS,
-    OVERHEAD,
-    DeliveryOptions,
-    RequestedRate,
-    accepted_options,
-    claimed_size,
-    inflated,
-)
 from rossec.participant.handshakes import Fields, TopicEndpoint, admit_publisher, subscriber_header
 from rossec.participant.host_types import known_type
 from rossec.participant.message_types import Message, MessageType
@@ -68,9 +58,9 @@ class RequestedMessages:
     then messages are thinned out here, which spares the program and not the line.
     """
 
-    def __init__(self, asked: DeliveryOptions, taken: DeliveryOptions, limit: int) -> None:
+    def __init__(self, asked: delivery.DeliveryOptions, taken: delivery.DeliveryOptions, limit: int) -> None:
         thins = asked.rate is not None and taken.rate is None
-        self._rate = RequestedRate(asked.rate) if asked.rate is not None and thins else None
+        self._rate = delivery.RequestedRate(asked.rate) if asked.rate is not None and thins else None
         self._deflated = taken.deflate
         self._limit = limit
         self._this_turn = 0  # bytes inflated since the loop had its turn
@@ -78,24 +68,24 @@ class RequestedMessages:
     async def inflated(self, content: bytes) -> bytes:
         if not self._deflated:
             return content
-        size = claimed_size(content, self._limit)
-        if size >= LARGE:
-            return await asyncio.to_thread(inflated, content, self._limit)
+        size = delivery.claimed_size(content, self._limit)
+        if size >= delivery.LARGE:
+            return await asyncio.to_thread(delivery.inflated, content, self._limit)
         self._this_turn += size
-        if self._this_turn >= LARGE:  # thousands of small bombs fit into one unit
+        if self._this_turn >= delivery.LARGE:  # thousands of small bombs fit into one unit
             self._this_turn = 0
             await asyncio.sleep(0)
-        return inflated(content, self._limit)
+        return delivery.inflated(content, self._limit)
 
     def admits(self) -> bool:
         return self._rate is None or self._rate.admits(monotonic())
 
 
 def requested_messages(
-    asked: DeliveryOptions, answer: Mapping[str, bytes], limit: int
+    asked: delivery.DeliveryOptions, answer: Mapping[str, bytes], limit: int
 ) -> RequestedMessages | None:
     """For a publisher with this answer; None: its messages come as they do without options."""
-    taken = accepted_options(answer, asked)
+    taken = delivery.accepted_options(answer, asked)
     if taken.deflate or taken.rate != asked.rate:
         return RequestedMessages(asked, taken, limit)
     return None
@@ -112,7 +102,7 @@ class Subscriber:
         memory_scope: MemoryScope,
         *,
         queue_size: int = QUEUE_SIZE,
-        options: DeliveryOptions = NO_OPTIONS,
+        options: delivery.DeliveryOptions = delivery.NO_OPTIONS,
     ) -> None:
         check_queue_size(queue_size)
         self.endpoint = endpoint
@@ -198,7 +188,7 @@ class Subscriber:
         async with asyncio.timeout(HANDSHAKE_DEADLINE):
             stream = await self._context.dialer.topic(uri, self.topic)
             try:
-                limit = self._longest + (OVERHEAD if self._options.deflate else 0)
+                limit = self._longest + (delivery.OVERHEAD if self._options.deflate else 0)
                 frames = FrameReader(limit, first=tcpros.HEADER_LIMIT)
                 connection, answer, early = await self._handshake(stream, frames)
                 requested = requested_messages(self._options, answer, self._longest)

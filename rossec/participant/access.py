@@ -16,20 +16,11 @@ from typing import Final, Protocol
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from ca import names
 from ca.bounded import Newest
 from ca.certificates import Identity, TrustAnchor
 from ca.encoding import Value, decode, encode
 from ca.errors import CAError, EncodingError, NameRefused, NotAdmitted, RevocationsStale
-from ca.names import (
-    alias_of_served,
-    is_alias,
-    is_gateway,
-    is_in_gateway,
-    origin_of,
-    served_name,
-    shown,
-    split_alias,
-)
 from ca.revocation.lists import open_timestamp
 from ca.revocation.trust_status import TrustStatus
 from grants.decision import Decision, RevocationCheck, authorize, check_tail
@@ -55,7 +46,7 @@ _OFFERS: Final = Right.PUBLISH | Right.PROVIDE
 
 def is_own_gateway(peer: Identity) -> bool:
     """Whether `peer` is a gateway of the own domain; a name with a tail is none."""
-    return is_gateway(peer.name) and not peer.is_foreign and not peer.wildcard
+    return names.is_gateway(peer.name) and not peer.is_foreign and not peer.wildcard
 
 
 def granted_name(peer: Identity, topic: str, own: str = "") -> str:
@@ -70,19 +61,19 @@ def granted_name(peer: Identity, topic: str, own: str = "") -> str:
         alone: it
             could be led to forward what it serves itself.
     """
-    served = is_alias(topic) and is_own_gateway(peer) and not is_gateway(own)
-    return served_name(topic) if served else topic
+    served = names.is_alias(topic) and is_own_gateway(peer) and not names.is_gateway(own)
+    return names.served_name(topic) if served else topic
 
 
 def wire_name(peer: Identity, topic: str, own: str = "") -> str:
     """The name by which `peer` is asked for the subscribed `topic`; `own` as of `granted_name`."""
-    return origin_of(granted_name(peer, topic, own))
+    return names.origin_of(granted_name(peer, topic, own))
 
 
 def possible_names(topic: str) -> tuple[str, ...]:
     """The names of which one must be granted to subscribe to `topic` at all."""
     try:
-        return (topic, served_name(topic)) if is_alias(topic) else (topic,)
+        return (topic, names.served_name(topic)) if names.is_alias(topic) else (topic,)
     except NameRefused:
         return (topic,)
 
@@ -314,8 +305,8 @@ class Access:
     def holds(self, right: Right, name: str, now: int) -> bool:
         """Whether a grant this node holds covers `right` on `name` now. To subscribe to an alias one for what
         a gateway serves of it suffices."""
-        names = possible_names(name) if right is Right.SUBSCRIBE else (name,)
-        return any(self.covers(right, each, now) for each in names)
+        possible = possible_names(name) if right is Right.SUBSCRIBE else (name,)
+        return any(self.covers(right, each, now) for each in possible)
 
     def covers(self, right: Right, name: str, now: int) -> bool:
         """As `holds`, by that name alone: on an alias only a grant of its origin counts."""
@@ -335,15 +326,15 @@ class Access:
     def _origin(self, right: Right, name: str) -> tuple[str, str]:
         # An alias of no listed domain may be that of another master of the own one, which has only nodes and
         # parameters below `/remote`: no topic and no service.
-        served = alias_of_served(name)  # by the own domain's grants, while the label is of a domain
-        found = split_alias(name if served is None else served)
+        served = names.alias_of_served(name)  # by the own domain's grants, while the label is of a domain
+        found = names.split_alias(name if served is None else served)
         if found is None:
             return self._anchor.domain, name
         label, origin = found
         listed = self.trust_status.anchors.listed(label)
         if listed is None and right & MESSAGE_RIGHTS:
             raise NotAdmitted(
-                f"{shown(name)}: no domain is called {label} here",
+                f"{names.shown(name)}: no domain is called {label} here",
                 "at this side's authority: rossec domain list",
             )
         if served is not None:
@@ -365,17 +356,17 @@ class Access:
         # 1. The peer itself: of a revoked one nothing is opened.
         self.check_peer(peer, now)
         # 2. What only gateways offer, whatever a grant says.
-        if right & _OFFERS and is_in_gateway(name) and not is_own_gateway(peer):
+        if right & _OFFERS and names.is_in_gateway(name) and not is_own_gateway(peer):
             verb = "publishes" if right & Right.PUBLISH else "provides"
             raise NotAdmitted(
-                f"{shown(peer.name)} {verb} {name}, which only a gateway of this domain does",
+                f"{names.shown(peer.name)} {verb} {name}, which only a gateway of this domain does",
                 "a gateway is a node that is enrolled as /gateway or /gateway/NAME",
             )
         # 3. Whose grants count, and by which name: an alias is of its origin's domain.
         domain, origin = self._origin(right, name)
         if presented is None:
             raise GrantMissing(
-                f"{shown(peer.name)} shows no grant to {right.label} {shown(name)}",
+                f"{names.shown(peer.name)} shows no grant to {right.label} {names.shown(name)}",
                 remedy=_remedy(peer, right, origin),
             )
         # 4. Each token for itself: one that is invalid takes nothing from the others.
@@ -394,8 +385,8 @@ class Access:
 
 def _remedy(peer: Identity, right: Right, name: str) -> str:
     if peer.is_foreign:  # it asks its own authority for nothing of ours
-        return f"sign one: {grant_command(shown(peer.name), [(right, name)])}"
-    return remedy(shown(peer.name), right, rule_form(peer.name, name, wildcard=peer.wildcard))
+        return f"sign one: {grant_command(names.shown(peer.name), [(right, name)])}"
+    return remedy(names.shown(peer.name), right, rule_form(peer.name, name, wildcard=peer.wildcard))
 
 
 # The parts of `Access` that others use: a program with threads passes an object with a lock.

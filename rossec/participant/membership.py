@@ -28,20 +28,13 @@ from rossec.home import NodeHome
 from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream, as_master
 from rossec.net.rpc import RpcClient
+from rossec.participant import renewals
 from rossec.participant.access import MAX_CALL, NO_LIST, HandshakeAccess, HeldGrants, batches
 from rossec.participant.authorized import RenewedGrants
 from rossec.participant.connections import ConnectionTable, ConnectionWatchdog
 from rossec.participant.master_updates import DomainUpdates, GrantDelivery, GrantDirectory, GrantWatch
 from rossec.participant.registrations import PublisherGrace, Retry
-from rossec.participant.renewals import (
-    IdentityRenewal,
-    MasterCall,
-    Provable,
-    Renewals,
-    prove,
-    renew,
-    renew_identity,
-)
+from rossec.participant.renewals import prove
 from rossec.ros import names
 from rossec.ros.names import MASTER, PRESENT_GRANTS
 from rossec.ros.xmlrpc import Fault
@@ -64,9 +57,9 @@ class MasterSession:
         refresh: Callable[[bytes, bytes, Identity], None],  # takes the newest list and timestamp, or raises
         restore: Callable[["MasterSession"], Awaitable[None]],  # called on each new connection
         held: Callable[[], bytes],  # the signed revocation list, which the master then need not send
-        prove: Callable[[MasterCall], Awaitable[int]],  # requests proofs; how many were accepted
+        prove: Callable[[renewals.MasterCall], Awaitable[int]],  # requests proofs; how many were accepted
         master: str = MASTER,  # the certified name of the node's own
-        follow: Callable[[MasterCall], Awaitable[None]] | None = None,  # after each heartbeat
+        follow: Callable[[renewals.MasterCall], Awaitable[None]] | None = None,  # after each heartbeat
         explain: Callable[[], str] = str,  # the cause of a failure, if the node knows it itself
     ) -> None:
         self._name = name
@@ -223,7 +216,7 @@ class LoadedIdentity:
         self.trust_status = self.domain_files.trust_status(self.anchors, self.revocations, clock.now())
 
 
-class MembershipAccess(HeldGrants, HandshakeAccess, Provable, Protocol):
+class MembershipAccess(HeldGrants, HandshakeAccess, renewals.Provable, Protocol):
     @property
     def foreign_domains(self) -> frozenset[str]: ...
 
@@ -279,9 +272,11 @@ class Membership:
             lambda: access.foreign_domains | connections.domains,
             lock,
         )
-        self._renewals = Renewals(access)
+        self._renewals = renewals.Renewals(access)
         self._renewed = connections.renewed = RenewedGrants(access)
-        self._identity_renewal = IdentityRenewal(identity.home, identity.live_credentials, clock.now())
+        self._identity_renewal = renewals.IdentityRenewal(
+            identity.home, identity.live_credentials, clock.now()
+        )
         self.session = MasterSession(
             identity.name,
             hooks.dial_master,
@@ -354,7 +349,7 @@ class Membership:
         # What is held is presented before anything is fetched: calls of the program go on meanwhile.
         self._grace.session_opened()
         with contextlib.suppress(AnswerRefused):  # requested again later
-            if await renew(session.call, self._renewals, clock.now()):
+            if await renewals.renew(session.call, self._renewals, clock.now()):
                 self.rights_version += 1
         await self._present(self._access.current(clock.now())[:MAX_CALL])
         await self._watch.session_opened()
@@ -395,12 +390,12 @@ class Membership:
         await self.domains.fetch_wanted(call)
         new = self._presentable(new)
         await self._present(new)
-        renewed = await renew(call, self._renewals, clock.now())
+        renewed = await renewals.renew(call, self._renewals, clock.now())
         if renewed:
             self.rights_version += 1
         if new or renewed:
             await self._hooks.rights_changed()
-        await renew_identity(call, self._identity_renewal, clock.now())
+        await renewals.renew_identity(call, self._identity_renewal, clock.now())
         if await prove(call, self._access):
             self._connections.cut_ended(clock.now())
 
