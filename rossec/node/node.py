@@ -10,6 +10,7 @@ import logging
 import os
 import sys
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from types import TracebackType
 from typing import Final, Self
@@ -51,37 +52,20 @@ HEADER_DEADLINE: Final = 5.0
 _log = logging.getLogger("rossec.node")
 
 
+@dataclass(eq=False)
 class Listener:
     """Accepts the connections of other nodes: to the slave API, and by TCPROS to topics and services.
 
     A refused peer receives the error about its own grants, which reveals nothing of what this node has.
     """
 
-    def __init__(
-        self,
-        node: NodeContext,
-        secure: SecureContext[Identity],
-        publishers: Mapping[str, Publisher],
-        services: Services,
-        slave: SlaveApi,
-        own_addresses: OwnAddresses,
-    ) -> None:
-        self._node = node
-        self._access = node.access
-        self._secure = secure
-        self._publishers = publishers
-        self._services = services
-        self._slave = slave
-        self._own_addresses = own_addresses
-        self._servers: list[SecureServer[Identity]] = []
-
-    @property
-    def slave_port(self) -> int:
-        return self._servers[0].port
-
-    @property
-    def topic_port(self) -> int:
-        return self._servers[1].port
+    _node: NodeContext
+    _secure: SecureContext[Identity]
+    _publishers: Mapping[str, Publisher]
+    _services: Services
+    _slave: SlaveApi
+    _own_addresses: OwnAddresses
+    _servers: list[SecureServer[Identity]] = field(default_factory=list, init=False)
 
     async def start(self, address: str) -> None:
         """Listen; on loopback only when `address`, which the node registers, is loopback."""
@@ -93,6 +77,7 @@ class Listener:
             server = serve(self._node.connections.bounded(handler), bind, 0, self._secure, protocol)
             self._servers.append(server)
             self._own_addresses.add_ports(address, server.port)
+        self.slave_port, self.topic_port = (server.port for server in self._servers)
 
     async def close(self) -> None:
         for server in self._servers:
@@ -100,7 +85,7 @@ class Listener:
 
     async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
         presented: list[bytes] = []  # the grants the peer has presented on this connection
-        await serve_peer(stream, partial(self._call, presented), self._access)
+        await serve_peer(stream, partial(self._call, presented), self._node.access)
 
     async def _call(
         self, presented: list[bytes], method: str, params: tuple[object, ...], peer: Identity
@@ -108,15 +93,15 @@ class Listener:
         now = clock.now()
         authorized = False
         try:
-            self._access.check_peer(peer, now)  # at each call: a connection may be older than the list
+            self._node.access.check_peer(peer, now)  # at each call: a connection may be older than the list
             match method, params:
                 case names.PRESENT_GRANTS, (_, bytes() as grants):
                     presented[:] = [grants]
                     return [1, "", 0]
                 case _:
                     pass
-            if presented and method in SLAVE_CALLS and not self._access.is_master(peer):
-                check_slave_call(method, peer, self._node.name, presented[0], self._access, now)
+            if presented and method in SLAVE_CALLS and not self._node.access.is_master(peer):
+                check_slave_call(method, peer, self._node.name, presented[0], self._node.access, now)
                 authorized = True
         except RevocationsStale as error:
             if method not in SIGNED_UPDATES:  # one of them ends the staleness
@@ -145,18 +130,18 @@ class Listener:
         if "service" not in fields:
             now = clock.now()
             # The right before the look-up: without it a peer does not learn what is published here (N5).
-            decision = handshakes.admit_subscriber(fields, stream.peer, self._access, now)
+            decision = handshakes.admit_subscriber(fields, stream.peer, self._node.access, now)
             topic = handshakes.requested_topic(fields)
             publisher = self._publishers.get(topic)
             if publisher is None:
                 raise ConnectionHeaderRefused(f"{self._node.name} does not publish {topic}")
             options = carried_out(requested_options(fields), decision)
             await publisher.ready()
-            handshakes.check_type(fields, publisher.endpoint.expected)
+            handshakes.check_type(fields, topic, publisher.endpoint.type)
             guard = publisher.guard(decision)
             name = self._node.name_for(stream.peer)
             answer = handshakes.publisher_header(
-                name, publisher.endpoint, self._access, now, latching=publisher.latch
+                name, publisher.endpoint, self._node.access, now, latching=publisher.latch
             )
             head = tcpros.encode(answer | options.fields)
             return partial(publisher.serve, stream, decision, guard, head, options)
@@ -380,10 +365,6 @@ class Node:
 
     def parameter_changed(self, key: str, value: object) -> None:
         self.params.changed(key, value)
-
-    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take a newer list and a fresh timestamp, then close connections that must end."""
-        self._membership.update_revocations(revocations, timestamp, master)
 
     def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None:
         self._membership.take_push(method, params, master)

@@ -228,7 +228,8 @@ class Subscriber:
         while not units:
             units = frames.feed(await stream.receive())
         answer = tcpros.decode(units[0])
-        decision = admit_publisher(answer, stream.peer, endpoint.expected, context.access, clock.now())
+        kind, now = endpoint.type, clock.now()
+        decision = admit_publisher(answer, stream.peer, endpoint.topic, kind, context.access, now)
         # Of a type of fixed size a unit needs less than the most that any type may have.
         stream.raise_unit_limit(unit_limit(self._size, MESSAGE_LIMIT))
         del answer[FIELD]  # what is kept of it needs no grants

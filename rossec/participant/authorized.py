@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import product
 from threading import Lock
-from typing import Any, Final, Generic, Protocol, TypeAlias, TypeVar, cast
+from typing import Any, Final, Generic, Protocol, TypeAlias, TypeVar
 
 from ca.certificates import Identity
 from ca.encoding import encode
@@ -178,11 +178,6 @@ def _check_label(decision: Decision, trust_status: TrustStatus) -> None:
 Connection: TypeAlias = AuthorizedConnection[Any, Any]
 
 
-class RenewableStream(Protocol):
-    def on_renewal(self, callback: Callable[[Renewal[Identity]], None]) -> None: ...
-    def present_grants(self, data: bytes) -> bool: ...
-
-
 class _Budgets:
     # Every renewal that is judged costs signatures; a domain that is foreign has one budget for all its keys,
     # as it makes as many as it likes.
@@ -238,7 +233,7 @@ class RenewedGrants:
                 _log.exception("a renewal of %s cannot be judged", _peer(connection))
                 connection.stream.abort("what the peer presents cannot be judged")
 
-        cast("RenewableStream", connection.stream).on_renewal(take)
+        connection.stream.on_renewal(take)
 
     def _take(
         self, connection: Connection, renewal: Renewal[Identity], on_renewed: Callable[[Connection], None]
@@ -316,7 +311,7 @@ class RenewedGrants:
             grants = self._access.present(_OTHERS[decision.right], decision.name, now)
             if grants in (_NOTHING, presented.by_self):
                 return
-            if cast("RenewableStream", connection.stream).present_grants(grants):
+            if connection.stream.present_grants(grants):
                 presented.by_self, presented.next_at = grants, now + PACE
         except (HintedError, LimitExceeded) as error:
             _log.info("not presented to %s: %s", _peer(connection), printable(error))

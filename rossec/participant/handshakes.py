@@ -23,6 +23,7 @@ from rossec.participant.access import FIELD, HandshakeAccess
 from rossec.ros.names import ANY_TYPE
 
 if TYPE_CHECKING:
+    from rossec.participant.definitions import Definition
     from rossec.participant.message_types import MessageType
 
 OFFERS: Final[Mapping[str, str]] = {
@@ -200,19 +201,6 @@ class TopicEndpoint:
     topic: str
     type: "MessageType"
 
-    @property
-    def expected(self) -> "ExpectedTopic":
-        return ExpectedTopic(self.topic, self.type.name, self.type.md5sum)
-
-
-@dataclass(frozen=True)
-class ExpectedTopic:
-    """A topic with the name and md5sum of its type; `*` matches any type."""
-
-    topic: str
-    type_name: str
-    md5sum: str
-
 
 def subscriber_header(caller: str, endpoint: TopicEndpoint, access: HandshakeAccess, now: int) -> Fields:
     return {
@@ -254,9 +242,14 @@ def admit_subscriber(
 
 
 def admit_publisher(
-    fields: Mapping[str, bytes], peer: Identity, expected: ExpectedTopic, access: HandshakeAccess, now: int
+    fields: Mapping[str, bytes],
+    peer: Identity,
+    topic: str,
+    kind: "Definition",
+    access: HandshakeAccess,
+    now: int,
 ) -> Decision:
-    """Decide on a publisher from the header it answered with.
+    """Decide on a publisher of `topic` from the header it answered with.
 
     The caller applies the decision's restrictions to each message (`topic_guard.guard_for`), by the
     receiver's definition: the publisher's may differ under the same md5sum.
@@ -267,24 +260,21 @@ def admit_publisher(
     # 2. Who it says it is, by its certificate.
     check_caller(fields, peer)
     # 3. What was asked for, and no other topic for which it has a grant.
-    if text(fields, "topic") != origin_of(expected.topic):
-        raise ConnectionHeaderRefused(
-            f"{shown(peer.name)} answers with another topic than {shown(expected.topic)}"
-        )
-    check_type(fields, expected)
+    if text(fields, "topic") != origin_of(topic):
+        raise ConnectionHeaderRefused(f"{shown(peer.name)} answers with another topic than {shown(topic)}")
+    check_type(fields, topic, kind)
     # 4. Its right, by the name that the topic has here.
-    return access.authorize(peer, fields.get(FIELD), Right.PUBLISH, expected.topic, now)
+    return access.authorize(peer, fields.get(FIELD), Right.PUBLISH, topic, now)
 
 
-def check_type(fields: Mapping[str, bytes], expected: ExpectedTopic) -> None:
+def check_type(fields: Mapping[str, bytes], topic: str, kind: "Definition") -> None:
     """Compare type and md5sum as TCPROS does; `*` matches any, on either side."""
     name, md5sum = text(fields, "type"), text(fields, "md5sum")
-    if not _matches(name, expected.type_name) or not _matches(md5sum, expected.md5sum):
+    if not _matches(name, kind.name) or not _matches(md5sum, kind.md5sum):
         raise ConnectionHeaderRefused(
-            f"{shown(expected.topic)} carries {expected.type_name} ({expected.md5sum}),"
-            f" the peer expects {name} ({md5sum})",
+            f"{shown(topic)} carries {kind.name} ({kind.md5sum}), the peer expects {name} ({md5sum})",
             "both sides need the same version of the message package"
-            if _matches(name, expected.type_name)
+            if _matches(name, kind.name)
             else "name the type that the topic carries, or another topic",
         )
 

@@ -13,6 +13,7 @@ import contextlib
 import logging
 from collections.abc import Awaitable, Callable
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
 from secrets import SystemRandom
 from typing import Any, Final, Protocol
 
@@ -29,7 +30,7 @@ from rossec.host.runner import TaskSet
 from rossec.net.aio import SecureStream, as_master
 from rossec.net.rpc import RpcClient
 from rossec.participant import renewals
-from rossec.participant.access import MAX_CALL, NO_LIST, HandshakeAccess, HeldGrants, batches
+from rossec.participant.access import MAX_CALL, NO_LIST, MembershipAccess, batches
 from rossec.participant.authorized import RenewedGrants
 from rossec.participant.connections import ConnectionTable, ConnectionWatchdog
 from rossec.participant.master_updates import DomainUpdates, GrantDelivery, GrantDirectory, GrantWatch
@@ -47,33 +48,22 @@ _SAID_AGAIN: Final = 60.0  # seconds after which a cause that lasts is logged ag
 _log = logging.getLogger("rossec.node")
 
 
+@dataclass(eq=False)
 class MasterSession:
     """Calls to the master, over a connection that is kept open."""
 
-    def __init__(
-        self,
-        name: str,  # the node's own, the `caller_id` of every call
-        dial: Callable[[], Awaitable[SecureStream[Identity]]],
-        refresh: Callable[[bytes, bytes, Identity], None],  # takes the newest list and timestamp, or raises
-        restore: Callable[["MasterSession"], Awaitable[None]],  # called on each new connection
-        held: Callable[[], bytes],  # the signed revocation list, which the master then need not send
-        prove: Callable[[renewals.MasterCall], Awaitable[int]],  # requests proofs; how many were accepted
-        master: str = MASTER,  # the certified name of the node's own
-        follow: Callable[[renewals.MasterCall], Awaitable[None]] | None = None,  # after each heartbeat
-        explain: Callable[[], str] = str,  # the cause of a failure, if the node knows it itself
-    ) -> None:
-        self._name = name
-        self._dial = dial
-        self._refresh = refresh
-        self._restore = restore
-        self._held = held
-        self._prove = prove
-        self._master = master
-        self._follow = follow
-        self._explain = explain
-        self._client: RpcClient | None = None
-        self._stream: SecureStream[Identity] | None = None
-        self._is_restored = False
+    _name: str  # the node's own, the `caller_id` of every call
+    _dial: Callable[[], Awaitable[SecureStream[Identity]]]
+    _refresh: Callable[[bytes, bytes, Identity], None]  # takes the newest list and timestamp, or raises
+    _restore: Callable[["MasterSession"], Awaitable[None]]  # called on each new connection
+    _held: Callable[[], bytes]  # the signed revocation list, which the master then need not send
+    _prove: Callable[[renewals.MasterCall], Awaitable[int]]  # requests proofs; how many were accepted
+    _master: str = MASTER  # the certified name of the node's own
+    _follow: Callable[[renewals.MasterCall], Awaitable[None]] | None = None  # after each heartbeat
+    _explain: Callable[[], str] = str  # the cause of a failure, if the node knows it itself
+    _client: RpcClient | None = field(default=None, init=False)
+    _stream: SecureStream[Identity] | None = field(default=None, init=False)
+    _is_restored: bool = field(default=False, init=False)
 
     @property
     def is_open(self) -> bool:
@@ -214,23 +204,6 @@ class LoadedIdentity:
         self.domain_files = DomainFiles(home, self.anchor)
         self.anchors = self.domain_files.anchors()
         self.trust_status = self.domain_files.trust_status(self.anchors, self.revocations, clock.now())
-
-
-class MembershipAccess(HeldGrants, HandshakeAccess, renewals.Provable, Protocol):
-    @property
-    def foreign_domains(self) -> frozenset[str]: ...
-
-    def update_revocations(
-        self,
-        revocations: bytes,
-        timestamp: bytes,
-        master: Identity,
-        now: int,
-        persist: Callable[[bytes], None],
-    ) -> None: ...
-
-    def expire_confirmation(self, until: int) -> None: ...
-    def current(self, now: int) -> list[bytes]: ...
 
 
 class MembershipHooks(Protocol):

@@ -71,7 +71,6 @@ def check_slave_call(
 class SlaveEvents(Protocol):
     def publishers_changed(self, topic: str, uris: list[str]) -> None: ...
     def parameter_changed(self, key: str, value: object) -> None: ...
-    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None: ...
     def push_arrived(self, method: str, params: tuple[object, ...], master: Identity) -> None: ...
 
     # The master shuts this node down, for example because another one has its name.
@@ -204,10 +203,7 @@ class SlaveApi:
             case "shutdown":
                 events.shutdown_requested(*params)
                 return [1, "shutdown", 0]
-            case names.REVOCATION_UPDATE:
-                revocations, timestamp = params
-                events.revocations_arrived(revocations, timestamp, peer)
-            case names.DOMAINS_UPDATE | names.FOREIGN_UPDATE:
+            case names.REVOCATION_UPDATE | names.DOMAINS_UPDATE | names.FOREIGN_UPDATE:
                 events.push_arrived(method, params, peer)
             case "requestTopic":
                 return topic_offer(params[1], *events.topic_endpoint())
