@@ -168,12 +168,8 @@ class Connection(Generic[PeerT]):
     def seal_unit(self, *pieces: Bytes, reuse: bool = False) -> Iterator[Bytes]:
         # With `reuse` a record holds until the next is taken: write it, or copy it, before that. A unit that
         # has begun must be finished: if that is not possible, drop the connection.
-        self.check_unit(pieces)
-        return self._sealed(pieces, reuse=reuse)
-
-    def check_unit(self, pieces: Sequence[Bytes]) -> None:
-        # Refuse a unit that `seal_unit` would refuse; nothing has happened to the connection.
         self._sendable().check_unit(pieces)
+        return self._sealed(pieces, reuse=reuse)
 
     def seal_small(self, unit: Bytes) -> Bytes | None:
         # None: it does not apply, use `seal_unit`.
@@ -302,18 +298,6 @@ class Connection(Generic[PeerT]):
 
     def get_buffer(self) -> memoryview:
         return self._buffer.free()
-
-    def receive_data(self, data: Bytes, now: int) -> list[Event[PeerT]]:
-        """Take bytes from the peer. `get_buffer` and `buffer_updated` save the copy."""
-        events: list[Event[PeerT]] = []
-        rest = memoryview(data)
-        while len(rest) > 0:
-            room = self._buffer.free()
-            count = min(len(room), len(rest))
-            room[:count] = rest[:count]
-            rest = rest[count:]
-            events += self.buffer_updated(count, now)
-        return events
 
     def buffer_updated(self, count: int, now: int) -> list[Event[PeerT]]:
         self._now = now

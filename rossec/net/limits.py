@@ -60,16 +60,14 @@ class HalfOpen:
     total: int = 512
 
 
+@dataclass(eq=False, slots=True)
 class HalfOpenSlot:
     """One half-open connection; made by `HalfOpenCount.admit`."""
 
-    __slots__ = ("_count", "address", "close", "source")
-
-    def __init__(self, count: "HalfOpenCount", source: str, address: str) -> None:
-        self._count = count
-        self.source = source
-        self.address = address
-        self.close: Callable[[], None] | None = None  # closes its socket at once, where that can be done
+    _count: "HalfOpenCount"
+    source: str
+    address: str
+    close: Callable[[], None] | None = None  # closes its socket at once, where that can be done
 
     def linger(self) -> None:
         self._count.lingers(self)

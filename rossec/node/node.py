@@ -247,21 +247,14 @@ class Node:
     async def publisher(
         self, topic: str, type_name: str, *, latch: bool = False, queue_size: int = 10
     ) -> Publisher:
-        """Publish messages of `type_name` on `topic`.
-
-        Raises:
-            MessageError, RossecError: unknown type, a second publisher of the topic, or the
-                master refuses.
-        """
+        """Publish messages of `type_name` on `topic`. Raises MessageError, RossecError: unknown type, a
+        second publisher of the topic, or the master refuses."""
         endpoint = handshakes.TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
         return await self.topics.publish(endpoint, latch=latch, queue_size=queue_size)
 
     async def topic_types(self) -> dict[str, str]:
-        """The topics that have a publisher or subscriber, and that this node may see: their types.
-
-        Raises:
-            RossecError: the master refuses, or is out of reach.
-        """
+        """The topics that have a publisher or subscriber, and that this node may see: their types. Raises
+        RossecError: the master refuses, or is out of reach."""
         answer = await self._context.call("getTopicTypes")
         found: dict[str, str] = {}
         for row in answer if isinstance(answer, list) else [answer]:
@@ -284,11 +277,9 @@ class Node:
     ) -> Subscriber:
         """Receive messages of `type_name` on `topic`: `async for message in subscriber`.
 
-        What each publisher is asked for: at most `rate` messages a second, of those that wait for
-        a slow line only the `newest`, messages that are compressed (`deflate`).
-
-        Raises:
-            MessageError, RossecError: unknown type, a wrong rate, or the master refuses.
+        What each publisher is asked for: at most `rate` messages a second, of those that wait for a slow line
+        only the `newest`, messages that are compressed (`deflate`). Raises MessageError, RossecError: unknown
+        type, a wrong rate, or the master refuses.
         """
         options = DeliveryOptions(rate, newest, deflate)
         endpoint = handshakes.TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
@@ -303,12 +294,8 @@ class Node:
         concurrency: int = CONCURRENCY,
         deadline: float = HANDLER_DEADLINE,
     ) -> Service:
-        """Provide the service `name`: `handler(request)` returns the response; see `Service`.
-
-        Raises:
-            MessageError, RossecError: unknown type, a second provider of the service, or the
-                master refuses.
-        """
+        """Provide the service `name`: `handler(request)` returns the response; see `Service`. Raises
+        MessageError, RossecError: unknown type, a second provider of the service, or the master refuses."""
         return await self.services.provide(
             self.settings.resolve(name),
             service_type(type_name),
@@ -320,11 +307,8 @@ class Node:
     def client(
         self, name: str, type_name: str, *, persistent: bool = False, deadline: float = CALL_DEADLINE
     ) -> ServiceClient:
-        """Call the service `name`: `response = await client(data=True)`; see `ServiceClient`.
-
-        Raises:
-            MessageError: unknown type.
-        """
+        """Call the service `name`: `response = await client(data=True)`; see `ServiceClient`. Raises
+        MessageError: unknown type."""
         return self.services.client(
             self.settings.resolve(name), service_type(type_name), persistent=persistent, deadline=deadline
         )
@@ -334,12 +318,9 @@ class Node:
         name: str,
         timeout: float | None = None,  # noqa: ASYNC109 - rospy's name and meaning
     ) -> None:
-        """Return as soon as a provider of the service `name` answers.
-
-        Raises:
-            ServiceUnavailable: none did within `timeout` seconds.
-            HintedError: this node may not call it, or the provider may not provide it.
-        """
+        """Return as soon as a provider of the service `name` answers. Raises ServiceUnavailable: none did
+        within `timeout` seconds; HintedError: this node may not call it, or the provider may not provide
+        it."""
         await self.services.wait_for(self.settings.resolve(name), within=timeout)
 
     async def wait_ended(self) -> None:

@@ -123,12 +123,8 @@ class Publisher:
         return self.endpoint.type.create(**fields)
 
     def publish(self, message: Message) -> None:
-        """Send `message` to every subscriber, each as its grant allows.
-
-        Raises:
-            MessageError: a field holds a value of a wrong type.
-            NodeShutdown: the node is closed.
-        """
+        """Send `message` to every subscriber, each as its grant allows. Raises MessageError: a field holds a
+        value of a wrong type; NodeShutdown: the node is closed."""
         self._publish(self.endpoint.type.serialize(message))
 
     def publish_bytes(self, data: bytes | memoryview) -> None:
@@ -278,10 +274,6 @@ class RawPublisher(Publisher):
     @property
     def demand(self) -> int:
         return len(self.links) + self._waiting
-
-    @property
-    def is_described(self) -> bool:
-        return self._known.is_set()
 
     def describe(self, kind: Definition) -> None:
         """Say what the messages are; subscribers that wait are answered. At most once."""

@@ -25,7 +25,7 @@ from rossec import clock, errors
 from rossec.net.aio import SecureStream
 from rossec.net.limits import unit_limit
 from rossec.node.context import NodeConnection, NodeContext
-from rossec.node.service_client import CALL_DEADLINE, ServiceClient, probe
+from rossec.node.service_client import CALL_DEADLINE, HANDSHAKE_DEADLINE, ServiceClient, exchange_headers
 from rossec.participant import delivery, handshakes
 from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.message_types import Message, field_names
@@ -252,7 +252,15 @@ class Services:
             ) from None
 
     async def probe(self, name: str) -> tuple[handshakes.Fields, Identity]:
-        return await probe(self.dial, self._context.name_for, name, self._context.access)
+        """Request the header of the provider of `name`; returns it and the provider's identity."""
+        async with asyncio.timeout(HANDSHAKE_DEADLINE):
+            stream = await self.dial(name)
+            try:
+                caller, access = self._context.name_for(stream.peer), self._context.access
+                answer, _ = await exchange_headers(stream, caller, name, handshakes.ANY, access, probe=True)
+            finally:
+                stream.abort("only a probe")
+        return answer, stream.peer
 
     async def known(self) -> dict[str, list[str]]:
         """Services this node may see, each with its providers."""

@@ -23,7 +23,7 @@ from rossec.participant import handshakes
 from rossec.participant.access import Access
 from rossec.participant.authorized import AuthorizedConnection
 from rossec.participant.message_types import Message
-from rossec.participant.service_types import Pieces, ServiceGuard, ServiceType
+from rossec.participant.service_types import ServiceGuard, ServiceType
 from rossec.ros import tcpros
 from rossec.ros.tcpros import MESSAGE_LIMIT
 
@@ -31,17 +31,7 @@ CALL_DEADLINE: Final = 60.0
 HANDSHAKE_DEADLINE: Final = 5.0
 
 ProviderConnection: TypeAlias = NodeConnection[ServiceGuard]
-CallerFor = Callable[[Identity], str]  # by which name the node calls itself to a peer
 Dial = Callable[[str], Awaitable[SecureStream[Identity]]]  # service -> stream to its provider
-
-
-async def exchange_call(stream: SecureStream[Identity], request: Pieces) -> bytes:
-    """The response to one request."""
-    frames = tcpros.response_reader()
-    await stream.send(*tcpros.framed(request))
-    while (content := frames.feed_one(await stream.receive())) is None:
-        pass
-    return tcpros.open_response(content)
 
 
 async def exchange_headers(
@@ -64,20 +54,6 @@ async def exchange_headers(
         pass
     answer = tcpros.decode(arrived)
     return answer, handshakes.admit_provider(answer, stream.peer, service, access, clock.now())
-
-
-async def probe(
-    dial: Dial, caller_for: CallerFor, service: str, access: Access
-) -> tuple[handshakes.Fields, Identity]:
-    """Request the header of the provider of `service`; returns it and the provider's identity."""
-    async with asyncio.timeout(HANDSHAKE_DEADLINE):
-        stream = await dial(service)
-        try:
-            caller = caller_for(stream.peer)
-            answer, _ = await exchange_headers(stream, caller, service, handshakes.ANY, access, probe=True)
-        finally:
-            stream.abort("only a probe")
-    return answer, stream.peer
 
 
 class ServiceClient:
@@ -161,7 +137,11 @@ class ServiceClient:
         allowed = connection.guard.request(request, clock.time())
         complete = False
         try:
-            response = await exchange_call(connection.stream, allowed)
+            frames = tcpros.response_reader()
+            await connection.stream.send(*tcpros.framed(allowed))
+            while (content := frames.feed_one(await connection.stream.receive())) is None:
+                pass
+            response = tcpros.open_response(content)
             complete = True
         except ServiceFailed:
             complete = True

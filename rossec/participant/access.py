@@ -41,6 +41,7 @@ NO_LIST: Final = (
     "at the authority: rossec ca refresh, then rossec ca publish; until then no peer is trusted",
 )
 _ARRAY_HEAD, _BYTES_HEAD = 3, 5  # at most, in CBOR
+Persist = Callable[[bytes], None]  # stores a list; durable when it returns
 _OFFERS: Final = Right.PUBLISH | Right.PROVIDE
 
 
@@ -254,12 +255,7 @@ class Access:
         return 0 if held is None else held.epoch
 
     def update_revocations(
-        self,
-        revocations: bytes,
-        timestamp: bytes,
-        master: Identity,
-        now: int,
-        persist: Callable[[bytes], None],
+        self, revocations: bytes, timestamp: bytes, master: Identity, now: int, persist: Persist
     ) -> None:
         """Take over a newer list (empty: the one held is the newest) and its timestamp. A valid list is kept
         even when the timestamp is not accepted."""
@@ -417,10 +413,5 @@ class MembershipAccess(HandshakeAccess, Protocol):
     def expire_confirmation(self, until: int) -> None: ...
 
     def update_revocations(
-        self,
-        revocations: bytes,
-        timestamp: bytes,
-        master: Identity,
-        now: int,
-        persist: Callable[[bytes], None],
+        self, revocations: bytes, timestamp: bytes, master: Identity, now: int, persist: Persist
     ) -> None: ...

@@ -83,7 +83,6 @@ class SlaveEvents(Protocol):
 class SlaveMethod:
     kinds: tuple[type, ...]
     default: object
-    master_only: bool = True
 
 
 RULES: Final[Mapping[str, SlaveMethod]] = {
@@ -93,8 +92,8 @@ RULES: Final[Mapping[str, SlaveMethod]] = {
     REVOCATION_UPDATE: SlaveMethod((bytes, bytes), 0),
     DOMAINS_UPDATE: SlaveMethod((bytes,), 0),
     FOREIGN_UPDATE: SlaveMethod((str, bytes, bytes, list), 0),
-    "requestTopic": SlaveMethod((str, list), [], master_only=False),
-    PORTS: SlaveMethod((), [], master_only=False),
+    "requestTopic": SlaveMethod((str, list), []),
+    PORTS: SlaveMethod((), []),
     "getName": SlaveMethod((), ""),
     "getUri": SlaveMethod((), ""),
     "getMasterUri": SlaveMethod((), ""),
@@ -121,7 +120,7 @@ def refusal(
     if method in RELAY_ONLY:
         only = None if is_relay(peer) else "a relay"
     else:
-        only = "the master" if rule.master_only and peer.name != master else None
+        only = "the master" if method not in OPEN and peer.name != master else None
     if only is not None and not (authorized and method in SLAVE_CALLS):
         return [_ERROR, f"rossec: {method} is for {only} alone", rule.default]
     # 2. Number and types of the parameters, in stock's words where stock has some.

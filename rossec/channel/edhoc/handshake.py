@@ -249,7 +249,7 @@ class Initiator(EdhocPeer[PeerT]):
         peer = self._check(KdfLabel.MAC_2, plaintext, now)
         # A responder that sent its whole certificate may not cache this side's either.
         known = self.config.known
-        introduced = known is not None and known.is_introduced(self._chain[0])
+        introduced = known is not None and self._chain[0] in known.introduced
         self.send_x5t = introduced and self._peer_sent_x5t
         # Composition of message_3 (section 5.4.2): K_3 and IV_3 are of TH_3, the statement moves to TH_4.
         aead, nonce, associated = self._encrypt0(KdfLabel.K_3, KdfLabel.IV_3)
@@ -262,7 +262,7 @@ class Initiator(EdhocPeer[PeerT]):
         messages.decode_plaintext_4(self._open(KdfLabel.K_4, KdfLabel.IV_4, data))
         self._prk = GONE
         if self.config.known is not None:
-            self.config.known.introduce(self._chain[0])
+            self.config.known.introduced[self._chain[0]] = None
 
 
 class Responder(EdhocPeer[PeerT]):

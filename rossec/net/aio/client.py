@@ -46,20 +46,16 @@ async def connect(
 ) -> SecureStream[PeerT]:
     """Connect and authenticate; one round trip after TCP's own.
 
-    The responder's verdict on this side's certificate arrives later, as `PeerRefused` from
-    `receive` or `send`. With `context.known`, the handshake is repeated by value after error 3.
-    `to_itself`: this node means to reach itself.
-
-    Raises:
-        PeerUnreachable: no TCP connection.
-        PlainPeer: a plain ROS node answered.
-        ChannelError: the handshake failed; the leaf says how.
+    The responder's verdict on this side's certificate arrives later, as `PeerRefused` from `receive` or
+    `send`. With `context.known`, the handshake is repeated by value after error 3. `to_itself`: this node
+    means to reach itself. Raises PeerUnreachable: no TCP connection; PlainPeer: a plain ROS node answered;
+    ChannelError: the handshake failed; the leaf says how.
     """
     core = partial(context.initiator, protocol, to_itself=to_itself)
     known = context.known
     if known is None:
         return await _handshake(await _dial(host, port, timeout), core)
-    request_x5t = known.knows_address((host, port))
+    request_x5t = (host, port) in known.addresses
     try:
         by_hash = partial(core, request_x5t=request_x5t)
         stream = await _handshake(await _dial(host, port, timeout), by_hash)
@@ -67,11 +63,11 @@ async def connect(
         # Any failure of a handshake by hash may be due to the hash.
         # Error 3 is not authenticated: whoever forges it costs one more handshake, by value.
         if isinstance(error, errors.PeerCredentialUnknown | errors.OwnCredentialUnknown):
-            known.forget_introductions()
+            known.introduced.clear()
         elif not request_x5t or isinstance(error, errors.HandshakeTimeout):
             raise
         stream = await _handshake(await _dial(host, port, timeout), core)
-    known.note_address((host, port))
+    known.addresses[host, port] = None
     return stream
 
 
@@ -92,12 +88,8 @@ async def _handshake(sock: socket.socket, core: Callable[[], Connection[PeerT]])
 def authenticate(
     connection: Connection[PeerT], transport: Callable[[TransportOwner], ByteTransport], address: str
 ) -> Awaitable[SecureStream[PeerT]]:
-    """Begin the handshake over this transport; what is returned waits for its end.
-
-    Raises:
-        ChannelError: the handshake failed; raised by what is returned.
-        OSError: of the transport, which is the caller's then.
-    """
+    """Begin the handshake over this transport; what is returned waits for its end. Raises ChannelError: the
+    handshake failed; raised by what is returned; OSError: of the transport, which is the caller's then."""
     ready: asyncio.Future[SecureStream[PeerT]] = asyncio.get_running_loop().create_future()
 
     def on_authenticated(stream: SecureStream[PeerT]) -> None:

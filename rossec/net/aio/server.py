@@ -203,11 +203,9 @@ def serve(
 ) -> SecureServer[PeerT]:
     """Listen on `host` (None or "": every address, IPv4 and IPv6) and `port` (0: any free one).
 
-    `handler` runs once per authenticated connection, which is closed when it returns. A connection
-    that opens in another protocol gets the refusal meant for plain peers.
-
-    Raises:
-        OSError: not an address of this host, or the port is taken.
+    `handler` runs once per authenticated connection, which is closed when it returns. A connection that opens
+    in another protocol gets the refusal meant for plain peers. Raises OSError: not an address of this host,
+    or the port is taken.
     """
     server = SecureServer(handler, context, protocol)
     server.listen(host, port)

@@ -172,10 +172,6 @@ class SecureStream(BaseStream, Generic[PeerT]):
         if untold is not None:
             callback(untold)
 
-    @property
-    def takes_renewals(self) -> bool:
-        return self.connection.takes_renewals
-
     def present_identity(self, chain: Sequence[bytes]) -> None:
         if self.error is None:
             self.connection.present_identity(chain)

@@ -178,10 +178,6 @@ class SecureSocket(Generic[PeerT]):
         self._on_renewal = callback
         self._tell_renewals()
 
-    @property
-    def takes_renewals(self) -> bool:
-        return self._core.takes_renewals
-
     def present_identity(self, chain: Sequence[bytes]) -> None:
         with self._core_lock:
             self._core.present_identity(chain)
